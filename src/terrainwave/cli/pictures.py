@@ -197,7 +197,7 @@ def render(
 ) -> None:
     """Draw FILE (.twz) to the picture TARGET (.png; - is stdout), without a screen."""
     import terrainwave
-    from terrainwave.render.gpu.offscreen import Offscreen
+    from terrainwave.render.gpu.canvas import Canvas
     from terrainwave.render.look.marks import check_marks
     from terrainwave.render.scene.frame import check_drawable
     from terrainwave.render.window.pictures import (
@@ -223,7 +223,7 @@ def render(
         check_marks(size, style, legend=legend, scale_bar=scale_bar)
         with Bar(quiet=quiet) as bar:
             scene = stack.enter_context(
-                Offscreen(terrain, size, max_bytes=memory << 20, progress=bar, **options)
+                Canvas(terrain, size, max_bytes=memory << 20, progress=bar, **options)
             )
         style.check_body(scene.scene.frame.body)
         _suggest_exaggeration(scene.scene.frame)

@@ -271,7 +271,7 @@ void main() {
 }
 """
 
-# Alpha says what is not data: `Offscreen.pick` leaves it out.
+# Alpha says what is not data: `Canvas.pick` leaves it out.
 SOLID_ALPHA = 250
 SOLID_FRAGMENT = (
     """

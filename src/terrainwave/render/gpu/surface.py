@@ -15,7 +15,7 @@ WATER_UNIT, DETAIL_UNIT = 14, 15  # the last that every driver has
 
 
 class Surface(Protocol):
-    """A store and a program; made by `Mode.surface`.
+    """A store and a program; made by `surfaces.surface_of`.
 
     The renderer sets those uniforms in `program` that `Renderer._set_uniforms` names and the
     program has, binds ramp and drape, sets depth test, wireframe and clip distances, and calls

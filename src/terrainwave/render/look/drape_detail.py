@@ -1,4 +1,4 @@
-"""Which part of an orthophoto is to be had finer, near the camera. No GPU.
+"""Which part of an orthophoto is to be had finer, near the camera.
 
 The photo as a whole is one texture, of no more texels than a GPU takes. A second one of a square
 around what the camera is near to follows it; it is read in the background.

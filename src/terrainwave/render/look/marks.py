@@ -1,4 +1,4 @@
-"""What is drawn over pictures with Pillow: text, a scale bar, a legend of the colours. No GPU."""
+"""What is drawn over pictures with Pillow: text, a scale bar, a legend of the colours."""
 
 import math
 from typing import Any, NamedTuple

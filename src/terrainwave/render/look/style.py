@@ -1,4 +1,4 @@
-"""How a picture looks; no GPU."""
+"""How a picture looks."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Where a raster of the Earth shows water, told by its heights alone. No GPU.
+"""Where a raster of the Earth shows water, told by its heights alone.
 
 Water is what is level at 0, and what lies below 0 where that hangs together with heights below
 `DEEPEST_LAND`, under which there is no dry land.

@@ -16,7 +16,7 @@ beneath it, and it is stored (docs/decisions/0017-neville-levels-on-demand.md).
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,6 @@ from terrainwave.render.scene.selection import NodeInfo, NodeTable, Piece, Selec
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
-    from terrainwave.render.gpu.block_surface import BlockSurface
 
 # μ of ε_l = μ g_l where none is asked for; they show 0.5 and 1.
 MU = 0.5
@@ -318,13 +317,6 @@ class Batched(BoundedMode):
             nodes, distances, morphs, (steepest + 1) * errors,
             selection.n_triangles, tau * view.flatness, n_missing,
         )  # fmt: skip
-
-    @staticmethod
-    def surface(context: Any, side: int, *, max_bytes: int) -> "BlockSurface":
-        """Return textures of blocks and the program that draws them."""
-        from terrainwave.render.gpu.block_surface import BlockSurface
-
-        return BlockSurface(context, side, max_bytes=max_bytes)
 
 
 def n_grid_triangles(side: int) -> int:

@@ -521,13 +521,6 @@ class FrontMode(Mode):
         beside: NDArray[np.float64] = np.where(touches, own[None, :], 0.0).max(axis=1)
         return own + beside
 
-    @staticmethod
-    def surface(context: Any, side: int, *, max_bytes: int) -> Any:
-        """Return a buffer for the mesh of a frame, and the program that draws it."""
-        from terrainwave.render.gpu.front_surface import FrontSurface
-
-        return FrontSurface(context, max_bytes=max_bytes)
-
     def _join(self, frames: list[PatchFrame], depths: NDArray[np.float64]) -> None:
         """Make one mesh of all patches with their skirts."""
         parts, starts = [], [0]

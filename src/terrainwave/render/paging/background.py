@@ -1,4 +1,4 @@
-"""Work beside the thread that draws, which looks for results and never waits. No GPU."""
+"""Work beside the thread that draws, which looks for results and never waits."""
 
 import threading
 from collections.abc import Callable

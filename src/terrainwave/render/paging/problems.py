@@ -1,4 +1,4 @@
-"""What could not be read: damaged for good, or not now and tried again. No GPU."""
+"""What could not be read: damaged for good, or not now and tried again."""
 
 import math
 import time

@@ -1,4 +1,4 @@
-"""Fetches from a server what queued pieces need, so that those who decode find it here. No GPU."""
+"""Fetches from a server what queued pieces need, so that those who decode find it here."""
 
 import threading
 import time

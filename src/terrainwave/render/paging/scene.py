@@ -1,4 +1,4 @@
-"""One terrain as seen by moving cameras: what is here, what is wanted, what to draw. No GPU."""
+"""One terrain as seen by moving cameras: what is here, what is wanted, what to draw."""
 
 import math
 import time

@@ -4,7 +4,7 @@ The step from a coarse block to the finest ones is large: their meshes keep to t
 So finest blocks come in variants as well, with 4, 16 … times the tolerance, and stand in the tree
 between their parent and the file's mesh: a chain, each the only child of the one before.
 
-Runs in worker threads; needs no GPU.
+Runs in worker threads.
 """
 
 import math

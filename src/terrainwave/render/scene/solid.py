@@ -1,9 +1,9 @@
-"""The block whose upper side the terrain is: walls, a floor, and lids over voids. No GPU.
+"""The block whose upper side the terrain is: walls, a floor, and lids over voids.
 
 Walls stand on the raster's outline and reach down to a base plane; the floor is that plane under
 the raster. A lid covers the voids, at heights between those around them, so that a hole is seen as
-a hatch and not as the sky below it. None of them is data: they never write where `Offscreen.pick`
-and `Offscreen.is_blank` look.
+a hatch and not as the sky below it. None of them is data: they never write where `Canvas.pick`
+and `Canvas.is_blank` look.
 """
 
 from typing import TYPE_CHECKING, Any, NamedTuple

@@ -1,4 +1,4 @@
-"""What a viewer writes: pictures, flights, profiles, under names that are not taken. No GPU."""
+"""What a viewer writes: pictures, flights, profiles, under names that are not taken."""
 
 import json
 import os

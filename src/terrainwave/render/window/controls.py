@@ -1,4 +1,4 @@
-"""What keys and mouse do to the camera and the style; no window, no GPU."""
+"""What keys and mouse do to the camera and the style."""
 
 import math
 from dataclasses import replace

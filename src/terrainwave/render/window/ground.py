@@ -1,4 +1,4 @@
-"""How high a camera is above the ground, without waiting for a read. No GPU."""
+"""How high a camera is above the ground, without waiting for a read."""
 
 import math
 import time

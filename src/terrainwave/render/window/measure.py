@@ -1,4 +1,4 @@
-"""Distances and profiles between places that were pointed at. No GPU."""
+"""Distances and profiles between places that were pointed at."""
 
 import csv
 import io

@@ -12,7 +12,7 @@ from terrainwave.errors import (
     InvalidArgumentError,
     InvalidHeightsError,
 )
-from terrainwave.render.gpu.offscreen import Offscreen
+from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.marks import draw_marks, legend_of
 from terrainwave.render.modes.mode import Frames
 from terrainwave.render.scene.camera import (
@@ -113,7 +113,7 @@ def read_flight(text: str, frame: Frame) -> list[Camera]:
 
 
 def fly_through(
-    offscreen: Offscreen,
+    canvas: Canvas,
     cameras: list[Camera],
     n_frames: int,
     style: "Style",
@@ -133,22 +133,22 @@ def fly_through(
     for number in range(n_frames):
         camera = along(cameras, number / max(n_frames - 1, 1))
         started = time.perf_counter()
-        image, frames = offscreen.picture(
+        image, frames = canvas.picture(
             camera, style, max_pixel_error=max_pixel_error, settle=settle
         )
         seconds = time.perf_counter() - started
-        if n_frames == 1 and offscreen.is_blank():
+        if n_frames == 1 and canvas.is_blank():
             raise InvalidHeightsError(
                 "the picture would show no terrain: what is in view is void, or `camera` looks"
                 " elsewhere"
             )
         if legend or scale_bar:
-            image = with_marks(offscreen, image, frames, style, legend=legend, scale_bar=scale_bar)
-        yield image, statistics(offscreen, camera, frames, seconds)
+            image = with_marks(canvas, image, frames, style, legend=legend, scale_bar=scale_bar)
+        yield image, statistics(canvas, camera, frames, seconds)
 
 
 def with_marks(
-    offscreen: Offscreen,
+    canvas: Canvas,
     image: NDArray[np.uint8],
     frames: Frames,
     style: "Style",
@@ -163,9 +163,9 @@ def with_marks(
     InvalidHeightsError
         If there is to be a scale bar, and the camera looks away from the terrain.
     """
-    scene, scale = offscreen.scene, None
+    scene, scale = canvas.scene, None
     if scale_bar:
-        scale = offscreen.metres_per_pixel()
+        scale = canvas.metres_per_pixel()
         if scale is None:
             raise InvalidHeightsError(
                 "there is no scale to draw a bar of: the camera looks away from the terrain"
@@ -174,31 +174,29 @@ def with_marks(
     if legend:
         explained = legend_of(
             style,
-            offscreen.renderer.palette(frames, style),
+            canvas.renderer.palette(frames, style),
             scene.frame,
             scene.terrain.units,
-            has_voids=offscreen.has_voids and style.draws_solid,
+            has_voids=canvas.has_voids and style.draws_solid,
         )
     return draw_marks(image, legend=explained, metres_per_pixel=scale)
 
 
-def statistics(
-    offscreen: Offscreen, camera: Camera, frames: Frames, seconds: float
-) -> dict[str, Any]:
+def statistics(canvas: Canvas, camera: Camera, frames: Frames, seconds: float) -> dict[str, Any]:
     """Return the statistics of a drawn picture, as plain values."""
-    scene, info = offscreen.scene, offscreen.context.info
+    scene, info = canvas.scene, canvas.context.info
     return {
         "renderer": str(info["GL_RENDERER"]),
         "version": str(info["GL_VERSION"]),
-        "size": [offscreen.viewport.width, offscreen.viewport.height],
+        "size": [canvas.viewport.width, canvas.viewport.height],
         "camera": format_camera(camera, scene.frame),
         "mode": scene.mode.name,
         "error": scene.mode.error,
         "max_pixel_error": frames.tau,
         "n_triangles": frames.n_triangles,
         "n_blocks": len(frames.nodes),
-        "n_draw_calls": offscreen.renderer.n_draw_calls,
-        "gpu_bytes": offscreen.n_bytes,
+        "n_draw_calls": canvas.renderer.n_draw_calls,
+        "gpu_bytes": canvas.n_bytes,
         "page_ms": scene.timings.page,
         "select_ms": scene.timings.select,
         "seconds": seconds,

@@ -1,4 +1,4 @@
-"""What the user of a viewer asks for besides the picture, and what is said. No GPU, no window."""
+"""What the user of a viewer asks for besides the picture, and what is said."""
 
 import time
 from collections.abc import Callable

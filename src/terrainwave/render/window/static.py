@@ -136,15 +136,15 @@ def view(
         except TerrainwaveError:
             # No display, no toolkit: what is wrong with the terrain itself is raised again below.
             pass
-    from terrainwave.render.gpu.offscreen import Offscreen
+    from terrainwave.render.gpu.canvas import Canvas
     from terrainwave.render.scene.camera import format_camera
     from terrainwave.render.window.pictures import choose_camera
 
-    with Offscreen(terrain, size, **options) as offscreen:
-        frame = offscreen.scene.frame
+    with Canvas(terrain, size, **options) as canvas:
+        frame = canvas.scene.frame
         style.check_body(frame.body)
-        chosen = choose_camera(frame, offscreen.viewport, camera)
-        pixels, _ = offscreen.picture(chosen, style, max_pixel_error=max_pixel_error)
+        chosen = choose_camera(frame, canvas.viewport, camera)
+        pixels, _ = canvas.picture(chosen, style, max_pixel_error=max_pixel_error)
     return Picture(pixels, format_camera(chosen, frame))
 
 

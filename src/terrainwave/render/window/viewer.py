@@ -11,7 +11,7 @@ import numpy as np
 from terrainwave.errors import TerrainwaveError
 from terrainwave.extras import need
 from terrainwave.render import DEFAULT_MAX_BYTES
-from terrainwave.render.gpu.offscreen import Offscreen
+from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.drape_detail import DrapeDetail
 from terrainwave.render.look.water import may_have_water, read_water
 from terrainwave.render.modes.mode import Frames
@@ -79,7 +79,7 @@ def run(
     except Exception as error:
         lines = str(error).strip().splitlines() or [type(error).__name__]
         raise TerrainwaveError(_NO_WINDOW.format(problem=_display_problem(lines[0]))) from error
-    with Offscreen(
+    with Canvas(
         terrain,
         config.wnd.buffer_size,
         context=config.ctx,
@@ -87,12 +87,12 @@ def run(
         is_late=True,
         retries=True,
         **options,
-    ) as offscreen:
-        style.check_body(offscreen.scene.frame.body)
-        first = choose_camera(offscreen.scene.frame, offscreen.viewport, camera)
-        controls = Controls(offscreen.scene, first, style, max_pixel_error)
-        session = Session(offscreen.scene, controls, _say, radius=options.get("radius"))
-        viewer = config.viewer = Viewer(config.wnd, offscreen, session, max_bytes)
+    ) as canvas:
+        style.check_body(canvas.scene.frame.body)
+        first = choose_camera(canvas.scene.frame, canvas.viewport, camera)
+        controls = Controls(canvas.scene, first, style, max_pixel_error)
+        session = Session(canvas.scene, controls, _say, radius=options.get("radius"))
+        viewer = config.viewer = Viewer(config.wnd, canvas, session, max_bytes)
         _loop(config, viewer)
         line = session.camera_line
         session.close()
@@ -185,13 +185,13 @@ def _loop(config: Any, viewer: "Viewer") -> None:
 class Viewer:
     """A window's content: scene, session, overlay."""
 
-    def __init__(self, window: Any, offscreen: Offscreen, session: Session, max_bytes: int) -> None:
+    def __init__(self, window: Any, canvas: Canvas, session: Session, max_bytes: int) -> None:
         self._window = window
-        self._offscreen = offscreen
+        self._canvas = canvas
         self._session, self.controls, self._max_bytes = session, session.controls, max_bytes
         from terrainwave.render.gpu.overlay import Overlay  # late: moderngl
 
-        self.overlay = Overlay(offscreen.context)
+        self.overlay = Overlay(canvas.context)
         self.cursor = (0, 0)
         self._times: deque[float] = deque(maxlen=60)
         self._ink = Background(1)  # draws the overlay, which takes longer than a frame may
@@ -200,25 +200,25 @@ class Viewer:
         self._keys = _key_names(window.keys)
         self._solid_at = self._first_seen = 0.0
         self._wants_solid = True
-        self._wants_drape = offscreen.photo is not None
-        scene = offscreen.scene
+        self._wants_drape = canvas.photo is not None
+        scene = canvas.scene
         self._wants_water = may_have_water(scene.terrain, scene.frame)
         self._detail: DrapeDetail | None = None
 
     def render(self, frame_time: float) -> None:
         """Draw a frame."""
         started = time.perf_counter()
-        controls, offscreen = self.controls, self._offscreen
-        size = offscreen.viewport.width, offscreen.viewport.height
+        controls, canvas = self.controls, self._canvas
+        size = canvas.viewport.width, canvas.viewport.height
         if size != self._window.buffer_size:
             self.resize()
         self._session.tick(frame_time)
         self._ink.poll()
-        frames = offscreen.draw(
+        frames = canvas.draw(
             controls.camera,
             controls.style,
             max_pixel_error=controls.max_pixel_error,
-            settle=offscreen.scene.mode.is_partwise,
+            settle=canvas.scene.mode.is_partwise,
         )
         if self._wants_solid and started > self._solid_at and self._is_at_rest(frames):
             self._read_solid()
@@ -228,43 +228,43 @@ class Viewer:
             self._read_drape()
         if self._detail is not None:
             height = controls.height_over_ground
-            self._detail.tick(controls.camera, height, offscreen.scene.frame)
-        offscreen.context.copy_framebuffer(self._window.fbo, offscreen.framebuffer)
+            self._detail.tick(controls.camera, height, canvas.scene.frame)
+        canvas.context.copy_framebuffer(self._window.fbo, canvas.framebuffer)
         self._window.use()
         self._times.append(frame_time)
         if time.perf_counter() - self._overlay_time > _OVERLAY_SECONDS:
             self._update_overlay(frames)
         line = self._session.line
         if len(line):
-            self.overlay.draw_line(line, controls.camera, offscreen.viewport)
+            self.overlay.draw_line(line, controls.camera, canvas.viewport)
         self.overlay.draw()
-        offscreen.scene.governor.after_frame((time.perf_counter() - started) * 1e3)
+        canvas.scene.governor.after_frame((time.perf_counter() - started) * 1e3)
 
     def _read_drape(self) -> None:
         """Read the orthophoto in the background, first as a whole, then finer near the camera."""
-        offscreen = self._offscreen
+        canvas = self._canvas
         self._wants_drape = False
-        assert offscreen.photo is not None
+        assert canvas.photo is not None
         background = self._session.slow
         self._detail = DrapeDetail(
-            offscreen.photo,
-            offscreen.drape_texels_per_pixel,
+            canvas.photo,
+            canvas.drape_texels_per_pixel,
             background,
-            offscreen.renderer.set_detail,
+            canvas.renderer.set_detail,
         )
 
         def take(outcome: Outcome) -> None:
             if outcome.problem is None:
-                offscreen.renderer.set_drape(outcome.value)
+                canvas.renderer.set_drape(outcome.value)
             else:
                 self._session.note(outcome.problem)
 
-        background.start(offscreen.read_drape, take)
+        background.start(canvas.read_drape, take)
 
     def _read_water(self) -> None:
         """Look for water in the background."""
         self._wants_water = False
-        scene, renderer = self._offscreen.scene, self._offscreen.renderer
+        scene, renderer = self._canvas.scene, self._canvas.renderer
 
         def take(outcome: Outcome) -> None:
             if outcome.problem is None:
@@ -279,18 +279,18 @@ class Viewer:
         if not len(frames.nodes):
             return False
         self._first_seen = self._first_seen or time.perf_counter()
-        is_remote = replies_of(self._offscreen.scene.terrain) is not None
+        is_remote = replies_of(self._canvas.scene.terrain) is not None
         has_waited = time.perf_counter() - self._first_seen > _SOLID_PAUSE
         return has_waited or not (is_remote and frames.n_missing)
 
     def _read_solid(self) -> None:
         """Read the block under the terrain in the background; again later, if that fails."""
         self._wants_solid = False
-        scene = self._offscreen.scene
+        scene = self._canvas.scene
 
         def take(outcome: Outcome) -> None:
             if outcome.problem is None:
-                self._offscreen.set_solid(outcome.value)
+                self._canvas.set_solid(outcome.value)
             else:
                 self._wants_solid, self._solid_at = True, time.perf_counter() + _SOLID_PAUSE
 
@@ -305,7 +305,7 @@ class Viewer:
         """Follow the window's size."""
         width, height = self._window.buffer_size
         if width > 0 and height > 0:
-            self._offscreen.resize((width, height))
+            self._canvas.resize((width, height))
             self._overlay_time = 0.0
 
     def key(self, key: Any, is_press: bool) -> None:
@@ -314,8 +314,8 @@ class Viewer:
         if name is None:
             return
         if is_press:
-            self.controls.press(name, self._offscreen.viewport)
-            self._session.grant(self._offscreen.grab)
+            self.controls.press(name, self._canvas.viewport)
+            self._session.grant(self._canvas.grab)
             self._overlay_time = 0.0
         else:
             self.controls.release(name)
@@ -341,7 +341,7 @@ class Viewer:
 
     def _pick(self, x: float, y: float) -> Any:
         ratio = self._window.pixel_ratio
-        return self._offscreen.pick(x * ratio, y * ratio)
+        return self._canvas.pick(x * ratio, y * ratio)
 
     def _update_overlay(self, frames: Frames) -> None:
         from terrainwave.render.gpu.overlay import (  # late: moderngl
@@ -353,15 +353,15 @@ class Viewer:
         self._overlay_time = time.perf_counter()
         if self._ink.n_running:
             return
-        offscreen, controls = self._offscreen, self.controls
-        viewport, scene = offscreen.viewport, offscreen.scene
+        canvas, controls = self._canvas, self.controls
+        viewport, scene = canvas.viewport, canvas.scene
         seconds = float(np.mean(self._times)) if self._times else 0.0
         raised = "" if frames.tau <= controls.max_pixel_error * 1.01 else " (raised)"
         loading = f", {frames.n_missing} to come" if frames.n_missing else ""
         lines = [
             f"{1 / max(seconds, 1e-6):.0f} fps, {frames.n_triangles:,} triangles in"
             f" {len(frames.nodes)} blocks{loading}",
-            f"GPU {offscreen.n_bytes / 2**20:.0f} MiB, within {frames.tau:.2g} pixels{raised}",
+            f"GPU {canvas.n_bytes / 2**20:.0f} MiB, within {frames.tau:.2g} pixels{raised}",
         ]
         lines += [f"speed {controls.speed:.3g} m/s"] if controls.is_flying else []
         under = self._pick(*self.cursor)
@@ -370,14 +370,14 @@ class Viewer:
             unit = scene.terrain.units or ""
             lines.append(f"{x:.10g}, {y:.10g}: {z:.6g} {unit}".rstrip())
         lines += self._session.lines(frames)
-        if offscreen.photo is not None and offscreen.photo.credit is not None:
-            lines.append(f"tiles: {offscreen.photo.credit}")
+        if canvas.photo is not None and canvas.photo.credit is not None:
+            lines.append(f"tiles: {canvas.photo.credit}")
         lines.append("H: help")
         shown = None
         if controls.shows_help:
-            found = self._session.settings(frames, offscreen.n_bytes, self._max_bytes)
+            found = self._session.settings(frames, canvas.n_bytes, self._max_bytes)
             shown = [*HELP, ("", ""), *found]
-        scale = offscreen.metres_per_pixel()
+        scale = canvas.metres_per_pixel()
         camera, profile = controls.camera, self._session.profile
         before = self._drawn
 

@@ -1,4 +1,4 @@
-"""Pictures without a screen."""
+"""A scene and a framebuffer that it is drawn into: for the window, or for pictures without one."""
 
 from typing import TYPE_CHECKING, Any, Self
 
@@ -57,8 +57,8 @@ def _open_photo(terrain: "TerrainFile", path: str) -> "Photo":
     return Photo(path, crs=terrain.crs, affine=terrain.raster_info.transform, shape=terrain.shape)
 
 
-class Offscreen:
-    """A scene with a framebuffer of its own.
+class Canvas:
+    """A scene with a framebuffer of its own, which the window shows and commands save.
 
     Parameters
     ----------
@@ -90,11 +90,12 @@ class Offscreen:
         is_late: bool = False,
         **options: Any,
     ) -> None:
+        mode_class(mode)  # refuses what there is not, before anything is opened
         self._owns_context = context is None
         self.context = context or create_context()
-        from terrainwave.render.gpu.renderer import Renderer
+        from terrainwave.render.gpu.renderer import Renderer  # late: moderngl
+        from terrainwave.render.gpu.surfaces import surface_of
 
-        kind = mode_class(mode)
         self.photo = None if drape is None else _open_photo(terrain, drape)
         side = int(self.context.info["GL_MAX_TEXTURE_SIZE"])
         if is_late:  # finer parts come as the camera comes near
@@ -102,8 +103,8 @@ class Offscreen:
         self._drape_limits = side, max_bytes // _DRAPE_SHARE
         picture = None if is_late else self.read_drape()
         self._drape_bytes = self._bytes_of_drape(has_detail=is_late)
-        self.surface = kind.surface(
-            self.context, terrain.grid.block, max_bytes=max_bytes - self._drape_bytes
+        self.surface = surface_of(
+            mode, self.context, terrain.grid.block, max_bytes=max_bytes - self._drape_bytes
         )
         self.store = self.surface.store
         self.scene = Scene(terrain, self.store, mode=mode, **options)
