@@ -13,9 +13,9 @@ from terrainwave.render.look.style import Style
 from terrainwave.render.paging.background import Background
 from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import Camera, Viewport, home
+from terrainwave.render.scene.measure import Ruler, read_profile, with_bound
 from terrainwave.render.window.controls import Controls
 from terrainwave.render.window.ground import Ground
-from terrainwave.render.window.measure import Ruler, read_profile, with_bound
 from terrainwave.render.window.pictures import read_flight
 from terrainwave.render.window.session import Session
 

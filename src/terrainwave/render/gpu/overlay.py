@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from terrainwave.render.gpu.surface import release_all
 from terrainwave.render.look.marks import FONT_SIZE, WHITE, Ink
 from terrainwave.render.scene.camera import Camera, Viewport, project
-from terrainwave.render.window.measure import Profile, distance_text
+from terrainwave.render.scene.measure import Profile, distance_text
 
 LINE_COLOR = (255, 214, 64, 255)
 _GRAPH, _MARGIN = (420, 130), 18

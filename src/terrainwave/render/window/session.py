@@ -14,16 +14,16 @@ from terrainwave.render.modes.mode import Frames
 from terrainwave.render.paging.background import Background, Outcome
 from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import format_camera
-from terrainwave.render.window.captures import FlightRecorder, save_as_new
-from terrainwave.render.window.controls import Controls
-from terrainwave.render.window.ground import Ground
-from terrainwave.render.window.measure import (
+from terrainwave.render.scene.measure import (
     Profile,
     Ruler,
     describe_place,
     describe_profile,
     read_profile,
 )
+from terrainwave.render.window.captures import FlightRecorder, save_as_new
+from terrainwave.render.window.controls import Controls
+from terrainwave.render.window.ground import Ground
 
 _NOTE_SECONDS = 6.0
 
