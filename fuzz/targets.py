@@ -30,17 +30,17 @@ from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.container.header import HEADER_SIZE, MAX_METADATA, pack_header, unpack_header
 from terrainwave.container.metadata import unpack_metadata
 from terrainwave.container.page import N_CODES, page_layout, payload_starts, unpack_page
-from terrainwave.container.ranges import MAX_REQUEST, Budget, ByteRange, merge_ranges
-from terrainwave.container.rounds import RoundReader
-from terrainwave.container.source import BufferSource
+from terrainwave.container.sources.ranges import MAX_REQUEST, Budget, ByteRange, merge_ranges
+from terrainwave.container.sources.rounds import RoundReader
+from terrainwave.container.sources.source import BufferSource
 from terrainwave.errors import TerrainwaveError, TruncatedStreamError
 from terrainwave.export.virtual_geotiff import VirtualGeoTIFF
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.mesh.blocks import StoredSamples
 from terrainwave.mesh.sections import unpack_section
 from terrainwave.names import METHODS
+from terrainwave.raster_io.geotiff.stream import GeoTIFFStream
 from terrainwave.raster_io.info import RasterInfo
-from terrainwave.raster_io.stream import GeoTIFFStream
 from terrainwave.terrain import Terrain
 from terrainwave.tri.halves.borders import beside_void
 from terrainwave.tri.stored import STORED_KINDS

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from terrainwave.export.mesh import Mesh
     from terrainwave.mesh.blocks import BlockMesher
-    from terrainwave.raster_io.stream import GeoTIFFStream
+    from terrainwave.raster_io.geotiff.stream import GeoTIFFStream
     from terrainwave.render.look.style import Style
     from terrainwave.render.window.static import Picture
     from terrainwave.tri.mesh import BlockMesh
@@ -146,7 +146,7 @@ class Terrain(TerrainFile):
         averages, without a bound. The terrain must stay open.
         """
         from terrainwave.export.virtual_geotiff import VirtualGeoTIFF
-        from terrainwave.raster_io.stream import GeoTIFFStream
+        from terrainwave.raster_io.geotiff.stream import GeoTIFFStream
 
         made = VirtualGeoTIFF(self)
         made.warn_of_crs()  # not while GDAL reads: it cannot pass on an error that a warning may be

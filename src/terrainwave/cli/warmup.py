@@ -25,8 +25,8 @@ from terrainwave.names import (
     UNBOUNDED_MESHES,
     WARMUP_TASKS,
 )
+from terrainwave.raster_io.geotiff.sink import RasterSink
 from terrainwave.raster_io.info import SUPPORTED_DTYPES, RasterInfo
-from terrainwave.raster_io.sink import RasterSink
 
 # Rows and columns: several levels of the smallest blocks, with borders that end within one.
 _SHAPE = (200, 220)

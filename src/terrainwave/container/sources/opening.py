@@ -3,7 +3,7 @@
 import os
 from typing import BinaryIO, TypeAlias
 
-from terrainwave.container.source import BufferSource, ByteSource, FileSource
+from terrainwave.container.sources.source import BufferSource, ByteSource, FileSource
 from terrainwave.errors import StorageError
 
 SourceLike: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO | ByteSource
@@ -20,7 +20,7 @@ def open_source(source: SourceLike) -> ByteSource:
     if isinstance(source, bytes | bytearray | memoryview):
         return BufferSource(bytes(source))
     if isinstance(source, str) and "://" in source:
-        from terrainwave.container.url import open_url
+        from terrainwave.container.sources.url import open_url
 
         return open_url(source)
     if isinstance(source, str | os.PathLike):

@@ -28,7 +28,7 @@ from urllib.parse import SplitResult, urlsplit
 from urllib3 import Retry
 from urllib3.exceptions import HTTPError, InvalidHeader
 
-from terrainwave.container.addresses import (
+from terrainwave.container.sources.addresses import (
     basic_login,
     display_name,
     has_expired,
@@ -39,10 +39,15 @@ from terrainwave.container.addresses import (
     web_address,
     without_secrets,
 )
-from terrainwave.container.archive import open_member
-from terrainwave.container.connections import N_CONNECTIONS, Connections, ProxyStatus, proxy_of
-from terrainwave.container.ranges import ByteRange
-from terrainwave.container.source import MAX_WHOLE, ByteSource, FileSource, MergingSource
+from terrainwave.container.sources.archive import open_member
+from terrainwave.container.sources.connections import (
+    N_CONNECTIONS,
+    Connections,
+    ProxyStatus,
+    proxy_of,
+)
+from terrainwave.container.sources.ranges import ByteRange
+from terrainwave.container.sources.source import MAX_WHOLE, ByteSource, FileSource, MergingSource
 from terrainwave.errors import (
     SourceUnavailableError,
     StorageError,

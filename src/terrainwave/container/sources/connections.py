@@ -21,7 +21,7 @@ from urllib.parse import SplitResult, urlsplit
 import urllib3
 from urllib3.exceptions import HTTPError, LocationParseError
 
-from terrainwave.container.addresses import basic_login, display_name, origin, without_login
+from terrainwave.container.sources.addresses import basic_login, display_name, origin, without_login
 from terrainwave.errors import StorageError
 from terrainwave.extras import need
 

@@ -12,8 +12,8 @@ import zlib
 from collections.abc import Sequence
 
 from terrainwave.arguments import size_of
-from terrainwave.container.ranges import ByteRange
-from terrainwave.container.source import (
+from terrainwave.container.sources.ranges import ByteRange
+from terrainwave.container.sources.source import (
     MAX_WHOLE,
     BufferSource,
     ByteSource,

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import BinaryIO, Protocol, runtime_checkable
 
-from terrainwave.container.ranges import ByteRange, merge_ranges, split_merged
+from terrainwave.container.sources.ranges import ByteRange, merge_ranges, split_merged
 from terrainwave.errors import StorageError, TruncatedStreamError
 from terrainwave.forks import renew_after_fork
 
