@@ -38,9 +38,10 @@ from terrainwave.codec.cdf97.residual import (
 from terrainwave.codec.cdf97.zerotree import N_TREE_MODELS
 from terrainwave.codec.refiner import Decoded
 from terrainwave.codec.shared_lines import N_BORDER_MODELS
+from terrainwave.codec.units import block_of_unit, unit_spec
 from terrainwave.coding.filters import lowpass_analysis
 from terrainwave.coding.rangecoder import new_models
-from terrainwave.grid.parameters import CodecParameters, block_of_unit, unit_spec
+from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid
 
 N_SETS = 16
