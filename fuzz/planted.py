@@ -52,7 +52,7 @@ PLANTED = (
     ),
     Planted(
         "tables of rapid: families that exist", "parameters", "python",
-        "codec/rapid/file_tables.py", "if family >= trained.shape[0]:", "if False:",
+        "codec/rapid/file_tables.py", "if family >= n_families:", "if False:",
     ),
 )  # fmt: skip
 
