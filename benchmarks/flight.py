@@ -27,13 +27,13 @@ from benchmarks import common
 from benchmarks.rasters import mirrored_file
 from benchmarks.render import CountingFile
 from benchmarks.slow_server import SlowServer
-from terrainwave.render.camera import Camera, Viewport
-from terrainwave.render.frame import frame_of
-from terrainwave.render.modes import mode_class
-from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.scene import Scene
-from terrainwave.render.selection import View
-from terrainwave.render.style import Style
+from terrainwave.render.gpu.canvas import Canvas
+from terrainwave.render.gpu.surfaces import surface_of
+from terrainwave.render.look.style import Style
+from terrainwave.render.paging.scene import Scene
+from terrainwave.render.scene.camera import Camera, Viewport
+from terrainwave.render.scene.frame import frame_of
+from terrainwave.render.scene.selection import View
 
 HERTZ = 60
 # Frames after which a flight has begun: the first picture is not a part of it.
@@ -193,17 +193,17 @@ class Session:
         self.opened = time.perf_counter()
         self.terrain = self._closing.enter_context(terrainwave.open(file))
         if gpu:
-            self._offscreen = self._closing.enter_context(
-                Offscreen(
+            self._canvas = self._closing.enter_context(
+                Canvas(
                     self.terrain, (viewport.width, viewport.height), mode=mode, samples=0,
                     n_workers=n_threads, max_bytes=memory << 20, **options,
                 )
             )  # fmt: skip
-            self.renderer = str(self._offscreen.context.info["GL_RENDERER"])
-            self.scene = self._offscreen.scene
+            self.renderer = str(self._canvas.context.info["GL_RENDERER"])
+            self.scene = self._canvas.scene
         else:
             side = self.terrain.grid.block
-            self._surface = mode_class(mode).surface(NoGpu(), side, max_bytes=memory << 20)
+            self._surface = surface_of(mode, NoGpu(), side, max_bytes=memory << 20)
             self.scene = self._closing.enter_context(
                 Scene(self.terrain, self._surface.store, mode=mode, n_workers=n_threads, **options)
             )
@@ -214,9 +214,9 @@ class Session:
         if self.renderer == "none":
             self._surface.submit(self.scene, view, frames)
             return
-        self._offscreen.framebuffer.use()
-        self._offscreen.renderer.draw(view, frames, Style())
-        self._offscreen.context.finish()
+        self._canvas.framebuffer.use()
+        self._canvas.renderer.draw(view, frames, Style())
+        self._canvas.context.finish()
 
     def __enter__(self) -> Self:
         return self

@@ -31,12 +31,13 @@ from pymartini import Martini
 import terrainwave
 from benchmarks import common
 from benchmarks.rasters import coefficients_of, middle, whole_units
-from terrainwave.tri import agreement, rqt
-from terrainwave.tri.connect import mesh_error, mesh_of_cut
-from terrainwave.tri.guarantee import guaranteed_cut
 from terrainwave.tri.mesh import BlockMesh
-from terrainwave.tri.refinement import encode_refinement
+from terrainwave.tri.rqt import stored as rqt
 from terrainwave.tri.surface import largest_deviation
+from terrainwave.tri.zerotree import agreement
+from terrainwave.tri.zerotree.connect import mesh_error, mesh_of_cut
+from terrainwave.tri.zerotree.guarantee import guaranteed_cut
+from terrainwave.tri.zerotree.refinement import encode_refinement
 
 # The rasters, and where the crops of `--papers` begin: on land and away from voids.
 CROPS = {

@@ -16,7 +16,7 @@ import rasterio
 
 import terrainwave
 from benchmarks import common
-from terrainwave.codec.correctioncoder import decode_corrections
+from terrainwave.codec.corrections import decode_corrections
 from terrainwave.codec.group import HAS_CORRECTIONS, read_head
 from terrainwave.codec.units import unit_spec
 from terrainwave.terrain import Terrain

@@ -21,10 +21,10 @@ import numpy as np
 import terrainwave
 from benchmarks import common
 from benchmarks.rasters import mirrored_file
-from terrainwave.render.camera import Camera, along, home, look, top_view
-from terrainwave.render.frame import Frame
-from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.style import Style
+from terrainwave.render.gpu.canvas import Canvas
+from terrainwave.render.look.style import Style
+from terrainwave.render.scene.camera import Camera, along, home, look, top_view
+from terrainwave.render.scene.frame import Frame
 
 # Keys of the flight: places as shares of the extent, heights above the highest as shares of it,
 # headings and pitches. Turns of up to 170 degrees between two keys.
@@ -70,8 +70,8 @@ class CountingFile:
 class Recorder:
     """What frames took and drew."""
 
-    def __init__(self, offscreen: Offscreen, tau: float, file: CountingFile) -> None:
-        self._offscreen, self._tau, self._file = offscreen, tau, file
+    def __init__(self, canvas: Canvas, tau: float, file: CountingFile) -> None:
+        self._canvas, self._tau, self._file = canvas, tau, file
         self._n_read = file.n_read
         # Of each frame: milliseconds, CPU, paging, selection, submission; what was drawn.
         self._times: list[tuple[float, ...]] = []
@@ -79,50 +79,50 @@ class Recorder:
 
     def frame(self, camera: Camera, *, draws: bool) -> None:
         """Page, select, submit, and draw if asked to; nothing is waited for."""
-        offscreen, scene = self._offscreen, self._offscreen.scene
+        canvas, scene = self._canvas, self._canvas.scene
         started, cpu = time.perf_counter(), time.thread_time()
-        view = scene.view(camera, offscreen.viewport, self._tau)
+        view = scene.view(camera, canvas.viewport, self._tau)
         frames = scene.update(view)
         updated = time.thread_time()
-        offscreen.surface.instances(scene, view, frames).tobytes()
+        canvas.surface.instances(scene, view, frames).tobytes()
         ended = time.thread_time()
         parts = scene.timings.page, scene.timings.select, (ended - updated) * 1e3
         if draws:
-            offscreen._target.use()
-            offscreen.renderer.draw(view, frames, Style())
-            offscreen.context.finish()
+            canvas._target.use()
+            canvas.renderer.draw(view, frames, Style())
+            canvas.context.finish()
         self._note(view, frames, started, (ended - cpu) * 1e3, parts)
 
     def picture(self, camera: Camera) -> None:
         """Draw a picture with all that it needs."""
         started = time.perf_counter()
-        frames = self._offscreen.draw(camera, Style(), max_pixel_error=self._tau)
-        self._offscreen.context.finish()
-        view = self._offscreen.scene.view(camera, self._offscreen.viewport, self._tau)
+        frames = self._canvas.draw(camera, Style(), max_pixel_error=self._tau)
+        self._canvas.context.finish()
+        view = self._canvas.scene.view(camera, self._canvas.viewport, self._tau)
         self._note(view, frames, started, 0.0, (0.0, 0.0, 0.0))
 
     def _note(self, view, frames, started: float, cpu_ms: float, parts_ms) -> None:
         self._times.append(((time.perf_counter() - started) * 1e3, cpu_ms, *parts_ms))
         error = 0.0
-        if not self._offscreen.scene.mode.is_partwise:
-            error = self._offscreen.scene.drawn_error(view, frames)
+        if not self._canvas.scene.mode.is_partwise:
+            error = self._canvas.scene.drawn_error(view, frames)
         self._drawn.append((frames.n_triangles, len(frames.nodes), frames.n_missing, error))
 
     def row(self, what: str, size: int) -> Row:
         """Return the line of the CSV."""
-        offscreen, viewport = self._offscreen, self._offscreen.viewport
+        canvas, viewport = self._canvas, self._canvas.viewport
         triangles, blocks, missing, errors = np.array(self._drawn).T
         frame_ms, cpu_ms, *parts_ms = np.array(self._times).T
         times = [np.quantile(ms, share) for ms in (frame_ms, cpu_ms) for share in (0.5, 0.99)]
         times += [np.median(ms) for ms in parts_ms]
         return Row(
-            str(offscreen.context.info["GL_RENDERER"]), what, size, offscreen.scene.mode.name,
-            offscreen.scene.terrain.grid.block, viewport.width, viewport.height, self._tau,
+            str(canvas.context.info["GL_RENDERER"]), what, size, canvas.scene.mode.name,
+            canvas.scene.terrain.grid.block, viewport.width, viewport.height, self._tau,
             len(self._drawn), *(round(float(ms), 3) for ms in times),
             int((cpu_ms > STALL_MS).sum()), round((self._file.n_read - self._n_read) / 2**20, 2),
             float(np.median(triangles)), float(np.median(blocks)), int((missing > 0).sum()),
             *(round(float(np.quantile(errors, share)), 2) for share in (0.5, 0.99)),
-            round(offscreen.n_bytes / 2**20, 1),
+            round(canvas.n_bytes / 2**20, 1),
         )  # fmt: skip
 
 
@@ -135,45 +135,45 @@ def camera_at_key(frame: Frame, key: tuple[float, ...]) -> Camera:
     return Camera(place, heading, pitch, 60.0)
 
 
-def fly(offscreen: Offscreen, file: CountingFile, n_frames: int, tau: float, size: int) -> Row:
+def fly(canvas: Canvas, file: CountingFile, n_frames: int, tau: float, size: int) -> Row:
     """Return what a flight took; blocks that come late are not waited for."""
-    cameras = [camera_at_key(offscreen.scene.frame, key) for key in KEYS]
-    offscreen.draw(cameras[0], Style(), max_pixel_error=tau)  # the first picture is not timed
-    recorder = Recorder(offscreen, tau, file)
+    cameras = [camera_at_key(canvas.scene.frame, key) for key in KEYS]
+    canvas.draw(cameras[0], Style(), max_pixel_error=tau)  # the first picture is not timed
+    recorder = Recorder(canvas, tau, file)
     for number in range(n_frames):
         camera = along(cameras, number / max(n_frames - 1, 1))
-        if offscreen.scene.mode.is_partwise:
+        if canvas.scene.mode.is_partwise:
             recorder.picture(camera)
         else:
             recorder.frame(camera, draws=True)
     return recorder.row("flight", size)
 
 
-def same_view(offscreen: Offscreen, file: CountingFile, tau: float, size: int) -> Row:
+def same_view(canvas: Canvas, file: CountingFile, tau: float, size: int) -> Row:
     """Return the CPU's part of a view straight down on the ground that all files share."""
-    scene, frame = offscreen.scene, offscreen.scene.frame
+    scene, frame = canvas.scene, canvas.scene.frame
     ends = np.array([0.0, SHARED_SAMPLES - 1.0])
     corners = frame.samples_to_local(ends, ends)
     low, high = frame.box
     box = (np.array([*corners.min(axis=0), low[2]]), np.array([*corners.max(axis=0), high[2]]))
-    camera = top_view(box, offscreen.viewport)
-    scene.settle(scene.view(camera, offscreen.viewport, tau))
-    recorder = Recorder(offscreen, tau, file)
+    camera = top_view(box, canvas.viewport)
+    scene.settle(scene.view(camera, canvas.viewport, tau))
+    recorder = Recorder(canvas, tau, file)
     for number in range(SAME_VIEW_FRAMES):
         recorder.frame(look(camera, 0.001 * (number % 2), 0), draws=False)
     return recorder.row("same view, CPU only", size)
 
 
-def many(offscreen: Offscreen, file: CountingFile, n_frames: int, size: int) -> Row | None:
+def many(canvas: Canvas, file: CountingFile, n_frames: int, size: int) -> Row | None:
     """Return the CPU's part (select, page, submit) with many blocks in view; nothing is drawn."""
-    scene, camera = offscreen.scene, home(offscreen.scene.frame.box, offscreen.viewport)
+    scene, camera = canvas.scene, home(canvas.scene.frame.box, canvas.viewport)
     tau, n_blocks = 4.0, 0
     while n_blocks < MANY_BLOCKS and tau > 0.01:
-        n_blocks = len(scene.settle(scene.view(camera, offscreen.viewport, tau)).nodes)
+        n_blocks = len(scene.settle(scene.view(camera, canvas.viewport, tau)).nodes)
         tau *= 0.8
     if n_blocks < MANY_BLOCKS:
         return None
-    recorder = Recorder(offscreen, tau / 0.8, file)
+    recorder = Recorder(canvas, tau / 0.8, file)
     for number in range(n_frames):
         recorder.frame(look(camera, 0.01 * number, 0), draws=False)
     return recorder.row("thousand blocks, CPU only", size)
@@ -187,22 +187,22 @@ def measure(
     with (
         contextlib.closing(file),
         terrainwave.open(file) as terrain,
-        Offscreen(terrain, viewport, mode=mode, samples=0, radius=radius) as offscreen,
+        Canvas(terrain, viewport, mode=mode, samples=0, radius=radius) as canvas,
     ):
         n = max(round(n_frames * SHARES[mode]), 2)
         if terrain.grid.block == SMALL_BLOCK:
-            row = many(offscreen, file, n, side)
+            row = many(canvas, file, n, side)
             if row:
                 yield row
             return
-        yield fly(offscreen, file, n, tau, side)
+        yield fly(canvas, file, n, tau, side)
         if mode != "full":
-            recorder = Recorder(offscreen, tau, file)
+            recorder = Recorder(canvas, tau, file)
             for key in KEYS:
-                recorder.picture(camera_at_key(offscreen.scene.frame, key))
+                recorder.picture(camera_at_key(canvas.scene.frame, key))
             yield recorder.row("views at the keys, settled", side)
         if mode == "adaptive":
-            yield same_view(offscreen, file, tau, side)
+            yield same_view(canvas, file, tau, side)
 
 
 @common.command("render.csv")

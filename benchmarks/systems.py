@@ -31,14 +31,14 @@ import terrainwave
 from benchmarks import common
 from benchmarks.rasters import coefficients_of, load_raster
 from benchmarks.render import SMALL_BLOCK, camera_at_key
-from terrainwave.render.camera import Camera, Viewport, gamma_guaranteed, home, look, project
+from terrainwave.render.gpu.canvas import Canvas
+from terrainwave.render.look.style import Style
 from terrainwave.render.modes import MODES
 from terrainwave.render.modes.front import eye_of
-from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.selection import View
-from terrainwave.render.style import Style
-from terrainwave.tri.dynamic import DynamicMesh
-from terrainwave.tri.rqt_view import RestrictedMesh
+from terrainwave.render.scene.camera import Camera, Viewport, gamma_guaranteed, home, look, project
+from terrainwave.render.scene.selection import View
+from terrainwave.tri.dynamic.dynamic import DynamicMesh
+from terrainwave.tri.rqt.view import RestrictedMesh
 
 # The papers' figures; "ours" are format strings.
 PAPERS = Path(__file__).with_name("papers.csv")
@@ -153,53 +153,53 @@ def no_draw_calls() -> Iterator[list[int]]:
         yield submitted
 
 
-def camera_of(name: str, offscreen: Offscreen) -> Camera:
+def camera_of(name: str, canvas: Canvas) -> Camera:
     """Return the camera of a name."""
     if name == "overview":
-        return home(offscreen.scene.frame.box, offscreen.viewport)
-    return camera_at_key(offscreen.scene.frame, KEYS[name])
+        return home(canvas.scene.frame.box, canvas.viewport)
+    return camera_at_key(canvas.scene.frame, KEYS[name])
 
 
 def measure_mode(file: Path, name: str, camera_name: str, mode: str) -> ModeRow:
     """Return what a mode draws and takes from one camera; nothing has been read before."""
     with (
         terrainwave.open(file) as terrain,
-        Offscreen(terrain, SIZE, samples=0, **VARIANTS.get(mode, {"mode": mode})) as offscreen,
+        Canvas(terrain, SIZE, samples=0, **VARIANTS.get(mode, {"mode": mode})) as canvas,
     ):
-        camera = camera_of(camera_name, offscreen)
+        camera = camera_of(camera_name, canvas)
         with counted_uploads() as first:
-            frames = offscreen.draw(camera, Style(), max_pixel_error=TAU)
-        offscreen.context.finish()
-        is_partwise = offscreen.scene.mode.is_partwise
-        cpu_ms, frame_bytes, mine = (None,) * 3 if is_partwise else _turn(offscreen, camera)
+            frames = canvas.draw(camera, Style(), max_pixel_error=TAU)
+        canvas.context.finish()
+        is_partwise = canvas.scene.mode.is_partwise
+        cpu_ms, frame_bytes, mine = (None,) * 3 if is_partwise else _turn(canvas, camera)
         times = []
         for number in range(1 if is_partwise else N_DRAWN):
             started = time.perf_counter()
-            offscreen.draw(look(camera, TURN * number, 0), Style(), max_pixel_error=TAU)
-            offscreen.context.finish()
+            canvas.draw(look(camera, TURN * number, 0), Style(), max_pixel_error=TAU)
+            canvas.context.finish()
             times.append((time.perf_counter() - started) * 1e3)
         return ModeRow(
-            name, str(offscreen.context.info["GL_RENDERER"]), camera_name, mode,
+            name, str(canvas.context.info["GL_RENDERER"]), camera_name, mode,
             round(frames.tau or TAU, 3), frames.n_triangles,
             mine if mode == "vertex-texture" else frames.n_triangles, cpu_ms,
             round(float(np.median(times)), 1), sum(first), frame_bytes,
-            _largest_error(offscreen, camera) if mode.startswith("batched") else None,
+            _largest_error(canvas, camera) if mode.startswith("batched") else None,
         )  # fmt: skip
 
 
-def _largest_error(offscreen: Offscreen, camera: Camera) -> float:
+def _largest_error(canvas: Canvas, camera: Camera) -> float:
     """Return the largest error of a block on screen, pixels, by the bound that it has."""
-    scene = offscreen.scene
-    frames = scene.settle(scene.view(camera, offscreen.viewport, TAU))
+    scene = canvas.scene
+    frames = scene.settle(scene.view(camera, canvas.viewport, TAU))
     blocks = [scene.table.pieces[node].block for node in frames.nodes.tolist()]
     errors = [scene.mode.grid(block).error for block in blocks]
-    pixels = np.array(errors) * gamma_guaranteed(camera, offscreen.viewport) / frames.distances
+    pixels = np.array(errors) * gamma_guaranteed(camera, canvas.viewport) / frames.distances
     return round(float(pixels.max()), 2)
 
 
-def _turn(offscreen: Offscreen, camera: Camera) -> tuple[float, int, int]:
+def _turn(canvas: Canvas, camera: Camera) -> tuple[float, int, int]:
     """Return CPU milliseconds, bytes and instanced triangles of a frame of a turn; all is here."""
-    scene, viewport = offscreen.scene, offscreen.viewport
+    scene, viewport = canvas.scene, canvas.viewport
     cameras = [look(camera, TURN * number, 0) for number in range(N_FRAMES + 1)]
     for moved in [*cameras, camera]:
         scene.settle(scene.view(moved, viewport, TAU))
@@ -209,7 +209,7 @@ def _turn(offscreen: Offscreen, camera: Camera) -> tuple[float, int, int]:
             with counted_uploads() as sizes:
                 started = time.thread_time()
                 view = scene.view(moved, viewport, TAU)
-                offscreen.renderer.draw(view, scene.update(view), Style())
+                canvas.renderer.draw(view, scene.update(view), Style())
                 times.append((time.thread_time() - started) * 1e3)
             n_bytes.append(sum(sizes))
     return round(float(np.median(times)), 3), int(np.median(n_bytes)), sum(submitted) // N_FRAMES
@@ -231,11 +231,11 @@ def measure_orientation(file: Path, name: str) -> Iterator[OrientationRow]:
             options = {"mode": mode, "orientation": is_oriented, "samples": 0}
             with (
                 terrainwave.open(file) as terrain,
-                Offscreen(terrain, SIZE, **options) as offscreen,
+                Canvas(terrain, SIZE, **options) as canvas,
             ):
-                scene = offscreen.scene
+                scene = canvas.scene
                 for camera, key in PITCHES.items():
-                    view = scene.view(camera_at_key(scene.frame, key), offscreen.viewport, TAU)
+                    view = scene.view(camera_at_key(scene.frame, key), canvas.viewport, TAU)
                     frames = scene.settle(view)
                     yield OrientationRow(
                         name, mode, camera, is_oriented, frames.tau, len(frames.nodes),

@@ -22,8 +22,8 @@ from benchmarks import common
 from benchmarks.render import KEYS, camera_at_key
 from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.mesh.statistics import mesh_levels
-from terrainwave.render.camera import Camera, Viewport, home
-from terrainwave.render.scene import Scene
+from terrainwave.render.paging.scene import Scene
+from terrainwave.render.scene.camera import Camera, Viewport, home
 
 BLOCKS, BOUNDS, RINGS = (64, 256), (1.0, 3.0, 10.0), (1, 3)
 # What the trees are, and whether the file is faithful.

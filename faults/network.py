@@ -11,7 +11,7 @@ import numpy as np
 
 import terrainwave
 from faults.faulty_server import FAULTS, FaultyServer
-from terrainwave.container import url
+from terrainwave.container.sources import url
 from terrainwave.errors import TerrainwaveError
 
 # Sessions that read what the file has, that end with one of our errors, or otherwise; of those

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import SimpleNamespace
 
-from terrainwave.codec import cdf53
+from terrainwave.codec.cdf53 import refiner as cdf53
 from terrainwave.container import header, page, reader
 
 

@@ -24,13 +24,13 @@ from fuzz.targets import (
     own_place,
 )
 from fuzz.units import N_PARENTS, SPECS, corrected_payload_of, payload_of
-from terrainwave.codec.cdf53 import encode_tile
-from terrainwave.codec.correctioncoder import encode_corrections
-from terrainwave.codec.maskcoder import encode_mask
-from terrainwave.codec.ownmask import Validity, encode_validity
+from terrainwave.codec.cdf53.refiner import encode_tile
+from terrainwave.codec.cdf53.tiles import TileLayout
+from terrainwave.codec.corrections import encode_corrections
+from terrainwave.codec.masks import encode_mask
+from terrainwave.codec.own_masks import Validity, encode_validity
 from terrainwave.codec.registry import refiner_by_name
-from terrainwave.codec.remaindercoder import encode_remainders
-from terrainwave.codec.tiles import TileLayout
+from terrainwave.codec.remainders import encode_remainders
 from terrainwave.coding.deflate import inflate
 from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.container.header import HEADER_SIZE, MAX_METADATA

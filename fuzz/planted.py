@@ -35,7 +35,7 @@ class Planted(NamedTuple):
 PLANTED = (
     Planted(
         "remainders: as many planes as bytes of a number", "remainders", "compiled",
-        "codec/remaindercoder.py", "if not 1 <= n_planes <= width:", "if False:",
+        "codec/remainders.py", "if not 1 <= n_planes <= width:", "if False:",
     ),
     Planted(
         "index page: as many bytes as its layout has", "pages", "compiled",
@@ -52,7 +52,7 @@ PLANTED = (
     ),
     Planted(
         "tables of rapid: families that exist", "parameters", "python",
-        "codec/rapid_parameters.py", "if family >= trained.shape[0]:", "if False:",
+        "codec/rapid/file_tables.py", "if family >= n_families:", "if False:",
     ),
 )  # fmt: skip
 

@@ -1,7 +1,7 @@
 """Files opened without a `TerrainFile`: their bytes, and no heights."""
 
 from terrainwave.container.reader import Container
-from terrainwave.container.source import open_source
+from terrainwave.container.sources.opening import open_source
 
 
 def open_container(source):

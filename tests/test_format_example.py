@@ -17,7 +17,7 @@ from reference_decoder.units import decode, decode_units
 from twz import twz_bytes
 
 import terrainwave
-from terrainwave.codec import cdf97
+from terrainwave.codec.cdf97 import refiner as cdf97
 
 DOCS = Path(__file__).parents[1] / "docs"
 DOCUMENT = (DOCS / "FORMAT.md").read_text(encoding="utf-8")

@@ -31,8 +31,9 @@ from reference_decoder.units import decode, decode_units, decode_with_own
 from twz import twz_bytes
 
 import terrainwave
-from terrainwave.codec import tables, tables97
-from terrainwave.codec.parameters import all_tables, parse_parameters
+from terrainwave.codec.cdf97 import trained as tables97
+from terrainwave.codec.predictive import trained as tables
+from terrainwave.codec.predictive.file_tables import all_tables, parse_parameters
 from terrainwave.coding.deflate import deflate
 from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.errors import CorruptStreamError

@@ -16,7 +16,10 @@ import numpy as np
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / "src"))
 
-from terrainwave.codec import rapid_reach_tables, rapid_tables, tables, tables97  # noqa: E402
+from terrainwave.codec.cdf97 import trained as tables97  # noqa: E402
+from terrainwave.codec.predictive import trained as tables  # noqa: E402
+from terrainwave.codec.rapid import trained as rapid_tables  # noqa: E402
+from terrainwave.codec.rapid import trained_reach as rapid_reach_tables  # noqa: E402
 
 NAME = "terrainwave-conformance-1.0"
 PLANES = {1: "HH", 2: "HL", 3: "LH"}

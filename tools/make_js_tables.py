@@ -10,7 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from terrainwave.codec import rapid_reach_tables, rapid_tables, tables
+from terrainwave.codec.predictive import trained as tables
+from terrainwave.codec.rapid import trained as rapid_tables
+from terrainwave.codec.rapid import trained_reach as rapid_reach_tables
 
 OUT = Path(__file__).parents[1] / "js" / "src"
 WIDTH = 100

@@ -11,7 +11,10 @@ import zlib
 from decimal import Decimal, localcontext
 from pathlib import Path
 
-from terrainwave.codec import rapid_reach_tables, rapid_tables, tables, tables97
+from terrainwave.codec.cdf97 import trained as tables97
+from terrainwave.codec.predictive import trained as tables
+from terrainwave.codec.rapid import trained as rapid_tables
+from terrainwave.codec.rapid import trained_reach as rapid_reach_tables
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "native" / "src" / "tables.c"

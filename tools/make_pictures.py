@@ -17,10 +17,10 @@ import terrainwave
 from benchmarks import common
 from benchmarks.rasters import load_raster
 from benchmarks.systems import TAU, camera_of
+from terrainwave.render.gpu.canvas import Canvas
+from terrainwave.render.look.style import Style
 from terrainwave.render.modes import MODES
-from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.pictures import choose_camera, with_marks
-from terrainwave.render.style import Style
+from terrainwave.render.window.pictures import choose_camera, with_marks
 
 SIZE, MODE_SIZE = (1200, 675), (400, 300)
 # Picture: raster, bound, camera (the first view without), style, options of the scene
@@ -45,10 +45,10 @@ def draw_view(name: str, data: Path, folder: Path, out: Path) -> None:
     raster, max_error, line, style, options = VIEWS[name]
     file = folder / f"{name}.twz"
     terrainwave.compress(data / f"{raster}.tif", file, max_error=max_error, verify=False)
-    with terrainwave.open(file) as terrain, Offscreen(terrain, SIZE, **options) as offscreen:
-        camera = choose_camera(offscreen.scene.frame, offscreen.viewport, line)
-        image, frames = offscreen.picture(camera, style)
-        image = with_marks(offscreen, image, frames, style, legend=not line, scale_bar=not line)
+    with terrainwave.open(file) as terrain, Canvas(terrain, SIZE, **options) as canvas:
+        camera = choose_camera(canvas.scene.frame, canvas.viewport, line)
+        image, frames = canvas.picture(camera, style)
+        image = with_marks(canvas, image, frames, style, legend=not line, scale_bar=not line)
     Image.fromarray(image).save(out / f"{name}.jpg", quality=82)
     click.echo(f"{name}: {frames.n_triangles:,} triangles of {len(frames.nodes)} blocks")
 
@@ -61,7 +61,7 @@ def draw_modes(data: Path, folder: Path, out: Path) -> None:
     sheet = Image.new("RGB", (n_cols * width, 2 * height))
     style = Style(wireframe=True, haze=0, background=(16, 18, 22))
     for k, mode in enumerate(MODES):
-        with terrainwave.open(file) as terrain, Offscreen(terrain, MODE_SIZE, mode=mode) as view:
+        with terrainwave.open(file) as terrain, Canvas(terrain, MODE_SIZE, mode=mode) as view:
             pixels, frames = view.picture(camera_of("slope", view), style, max_pixel_error=TAU)
         picture, label = Image.fromarray(pixels), f"{mode}: {frames.n_triangles:,}"
         ImageDraw.Draw(picture).text((8, 6), label, fill=(255, 255, 255))

@@ -5,7 +5,7 @@
 Three stages, each from what the earlier ones give and nothing else: sets of weights of the
 residuals' prediction (clusters of least-squares fits over units), weights of the expected magnitude
 (a non-negative fit to residuals), start values of the models (what they adapt to). Needs scipy. The
-result is a module like `terrainwave.codec.tables97`; tables in use are never edited.
+result is a module like `terrainwave.codec.cdf97.trained`; tables in use are never edited.
 """
 
 import argparse
@@ -21,10 +21,9 @@ import numpy as np
 from scipy.optimize import nnls
 from train_stencils import load, start_values, steps_of
 
-from terrainwave.codec import cdf97, tables97
-from terrainwave.codec.border import N_BORDER_MODELS
-from terrainwave.codec.refiner import Decoded
-from terrainwave.codec.residual import (
+from terrainwave.codec.cdf97 import refiner as cdf97
+from terrainwave.codec.cdf97 import trained as tables97
+from terrainwave.codec.cdf97.residual import (
     BASE_BITS,
     CODED,
     CURVES,
@@ -36,10 +35,13 @@ from terrainwave.codec.residual import (
     VOID,
     WEIGHT_BITS,
 )
-from terrainwave.codec.zerotree import N_TREE_MODELS
+from terrainwave.codec.cdf97.zerotree import N_TREE_MODELS
+from terrainwave.codec.refiner import Decoded
+from terrainwave.codec.shared_lines import N_BORDER_MODELS
+from terrainwave.codec.units import block_of_unit, unit_spec
 from terrainwave.coding.filters import lowpass_analysis
 from terrainwave.coding.rangecoder import new_models
-from terrainwave.grid.parameters import CodecParameters, block_of_unit, unit_spec
+from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid
 
 N_SETS = 16

@@ -2,7 +2,7 @@
 
     python tools/train_masks.py DIR [--leave-out NAME]
 
-Prints what stands in `terrainwave.codec.maskcoder` and, for each raster, the bytes that its masks
+Prints what stands in `terrainwave.codec.masks` and, for each raster, the bytes that its masks
 take with these start values. Start values in use are never edited: an annex of the format.
 """
 
@@ -15,8 +15,8 @@ from unittest.mock import patch
 import numpy as np
 
 import terrainwave
-from terrainwave.codec import maskcoder
-from terrainwave.codec.maskcoder import encode_mask, pad_implied, row_contexts
+from terrainwave.codec import masks as maskcoder
+from terrainwave.codec.masks import encode_mask, pad_implied, row_contexts
 
 WIDTH = 88
 # A bound so large that coding heights takes no time.

@@ -1,7 +1,7 @@
 """Train the tables of the `rapid` method from a directory of rasters.
 
-    python tools/train_rapid.py DIRECTORY > src/terrainwave/codec/rapid_tables.py
-    python tools/train_rapid.py DIRECTORY --reach > src/terrainwave/codec/rapid_reach_tables.py
+    python tools/train_rapid.py DIRECTORY > src/terrainwave/codec/rapid/trained.py
+    python tools/train_rapid.py DIRECTORY --reach > src/terrainwave/codec/rapid/trained_reach.py
 
 Stencils are fitted to each raster, bound, class of levels and plane, and those kept that together
 serve all of them best; frequencies are counted in windows coded with them. Weights of the expected
@@ -18,11 +18,10 @@ from types import ModuleType
 import numpy as np
 import rasterio
 
-from terrainwave.codec import rapid_parameters, rapid_reach_tables, rapid_tables
-from terrainwave.codec.rapid_fitting import best_tables, codes_for, count
-from terrainwave.codec.rapid_layout import TAPS
-from terrainwave.codec.rapid_magnitude import N_CONTEXTS
-from terrainwave.codec.rapid_parameters import (
+from terrainwave.codec.rapid import file_tables as rapid_parameters
+from terrainwave.codec.rapid import trained as rapid_tables
+from terrainwave.codec.rapid import trained_reach as rapid_reach_tables
+from terrainwave.codec.rapid.file_tables import (
     N_CLASSES,
     PLANES,
     WHOLE,
@@ -30,7 +29,10 @@ from terrainwave.codec.rapid_parameters import (
     FileTables,
     missing_tap,
 )
-from terrainwave.codec.rapid_stencils import COST_UNIT, costs_of, fit_weights, gather, judged
+from terrainwave.codec.rapid.fit import best_tables, codes_for, count
+from terrainwave.codec.rapid.fit_stencils import COST_UNIT, costs_of, fit_weights, gather, judged
+from terrainwave.codec.rapid.layout import TAPS
+from terrainwave.codec.rapid.magnitude import N_CONTEXTS
 
 # Not those that sizes are measured on.
 RASTERS = (

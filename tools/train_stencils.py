@@ -5,7 +5,8 @@
 Three stages, each from what the earlier ones give and nothing else: stencil sets (clusters of
 least-squares fits over rasters, bounds and levels), weights of the expected magnitude (non-negative
 fits to details the encoder really makes), start values of the models (what they adapt to). Needs
-scipy. The result is a module like `terrainwave.codec.tables`; tables in use are never edited.
+scipy. The result is a module like `terrainwave.codec.predictive.trained`; tables in use are never
+edited.
 """
 
 import argparse
@@ -19,12 +20,15 @@ import numpy as np
 import rasterio
 from scipy.optimize import nnls
 
-from terrainwave.codec import lattice, nested, predictive, tables
-from terrainwave.codec.border import N_BORDER_MODELS
-from terrainwave.codec.detail import N_DETAIL_MODELS
-from terrainwave.codec.fitting import features_of
-from terrainwave.codec.lattice import CORES, TAPS
+from terrainwave.codec import planes as lattice
+from terrainwave.codec.magnitudes import N_DETAIL_MODELS
+from terrainwave.codec.planes import CORES, TAPS
+from terrainwave.codec.predictive import passes as nested
+from terrainwave.codec.predictive import refiner as predictive
+from terrainwave.codec.predictive import trained as tables
+from terrainwave.codec.predictive.fit import features_of
 from terrainwave.codec.refiner import Decoded
+from terrainwave.codec.shared_lines import N_BORDER_MODELS
 from terrainwave.codec.units import (
     CodecParameters,
     block_of_unit,

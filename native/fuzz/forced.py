@@ -9,9 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from terrainwave.codec import rapid_tables
-from terrainwave.codec.rapid import Rapid
-from terrainwave.codec.rapid_parameters import (
+from terrainwave.codec.rapid import trained as rapid_tables
+from terrainwave.codec.rapid.file_tables import (
     FREQ_OF_CODE,
     MAX_CODE,
     N_CLASSES,
@@ -27,6 +26,7 @@ from terrainwave.codec.rapid_parameters import (
     rest_symbols,
     weights_of,
 )
+from terrainwave.codec.rapid.refiner import Rapid
 from terrainwave.codec.refiner import FREE
 from terrainwave.container.header import HAS_CORRECTIONS
 from terrainwave.errors import CorruptStreamError

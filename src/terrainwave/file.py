@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from terrainwave.arguments import check_flags, checked_threads, in_one_line
 from terrainwave.codec.registry import check_layout, check_parameters, newer_layout
-from terrainwave.container.addresses import display_name
 from terrainwave.container.codes import decode_error, decode_range
 from terrainwave.container.header import LAYOUT_FEATURES, Header
 from terrainwave.container.parts import Parts, parts_of
 from terrainwave.container.reader import Container
-from terrainwave.container.source import open_source
+from terrainwave.container.sources.addresses import display_name
+from terrainwave.container.sources.opening import open_source
 from terrainwave.errors import (
     InvalidArgumentError,
     InvalidHeightsError,

@@ -1,6 +1,6 @@
 """What files number by name: methods, kinds of meshes, efforts; and what each method can do.
 
-A new method is a module in `codec` and a line in `METHODS`; no other module knows one by its name.
+A new method is a package in `codec` and a line in `METHODS`; no other module knows one by its name.
 """
 
 from collections.abc import Callable
@@ -36,7 +36,7 @@ class Method:
         What users call it, and what stands for it in a file's header (FORMAT.md §4.1).
     refiner : str, optional
         Module and class in `codec` that code its units; None where these are gathered in tiles of
-        several levels (`codec.tiles`), which have no aprons.
+        several levels (`codec.cdf53.tiles`), which have no aprons.
     pyramid : str
         Of what heights coarse levels are made (`write.pyramid`): every second sample, averages of
         the 9/7 filter or of the reversible 5/3.
@@ -50,7 +50,7 @@ class Method:
         Its files may follow its paper to the letter (`write.options.Options.faithful`).
     is_patchable : bool
         A unit can be coded again so that heights that still hold come back as they were: its loop
-        takes corrections (`codec.correctioncoder`).
+        takes corrections (`codec.corrections`).
     has_parameters : bool
         The file's header may hold tables for all of its units.
     is_read_in_browsers : bool
@@ -88,11 +88,12 @@ REACH_LAYOUT, WEIGHTS_LAYOUT = 3, 5
 METHODS = {
     method.name: method
     for method in (
-        Method(name="rapid", number=4, refiner="rapid.Rapid", has_parameters=True,
+        Method(name="rapid", number=4, refiner="rapid.refiner.Rapid", has_parameters=True,
                has_reach=True, is_patchable=True, is_read_in_browsers=True),
-        Method(name="predictive", number=2, refiner="predictive.Predictive", has_parameters=True,
-               is_patchable=True, is_read_in_browsers=True, effort="1, 2 or 8 sets of weights"),
-        Method(name="cdf97", number=1, refiner="cdf97.Cdf97", pyramid="lowpass",
+        Method(name="predictive", number=2, refiner="predictive.refiner.Predictive",
+               has_parameters=True, is_patchable=True, is_read_in_browsers=True,
+               effort="1, 2 or 8 sets of weights"),
+        Method(name="cdf97", number=1, refiner="cdf97.refiner.Cdf97", pyramid="lowpass",
                effort="1, up to 3 or up to 7 steps", has_layers=True, may_be_faithful=True),
         Method(name="cdf53", number=3, pyramid="lowpass53", is_cuttable=True, is_clusterable=False),
         Method(name="store", number=0, refiner="store.Store", is_read_in_browsers=True),

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
     from terrainwave.export.mesh import Mesh
     from terrainwave.mesh.blocks import BlockMesher
-    from terrainwave.raster_io.stream import GeoTIFFStream
-    from terrainwave.render.static import Picture
-    from terrainwave.render.style import Style
+    from terrainwave.raster_io.geotiff.stream import GeoTIFFStream
+    from terrainwave.render.look.style import Style
+    from terrainwave.render.window.static import Picture
     from terrainwave.tri.mesh import BlockMesh
 
 
@@ -146,7 +146,7 @@ class Terrain(TerrainFile):
         averages, without a bound. The terrain must stay open.
         """
         from terrainwave.export.virtual_geotiff import VirtualGeoTIFF
-        from terrainwave.raster_io.stream import GeoTIFFStream
+        from terrainwave.raster_io.geotiff.stream import GeoTIFFStream
 
         made = VirtualGeoTIFF(self)
         made.warn_of_crs()  # not while GDAL reads: it cannot pass on an error that a warning may be
@@ -188,7 +188,7 @@ class Terrain(TerrainFile):
         ax : matplotlib Axes
             In coordinates of the CRS; a rotated raster is drawn along its rows.
         """
-        from terrainwave.render.static import plot
+        from terrainwave.render.window.static import plot
 
         return plot(self, ax, cmap=cmap, shade=shade, bounds=bounds)
 
@@ -211,7 +211,7 @@ class Terrain(TerrainFile):
             ``x,y,z,heading,pitch,fov`` as `terrainwave view` prints it; by default all is shown.
         max_pixel_error : float
             τ: largest distance on screen from the full terrain, pixels.
-        style : terrainwave.render.style.Style, optional
+        style : terrainwave.render.look.style.Style, optional
             Colours, light and haze.
         options
             ``mode``, ``error``, ``detail``, ``order``, ``stepwise``, ``orientation``, ``drape``,
@@ -228,8 +228,8 @@ class Terrain(TerrainFile):
         TerrainwaveError
             If there is neither a window nor OpenGL without one; the line says what to install.
         """
-        from terrainwave.render.static import view
-        from terrainwave.render.style import Style
+        from terrainwave.render.look.style import Style
+        from terrainwave.render.window.static import view
 
         return view(
             self, size=size, camera=camera, style=style or Style(),

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from benchmarks.remote import count_rounds, main, window_cost, windows_of
 from benchmarks.slow_server import SlowServer
-from terrainwave.container.source import open_source
+from terrainwave.container.sources.opening import open_source
 from terrainwave.errors import StorageError
 
 

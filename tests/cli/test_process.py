@@ -323,7 +323,7 @@ def test_what_is_published_has_the_modes_of_the_umask(tmp_path, twz, monkeypatch
 )
 def test_a_display_of_nobody_is_named(twz, monkeypatch, display, words):
     from terrainwave.errors import TerrainwaveError
-    from terrainwave.render import viewer
+    from terrainwave.render.window import viewer
 
     class Toolkit:
         WindowConfig = object

@@ -13,7 +13,7 @@ from strategies import read_geotiff, terrain_like, write_geotiff
 
 import terrainwave
 from terrainwave.errors import InvalidArgumentError, StorageError
-from terrainwave.render.static import Picture
+from terrainwave.render.window.static import Picture
 
 QUICK = ["--method", "store", "--block", 32, "--no-mesh", "--max-error", 1]
 OPTIONS = {"method": "store", "block": 32, "mesh": "none", "max_error": 1}

@@ -6,10 +6,10 @@ from containers import open_container
 from strategies import terrain_like
 from twz import twz_bytes
 
-from terrainwave.codec import tiles
-from terrainwave.codec.cdf53 import PIECE, decode_tile, encode_tile, plane_cut, unpack_head
-from terrainwave.codec.ownmask import Validity
-from terrainwave.codec.tiles import TileLayout
+from terrainwave.codec.cdf53 import tiles
+from terrainwave.codec.cdf53.refiner import PIECE, decode_tile, encode_tile, plane_cut, unpack_head
+from terrainwave.codec.cdf53.tiles import TileLayout
+from terrainwave.codec.own_masks import Validity
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TruncatedStreamError
 from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.terrain import Terrain

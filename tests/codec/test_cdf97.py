@@ -18,9 +18,9 @@ from lone_units import (
     terrain,
 )
 
-from terrainwave.codec.cdf97 import _HAS_COEFFS, Cdf97, _read_header
+from terrainwave.codec.cdf97.refiner import _HAS_COEFFS, Cdf97, _read_header
+from terrainwave.codec.cdf97.zerotree import mark_labels, node_offsets
 from terrainwave.codec.refiner import Sides
-from terrainwave.codec.zerotree import mark_labels, node_offsets
 from terrainwave.coding.filters import lowpass_analysis
 from terrainwave.coding.zerotrees import map_of_labels
 from terrainwave.errors import CorruptStreamError

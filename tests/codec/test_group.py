@@ -331,7 +331,7 @@ def test_exceptions_without_collisions_are_rejected():
 
 
 def test_a_payload_for_a_unit_without_valid_samples_is_corrupt():
-    from terrainwave.codec.maskcoder import encode_mask
+    from terrainwave.codec.masks import encode_mask
     from terrainwave.codec.varint import encode_varint
 
     spec = root_spec(2, 2)

@@ -11,8 +11,7 @@ from lone_units import (
     terrain,
 )
 
-from terrainwave.codec import predictive
-from terrainwave.codec.detail import (
+from terrainwave.codec.magnitudes import (
     LOG8,
     MAX_DETAIL,
     N_DETAIL_MODELS,
@@ -25,10 +24,11 @@ from terrainwave.codec.detail import (
     log8,
     step_scale,
 )
-from terrainwave.codec.lattice import PAD, TAPS, fill_frame, merge, plane_sizes, split
-from terrainwave.codec.nested import fits_narrow
-from terrainwave.codec.predictive import Predictive, _Rows
-from terrainwave.codec.tables import E_WEIGHTS, STENCILS, start_models
+from terrainwave.codec.planes import PAD, TAPS, fill_frame, merge, plane_sizes, split
+from terrainwave.codec.predictive import refiner as predictive
+from terrainwave.codec.predictive.passes import fits_narrow
+from terrainwave.codec.predictive.refiner import Predictive, _Rows
+from terrainwave.codec.predictive.trained import E_WEIGHTS, STENCILS, start_models
 from terrainwave.coding.rangecoder import (
     finish_decoder,
     finish_encoder,

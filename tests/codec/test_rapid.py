@@ -16,23 +16,11 @@ from lone_units import (
     terrain,
 )
 
-from terrainwave.codec import rapid, rapid_fitting, rapid_tables, rapid_weights
-from terrainwave.codec.rapid import Rapid
-from terrainwave.codec.rapid_code import ESCAPE, N_SYMBOLS
-from terrainwave.codec.rapid_fitting import codes_for
-from terrainwave.codec.rapid_layout import (
-    CORES,
-    F_BEND,
-    F_CONST,
-    F_RANGE,
-    F_TWIST,
-    FEATURE_TAPS,
-    MAX_TAPS,
-    N_FEATURES,
-    TAPS,
-)
-from terrainwave.codec.rapid_magnitude import MOST_ERROR, N_CONTEXTS, scale_of, scaled_features
-from terrainwave.codec.rapid_parameters import (
+from terrainwave.codec.rapid import coder as rapid_coder
+from terrainwave.codec.rapid import fit as rapid_fitting
+from terrainwave.codec.rapid import fit_weights as rapid_weights
+from terrainwave.codec.rapid import trained as rapid_tables
+from terrainwave.codec.rapid.file_tables import (
     MAX_CODE,
     N_CLASSES,
     N_FAMILIES,
@@ -50,7 +38,22 @@ from terrainwave.codec.rapid_parameters import (
     parse_parameters,
     rest_symbols,
 )
-from terrainwave.codec.rapid_stencils import Samples, _normal, _solved, fit_weights, gather
+from terrainwave.codec.rapid.fit import codes_for
+from terrainwave.codec.rapid.fit_stencils import Samples, _normal, _solved, fit_weights, gather
+from terrainwave.codec.rapid.layout import (
+    CORES,
+    F_BEND,
+    F_CONST,
+    F_RANGE,
+    F_TWIST,
+    FEATURE_TAPS,
+    MAX_TAPS,
+    N_FEATURES,
+    TAPS,
+)
+from terrainwave.codec.rapid.magnitude import MOST_ERROR, N_CONTEXTS, scale_of, scaled_features
+from terrainwave.codec.rapid.refiner import Rapid
+from terrainwave.codec.rapid.symbols import ESCAPE, N_SYMBOLS
 from terrainwave.codec.refiner import Sides
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
 from terrainwave.grid.quadtree import Grid
@@ -112,7 +115,7 @@ def test_heights_far_apart_get_64_bits():
 
 def test_sums_of_narrow_units_fit_32_bits():
     widest = Rapid()._widest
-    assert rapid._LIMIT32 // widest * widest + 32 < 1 << 31
+    assert rapid_coder._LIMIT32 // widest * widest + 32 < 1 << 31
     for table, step in itertools.product(rapid_tables.FEATURES, (1, 2, 3, 15, 16, 17, 1023, 65537)):
         scale = scale_of(step, -1000, 1000, False)
         most = [1, *[(1 << 18) - 1] * 3, *[scale.most_range] * 3, *[(1 << 18) - 1] * 2]
@@ -177,7 +180,7 @@ def test_what_a_thread_decoded_before_leaves_no_trace(shape):
     spec, parent = lone_spec(shape, 3, 1), coarse_of(target, 3)
     spec = dataclasses.replace(spec, z_min=-200, z_max=200)
     mask = np.ones(shape, dtype=bool)
-    with rapid._MEMORY.lent() as lent:
+    with rapid_coder._MEMORY.lent() as lent:
         memory = lent.workspace(False).m
     results = []
     for filling in (0, 1 << 20, -7):

@@ -21,8 +21,8 @@ from lone_units import (
     terrain,
 )
 
-from terrainwave.codec.predictive import Predictive
-from terrainwave.codec.rapid import Rapid
+from terrainwave.codec.predictive.refiner import Predictive
+from terrainwave.codec.rapid.refiner import Rapid
 from terrainwave.codec.refiner import Sides
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.quadtree import Grid

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from terrainwave.codec import tables97
-from terrainwave.codec.residual import (
+from terrainwave.codec.cdf97 import trained as tables97
+from terrainwave.codec.cdf97.residual import (
     CODED,
     FRAME,
     KNOWN,

@@ -8,7 +8,7 @@ from reference_decoder.range_coder import Models, RangeDecoder
 from reference_decoder.spiht import Spiht, Stop
 from strategies import terrain_like
 
-from terrainwave.codec.spiht import decode_field, encode_field, make_geometry
+from terrainwave.codec.cdf53.spiht import decode_field, encode_field, make_geometry
 from terrainwave.coding.lifting53 import forward_transform
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 

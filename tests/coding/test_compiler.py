@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numba.core import event
 
-from terrainwave.codec import rapid_parameters
-from terrainwave.codec.rapid_parameters import (
+from terrainwave.codec.rapid import file_tables as rapid_parameters
+from terrainwave.codec.rapid.file_tables import (
     FileStencil,
     FileTables,
     Tables,

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terrainwave.codec.cdf97 import MAX_COEFF
+from terrainwave.codec.cdf97.refiner import MAX_COEFF
 from terrainwave.coding.filters import (
     BAND_GAINS,
     MAX_HEIGHT,

@@ -142,7 +142,7 @@ def weights(hl_2, hl_4=30):
 
 def section_with(codes):
     """Return a parameters section with these codes of weights of the finest class, by plane."""
-    from terrainwave.codec import rapid_parameters
+    from terrainwave.codec.rapid import file_tables as rapid_parameters
 
     plain = ((rapid_parameters.FileStencil(0),) * 3,) * 4
     tables = rapid_parameters.FileTables(0, 1, plain, {}, np.array([codes], dtype=np.int64))

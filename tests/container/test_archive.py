@@ -10,8 +10,8 @@ from container.test_url import memory, running_server  # noqa: F401  a fixture
 from container.toys import toy_file, toy_header, toy_payload
 from containers import open_container
 
-import terrainwave.container.archive as module
-from terrainwave.container.source import open_source
+import terrainwave.container.sources.archive as module
+from terrainwave.container.sources.opening import open_source
 from terrainwave.errors import StorageError, TerrainwaveWarning
 
 HEADER = toy_header(2000, 1999)

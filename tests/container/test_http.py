@@ -21,9 +21,9 @@ from pathlib import Path
 
 import pytest
 
-from terrainwave.container import url as module
-from terrainwave.container.addresses import display_name, without_secrets
-from terrainwave.container.source import open_source
+from terrainwave.container.sources import url as module
+from terrainwave.container.sources.addresses import display_name, without_secrets
+from terrainwave.container.sources.opening import open_source
 from terrainwave.errors import SourceUnavailableError, StorageError, TerrainwaveError
 
 TLS = Path(__file__).parent / "tls"

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 
-from terrainwave.container import url as module
-from terrainwave.container.source import open_source
+from terrainwave.container.sources import url as module
+from terrainwave.container.sources.opening import open_source
 from terrainwave.errors import StorageError, TerrainwaveError
 
 TABLE = json.loads((Path(__file__).parents[1] / "http_cases.json").read_text(encoding="utf-8"))

@@ -5,7 +5,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terrainwave.container.ranges import (
+from terrainwave.container.sources.ranges import (
     AIMED_REQUESTS,
     MAX_GAP,
     MAX_REQUEST,

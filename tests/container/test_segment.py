@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from terrainwave.container.page import empty_page, file_order, page_layout
-from terrainwave.container.ranges import ByteRange
 from terrainwave.container.segment import page_and_payloads, segment_of_page
+from terrainwave.container.sources.ranges import ByteRange
 from terrainwave.grid.quadtree import Block, Grid
 
 GRID = Grid(2000, 2000, 32)  # six levels of keys, two of them in the top segment

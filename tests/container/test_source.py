@@ -7,8 +7,9 @@ import threading
 
 import pytest
 
-from terrainwave.container.ranges import ByteRange
-from terrainwave.container.source import BufferSource, FileSource, open_source
+from terrainwave.container.sources.opening import open_source
+from terrainwave.container.sources.ranges import ByteRange
+from terrainwave.container.sources.source import BufferSource, FileSource
 from terrainwave.errors import StorageError, TruncatedStreamError
 
 DATA = bytes(range(256)) * 40

@@ -15,8 +15,8 @@ from containers import open_container
 from forks import holds_in_a_fork
 
 from terrainwave.container.page import empty_page, page_layout
-from terrainwave.container.ranges import ByteRange
-from terrainwave.container.source import open_source
+from terrainwave.container.sources.opening import open_source
+from terrainwave.container.sources.ranges import ByteRange
 from terrainwave.errors import (
     StorageError,
     TerrainwaveError,
@@ -237,7 +237,7 @@ def test_a_small_file_comes_whole_from_a_server_without_ranges(server):
 
 
 def test_a_whole_file_that_is_cut_short_is_an_error(server, monkeypatch):
-    monkeypatch.setattr("terrainwave.container.url._DELAYS", (0.0, 0.0))
+    monkeypatch.setattr("terrainwave.container.sources.url._DELAYS", (0.0, 0.0))
     server.files["/a.twz"] = bytes(1000)
     server.faults["/a.twz"] = "no ranges, cut"
     with pytest.raises(StorageError, match="cannot read"):
@@ -258,7 +258,7 @@ def test_a_large_file_without_ranges_is_one_clear_error_and_no_download(
     server, monkeypatch, says_length
 ):
     if not says_length:
-        monkeypatch.setattr("terrainwave.container.url.MAX_WHOLE", 1 << 20)
+        monkeypatch.setattr("terrainwave.container.sources.url.MAX_WHOLE", 1 << 20)
     server.files["/a.twz"] = bytes(BIG + 1)
     server.faults["/a.twz"] = "no ranges" if says_length else "no ranges, no length"
     with pytest.raises(StorageError, match="download the file and open") as caught:
@@ -285,7 +285,7 @@ def test_a_bad_reply_is_a_storage_error(server, fault, message):
 
 
 def test_a_reply_cut_short_is_asked_for_again_and_then_an_error(server, monkeypatch):
-    monkeypatch.setattr("terrainwave.container.url._DELAYS", (0.0, 0.0))
+    monkeypatch.setattr("terrainwave.container.sources.url._DELAYS", (0.0, 0.0))
     server.files["/a"] = bytes(100_000)
     source = open_source(server.url("/a"))
     server.faults["/a"] = "cut"
@@ -313,7 +313,7 @@ def test_a_busy_server_is_asked_again(server):
 
 
 def test_a_server_that_hangs_up_is_asked_again(server, monkeypatch):
-    monkeypatch.setattr("terrainwave.container.url._DELAYS", (0.0, 0.0))
+    monkeypatch.setattr("terrainwave.container.sources.url._DELAYS", (0.0, 0.0))
     server.files["/a"] = b"abc"
     server.faults["/a"] = "hangs up once"
     source = open_source(server.url("/a"))
@@ -323,7 +323,7 @@ def test_a_server_that_hangs_up_is_asked_again(server, monkeypatch):
 
 
 def test_a_server_that_stays_busy_is_a_storage_error(server, monkeypatch):
-    monkeypatch.setattr("terrainwave.container.url._DELAYS", (0.0, 0.0))
+    monkeypatch.setattr("terrainwave.container.sources.url._DELAYS", (0.0, 0.0))
     server.faults["/a"] = 503
     with pytest.raises(StorageError, match="503"):
         open_source(server.url("/a"))
@@ -551,7 +551,7 @@ def test_a_file_replaced_in_fsspec_is_noticed(memory):
 
 
 def test_a_connection_lost_in_fsspec_is_tried_again(memory, monkeypatch):
-    monkeypatch.setattr("terrainwave.container.url._DELAYS", (0.0, 0.0))
+    monkeypatch.setattr("terrainwave.container.sources.url._DELAYS", (0.0, 0.0))
     memory.pipe("/a", b"abc")
     source = open_source("memory://a")
     attempts = []

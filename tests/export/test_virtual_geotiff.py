@@ -16,9 +16,9 @@ from strategies import terrain_like, write_geotiff
 
 from terrainwave.export.virtual_geotiff import VirtualGeoTIFF
 from terrainwave.file import TerrainFile
+from terrainwave.raster_io.geotiff.sparse import sparse_geotiff
+from terrainwave.raster_io.geotiff.stream import GeoTIFFStream
 from terrainwave.raster_io.info import RasterInfo
-from terrainwave.raster_io.sparse import sparse_geotiff
-from terrainwave.raster_io.stream import GeoTIFFStream
 from terrainwave.terrain import Terrain
 from terrainwave.write.compress import compress
 

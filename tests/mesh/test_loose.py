@@ -16,9 +16,9 @@ from terrainwave.errors import InvalidArgumentError
 from terrainwave.grid.quadtree import Region
 from terrainwave.mesh.loose import LooseMesher
 from terrainwave.mesh.sections import mesher_of
-from terrainwave.render.frame import frame_of
 from terrainwave.render.modes import mode_class
-from terrainwave.render.selection import Piece
+from terrainwave.render.scene.frame import frame_of
+from terrainwave.render.scene.selection import Piece
 from terrainwave.tri.mesh import FRACTION_BITS
 from terrainwave.tri.stored import STORED_KINDS
 from terrainwave.tri.surface import largest_deviation

@@ -32,9 +32,9 @@ from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.mesh import area as extraction
-from terrainwave.tri.borders import beside_void
-from terrainwave.tri.halves import Lines, triangulate
-from terrainwave.tri.simplify import simplify
+from terrainwave.tri.halves.borders import beside_void
+from terrainwave.tri.halves.halves import Lines, triangulate
+from terrainwave.tri.halves.simplify import simplify
 from terrainwave.verification.meshes import verify_meshes
 from terrainwave.write.meshes import _copied, store_meshes
 

@@ -19,8 +19,8 @@ from terrainwave.globe.cesium import TilePyramid
 from terrainwave.globe.lonlat import Globe
 from terrainwave.globe.terrain_rgb import max_zoom, rgb_tile
 from terrainwave.place.ellipsoid import EARTH
-from terrainwave.render.camera import Viewport, format_camera, home, parse_camera
-from terrainwave.render.frame import frame_of
+from terrainwave.render.scene.camera import Viewport, format_camera, home, parse_camera
+from terrainwave.render.scene.frame import frame_of
 from terrainwave.terrain import Terrain
 
 # Samples: PROJ's iterations, and what its datum shifts lose on the way back.

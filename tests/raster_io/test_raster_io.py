@@ -36,8 +36,8 @@ from terrainwave.errors import (
     TerrainwaveWarning,
 )
 from terrainwave.place.crs import format_crs, parse_crs
+from terrainwave.raster_io.geotiff.sink import TILE, RasterSink
 from terrainwave.raster_io.info import RasterInfo
-from terrainwave.raster_io.sink import TILE, RasterSink
 from terrainwave.raster_io.source import RasterSource
 
 MOON = (
@@ -703,7 +703,7 @@ FULL_DISK = """
 import resource, sys, numpy as np
 from terrainwave.errors import StorageError
 from terrainwave.raster_io.info import RasterInfo
-from terrainwave.raster_io.sink import RasterSink
+from terrainwave.raster_io.geotiff.sink import RasterSink
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), -1))
 n_threads, side = int(sys.argv[4]), int(sys.argv[5])
 heights = np.random.default_rng(0).integers(-9999, 9999, (side, side)).astype("int16")
@@ -811,7 +811,7 @@ def test_cog_keeps_an_internal_mask(tmp_path):
 MEMORY = """
 import resource, sys, numpy as np
 from terrainwave.raster_io.info import RasterInfo
-from terrainwave.raster_io.sink import RasterSink
+from terrainwave.raster_io.geotiff.sink import RasterSink
 from terrainwave.raster_io.source import RasterSource
 start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 info = RasterInfo(8192, 16384, "int16", nodata=-1, mask_kind="nodata")

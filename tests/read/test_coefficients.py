@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import terrainwave
-from terrainwave.codec import cdf53
+from terrainwave.codec.cdf53 import refiner as cdf53
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.grid.quadtree import Region
 from terrainwave.read import tiles
@@ -22,7 +22,7 @@ def rough():
 @pytest.fixture
 def many_tiles(monkeypatch):
     """Tiles of two blocks a side: 3 x 4 of them below the root tile."""
-    monkeypatch.setattr("terrainwave.codec.tiles._TILE_LOG2", 6)
+    monkeypatch.setattr("terrainwave.codec.cdf53.tiles._TILE_LOG2", 6)
 
 
 def compressed(heights, path, **options):

@@ -7,7 +7,7 @@ from reference_decoder.basics import at_or_zero, clamp, read_varint, require, ze
 from reference_decoder.range_coder import M, Models, bin_of, lg
 
 # The annex of §7.8: numbers alone.
-from terrainwave.codec.tables97 import E_WEIGHTS, STARTS, TERM_WEIGHTS
+from terrainwave.codec.cdf97.trained import E_WEIGHTS, STARTS, TERM_WEIGHTS
 
 TERM_WEIGHTS_97, E_WEIGHTS_97 = TERM_WEIGHTS.tolist(), E_WEIGHTS.tolist()
 STARTS_97 = {

@@ -11,7 +11,7 @@ from reference_decoder.basics import UnsupportedError, clamp, corrected, require
 from reference_decoder.range_coder import M, Mixers, Models, bin_of, lg
 
 # Annex 1 (P.9): numbers alone.
-from terrainwave.codec import tables as annex
+from terrainwave.codec.predictive import trained as annex
 
 PLANES = ("HH", "HL", "LH")
 PARITY = {"HH": (1, 1), "HL": (0, 1), "LH": (1, 0)}

@@ -10,10 +10,10 @@ from reference_decoder import range_coder
 from reference_decoder.basics import UnsupportedError, clamp, corrected, read_varint, require, zeros
 from reference_decoder.predictive import SharedDecoder, fold
 from reference_decoder.range_coder import Models
+from terrainwave.codec.rapid import trained as annex
 
 # The annexes (R.10): numbers alone.
-from terrainwave.codec import rapid_reach_tables as reach_annex
-from terrainwave.codec import rapid_tables as annex
+from terrainwave.codec.rapid import trained_reach as reach_annex
 
 PLANES = ("HH", "HL", "LH")
 PARITY = {"A": (0, 0), "HH": (1, 1), "HL": (0, 1), "LH": (1, 0)}

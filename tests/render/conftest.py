@@ -10,7 +10,7 @@ from terrainwave.render.modes.rqt import Rqt
 
 @pytest.fixture(scope="module")
 def context():
-    from terrainwave.render.offscreen import create_context
+    from terrainwave.render.gpu.canvas import create_context
 
     context = create_context()
     yield context

@@ -7,11 +7,11 @@ import pytest
 from render.scenes import ListStore, apart_on_screen, hills, random_camera, terrain_of
 
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.render.camera import Camera, Viewport, focal_length, home
-from terrainwave.render.modes.block_surface import grid_mesh
+from terrainwave.render.gpu.block_surface import grid_mesh
 from terrainwave.render.modes.neville import fill_details, filtered
 from terrainwave.render.modes.regular import half_place, largest_deviation
-from terrainwave.render.scene import Scene
+from terrainwave.render.paging.scene import Scene
+from terrainwave.render.scene.camera import Camera, Viewport, focal_length, home
 
 VIEWPORT = Viewport(480, 320)
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.render.camera import (
+from terrainwave.render.scene.camera import (
     Camera,
     Viewport,
     along,
@@ -28,7 +28,7 @@ from terrainwave.render.camera import (
     view_matrix,
     zoom,
 )
-from terrainwave.render.frame import Frame
+from terrainwave.render.scene.frame import Frame
 
 UTM = Frame((500000.0, 5200000.0), (1.0, 1.0, 1.0), (30.0, 0.0, -3000.0, 0.0, -30.0, 2000.0),
             (134, 201), (0.0, 900.0))  # fmt: skip

@@ -6,11 +6,9 @@ from rasterio.transform import Affine
 from render.scenes import hills, terrain_of
 
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.render.camera import top_view
-from terrainwave.render.colorings import MEANINGS, RAMP_NAMES
-from terrainwave.render.frame import Frame, frame_of
-from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.ramps import (
+from terrainwave.render.gpu.canvas import Canvas
+from terrainwave.render.look.colorings import MEANINGS, RAMP_NAMES
+from terrainwave.render.look.ramps import (
     N_LATITUDES,
     RAMPS,
     absolute_palette,
@@ -19,8 +17,10 @@ from terrainwave.render.ramps import (
     slope_palette,
     snow_line,
 )
-from terrainwave.render.scales import HeightScale, HeightTexels, Texels
-from terrainwave.render.style import COLORINGS, Style
+from terrainwave.render.look.style import COLORINGS, Style
+from terrainwave.render.scene.camera import top_view
+from terrainwave.render.scene.frame import Frame, frame_of
+from terrainwave.render.scene.scales import HeightScale, HeightTexels, Texels
 
 MOON_RADIUS = 1_737_400.0
 
@@ -176,14 +176,14 @@ def test_a_coast_is_where_the_samples_have_it_however_coarse_the_mesh(context, m
     style = Style(shade=0.0, haze=0.0, solid=False, background=(9, 9, 9))
     with (
         terrain_of(heights, max_error=0, block=128) as terrain,
-        Offscreen(terrain, (291, 291), samples=0, context=context, mode=mode) as offscreen,
+        Canvas(terrain, (291, 291), samples=0, context=context, mode=mode) as canvas,
     ):
-        frame = offscreen.scene.frame
-        camera = top_view(frame.box, offscreen.viewport)
-        image, _ = offscreen.picture(camera, style, max_pixel_error=tau)
+        frame = canvas.scene.frame
+        camera = top_view(frame.box, canvas.viewport)
+        image, _ = canvas.picture(camera, style, max_pixel_error=tau)
         n_right = n_seen = 0
         for y, x in np.random.default_rng(1).integers(10, 280, (300, 2)):
-            place = offscreen.pick(x + 0.5, y + 0.5)
+            place = canvas.pick(x + 0.5, y + 0.5)
             col, row = (place[0] - frame.sample_matrix[2]) / 30, place[1] / -30 + 48
             near = heights[int(row) - 1 : int(row) + 3, int(col) - 1 : int(col) + 3]
             if (near == 0).all() or (near > 0).all():
@@ -208,10 +208,10 @@ def seen_from_above(context, heights, affine):
     style = Style(haze=0.0, solid=False, background=(9, 9, 9))
     with (
         terrain_of(heights, max_error=0, affine=Affine(*affine)) as terrain,
-        Offscreen(terrain, (200, 200), samples=0, context=context) as offscreen,
+        Canvas(terrain, (200, 200), samples=0, context=context) as canvas,
     ):
-        camera = top_view(offscreen.scene.frame.box, offscreen.viewport)
-        image, _ = offscreen.picture(camera, style, max_pixel_error=0.2)
+        camera = top_view(canvas.scene.frame.box, canvas.viewport)
+        image, _ = canvas.picture(camera, style, max_pixel_error=0.2)
     return image.astype(float)[10:-10, 10:-10]
 
 

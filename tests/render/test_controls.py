@@ -5,14 +5,14 @@ import io
 import numpy as np
 import pytest
 
-from terrainwave.render.camera import Camera, Viewport, project
-from terrainwave.render.controls import Controls
-from terrainwave.render.frame import Frame, round_length
-from terrainwave.render.marks import length_text
-from terrainwave.render.overlay import draw_overlay
-from terrainwave.render.png import encode_png
-from terrainwave.render.ramps import N_COLORS, RAMPS, ramp_colors
-from terrainwave.render.style import COLORINGS, Style
+from terrainwave.render.gpu.overlay import draw_overlay
+from terrainwave.render.look.marks import length_text
+from terrainwave.render.look.png import encode_png
+from terrainwave.render.look.ramps import N_COLORS, RAMPS, ramp_colors
+from terrainwave.render.look.style import COLORINGS, Style
+from terrainwave.render.scene.camera import Camera, Viewport, project
+from terrainwave.render.scene.frame import Frame, round_length
+from terrainwave.render.window.controls import Controls
 
 VIEWPORT = Viewport(300, 200)
 

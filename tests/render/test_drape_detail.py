@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from terrainwave.render.camera import Camera
-from terrainwave.render.drape_detail import DrapeDetail, is_near, place_of_square, square_near
-from terrainwave.render.frame import Frame
+from terrainwave.render.look.drape_detail import DrapeDetail, is_near, place_of_square, square_near
+from terrainwave.render.scene.camera import Camera
+from terrainwave.render.scene.frame import Frame
 
 # 1000 x 1000 samples of 30 m.
 FRAME = Frame((0.0, 0.0), (1.0, 1.0, 1.0), (30.0, 0.0, -14985.0, 0.0, -30.0, 14985.0),

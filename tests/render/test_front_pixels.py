@@ -6,11 +6,11 @@ from render.scenes import LOUD, eroded, hills, loud, terrain_of
 from render.test_fronts import cameras, low_flight
 from tri.slow_dynamic import drawn_samples
 
-from terrainwave.render.camera import Camera, top_view
+from terrainwave.render.gpu.canvas import Canvas
+from terrainwave.render.gpu.vertex_texture_surface import VERTEX_SHADER
+from terrainwave.render.look.style import Style
 from terrainwave.render.modes.front import eye_of
-from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.style import Style
-from terrainwave.render.vertex_texture_surface import VERTEX_SHADER
+from terrainwave.render.scene.camera import Camera, top_view
 
 # What these modes compile takes a minute.
 pytestmark = [
@@ -32,8 +32,8 @@ def test_no_gap_shows_where_the_full_terrain_has_none(context, rough, mode):
     style = Style(background=LOUD, coloring="flat")
     options = {"samples": 0, "context": context}
     with (
-        Offscreen(rough, SIZE, mode="full", **options) as full,
-        Offscreen(rough, SIZE, mode=mode, **options) as coarse,
+        Canvas(rough, SIZE, mode="full", **options) as full,
+        Canvas(rough, SIZE, mode=mode, **options) as coarse,
     ):
         counts = set()
         for tau in (1.0, 5.0):
@@ -56,8 +56,8 @@ def test_no_gap_shows_while_patches_come_and_go(context, gentle, small_patches, 
     style = Style(background=LOUD, coloring="flat")
     options = {"samples": 0, "context": context}
     with (
-        Offscreen(gentle, SIZE, mode="full", **options) as full,
-        Offscreen(gentle, SIZE, mode=mode, n_workers=1, **options) as coarse,
+        Canvas(gentle, SIZE, mode="full", **options) as full,
+        Canvas(gentle, SIZE, mode=mode, n_workers=1, **options) as coarse,
     ):
         counts, levels = set(), set()
         for camera in low_flight(full.scene, 3):
@@ -79,12 +79,12 @@ def test_skirts_of_the_vertex_shader_are_those_of_the_dynamic_mesh(context, gent
     """From below the ground they hang in view. By what the depth buffer holds."""
     pictures, skirts = [], []
     for mode in ("dynamic", "vertex-texture"):
-        with Offscreen(gentle, SIZE, mode=mode, samples=0, context=context) as offscreen:
-            low, high = offscreen.scene.frame.box
+        with Canvas(gentle, SIZE, mode=mode, samples=0, context=context) as canvas:
+            low, high = canvas.scene.frame.box
             x, y = (0.7 * low + 0.3 * high)[:2].tolist()
             camera = Camera((x, y, float(low[2]) - 20), 40, 5, 50)
-            frames = offscreen.draw(camera, Style(background=LOUD), max_pixel_error=8.0)
-            depths = offscreen.framebuffer.read(components=1, attachment=-1, dtype="f4")
+            frames = canvas.draw(camera, Style(background=LOUD), max_pixel_error=8.0)
+            depths = canvas.framebuffer.read(components=1, attachment=-1, dtype="f4")
             pictures.append(np.frombuffer(depths, dtype=np.float32))
             skirts.append(frames.skirts)
     np.testing.assert_allclose(*skirts)
@@ -100,8 +100,8 @@ def test_voids_are_as_in_the_full_terrain(context, mode):
     options = {"samples": 0, "context": context}
     with (
         terrain_of(heights, max_error=0, nodata=-32768) as terrain,
-        Offscreen(terrain, SIZE, mode="full", **options) as full,
-        Offscreen(terrain, SIZE, mode=mode, **options) as coarse,
+        Canvas(terrain, SIZE, mode="full", **options) as full,
+        Canvas(terrain, SIZE, mode=mode, **options) as coarse,
     ):
         camera = top_view(full.scene.frame.box, full.viewport)
         reference, _ = full.picture(camera, style)
@@ -117,8 +117,8 @@ def test_the_picture_is_that_of_the_full_terrain_but_for_tau(context, rough, mod
     style = Style(background=LOUD)
     options = {"samples": 0, "context": context}
     with (
-        Offscreen(rough, SIZE, mode="full", **options) as full,
-        Offscreen(rough, SIZE, mode=mode, **options) as coarse,
+        Canvas(rough, SIZE, mode="full", **options) as full,
+        Canvas(rough, SIZE, mode=mode, **options) as coarse,
     ):
         camera = top_view(full.scene.frame.box, full.viewport)
         reference, _ = full.picture(camera, style)
@@ -138,19 +138,19 @@ def test_the_vertex_shader_puts_each_sample_where_the_dynamic_mesh_has_its_root(
     The camera goes on, so that the marks come in parts, over those of the views before.
     """
     n_checked = n_morphed = 0
-    with Offscreen(
+    with Canvas(
         rough, SIZE, mode="vertex-texture", error=error, samples=0, context=context
-    ) as offscreen:
-        mode, surface = offscreen.scene.mode, offscreen.surface
+    ) as canvas:
+        mode, surface = canvas.scene.mode, canvas.surface
         mode.morph = morph
         program = context.program(
             vertex_shader=VERTEX_SHADER.strip(), varyings=["v_seen", "gl_ClipDistance"]
         )
-        for camera in cameras(offscreen.scene.frame, 3, seed=4):
-            offscreen.draw(camera, Style(), max_pixel_error=3.0)
-            view = offscreen.scene.view(camera, offscreen.viewport, 3.0)
+        for camera in cameras(canvas.scene.frame, 3, seed=4):
+            canvas.draw(camera, Style(), max_pixel_error=3.0)
+            view = canvas.scene.view(camera, canvas.viewport, 3.0)
             (patch,), (followed,), eye = mode.shown, mode.followed, eye_of(view)
-            n = surface.prepare(offscreen.scene, 0, patch, followed, eye, program)
+            n = surface.prepare(canvas.scene, 0, patch, followed, eye, program)
             side = mode.tree + 1
             array = context.vertex_array(
                 program,

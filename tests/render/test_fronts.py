@@ -8,8 +8,8 @@ from render.scenes import ListStore, hills, terrain_of
 from tri.slow_dynamic import areas, surfaces_at
 
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.render.camera import Camera, Viewport, home, project
-from terrainwave.render.scene import Scene
+from terrainwave.render.paging.scene import Scene
+from terrainwave.render.scene.camera import Camera, Viewport, home, project
 
 # What these modes compile takes a minute.
 pytestmark = [pytest.mark.full, pytest.mark.large]

@@ -5,13 +5,13 @@ import pytest
 from render.scenes import hills, terrain_of
 
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.render.camera import Camera, home, top_view
-from terrainwave.render.frame import Frame
-from terrainwave.render.marks import check_marks, draw_marks, legend_of, length_text
-from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.pictures import with_marks
-from terrainwave.render.ramps import absolute_palette, relative_palette, slope_palette
-from terrainwave.render.style import Style
+from terrainwave.render.gpu.canvas import Canvas
+from terrainwave.render.look.marks import check_marks, draw_marks, legend_of, length_text
+from terrainwave.render.look.ramps import absolute_palette, relative_palette, slope_palette
+from terrainwave.render.look.style import Style
+from terrainwave.render.scene.camera import Camera, home, top_view
+from terrainwave.render.scene.frame import Frame
+from terrainwave.render.window.pictures import with_marks
 
 FRAME = Frame((0, 0), (1.0, 1.0, 1.0), (1, 0, 0, 0, -1, 0), (9, 9), (-1000.0, 3000.0))
 FEET = Frame((0, 0), (1.0, 1.0, 0.3048), (1, 0, 0, 0, -1, 0), (9, 9), (0.0, 1000.0))
@@ -78,22 +78,22 @@ def test_the_scale_bar_is_as_long_as_it_says_in_the_middle(context):
     style = Style()
     with (
         terrain_of(heights, max_error=0, nodata=-99) as terrain,
-        Offscreen(terrain, (320, 240), samples=0, context=context) as offscreen,
+        Canvas(terrain, (320, 240), samples=0, context=context) as canvas,
     ):
-        camera = top_view(offscreen.scene.frame.box, offscreen.viewport)
-        bare, frames = offscreen.picture(camera, style)
+        camera = top_view(canvas.scene.frame.box, canvas.viewport)
+        bare, frames = canvas.picture(camera, style)
         # Heights there vary by some ten metres, seen from 2.5 km: the bar by a percent.
-        first, second = (offscreen.pick(x, 60.5) for x in (60.5, 260.5))
+        first, second = (canvas.pick(x, 60.5) for x in (60.5, 260.5))
         scale = (second[0] - first[0]) / 200
-        assert offscreen.metres_per_pixel() == pytest.approx(scale, rel=0.02)
-        marked = with_marks(offscreen, bare, frames, style, legend=True, scale_bar=True)
+        assert canvas.metres_per_pixel() == pytest.approx(scale, rel=0.02)
+        marked = with_marks(canvas, bare, frames, style, legend=True, scale_bar=True)
         line = marked[240 - 22]
         white = np.flatnonzero((line == 255).all(axis=1))
         assert length_text(1000) == "1 km"
         assert len(white) * scale == pytest.approx(1000, rel=0.04)
         assert not np.array_equal(marked[:, :200], bare[:, :200])
         np.testing.assert_array_equal(marked[40:180, 180:], bare[40:180, 180:])
-        offscreen.picture(Camera((0.0, 0.0, 500.0), 0, 80), style)
-        assert offscreen.metres_per_pixel() is None
-        offscreen.picture(home(offscreen.scene.frame.box, offscreen.viewport), style)
-        assert offscreen.metres_per_pixel() > 0
+        canvas.picture(Camera((0.0, 0.0, 500.0), 0, 80), style)
+        assert canvas.metres_per_pixel() is None
+        canvas.picture(home(canvas.scene.frame.box, canvas.viewport), style)
+        assert canvas.metres_per_pixel() > 0

@@ -7,9 +7,9 @@ import pytest
 from render.scenes import ListStore, hills, terrain_of
 from twz import twz_bytes
 
-from terrainwave.render.camera import Viewport, home, top_view
-from terrainwave.render.frame import frame_of
-from terrainwave.render.scene import Scene
+from terrainwave.render.paging.scene import Scene
+from terrainwave.render.scene.camera import Viewport, home, top_view
+from terrainwave.render.scene.frame import frame_of
 from terrainwave.terrain import Terrain
 
 pytestmark = pytest.mark.large

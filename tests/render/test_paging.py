@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from terrainwave.render.paging import Pager
-from terrainwave.render.patches import Cancelled
+from terrainwave.render.paging.pager import Pager
+from terrainwave.render.scene.patches import Cancelled
 
 
 @pytest.fixture

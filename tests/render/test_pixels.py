@@ -13,10 +13,10 @@ from render.scenes import LOUD, eroded, hills, loud, terrain_of, terrain_with_ho
 
 from terrainwave.errors import TerrainwaveError
 from terrainwave.raster_io.drape import Drape
-from terrainwave.render import patch_surface
-from terrainwave.render.camera import Camera, home, project, top_view
-from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.style import Style
+from terrainwave.render.gpu import patch_surface
+from terrainwave.render.gpu.canvas import Canvas
+from terrainwave.render.look.style import Style
+from terrainwave.render.scene.camera import Camera, home, project, top_view
 
 pytestmark = [pytest.mark.gl, pytest.mark.large, pytest.mark.usefixtures("no_gl_errors")]
 
@@ -51,8 +51,8 @@ def test_no_gap_shows_where_the_full_terrain_has_none(context, rough, mode, tau)
     options = {"samples": 0, "context": context}
     n_levels = set()
     with (
-        Offscreen(rough, SIZE, mode="full", **options) as full,
-        Offscreen(rough, SIZE, mode=mode, **options) as coarse,
+        Canvas(rough, SIZE, mode="full", **options) as full,
+        Canvas(rough, SIZE, mode=mode, **options) as coarse,
     ):
         for _ in range(15):
             camera = random_camera(rng, full.scene.frame)
@@ -73,8 +73,8 @@ def test_no_gap_shows_while_paging(context, rough, mode):
     style = Style(background=LOUD, coloring="flat")
     options = {"samples": 0, "context": context}
     with (
-        Offscreen(rough, SIZE, mode="full", **options) as full,
-        Offscreen(rough, SIZE, mode=mode, n_workers=1, **options) as adaptive,
+        Canvas(rough, SIZE, mode="full", **options) as full,
+        Canvas(rough, SIZE, mode=mode, n_workers=1, **options) as adaptive,
     ):
         camera = Camera((0.0, -1500.0, full.scene.frame.box[1][2] + 200), 0, -25, 60)
         reference, _ = full.picture(camera, style)
@@ -96,8 +96,8 @@ def test_voids_are_as_in_the_full_terrain(context, with_voids, mode):
     style = Style(background=LOUD, coloring="flat")
     options = {"samples": 0, "context": context}
     with (
-        Offscreen(with_voids, SIZE, mode="full", **options) as full,
-        Offscreen(with_voids, SIZE, mode=mode, **options) as adaptive,
+        Canvas(with_voids, SIZE, mode="full", **options) as full,
+        Canvas(with_voids, SIZE, mode=mode, **options) as adaptive,
     ):
         camera = top_view(full.scene.frame.box, full.viewport)
         reference, _ = full.picture(camera, style)
@@ -112,18 +112,18 @@ def test_shades_agree_across_borders_of_one_level(context):
     rows, cols = np.mgrid[0:129, 0:129]
     smooth = (400 * np.sin(rows / 40) * np.cos(cols / 45)).astype(np.float32)
     with terrain_of(smooth, max_error=0.01, mesh_error=4.0) as terrain:
-        with Offscreen(terrain, (516, 516), samples=0, context=context) as offscreen:
-            camera = top_view(offscreen.scene.frame.box, offscreen.viewport)
+        with Canvas(terrain, (516, 516), samples=0, context=context) as canvas:
+            camera = top_view(canvas.scene.frame.box, canvas.viewport)
             style = Style(coloring="plain", haze=0, background=LOUD)
-            view = offscreen.scene.view(camera, offscreen.viewport, 0.5)
-            image, frames = offscreen.picture(camera, style, max_pixel_error=0.5)
-            pieces = [offscreen.scene.table.pieces[node] for node in frames.nodes.tolist()]
+            view = canvas.scene.view(camera, canvas.viewport, 0.5)
+            image, frames = canvas.picture(camera, style, max_pixel_error=0.5)
+            pieces = [canvas.scene.table.pieces[node] for node in frames.nodes.tolist()]
             assert len({piece.level for piece in pieces}) == 1
             assert len(pieces) == 16
             grey = image.astype(int)
             # Second differences: a step at a border would stand out from the slow change.
             for k in (1, 2, 3):
-                xy = offscreen.scene.frame.samples_to_local(np.array([64]), np.array([32 * k]))
+                xy = canvas.scene.frame.samples_to_local(np.array([64]), np.array([32 * k]))
                 column = round(
                     float(project(camera, view.viewport, np.array([[*xy[0], 0.0]]))[0, 0])
                 )
@@ -153,17 +153,17 @@ def test_the_surface_and_its_shade_are_where_the_heights_say(context, mode, exag
         options = {
             "samples": 0, "context": context, "exaggeration": exaggeration, "mode": mode
         }  # fmt: skip
-        with Offscreen(terrain, SIZE, **options) as offscreen:
-            frame, n_seen = offscreen.scene.frame, 0
+        with Canvas(terrain, SIZE, **options) as canvas:
+            frame, n_seen = canvas.scene.frame, 0
             for number in range(4):
                 camera = random_camera(rng, frame)
                 if not number:
-                    camera = top_view(frame.box, offscreen.viewport)
-                image, frames = offscreen.picture(camera, style, max_pixel_error=0.02)
-                assert offscreen.scene.table.errors[frames.nodes].max() < 0.6
+                    camera = top_view(frame.box, canvas.viewport)
+                image, frames = canvas.picture(camera, style, max_pixel_error=0.02)
+                assert canvas.scene.table.errors[frames.nodes].max() < 0.6
                 for _ in range(60):
                     x, y = rng.integers(0, SIZE[0]), rng.integers(0, SIZE[1])
-                    place = offscreen.pick(x, y)
+                    place = canvas.pick(x, y)
                     if place is None:
                         continue
                     col = (place[0] - frame.sample_matrix[2]) / 30
@@ -189,43 +189,41 @@ def test_the_surface_and_its_shade_are_where_the_heights_say(context, mode, exag
 def test_drawing_block_by_block_gives_the_same_picture(context, rough, monkeypatch):
     """What a driver without indirect draws (OpenGL 3.3, macOS) does."""
     style = Style()
-    with Offscreen(rough, SIZE, samples=0, context=context) as offscreen:
-        camera = home(offscreen.scene.frame.box, offscreen.viewport)
-        image, frames = offscreen.picture(camera, style)
-        assert offscreen.surface.is_indirect
-        assert offscreen.renderer.n_draw_calls == 1
+    with Canvas(rough, SIZE, samples=0, context=context) as canvas:
+        camera = home(canvas.scene.frame.box, canvas.viewport)
+        image, frames = canvas.picture(camera, style)
+        assert canvas.surface.is_indirect
+        assert canvas.renderer.n_draw_calls == 1
     monkeypatch.setattr(patch_surface, "_INDIRECT_VERSION", 1000)
-    with Offscreen(rough, SIZE, samples=0, context=context) as offscreen:
-        again, _ = offscreen.picture(camera, style)
-        assert offscreen.renderer.n_draw_calls == len(frames.nodes)
+    with Canvas(rough, SIZE, samples=0, context=context) as canvas:
+        again, _ = canvas.picture(camera, style)
+        assert canvas.renderer.n_draw_calls == len(frames.nodes)
         np.testing.assert_array_equal(image, again)
 
 
 def test_a_picture_is_the_same_each_time(context, rough):
     images = []
     for n_workers in (1, 3):
-        with Offscreen(rough, SIZE, context=context, n_workers=n_workers) as offscreen:
-            camera = home(offscreen.scene.frame.box, offscreen.viewport)
-            images.append(offscreen.picture(camera, Style())[0])
+        with Canvas(rough, SIZE, context=context, n_workers=n_workers) as canvas:
+            camera = home(canvas.scene.frame.box, canvas.viewport)
+            images.append(canvas.picture(camera, Style())[0])
     np.testing.assert_array_equal(*images)
 
 
 def test_a_picture_of_an_impossible_size_leaves_no_threads(context, rough):
     before = threading.active_count()
     with pytest.raises(TerrainwaveError, match="pixels"):
-        Offscreen(rough, (10**6, 1), context=context)
+        Canvas(rough, (10**6, 1), context=context)
     assert threading.active_count() == before
 
 
 def test_buffers_grow_and_memory_keeps_to_its_limit(context, rough):
-    with Offscreen(rough, SIZE, context=context, max_bytes=64 << 20) as offscreen:
+    with Canvas(rough, SIZE, context=context, max_bytes=64 << 20) as canvas:
         rng = np.random.default_rng(2)
         sizes = []
         for _ in range(12):
-            offscreen.picture(
-                random_camera(rng, offscreen.scene.frame), Style(), max_pixel_error=0.3
-            )
-            sizes.append(offscreen.store.n_bytes)
+            canvas.picture(random_camera(rng, canvas.scene.frame), Style(), max_pixel_error=0.3)
+            sizes.append(canvas.store.n_bytes)
         assert max(sizes) <= 64 << 20
 
 
@@ -233,10 +231,10 @@ def test_buffers_grow_and_memory_keeps_to_its_limit(context, rough):
     "coloring", ["auto", "relative", "ramp", "slope", "level", "error", "plain"]
 )
 def test_every_colouring_draws_the_terrain_in_many_colours(context, rough, coloring):
-    with Offscreen(rough, SIZE, samples=0, context=context) as offscreen:
-        camera = home(offscreen.scene.frame.box, offscreen.viewport)
+    with Canvas(rough, SIZE, samples=0, context=context) as canvas:
+        camera = home(canvas.scene.frame.box, canvas.viewport)
         style = Style(coloring=coloring, background=LOUD)
-        image, _ = offscreen.picture(camera, style)
+        image, _ = canvas.picture(camera, style)
         terrain = image[~loud(image)]
         assert len(terrain) > 3000
         assert len(np.unique(terrain, axis=0)) > 50
@@ -259,19 +257,19 @@ def test_a_drape_lies_where_its_coordinates_say(context, rough, tmp_path, mode):
         photo.write(bands.astype(np.uint8))
     style = Style(coloring="plain", shade=0, haze=0, background=LOUD)
     options = {"samples": 0, "context": context, "mode": mode}
-    with Offscreen(rough, SIZE, drape=str(tmp_path / "photo.tif"), **options) as offscreen:
+    with Canvas(rough, SIZE, drape=str(tmp_path / "photo.tif"), **options) as canvas:
         rng = np.random.default_rng(5)
         n_inside = n_outside = 0
         for camera in (
-            top_view(offscreen.scene.frame.box, offscreen.viewport),
-            home(offscreen.scene.frame.box, offscreen.viewport),
+            top_view(canvas.scene.frame.box, canvas.viewport),
+            home(canvas.scene.frame.box, canvas.viewport),
         ):
-            image, _ = offscreen.picture(camera, style)
+            image, _ = canvas.picture(camera, style)
             for x, y in rng.integers(0, SIZE, (150, 2)):
-                at = offscreen.pick(x, y)
+                at = canvas.pick(x, y)
                 if at is None:
                     continue
-                world = offscreen.scene.frame.to_world(at[None])[0]
+                world = canvas.scene.frame.to_world(at[None])[0]
                 u = (world[0] - left) * n / 3000
                 v = (top - world[1]) * n / 2700
                 if 3 < u < n - 3 and 3 < v < n - 3:
@@ -285,11 +283,11 @@ def test_a_drape_lies_where_its_coordinates_say(context, rough, tmp_path, mode):
         assert n_outside > 30
         # A finer part: blue over columns 70 to 100 and rows 50 to 80 of the grid.
         blue = np.full((64, 64, 4), (0, 0, 255, 255), dtype=np.uint8)
-        offscreen.renderer.set_detail(Drape(blue, 70.0, 50.0, 30.0, 30.0))
-        frame = offscreen.scene.frame
-        camera = top_view(frame.box, offscreen.viewport)
-        image, _ = offscreen.picture(camera, style)
+        canvas.renderer.set_detail(Drape(blue, 70.0, 50.0, 30.0, 30.0))
+        frame = canvas.scene.frame
+        camera = top_view(frame.box, canvas.viewport)
+        image, _ = canvas.picture(camera, style)
         for row, col, is_fine in ((65, 85, True), (65, 125, False), (100, 85, False)):
             at = np.array([*frame.samples_to_local(np.array([row]), np.array([col]))[0], 0.0])
-            x, y, _ = project(camera, offscreen.viewport, at[None])[0]
+            x, y, _ = project(camera, canvas.viewport, at[None])[0]
             assert (image[int(y), int(x)].tolist() == [0, 0, 255]) == is_fine

@@ -11,9 +11,9 @@ from render.scenes import ListStore, hills
 import terrainwave
 from benchmarks.slow_server import SlowServer
 from terrainwave.errors import CorruptStreamError, SourceUnavailableError
-from terrainwave.render.camera import Viewport, home
-from terrainwave.render.problems import Problems
-from terrainwave.render.scene import Scene
+from terrainwave.render.paging.problems import Problems
+from terrainwave.render.paging.scene import Scene
+from terrainwave.render.scene.camera import Viewport, home
 
 VIEWPORT = Viewport(480, 320)
 LOST = SourceUnavailableError("cannot read a: refused")

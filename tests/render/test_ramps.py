@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from terrainwave.render.ramps import N_COLORS, RAMPS, ramp_colors, ramp_stops
+from terrainwave.render.look.ramps import N_COLORS, RAMPS, ramp_colors, ramp_stops
 
 
 @pytest.mark.parametrize("name", RAMPS)

@@ -7,10 +7,10 @@ from render.scenes import ListStore, hills, terrain_of
 
 from terrainwave.errors import StorageError
 from terrainwave.grid.quadtree import Block
-from terrainwave.render.camera import Viewport, home
-from terrainwave.render.read_ahead import Descent, ReadAhead, units_of_piece
-from terrainwave.render.scene import Scene
-from terrainwave.render.selection import Piece
+from terrainwave.render.paging.read_ahead import Descent, ReadAhead, units_of_piece
+from terrainwave.render.paging.scene import Scene
+from terrainwave.render.scene.camera import Viewport, home
+from terrainwave.render.scene.selection import Piece
 
 VIEWPORT = Viewport(480, 320)
 
@@ -47,8 +47,8 @@ def test_all_that_a_piece_is_made_of_is_read_ahead():
         level = terrain.n_levels - 1
         asked = set()
         terrain.decoder.unit = lambda key, unit=terrain.decoder.unit: (asked.add(key), unit(key))[1]
-        from terrainwave.render.frame import frame_of
-        from terrainwave.render.patches import PatchBuilder
+        from terrainwave.render.scene.frame import frame_of
+        from terrainwave.render.scene.patches import PatchBuilder
 
         PatchBuilder(terrain, frame_of(terrain)).build(Piece(level, 0, 0))
         of_level = {key for key in asked if key.level == level - 1}

@@ -15,10 +15,10 @@ from render.scenes import (
 
 from terrainwave.errors import CorruptStreamError, LimitExceededError
 from terrainwave.mesh.sections import mesher_of
-from terrainwave.render.camera import Camera, Viewport, fly, focal_length, home, look, project
-from terrainwave.render.motion import AHEAD, Motion
-from terrainwave.render.scene import Scene
-from terrainwave.render.selection import Piece
+from terrainwave.render.paging.motion import AHEAD, Motion
+from terrainwave.render.paging.scene import Scene
+from terrainwave.render.scene.camera import Camera, Viewport, fly, focal_length, home, look, project
+from terrainwave.render.scene.selection import Piece
 
 pytestmark = pytest.mark.large
 
@@ -279,7 +279,7 @@ def test_a_full_store_raises_tau_rather_than_wait_for_ever():
 
 
 def test_what_would_not_be_kept_does_not_keep_what_is_wanted_waiting(monkeypatch):
-    monkeypatch.setattr("terrainwave.render.scene._MOST_ASKED", 1)
+    monkeypatch.setattr("terrainwave.render.paging.scene._MOST_ASKED", 1)
     heights = np.round(hills(300, 300, 8)).astype(np.int16)
     with terrain_of(heights, max_error=0) as terrain:
         with Scene(terrain, ListStore(max_blocks=20)) as scene:

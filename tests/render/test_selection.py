@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terrainwave.render.arena import Arena
-from terrainwave.render.camera import Camera, Viewport, focal_length, project
-from terrainwave.render.frustum import frustum_planes, may_see
-from terrainwave.render.kernels import oriented_distance, pixels_per_metre
-from terrainwave.render.selection import ErrorGovernor, NodeInfo, NodeTable, Piece, View
+from terrainwave.render.gpu.arena import Arena
+from terrainwave.render.scene.camera import Camera, Viewport, focal_length, project
+from terrainwave.render.scene.frustum import frustum_planes, may_see
+from terrainwave.render.scene.kernels import oriented_distance, pixels_per_metre
+from terrainwave.render.scene.selection import ErrorGovernor, NodeInfo, NodeTable, Piece, View
 
 VIEWPORT = Viewport(640, 480)
 

@@ -8,16 +8,16 @@ import pytest
 from PIL import Image
 from render.scenes import ListStore, terrain_of
 
-from terrainwave.render.background import Background
-from terrainwave.render.camera import Camera, Viewport, home
-from terrainwave.render.controls import Controls
-from terrainwave.render.ground import Ground
-from terrainwave.render.measure import Ruler, read_profile, with_bound
-from terrainwave.render.overlay import draw_overlay, line_triangles
-from terrainwave.render.pictures import read_flight
-from terrainwave.render.scene import Scene
-from terrainwave.render.session import Session
-from terrainwave.render.style import Style
+from terrainwave.render.gpu.overlay import draw_overlay, line_triangles
+from terrainwave.render.look.style import Style
+from terrainwave.render.paging.background import Background
+from terrainwave.render.paging.scene import Scene
+from terrainwave.render.scene.camera import Camera, Viewport, home
+from terrainwave.render.scene.measure import Ruler, read_profile, with_bound
+from terrainwave.render.window.controls import Controls
+from terrainwave.render.window.ground import Ground
+from terrainwave.render.window.pictures import read_flight
+from terrainwave.render.window.session import Session
 
 pytestmark = pytest.mark.large
 

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from render.scenes import LOUD, eroded, hills, loud, terrain_of, terrain_with_hole
 
-from terrainwave.render.camera import Camera, home, top_view
-from terrainwave.render.frame import Frame, frame_of
-from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.solid import (
+from terrainwave.render.gpu.canvas import Canvas
+from terrainwave.render.look.style import Style
+from terrainwave.render.scene.camera import Camera, home, top_view
+from terrainwave.render.scene.frame import Frame, frame_of
+from terrainwave.render.scene.solid import (
     BASE,
     LID,
     TOP,
@@ -16,7 +17,6 @@ from terrainwave.render.solid import (
     fill_voids,
     haze_of,
 )
-from terrainwave.render.style import Style
 
 SIZE = (160, 120)
 FLAT = Frame((0.0, 0.0), (1.0, 1.0, 1.0), (10.0, 0.0, -500.0, 0.0, -10.0, 400.0), (81, 101),
@@ -54,7 +54,7 @@ def test_walls_follow_the_border_and_stand_outside_of_it(with_voids):
 def test_walls_of_a_coarser_level_end_below_the_terrain_between_its_samples(
     with_voids, monkeypatch
 ):
-    monkeypatch.setattr("terrainwave.render.solid._WALL_SIDE", 60)
+    monkeypatch.setattr("terrainwave.render.scene.solid._WALL_SIDE", 60)
     heights = with_voids.read().astype(float)
     vertices, _ = solid_of(with_voids)
     tops = vertices[vertices["kind"] == TOP]
@@ -69,7 +69,7 @@ def test_walls_of_a_coarser_level_end_below_the_terrain_between_its_samples(
 
 @pytest.mark.parametrize("side", [641, 40])
 def test_a_lid_covers_all_voids_and_no_valid_sample(with_voids, monkeypatch, side):
-    monkeypatch.setattr("terrainwave.render.solid._LID_SIDE", side)
+    monkeypatch.setattr("terrainwave.render.scene.solid._LID_SIDE", side)
     vertices, triangles = solid_of(with_voids)
     lids = triangles[(vertices["kind"][triangles] == LID).all(axis=1)]
     corners = np.stack([vertices["row"], vertices["col"]], axis=1)[lids].astype(int)
@@ -149,12 +149,12 @@ def test_haze_fits_the_extent(scale):
 )
 def test_voids_are_hatched_where_the_sky_showed_and_no_terrain_is_hidden(context, with_voids, mode):
     plain = {"coloring": "plain", "shade": 0.0, "haze": 0.0}
-    with Offscreen(with_voids, SIZE, samples=0, context=context, mode=mode) as offscreen:
-        camera = top_view(offscreen.scene.frame.box, offscreen.viewport)
+    with Canvas(with_voids, SIZE, samples=0, context=context, mode=mode) as canvas:
+        camera = top_view(canvas.scene.frame.box, canvas.viewport)
         # The finest blocks: a coarser surface may lie below the lids beside it, by up to τ.
         fine = {"max_pixel_error": 0.3}
-        before, _ = offscreen.picture(camera, Style(background=LOUD, solid=False, **plain), **fine)
-        after, _ = offscreen.picture(camera, Style(background=LOUD, **plain), **fine)
+        before, _ = canvas.picture(camera, Style(background=LOUD, solid=False, **plain), **fine)
+        after, _ = canvas.picture(camera, Style(background=LOUD, **plain), **fine)
         holes = loud(before) & ~loud(after)
         assert holes.sum() > 800
         seen = eroded(~loud(before))
@@ -164,8 +164,8 @@ def test_voids_are_hatched_where_the_sky_showed_and_no_terrain_is_hidden(context
         assert np.quantile(np.ptp(hatch, axis=1), 0.99) < 5  # a wall's edge may be among them
         assert np.quantile(hatch[:, 0], [0.1, 0.9]) == pytest.approx([153, 204], abs=8)
         row, col = (int(part) for part in np.argwhere(eroded(holes, 3))[0])
-        assert offscreen.pick(col + 0.5, row + 0.5) is None
-        assert offscreen.pick(SIZE[0] / 2, 20.5) is not None
+        assert canvas.pick(col + 0.5, row + 0.5) is None
+        assert canvas.pick(SIZE[0] / 2, 20.5) is not None
 
 
 @pytest.mark.gl
@@ -175,11 +175,11 @@ def test_walls_close_the_block_and_hide_no_terrain(context, mode):
     heights = np.round(hills(90, 110, 1)).astype(np.int16)
     with (
         terrain_of(heights, max_error=0) as terrain,
-        Offscreen(terrain, SIZE, samples=0, context=context, mode=mode) as offscreen,
+        Canvas(terrain, SIZE, samples=0, context=context, mode=mode) as canvas,
     ):
-        camera = home(offscreen.scene.frame.solid_box, offscreen.viewport)
-        bare, _ = offscreen.picture(camera, Style(background=LOUD, solid=False))
-        block, _ = offscreen.picture(camera, Style(background=LOUD))
+        camera = home(canvas.scene.frame.solid_box, canvas.viewport)
+        bare, _ = canvas.picture(camera, Style(background=LOUD, solid=False))
+        block, _ = canvas.picture(camera, Style(background=LOUD))
         walls = loud(bare) & ~loud(block)
         assert walls.sum() > 400
         seen = eroded(~loud(bare), 1)  # outlines may move by τ
@@ -194,14 +194,14 @@ def test_walls_close_the_block_and_hide_no_terrain(context, mode):
 @pytest.mark.gl
 @pytest.mark.large
 def test_sky_is_above_the_terrain_and_ground_around_it(context, with_voids):
-    with Offscreen(with_voids, SIZE, context=context) as offscreen:
-        camera = home(offscreen.scene.frame.solid_box, offscreen.viewport)
-        image = offscreen.picture(camera, Style())[0].astype(int)
+    with Canvas(with_voids, SIZE, context=context) as canvas:
+        camera = home(canvas.scene.frame.solid_box, canvas.viewport)
+        image = canvas.picture(camera, Style())[0].astype(int)
         sky, ground = image[0], image[-1]
         assert (sky[:, 2] - sky[:, 0] > 15).all()
         assert (np.ptp(ground, axis=1) < 12).all()
         # A colour of one's own takes the place of both.
-        image, _ = offscreen.picture(camera, Style(background=LOUD))
+        image, _ = canvas.picture(camera, Style(background=LOUD))
         assert loud(image)[0].all()
         assert loud(image)[-1].all()
 
@@ -209,11 +209,11 @@ def test_sky_is_above_the_terrain_and_ground_around_it(context, with_voids):
 @pytest.mark.gl
 @pytest.mark.large
 def test_a_picture_of_nothing_but_hatch_and_walls_shows_no_terrain(context, with_voids):
-    with Offscreen(with_voids, SIZE, context=context) as offscreen:
-        x, y = offscreen.scene.frame.samples_to_local(np.array([35]), np.array([52]))[0]
-        above = Camera((x, y, offscreen.scene.frame.box[1][2] + 100.0), 0, -90, 20)
-        image, _ = offscreen.picture(above, Style())
+    with Canvas(with_voids, SIZE, context=context) as canvas:
+        x, y = canvas.scene.frame.samples_to_local(np.array([35]), np.array([52]))[0]
+        above = Camera((x, y, canvas.scene.frame.box[1][2] + 100.0), 0, -90, 20)
+        image, _ = canvas.picture(above, Style())
         assert np.ptp(image.astype(int), axis=2).max() < 12
-        assert offscreen.is_blank()
-        offscreen.picture(home(offscreen.scene.frame.box, offscreen.viewport), Style())
-        assert not offscreen.is_blank()
+        assert canvas.is_blank()
+        canvas.picture(home(canvas.scene.frame.box, canvas.viewport), Style())
+        assert not canvas.is_blank()

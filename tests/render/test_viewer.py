@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from terrainwave.render.viewer import window_config
+from terrainwave.render.window.viewer import window_config
 
 EVENTS = {
     "on_render": (0.0, 0.1),

@@ -16,12 +16,10 @@ from terrainwave.ext.publish import publish_site
 from terrainwave.ext.serve.app import make_app
 from terrainwave.ext.serve.catalog import describe
 from terrainwave.globe.lonlat import Globe
-from terrainwave.render.camera import top_view
-from terrainwave.render.frame import frame_of
-from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.ramps import absolute_palette, ramp_colors, ramp_stops
-from terrainwave.render.style import Style
-from terrainwave.render.water import (
+from terrainwave.render.gpu.canvas import Canvas
+from terrainwave.render.look.ramps import absolute_palette, ramp_colors, ramp_stops
+from terrainwave.render.look.style import Style
+from terrainwave.render.look.water import (
     DEEP,
     LAND,
     LEVEL,
@@ -30,6 +28,8 @@ from terrainwave.render.water import (
     may_have_water,
     read_water,
 )
+from terrainwave.render.scene.camera import top_view
+from terrainwave.render.scene.frame import frame_of
 
 SIDE = 120
 COLS = np.broadcast_to(np.arange(SIDE, dtype=float), (SIDE, SIDE))
@@ -190,14 +190,14 @@ def test_pictures_show_water_where_it_is(context):
         style = Style(shade=0.0, haze=0.0, solid=False, background=(9, 9, 9), sea_level=sea_level)
         with (
             terrain_of(heights, max_error=0, **PLACE) as terrain,
-            Offscreen(terrain, (360, 360), samples=0, context=context) as offscreen,
+            Canvas(terrain, (360, 360), samples=0, context=context) as canvas,
         ):
-            frame = offscreen.scene.frame
-            camera = top_view(frame.box, offscreen.viewport)
-            image, _ = offscreen.picture(camera, style, max_pixel_error=1.0)
+            frame = canvas.scene.frame
+            camera = top_view(frame.box, canvas.viewport)
+            image, _ = canvas.picture(camera, style, max_pixel_error=1.0)
             row, found = image[180].astype(int), {}
             for x in np.flatnonzero((row != 9).any(axis=1)):
-                place = offscreen.pick(x + 0.5, 180.5)
+                place = canvas.pick(x + 0.5, 180.5)
                 if place is not None:
                     col = round((place[0] - frame.sample_matrix[2]) / 30)
                     found[col] = bool(row[x, 2] > row[x, 0] + 20)

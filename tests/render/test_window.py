@@ -124,14 +124,14 @@ def test_drawing_for_long_keeps_memory_flat(file, mode):
     code = f"""
 import resource
 import terrainwave
-from terrainwave.render.arena import Arena
-from terrainwave.render.camera import Camera
-from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.style import Style
+from terrainwave.render.gpu.arena import Arena
+from terrainwave.render.scene.camera import Camera
+from terrainwave.render.gpu.canvas import Canvas
+from terrainwave.render.look.style import Style
 sizes, drops = [], []
 with terrainwave.open({str(file)!r}, cache_bytes=1 << 20, threads=1) as terrain:
-    with Offscreen(terrain, (160, 120), samples=0, max_bytes=64 << 20, mode={mode!r}) as offscreen:
-        store, scene = offscreen.store, offscreen.scene
+    with Canvas(terrain, (160, 120), samples=0, max_bytes=64 << 20, mode={mode!r}) as canvas:
+        store, scene = canvas.store, canvas.scene
         layers, drop = store.layers, store.drop
         layers.max_layers, layers._free = 24, Arena(24)
         store.drop = lambda node: (drops.append(node), drop(node))
@@ -140,13 +140,13 @@ with terrainwave.open({str(file)!r}, cache_bytes=1 << 20, threads=1) as terrain:
             share = number % 200 / 200
             camera = Camera((low[0] + share * (high[0] - low[0]), low[1], high[2] + 20.0),
                             (number * 7 % 120 - 60) % 360, -30.0, 50.0)
-            offscreen.draw(camera, Style(), settle=False)
+            canvas.draw(camera, Style(), settle=False)
             scene._pager.wait(0.01)
             assert store.n_bytes <= 64 << 20
             if number % 100 == 99:
                 pages = int(open("/proc/self/statm").read().split()[1])
                 sizes.append(pages * resource.getpagesize() / 2**20)
-        assert offscreen.context.error == "GL_NO_ERROR"
+        assert canvas.context.error == "GL_NO_ERROR"
 assert len(drops) > 300, len(drops)
 print(*sizes)
 """

@@ -5,10 +5,10 @@ from collections import Counter
 
 import numpy as np
 
-from terrainwave.render.camera import Camera, Viewport, project
-from terrainwave.render.frustum import frustum_planes
-from terrainwave.tri.dynamic import Eye, screen_error
-from terrainwave.tri.haar import N_ROWS
+from terrainwave.render.scene.camera import Camera, Viewport, project
+from terrainwave.render.scene.frustum import frustum_planes
+from terrainwave.tri.dynamic.dynamic import Eye, screen_error
+from terrainwave.tri.dynamic.haar import N_ROWS
 
 VIEWPORT = Viewport(320, 240)
 NORTH_UP = (1.0, 0.0, 0.0, 0.0, -1.0, 0.0)

@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 from tri import slow
 from tri.rasterise import check_mesh
 
-from terrainwave.tri import agreement, rqt
-from terrainwave.tri.connect import mesh_of_cut
-from terrainwave.tri.guarantee import guaranteed_cut
-from terrainwave.tri.labels import root_along
 from terrainwave.tri.mesh import BlockMesh
+from terrainwave.tri.rqt import stored as rqt
+from terrainwave.tri.zerotree import agreement
+from terrainwave.tri.zerotree.connect import mesh_of_cut
+from terrainwave.tri.zerotree.guarantee import guaranteed_cut
+from terrainwave.tri.zerotree.labels import root_along
 
 
 class Level:

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from tri import slow
 from tri.rasterise import check_mesh
 
-from terrainwave.tri.connect import mesh_error, mesh_of_cut
-from terrainwave.tri.guarantee import guaranteed_cut
+from terrainwave.tri.zerotree.connect import mesh_error, mesh_of_cut
+from terrainwave.tri.zerotree.guarantee import guaranteed_cut
 
 
 def whole(shape):

@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from terrainwave.mesh.blocks import BlockSamples, SideTolerances, border_lines
-from terrainwave.tri import halves, workspace
-from terrainwave.tri.borders import beside_void
-from terrainwave.tri.halves import triangulate
+from terrainwave.tri.halves import halves, workspace
+from terrainwave.tri.halves.borders import beside_void
+from terrainwave.tri.halves.halves import triangulate
 from tests.tri import slow
 
 

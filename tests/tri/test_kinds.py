@@ -20,8 +20,8 @@ from terrainwave.errors import CorruptStreamError, InvalidArgumentError, Truncat
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.sections import pack_section, unpack_section
 from terrainwave.read.decoder import unit_key
-from terrainwave.tri.agreement import border_of
 from terrainwave.tri.stored import STORED_KINDS
+from terrainwave.tri.zerotree.agreement import border_of
 from terrainwave.verification.meshes import verify_meshes
 from terrainwave.write.meshes import _copied, store_meshes
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tri import slow
 
-from terrainwave.tri import labels
+from terrainwave.tri.zerotree import labels
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from terrainwave.tri.borders import beside_void, line_vertices
-from terrainwave.tri.fit import fit_triangle, scaled_heights
+from terrainwave.tri.halves.borders import beside_void, line_vertices
+from terrainwave.tri.halves.fit import fit_triangle, scaled_heights
 from terrainwave.tri.mesh import BlockMesh
 from terrainwave.tri.surface import deviation_from_bilinear, largest_deviation
 

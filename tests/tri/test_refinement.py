@@ -9,8 +9,12 @@ from hypothesis import strategies as st
 from tri import slow
 
 from terrainwave.errors import CorruptStreamError, TerrainwaveError, TruncatedStreamError
-from terrainwave.tri.guarantee import guaranteed_cut
-from terrainwave.tri.refinement import bits_per_sample, decode_refinement, encode_refinement
+from terrainwave.tri.zerotree.guarantee import guaranteed_cut
+from terrainwave.tri.zerotree.refinement import (
+    bits_per_sample,
+    decode_refinement,
+    encode_refinement,
+)
 
 
 @given(terrain=slow.terrains(max_side=24), data=st.data())

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from tri import slow
 from tri.rasterise import check_mesh
 
-from terrainwave.tri.rqt import rqt_mesh, select_vertices, vertices_of, virtual_places
+from terrainwave.tri.rqt.stored import rqt_mesh, select_vertices, vertices_of, virtual_places
 
 pytestmark = pytest.mark.slow_compile
 

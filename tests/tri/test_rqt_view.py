@@ -6,9 +6,9 @@ from cases import some
 from tri.slow_dynamic import NORTH_UP, VIEWPORT, areas, cameras, eye_of, surfaces_at
 
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.render.camera import Camera, project
-from terrainwave.tri.rqt import neighbours
-from terrainwave.tri.rqt_view import RestrictedMesh
+from terrainwave.render.scene.camera import Camera, project
+from terrainwave.tri.rqt.stored import neighbours
+from terrainwave.tri.rqt.view import RestrictedMesh
 
 # What it compiles takes half a minute.
 pytestmark = pytest.mark.slow_compile

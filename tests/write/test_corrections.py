@@ -9,7 +9,7 @@ from strategies import terrain_like, write_geotiff
 
 import terrainwave
 from terrainwave.codec import group
-from terrainwave.codec.correctioncoder import decode_corrections
+from terrainwave.codec.corrections import decode_corrections
 from terrainwave.codec.units import unit_spec
 from terrainwave.grid.quadtree import Block
 from terrainwave.terrain import Terrain

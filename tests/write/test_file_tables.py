@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import terrainwave
-from terrainwave.codec import rapid_parameters
-from terrainwave.codec.parameters import parse_parameters
+from terrainwave.codec.predictive.file_tables import parse_parameters
+from terrainwave.codec.rapid import file_tables as rapid_parameters
 from terrainwave.container.header import Header
 
 

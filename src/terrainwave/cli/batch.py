@@ -16,7 +16,7 @@ from terrainwave.arguments import checked_threads, count_of, path_in_url
 from terrainwave.cli.manifest import Manifest
 from terrainwave.cli.output import Bar, line_of, plain, print_error, print_note
 from terrainwave.cli.streams import STREAM
-from terrainwave.container.addresses import display_name
+from terrainwave.container.sources.addresses import display_name
 from terrainwave.errors import InvalidArgumentError, TerrainwaveError
 from terrainwave.progress import Progress, ProgressCallback
 

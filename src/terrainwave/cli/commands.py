@@ -64,7 +64,7 @@ from terrainwave.cli.output import (
     reading,
 )
 from terrainwave.cli.streams import STREAM, printing_beside, written
-from terrainwave.container.addresses import display_name
+from terrainwave.container.sources.addresses import display_name
 from terrainwave.names import (
     DEFAULT_METHOD,
     EFFORTS,

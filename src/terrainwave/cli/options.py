@@ -11,7 +11,7 @@ from click.shell_completion import CompletionItem
 from terrainwave.arguments import ARCHIVE_ENDING, BLOCKS, check_ending
 from terrainwave.cli.streams import STREAM, read_stream
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.render.colorings import AUTO, NO_SEA
+from terrainwave.render.look.colorings import AUTO, NO_SEA
 
 TILE_SIZES = tuple(2**n + 1 for n in range(1, 15))
 

@@ -54,7 +54,7 @@ def print_note(message: object) -> None:
 @contextmanager
 def reading(path: str) -> Iterator[None]:
     """Name the file in the message of whatever is wrong with it, and say so if it is no .twz."""
-    from terrainwave.container.addresses import display_name
+    from terrainwave.container.sources.addresses import display_name
 
     try:
         yield

@@ -16,7 +16,7 @@ from terrainwave.cli.options import Input, Numbers, SeaLevel, Target
 from terrainwave.cli.output import Bar, announce_compiling, plain, print_note, reading
 from terrainwave.cli.streams import STREAM, printing_beside, written
 from terrainwave.render import DEFAULT_MAX_BYTES
-from terrainwave.render.colorings import AUTO, MEANINGS, RAMP_NAMES
+from terrainwave.render.look.colorings import AUTO, MEANINGS, RAMP_NAMES
 from terrainwave.render.modes import MODES
 
 RAMPS = click.Choice([AUTO, *RAMP_NAMES])
@@ -151,7 +151,7 @@ def _note_dry_land(scene: Any, style: Any) -> None:
 
 def _style(options: dict[str, Any]) -> Any:
     """Return the style of the options, and take them out."""
-    from terrainwave.render.style import Style
+    from terrainwave.render.look.style import Style
 
     names = ("coloring", "ramp", "sea_level", "sun", "haze", "wireframe", "background")
     return Style(**{name: options.pop(name) for name in names})
@@ -197,10 +197,10 @@ def render(
 ) -> None:
     """Draw FILE (.twz) to the picture TARGET (.png; - is stdout), without a screen."""
     import terrainwave
-    from terrainwave.render.frame import check_drawable
-    from terrainwave.render.marks import check_marks
-    from terrainwave.render.offscreen import Offscreen
-    from terrainwave.render.pictures import (
+    from terrainwave.render.gpu.canvas import Canvas
+    from terrainwave.render.look.marks import check_marks
+    from terrainwave.render.scene.frame import check_drawable
+    from terrainwave.render.window.pictures import (
         choose_camera,
         fly_through,
         heights_within,
@@ -223,7 +223,7 @@ def render(
         check_marks(size, style, legend=legend, scale_bar=scale_bar)
         with Bar(quiet=quiet) as bar:
             scene = stack.enter_context(
-                Offscreen(terrain, size, max_bytes=memory << 20, progress=bar, **options)
+                Canvas(terrain, size, max_bytes=memory << 20, progress=bar, **options)
             )
         style.check_body(scene.scene.frame.body)
         _suggest_exaggeration(scene.scene.frame)
@@ -277,7 +277,7 @@ def _names(target: str, n_frames: int, is_numbered: bool) -> list[str]:
 
 
 def _write_png(target: str, image: Any, overwrite: bool) -> None:
-    from terrainwave.render.png import encode_png
+    from terrainwave.render.look.png import encode_png
 
     _write(target, encode_png(image), overwrite)
 
@@ -299,8 +299,8 @@ def view(
 ) -> None:
     """Open a window and fly over FILE (.twz) or its URL; H shows the keys and settings."""
     import terrainwave
-    from terrainwave.render.frame import frame_of
-    from terrainwave.render.viewer import run
+    from terrainwave.render.scene.frame import frame_of
+    from terrainwave.render.window.viewer import run
 
     announce_compiling()
     _announce_preparation(options)

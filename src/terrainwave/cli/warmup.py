@@ -25,8 +25,8 @@ from terrainwave.names import (
     UNBOUNDED_MESHES,
     WARMUP_TASKS,
 )
+from terrainwave.raster_io.geotiff.sink import RasterSink
 from terrainwave.raster_io.info import SUPPORTED_DTYPES, RasterInfo
-from terrainwave.raster_io.sink import RasterSink
 
 # Rows and columns: several levels of the smallest blocks, with borders that end within one.
 _SHAPE = (200, 220)
@@ -227,10 +227,10 @@ def _mesh(folder: Path) -> None:
 
 def _render(folder: Path) -> None:
     """Draw a picture in each mode."""
+    from terrainwave.render.gpu.canvas import Canvas
+    from terrainwave.render.look.style import Style
     from terrainwave.render.modes import MODES
-    from terrainwave.render.offscreen import Offscreen
-    from terrainwave.render.pictures import choose_camera
-    from terrainwave.render.style import Style
+    from terrainwave.render.window.pictures import choose_camera
 
     for stem in ("int16-void", "float32"):
         path = folder / f"{stem}-{DEFAULT_METHOD.name}.twz"
@@ -239,18 +239,18 @@ def _render(folder: Path) -> None:
             for error in ("measured", "paper"):
                 with (
                     terrainwave.open(path) as terrain,
-                    Offscreen(
+                    Canvas(
                         terrain,
                         (320, 240),
                         mode="dynamic" if mode == "stepwise" else mode,
                         error=error,
                         stepwise=mode == "stepwise",
-                    ) as offscreen,
+                    ) as canvas,
                 ):
-                    frame = offscreen.scene.frame
-                    whole = choose_camera(frame, offscreen.viewport)
-                    offscreen.picture(whole, Style(), max_pixel_error=4.0)
-                    offscreen.picture(whole, Style(), max_pixel_error=0.5)
+                    frame = canvas.scene.frame
+                    whole = choose_camera(frame, canvas.viewport)
+                    canvas.picture(whole, Style(), max_pixel_error=4.0)
+                    canvas.picture(whole, Style(), max_pixel_error=0.5)
 
 
 def _nothing_more(_folder: Path) -> None:

@@ -11,9 +11,10 @@ from typing import NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.correctioncoder import decode_corrections, encode_corrections
-from terrainwave.codec.maskcoder import decode_mask, encode_mask
-from terrainwave.codec.ownmask import Above, Sections, Validity, decode_validity, encode_validity
+from terrainwave.codec.corrections import decode_corrections, encode_corrections
+from terrainwave.codec.masks import all_valid, decode_mask, encode_mask, is_whole
+from terrainwave.codec.memory import new_heights
+from terrainwave.codec.own_masks import Above, Sections, Validity, decode_validity, encode_validity
 from terrainwave.codec.refiner import (
     FREE,
     NO_CORRECTIONS,
@@ -26,10 +27,8 @@ from terrainwave.codec.refiner import (
     Mask,
     Refiner,
 )
-from terrainwave.codec.remaindercoder import decode_remainders, encode_remainders
-from terrainwave.codec.spare import new_heights
+from terrainwave.codec.remainders import decode_remainders, encode_remainders
 from terrainwave.codec.varint import decode_varint, encode_varint
-from terrainwave.codec.whole import all_valid, is_whole
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.grid.quadtree import Region
 from terrainwave.grid.remainders import Remainders

@@ -79,7 +79,7 @@ class Decoded(NamedTuple):
     the method has no details (`store`, raw units) or nothing is valid: nothing is known then.
     `remainders`: what makes the heights exact (`grid.remainders`); None where all are 0.
     `own`: which samples are valid by themselves, in the full grid, and not only beside valid ones
-    (`codec.ownmask`); None where these are all valid ones, or the file does not tell.
+    (`codec.own_masks`); None where these are all valid ones, or the file does not tell.
     """
 
     heights: Heights
@@ -134,7 +134,7 @@ NO_CORRECTIONS = Corrections(_NONE, _NONE)
 
 
 class CorrectingRefiner(Protocol):
-    """A refiner whose loop has corrections (`codec.correctioncoder`)."""
+    """A refiner whose loop has corrections (`codec.corrections`)."""
 
     def encode(
         self,

@@ -27,7 +27,7 @@ def refiner_by_name(name: str, parameters: bytes = b"") -> Refiner:
     method = METHODS[name]
     check_parameters(name, parameters)
     assert method.refiner is not None, f"method {name} codes tiles"
-    module, kind = method.refiner.split(".")
+    module, kind = method.refiner.rsplit(".", 1)
     made = getattr(import_module(f"terrainwave.codec.{module}"), kind)
     refiner: Refiner = made(parameters) if method.has_parameters else made()
     return refiner

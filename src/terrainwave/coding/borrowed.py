@@ -2,8 +2,8 @@
 
 Numba counts a reference to an array wherever one is passed on, taken from a tuple or sliced, and
 leaves out what it can pair up; around loops it cannot. Each is an atomic addition, together a
-seventh of the time of encoding in `nested.code_pass`. What a kernel is given lives as long as the
-call, so it need not count.
+seventh of the time of encoding in `predictive.passes.code_pass`. What a kernel is given lives as
+long as the call, so it need not count.
 """
 
 import os

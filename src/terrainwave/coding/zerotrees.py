@@ -35,7 +35,7 @@ def tree_height(n_rows, n_cols):
 def map_of_labels(labels, offsets, count, trees):
     """Fill `trees` (uint8) from labels of `count` node grids, coarsest first, grid g at offsets[g].
 
-    Labels as `codec.zerotree` leaves them.
+    Labels as `codec.cdf97.zerotree` leaves them.
     """
     n_rows, n_cols = trees.shape
     for i in range(n_rows):

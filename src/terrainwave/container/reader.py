@@ -20,10 +20,10 @@ from terrainwave.container.page import (
     page_layout,
     unpack_page,
 )
-from terrainwave.container.ranges import ByteRange
-from terrainwave.container.rounds import RoundReader
 from terrainwave.container.segment import Segment, page_and_payloads, segment_of_page
-from terrainwave.container.source import ByteSource
+from terrainwave.container.sources.ranges import ByteRange
+from terrainwave.container.sources.rounds import RoundReader
+from terrainwave.container.sources.source import ByteSource
 from terrainwave.errors import CorruptStreamError, TerrainwaveError, TruncatedStreamError
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid
 
@@ -207,7 +207,7 @@ class Container:
         -----
         Each missing level of index pages takes one round of requests, which also brings payloads
         whose place is known by then and wanted ones next to the pages; one more round brings the
-        rest. Which gaps are read is decided for all rounds together (`container.ranges`).
+        rest. Which gaps are read is decided for all rounds together (`container.sources.ranges`).
         """
         heads = {key: self._head_of(key) for key in keys}
         wanted: dict[Block | None, set[Block]] = {}

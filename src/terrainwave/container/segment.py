@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from terrainwave.container.page import Page, PageLayout, payload_starts
-from terrainwave.container.ranges import ByteRange
+from terrainwave.container.sources.ranges import ByteRange
 from terrainwave.grid.quadtree import Block
 
 # Payloads next to a page are read with it up to a size, and so much more of what they are

@@ -18,8 +18,8 @@ from terrainwave.arguments import AS_IS, check_ending
 from terrainwave.container.publish import check_target, publish, scratch
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
-from terrainwave.export.frames import areas, find_place, steepest, to_frame
-from terrainwave.export.mesh import Mesh
+from terrainwave.export.frames import areas, find_place, longest_edge, steepest, to_frame
+from terrainwave.export.mesh_data import MeshData, SavedMesh
 from terrainwave.export.solid import solidify
 from terrainwave.extras import need
 from terrainwave.place.position import Place
@@ -34,50 +34,8 @@ _DIGITS = 5
 _DIGITS_OF_DEGREES = 10
 
 
-@dataclass(frozen=True)
-class SavedMesh:
-    """What was written.
-
-    Parameters
-    ----------
-    path : str
-    n_bytes, n_vertices, n_triangles : int
-        Those of a body include its walls and base.
-    error : float
-        No valid original sample under the mesh is vertically further from the surface in the file,
-        in `units`: the mesh's error and what the rounding of coordinates in the file can add.
-    rounding : float
-        The part of `error` that rounding can add.
-    units : str, optional
-        Unit of the .twz file's heights and of `error`; not of the file written, whose heights may
-        be scaled.
-    frame : str
-        ``"local"``, ``"native"`` or ``"ecef"``.
-    origin : tuple of float
-        What to add to the coordinates in the file to have those of the frame.
-    curvature : float
-        Metres that flat triangles can lie below the curved body between their vertices; in
-        geocentric coordinates only, and not part of `error`.
-    vertical : dict, optional
-        Of geocentric coordinates: what heights are (``heights``: ``"as-is"`` or ``"ellipsoid"``),
-        the CRS's ``datum``, or PROJ's ``operation`` and its ``grids``.
-    """
-
-    path: str
-    n_bytes: int
-    n_vertices: int
-    n_triangles: int
-    error: float
-    rounding: float
-    units: str | None
-    frame: str
-    origin: tuple[float, float, float]
-    curvature: float = 0.0
-    vertical: dict[str, Any] | None = None
-
-
 def save_mesh(
-    mesh: Mesh,
+    mesh: MeshData,
     path: str | os.PathLike[str],
     *,
     frame: str | None = None,
@@ -91,7 +49,7 @@ def save_mesh(
 
     Parameters
     ----------
-    mesh : Mesh
+    mesh : MeshData
     path : path
         ``.ply``, ``.obj``, ``.vtu``, ``.vtk`` hold float64 or decimal coordinates; ``.stl``,
         ``.glb``, ``.gltf`` hold float32, relative to an origin that is written beside them;
@@ -149,7 +107,7 @@ def save_mesh(
 
 
 def file_rounding(
-    mesh: Mesh,
+    mesh: MeshData,
     path: str | os.PathLike[str],
     *,
     frame: str | None = None,
@@ -181,14 +139,14 @@ def _refuse_frame(frame: str | None, z_scale: float, solid: float | None) -> Non
 
 
 def _to_write(
-    mesh: Mesh,
+    mesh: MeshData,
     extension: str,
     frame: str | None,
     z_scale: float,
     solid: float | None,
     radius: float | None,
     vertical: str,
-) -> tuple[Mesh, NDArray[np.float64], float]:
+) -> tuple[MeshData, NDArray[np.float64], float]:
     """Return the mesh in its frame, its vertices as the file holds them, and their rounding."""
     if solid is not None and frame != "native" and height_unit(mesh.units, mesh.crs).metres < 0:
         raise InvalidHeightsError(
@@ -235,7 +193,7 @@ def prepare(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
     check_target(path, overwrite)
 
 
-def describe(mesh: Mesh, error: float) -> dict[str, Any]:
+def describe(mesh: MeshData, error: float) -> dict[str, Any]:
     """Describe a mesh in a frame, as plain values for the file's JSON."""
     frame = {name: value for name, value in mesh.attributes["frame"].items() if value is not None}
     about: dict[str, Any] = {"generator": f"terrainwave {__version__}", "origin": list(mesh.origin)}
@@ -247,7 +205,7 @@ def describe(mesh: Mesh, error: float) -> dict[str, Any]:
     return about
 
 
-def _texture_places(mesh: Mesh) -> NDArray[np.float64]:
+def _texture_places(mesh: MeshData) -> NDArray[np.float64]:
     """Return where vertices lie in a picture of the mesh's bounds: (0, 0) is its lower left."""
     left, bottom, right, top = mesh.bounds
     size = np.maximum((right - left, top - bottom), np.finfo(np.float64).tiny)
@@ -255,7 +213,7 @@ def _texture_places(mesh: Mesh) -> NDArray[np.float64]:
     return places
 
 
-def vertex_normals(mesh: Mesh) -> NDArray[np.float64]:
+def vertex_normals(mesh: MeshData) -> NDArray[np.float64]:
     """Return a unit vector for each vertex: those of its triangles, weighted by their areas."""
     corners = mesh.vertices[mesh.triangles]
     crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -272,7 +230,7 @@ def vertex_normals(mesh: Mesh) -> NDArray[np.float64]:
     return np.where(lengths > 0, normals / np.maximum(lengths, np.finfo(np.float64).tiny), up)
 
 
-def _recentred(mesh: Mesh) -> Mesh:
+def _recentred(mesh: MeshData) -> MeshData:
     """Return the mesh with its origin in its middle, so that float32 holds small numbers.
 
     Heights stay as they are, except geocentric ones.
@@ -286,7 +244,7 @@ def _recentred(mesh: Mesh) -> Mesh:
 
 
 def _rounding(
-    mesh: Mesh, framed: Mesh, written: NDArray[np.float64], radius: float | None
+    mesh: MeshData, framed: MeshData, written: NDArray[np.float64], radius: float | None
 ) -> float:
     """Return by how much the surface in the file can differ from the mesh's, in the file's unit.
 
@@ -313,7 +271,7 @@ def _rounding(
     return rounding / (unit * frame["z_scale"]) + at_joints
 
 
-def _steepest_on(mesh: Mesh, ellipsoid: Any) -> float:
+def _steepest_on(mesh: MeshData, ellipsoid: Any) -> float:
     """Return the largest slope of the triangles of a geocentric mesh that face outwards."""
     corners = mesh.points[mesh.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -329,7 +287,7 @@ def _steepest_on(mesh: Mesh, ellipsoid: Any) -> float:
     return float(np.sqrt(steepness.max()))
 
 
-def _curvature(mesh: Mesh, framed: Mesh, radius: float | None) -> float:
+def _curvature(mesh: MeshData, framed: MeshData, radius: float | None) -> float:
     """Return how far flat triangles can lie below the curved body, in metres.
 
     A circle of radius r around a triangle with edges up to L, r ≤ L/√3, sags by r²/2R at most.
@@ -340,30 +298,23 @@ def _curvature(mesh: Mesh, framed: Mesh, radius: float | None) -> float:
     return longest_edge(framed) ** 2 / (6 * ellipsoid.axis * (1 - ellipsoid.e2))
 
 
-def _quiet_place(mesh: Mesh, radius: float | None) -> Place:
+def _quiet_place(mesh: MeshData, radius: float | None) -> Place:
     """Return `find_place` again, without its warnings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TerrainwaveWarning)
         return find_place(mesh, radius=radius)
 
 
-def longest_edge(mesh: Mesh) -> float:
-    """Return the length of the longest edge."""
-    corners = mesh.vertices[mesh.triangles]
-    edges = corners - np.roll(corners, 1, axis=1)
-    return float(np.linalg.norm(edges, axis=2).max())
-
-
 # The formats. Each function returns the bytes of a file.
 
 
-def to_trimesh(mesh: Mesh) -> Any:
+def to_trimesh(mesh: MeshData) -> Any:
     """Return a `trimesh.Trimesh` with the mesh's vertices, relative to its origin."""
     trimesh = need("trimesh", extra=_EXTRA)
     return trimesh.Trimesh(vertices=mesh.vertices, faces=mesh.triangles, process=False)
 
 
-def to_pyvista(mesh: Mesh) -> Any:
+def to_pyvista(mesh: MeshData) -> Any:
     """Return a `pyvista.PolyData` with the mesh's vertices, relative to its origin."""
     pyvista = need("pyvista", extra="pyvista")
     faces = np.empty((mesh.n_triangles, 4), dtype=np.int64)
@@ -376,7 +327,7 @@ def _one_line(about: dict[str, Any]) -> str:
     return json.dumps(about, allow_nan=False)
 
 
-def _write_ply(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
+def _write_ply(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
     out = io.BytesIO()
     _meshio_mesh(mesh).write(out, file_format="ply")
     # meshio's comment holds the time, which would make equal files differ.
@@ -386,7 +337,7 @@ def _write_ply(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
     return header + end + body
 
 
-def _write_obj(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
+def _write_obj(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
     from trimesh.exchange.obj import export_obj
 
     header = f"terrainwave {_one_line(about)}"
@@ -396,13 +347,13 @@ def _write_obj(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
     return str(text).encode()
 
 
-def _obj_digits(mesh: Mesh) -> int:
+def _obj_digits(mesh: MeshData) -> int:
     width = float(np.ptp(mesh.vertices[:, 0]))
     may_be_degrees = mesh.attributes["frame"]["name"] == "native" and width <= 360
     return _DIGITS_OF_DEGREES if may_be_degrees else _DIGITS
 
 
-def _write_stl(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
+def _write_stl(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
     from trimesh.exchange.stl import export_stl
 
     data = bytes(export_stl(to_trimesh(mesh)))
@@ -412,7 +363,7 @@ def _write_stl(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
     return header.ljust(_STL_HEADER) + data[_STL_HEADER:]
 
 
-def _scene(mesh: Mesh, about: dict[str, Any]) -> Any:
+def _scene(mesh: MeshData, about: dict[str, Any]) -> Any:
     trimesh = need("trimesh", extra=_EXTRA)
     from trimesh.visual import TextureVisuals
     from trimesh.visual.material import PBRMaterial
@@ -442,13 +393,13 @@ def _y_up(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return vectors[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
 
 
-def _write_glb(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
+def _write_glb(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
     from trimesh.exchange.gltf import export_glb
 
     return bytes(export_glb(_scene(mesh, about), include_normals="uv" in mesh.attributes))
 
 
-def _write_gltf(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
+def _write_gltf(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
     from trimesh.exchange.gltf import export_gltf
 
     scene, has_normals = _scene(mesh, about), "uv" in mesh.attributes
@@ -456,12 +407,12 @@ def _write_gltf(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
     return bytes(files["model.gltf"])
 
 
-def _meshio_mesh(mesh: Mesh) -> Any:
+def _meshio_mesh(mesh: MeshData) -> Any:
     meshio = need("meshio", extra=_EXTRA)
     return meshio.Mesh(np.ascontiguousarray(mesh.vertices), [("triangle", mesh.triangles)])
 
 
-def _write_vtu(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
+def _write_vtu(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
     data = _written_by_path(mesh, path, "vtu")
     # XML forbids two dashes inside a comment.
     comment = _one_line(about).replace("--", "-\\u002d")
@@ -469,7 +420,7 @@ def _write_vtu(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
     return data[:start] + f"<!-- terrainwave {comment} -->\n".encode() + data[start:]
 
 
-def _write_vtk(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
+def _write_vtk(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
     version, _, rest = _written_by_path(mesh, path, "vtk").split(b"\n", 2)
     title = f"terrainwave {_one_line(about)}"
     if len(title) > _VTK_TITLE:
@@ -477,7 +428,7 @@ def _write_vtk(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
     return b"\n".join([version, title.encode(), rest])
 
 
-def _written_by_path(mesh: Mesh, path: Path, name: str) -> bytes:
+def _written_by_path(mesh: MeshData, path: Path, name: str) -> bytes:
     """Let meshio write where it insists on a path."""
     with scratch(path) as part, storage_errors(f"cannot write {path}"):
         _meshio_mesh(mesh).write(part.path, file_format=name)
@@ -488,7 +439,7 @@ def _written_by_path(mesh: Mesh, path: Path, name: str) -> bytes:
 class _Writer:
     package: str
     is_float32: bool
-    write: Callable[[Mesh, dict[str, Any], Path], bytes]
+    write: Callable[[MeshData, dict[str, Any], Path], bytes]
     has_texture: bool = False
 
 

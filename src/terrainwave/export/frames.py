@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from terrainwave.arguments import AS_IS
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
-from terrainwave.export.mesh import Mesh
+from terrainwave.export.mesh_data import MeshData
 from terrainwave.place.position import LocalAxes, Place, place_of
 from terrainwave.place.units import height_unit
 from terrainwave.place.vertical import (
@@ -22,7 +22,7 @@ from terrainwave.place.vertical import (
 FRAMES = ("local", "native", "ecef")
 
 
-def find_place(mesh: Mesh, *, radius: float | None = None, has_frames: bool = False) -> Place:
+def find_place(mesh: MeshData, *, radius: float | None = None, has_frames: bool = False) -> Place:
     """Say how the mesh's coordinates are meant; see `place_of`."""
     is_placed = mesh.attributes.get("is_placed") is not False
     return place_of(
@@ -31,18 +31,18 @@ def find_place(mesh: Mesh, *, radius: float | None = None, has_frames: bool = Fa
 
 
 def to_frame(
-    mesh: Mesh,
+    mesh: MeshData,
     frame: str | None = None,
     *,
     z_scale: float = 1.0,
     radius: float | None = None,
     vertical: str = AS_IS,
-) -> Mesh:
+) -> MeshData:
     """Return the mesh in a frame; `error` stays in the file's unit.
 
     Parameters
     ----------
-    mesh : Mesh
+    mesh : MeshData
         In the coordinates of its CRS.
     frame : {"local", "native", "ecef"}, optional
         ``local``: metres from the middle of the mesh, x to the east, y to the north, z the height.
@@ -62,7 +62,7 @@ def to_frame(
 
     Returns
     -------
-    mesh : Mesh
+    mesh : MeshData
         ``attributes["frame"]`` tells what was done: ``name``, ``z_scale``, ``unit`` and, for
         ``local``, ``centre`` in the CRS, ``metres`` per unit of x, y and height, and ``axes``
         where x does not go east and y north: the directions of the CRS's x and y; for ``ecef``
@@ -95,7 +95,7 @@ def to_frame(
     return _ecef(mesh, place, z_scale, vertical)
 
 
-def _native(mesh: Mesh, z_scale: float) -> Mesh:
+def _native(mesh: MeshData, z_scale: float) -> MeshData:
     x, y, height = mesh.origin
     return replace(
         mesh,
@@ -105,7 +105,7 @@ def _native(mesh: Mesh, z_scale: float) -> Mesh:
     )
 
 
-def _local(mesh: Mesh, place: Place, z_scale: float) -> Mesh:
+def _local(mesh: MeshData, place: Place, z_scale: float) -> MeshData:
     left, bottom, right, top = mesh.bounds
     centre = ((left + right) / 2, (bottom + top) / 2)
     axes = place.local_axes(*centre)
@@ -130,12 +130,12 @@ def _local(mesh: Mesh, place: Place, z_scale: float) -> Mesh:
     )
 
 
-def _facing_up(mesh: Mesh, axes: LocalAxes) -> NDArray[np.int32]:
+def _facing_up(mesh: MeshData, axes: LocalAxes) -> NDArray[np.int32]:
     """Return triangles that are counter-clockwise on the ground, as they are in x and y."""
     return mesh.triangles[:, ::-1] if axes.is_mirrored else mesh.triangles
 
 
-def _ecef(mesh: Mesh, place: Place, z_scale: float, vertical: str) -> Mesh:
+def _ecef(mesh: MeshData, place: Place, z_scale: float, vertical: str) -> MeshData:
     place.note_sphere()
     placed = on_ellipsoid(mesh, place, vertical)
     points = placed.points.copy()
@@ -154,7 +154,7 @@ def _ecef(mesh: Mesh, place: Place, z_scale: float, vertical: str) -> Mesh:
     )
 
 
-def globe_triangles(mesh: Mesh, place: Place) -> NDArray[np.int32]:
+def globe_triangles(mesh: MeshData, place: Place) -> NDArray[np.int32]:
     """Return triangles that face outwards on the globe."""
     return _facing_up(mesh, LocalAxes(*place.directions))
 
@@ -171,7 +171,7 @@ class PlacedPoints(NamedTuple):
     error: float
 
 
-def on_ellipsoid(mesh: Mesh, place: Place, vertical: str) -> PlacedPoints:
+def on_ellipsoid(mesh: MeshData, place: Place, vertical: str) -> PlacedPoints:
     """Return the vertices of a mesh on the globe, their heights above the ellipsoid.
 
     Raises
@@ -204,14 +204,14 @@ _INSIDE = np.array([[1, 1, 0], [0, 1, 1], [1, 0, 1], [2 / 3, 2 / 3, 2 / 3]]) / 2
 _BENT = 4 / 3
 
 
-def geographic_points(mesh: Mesh, place: Place) -> NDArray[np.float64]:
+def geographic_points(mesh: MeshData, place: Place) -> NDArray[np.float64]:
     """Return (longitude, latitude in degrees, height in metres) of the vertices.
 
     On WGS 84 for the Earth, else on the datum of the CRS.
 
     Parameters
     ----------
-    mesh : Mesh
+    mesh : MeshData
     place : Place
         `find_place` of the mesh.
 
@@ -230,11 +230,11 @@ def geographic_points(mesh: Mesh, place: Place) -> NDArray[np.float64]:
     return points
 
 
-def _attributes(mesh: Mesh, name: str, z_scale: float, unit: str | None) -> dict[str, Any]:
+def _attributes(mesh: MeshData, name: str, z_scale: float, unit: str | None) -> dict[str, Any]:
     return mesh.attributes | {"frame": {"name": name, "z_scale": z_scale, "unit": unit}}
 
 
-def areas(mesh: Mesh) -> NDArray[np.float64]:
+def areas(mesh: MeshData) -> NDArray[np.float64]:
     """Return twice the areas of the triangles seen from above; positive is counter-clockwise."""
     xy = mesh.vertices[:, :2]
     a, b, c = (xy[mesh.triangles[:, corner]] for corner in range(3))
@@ -243,7 +243,7 @@ def areas(mesh: Mesh) -> NDArray[np.float64]:
     return twice
 
 
-def steepest(mesh: Mesh) -> tuple[float, float]:
+def steepest(mesh: MeshData) -> tuple[float, float]:
     """Return the largest |∂z/∂x| and |∂z/∂y| of the triangles that face upwards."""
     corners = mesh.vertices[mesh.triangles[areas(mesh) > 0]]
     if not len(corners):
@@ -252,3 +252,10 @@ def steepest(mesh: Mesh) -> tuple[float, float]:
     normals = np.cross(along, across)
     slopes = np.abs(normals[:, :2] / normals[:, 2:])
     return float(slopes[:, 0].max()), float(slopes[:, 1].max())
+
+
+def longest_edge(mesh: MeshData) -> float:
+    """Return the length of the longest edge."""
+    corners = mesh.vertices[mesh.triangles]
+    edges = corners - np.roll(corners, 1, axis=1)
+    return float(np.linalg.norm(edges, axis=2).max())

@@ -14,14 +14,14 @@ from rasterio.errors import CRSError
 from terrainwave.errors import TerrainwaveWarning
 from terrainwave.file import TerrainFile
 from terrainwave.place.description import Description, read_projjson
-from terrainwave.raster_io.info import RasterInfo
-from terrainwave.raster_io.sidecar import (
+from terrainwave.raster_io.geotiff.sidecar import (
     SIDECAR,
     crs_of_geotiff,
     read_crs_and_unit,
     remove_beside,
     write_beside,
 )
+from terrainwave.raster_io.info import RasterInfo
 
 _SAME_FACTOR = 1e-7
 

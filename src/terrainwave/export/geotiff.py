@@ -23,7 +23,7 @@ from terrainwave.export.height_tiles import write_height_tile
 from terrainwave.file import TerrainFile
 from terrainwave.place.vertical import check_vertical
 from terrainwave.progress import ProgressCallback, Reporter
-from terrainwave.raster_io.sink import RasterSink
+from terrainwave.raster_io.geotiff.sink import RasterSink
 
 # Samples of one window: whole rows of groups where they fit, 32 MiB of float64.
 _WINDOW_SAMPLES = 4 << 20

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.export.frames import areas, find_place
-from terrainwave.export.mesh import Mesh
+from terrainwave.export.mesh_data import MeshData
 from terrainwave.extras import need
 from terrainwave.place.position import axis_labels
 from terrainwave.place.units import height_unit, unit_text
@@ -49,7 +49,7 @@ def colours_of_heights(
     return colors.ListedColormap(whole(shares), name="heights")
 
 
-def plot(mesh: Mesh, ax: Any, *, wireframe: bool, cmap: str | None) -> Any:
+def plot(mesh: MeshData, ax: Any, *, wireframe: bool, cmap: str | None) -> Any:
     """Draw a mesh; see `Mesh.plot`."""
     pyplot = need("matplotlib.pyplot", extra="demo")
     collections = need("matplotlib.collections", extra="demo")
@@ -91,7 +91,7 @@ def plot(mesh: Mesh, ax: Any, *, wireframe: bool, cmap: str | None) -> Any:
     return ax
 
 
-def _labels(mesh: Mesh) -> tuple[str, str]:
+def _labels(mesh: MeshData) -> tuple[str, str]:
     frame = mesh.attributes.get("frame", {}).get("name", "native")
     if frame == "native":
         return axis_labels(mesh.crs, is_placed=mesh.attributes.get("is_placed") is not False)

@@ -19,15 +19,15 @@ from terrainwave.arguments import AS_IS
 from terrainwave.container.publish import publish
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.export.files import SavedMesh, longest_edge
 from terrainwave.export.frames import (
     areas,
     find_place,
     globe_triangles,
+    longest_edge,
     on_ellipsoid,
     steepest,
 )
-from terrainwave.export.mesh import Mesh
+from terrainwave.export.mesh_data import MeshData, SavedMesh
 from terrainwave.extras import need
 from terrainwave.place.ellipsoid import Ellipsoid
 from terrainwave.place.units import height_unit
@@ -53,11 +53,13 @@ class Tile(NamedTuple):
 class GeographicMesh:
     """A mesh in degrees and metres, and the ellipsoid these are counted on."""
 
-    mesh: Mesh
+    mesh: MeshData
     ellipsoid: Ellipsoid
 
 
-def on_globe(mesh: Mesh, *, radius: float | None = None, vertical: str = AS_IS) -> GeographicMesh:
+def on_globe(
+    mesh: MeshData, *, radius: float | None = None, vertical: str = AS_IS
+) -> GeographicMesh:
     """Return the mesh in longitude, latitude (degrees) and metres.
 
     Meshes of the Earth go to WGS 84, which Cesium uses; others stay on their own body. Heights are
@@ -85,7 +87,7 @@ def on_globe(mesh: Mesh, *, radius: float | None = None, vertical: str = AS_IS) 
     return GeographicMesh(moved, place.globe_ellipsoid)
 
 
-def _metres(mesh: Mesh) -> float:
+def _metres(mesh: MeshData) -> float:
     """Return the length of a unit of heights in metres."""
     return abs(height_unit(mesh.units, mesh.crs).metres)
 
@@ -174,7 +176,7 @@ def _occlusion_point(points: NDArray[np.float64], ellipsoid: Ellipsoid) -> dict[
     return dict(zip(names, (direction * far).tolist(), strict=True))
 
 
-def _in_order_of_use(mesh: Mesh) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _in_order_of_use(mesh: MeshData) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return vertices in the order in which triangles first use them, as the format wants."""
     used, first, places = np.unique(mesh.triangles.ravel(), return_index=True, return_inverse=True)
     order = np.argsort(first)
@@ -194,14 +196,14 @@ def _quantize(
     steps = np.clip(np.rint((points - start) / size * STEPS), 0, STEPS)
     written = start + steps / STEPS * size
     moved = np.abs(written - points).max(axis=0)
-    flat = Mesh(points, triangles.astype(np.int32), (0.0, 0.0, 0.0), 0.0)
+    flat = MeshData(points, triangles.astype(np.int32), (0.0, 0.0, 0.0), 0.0)
     slope_x, slope_y = steepest(flat)
     rounding = float(moved[2] + slope_x * moved[0] + slope_y * moved[1])
     return steps.astype(np.int16), rounding, low, high
 
 
 def save_tile(
-    mesh: Mesh,
+    mesh: MeshData,
     path: str | os.PathLike[str],
     *,
     radius: float | None = None,
@@ -232,7 +234,7 @@ def save_tile(
     )
 
 
-def tile_rounding(mesh: Mesh, *, radius: float | None = None, vertical: str = AS_IS) -> float:
+def tile_rounding(mesh: MeshData, *, radius: float | None = None, vertical: str = AS_IS) -> float:
     """Return the error that `save_tile` would add to the mesh's, in the file's unit."""
     globe = on_globe(mesh, radius=radius, vertical=vertical)
     points, triangles = _in_order_of_use(globe.mesh)

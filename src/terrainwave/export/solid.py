@@ -9,7 +9,7 @@ from terrainwave.errors import (
     InvalidArgumentError,
     InvalidHeightsError,
 )
-from terrainwave.export.mesh import Mesh
+from terrainwave.export.mesh_data import MeshData
 
 # How far a vertex that joins two corners is moved into each of them, as a share of the way to the
 # middle of a triangle there; halved while a triangle would turn over.
@@ -17,7 +17,7 @@ _FIRST_SHARE = 1 / 1024
 _HALVINGS = 20
 
 
-def solidify(mesh: Mesh, base: float) -> Mesh:
+def solidify(mesh: MeshData, base: float) -> MeshData:
     """Close the mesh with walls along all its borders, those of voids too, and a flat base.
 
     The base has the triangles of the surface, turned over. Where two parts of the surface touch
@@ -26,14 +26,14 @@ def solidify(mesh: Mesh, base: float) -> Mesh:
 
     Parameters
     ----------
-    mesh : Mesh
+    mesh : MeshData
         Counter-clockwise seen from above.
     base : float
         Height of the base in the file's unit; below the lowest vertex.
 
     Returns
     -------
-    mesh : Mesh
+    mesh : MeshData
         ``attributes["solid"]`` holds ``base`` and ``moved``: how far, in units of the CRS, a
         doubled vertex was moved at most.
 

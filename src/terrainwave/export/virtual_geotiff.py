@@ -14,9 +14,9 @@ from terrainwave.cache import Cache
 from terrainwave.export.georeference import info_to_write, warn_of_crs
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Region
+from terrainwave.raster_io.geotiff.sink import TILE
+from terrainwave.raster_io.geotiff.sparse import Plane, sparse_geotiff
 from terrainwave.raster_io.info import stored_nodata
-from terrainwave.raster_io.sink import TILE
-from terrainwave.raster_io.sparse import Plane, sparse_geotiff
 
 # Made tiles that are kept: GDAL reads heights and mask of one place after each other.
 _CACHE_BYTES = 32 << 20

@@ -14,10 +14,10 @@ from terrainwave.arguments import crs_name, in_one_line
 from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.file import TerrainFile
 from terrainwave.place.bodies import EARTH
-from terrainwave.render.frame import frame_of
-from terrainwave.render.png import encode_png
-from terrainwave.render.ramps import N_COLORS, ramp_colors
-from terrainwave.render.water import DEEP, find_water, may_have_water, waves_of
+from terrainwave.render.look.png import encode_png
+from terrainwave.render.look.ramps import N_COLORS, ramp_colors
+from terrainwave.render.look.water import DEEP, find_water, may_have_water, waves_of
+from terrainwave.render.scene.frame import frame_of
 
 # Pixels of the picture's longer side.
 _SIDE = 320

@@ -23,8 +23,8 @@ from terrainwave.globe.lonlat import Globe
 from terrainwave.globe.polynomials import FittedPlaces, fit_places
 from terrainwave.names import METHODS, methods_that
 from terrainwave.progress import ProgressCallback, Reporter
-from terrainwave.render.colorings import AUTO
-from terrainwave.render.style import check_sea_level
+from terrainwave.render.look.colorings import AUTO
+from terrainwave.render.look.style import check_sea_level
 
 # What every such folder has.
 LIST = "terrains.json"

@@ -2,8 +2,9 @@
 
 from typing import Any
 
+from terrainwave.export.files import to_pyvista
 from terrainwave.export.frames import to_frame
-from terrainwave.export.mesh import Mesh
+from terrainwave.export.mesh_data import MeshData
 from terrainwave.file import TerrainFile
 from terrainwave.mesh.area import mesh_area
 
@@ -52,9 +53,9 @@ def read_twz(
             terrain, window, bounds=bounds, level=level, max_error=max_error,
             max_triangles=max_triangles,
         )  # fmt: skip
-        mesh = Mesh(*area_mesh)
+        mesh = MeshData(*area_mesh)
         placed = to_frame(mesh, frame, z_scale=z_scale)
-        surface = placed.to_pyvista()
+        surface = to_pyvista(placed)
         surface.point_data["heights"] = mesh.points[:, 2]
         surface.set_active_scalars("heights")
         surface.field_data["origin"] = placed.origin

@@ -33,8 +33,8 @@ from terrainwave.globe.lonlat import Extent, Globe, Window
 from terrainwave.mesh.blocks import BlockSamples, SideTolerances, border_lines
 from terrainwave.place.vertical import check_vertical, describe_as_is, note_as_is
 from terrainwave.progress import ProgressCallback, Reporter
-from terrainwave.tri.borders import beside_void
-from terrainwave.tri.halves import triangulate
+from terrainwave.tri.halves.borders import beside_void
+from terrainwave.tri.halves.halves import triangulate
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.surface import deviation_at_points
 

@@ -42,9 +42,9 @@ from terrainwave.mesh.loose import LooseMesher
 from terrainwave.mesh.outlines import CoveredSamples, finest_outline
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.progress import ProgressCallback, Reporter
-from terrainwave.tri.halves import Lines, triangulate
+from terrainwave.tri.halves.halves import Lines, triangulate
+from terrainwave.tri.halves.simplify import simplify
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
-from terrainwave.tri.simplify import simplify
 from terrainwave.tri.surface import deviation_from_bilinear, largest_deviation
 
 # Coarse blocks whose heights take at most this share of the error asked for are not refined.

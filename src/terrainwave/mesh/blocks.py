@@ -27,12 +27,12 @@ from terrainwave.grid.shares import shares_of
 from terrainwave.mesh.coefficients import BlockCoefficients
 from terrainwave.mesh.trees import ZeroTrees
 from terrainwave.names import UNBOUNDED_MESHES
-from terrainwave.tri.borders import beside_void, vertices_of_lines
-from terrainwave.tri.halves import Lines, triangulate
-from terrainwave.tri.labels import Trees
+from terrainwave.tri.halves.borders import beside_void, vertices_of_lines
+from terrainwave.tri.halves.halves import Lines, triangulate
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh, no_mesh
 from terrainwave.tri.stored import STORED_KINDS, has_triangles
 from terrainwave.tri.surface import largest_deviation
+from terrainwave.tri.zerotree.labels import Trees
 
 # Of a coarse block's error against the originals, the share its mesh may add (Y10 §2.8).
 _MESH_SHARE = 4

@@ -1,7 +1,7 @@
 """Meshes of a subtree's blocks while they agree with those beside them on border vertices.
 
-Rounds are those of `tri.agreement`: a block's draft is a function of its samples and of the
-vertices it was told to keep, so that a state holds these and what came of them, and no draft.
+Rounds are those of `tri.zerotree.agreement`: a block's draft is a function of its samples and of
+the vertices it was told to keep, so that a state holds these and what came of them, and no draft.
 """
 
 from collections.abc import Iterable, Mapping
@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.blocks import BlockMesher
-from terrainwave.tri import agreement
-from terrainwave.tri.agreement import BorderVertices
 from terrainwave.tri.stored import STORED_KINDS, Draft, has_triangles
+from terrainwave.tri.zerotree import agreement
+from terrainwave.tri.zerotree.agreement import BorderVertices
 
 Demands = Mapping[Block, BorderVertices | None]
 

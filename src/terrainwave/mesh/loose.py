@@ -13,10 +13,10 @@ from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.mesh.trees import layer_source, tree_source
-from terrainwave.tri.agreement import BorderVertices, Position, agree, border_of_cut
-from terrainwave.tri.connect import LooseMesh, loose_mesh
 from terrainwave.tri.mesh import BlockMesh, no_mesh
 from terrainwave.tri.stored import has_triangles
+from terrainwave.tri.zerotree.agreement import BorderVertices, Position, agree, border_of_cut
+from terrainwave.tri.zerotree.connect import LooseMesh, loose_mesh
 
 
 class LooseMesher:
@@ -36,7 +36,7 @@ class LooseMesher:
     ) -> dict[Block, BlockMesh]:
         """Return the meshes of blocks of one level, with the same vertices on shared borders.
 
-        `run` as in `tri.agreement.agree`. Blocks without triangles are left out.
+        `run` as in `tri.zerotree.agreement.agree`. Blocks without triangles are left out.
         """
         meshed = [block for block in blocks if self._mesher.has_mesh(block)]
         if not meshed:

@@ -12,8 +12,8 @@ from terrainwave.mesh.blocks import BlockMesher, LevelSamples
 from terrainwave.mesh.coefficients import coefficient_source
 from terrainwave.mesh.trees import ZeroTrees, tree_source
 from terrainwave.read.decoder import TreeDecoder, unit_key
-from terrainwave.tri.agreement import BorderVertices, Position, agree
 from terrainwave.tri.stored import STORED_KINDS, Draft
+from terrainwave.tri.zerotree.agreement import BorderVertices, Position, agree
 
 _CACHED_SECTIONS = 64
 
@@ -86,9 +86,9 @@ def make_sections(
 
     Notes
     -----
-    Blocks of a level agree on their borders in rounds (`tri.agreement`), so that one level's drafts
-    are held at a time, packed: for rasters of up to some hundred million samples. The sections
-    themselves are held as well. The bytes don't depend on the executor.
+    Blocks of a level agree on their borders in rounds (`tri.zerotree.agreement`), so that one
+    level's drafts are held at a time, packed: for rasters of up to some hundred million samples.
+    The sections themselves are held as well. The bytes don't depend on the executor.
     """
     if mesher.kind not in STORED_KINDS:
         return {}

@@ -6,15 +6,15 @@ import numpy as np
 
 from terrainwave.grid.quadtree import Block
 from terrainwave.read.decoder import TreeDecoder, unit_key
-from terrainwave.tri.labels import Trees
-from terrainwave.tri.layers import layer_trees
+from terrainwave.tri.zerotree.labels import Trees
+from terrainwave.tri.zerotree.layers import layer_trees
 
 # Of a block and its tolerance, in 1/16 quanta; None where nothing is known of the group below it.
 ZeroTrees = Callable[[Block, int], Trees | None]
 
 
 def layer_source(decoder: TreeDecoder) -> ZeroTrees:
-    """Return the trees of decoded difference layers (`tri.layers`)."""
+    """Return the trees of decoded difference layers (`tri.zerotree.layers`)."""
 
     def trees(block: Block, tolerance: int) -> Trees:
         grid = decoder.grid

@@ -15,7 +15,7 @@ from rasterio.enums import MaskFlags
 from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
 from rasterio.windows import Window
 
-from terrainwave.container.addresses import display_name, without_secrets
+from terrainwave.container.sources.addresses import display_name, without_secrets
 from terrainwave.errors import (
     InvalidArgumentError,
     InvalidHeightsError,

@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
-from terrainwave.codec.cdf53 import (
+from terrainwave.codec.cdf53.refiner import (
     TileHead,
     finest_position,
     packed_length,
@@ -11,7 +11,7 @@ from terrainwave.codec.cdf53 import (
     prefix_length,
     unpack_head,
 )
-from terrainwave.codec.tiles import TileLayout
+from terrainwave.codec.cdf53.tiles import TileLayout
 from terrainwave.container.reader import Container
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.grid.quadtree import Block

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.cdf53 import LevelHeights, decode_masks, unpack_head
+from terrainwave.codec.cdf53.refiner import LevelHeights, decode_masks, unpack_head
 from terrainwave.codec.group import read_head
 from terrainwave.codec.refiner import Decoded, Heights, Mask
 from terrainwave.container.header import Header

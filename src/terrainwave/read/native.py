@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.container.header import KNOWN_FEATURES, Header
-from terrainwave.container.ranges import ByteRange
 from terrainwave.container.reader import Container
+from terrainwave.container.sources.ranges import ByteRange
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.forks import renew_after_fork
 from terrainwave.grid.quadtree import Region

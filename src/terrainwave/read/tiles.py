@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
-from terrainwave.codec.cdf53 import LevelHeights, decode_tile
+from terrainwave.codec.cdf53.refiner import LevelHeights, decode_tile
+from terrainwave.codec.cdf53.tiles import TileLayout
 from terrainwave.codec.refiner import Decoded, Heights
 from terrainwave.codec.registry import refiner_by_name
-from terrainwave.codec.tiles import TileLayout
 from terrainwave.codec.units import unit_spec
 from terrainwave.coding.lifting53 import forward_transform, places_of
 from terrainwave.container.header import Header

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.codec.masks import is_whole
 from terrainwave.codec.refiner import Decoded
-from terrainwave.codec.whole import is_whole
 from terrainwave.errors import CorruptStreamError, StorageError
 from terrainwave.forks import renew_after_fork
 from terrainwave.grid.quadtree import Block, Region

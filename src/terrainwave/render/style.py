@@ -1,140 +1,18 @@
-"""How a picture looks; no GPU."""
+"""Where `Style` was before 1.1; `terrainwave.render.look.style` has it."""
 
-import math
-from dataclasses import dataclass
-
-from terrainwave.errors import (
-    InvalidArgumentError,
-)
-from terrainwave.place.bodies import EARTH, MARS, MOON, OTHER, UNKNOWN
-from terrainwave.render.colorings import AUTO, NO_SEA, RAMP_NAMES
-
-# The shader's numbers.
-_RAMP, _LEVEL, _ERROR, _GROUND, _PLAIN, _FLAT, _SLOPE = range(7)
-COLORINGS = {
-    "auto": _GROUND,
-    "absolute": _GROUND,
-    "relative": _GROUND,
-    "ramp": _RAMP,
-    "slope": _SLOPE,
-    "plain": _PLAIN,
-    "level": _LEVEL,
-    "error": _ERROR,
-    "flat": _FLAT,
-}
-_NAMES = {MOON: "the Moon", MARS: "Mars", OTHER: "another body"}
-_RAMP_OF_BODY = {EARTH: "tints", UNKNOWN: "tints", MARS: "mars"}
+import warnings
+from typing import Any
 
 
-def check_sea_level(value: str | float) -> None:
-    """Refuse what is no sea level.
+def __getattr__(name: str) -> Any:
+    if name != "Style":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from terrainwave.render.look.style import Style
 
-    Raises
-    ------
-    InvalidArgumentError
-        If it is neither a word for one nor a finite number.
-    """
-    is_good = value in (AUTO, NO_SEA) if isinstance(value, str) else math.isfinite(value)
-    if not is_good:
-        raise InvalidArgumentError(
-            f"found `sea_level` {value}, expected {AUTO}, {NO_SEA} or a height"
-        )
-
-
-@dataclass(frozen=True)
-class Style:
-    """How the picture looks.
-
-    Parameters
-    ----------
-    coloring : str
-        One of `colorings.MEANINGS`, which says what each is.
-    ramp : {"auto", "tints", "cividis", "grey", "mars"}
-        Of relative colours; by default that of the body. With ``auto`` as `coloring`, another one
-        than ``tints`` asks for relative colours.
-    sea_level : {"auto", "none"} or float
-        Of absolute colours: the height in the file's unit at and below which all is water, or none.
-        With ``auto``, water is what is level at 0, and what lies below 0 where that hangs together
-        with heights below -450 m, under which there is no dry land (`water`).
-    sun : tuple of float
-        Azimuth and altitude in degrees.
-    haze : float
-        0 none … 1 much.
-    shade : float
-        Share of light and shadow, 0 … 1.
-    drape : float
-        Share of the orthophoto where there is one, 0 … 1.
-    wireframe : bool
-    background : tuple of int, optional
-        Red, green, blue instead of the sky and the ground; haze too has this colour.
-    solid : bool
-        Walls at the raster's sides, a floor, and a hatch over voids. Never with ``flat`` and with
-        `wireframe`, which show the mesh alone.
-    """
-
-    coloring: str = "auto"
-    ramp: str = AUTO
-    sea_level: str | float = AUTO
-    sun: tuple[float, float] = (315.0, 38.0)
-    haze: float = 0.25
-    shade: float = 1.0
-    drape: float = 1.0
-    wireframe: bool = False
-    background: tuple[int, int, int] | None = None
-    solid: bool = True
-
-    def __post_init__(self) -> None:
-        if self.coloring not in COLORINGS:
-            raise InvalidArgumentError(
-                f"found `coloring` {self.coloring!r}, expected one of {', '.join(COLORINGS)}"
-            )
-        if self.ramp not in (AUTO, *RAMP_NAMES):
-            raise InvalidArgumentError(
-                f"found `ramp` {self.ramp!r}, expected one of {', '.join((AUTO, *RAMP_NAMES))}"
-            )
-
-        check_sea_level(self.sea_level)
-
-    @property
-    def has_legend(self) -> bool:
-        """Say whether colours are values that a legend can explain."""
-        return COLORINGS[self.coloring] in (_RAMP, _GROUND, _SLOPE, _ERROR)
-
-    def is_absolute(self, body: str) -> bool:
-        """Say whether heights on a body get the Earth's colours by metres."""
-        if self.coloring == "absolute":
-            return body in (EARTH, UNKNOWN)
-        return self.coloring == "auto" and body == EARTH and self.ramp in (AUTO, "tints")
-
-    def ramp_on(self, body: str) -> str:
-        """Return the ramp of relative colours on a body."""
-        return _RAMP_OF_BODY.get(body, "grey") if self.ramp == AUTO else self.ramp
-
-    def check_body(self, body: str) -> None:
-        """Refuse the Earth's colours for another body.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If they were asked for.
-        """
-        if self.coloring == "absolute" and not self.is_absolute(body):
-            raise InvalidArgumentError(
-                "found `coloring` absolute, whose water and snow are the Earth's, and a raster on"
-                f" {_NAMES[body]}: expected `coloring` relative"
-            )
-
-    @property
-    def draws_solid(self) -> bool:
-        """Say whether walls, floor and lids are drawn."""
-        return self.solid and not self.wireframe and self.coloring != "flat"
-
-    @property
-    def sun_vector(self) -> tuple[float, float, float]:
-        """Return the unit vector towards the sun."""
-        azimuth, altitude = (math.radians(angle) for angle in self.sun)
-        return (
-            math.sin(azimuth) * math.cos(altitude),
-            math.cos(azimuth) * math.cos(altitude),
-            math.sin(altitude),
-        )
+    warnings.warn(
+        "found terrainwave.render.style.Style, which goes in 2.0: import Style from"
+        " terrainwave.render.look.style",
+        DeprecationWarning,
+        stacklevel=2,
+    )
+    return Style

@@ -1,8 +1,8 @@
 """The kinds of meshes that files store bytes of: what a block's bytes are, and its mesh of them.
 
 `halves` follows from decoded samples alone. The border vertices of these kinds depend on what the
-neighbours' insides need (`agreement`), so each block's bytes tell what its own samples do not:
-`zerotree` the whole cut, `rqt` the border vertices that its own selection has not.
+neighbours' insides need (`zerotree.agreement`), so each block's bytes tell what its own samples do
+not: `zerotree` the whole cut, `rqt` the border vertices that its own selection has not.
 """
 
 import zlib
@@ -22,13 +22,13 @@ from terrainwave.coding.rangecoder import (
 )
 from terrainwave.coding.status import raise_for_status
 from terrainwave.errors import CorruptStreamError
-from terrainwave.tri.agreement import BorderVertices, border_of, border_of_cut
-from terrainwave.tri.connect import mesh_of_cut
-from terrainwave.tri.guarantee import guaranteed_cut
-from terrainwave.tri.labels import Trees
 from terrainwave.tri.mesh import BlockMesh
-from terrainwave.tri.refinement import decode_refinement, encode_refinement
-from terrainwave.tri.rqt import Selection, rqt_mesh, select_vertices, vertices_of
+from terrainwave.tri.rqt.stored import Selection, rqt_mesh, select_vertices, vertices_of
+from terrainwave.tri.zerotree.agreement import BorderVertices, border_of, border_of_cut
+from terrainwave.tri.zerotree.connect import mesh_of_cut
+from terrainwave.tri.zerotree.guarantee import guaranteed_cut
+from terrainwave.tri.zerotree.labels import Trees
+from terrainwave.tri.zerotree.refinement import decode_refinement, encode_refinement
 
 # A border line has at most 4097 samples; contexts: spacing, and how many ends are vertices.
 _N_SPACINGS = 13
@@ -102,7 +102,7 @@ def _kept(samples: Samples, demanded: BorderVertices | None) -> NDArray[np.bool_
 
 
 class Zerotree:
-    """Algorithm I; the bytes are its refinement labels (`refinement`).
+    """Algorithm I; the bytes are its refinement labels (`zerotree.refinement`).
 
     With zero trees the mesh is nowhere coarser than they are, and labels tell the difference.
     """

@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.arguments import check_local, checked_threads
-from terrainwave.codec.border import shared_samples
 from terrainwave.codec.group import HAS_CORRECTIONS
 from terrainwave.codec.refiner import FREE, Decoded, GroupSpec, Heights, Mask
 from terrainwave.codec.registry import refiner_by_name
+from terrainwave.codec.shared_lines import shared_samples
 from terrainwave.codec.units import block_of_unit
 from terrainwave.container.codes import decode_error, decode_range, encode_error, encode_range
 from terrainwave.container.header import HAS_CORRECTIONS as CORRECTIONS_FEATURE

@@ -24,8 +24,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from terrainwave.codec.cdf53.tiles import TileLayout
 from terrainwave.codec.refiner import Heights, Mask
-from terrainwave.codec.tiles import TileLayout
 from terrainwave.coding.filters import lowpass_analysis
 from terrainwave.coding.lifting53 import lowpass_window
 from terrainwave.grid.convert import UNKNOWN, pull, push

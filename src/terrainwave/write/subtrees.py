@@ -327,10 +327,11 @@ def _stored_mesher(
 
 
 def draft_subtree(site: Site, head: Block, rounds: dict[Block, int], number: int) -> bool:
-    """Make a round of drafts of a subtree's meshes (`tri.agreement`); return whether any changed.
+    """Make a round of drafts of a subtree's meshes; return whether any changed.
 
-    `rounds` are the numbers of the last rounds that changed something, of this subtree and those
-    beside it; empty in the first round. What has changed lies in the depot.
+    See `tri.zerotree.agreement`. `rounds` are the numbers of the last rounds that changed
+    something, of this subtree and those beside it; empty in the first round. What has changed lies
+    in the depot.
     """
     states = {
         start: BorderState.from_arrays(site.depot.load(_state_name(site, start, last)))

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from terrainwave.codec.cdf53 import (
+from terrainwave.codec.cdf53.refiner import (
     CodedTile,
     LevelHeights,
     decode_tile,
@@ -19,9 +19,9 @@ from terrainwave.codec.cdf53 import (
     plane_cut,
     unpack_tile,
 )
-from terrainwave.codec.ownmask import Validity
+from terrainwave.codec.cdf53.tiles import TileLayout, TileSpec
+from terrainwave.codec.own_masks import Validity
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask
-from terrainwave.codec.tiles import TileLayout, TileSpec
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.errors import (
     InvalidArgumentError,

@@ -45,8 +45,8 @@ from terrainwave.globe.cesium import MAX_ZOOM as LAST_MESH_ZOOM
 from terrainwave.globe.cesium import TilePyramid
 from terrainwave.globe.lonlat import Globe
 from terrainwave.globe.terrain_rgb import Look
-from terrainwave.render.colorings import AUTO
-from terrainwave.render.style import check_sea_level
+from terrainwave.render.look.colorings import AUTO
+from terrainwave.render.look.style import check_sea_level
 
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "[::1]")
 # Tiles of a file that are kept: the page asks for the heights and the voids of one place.

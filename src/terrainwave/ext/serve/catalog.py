@@ -10,8 +10,8 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
 from terrainwave.place.ellipsoid import EARTH
-from terrainwave.render.colorings import AUTO, NO_SEA
-from terrainwave.render.ramps import RAMPS, ramp_stops
+from terrainwave.render.look.colorings import AUTO, NO_SEA
+from terrainwave.render.look.ramps import RAMPS, ramp_stops
 
 # Names of tags that say where data are from, and whose they are.
 _ORIGIN = re.compile(

@@ -1,21 +1,20 @@
 """Each block from its own guaranteed mesh (Yusov & Turlapov 2010, §2.8): the default."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.mesh.level_errors import recursive_errors
 from terrainwave.progress import ProgressCallback, Reporter
-from terrainwave.render.frame import Frame
 from terrainwave.render.modes.bounded import BoundedMode
-from terrainwave.render.patches import Patch, PatchBuilder
-from terrainwave.render.selection import NodeInfo, Piece
+from terrainwave.render.scene.frame import Frame
+from terrainwave.render.scene.patches import Patch, PatchBuilder
+from terrainwave.render.scene.selection import NodeInfo, Piece
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
-    from terrainwave.render.patch_surface import PatchSurface
 
 
 class Adaptive(BoundedMode):
@@ -70,10 +69,3 @@ class Adaptive(BoundedMode):
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> Patch:
         """Return the patch of a piece."""
         return self.builder.build(piece, is_cancelled)
-
-    @staticmethod
-    def surface(context: Any, side: int, *, max_bytes: int) -> "PatchSurface":
-        """Return buffers for patches and the program that draws them."""
-        from terrainwave.render.patch_surface import PatchSurface
-
-        return PatchSurface(context, side, max_bytes=max_bytes)

@@ -16,7 +16,7 @@ beneath it, and it is stored (docs/decisions/0017-neville-levels-on-demand.md).
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,19 +27,18 @@ from terrainwave.grid.measure import with_outside
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.progress import ProgressCallback
 from terrainwave.read.decoder import unit_key, units_of
-from terrainwave.render.camera import Camera, Viewport, focal_length
-from terrainwave.render.frame import Frame
 from terrainwave.render.modes.bounded import BoundedMode
 from terrainwave.render.modes.mode import Frames
 from terrainwave.render.modes.neville import ORDERS, filtered
 from terrainwave.render.modes.regular import fill_parent_heights, largest_deviation
-from terrainwave.render.patches import Cancelled, PatchBuilder
-from terrainwave.render.scales import FLOAT32_ROUNDING, HeightScale
-from terrainwave.render.selection import NodeInfo, NodeTable, Piece, Selection, View
+from terrainwave.render.scene.camera import Camera, Viewport, focal_length
+from terrainwave.render.scene.frame import Frame
+from terrainwave.render.scene.patches import Cancelled, PatchBuilder
+from terrainwave.render.scene.scales import FLOAT32_ROUNDING, HeightScale
+from terrainwave.render.scene.selection import NodeInfo, NodeTable, Piece, Selection, View
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
-    from terrainwave.render.modes.block_surface import BlockSurface
 
 # μ of ε_l = μ g_l where none is asked for; they show 0.5 and 1.
 MU = 0.5
@@ -318,13 +317,6 @@ class Batched(BoundedMode):
             nodes, distances, morphs, (steepest + 1) * errors,
             selection.n_triangles, tau * view.flatness, n_missing,
         )  # fmt: skip
-
-    @staticmethod
-    def surface(context: Any, side: int, *, max_bytes: int) -> "BlockSurface":
-        """Return textures of blocks and the program that draws them."""
-        from terrainwave.render.modes.block_surface import BlockSurface
-
-        return BlockSurface(context, side, max_bytes=max_bytes)
 
 
 def n_grid_triangles(side: int) -> int:

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.progress import ProgressCallback
-from terrainwave.render.frame import Frame
 from terrainwave.render.modes.mode import Frames, Mode
-from terrainwave.render.selection import NodeTable, Selection, View
+from terrainwave.render.scene.frame import Frame
+from terrainwave.render.scene.selection import NodeTable, Selection, View
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile

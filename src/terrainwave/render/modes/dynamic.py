@@ -1,4 +1,4 @@
-"""The dynamic triangulation of Yusov & Turlapov 2006 (`terrainwave.tri.dynamic`), frame by frame.
+"""The dynamic triangulation of Yusov & Turlapov 2006 (`tri.dynamic.dynamic`), frame by frame.
 
 Each patch has a Haar quadtree of its own, over some samples of its neighbours as well: where the
 raster goes on, a mesh ends short of its last samples, over a neighbour's, with skirts.
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from terrainwave.grid.quadtree import Region
 from terrainwave.progress import ProgressCallback
-from terrainwave.render.frame import Frame
 from terrainwave.render.modes.front import (
     MORPH,
     Drawn,
@@ -20,8 +19,9 @@ from terrainwave.render.modes.front import (
     PatchFrame,
     Sides,
 )
-from terrainwave.render.selection import Piece
-from terrainwave.tri.dynamic import DynamicMesh, Eye, Followed
+from terrainwave.render.scene.frame import Frame
+from terrainwave.render.scene.selection import Piece
+from terrainwave.tri.dynamic.dynamic import DynamicMesh, Eye, Followed
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
@@ -83,8 +83,9 @@ class Dynamic(FrontMode):
     def between(self, level: int, heights: NDArray[np.float64]) -> float:
         """Return as much as heights change to the next sample, down and across.
 
-        A place is no more than half a sample each way from one in the same window of `haar`: by no
-        more than that the window's plane and the surface rise to there, one up, the other down.
+        A place is no more than half a sample each way from one in the same window of
+        `tri.dynamic.haar`: by no more than that the window's plane and the surface rise to there,
+        one up, the other down.
         """
         if level < self.n_levels - 1:
             return 0.0  # trees have measured it

@@ -22,19 +22,19 @@ from numpy.typing import NDArray
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.progress import ProgressCallback
 from terrainwave.read.decoder import units_of
-from terrainwave.render.camera import Camera, focal_length, slant
-from terrainwave.render.frame import Frame
 from terrainwave.render.modes.mode import Frames, Mode
-from terrainwave.render.patches import Cancelled
-from terrainwave.render.scales import (
+from terrainwave.render.scene.camera import Camera, focal_length, slant
+from terrainwave.render.scene.frame import Frame
+from terrainwave.render.scene.patches import Cancelled
+from terrainwave.render.scene.scales import (
     FLOAT32_ROUNDING,
     HeightScale,
     Texels,
 )
-from terrainwave.render.selection import NodeInfo, NodeTable, Piece, Selection, View
-from terrainwave.tri.budget import Pressure
-from terrainwave.tri.dynamic import Eye, Followed
-from terrainwave.tri.rqt_errors import twist_of
+from terrainwave.render.scene.selection import NodeInfo, NodeTable, Piece, Selection, View
+from terrainwave.tri.dynamic.budget import Pressure
+from terrainwave.tri.dynamic.dynamic import Eye, Followed
+from terrainwave.tri.rqt.errors import twist_of
 from terrainwave.tri.scratch import Scratch
 
 if TYPE_CHECKING:
@@ -520,13 +520,6 @@ class FrontMode(Mode):
         touches = (apart <= slack).all(axis=2) & ~np.eye(len(own), dtype=np.bool_)
         beside: NDArray[np.float64] = np.where(touches, own[None, :], 0.0).max(axis=1)
         return own + beside
-
-    @staticmethod
-    def surface(context: Any, side: int, *, max_bytes: int) -> Any:
-        """Return a buffer for the mesh of a frame, and the program that draws it."""
-        from terrainwave.render.front_surface import FrontSurface
-
-        return FrontSurface(context, max_bytes=max_bytes)
 
     def _join(self, frames: list[PatchFrame], depths: NDArray[np.float64]) -> None:
         """Make one mesh of all patches with their skirts."""

@@ -1,4 +1,4 @@
-"""The interface of a mode. No GPU, but for `Mode.surface`, which is called where there is one.
+"""The interface of a mode.
 
 A mode has three parts, and `Scene` knows no more of it:
 
@@ -7,13 +7,13 @@ A mode has three parts, and `Scene` knows no more of it:
 * `gamma`, `split_error`, `wanted` and `frames`, called each frame: which pieces are wanted and how
   they are drawn.
 
-`Mode.surface` makes the half on the GPU: a store for what `build` returns and the program that
-draws it (`terrainwave.render.surface`).
+What draws it, a surface, is the other half, which a mode never sees: `render.gpu.surfaces` has the
+table. A store keeps what `build` returned, and a program draws it (`render.gpu.surface`).
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +22,12 @@ from terrainwave.errors import (
     InvalidArgumentError,
 )
 from terrainwave.progress import ProgressCallback
-from terrainwave.render.camera import Camera, Viewport, gamma_guaranteed, gamma_paper
-from terrainwave.render.frame import Frame
-from terrainwave.render.selection import Built, NodeInfo, NodeTable, Piece, Selection, View
+from terrainwave.render.scene.camera import Camera, Viewport, gamma_guaranteed, gamma_paper
+from terrainwave.render.scene.frame import Frame
+from terrainwave.render.scene.selection import Built, NodeInfo, NodeTable, Piece, Selection, View
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
-    from terrainwave.render.surface import Surface
 
 ERRORS = ("measured", "paper")
 MAX_TRIANGLES = 20_000_000
@@ -190,10 +189,3 @@ class Mode(ABC):
         self, table: NodeTable, view: View, selection: Selection, tau: float, n_missing: int
     ) -> Frames:
         """Return how to draw a selection that was split at `tau`, from `split_error`."""
-
-    # On the GPU
-
-    @staticmethod
-    @abstractmethod
-    def surface(context: Any, side: int, *, max_bytes: int) -> "Surface":
-        """Return the half on the GPU, for blocks of `side` cells."""

@@ -1,4 +1,4 @@
-"""Zheng, Wang and Wang's view-dependent restricted quadtree (`terrainwave.tri.rqt_view`).
+"""Zheng, Wang and Wang's view-dependent restricted quadtree (`terrainwave.tri.rqt.view`).
 
 Their tiles are patches here: they are read and decoded by workers as they come into view with a
 parent that is not good enough, which stands in for them until they are here.
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from terrainwave.grid.quadtree import Region
 from terrainwave.progress import ProgressCallback
 from terrainwave.read.tiles import TileDecoder, with_coefficients
-from terrainwave.render.frame import Frame
 from terrainwave.render.modes.front import Drawn, FrontMode, FrontPatch, PatchFrame, Sides
 from terrainwave.render.modes.mode import ERRORS
-from terrainwave.render.selection import Piece
-from terrainwave.tri.dynamic import Eye, Followed
-from terrainwave.tri.rqt_view import RestrictedMesh
+from terrainwave.render.scene.frame import Frame
+from terrainwave.render.scene.selection import Piece
+from terrainwave.tri.dynamic.dynamic import Eye, Followed
+from terrainwave.tri.rqt.view import RestrictedMesh
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile

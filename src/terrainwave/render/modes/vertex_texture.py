@@ -7,16 +7,11 @@ vertex of a tree's full grid, moves it there, so that triangles collapse, and mo
 the right and lower neighbours' first column and row belong to a tree's grid too.
 """
 
-from typing import TYPE_CHECKING, Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.render.modes.dynamic import Dynamic
-from terrainwave.tri.dynamic import Eye
-
-if TYPE_CHECKING:
-    from terrainwave.render.vertex_texture_surface import VertexTextureSurface
+from terrainwave.tri.dynamic.dynamic import Eye
 
 
 class VertexTexture(Dynamic):
@@ -36,10 +31,3 @@ class VertexTexture(Dynamic):
         ]
         n_vertices = sum(followed.n_vertices for followed in self.followed)
         return self.depths(eye, errors, low, high), 2 * n_vertices
-
-    @staticmethod
-    def surface(context: Any, side: int, *, max_bytes: int) -> "VertexTextureSurface":
-        """Return the textures and the program that draws full grids."""
-        from terrainwave.render.vertex_texture_surface import VertexTextureSurface
-
-        return VertexTextureSurface(context, max_bytes=max_bytes)

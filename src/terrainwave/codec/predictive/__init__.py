@@ -1,0 +1,1 @@
+"""The smallest method: every sample predicted, mixed models, a range coder."""

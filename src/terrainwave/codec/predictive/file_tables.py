@@ -1,0 +1,207 @@
+"""Tables of `predictive` that a file brings along: their bytes (FORMAT.md: predictive, P.10).
+
+A file's stencils stand after the trained ones of `trained.STENCILS`, its weights of the expected
+magnitude after those of `trained.E_WEIGHTS`.
+"""
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.codec.planes import CORES, TAPS
+from terrainwave.codec.predictive import trained
+from terrainwave.codec.predictive.passes import N_FEATURES
+from terrainwave.coding.rangecoder import (
+    MAGNITUDE_MODELS,
+    N_UNARY,
+    Coder,
+    code_magnitude,
+    code_raw,
+    finish_decoder,
+    finish_encoder,
+    new_decoder,
+    new_encoder,
+    new_models,
+)
+from terrainwave.coding.status import raise_for_status
+from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
+
+PLANES = (1, 2, 3)
+MAX_SETS = 16  # what a plane's header can name
+_LAYOUT = 1
+_MAX_WEIGHT = (1 << 15) - 1
+MAX_FEATURE_WEIGHT = 1 << 12
+_WHOLE = 4096
+# Models of magnitudes: core taps, other taps, feature weights.
+_CORE, _OTHER, _FEATURE = 0, MAGNITUDE_MODELS, 2 * MAGNITUDE_MODELS
+
+
+class FileStencil(NamedTuple):
+    """A stencil as a file stores it: ``base + deltas * 2**shift``, then `missing_tap` filled up.
+
+    `base` is a trained set; the delta of `missing_tap` is 0.
+    """
+
+    base: int
+    shift: int
+    deltas: tuple[int, ...]
+
+
+class FileTables(NamedTuple):
+    """What a file adds, by plane: stencils, and a vector of feature weights or none."""
+
+    stencils: dict[int, list[FileStencil]]
+    e_weights: dict[int, NDArray[np.int64] | None]
+
+
+class Tables(NamedTuple):
+    """All sets that planes of a file may name, trained ones first."""
+
+    stencils: dict[int, NDArray[np.int64]]
+    e_weights: dict[int, NDArray[np.int64]]
+
+
+NO_TABLES = FileTables({plane: [] for plane in PLANES}, dict.fromkeys(PLANES))
+
+
+@cache
+def missing_tap(plane: int) -> int:
+    """Return the tap whose weight follows from the others: the first of the core."""
+    return [tuple(tap) for tap in TAPS[plane]].index(tuple(CORES[plane][0]))
+
+
+def weights_of(plane: int, stencil: FileStencil) -> NDArray[np.int64]:
+    """Return the weights of a file's stencil, whose sum is 4096.
+
+    Raises
+    ------
+    CorruptStreamError
+        If a weight is out of range.
+    """
+    sets = trained.STENCILS[plane]
+    if stencil.base >= len(sets):
+        raise CorruptStreamError(f"a stencil builds on set {stencil.base}, which does not exist")
+    weights = sets[stencil.base] + (np.array(stencil.deltas, dtype=np.int64) << stencil.shift)
+    missing = missing_tap(plane)
+    weights[missing] = 0
+    weights[missing] = _WHOLE - weights.sum()
+    if np.abs(weights).max() > _MAX_WEIGHT:
+        raise CorruptStreamError(f"a stencil of plane {plane} has a weight beyond 2^15")
+    return weights
+
+
+def all_tables(added: FileTables) -> Tables:
+    """Return trained and file tables together."""
+    stencils, e_weights = {}, {}
+    for plane in PLANES:
+        sets = trained.STENCILS[plane]
+        own = [weights_of(plane, stencil) for stencil in added.stencils[plane]]
+        stencils[plane] = np.vstack([sets, *own])
+        features = added.e_weights[plane]
+        own = [] if features is None else [features]
+        e_weights[plane] = np.vstack([trained.E_WEIGHTS[plane], *own])
+    return Tables(stencils, e_weights)
+
+
+def is_empty(added: FileTables) -> bool:
+    """Say whether there is nothing to store."""
+    return not any(added.stencils[p] or added.e_weights[p] is not None for p in PLANES)
+
+
+def _code_magnitude(coder: Coder, first: int, value: int = 0) -> int:
+    """Code a value, which a decoder ignores; return it."""
+    return int(code_magnitude(coder, first, first + N_UNARY, 0, value))
+
+
+def pack_parameters(added: FileTables) -> bytes:
+    """Return the parameters section; no bytes if there is nothing to store."""
+    if is_empty(added):
+        return b""
+    out = np.zeros(1 << 16, dtype=np.uint8)
+    coder = new_encoder(out, new_models(3 * MAGNITUDE_MODELS))
+    for plane in PLANES:
+        code_raw(coder, 4, len(added.stencils[plane]))
+        missing = missing_tap(plane)
+        is_core = _core_taps(plane)
+        for stencil in added.stencils[plane]:
+            code_raw(coder, 4, stencil.base)
+            code_raw(coder, 3, stencil.shift)
+            for tap, delta in enumerate(stencil.deltas):
+                if tap == missing:
+                    continue
+                first = _CORE if is_core[tap] else _OTHER
+                _code_magnitude(coder, first, abs(delta))
+                if delta:
+                    code_raw(coder, 1, int(delta < 0))
+        features = added.e_weights[plane]
+        code_raw(coder, 1, int(features is not None))
+        if features is not None:
+            for weight in features:
+                _code_magnitude(coder, _FEATURE, int(weight))
+    n_bytes = finish_encoder(coder.state, out)
+    return bytes([_LAYOUT]) + out[:n_bytes].tobytes()
+
+
+def parse_parameters(section: bytes) -> FileTables:
+    """Undo `pack_parameters`, trusting nothing.
+
+    Raises
+    ------
+    UnsupportedVersionError
+        If the layout is not known.
+    CorruptStreamError
+        If a value is out of range or the section does not end where it should.
+    """
+    if not section:
+        return NO_TABLES
+    if section[0] != _LAYOUT:
+        raise UnsupportedVersionError(
+            f"the tables of the file have layout {section[0]}, which this terrainwave does not"
+            " know: install a newer one"
+        )
+    coder = new_decoder(section[1:], new_models(3 * MAGNITUDE_MODELS))
+    added = FileTables({plane: [] for plane in PLANES}, dict.fromkeys(PLANES))
+    for plane in PLANES:
+        n_sets = int(code_raw(coder, 4, 0))
+        if n_sets + len(trained.STENCILS[plane]) > MAX_SETS:
+            raise CorruptStreamError(f"{n_sets} stencils for plane {plane} are too many")
+        for _ in range(n_sets):
+            stencil = _parse_stencil(coder, plane)
+            weights_of(plane, stencil)  # checks them
+            added.stencils[plane].append(stencil)
+        if code_raw(coder, 1, 0):
+            added.e_weights[plane] = _parse_features(coder)
+    raise_for_status(*finish_decoder(coder.state, coder.stream))
+    return added
+
+
+@cache
+def _core_taps(plane: int) -> list[bool]:
+    core = {tuple(tap) for tap in CORES[plane]}
+    return [tuple(tap) in core for tap in TAPS[plane]]
+
+
+def _parse_stencil(coder: Coder, plane: int) -> FileStencil:
+    base = int(code_raw(coder, 4, 0))
+    shift = int(code_raw(coder, 3, 0))
+    deltas = []
+    missing = missing_tap(plane)
+    for tap, is_core in enumerate(_core_taps(plane)):
+        delta = 0
+        if tap != missing:
+            delta = _code_magnitude(coder, _CORE if is_core else _OTHER)
+            if delta > 2 * _MAX_WEIGHT:
+                raise CorruptStreamError(f"a stencil of plane {plane} has a weight beyond 2^15")
+            if delta and code_raw(coder, 1, 0):
+                delta = -delta
+        deltas.append(delta)
+    return FileStencil(base, shift, tuple(deltas))
+
+
+def _parse_features(coder: Coder) -> NDArray[np.int64]:
+    weights = [_code_magnitude(coder, _FEATURE) for _ in range(N_FEATURES)]
+    if max(weights) > MAX_FEATURE_WEIGHT:
+        raise CorruptStreamError(f"a feature weighs {max(weights)}, more than 2^12")
+    return np.array(weights, dtype=np.int64)

@@ -1,0 +1,542 @@
+"""One pass of the `predictive` method over a plane of details (FORMAT.md: predictive).
+
+Per row, everything that does not depend on the row itself is computed first, over whole rows; what
+does (the western tap and two errors) is added sample by sample while coding.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.codec.corrections import corrected
+from terrainwave.codec.magnitudes import (
+    E_BITS,
+    E_OFFSET,
+    MAX_E,
+    N_RANGE_BINS,
+    SIGN_B,
+    SIGN_E_OF_BIN,
+    SIGN_H,
+    ZERO_B,
+    ZERO_H,
+    code_detail,
+    contexts_of,
+    in_steps,
+    log8,
+    middle_bin,
+    range_bin_of,
+    step_scale,
+)
+from terrainwave.codec.planes import PAD, WEIGHT_BITS
+from terrainwave.codec.refiner import FREE
+from terrainwave.coding.borrowed import borrowed
+from terrainwave.coding.filters import MAX_HEIGHT
+from terrainwave.coding.jit import kernel
+from terrainwave.coding.rangecoder import (
+    code_mean_step,
+    code_step,
+    put_back,
+    take_out,
+)
+
+# What a sample is: nothing to code, coded in this pass, or known already (on a shared line).
+VOID, CODED, KNOWN = 0, 1, 2
+
+# Predictions have 6 fraction bits in contexts, errors are in 1/32 step, at most MAX_ERROR.
+P_BITS = 6
+MAX_ERROR = (1 << 15) - 1
+
+# Features of the expected magnitude, weights in 1/512. Errors of prediction in steps: western
+# neighbours; the row above; sums over near and far known ones of this lattice. Distances in quanta,
+# taken in steps: curvature of the coarse samples, range of the core, its median's and mid-range's
+# distance to the prediction, second and third differences, the mean's distance. A constant,
+# 1/16384.
+(F_W, F_WW, F_N, F_NW, F_NE, F_NN, F_NEAR, F_FAR) = range(8)
+(F_BEND, F_RANGE, F_MEDIAN, F_MIDDLE, F_TWIST, F_LINES, F_MEAN, F_CONST) = range(8, 16)
+F_ACTIVITY, F_OTHERS = 16, 17
+N_FEATURES = 18
+E_WEIGHT_BITS = 9
+
+# Rows of the row buffer.
+(_ACC, _LOWEST, _LOWER, _UPPER, _HIGHEST, _ERRORS, _SPREAD, _FLOOR, _CEILING, _WIDTH) = range(10)
+N_ROW_BUFFERS = 10
+
+
+@kernel
+def _frame_own(plane, core, planes, row, n_cols):
+    """Set the padding beside row `row` of a plane to the means of the core samples beside it.
+
+    ``row`` -1 sets the whole row above the first.
+    """
+    source = max(row, 0)
+    for j in range(n_cols):
+        if row >= 0 and 0 < j < n_cols - 1:
+            continue
+        total = np.int64(0)
+        for k in range(4):
+            total += planes[core[k, 0], source + core[k, 1] + PAD, j + core[k, 2] + PAD]
+        mean = (total + 2) >> 2
+        if row < 0:
+            plane[PAD - 1, j + PAD] = mean
+        if j == 0:
+            plane[row + PAD, PAD - 1] = mean
+        if j == n_cols - 1:
+            plane[row + PAD, PAD + n_cols] = mean
+
+
+@kernel
+def _add_taps(acc, planes, taps, weights, row, n_cols):
+    """Set `acc` to the stencil's sum over a row without its western tap, rounded for P_BITS."""
+    n_taps = taps.shape[0]
+    for j in range(n_cols):
+        acc[j] = 1 << (WEIGHT_BITS - P_BITS - 1)
+    for t in range(1, n_taps - 3, 4):
+        source_0 = planes[taps[t, 0], row + taps[t, 1] + PAD, taps[t, 2] + PAD :]
+        source_1 = planes[taps[t + 1, 0], row + taps[t + 1, 1] + PAD, taps[t + 1, 2] + PAD :]
+        source_2 = planes[taps[t + 2, 0], row + taps[t + 2, 1] + PAD, taps[t + 2, 2] + PAD :]
+        source_3 = planes[taps[t + 3, 0], row + taps[t + 3, 1] + PAD, taps[t + 3, 2] + PAD :]
+        weight_0, weight_1 = np.int64(np.int32(weights[t])), np.int64(np.int32(weights[t + 1]))
+        weight_2, weight_3 = np.int64(np.int32(weights[t + 2])), np.int64(np.int32(weights[t + 3]))
+        for j in range(n_cols):
+            acc[j] += (
+                weight_0 * source_0[j]
+                + weight_1 * source_1[j]
+                + weight_2 * source_2[j]
+                + weight_3 * source_3[j]
+            )
+    for t in range(n_taps - (n_taps - 1) % 4, n_taps):
+        weight_0 = np.int64(np.int32(weights[t]))
+        source_0 = planes[taps[t, 0], row + taps[t, 1] + PAD, taps[t, 2] + PAD :]
+        for j in range(n_cols):
+            acc[j] += weight_0 * source_0[j]
+
+
+@kernel
+def _sort_core(planes, core, row, n_cols, lowest, lower, upper, highest):
+    """Fill the rows of the sorted core values."""
+    first = planes[core[0, 0], row + core[0, 1] + PAD, core[0, 2] + PAD :]
+    second = planes[core[1, 0], row + core[1, 1] + PAD, core[1, 2] + PAD :]
+    third = planes[core[2, 0], row + core[2, 1] + PAD, core[2, 2] + PAD :]
+    fourth = planes[core[3, 0], row + core[3, 1] + PAD, core[3, 2] + PAD :]
+    # One row at a time: loops with more outputs are not made into vector code.
+    for j in range(n_cols):
+        lowest[j] = min(min(first[j], second[j]), min(third[j], fourth[j]))
+    for j in range(n_cols):
+        highest[j] = max(max(first[j], second[j]), max(third[j], fourth[j]))
+    for j in range(n_cols):
+        middle_1 = max(min(first[j], second[j]), min(third[j], fourth[j]))
+        middle_2 = min(max(first[j], second[j]), max(third[j], fourth[j]))
+        lower[j] = min(middle_1, middle_2)
+    for j in range(n_cols):
+        middle_1 = max(min(first[j], second[j]), min(third[j], fourth[j]))
+        middle_2 = min(max(first[j], second[j]), max(third[j], fourth[j]))
+        upper[j] = max(middle_1, middle_2)
+
+
+@kernel
+def _add_spread(
+    spread, planes, bends, core, bent, lines, row, n_cols, is_diagonal, e_weights, lowest, highest
+):
+    """Set `spread` to the weighted distances, in quanta, that don't depend on the prediction."""
+    weight = np.int64(np.int32(e_weights[F_RANGE]))
+    for j in range(n_cols):
+        spread[j] = weight * (np.int64(highest[j]) - lowest[j])
+    weight = np.int64(np.int32(e_weights[F_TWIST]))
+    if weight != 0:
+        # Opposite corners of HH; the first two and the last two of HL and LH.
+        swap = 2 if is_diagonal else 0
+        first = planes[core[0, 0], row + core[0, 1] + PAD, core[0, 2] + PAD :]
+        k = 1 + swap
+        second = planes[core[k, 0], row + core[k, 1] + PAD, core[k, 2] + PAD :]
+        third = planes[core[2, 0], row + core[2, 1] + PAD, core[2, 2] + PAD :]
+        k = 3 - swap
+        fourth = planes[core[k, 0], row + core[k, 1] + PAD, core[k, 2] + PAD :]
+        for j in range(n_cols):
+            twist = (np.int64(first[j]) + second[j]) - (np.int64(third[j]) + fourth[j])
+            spread[j] += weight * abs(twist)
+    weight = np.int64(np.int32(e_weights[F_BEND]))
+    if weight != 0:
+        for k in range(0, bent.shape[0], 2):
+            bend_0 = bends[row + bent[k, 1] + PAD, bent[k, 2] + PAD :]
+            bend_1 = bends[row + bent[k + 1, 1] + PAD, bent[k + 1, 2] + PAD :]
+            for j in range(n_cols):
+                spread[j] += weight * (np.int64(bend_0[j]) + bend_1[j])
+    weight = np.int64(np.int32(e_weights[F_LINES]))
+    if weight != 0:
+        for k in range(0, lines.shape[0], 4):
+            first = planes[lines[k, 0], row + lines[k, 1] + PAD, lines[k, 2] + PAD :]
+            second = planes[lines[k + 1, 0], row + lines[k + 1, 1] + PAD, lines[k + 1, 2] + PAD :]
+            third = planes[lines[k + 2, 0], row + lines[k + 2, 1] + PAD, lines[k + 2, 2] + PAD :]
+            fourth = planes[lines[k + 3, 0], row + lines[k + 3, 1] + PAD, lines[k + 3, 2] + PAD :]
+            for j in range(n_cols):
+                bend = np.int64(first[j]) - second[j] - third[j] + fourth[j]
+                spread[j] += weight * abs(bend)
+
+
+@kernel
+def _add_errors(sums, errors, activity, own, near, far, row, n_cols, e_weights):
+    """Set `sums` to the weighted errors around that are known before the row."""
+    above, above2 = errors[own, row - 1 + PAD], errors[own, row - 2 + PAD]
+    w_n, w_nw = np.int64(np.int32(e_weights[F_N])), np.int64(np.int32(e_weights[F_NW]))
+    w_ne, w_nn = np.int64(np.int32(e_weights[F_NE])), np.int64(np.int32(e_weights[F_NN]))
+    constant = np.int64(np.int32(e_weights[F_CONST]))
+    for j in range(n_cols):
+        sums[j] = (
+            w_n * above[j + PAD]
+            + w_nw * above[j + PAD - 1]
+            + w_ne * above[j + PAD + 1]
+            + w_nn * above2[j + PAD]
+            + constant
+        )
+    weight = np.int64(np.int32(e_weights[F_ACTIVITY]))
+    if weight != 0:
+        active = activity[own, row - 1 + PAD]
+        for j in range(n_cols):
+            sums[j] += weight * active[j + PAD]
+    weight = np.int64(np.int32(e_weights[F_OTHERS]))
+    if weight != 0:
+        for other in range(1, own):
+            # HH beside HL and LH, HL beside LH: the next row where there is one.
+            active = activity[other, row + (1 if other == 2 else 0) + PAD]
+            for j in range(n_cols):
+                sums[j] += weight * active[j + PAD]
+    for feature in range(2):
+        places = near if feature == 0 else far
+        weight = np.int64(np.int32(e_weights[F_NEAR + feature]))
+        if weight == 0:
+            continue
+        for k in range(0, places.shape[0], 2):
+            error_0 = errors[places[k, 0], row + places[k, 1] + PAD, places[k, 2] + PAD :]
+            error_1 = errors[
+                places[k + 1, 0], row + places[k + 1, 1] + PAD, places[k + 1, 2] + PAD :
+            ]
+            for j in range(n_cols):
+                sums[j] += weight * (np.int64(error_0[j]) + error_1[j])
+
+
+@kernel
+def _update_activity(errors, before, n_cols, after):
+    """Fill a row of activity: its errors, smoothed, and what remains of the row before."""
+    # Errors are at most 2^15 and activities 2^19: 32 bits are enough.
+    error_0, error_1, error_2 = errors[PAD - 1 :], errors[PAD:], errors[PAD + 1 :]
+    old_0, old_1, old_2 = before[PAD - 1 :], before[PAD:], before[PAD + 1 :]
+    smoothed = after[PAD:]
+    for j in range(n_cols):
+        fresh = np.int32(error_0[j] + 2 * error_1[j] + error_2[j])
+        old = np.int32(3 * (old_0[j] + 2 * old_1[j] + old_2[j]))
+        smoothed[j] = np.int32(fresh + (old >> 4))
+    after[PAD - 1] = after[PAD]
+    after[PAD + n_cols] = after[PAD + n_cols - 1]
+
+
+@kernel
+def code_pass(
+    target, kinds, planes, errors, activity, bends, own, geometry, weights, e_weights, clamp,
+    step, z_min, z_max, rows, limits, coder, mixers, kept, added,
+):  # fmt: skip
+    """Encode a plane of `target`, or decode it where that is None, into ``planes[own]``.
+
+    `kinds` (VOID, CODED, KNOWN) and `target` have the plane's size without padding; known samples
+    are in place. Fills ``errors[own]`` and ``activity[own]`` as well, whose padding must be 0.
+    `rows` may be int32 where `fits_narrow` says so, for the same result in half the time. `limits`
+    are `magnitudes.cell_limits`, or None where each decision has one model only. `coder` and
+    `mixers` adapt. `kept` and `added` are `Corrections` of the plane, flat, or empty.
+    """
+    goal, kinds, planes, errors = borrowed((target, kinds, planes, errors))
+    activity, bends, geometry, rows = borrowed((activity, bends, geometry, rows))
+    weights, e_weights, lent_limits = borrowed((weights, e_weights, limits))
+    coder, mixers = borrowed((coder, mixers))
+    kept, added = borrowed((kept, added))
+    n_rows, n_cols = kinds.shape
+    plane, own_errors = planes[own], errors[own]
+    taps, core = geometry.taps, geometry.core
+    is_diagonal = own == 1
+    acc, lowest, lower = rows[_ACC], rows[_LOWEST], rows[_LOWER]
+    upper, highest = rows[_UPPER], rows[_HIGHEST]
+    sums, spread = rows[_ERRORS], rows[_SPREAD]
+    floors, ceilings, widths = rows[_FLOOR], rows[_CEILING], rows[_WIDTH]
+    scale_shift, inverse = step_scale(step)
+    half = step >> 1
+    most = 2 * MAX_HEIGHT // step + 2
+    w_west = np.int64(weights[0])
+    w_e_west, w_e_west2 = e_weights[F_W], e_weights[F_WW]
+    w_median, w_middle, w_mean = e_weights[F_MEDIAN], e_weights[F_MIDDLE], e_weights[F_MEAN]
+    has_corrections = added.shape[0] > 0
+    z_range = np.int64(z_min), np.int64(z_max)
+    p_low, p_high = np.int64(z_min) << P_BITS, np.int64(z_max) << P_BITS
+    # What follows from a prediction's distance to the nearest integer, at most 32.
+    n_fractions = (1 << (P_BITS - 1)) + 1
+    bin_of_fraction = np.empty(n_fractions, dtype=np.int64)
+    error_of_fraction = np.empty(n_fractions, dtype=np.int64)
+    for k in range(n_fractions):
+        bin_of_fraction[k] = min(in_steps(np.int64(k), scale_shift, inverse, 3 - P_BITS), 3)
+        error_of_fraction[k] = in_steps(np.int64(k), scale_shift, inverse, 5 - P_BITS)
+    state, stream, models, is_encoder = coder
+    at = take_out(state)
+    _frame_own(plane, core, planes, -1, n_cols)
+    for row in range(n_rows):
+        _frame_own(plane, core, planes, row, n_cols)
+        here, here_errors = plane[row + PAD], own_errors[row + PAD]
+        above = plane[row + PAD - 1]
+        here_errors[PAD - 1] = own_errors[row + PAD - 1, PAD]
+        here_errors[PAD - 2] = own_errors[row + PAD - 1, PAD]
+        _add_taps(acc, planes, taps, weights, row, n_cols)
+        _sort_core(planes, core, row, n_cols, lowest, lower, upper, highest)
+        _add_spread(
+            spread, planes, bends, core, geometry.bends, geometry.lines, row, n_cols, is_diagonal,
+            e_weights, lowest, highest,
+        )  # fmt: skip
+        _add_errors(
+            sums, errors, activity, own, geometry.near, geometry.far, row, n_cols, e_weights
+        )
+        for j in range(n_cols):
+            bound = np.int64(lowest[j]) << P_BITS if clamp else p_low
+            floors[j] = min(max(bound, p_low), p_high)
+        for j in range(n_cols):
+            bound = np.int64(highest[j]) << P_BITS if clamp else p_high
+            ceilings[j] = min(max(bound, p_low), p_high)
+        for j in range(n_cols):
+            width = np.int64(highest[j]) - lowest[j]
+            widths[j] = in_steps(width, scale_shift, inverse, E_BITS)
+        west = np.int64(here[PAD - 1])
+        error_west, error_west2 = np.int64(here_errors[PAD - 1]), np.int64(here_errors[PAD - 2])
+        samples, sample_errors, northern = here[PAD:], here_errors[PAD:], above[PAD:]
+        own_kinds = kinds[row]
+        for j in range(n_cols):
+            value = (np.int64(acc[j]) + w_west * west) >> (WEIGHT_BITS - P_BITS)
+            unclamped = value
+            value = min(max(value, np.int64(floors[j])), np.int64(ceilings[j]))
+            whole = (value + (1 << (P_BITS - 1))) >> P_BITS
+            kind = own_kinds[j]
+            if kind != CODED:
+                error = np.int64(0)
+                if kind == KNOWN:
+                    west = np.int64(samples[j])
+                    distance = abs((west << P_BITS) - value)
+                    error = min(in_steps(distance, scale_shift, inverse, 5 - P_BITS), MAX_ERROR)
+                else:
+                    west = whole
+                    if has_corrections:
+                        place = row * n_cols + j
+                        west = corrected(whole, kept, added, place, z_range, z_range)
+                    samples[j] = west
+                sample_errors[j] = error
+                error_west2, error_west = error_west, error
+                continue
+            bottom, top = np.int64(lowest[j]), np.int64(highest[j])
+            distances = np.int64(spread[j]) << P_BITS
+            if w_median != 0:
+                median = (np.int64(lower[j]) + upper[j]) << (P_BITS - 1)
+                distances += w_median * abs(median - value)
+            if w_middle != 0:
+                distances += w_middle * abs(((bottom + top) << (P_BITS - 1)) - value)
+            if w_mean != 0:
+                mean = (bottom + lower[j] + upper[j] + top) << (P_BITS - 2)
+                distances += w_mean * abs(unclamped - mean)
+            # In 1/16384 step.
+            expected = (
+                sums[j]
+                + w_e_west * error_west
+                + w_e_west2 * error_west2
+                + in_steps(distances, scale_shift, inverse, 5 - P_BITS)
+            )
+            expected = min(expected >> 6, MAX_E)
+            e_range = expected + E_OFFSET
+            e_bin, log_range = contexts_of(expected)
+            range_bin = range_bin_of(np.int64(widths[j]), e_range, log_range)
+            fraction = value - (whole << P_BITS)
+            zero_b = (
+                ZERO_B
+                + (e_bin * N_RANGE_BINS + range_bin) * 4
+                + bin_of_fraction[np.uint64(abs(fraction))]
+            )
+            zero_h = np.int64(0)
+            n_up = n_down = np.int64(0)
+            if limits is not None:
+                north = np.int64(northern[j])
+                is_quiet = (
+                    max(max(top, west), north) - whole <= half
+                    and whole - min(min(bottom, west), north) <= half
+                )
+                if is_quiet:
+                    zero_h = ZERO_H + (e_bin * 7 + 6) * 4
+                else:
+                    ceiling, floor = whole + half, whole - half
+                    n_up = (
+                        np.int64(bottom > ceiling)
+                        + (lower[j] > ceiling)
+                        + (upper[j] > ceiling)
+                        + (top > ceiling)
+                        + (west > ceiling)
+                        + (north > ceiling)
+                    )
+                    n_down = (
+                        np.int64(bottom < floor)
+                        + (lower[j] < floor)
+                        + (upper[j] < floor)
+                        + (top < floor)
+                        + (west < floor)
+                        + (north < floor)
+                    )
+                    n_same = 6 - n_up - n_down
+                    zero_h = ZERO_H + (e_bin * 7 + n_same) * 4 + min(min(n_up, n_down), 3)
+            detail = np.int64(0)
+            if target is not None:
+                off = np.int64(goal[row, j]) - whole
+                if abs(off) > half:
+                    detail = (abs(off) + half) // step
+                    if off < 0:
+                        detail = -detail
+            bit = np.int64(detail != 0)
+            if limits is not None:
+                bit, at = code_mean_step(at, state, stream, models, is_encoder, zero_b, zero_h, bit)
+            else:
+                bit, at = code_step(at, state, stream, models, is_encoder, zero_b, bit)
+            if not bit:
+                west = whole
+                error = error_of_fraction[np.uint64(abs(fraction))]
+            else:
+                median = (np.int64(lower[j]) + upper[j]) << (P_BITS - 1)
+                from_median = median - value
+                from_middle = ((bottom + top) << (P_BITS - 1)) - value
+                e_floor = max(expected, 128)
+                log_floor = log8(e_floor)
+                size = in_steps(abs(from_median), scale_shift, inverse, E_BITS - P_BITS)
+                median_bin = middle_bin(size if from_median > 0 else -size, e_floor, log_floor)
+                size = in_steps(abs(from_middle), scale_shift, inverse, E_BITS - P_BITS)
+                middle = middle_bin(size if from_middle > 0 else -size, e_floor, log_floor)
+                sixth = in_steps(6 * abs(fraction), scale_shift, inverse, 1 - P_BITS)
+                sixth = min((sixth + 1) >> 1, 3)
+                sixth = 3 + sixth if fraction > 0 else 3 - sixth
+                sign_b = SIGN_B + ((SIGN_E_OF_BIN[e_bin] * 7 + sixth) * 9 + median_bin) * 9 + middle
+                sign_h = SIGN_H + ((e_bin >> 2) * 8 + n_up) * 8 + n_down
+                reach_b = in_steps(
+                    max((top << P_BITS) - value, 0), scale_shift, inverse, E_BITS - P_BITS
+                )
+                reach_a = in_steps(
+                    max(value - (bottom << P_BITS), 0), scale_shift, inverse, E_BITS - P_BITS
+                )
+                around = (
+                    bottom - whole, lower[j] - whole, upper[j] - whole, top - whole, west - whole,
+                    northern[j] - whole,
+                )  # fmt: skip
+                detail, at = code_detail(
+                    at, state, stream, models, is_encoder, mixers, e_bin, sign_b, sign_h, reach_b,
+                    reach_a, e_range, log_range, around, lent_limits, detail,
+                )  # fmt: skip
+                detail = min(max(detail, -most), most)
+                west = min(max(whole + detail * step, z_min), z_max)
+                distance = abs((west << P_BITS) - value)
+                error = min(in_steps(distance, scale_shift, inverse, 5 - P_BITS), MAX_ERROR)
+            if has_corrections:
+                height = corrected(west, kept, added, row * n_cols + j, z_range, z_range)
+                if height != west:
+                    west = height
+                    distance = abs((west << P_BITS) - value)
+                    error = min(in_steps(distance, scale_shift, inverse, 5 - P_BITS), MAX_ERROR)
+            samples[j] = west
+            sample_errors[j] = error
+            error_west2, error_west = error_west, error
+        here_errors[PAD + n_cols] = here_errors[PAD + n_cols - 1]
+        _update_activity(
+            here_errors, activity[own, row + PAD - 1], n_cols, activity[own, row + PAD]
+        )
+    put_back(at, state)
+
+
+def fits_narrow(most: int, weights: NDArray[np.int64], e_weights: NDArray[np.int64]) -> bool:
+    """Return whether `code_pass` may use int32 rows where all heights are within +/- `most`.
+
+    The bounds are those of the sums of `_add_taps`, `_add_spread` and `_add_errors`: errors are at
+    most 2^15, activities 16 times that.
+    """
+    taps = (1 << P_BITS) + sum(map(abs, weights.tolist()))
+    of = e_weights.tolist()
+    spread = 128 * of[F_BEND] + 16 * of[F_LINES] + 4 * of[F_TWIST] + 2 * of[F_RANGE]
+    near = of[F_N] + of[F_NW] + of[F_NE] + of[F_NN] + 6 * of[F_NEAR] + 4 * of[F_FAR]
+    near += 16 * (of[F_ACTIVITY] + 2 * of[F_OTHERS])
+    limit = 1 << 30
+    return bool(
+        min(of[:N_FEATURES]) >= 0
+        and taps * most < limit
+        and spread * most < limit
+        and near * (MAX_ERROR + 1) + of[F_CONST] < limit
+    )
+
+
+@kernel
+def open_loop_cost(target, kinds, planes, own, geometry, weights, step, every, rows):
+    """Return the cost of some rows, their mean detail, and how many samples that are.
+
+    Every `every`-th row of `target` is looked at; the cost is in about 1/16 bit, the mean in 1/256.
+    Own-pass taps see the targets with noise like that of quantising: ``planes[own]`` holds them.
+    """
+    n_rows, n_cols = target.shape
+    plane, taps = planes[own], geometry.taps
+    scale_shift, inverse = step_scale(step)
+    acc = rows[_ACC]
+    w_west = np.int64(weights[0])
+    rounding = (1 << (WEIGHT_BITS - 1)) - (1 << (WEIGHT_BITS - P_BITS - 1))
+    total = magnitudes = n_seen = np.int64(0)
+    for row in range(every >> 1, n_rows, every):
+        _add_taps(acc, planes, taps, weights, row, n_cols)
+        here = plane[row + PAD]
+        for j in range(n_cols):
+            if kinds[row, j] != CODED:
+                continue
+            value = (acc[j] + w_west * here[j + PAD - 1] + rounding) >> WEIGHT_BITS
+            error = abs(value - target[row, j])
+            error = in_steps(error, scale_shift, inverse, E_BITS)
+            # About the bits of a detail: next to nothing below half a step, then its logarithm.
+            total += log8(256 + ((min(error, 1 << 14) ** 2) >> 6))
+            magnitudes += min((error + 128) >> 8, 1 << 20)
+            n_seen += 1
+    return total, (magnitudes << 8) // max(n_seen, 1), n_seen
+
+
+@kernel
+def n_reached(goal, kinds, kept, planes, own, geometry, weights, clamp, step, z_min, z_max, rows):
+    """Return how many heights that must stay a stencil reaches by whole steps.
+
+    ``planes[own]`` holds `goal`; `kept` is that of `Corrections`, flat.
+    """
+    n_rows, n_cols = goal.shape
+    plane = planes[own]
+    acc, lowest, lower = rows[_ACC], rows[_LOWEST], rows[_LOWER]
+    upper, highest = rows[_UPPER], rows[_HIGHEST]
+    w_west = np.int64(weights[0])
+    p_low, p_high = np.int64(z_min) << P_BITS, np.int64(z_max) << P_BITS
+    n = np.int64(0)
+    for row in range(n_rows):
+        _add_taps(acc, planes, geometry.taps, weights, row, n_cols)
+        _sort_core(planes, geometry.core, row, n_cols, lowest, lower, upper, highest)
+        here = plane[row + PAD]
+        for j in range(n_cols):
+            if kinds[row, j] != CODED or kept[row * n_cols + j] == FREE:
+                continue
+            value = np.int64(acc[j]) + w_west * here[j + PAD - 1]
+            value >>= WEIGHT_BITS - P_BITS
+            if clamp:
+                value = max(value, np.int64(lowest[j]) << P_BITS)
+                value = min(value, np.int64(highest[j]) << P_BITS)
+            value = min(max(value, p_low), p_high)
+            whole = (value + (1 << (P_BITS - 1))) >> P_BITS
+            n += np.int64((np.int64(goal[row, j]) - whole) % step == 0)
+    return n
+
+
+def fill_noisy(target: NDArray[np.int32], plane: NDArray[np.int32], step: int) -> None:
+    """Fill a padded plane with `target` plus noise of up to 0.4 steps, a function of the place."""
+    n_rows, n_cols = target.shape
+    inner = plane[PAD : PAD + n_rows, PAD : PAD + n_cols]
+    np.add(target, _noise(n_rows, n_cols, int(step)), out=inner)
+
+
+@lru_cache(maxsize=4)
+def _noise(n_rows: int, n_cols: int, step: int) -> NDArray[np.int32]:
+    """Return noise by place; it is shared."""
+    rows, cols = np.arange(n_rows)[:, None], np.arange(n_cols)
+    noise = (rows * 40503 + cols * 10007 + 12345) * 2654435761 & 0xFFFFFFFF
+    noise = ((noise >> 8) & 0xFFFF) - 32768
+    return ((step * 4 // 5 * noise) >> 16).astype(np.int32)

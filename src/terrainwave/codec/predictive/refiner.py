@@ -1,0 +1,611 @@
+"""The `predictive` method: nested grids, fitted stencils, closed-loop quantising (FORMAT.md).
+
+Each sample is predicted from everything decoded so far and its error quantised around zero, so that
+it comes back within the bound on every level, without a second stage.
+"""
+
+import threading
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.codec.magnitudes import N_DETAIL_MODELS, N_MIXERS, cell_limits
+from terrainwave.codec.planes import (
+    HH,
+    HL,
+    LH,
+    PAD,
+    PASSES,
+    A,
+    Pass,
+    fill_bends,
+    fill_between,
+    fill_frame,
+    merge,
+    parity,
+    plane_sizes,
+    split,
+)
+from terrainwave.codec.predictive import trained
+from terrainwave.codec.predictive.file_tables import (
+    PLANES,
+    FileTables,
+    Tables,
+    all_tables,
+    pack_parameters,
+    parse_parameters,
+)
+from terrainwave.codec.predictive.fit import features_of, fit_features, fit_tables, windows_of
+from terrainwave.codec.predictive.passes import (
+    CODED,
+    KNOWN,
+    N_ROW_BUFFERS,
+    VOID,
+    code_pass,
+    fill_noisy,
+    fits_narrow,
+    n_reached,
+    open_loop_cost,
+)
+from terrainwave.codec.refiner import (
+    NO_CORRECTIONS,
+    Corrections,
+    GroupSpec,
+    Heights,
+    Labels,
+    Mask,
+    Sides,
+)
+from terrainwave.codec.shared_lines import N_BORDER_MODELS, code_border, code_root_sample, put_back
+from terrainwave.coding.jit import kernel
+from terrainwave.coding.rangecoder import (
+    OUT_POS,
+    RANGE,
+    Coder,
+    code_raw,
+    finish_decoder,
+    finish_encoder,
+    n_bytes_begun,
+    new_decoder,
+    new_encoder,
+    new_mixers,
+)
+from terrainwave.coding.status import raise_for_status
+from terrainwave.coding.zerotrees import grow_zero_trees
+from terrainwave.errors import CorruptStreamError, TruncatedStreamError
+from terrainwave.grid.quadtree import Grid, Region
+
+_MIXED, _CLAMP = 1, 2
+# A prediction's own fraction alone gives up to 16 of 32.
+_HALF_STEP = 16
+# Lattices of fewer samples take the first stencil set; others name theirs.
+_MIN_CHOICE = 1024
+_SET_BITS = 4
+# Classes of context weights: mean details below 0.12 and 0.7 (in 1/256), and above.
+CLASS_LIMITS = (31, 179)
+_N_CLASSES = 3
+# By effort: how many stencil sets are tried, and how close in cost (in %) to the seeming best.
+_N_TRIALS = (1, 2, 8)
+_CLOSE = (100, 106, 140)
+# Feature weights fitted to the file must save so many times their own bits.
+_WORTH = 2
+_WINDOW = 80
+# Samples of a lattice up to which a thread keeps its arrays for the next one.
+_MAX_KEPT = 1 << 20
+
+
+# By plane: features of the expected magnitude and |details|, collected for fitting.
+_Seen = dict[int, list[tuple[NDArray[np.float64], NDArray[np.float64]]]]
+
+
+class _Unit(NamedTuple):
+    """One payload being written or read: what codes details and shared lines, and its tables."""
+
+    coder: Coder
+    mixers: NDArray[np.int64]
+    border: Coder
+    flags: int
+    tables: Tables
+    seen: _Seen | None = None
+
+
+class Choice(NamedTuple):
+    """What a plane is coded with: a set of `Tables.stencils`, a class of `Tables.e_weights`."""
+
+    stencil_set: int
+    e_class: int
+
+
+class _Rows(NamedTuple):
+    """Row buffers, and the largest height that will be met."""
+
+    most: int
+    narrow: NDArray[np.int32]
+    wide: NDArray[np.int64]
+
+    def of(
+        self, weights: NDArray[np.int64], e_weights: NDArray[np.int64]
+    ) -> NDArray[np.int32] | NDArray[np.int64]:
+        """Return the faster buffers if sums with these weights fit them."""
+        is_narrow = fits_narrow(self.most, weights, e_weights)
+        return self.narrow if is_narrow else self.wide
+
+
+class _Scratch(NamedTuple):
+    """The arrays of a lattice."""
+
+    planes: NDArray[np.int32]
+    errors: NDArray[np.int32]
+    activity: NDArray[np.int32]
+    bends: NDArray[np.int32]
+    rows: _Rows
+
+
+class _Workspace(threading.local):
+    """Memory of a thread that lattices take turns with: fresh pages cost as much as decoding."""
+
+    def __init__(self) -> None:
+        self.memory = np.zeros(0, dtype=np.int32)
+
+    def scratch(self, shape: tuple[int, int], most: int) -> _Scratch:
+        """Return arrays for a lattice with heights within +/- `most`; errors, activity are 0."""
+        n_rows, n_cols = plane_sizes(shape)[A]
+        padded = n_rows + 2 * PAD, n_cols + 2 * PAD
+        size = padded[0] * padded[1]
+        memory = self.memory
+        if memory.size < 13 * size:
+            memory = np.empty(13 * size, dtype=np.int32)
+            if shape[0] * shape[1] <= _MAX_KEPT:
+                self.memory = memory
+        planes, errors, activity = memory[: 12 * size].reshape(3, 4, *padded)
+        errors.fill(0)
+        activity.fill(0)
+        bends = memory[12 * size : 13 * size].reshape(padded)
+        rows = _Rows(
+            most,
+            np.zeros((N_ROW_BUFFERS, n_cols), dtype=np.int32),
+            np.zeros((N_ROW_BUFFERS, n_cols), dtype=np.int64),
+        )
+        return _Scratch(planes, errors, activity, bends, rows)
+
+
+_WORKSPACE = _Workspace()
+
+
+class Predictive:
+    """The nested refiner; see `Refiner`."""
+
+    name = "predictive"
+
+    def __init__(self, parameters: bytes = b"") -> None:
+        self.parameters = parameters
+        self._tables = all_tables(parse_parameters(parameters))
+
+    def fitted(
+        self,
+        grid: Grid,
+        step: int,
+        heights: Callable[[int, Region], Heights],
+        mask: Callable[[int, Region], Mask],
+        *,
+        may_have_reach: bool = True,
+    ) -> "Predictive":
+        """Return a refiner with tables fitted to a raster, where they are worth their bytes.
+
+        `heights` and `mask` return targets and validity of a region of a level.
+        """
+        added = fit_tables(grid, step, heights, mask)
+        windows = windows_of(grid, 0, heights, mask, _WINDOW)
+        e_weights = _fit_e_weights(added, windows, step, grid.n_rows * grid.n_cols)
+        return Predictive(pack_parameters(added._replace(e_weights=e_weights)))
+
+    def encode(
+        self,
+        spec: GroupSpec,
+        parent: Heights | None,
+        target: Heights,
+        mask: Mask,
+        corrections: Corrections = NO_CORRECTIONS,
+    ) -> tuple[bytes, Heights, Labels | None]:
+        """Return the payload and the heights `decode` makes of it."""
+        flags = _CLAMP | (_MIXED if spec.effort else 0)
+        out = np.empty(6 * target.size + 1024, dtype=np.uint8)
+        coder = new_encoder(out, trained.start_models(N_DETAIL_MODELS))
+        unit = _new_unit(coder, flags, self._tables)
+        heights, trees = _code_unit(spec, parent, target, mask, unit, corrections)
+        n_bytes = finish_encoder(coder.state, out)
+        return bytes([flags]) + out[:n_bytes].tobytes(), heights, trees
+
+    def decode(
+        self,
+        spec: GroupSpec,
+        parent: Heights | None,
+        mask: Mask,
+        payload: bytes,
+        corrections: Corrections = NO_CORRECTIONS,
+    ) -> tuple[Heights, Labels | None]:
+        """Rebuild the heights of ``spec.region``.
+
+        Raises
+        ------
+        CorruptStreamError
+            If the payload contradicts FORMAT.md; `TruncatedStreamError` if it is too short.
+        """
+        if not payload:
+            raise TruncatedStreamError("the payload is empty")
+        if payload[0] & ~(_MIXED | _CLAMP):
+            raise CorruptStreamError(f"payload flags {payload[0]:#x} are not defined")
+        coder = new_decoder(payload[1:], trained.start_models(N_DETAIL_MODELS))
+        unit = _new_unit(coder, payload[0], self._tables)
+        heights, trees = _code_unit(spec, parent, None, mask, unit, corrections)
+        raise_for_status(*finish_decoder(coder.state, coder.stream))
+        return heights, trees
+
+
+def _fit_e_weights(
+    added: FileTables, windows: list[tuple[Heights, Mask]], step: int, n_in_file: int
+) -> dict[int, NDArray[np.int64] | None]:
+    """Return feature weights by plane fitted to coded windows, None where not worth storing."""
+    none: dict[int, NDArray[np.int64] | None] = dict.fromkeys(PLANES)
+    seen: _Seen = {plane: [] for plane in PLANES}
+    tables = all_tables(added)
+    # Windows of one colour of a chessboard are fitted to, the others judge.
+    judges = windows[1::2]
+    for window in windows[::2]:
+        _code_window(*window, step, tables, seen)
+        coded = [part[1] for parts in seen.values() for part in parts]
+        n_coded = sum(sizes.size for sizes in coded)
+        if 256 * sum(int(sizes.sum()) for sizes in coded) < CLASS_LIMITS[-1] * max(n_coded, 1):
+            return none  # few details: their size doesn't matter
+    weights = dict(none)
+    for plane, parts in seen.items():
+        if not parts:
+            continue
+        sizes = np.concatenate([part[1] for part in parts])
+        if int(256 * sizes.sum()) >= CLASS_LIMITS[-1] * sizes.size:
+            weights[plane] = fit_features(np.concatenate([part[0] for part in parts]), sizes)
+    if not judges or all(weights[plane] is None for plane in PLANES):
+        return none
+    both = added._replace(e_weights=weights)
+    n_bits = sum(_code_window(*window, step, tables, None) for window in judges)
+    n_bits -= sum(_code_window(*window, step, all_tables(both), None) for window in judges)
+    n_stored = 8 * (len(pack_parameters(both)) - len(pack_parameters(added)))
+    n_judged = sum(mask.size for _, mask in judges)
+    return weights if n_bits * n_in_file > _WORTH * n_stored * n_judged else none
+
+
+def _code_window(
+    target: Heights, mask: Mask, step: int, all_sets: Tables, seen: _Seen | None
+) -> int:
+    """Return the bits of a window coded alone, its even samples given; append to `seen`."""
+    low, high = int(target.min()), int(target.max())
+    region = Region(0, 0, *target.shape)
+    spec = GroupSpec(
+        1, region, region, None, Sides(False, False, False, False), step, low, high, (1, 0), 1, 0
+    )
+    out = np.empty(6 * target.size + 1024, dtype=np.uint8)
+    coder = new_encoder(out, trained.start_models(N_DETAIL_MODELS))
+    unit = _new_unit(coder, _CLAMP | _MIXED, all_sets, seen)
+    kinds = np.where(mask, CODED, VOID).astype(np.uint8)
+    coarse = np.ascontiguousarray(target[::2, ::2])
+    padded = np.zeros((coarse.shape[0] + 2 * PAD, coarse.shape[1] + 2 * PAD), dtype=np.int32)
+    fill_noisy(coarse, padded, step)
+    heights = np.zeros_like(target)
+    heights[::2, ::2] = padded[PAD:-PAD, PAD:-PAD]
+    _code_lattice(heights, kinds, target, spec, unit)
+    return 8 * finish_encoder(coder.state, out)
+
+
+def _new_unit(coder: Coder, flags: int, all_sets: Tables, seen: _Seen | None = None) -> _Unit:
+    border = coder._replace(models=trained.start_border_models(N_BORDER_MODELS))
+    return _Unit(coder, new_mixers(N_MIXERS), border, flags, all_sets, seen)
+
+
+def _code_unit(
+    spec: GroupSpec,
+    parent: Heights | None,
+    target: Heights | None,
+    mask: Mask,
+    unit: _Unit,
+    corrections: Corrections,
+) -> tuple[Heights, Labels | None]:
+    """Encode `target`, or decode where it is None.
+
+    Return the decoded heights of the region and, of a group, the zero trees of its core.
+    """
+    heights = np.zeros(spec.region.shape, dtype=np.int32)
+    is_known = np.zeros(spec.region.shape, dtype=np.bool_)
+    core = spec.core.slices_in(spec.region)
+    code_border(
+        spec, parent, target, mask, unit.border, heights, is_known, is_nested=True,
+        corrections=corrections,
+    )  # fmt: skip
+    inner = np.ascontiguousarray(heights[core])
+    kinds = mask[core].astype(np.uint8)  # CODED or VOID
+    if any(spec.shared):
+        kinds[is_known[core]] = KNOWN
+    goal = None if target is None else np.ascontiguousarray(target[core])
+    trees = None
+    if parent is None:
+        stride = 1
+        while stride < max(inner.shape) - 1:
+            stride *= 2
+        _code_corners(inner, kinds, goal, stride, spec, unit.border, corrections)
+        while stride > 1:
+            stride >>= 1
+            at = slice(None, None, stride)
+            part = np.ascontiguousarray(inner[at, at])
+            goal_part = None if goal is None else goal[at, at]
+            changes = _part(corrections, (at, at))
+            _code_lattice(part, np.ascontiguousarray(kinds[at, at]), goal_part, spec, unit, changes)
+            inner[at, at] = part
+    else:
+        assert spec.parent_region is not None
+        row = (spec.core.row >> 1) - spec.parent_region.row
+        col = (spec.core.col >> 1) - spec.parent_region.col
+        n_rows, n_cols = plane_sizes(inner.shape)[A]
+        inner[::2, ::2] = parent[row : row + n_rows, col : col + n_cols]
+        errors = _code_lattice(inner, kinds, goal, spec, unit, _part(corrections, core))
+        if spec.wants_labels:
+            trees = np.empty((n_rows, n_cols), dtype=np.uint8)
+            mark_significant(errors, *inner.shape, trees)
+            grow_zero_trees(trees)
+    if inner.base is not heights:
+        heights[core] = inner
+    return heights, trees
+
+
+def _code_corners(
+    inner: Heights,
+    kinds: NDArray[np.uint8],
+    goal: Heights | None,
+    stride: int,
+    spec: GroupSpec,
+    coder: Coder,
+    corrections: Corrections,
+) -> None:
+    """Code the samples no pass reaches, those on multiples of `stride`, on the fixed grid."""
+    for row in range(0, inner.shape[0], stride):
+        for col in range(0, inner.shape[1], stride):
+            if kinds[row, col] != KNOWN:
+                height = None if goal is None else int(goal[row, col])
+                height = code_root_sample(height, kinds[row, col] == CODED, spec.step, coder)
+                place = row * inner.shape[1] + col
+                inner[row, col] = put_back(height, spec, corrections, place)
+
+
+def _code_lattice(
+    heights: Heights,
+    kinds: NDArray[np.uint8],
+    goal: Heights | None,
+    spec: GroupSpec,
+    unit: _Unit,
+    corrections: Corrections = NO_CORRECTIONS,
+) -> NDArray[np.int32]:
+    """Code the three passes of a lattice; `heights` holds the coarse and the known samples.
+
+    Return the errors of prediction, in planes as `planes.split` makes them; they are gone when the
+    next lattice is coded.
+    """
+    shape = heights.shape
+    sizes = plane_sizes(shape)
+    most = max(abs(spec.z_min), abs(spec.z_max)) + spec.step
+    most = max(most, -int(heights.min()), int(heights.max()))
+    scratch = _WORKSPACE.scratch(shape, most)
+    planes, errors, activity, bends = scratch[:4]
+    if goal is not None:
+        planes.fill(0)  # rims of planes that `_choose` looks at before they are coded
+    split(heights, planes)
+    fill_frame(planes[A], 0, 0, *shape)
+    if min(shape) == 1:
+        fill_between(planes)
+        split(heights, planes)
+    fill_bends(planes[A], most, bends)
+    for geometry in PASSES:
+        own = geometry.plane
+        if 0 in sizes[own]:
+            continue
+        row_parity, col_parity = parity(own)
+        stencils = unit.tables.stencils[own]
+        own_kinds = np.ascontiguousarray(kinds[row_parity::2, col_parity::2])
+        own_goal = None
+        if goal is not None:
+            own_goal = np.ascontiguousarray(goal[row_parity::2, col_parity::2])
+        own_part = slice(row_parity, None, 2), slice(col_parity, None, 2)
+        changes = Corrections(*map(np.ascontiguousarray, _part(corrections, own_part)))
+        choice = Choice(0, _N_CLASSES - 1)
+        has_header = shape[0] * shape[1] >= _MIN_CHOICE
+        if has_header and own_goal is not None:
+            choices = _choose(own_goal, own_kinds, geometry, spec, scratch, unit, changes.kept)
+            _encode_smallest(own_goal, own_kinds, geometry, choices, spec, scratch, unit, changes)
+        else:
+            if has_header:
+                code = int(code_raw(unit.coder, _SET_BITS + 2, 0))
+                choice = Choice(code >> 2, code & 3)
+                if choice.stencil_set >= len(stencils) or choice.e_class >= len(
+                    unit.tables.e_weights[own]
+                ):
+                    raise CorruptStreamError(f"stencil set and contexts {code} do not exist")
+            _run_pass(own_goal, own_kinds, geometry, choice, spec, scratch, unit, changes)
+        if changes.kept.size:
+            corrections.added[own_part] = changes.added
+        fill_frame(planes[own], row_parity, col_parity, *shape)
+        fill_frame(errors[own], row_parity, col_parity, *shape)
+        fill_frame(activity[own], row_parity, col_parity, *shape)
+    merge(planes, heights)
+    return errors
+
+
+def _part(corrections: Corrections, at: tuple[slice, slice]) -> Corrections:
+    """Return the part of corrections of some samples; views. None are none."""
+    return Corrections(*(part[at] if part.size else part for part in corrections))
+
+
+@kernel
+def mark_significant(errors, n_rows, n_cols, significant):
+    """Set `significant` (uint8) to 1 where a node holds a significant detail, else to 0.
+
+    Node (i, j) holds the HH, HL and LH details between coarse samples (i, j), (i, j + 1) and
+    (i + 1, j). Significant is what prediction missed by half a step or more, in the 1/32 steps of
+    `errors`: the details that are not 0 (with step 1, rounding can tell them apart only to 1/64),
+    and the same for samples known from a shared line.
+    """
+    for i in range(significant.shape[0]):
+        hh, hl, lh = errors[HH, i + PAD], errors[HL, i + PAD], errors[LH, i + PAD]
+        has_row_below = 2 * i + 1 < n_rows
+        for j in range(significant.shape[1]):
+            largest = np.int64(0)
+            if 2 * j + 1 < n_cols:
+                largest = np.int64(hl[j + PAD])
+                if has_row_below:
+                    largest = max(largest, np.int64(hh[j + PAD]))
+            if has_row_below:
+                largest = max(largest, np.int64(lh[j + PAD]))
+            significant[i, j] = 1 if largest > _HALF_STEP else 0
+
+
+def _run_pass(
+    goal: Heights | None,
+    kinds: NDArray[np.uint8],
+    geometry: Pass,
+    choice: Choice,
+    spec: GroupSpec,
+    scratch: _Scratch,
+    unit: _Unit,
+    corrections: Corrections,
+) -> None:
+    """Encode or decode one plane with the tables chosen."""
+    own = geometry.plane
+    weights = unit.tables.stencils[own][choice.stencil_set]
+    e_weights = unit.tables.e_weights[own][choice.e_class]
+    limits = cell_limits(spec.step) if unit.flags & _MIXED else None
+    code_pass(
+        goal, kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, own, geometry,
+        weights, e_weights, bool(unit.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
+        scratch.rows.of(weights, e_weights), limits, unit.coder, unit.mixers,
+        corrections.kept.ravel(), corrections.added.ravel(),
+    )  # fmt: skip
+    if unit.seen is not None:
+        unit.seen[own].append(
+            features_of(
+                kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, geometry,
+                weights, bool(unit.flags & _CLAMP), spec.step,
+            )
+        )  # fmt: skip
+
+
+def _choose(
+    goal: Heights,
+    kinds: NDArray[np.uint8],
+    geometry: Pass,
+    spec: GroupSpec,
+    scratch: _Scratch,
+    unit: _Unit,
+    kept: Heights,
+) -> list[Choice]:
+    """Return the stencil sets and classes of contexts to try on a plane, the likeliest first.
+
+    Sets are ranked by their errors on some rows; the best few, if close, are worth trying. Where
+    heights must stay, the set that they were coded with is: by another one, each would take a
+    correction.
+    """
+    own, planes = geometry.plane, scratch.planes
+    saved = planes[own].copy()
+    fill_noisy(goal, planes[own], spec.step)
+    every = 8 if goal.size > 16384 else 2
+    costs = [
+        open_loop_cost(
+            goal, kinds, planes, own, geometry, weights, spec.step, every,
+            scratch.rows.of(weights, unit.tables.e_weights[own][0]),
+        )
+        for weights in unit.tables.stencils[own]
+    ]  # fmt: skip
+    coded_with = _set_of_kept(goal, kinds, kept, geometry, spec, scratch, unit)
+    planes[own] = saved
+    ranking = sorted(range(len(costs)), key=lambda k: costs[k][0])
+    # Costs hold 64, log8(256), for each sample, whatever its error.
+    base = 64 * costs[0][2]
+    limit = base + (costs[ranking[0]][0] - base) * _CLOSE[spec.effort] // 100
+    ranking = [k for k in ranking[: _N_TRIALS[spec.effort]] if costs[k][0] <= limit]
+    if coded_with is not None:
+        ranking = [coded_with]
+    # A file's own weights take the place of the last class.
+    last = len(unit.tables.e_weights[own]) - 1
+    classes = {k: sum(costs[k][1] >= edge for edge in CLASS_LIMITS) for k in ranking}
+    return [Choice(k, last if classes[k] == _N_CLASSES - 1 else classes[k]) for k in ranking] or [
+        Choice(0, _N_CLASSES - 1)
+    ]
+
+
+def _set_of_kept(
+    goal: Heights,
+    kinds: NDArray[np.uint8],
+    kept: Heights,
+    geometry: Pass,
+    spec: GroupSpec,
+    scratch: _Scratch,
+    unit: _Unit,
+) -> int | None:
+    """Return the stencil set that reaches most heights that must stay; None if it reaches none.
+
+    ``scratch.planes`` of the pass are overwritten.
+    """
+    if not kept.size:
+        return None
+    own, n_rows, n_cols = geometry.plane, *goal.shape
+    scratch.planes[own, PAD : PAD + n_rows, PAD : PAD + n_cols] = goal
+    reached = [
+        n_reached(
+            goal, kinds, kept.ravel(), scratch.planes, own, geometry, weights,
+            bool(unit.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
+            scratch.rows.of(weights, unit.tables.e_weights[own][0]),
+        )
+        for weights in unit.tables.stencils[own]
+    ]  # fmt: skip
+    most = int(np.argmax(reached))
+    return most if reached[most] else None
+
+
+def _encode_smallest(
+    goal: Heights,
+    kinds: NDArray[np.uint8],
+    geometry: Pass,
+    choices: list[Choice],
+    spec: GroupSpec,
+    scratch: _Scratch,
+    unit: _Unit,
+    corrections: Corrections,
+) -> None:
+    """Encode a plane and the choice it is coded with: the one of `choices` that takes least.
+
+    The likeliest is tried last, as what the last trial left needs no copying back.
+    """
+    own = geometry.plane
+    # Bytes before this one are final.
+    first = max(int(unit.coder.state[OUT_POS]), 0)
+    arrays = [
+        unit.coder.state, unit.coder.models, unit.mixers, unit.coder.stream[first:],
+        scratch.planes[own], scratch.errors[own], scratch.activity[own], corrections.added,
+    ]  # fmt: skip
+    start = [array.copy() for array in arrays[:3]] if len(choices) > 1 else []
+    known = scratch.planes[own].copy() if len(choices) > 1 else scratch.planes[own]
+    kept: list[NDArray[np.generic]] = []
+    smallest = 1 << 62
+    for n_left, choice in reversed(list(enumerate(choices))):
+        if start and n_left < len(choices) - 1:
+            unit.coder.state[:], unit.coder.models[:], unit.mixers[:] = start
+            scratch.planes[own] = known
+        code = choice.stencil_set * 4 + choice.e_class
+        code_raw(unit.coder, _SET_BITS + 2, code)
+        _run_pass(goal, kinds, geometry, choice, spec, scratch, unit, corrections)
+        n_bits = 8 * int(n_bytes_begun(unit.coder.state))
+        n_bits -= int(unit.coder.state[RANGE]).bit_length()
+        if n_bits <= smallest:
+            smallest, kept = n_bits, []
+            if n_left:
+                arrays[3] = unit.coder.stream[first : max(int(unit.coder.state[OUT_POS]), first)]
+                kept = [array.copy() for array in arrays]
+    for array, values in zip(arrays, kept, strict=False):
+        array[:] = values

@@ -1,0 +1,1 @@
+"""The default method: rows on a wavefront, rANS (docs/format-rapid.md)."""

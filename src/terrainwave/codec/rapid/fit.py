@@ -1,0 +1,274 @@
+"""Choose and fit the tables of a file of method `rapid` (encoder only).
+
+A few windows of the full grid, chosen by position alone, stand for the raster. Stencils follow from
+them open loop (`fit_stencils`); then they are coded as if each were a file of its own, and the
+symbols counted. All in whole numbers: the same raster gives the same tables everywhere.
+"""
+
+from collections.abc import Callable
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.codec.rapid import trained
+from terrainwave.codec.rapid.coder import UnitCoder
+from terrainwave.codec.rapid.file_tables import (
+    CODE_OF_FREQ,
+    FREQ_OF_CODE,
+    N_CLASSES,
+    PLANES,
+    FileStencil,
+    FileTables,
+    Tables,
+    default_codes,
+    default_freqs,
+    rest_symbols,
+)
+from terrainwave.codec.rapid.fit_stencils import COST_UNIT, candidates, stencils_cost
+from terrainwave.codec.rapid.fit_weights import fit_magnitude, weights_bits
+from terrainwave.codec.rapid.magnitude import N_CONTEXTS
+from terrainwave.codec.rapid.symbols import ESCAPE, ESCAPE_BITS, N_SYMBOLS, low_bits
+from terrainwave.codec.rapid.trained import N_STEPS, family_of
+from terrainwave.codec.refiner import GroupSpec, Heights, Mask, Sides
+from terrainwave.coding.rans import N_SLOTS, SYMBOL_BITS
+from terrainwave.grid.quadtree import Grid, Region
+from terrainwave.grid.windows import spread_windows
+
+# Samples a side of a window, and samples of the raster for one; from 2 to 36 windows in all.
+_WINDOW = 257
+_SHARE = 1 << 16
+_LEAST_WINDOWS, _MOST_WINDOWS = 2, 36
+# They decide on stencils, features and contexts: where there are more, so many samples a side.
+_MOST_WHOLE, _FEW = 4, 129
+# And weights of features are fitted to so many.
+_MOST_FOR_WEIGHTS = 6
+_MIN_SAMPLES = 300
+_COST_OF_NONE = COST_UNIT * (11 + ESCAPE_BITS)  # of a symbol that takes an escape
+_FREQ_BITS = 3
+# A context starts from its trained frequencies as if it had been seen so often.
+_PRIOR = 120
+_RAREST = N_SLOTS * ESCAPE_BITS * 2 // 3
+_SAVED_BY_REACH = 1 / 256
+_SAVED_BY_WEIGHTS = 1 / 1024
+_NOT_SHARED = Sides(False, False, False, False)
+
+
+def fit_tables(
+    grid: Grid,
+    step: int,
+    heights: Callable[[int, Region], Heights],
+    mask: Callable[[int, Region], Mask],
+    *,
+    may_have_reach: bool = True,
+) -> FileTables:
+    """Return the tables for a raster; `heights` and `mask` return a region of a level."""
+    n_windows = min(max(grid.n_rows * grid.n_cols // _SHARE, _LEAST_WINDOWS), _MOST_WINDOWS)
+    windows, masks = spread_windows(grid, heights, mask, _WINDOW, n_windows)
+    defaults = ((FileStencil(0),) * len(PLANES),) * N_CLASSES
+    tables = FileTables(grid.k_max, family_of(step), defaults, {})
+    if int(np.count_nonzero(masks)) < _MIN_SAMPLES:
+        return tables
+    share = grid.n_rows * grid.n_cols / masks.size
+    best, plain = best_tables(tables, windows, masks, step, share, may_have_reach=may_have_reach)
+    whole = _Sample(windows, masks, step, share)
+    fitted, cost = _fitted(best, whole)
+    # A raster of few windows has about their sides, which may cost more than is saved inside.
+    if best is not plain and len(windows) <= _MOST_WHOLE:
+        other, cost_of_plain = _fitted(plain, whole)
+        if cost + COST_UNIT * weights_bits(best.weights) >= cost_of_plain:
+            return other
+    return fitted
+
+
+def best_tables(
+    tables: FileTables,
+    windows: Heights,
+    masks: Mask,
+    step: int,
+    share: float,
+    *,
+    may_have_reach: bool = True,
+) -> tuple[FileTables, FileTables]:
+    """Return tables with the stencils, then the family, that make parts of the windows smallest.
+
+    And the best of those without weights of features of their own, which may be the same.
+    """
+    few = np.s_[:, :_FEW, :_FEW] if len(windows) > _MOST_WHOLE else np.s_[:]
+    some = _Sample(windows[few], masks[few], step, share * windows.size / windows[few].size, True)
+    least = np.inf
+    for stencils in dict.fromkeys(candidates(windows, masks, step, share)):
+        other = tables._replace(stencils=stencils)
+        cost = _fitted(other, some)[1]
+        if cost < least:
+            best, least = other, cost
+    # Other features, then what takes a reader of format 1.1: other contexts, which take a little
+    # longer to decode, and weights of the file's own.
+    reach = trained.N_FAMILIES
+    others = [(N_STEPS, 0.0), (reach, _SAVED_BY_REACH)]
+    for n_families, share_saved in others if may_have_reach else others[:1]:
+        other = best._replace(family=best.family + n_families)
+        cost = _fitted(other, some)[1]
+        if cost < least * (1 - share_saved):
+            best, least = other, cost
+    if not may_have_reach:
+        return best, best
+    return _with_weights(best, least, some, windows, masks), best
+
+
+def _with_weights(
+    tables: FileTables, least: float, some: "_Sample", windows: Heights, masks: Mask
+) -> FileTables:
+    """Return tables with weights of features of their own if `some` gets smaller than `least`.
+
+    With the trained frequencies and contexts that suit them; of all classes, or the finest alone.
+    """
+    read = Tables(tables)
+    some_windows = np.s_[:: -(-len(windows) // _MOST_FOR_WEIGHTS)]
+    decoded = _decoded(read, windows[some_windows], masks[some_windows], some.step)
+    weights = fit_magnitude(decoded, masks[some_windows], read, some.step)
+    if weights is None:
+        return tables
+    best, smallest, reach = tables, np.inf, trained.N_FAMILIES
+    first = tables.family % N_STEPS
+    families = [first, first + N_STEPS, first + reach, first + N_STEPS + reach]
+    for n_classes in (N_CLASSES, 2, 1):
+        for family in families:
+            if tables.family >= reach:  # the file takes a reader of format 1.1 anyway
+                most = least
+            else:
+                most = least * (1 - (_SAVED_BY_REACH if family >= reach else _SAVED_BY_WEIGHTS))
+            other = tables._replace(family=family, weights=weights[:n_classes])
+            cost = _fitted(other, some)[1] + COST_UNIT * weights_bits(other.weights)
+            if cost < min(most, smallest):
+                best, smallest = other, cost
+        families = [tables.family if best is tables else best.family]
+    return best
+
+
+class _Sample(NamedTuple):
+    """Windows of a raster, the step, and how many samples of the raster one of theirs stands for.
+
+    `windows` and `masks` have the shape (n, n_rows, n_cols).
+    """
+
+    windows: Heights
+    masks: Mask
+    step: int
+    share: float
+    is_inner: bool = False
+
+
+def _fitted(tables: FileTables, sample: _Sample) -> tuple[FileTables, float]:
+    """Return tables with frequencies, and about what the file costs with them, in 1/64 bit."""
+    symbols = count(tables, sample.windows, sample.masks, sample.step, is_inner=sample.is_inner)
+    share = sample.share * np.count_nonzero(sample.masks) / max(int(symbols.sum()), 1)
+    codes, cost = fit_codes(tables.family, symbols, share)
+    return tables._replace(codes=codes), cost + stencils_cost(tables.stencils)
+
+
+# Counts and frequencies -------------------------------------------------------------------------
+
+
+def count(
+    tables: FileTables, windows: Heights, masks: Mask, step: int, *, is_inner: bool = False
+) -> NDArray[np.int64]:
+    """Code windows; return how often each symbol came: shape (N_CONTEXTS, N_SYMBOLS)."""
+    coder = UnitCoder(Tables(tables))
+    counts = _no_counts()
+    for target, mask in zip(windows, masks, strict=True):
+        _count_window(coder, target, mask, tables.k_max, step, counts, is_inner=is_inner)
+    by_context = counts.sum(0).reshape(N_CONTEXTS, 1 << SYMBOL_BITS)
+    return np.ascontiguousarray(by_context[:, :N_SYMBOLS])
+
+
+def _decoded(tables: Tables, windows: Heights, masks: Mask, step: int) -> Heights:
+    """Return windows as they are after coding."""
+    coder, counts = UnitCoder(tables), _no_counts()
+    return np.stack(
+        [
+            _count_window(coder, target, mask, tables.k_max, step, counts, is_inner=True)
+            for target, mask in zip(windows, masks, strict=True)
+        ]
+    )
+
+
+def _no_counts() -> NDArray[np.int64]:
+    return np.zeros((2, N_CONTEXTS << SYMBOL_BITS), dtype=np.int64)
+
+
+def _count_window(
+    coder: UnitCoder,
+    target: Heights,
+    mask: Mask,
+    level: int,
+    step: int,
+    counts: NDArray[np.int64],
+    *,
+    is_inner: bool,
+) -> Heights:
+    """Code a window as a root block; count its symbols and return the decoded heights."""
+    region = Region(0, 0, *target.shape)
+    low, high = int(target.min()), int(target.max())
+    spec = GroupSpec(level, region, region, None, _NOT_SHARED, step, low, high, (1, 0), 1, 0)
+    return coder.count(spec, target, mask, counts, is_inner=is_inner)
+
+
+@cache
+def _cost_table() -> NDArray[np.int64]:
+    """Return -64 log2 of frequencies, rounded; none lies so near a half that machines differ."""
+    freqs = np.arange(1, N_SLOTS + 1)
+    costs = np.rint(COST_UNIT * (np.log2(N_SLOTS) - np.log2(freqs))).astype(np.int64)
+    return np.concatenate([[_COST_OF_NONE], costs])
+
+
+@cache
+def _raw_bits() -> NDArray[np.int64]:
+    """Return how many low bits of a detail are raw, by context."""
+    return np.array([low_bits(context) for context in range(N_CONTEXTS)], dtype=np.int64)
+
+
+def fit_codes(
+    family: int, counts: NDArray[np.int64], share: float
+) -> tuple[dict[int, NDArray[np.int64]], float]:
+    """Return the codes of the contexts whose own frequencies are worth their bytes, and the cost.
+
+    The cost is about that of the whole file in 1/64 bit, `share` times what was counted.
+    """
+    usual = default_freqs(family)
+    codes = codes_for(counts * N_SLOTS + _PRIOR * usual, family)
+    freqs = FREQ_OF_CODE[codes]
+    rest = rest_symbols(family)
+    every = np.arange(N_CONTEXTS)
+    freqs[every, rest] = 0
+    freqs[every, rest] = N_SLOTS - freqs.sum(1)
+    before, after = ((counts * _cost_table()[f]).sum(1) * share for f in (usual, freqs))
+    changes = np.abs(codes - default_codes(family))
+    sizes = np.frexp(changes.astype(np.float64))[1]  # bits of each change
+    n_bits = 2 + np.where(changes == 0, 1, 1 + _FREQ_BITS + sizes).sum(1)
+    after = after + COST_UNIT * n_bits
+    is_own = (counts.sum(1) > 0) & (before > after)
+    n_escapes = counts[:, ESCAPE]
+    n_raw = ((counts.sum(1) - n_escapes) * _raw_bits() + n_escapes * ESCAPE_BITS).sum()
+    cost = float(np.cumsum(np.where(is_own, after, before))[-1] + n_raw * COST_UNIT * share)
+    return {int(context): codes[context] for context in np.flatnonzero(is_own)}, cost
+
+
+def codes_for(weights: NDArray[np.int64], family: int) -> NDArray[np.int64]:
+    """Return codes of frequencies in proportion to `weights`, of each context N_SLOTS in all."""
+    rest = rest_symbols(family)
+    every = np.arange(N_CONTEXTS)
+    total = np.maximum(weights.sum(1, keepdims=True), 1)
+    freqs = (2 * weights * N_SLOTS + total) // (2 * total)
+    # A symbol that comes once in so many is cheaper with the least frequency than by escapes: it
+    # saves their bits and costs the others 1.44 / N_SLOTS each.
+    freqs = np.maximum(freqs, weights * _RAREST > total)
+    freqs[:, ESCAPE] = np.maximum(freqs[:, ESCAPE], 1)
+    codes = CODE_OF_FREQ[np.minimum(freqs, N_SLOTS - 1)]
+    codes[every, rest] = 0
+    for context in np.flatnonzero(FREQ_OF_CODE[codes].sum(1) > N_SLOTS - 1):
+        while FREQ_OF_CODE[codes[context]].sum() > N_SLOTS - 1:
+            codes[context, codes[context].argmax()] -= 1
+    codes[every, rest] = default_codes(family)[every, rest]
+    return codes

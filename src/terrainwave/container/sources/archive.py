@@ -1,0 +1,163 @@
+"""A file inside a zip that is anywhere: ``zip://dem.twz::https://example.org/all.zip``.
+
+A stored member is read in place, by ranges of the archive. A deflated one has no ranges: a small
+one is taken whole, with a warning, a large one refused.
+"""
+
+import io
+import struct
+import warnings
+import zipfile
+import zlib
+from collections.abc import Sequence
+
+from terrainwave.arguments import size_of
+from terrainwave.container.sources.ranges import ByteRange
+from terrainwave.container.sources.source import (
+    MAX_WHOLE,
+    BufferSource,
+    ByteSource,
+    MergingSource,
+)
+from terrainwave.errors import StorageError, TerrainwaveWarning, TruncatedStreamError
+
+_TAIL = 1 << 16  # the directory of small archives, and all that may come after one
+_LOCAL_HEADER = 30
+# What zipfile raises for bytes that are no archive, or one that it cannot read.
+_DAMAGE = (zipfile.BadZipFile, NotImplementedError, EOFError, ValueError, zlib.error, struct.error)
+
+
+class MemberSource(MergingSource):
+    """Bytes `start` to `start + size` of another source."""
+
+    def __init__(self, name: str, archive: ByteSource, start: int, size: int) -> None:
+        self.name, self._archive, self._start, self.size = name, archive, start, size
+
+    @property
+    def n_replies(self) -> int:
+        """Return the replies so far, for those who wait."""
+        return int(getattr(self._archive, "n_replies", 0))
+
+    def _read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
+        return self._archive.read_spans(
+            [ByteRange(self._start + span.offset, span.length) for span in spans]
+        )
+
+    def _read(self, offset: int, length: int) -> bytes:
+        return self._archive.read(self._start + offset, length)
+
+    def check_unchanged(self) -> None:
+        """Raise `StorageError` if the archive is known to have changed."""
+        self._archive.check_unchanged()
+
+    def close(self) -> None:
+        """Close the archive."""
+        self._archive.close()
+
+    def __reduce__(self) -> tuple[type["MemberSource"], tuple[str, ByteSource, int, int]]:
+        return MemberSource, (self.name, self._archive, self._start, self.size)
+
+
+def open_member(path: str, source: ByteSource) -> ByteSource:
+    """Return the source of the file `path` in a zip; closes the zip's where that fails.
+
+    Raises
+    ------
+    StorageError
+        If the archive or the file in it cannot be read.
+    """
+    try:
+        return _member(path.lstrip("/"), source)
+    except BaseException:
+        source.close()
+        raise
+
+
+def _member(path: str, source: ByteSource) -> ByteSource:
+    at = getattr(source, "name", "the archive")
+    name = f"zip://{path}::{at}"
+    try:
+        with zipfile.ZipFile(_AsFile(source)) as archive:
+            names = [info.filename for info in archive.infolist() if not info.is_dir()]
+            if path not in names:
+                found = ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")
+                raise StorageError(f"{at} has no file {path}; found {found or 'none'}")
+            info = archive.getinfo(path)
+            if info.flag_bits & 1:
+                raise StorageError(f"{name} is encrypted; unpack the archive and open the file")
+            if info.compress_type == zipfile.ZIP_STORED:
+                return MemberSource(name, source, *_place(info, source, name))
+            if info.compress_type != zipfile.ZIP_DEFLATED:
+                raise StorageError(
+                    f"{name} is compressed by method {info.compress_type} of zip; store it without"
+                    " compression (zip -0)"
+                )
+            if max(info.file_size, info.compress_size) > MAX_WHOLE:
+                raise StorageError(
+                    f"{name} is compressed in its archive, so that no parts of it can be read;"
+                    f" files of more than {MAX_WHOLE >> 20} MiB are not taken whole: store it"
+                    " without compression (zip -0), or unpack it"
+                )
+            with archive.open(info) as file:
+                data = file.read(MAX_WHOLE + 1)
+    except (*_DAMAGE, TruncatedStreamError) as error:
+        raise StorageError(f"cannot read {name}: {error}") from error
+    warnings.warn(
+        f"{name} is compressed in its archive, so all of it was read, {size_of(len(data))}",
+        TerrainwaveWarning,
+        stacklevel=2,
+    )
+    source.close()
+    whole = BufferSource(data)
+    whole.name = name
+    return whole
+
+
+def _place(info: zipfile.ZipInfo, source: ByteSource, name: str) -> tuple[int, int]:
+    """Return where the bytes of a stored member begin, and how many they are."""
+    head = source.read(info.header_offset, _LOCAL_HEADER)
+    lengths = int.from_bytes(head[26:28], "little"), int.from_bytes(head[28:30], "little")
+    start = info.header_offset + _LOCAL_HEADER + sum(lengths)
+    if head[:4] != b"PK\x03\x04" or start + info.file_size > source.size:
+        raise zipfile.BadZipFile("the archive's directory names a place where no file is")
+    return start, info.file_size
+
+
+class _AsFile(io.RawIOBase):
+    """A source as the file that `zipfile` reads; its end, where the directory is, at once."""
+
+    def __init__(self, source: ByteSource) -> None:
+        self._source, self._at = source, 0
+        self._tail_at = max(source.size - _TAIL, 0)
+        self._tail = source.read(self._tail_at, source.size - self._tail_at)
+
+    def seekable(self) -> bool:
+        """Return True."""
+        return True
+
+    def readable(self) -> bool:
+        """Return True."""
+        return True
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        """Go to a place, as files do."""
+        self._at = max(offset + {0: 0, 1: self._at, 2: self._source.size}[whence], 0)
+        return self._at
+
+    def tell(self) -> int:
+        """Return the place."""
+        return self._at
+
+    def read(self, n: int = -1) -> bytes:
+        """Return the next `n` bytes, or as many as there are."""
+        end = self._source.size if n < 0 else min(self._at + n, self._source.size)
+        length = max(end - self._at, 0)
+        if length > MAX_WHOLE:
+            raise zipfile.BadZipFile(f"its directory claims {length:,} bytes")
+        inside = self._at - self._tail_at
+        if inside >= 0:
+            data = self._tail[inside : inside + length]
+        else:
+            data = self._source.read(self._at, length) if length else b""
+        self._at += length
+        return data

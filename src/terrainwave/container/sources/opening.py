@@ -1,0 +1,32 @@
+"""Byte sources of whatever users name: a path, a URL, bytes, a file object."""
+
+import os
+from typing import BinaryIO, TypeAlias
+
+from terrainwave.container.sources.source import BufferSource, ByteSource, FileSource
+from terrainwave.errors import StorageError
+
+SourceLike: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO | ByteSource
+
+
+def open_source(source: SourceLike) -> ByteSource:
+    """Return a byte source for a path, a URL, bytes or a binary file object.
+
+    Raises
+    ------
+    StorageError
+        If it cannot be opened or does not serve byte ranges.
+    """
+    if isinstance(source, bytes | bytearray | memoryview):
+        return BufferSource(bytes(source))
+    if isinstance(source, str) and "://" in source:
+        from terrainwave.container.sources.url import open_url
+
+        return open_url(source)
+    if isinstance(source, str | os.PathLike):
+        return FileSource(source)
+    if isinstance(source, ByteSource):
+        return source
+    if hasattr(source, "read") and hasattr(source, "seek"):
+        return BufferSource(source)
+    raise StorageError(f"cannot read bytes from a {type(source).__name__}")

@@ -1,0 +1,44 @@
+"""Reading in rounds: where later ranges lie is told by what earlier rounds bring."""
+
+from collections.abc import Sequence
+
+from terrainwave.container.sources.ranges import ByteRange, FetchedBytes, budget_of, merge_ranges
+from terrainwave.container.sources.source import ByteSource
+
+
+class RoundReader:
+    """Fetches ranges of a source, a round at a time; all rounds have one budget.
+
+    Parameters
+    ----------
+    start : bytes
+        How the source begins, as far as that was read before.
+    """
+
+    def __init__(self, source: ByteSource, start: bytes) -> None:
+        self._source = source
+        self._fetched = FetchedBytes()
+        self._fetched.add(0, start)
+        self._n_requests = 0
+        self._n_read = 0
+
+    def fetch(self, wanted: Sequence[ByteRange]) -> None:
+        """Fetch what is missing of `wanted`, in one round.
+
+        `wanted` are all ranges known to be needed, those of earlier rounds among them. Ranges that
+        turn out not to be needed count as wasted from the next round on.
+        """
+        missing = [part for place in wanted for part in self._fetched.missing(place)]
+        n_wanted = sum(place.length for place in wanted)
+        n_useful = n_wanted - sum(part.length for part in missing)
+        n_wasted = max(0, self._n_read - n_useful)
+        merged = merge_ranges(missing, budget_of(n_wanted, self._n_requests, n_wasted))
+        spans = [span for span, _ in merged]
+        for span, data in zip(spans, self._source.read_spans(spans), strict=True):
+            self._fetched.add(span.offset, data)
+            self._n_read += span.length
+        self._n_requests += len(spans)
+
+    def take(self, place: ByteRange) -> bytes:
+        """Return the bytes of a range that was wanted."""
+        return self._fetched.take(place)

@@ -1,0 +1,1 @@
+"""GeoTIFFs as they are written, and what lies beside them."""

@@ -1,0 +1,197 @@
+"""The head of an uncompressed GeoTIFF whose tiles are made when they are read.
+
+GDAL writes a sparse file, which is a head and no tiles; here each directory's tiles get places
+behind it, one after the other. So all that a GeoTIFF may carry is GDAL's, and none of it ours.
+"""
+
+import struct
+import warnings
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from rasterio.enums import Resampling
+from rasterio.errors import NotGeoreferencedWarning
+from rasterio.io import MemoryFile
+from rasterio.windows import Window
+
+from terrainwave.raster_io.gdal import bounded_env
+from terrainwave.raster_io.geotiff.sink import geotiff_profile, write_description
+from terrainwave.raster_io.info import RasterInfo
+
+# Tags of a directory (TIFF 6.0, sections 8 and 15) and the types of their values.
+_SUBFILE_TYPE, _WIDTH, _LENGTH, _BITS, _COMPRESSION = 254, 256, 257, 258, 259
+_TILE_WIDTH, _TILE_LENGTH, _TILE_OFFSETS, _TILE_BYTES = 322, 323, 324, 325
+_FORMATS = {3: "<H", 4: "<I", 16: "<Q"}
+_IS_MASK = 4
+_UNCOMPRESSED = 1
+# Tiles begin at a multiple of it. GDAL asks over HTTP for whole pieces of this size: no tile is in
+# that of the head.
+_ALIGNMENT = 1 << 14
+# Above this, 32-bit offsets don't reach: heads are far smaller than what is kept free.
+_MOST_CLASSIC = (1 << 32) - (1 << 28)
+
+
+class Plane(NamedTuple):
+    """A directory of the file: heights or mask, of the full grid or of an overview.
+
+    Samples are averages of 2^`shift` a side; tiles of `tile` samples a side begin at byte `start`,
+    `tile_bytes` each, row by row.
+    """
+
+    shift: int
+    is_mask: bool
+    shape: tuple[int, int]
+    tile: int
+    start: int
+    tile_bytes: int
+
+    @property
+    def n_across(self) -> int:
+        """Return how many tiles a row has."""
+        return -(-self.shape[1] // self.tile)
+
+    @property
+    def n_tiles(self) -> int:
+        """Return how many tiles there are."""
+        return self.n_across * -(-self.shape[0] // self.tile)
+
+    @property
+    def stop(self) -> int:
+        """Return the byte after the last tile."""
+        return self.start + self.n_tiles * self.tile_bytes
+
+
+class _Entry(NamedTuple):
+    """A tag of a directory: where its value lies, and what it is if it is one number."""
+
+    place: int
+    value: int | None
+
+
+def sparse_geotiff(
+    info: RasterInfo, n_overviews: int, tags: Mapping[str, str]
+) -> tuple[bytes, list[Plane]]:
+    """Return the head of a GeoTIFF and where its tiles lie; coarse ones come first.
+
+    Parameters
+    ----------
+    n_overviews : int
+        Overviews of half, a quarter, … of the size.
+    tags : mapping of str
+        Further items of the dataset's metadata.
+    """
+    # Overviews and mask add less than half.
+    is_big = 3 * info.n_bytes // 2 > _MOST_CLASSIC
+    head = _written_by_gdal(info, n_overviews, tags, is_big)
+    directories = sorted(_directories(head, is_big), key=_width_of)
+    planes: list[Plane] = []
+    for fields in directories:
+        shift = n_overviews + 1 - (_width_of(fields).bit_length() - 1)
+        shape = (-(-info.n_rows >> shift), -(-info.n_cols >> shift))
+        planes.append(_plane_of(fields, shift, shape))
+    place = len(head) + sum(2 * plane.n_tiles * (8 if is_big else 4) for plane in planes)
+    place += -place % _ALIGNMENT
+    for index, fields in enumerate(directories):
+        planes[index] = plane = planes[index]._replace(start=place)
+        _describe(head, fields, plane, is_big)
+        place = plane.stop
+    head += bytes(planes[0].start - len(head))
+    return bytes(head), planes
+
+
+def _written_by_gdal(
+    info: RasterInfo, n_overviews: int, tags: Mapping[str, str], is_big: bool
+) -> bytearray:
+    """Return a sparse file of a small raster, 2 << `n_overviews` samples a side.
+
+    Nothing in it depends on the size but the directories' own numbers; GDAL would look at all tiles
+    of a large one.
+    """
+    side = 2 << n_overviews
+    profile = geotiff_profile(replace(info, n_rows=side, n_cols=side)) | {
+        "sparse_ok": True,
+        "bigtiff": "YES" if is_big else "NO",
+        "endianness": "LITTLE",
+    }
+    options = {"GDAL_TIFF_INTERNAL_MASK": True, "SPARSE_OK_OVERVIEW": True}
+    with bounded_env(**options), warnings.catch_warnings(), MemoryFile(ext=".tif") as memory:
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with memory.open(**profile) as dataset:
+            write_description(dataset, info)
+            dataset.update_tags(**tags)
+            if info.mask_kind == "mask":
+                dataset.write_mask(np.zeros((1, 1), dtype=np.uint8), window=Window(0, 0, 1, 1))
+        if n_overviews:
+            with rasterio.open(memory.name, "r+") as dataset:
+                factors = [1 << shift for shift in range(1, n_overviews + 1)]
+                dataset.build_overviews(factors, Resampling.nearest)
+        return bytearray(memory.getbuffer())
+
+
+def _directories(head: bytearray, is_big: bool) -> Iterator[dict[int, _Entry]]:
+    """Yield the entries of each directory by tag, in file order."""
+    link, count, entry_bytes, value_at = ("<Q", "<Q", 20, 12) if is_big else ("<I", "<H", 12, 8)
+    (place,) = struct.unpack_from(link, head, 8 if is_big else 4)
+    while place:
+        (n_entries,) = struct.unpack_from(count, head, place)
+        place += struct.calcsize(count)
+        fields = {}
+        for _ in range(n_entries):
+            tag, kind = struct.unpack_from("<HH", head, place)
+            (n_values,) = struct.unpack_from(link, head, place + 4)
+            value = None
+            if n_values == 1 and kind in _FORMATS:
+                (value,) = struct.unpack_from(_FORMATS[kind], head, place + value_at)
+            fields[tag] = _Entry(place, value)
+            place += entry_bytes
+        yield fields
+        (place,) = struct.unpack_from(link, head, place)
+
+
+def _width_of(fields: dict[int, _Entry]) -> int:
+    return fields[_WIDTH].value or 0
+
+
+def _plane_of(fields: dict[int, _Entry], shift: int, shape: tuple[int, int]) -> Plane:
+    numbers = {tag: entry.value for tag, entry in fields.items() if entry.value is not None}
+    tile = numbers[_TILE_WIDTH]
+    assert tile == numbers[_TILE_LENGTH]
+    return Plane(
+        shift=shift,
+        is_mask=bool(numbers.get(_SUBFILE_TYPE, 0) & _IS_MASK),
+        shape=shape,
+        tile=tile,
+        start=0,
+        tile_bytes=tile * (-(-tile * numbers[_BITS] // 8)),
+    )
+
+
+def _describe(head: bytearray, fields: dict[int, _Entry], plane: Plane, is_big: bool) -> None:
+    """Let a directory say how large its plane is and where its tiles lie."""
+    offsets = plane.start + plane.tile_bytes * np.arange(plane.n_tiles, dtype=np.uint64)
+    for tag, values in (
+        (_LENGTH, np.array(plane.shape[:1])),
+        (_WIDTH, np.array(plane.shape[1:])),
+        (_TILE_OFFSETS, offsets),
+        (_TILE_BYTES, np.full(plane.n_tiles, plane.tile_bytes)),
+    ):
+        _put(head, fields[tag], values, is_big)
+    struct.pack_into("<H", head, fields[_COMPRESSION].place + (12 if is_big else 8), _UNCOMPRESSED)
+
+
+def _put(head: bytearray, entry: _Entry, values: NDArray[np.integer], is_big: bool) -> None:
+    """Let an entry hold values; several lie at the end of the head."""
+    data = values.astype("<u8" if is_big else "<u4").tobytes()
+    link = "<Q" if is_big else "<I"
+    struct.pack_into("<H", head, entry.place + 2, 16 if is_big else 4)
+    struct.pack_into(link, head, entry.place + 4, values.size)
+    value_at = entry.place + (12 if is_big else 8)
+    if values.size == 1:
+        head[value_at : value_at + len(data)] = data
+    else:
+        struct.pack_into(link, head, value_at, len(head))
+        head += data

@@ -1,0 +1,293 @@
+"""A scene and a framebuffer that it is drawn into: for the window, or for pictures without one."""
+
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.errors import TerrainwaveError
+from terrainwave.extras import need
+from terrainwave.render import DEFAULT_MAX_BYTES
+from terrainwave.render.gpu.shaders import SOLID_ALPHA
+from terrainwave.render.look.drape_detail import DETAIL_SIDE
+from terrainwave.render.look.water import read_water
+from terrainwave.render.modes import mode_class
+from terrainwave.render.modes.mode import Frames
+from terrainwave.render.paging.scene import Scene
+from terrainwave.render.scene.camera import Camera, Viewport, focal_length, ray
+from terrainwave.render.scene.selection import View
+from terrainwave.render.scene.solid import build_solid
+
+if TYPE_CHECKING:
+    from terrainwave.file import TerrainFile
+    from terrainwave.raster_io.drape import Drape, Photo
+    from terrainwave.render.look.style import Style
+    from terrainwave.render.scene.solid import Solid
+
+_HELP = (
+    "terrainwave render needs EGL and an OpenGL 3.3 driver; on Debian and Ubuntu: apt-get install"
+    " libegl1 libgl1 libgl1-mesa-dri"
+)
+# Of the memory, at most this share is the drape.
+_DRAPE_SHARE = 4
+
+
+def create_context() -> Any:
+    """Return an OpenGL 3.3 core context without a window.
+
+    Raises
+    ------
+    TerrainwaveError
+        If moderngl or a driver is missing; one line that says what to install.
+    """
+    moderngl = need("moderngl", extra="view", purpose="drawing")
+    problems = []
+    backends: tuple[dict[str, Any], ...] = ({"backend": "egl"}, {})
+    for options in backends:
+        try:
+            return moderngl.create_context(standalone=True, require=330, **options)
+        except Exception as error:  # noqa: BLE001  glcontext raises what its backend raises
+            problems.append(str(error).splitlines()[0] if str(error) else type(error).__name__)
+    raise TerrainwaveError(f"no OpenGL context ({'; '.join(problems)}): {_HELP}")
+
+
+def _open_photo(terrain: "TerrainFile", path: str) -> "Photo":
+    from terrainwave.raster_io.drape import Photo
+
+    return Photo(path, crs=terrain.crs, affine=terrain.raster_info.transform, shape=terrain.shape)
+
+
+class Canvas:
+    """A scene with a framebuffer of its own, which the window shows and commands save.
+
+    Parameters
+    ----------
+    size : tuple of int
+        Width and height in pixels.
+    mode : str
+        One of `terrainwave.render.modes.MODES`.
+    drape : str, optional
+        Path or URL of an orthophoto to lie on the terrain, as of `raster_io.drape.Photo`.
+    samples : int
+        Per pixel, against jagged edges; 0 none.
+    is_late : bool
+        Leave out the block under the terrain until `set_solid`, the orthophoto until the renderer's
+        `set_drape`, and where water is until its `set_water`: reading them may take long.
+    options
+        Of `Scene`.
+    """
+
+    def __init__(
+        self,
+        terrain: "TerrainFile",
+        size: tuple[int, int],
+        *,
+        mode: str = "adaptive",
+        drape: str | None = None,
+        samples: int = 4,
+        max_bytes: int = DEFAULT_MAX_BYTES,
+        context: Any = None,
+        is_late: bool = False,
+        **options: Any,
+    ) -> None:
+        mode_class(mode)  # refuses what there is not, before anything is opened
+        self._owns_context = context is None
+        self.context = context or create_context()
+        from terrainwave.render.gpu.renderer import Renderer  # late: moderngl
+        from terrainwave.render.gpu.surfaces import surface_of
+
+        self.photo = None if drape is None else _open_photo(terrain, drape)
+        side = int(self.context.info["GL_MAX_TEXTURE_SIZE"])
+        if is_late:  # finer parts come as the camera comes near
+            side = min(side, DETAIL_SIDE)
+        self._drape_limits = side, max_bytes // _DRAPE_SHARE
+        picture = None if is_late else self.read_drape()
+        self._drape_bytes = self._bytes_of_drape(has_detail=is_late)
+        self.surface = surface_of(
+            mode, self.context, terrain.grid.block, max_bytes=max_bytes - self._drape_bytes
+        )
+        self.store = self.surface.store
+        self.scene = Scene(terrain, self.store, mode=mode, **options)
+        self._samples = min(samples, int(self.context.max_samples))
+        self._target: Any = None
+        self._resolved: Any = None
+        self._drawn: tuple[View, tuple[float, float]] | None = None
+        try:
+            solid = None if is_late else build_solid(terrain, self.scene.frame)
+            self.has_voids = solid is not None and solid.has_lids
+            self.water = None if is_late else read_water(terrain, self.scene.frame)
+            self.renderer = Renderer(
+                self.context, self.scene, self.surface, picture, solid, self.water
+            )
+            self.resize(size)
+        except BaseException:
+            self.scene.close()  # else its threads would go on
+            raise
+
+    def set_solid(self, solid: "Solid") -> None:
+        """Draw the block under the terrain from now on."""
+        self.has_voids = solid.has_lids
+        self.renderer.set_solid(solid)
+
+    def read_drape(self) -> "Drape | None":
+        """Return the orthophoto as a whole, read now, in any thread; None where there is none."""
+        return None if self.photo is None else self.photo.whole(*self._drape_limits)
+
+    @property
+    def drape_texels_per_pixel(self) -> float:
+        """Return how many texels of the orthophoto as a whole lie along a pixel of the grid."""
+        assert self.photo is not None
+        width, _ = self.photo.size(*self._drape_limits)
+        return width / self.photo.place[2]
+
+    def _bytes_of_drape(self, *, has_detail: bool) -> int:
+        """Return the bytes on the GPU of the orthophoto, with smaller copies of itself."""
+        if self.photo is None:
+            return 0
+        width, height = self.photo.size(*self._drape_limits)
+        texels = width * height + (DETAIL_SIDE**2 if has_detail else 0)
+        return texels * 4 * 4 // 3
+
+    @property
+    def n_bytes(self) -> int:
+        """Return the bytes on the GPU of pieces and drape, used or not."""
+        return self.store.n_bytes + self._drape_bytes
+
+    def resize(self, size: tuple[int, int]) -> None:
+        """Draw pictures of another size from now on."""
+        limit = int(self.context.info["GL_MAX_VIEWPORT_DIMS"][0])
+        if not (1 <= min(size) and max(size) <= limit):
+            raise TerrainwaveError(f"found size {size[0]}x{size[1]}, expected 1 to {limit} pixels")
+        self._release_framebuffers()
+        self.viewport = Viewport(*size)
+        self._target = self._framebuffer(size, self._samples)
+        self._resolved = self._framebuffer(size, 0) if self._samples else self._target
+
+    def _framebuffer(self, size: tuple[int, int], samples: int) -> Any:
+        return self.context.framebuffer(
+            [self.context.renderbuffer(size, 4, samples=samples)],
+            self.context.depth_renderbuffer(size, samples=samples),
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop the workers and free the GPU's memory."""
+        self.scene.close()
+        if self.photo is not None:
+            self.photo.close()
+        self.renderer.release()
+        self._release_framebuffers()
+        if self._owns_context:
+            self.context.release()
+
+    def _release_framebuffers(self) -> None:
+        if self._target is None:
+            return
+        # moderngl binds the last framebuffer used again, released or not.
+        self.context.detect_framebuffer(0).use()
+        if self._resolved is not self._target:
+            self._resolved.release()
+        self._target.release()
+
+    def draw(
+        self, camera: Camera, style: "Style", *, max_pixel_error: float = 1.0, settle: bool = True
+    ) -> Frames:
+        """Draw a picture and leave it on the GPU, in `framebuffer`; return what was drawn.
+
+        `settle` waits until all that the view needs has been read.
+        """
+        view = self.scene.view(camera, self.viewport, max_pixel_error)
+        self._target.use()
+        if self.scene.mode.is_partwise:
+            frames = self._draw_parts(view, style)
+        else:
+            frames = self.scene.settle(view) if settle else self.scene.update(view)
+            self.renderer.draw(view, frames, style)
+        self._drawn = view, self.renderer.depth_range(view, frames)
+        if self._resolved is not self._target:
+            self.context.copy_framebuffer(self._resolved, self._target)
+        return frames
+
+    @property
+    def framebuffer(self) -> Any:
+        """Return the framebuffer with the last picture, one sample per pixel."""
+        return self._resolved
+
+    def picture(
+        self, camera: Camera, style: "Style", *, max_pixel_error: float = 1.0, settle: bool = True
+    ) -> tuple[NDArray[np.uint8], Frames]:
+        """Return the picture, uint8 (height, width, 3), the first row on top, and what was drawn.
+
+        As `draw`.
+        """
+        frames = self.draw(camera, style, max_pixel_error=max_pixel_error, settle=settle)
+        return self.grab(), frames
+
+    def grab(self) -> NDArray[np.uint8]:
+        """Return the last picture, uint8 (height, width, 3), the first row on top."""
+        data = self._resolved.read(components=3, alignment=1)
+        size = (self.viewport.height, self.viewport.width, 3)
+        return np.frombuffer(data, dtype=np.uint8).reshape(size)[::-1].copy()
+
+    def is_blank(self) -> bool:
+        """Say whether the last picture shows no terrain. Waits for the GPU."""
+        return not self._shows_terrain((0, 0, self.viewport.width, self.viewport.height)).any()
+
+    def _shows_terrain(self, part: tuple[int, int, int, int]) -> NDArray[np.bool_]:
+        """Return which pixels of a part of the last picture are terrain; no sky, wall, or hatch."""
+        data = self._resolved.read(part, components=1, attachment=-1, dtype="f4")
+        colors = self._resolved.read(part, components=4, alignment=1)
+        # Where samples of a pixel differ, most of them count.
+        is_data = np.frombuffer(colors, dtype=np.uint8)[3::4] > (255 + SOLID_ALPHA) // 2
+        return (np.frombuffer(data, dtype=np.float32) < 1.0) & is_data
+
+    def pick(self, x: float, y: float) -> NDArray[np.float64] | None:
+        """Return the place of the last picture's surface under a pixel (y down), local metres.
+
+        None where there is only sky, or a wall or hatch, which are no data. Waits for the GPU.
+        """
+        if self._drawn is None or not (
+            0 <= x < self.viewport.width and 0 <= y < self.viewport.height
+        ):
+            return None
+        view, (near, far) = self._drawn
+        place = (int(x), self.viewport.height - 1 - int(y), 1, 1)
+        data = self._resolved.read(place, components=1, attachment=-1, dtype="f4")
+        depth = float(np.frombuffer(data, dtype=np.float32)[0])
+        if not self._shows_terrain(place).all():
+            return None
+        depth = 2 * near * far / (far + near - (2 * depth - 1) * (far - near))
+        towards = ray(view.camera, self.viewport, int(x) + 0.5, int(y) + 0.5)
+        return view.camera.eye + towards * (depth / float(towards @ view.camera.forward))
+
+    def metres_per_pixel(self) -> float | None:
+        """Return the scale of the last picture: in its middle, else of the raster's middle.
+
+        None where the one shows no terrain and the other is behind the camera.
+        """
+        if self._drawn is None:
+            return None
+        camera = self._drawn[0].camera
+        middle = self.pick(self.viewport.width / 2, self.viewport.height / 2)
+        if middle is None:
+            middle = np.mean(self.scene.frame.box, axis=0)
+        away = float((middle - camera.eye) @ camera.forward)
+        return away / focal_length(camera, self.viewport) if away > 0 else None
+
+    def _draw_parts(self, view: View, style: "Style") -> Frames:
+        """Draw all finest blocks in view, as many at a time as memory holds."""
+        self.renderer.clear(view, style)
+        nodes, n_triangles = [np.empty(0, dtype=np.int32)], 0
+        none = np.empty(0)
+        frames = Frames(nodes[0], none, none, none, 0, 0.0, 0)
+        for frames in self.scene.parts(view):
+            self.renderer.draw_terrain(view, frames, style)
+            nodes.append(frames.nodes)
+            n_triangles += frames.n_triangles
+        self.renderer.draw_solid(view, frames, style)
+        return Frames(np.concatenate(nodes), none, none, none, n_triangles, 0.0, 0)

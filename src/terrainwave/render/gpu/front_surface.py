@@ -1,0 +1,192 @@
+"""One mesh of many patches on the GPU, uploaded each frame; slopes of each patch in a texture."""
+
+from typing import TYPE_CHECKING, Any
+
+import moderngl
+import numpy as np
+
+from terrainwave.render.gpu.layers import SLOPES, LayeredTextures
+from terrainwave.render.gpu.shaders import TERRAIN_FRAGMENT
+from terrainwave.render.gpu.surface import OWN_UNIT, release_all, set_uniforms
+from terrainwave.render.scene.selection import View
+
+if TYPE_CHECKING:
+    from terrainwave.render.modes.front import FrontPatch
+    from terrainwave.render.modes.mode import Frames
+    from terrainwave.render.paging.scene import Scene
+
+_SLOPES = OWN_UNIT
+_FIRST_BYTES = 1 << 20
+# The fragment shader reads slopes beside a sample: a ring of texels, and one more to be even.
+RING = 3
+
+VERTEX = np.dtype(
+    [("place", "<f4", 3), ("sample", "<f4", 2), ("grid", "<f4", 2), ("about", "<f4", 3)]
+)
+
+_VERTEX_SHADER = """
+#version 330 core
+in vec3 in_place;           // relative to the eye
+in vec2 in_sample;          // column and row of the patch
+in vec2 in_grid;            // column and row of the full grid
+in vec3 in_about;           // layer, size, error
+uniform mat4 view_projection;
+out vec3 v_seen;
+out vec2 v_sample;
+flat out ivec2 v_layers;
+out vec2 v_grid;
+flat out vec4 v_parent;     // unused, unused, size, error
+void main() {
+    v_seen = in_place;
+    v_sample = in_sample;
+    v_layers = ivec2(int(in_about.x), -1);
+    v_grid = in_grid;
+    v_parent = vec4(0.0, 0.0, in_about.yz);
+    gl_Position = view_projection * vec4(in_place, 1.0);
+}
+"""
+
+
+class FrontStore:
+    """A `Store` of the slopes of patches: a layer each. It counts their meshes, too.
+
+    Parameters
+    ----------
+    max_bytes : int
+        Of slopes and of all that patches take in memory.
+    """
+
+    def __init__(self, context: Any, *, max_bytes: int) -> None:
+        self._context, self._max_bytes = context, max_bytes
+        self._layers: LayeredTextures | None = None
+        self.layer_of: dict[int, int] = {}
+        self._max_blocks, self._room = 1, 0
+        self.side = 0
+
+    @property
+    def max_blocks(self) -> int:
+        """Return how many patches fit; one before the first is here, which says how large."""
+        return self._max_blocks
+
+    @property
+    def n_bytes(self) -> int:
+        """Return the bytes of all layers, used or not, and of what patches may take besides."""
+        layers = 0 if self._layers is None else self._layers.n_bytes
+        return layers + self._room * len(self.layer_of)
+
+    @property
+    def slopes(self) -> Any:
+        """Return the array texture; there is one once a patch is here."""
+        if self._layers is None:
+            raise AssertionError("a patch is here")
+        return self._layers.textures[0]
+
+    def put(self, node: int, built: "FrontPatch") -> bool:
+        """Upload slopes; false if there is no room."""
+        if self._layers is None:
+            self._allocate(built)
+        if self._layers is None or len(self.layer_of) == self._max_blocks:
+            return False
+        layer = self._layers.take()
+        if layer is None:
+            return False
+        # The ring around a patch repeats its border.
+        content = np.pad(built.slopes, ((1, 1), (1, 1), (0, 0)), mode="edge")
+        self._layers.write(layer, [content])
+        self.layer_of[node] = layer
+        return True
+
+    def _allocate(self, built: "FrontPatch") -> None:
+        """Share the memory between layers and all else."""
+        self.side, self._room = built.side, built.room
+        layer = (built.side + RING) ** 2 * SLOPES.n_bytes
+        n_patches = self._max_bytes // (layer + built.room)
+        self._layers = LayeredTextures(
+            self._context, built.side + RING, [SLOPES], max_bytes=n_patches * layer
+        )
+        self._max_blocks = self._layers.max_layers
+
+    def drop(self, node: int) -> None:
+        """Forget a patch."""
+        if self._layers is not None:
+            self._layers.give_back(self.layer_of.pop(node))
+
+    def release(self) -> None:
+        """Free the GPU's memory."""
+        release_all(self._layers)
+
+
+class FrontSurface:
+    """A `Surface` of one mesh.
+
+    Parameters
+    ----------
+    context : moderngl.Context
+        OpenGL 3.3 core or newer.
+    """
+
+    n_clip_distances = 0
+
+    def __init__(self, context: Any, *, max_bytes: int) -> None:
+        self._context = context
+        self.store = FrontStore(context, max_bytes=max_bytes)
+        self.program = context.program(
+            vertex_shader=_VERTEX_SHADER.strip(), fragment_shader=TERRAIN_FRAGMENT.strip()
+        )
+        self._vertices = context.buffer(reserve=_FIRST_BYTES, dynamic=True)
+        self._triangles = context.buffer(reserve=_FIRST_BYTES, dynamic=True)
+        self._array: Any = None
+
+    def submit(self, scene: "Scene", view: View, frames: "Frames") -> int:
+        """Upload and draw the mesh of the frame."""
+        n = self.prepare(scene, view, frames)
+        if not n:
+            return 0
+        self._array.render(moderngl.TRIANGLES, vertices=n)
+        return 1
+
+    def prepare(self, scene: "Scene", view: View, frames: "Frames") -> int:
+        """Fill buffers, textures and uniforms; return how many corners triangles have."""
+        mode: Any = scene.mode
+        drawn = mode.drawn
+        if drawn is None or not len(drawn.triangles):
+            return 0
+        vertices = np.empty(len(drawn.vertices), dtype=VERTEX)
+        vertices["place"] = drawn.vertices - view.camera.eye
+        vertices["about"][:, 1] = drawn.sizes
+        starts = mode.first_vertices
+        for k, (node, patch) in enumerate(zip(frames.nodes.tolist(), mode.shown, strict=True)):
+            part = vertices[starts[k] : starts[k + 1]]
+            places = patch.places(drawn.vertices[starts[k] : starts[k + 1]])
+            stride = scene.terrain.grid.stride(patch.piece.level)
+            part["sample"] = places
+            part["grid"] = np.add(places, (patch.region.col, patch.region.row)) * stride
+            part["about"][:, 0] = self.store.layer_of[node]
+            part["about"][:, 2] = patch.error
+        self._upload(vertices.tobytes(), drawn.triangles.astype("<u4").tobytes())
+        set_uniforms(self.program, {"slopes": _SLOPES, "side": float(self.store.side)})
+        self.store.slopes.use(_SLOPES)
+        return int(drawn.triangles.size)
+
+    def _upload(self, vertices: bytes, triangles: bytes) -> None:
+        """Fill the buffers, with larger ones where they are too small."""
+        if self._array is None or max(len(vertices), len(triangles)) > self._vertices.size:
+            if self._array is not None:
+                self._array.release()
+            size = max(self._vertices.size, 2 * len(vertices), 2 * len(triangles))
+            self._vertices.orphan(size)
+            self._triangles.orphan(size)
+            self._array = self._context.vertex_array(
+                self.program,
+                [(
+                    self._vertices, "3f4 2f4 2f4 3f4", "in_place", "in_sample", "in_grid",
+                    "in_about",
+                )],
+                index_buffer=self._triangles, index_element_size=4,
+            )  # fmt: skip
+        self._vertices.write(vertices)
+        self._triangles.write(triangles)
+
+    def release(self) -> None:
+        """Free the GPU's memory."""
+        release_all(self._array, self._vertices, self._triangles, self.program, self.store)

@@ -1,0 +1,159 @@
+"""Patches on the GPU: one vertex buffer, one index buffer, one array texture of slopes."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.render.gpu.arena import Arena
+from terrainwave.render.gpu.layers import SLOPES, LayeredTextures
+from terrainwave.render.scene.patches import VERTEX, Patch
+
+_FIRST_VERTICES = 1 << 18
+_FIRST_INDICES = 1 << 20
+# Of the memory, at most this share is textures.
+_TEXTURE_SHARE = 2
+_INDEX_BYTES = 4
+# struct DrawElementsIndirectCommand
+COMMAND = np.dtype(
+    [
+        ("count", "<u4"),
+        ("n_instances", "<u4"),
+        ("first_index", "<u4"),
+        ("base_vertex", "<i4"),
+        ("base_instance", "<u4"),
+    ]
+)
+
+
+class Slot(NamedTuple):
+    """Where a patch lies."""
+
+    first_vertex: int
+    n_vertices: int
+    first_index: int
+    n_indices: int
+    layer: int
+
+
+class GpuStore:
+    """A `Store` on the GPU, within `max_bytes`.
+
+    Buffers and textures grow by doubling. Indices count from the buffer's first vertex, so that a
+    driver without base vertices can draw them too.
+    """
+
+    def __init__(self, context: Any, side: int, *, max_bytes: int) -> None:
+        self._context = context
+        # Samples of a block and one more on each side.
+        self.layers = LayeredTextures(
+            context, side + 3, [SLOPES], max_bytes=max_bytes // _TEXTURE_SHARE
+        )
+        self._mesh_bytes = max_bytes - self.layers.max_bytes
+        self._vertices = Arena(_FIRST_VERTICES)
+        self._indices = Arena(_FIRST_INDICES)
+        self.vertex_buffer = context.buffer(reserve=_FIRST_VERTICES * VERTEX.itemsize)
+        self.index_buffer = context.buffer(reserve=_FIRST_INDICES * _INDEX_BYTES)
+        self.slots: dict[int, Slot] = {}
+        # First index, number of indices and layer by node, for whole frames at once.
+        self._places = np.zeros((256, 3), dtype=np.int64)
+        self.generation = 0  # counts buffers replaced: vertex arrays on the old ones are stale
+
+    @property
+    def max_blocks(self) -> int:
+        """Return how many patches fit at most."""
+        return self.layers.max_layers
+
+    @property
+    def n_bytes(self) -> int:
+        """Return the bytes of all buffers and textures, used or not."""
+        meshes = self._vertices.capacity * VERTEX.itemsize + self._indices.capacity * _INDEX_BYTES
+        return meshes + self.layers.n_bytes
+
+    @property
+    def slopes(self) -> Any:
+        """Return the array texture of slopes."""
+        return self.layers.textures[0]
+
+    def put(self, node: int, patch: Patch) -> bool:
+        """Upload a patch; false if there is no room."""
+        n_indices = patch.triangles.size
+        if n_indices == 0:
+            self._place(node, Slot(0, 0, 0, 0, -1))
+            return True
+        layer = self.layers.take()
+        if layer is None:
+            return False
+        first_vertex = self._take("_vertices", len(patch.vertices))
+        first_index = None if first_vertex is None else self._take("_indices", n_indices)
+        if first_vertex is None or first_index is None:
+            self.layers.give_back(layer)
+            if first_vertex is not None:
+                self._vertices.give_back(first_vertex, len(patch.vertices))
+            return False
+        self.vertex_buffer.write(patch.vertices, offset=first_vertex * VERTEX.itemsize)
+        indices = patch.triangles + np.uint32(first_vertex)
+        self.index_buffer.write(indices, offset=first_index * _INDEX_BYTES)
+        self.layers.write(layer, [patch.slopes])
+        self._place(node, Slot(first_vertex, len(patch.vertices), first_index, n_indices, layer))
+        return True
+
+    def _place(self, node: int, slot: Slot) -> None:
+        self.slots[node] = slot
+        if node >= len(self._places):
+            self._places = np.resize(self._places, (2 * node + 2, 3))
+        self._places[node] = slot.first_index, slot.n_indices, slot.layer
+
+    def drop(self, node: int) -> None:
+        """Forget a patch."""
+        slot = self.slots.pop(node)
+        if slot.layer < 0:
+            return
+        self._vertices.give_back(slot.first_vertex, slot.n_vertices)
+        self._indices.give_back(slot.first_index, slot.n_indices)
+        self.layers.give_back(slot.layer)
+
+    def _take(self, name: str, size: int) -> int | None:
+        arena: Arena = getattr(self, name)
+        start = arena.take(size)
+        while start is None:
+            itemsize = VERTEX.itemsize if name == "_vertices" else _INDEX_BYTES
+            other = self._indices if name == "_vertices" else self._vertices
+            other_size = _INDEX_BYTES if name == "_vertices" else VERTEX.itemsize
+            # Twice as much; the last time by less, what is left.
+            most = (self._mesh_bytes - other.capacity * other_size) // itemsize
+            capacity = min(2 * arena.capacity, most)
+            if capacity < arena.capacity + size:
+                return None
+            self._grow_buffer(
+                "vertex_buffer" if name == "_vertices" else "index_buffer", capacity * itemsize
+            )
+            arena.grow(capacity)
+            start = arena.take(size)
+        return start
+
+    def _grow_buffer(self, name: str, n_bytes: int) -> None:
+        old = getattr(self, name)
+        new = self._context.buffer(reserve=n_bytes)
+        self._context.copy_buffer(new, old)
+        old.release()
+        setattr(self, name, new)
+        self.generation += 1
+
+    def commands(self, nodes: NDArray[np.int32]) -> NDArray[np.void]:
+        """Return the draw commands of nodes; command k draws instance k."""
+        commands = np.zeros(len(nodes), dtype=COMMAND)
+        commands["first_index"], commands["count"] = self._places[nodes, 0], self._places[nodes, 1]
+        commands["n_instances"] = 1
+        commands["base_instance"] = np.arange(len(nodes))
+        return commands
+
+    def layers_of(self, nodes: NDArray[np.int32]) -> NDArray[np.int64]:
+        """Return the slope layer of each node; -1 where it has no triangles."""
+        layers: NDArray[np.int64] = self._places[nodes, 2]
+        return layers
+
+    def release(self) -> None:
+        """Free the GPU's memory."""
+        for part in (self.vertex_buffer, self.index_buffer, self.layers):
+            part.release()

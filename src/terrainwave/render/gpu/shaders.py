@@ -1,0 +1,310 @@
+"""GLSL 3.30 core. `INDIRECT` is defined where one call draws all patches."""
+
+# Row k of `instances` holds patch k in four texels:
+# (x, y, z of its first sample at z = 0, relative to the eye; share of the parent's surface)
+# (depth of skirts, slope layer, parent's slope layer or -1, samples of the full grid per sample)
+# (columns, rows of the full grid right of and below its first sample; column, row in the parent)
+# (level, error in metres, unused, unused)
+_INSTANCE = """
+#ifdef INDIRECT
+in int in_instance;
+#else
+uniform int in_instance;
+#endif
+uniform sampler2D instances;
+"""
+
+TERRAIN_VERTEX = (
+    """
+#version 330 core
+//DEFINES
+in vec2 in_place;
+in vec2 in_heights;
+"""
+    + _INSTANCE
+    + """
+uniform mat4 view_projection;
+uniform vec4 sample_axes;   // metres per sample of the full grid: x by col, x by row, y ...
+uniform float z_scale;
+uniform float side;         // cells of a block
+uniform vec2 last;          // column, row of the full grid
+out vec3 v_seen;            // relative to the eye
+out vec2 v_sample;          // in samples of the block's level
+flat out ivec2 v_layers;
+out vec2 v_grid;            // column, row of the full grid
+flat out vec4 v_parent;     // offset in the parent's samples; level; error
+out float gl_ClipDistance[2];
+void main() {
+    vec4 a = texelFetch(instances, ivec2(0, in_instance), 0);
+    vec4 b = texelFetch(instances, ivec2(1, in_instance), 0);
+    vec4 c = texelFetch(instances, ivec2(2, in_instance), 0);
+    vec4 d = texelFetch(instances, ivec2(3, in_instance), 0);
+    bool is_skirt = in_place.x >= 32768.0;
+    vec2 place = vec2(is_skirt ? in_place.x - 32768.0 : in_place.x, in_place.y) * 0.5;
+    vec2 full = place * b.w;
+    float z = mix(in_heights.x, in_heights.y, a.w);
+    vec3 seen = a.xyz;
+    seen.x += full.x * sample_axes.x + full.y * sample_axes.y;
+    seen.y += full.x * sample_axes.z + full.y * sample_axes.w;
+    seen.z += z * z_scale - (is_skirt ? b.x : 0.0);
+    v_seen = seen;
+    v_sample = place;
+    v_layers = ivec2(b.yz);
+    v_parent = vec4(c.zw, d.xy);
+    v_grid = last - c.xy + full;
+    gl_ClipDistance[0] = c.x - full.x;
+    gl_ClipDistance[1] = c.y - full.y;
+    gl_Position = view_projection * vec4(seen, 1.0);
+}
+"""
+)
+
+_HAZE = """
+uniform vec4 haze;          // colour, density per metre
+uniform float haze_start;   // metres from the eye
+
+vec3 hazed(vec3 rgb, vec3 seen) {
+    float away = max(length(seen) - haze_start, 0.0) * haze.w;
+    return mix(haze.rgb, rgb, exp(-away * away));
+}
+"""
+
+TERRAIN_FRAGMENT = (
+    """
+#version 330 core
+in vec3 v_seen;
+in vec2 v_sample;
+in vec2 v_grid;
+flat in ivec2 v_layers;
+flat in vec4 v_parent;
+uniform sampler2DArray slopes;
+uniform sampler2D drape;
+uniform vec4 drape_place;   // first column and row it covers, 1 / columns, 1 / rows
+uniform float drape_share;
+uniform sampler2D detail;    // a finer part of the drape
+uniform vec4 detail_place;
+uniform float detail_share;
+uniform sampler2D ramp;      // columns: the sea's colours, then the land's; rows: to the north
+uniform vec4 ramp_range;    // values of the sea's first and last colour, of the land's
+uniform sampler2D water;     // where values up to the sea's last colour are water
+uniform vec3 water_place;    // samples per texel; 1 / columns, 1 / rows
+uniform vec2 height_texels;  // metres: of texel 0, per 1
+uniform vec2 northwards;    // share of the way north: at the eye, per metre
+uniform vec3 sun;           // unit vector towards it
+uniform float side;
+uniform float z_scale;
+uniform vec4 sample_axes;
+uniform int coloring;       // 0 ramp, 1 level, 2 error, 3 ground, 4 plain, 5 flat, 6 slope
+uniform float shade;        // share of light and shadow
+out vec4 color;
+"""
+    + _HAZE
+    + """
+vec3 wheel(float t) {
+    return 0.55 + 0.4 * cos(6.2831853 * (t + vec3(0.0, 0.33, 0.67)));
+}
+
+vec3 texel_at(vec2 beside) {
+    return texture(slopes, vec3((v_sample + beside + 1.5) / (side + 3.0), float(v_layers.x))).xyz;
+}
+
+vec2 slope_at(vec2 beside) {
+    return texel_at(beside).xy;
+}
+
+// Ridges positive, gullies negative: the change of the slope to the east over two samples
+// eastwards and of that to the north over two northwards, however the raster lies.
+float bend() {
+    vec2 by_col = slope_at(vec2(-1.0, 0.0)) - slope_at(vec2(1.0, 0.0));
+    vec2 by_row = slope_at(vec2(0.0, -1.0)) - slope_at(vec2(0.0, 1.0));
+    vec2 east = normalize(vec2(sample_axes.w, -sample_axes.z));
+    vec2 north = normalize(vec2(-sample_axes.y, sample_axes.x));
+    float turned = sign(sample_axes.x * sample_axes.w - sample_axes.y * sample_axes.z);
+    return turned * (dot(vec2(by_col.x, by_row.x), east) + dot(vec2(by_col.y, by_row.y), north));
+}
+
+void main() {
+    vec3 texel = texel_at(vec2(0.0));
+    vec2 slope = texel.xy;
+    vec3 normal = normalize(vec3(-slope * z_scale, 1.0));
+    float steep = 1.0 - normalize(vec3(-slope, 1.0)).z;
+    vec3 base;
+    float value = coloring == 2 ? v_parent.w
+        : coloring == 6 ? degrees(atan(length(slope)))
+        : height_texels.x + height_texels.y * texel.z;
+    bool is_sea = value <= ramp_range.y;
+    if (coloring == 3 && is_sea) {
+        float found = texture(water, (v_grid / water_place.x + 0.5) * water_place.yz).r;
+        is_sea = found > 0.75 || (found > 0.25 && value >= -ramp_range.y);
+    }
+    vec2 ends = is_sea ? ramp_range.xy : ramp_range.zw;
+    float t = clamp((value - ends.x) / (ends.y - ends.x), 0.0, 1.0);
+    float colors = float(textureSize(ramp, 0).x) / 2.0;
+    float column = (is_sea ? 0.5 : colors + 0.5) + t * (colors - 1.0);
+    vec2 ramp_place = vec2(column / (2.0 * colors), northwards.x + northwards.y * v_seen.y);
+    if (coloring == 1) base = wheel(v_parent.z * 0.381966);
+    else if (coloring == 4 || coloring == 5) base = vec3(0.82, 0.80, 0.76);
+    else {
+        base = texture(ramp, ramp_place).rgb;
+        if (coloring == 3) {
+            float bent = clamp(bend() * 1.6, -1.0, 1.0);
+            vec3 rock = mix(vec3(0.40, 0.37, 0.33), vec3(0.58, 0.56, 0.53), t);
+            // Snow stays on steeper ground than soil does.
+            float snow = smoothstep(0.84, 0.95, min(base.r, base.b));
+            vec2 bare = mix(vec2(0.08, 0.30), vec2(0.16, 0.42), snow);
+            if (!is_sea) base = mix(base, rock, smoothstep(bare.x, bare.y, steep + 0.05 * bent));
+            base *= 1.0 + 0.22 * bent;
+        }
+    }
+    vec2 at = (v_grid + 0.5 - drape_place.xy) * drape_place.zw;
+    float draped = 0.0;
+    if (drape_share > 0.0) {
+        vec4 photo = texture(drape, at, -0.5);  // a little sharper: slopes are seen aslant
+        if (any(lessThan(at, vec2(0.0))) || any(greaterThan(at, vec2(1.0)))) photo.a = 0.0;
+        vec2 near = (v_grid + 0.5 - detail_place.xy) * detail_place.zw;
+        vec4 fine = texture(detail, near, -0.5);
+        vec2 rim = min(near, 1.0 - near);
+        float share = clamp(min(rim.x, rim.y) * 16.0, 0.0, 1.0) * detail_share * fine.a;
+        photo = mix(photo, vec4(fine.rgb, 1.0), share);
+        draped = photo.a * drape_share;
+        base = mix(base, photo.rgb, draped);
+    }
+    // A photo has light and shadow of its own.
+    float shading = shade * (1.0 - 0.55 * draped);
+    float lit = max(dot(normal, sun), 0.0) / max(sun.z, 0.25);
+    float sky = 0.5 + 0.5 * normal.z;
+    // A weak second light from across keeps shadows from going black.
+    float fill = max(dot(normal, vec3(-sun.xy, sun.z)), 0.0);
+    float light = mix(1.0, 0.30 * sky + 0.22 * fill + 0.60 * min(lit, 1.45), shading);
+    vec3 warm = mix(vec3(0.86, 0.92, 1.06), vec3(1.04, 1.0, 0.94), clamp(lit, 0.0, 1.0));
+    vec3 rgb = base * light * mix(vec3(1.0), warm, shading);
+    if (coloring == 5) rgb = base;
+    color = vec4(hazed(rgb, v_seen), 1.0);
+}
+"""
+)
+
+SKY_VERTEX = """
+#version 330 core
+out vec2 v_ndc;
+void main() {
+    v_ndc = vec2((gl_VertexID & 1) * 4 - 1, (gl_VertexID & 2) * 2 - 1);
+    gl_Position = vec4(v_ndc, 0.99999, 1.0);
+}
+"""
+
+# Without depth: the sky and, where there is one, the ground, which fades into haze beside the
+# terrain. The sky begins where the ground ends, not at the horizon: from above both are in view.
+SKY_FRAGMENT = """
+#version 330 core
+in vec2 v_ndc;
+uniform mat3 axes;          // columns right, up, forward
+uniform vec2 tangents;
+uniform vec3 zenith;
+uniform vec3 horizon;
+uniform vec3 sun;
+uniform vec3 eye;           // local metres
+uniform float base;         // z of the ground
+uniform vec2 middle, first; // x and y of the terrain's middle and of its first sample
+uniform mat2 sample_steps;  // metres per column and per row
+uniform vec2 last;          // column, row
+uniform float reach;        // metres beside the terrain where the ground ends
+uniform float extent;       // metres
+uniform bool has_ground;
+out vec4 color;
+
+const vec3 GROUND = vec3(0.71, 0.70, 0.68);
+
+void main() {
+    vec3 ray = normalize(axes * vec3(v_ndc * tangents, 1.0));
+    float height = eye.z - base;
+    float up = ray.z;
+    if (has_ground && height > 0.0) {
+        // Where this way leaves a circle around the ground.
+        vec2 way = normalize(ray.xy + vec2(1e-9, 0.0)), from = eye.xy - middle;
+        float radius = extent / 2.0 + reach, nearest = -dot(from, way);
+        float inside = nearest * nearest - dot(from, from) + radius * radius;
+        float leaves = max(nearest + sqrt(max(inside, 0.0)), height);
+        up += height / length(vec2(height, leaves));
+    }
+    up = clamp(up, -0.25, 1.0);
+    vec3 rgb = mix(horizon, zenith, pow(clamp(up * 2.8, 0.0, 1.0), 0.75));
+    if (!has_ground) rgb = mix(rgb, horizon * 0.86, smoothstep(0.0, 0.25, -up));
+    float glow = pow(max(dot(ray, sun), 0.0), 24.0);
+    rgb += vec3(0.22, 0.17, 0.09) * glow;
+    if (has_ground && height > 0.0 && ray.z < 0.0) {
+        vec2 place = eye.xy + ray.xy * (height / -ray.z);
+        vec2 at = inverse(sample_steps) * (place - first);
+        float beside = length(sample_steps * (at - clamp(at, vec2(0.0), last)));
+        // Darker at the foot of the block, as if it kept light away.
+        vec3 ground = GROUND * (1.0 - 0.34 * exp(-beside / (0.035 * extent)));
+        rgb = mix(ground, rgb, smoothstep(0.0, reach, beside));
+    }
+    color = vec4(rgb, 1.0);
+}
+"""
+
+# Walls, floor and lids: see `solid`.
+SOLID_VERTEX = """
+#version 330 core
+in vec2 in_place;           // column, row of the full grid
+in float in_height;         // metres, without exaggeration
+in float in_kind;           // 0 top of a wall, 1 its base, 2 floor, 3 lid
+in vec2 in_normal;          // of walls, outwards
+uniform mat4 view_projection;
+uniform vec4 sample_axes;
+uniform vec3 origin;        // the first sample at z = 0, relative to the eye
+uniform float z_scale;
+uniform float base;         // z of the base relative to the eye
+out vec3 v_seen;
+out vec2 v_normal;
+flat out int v_kind;
+void main() {
+    vec3 seen = origin;
+    seen.x += in_place.x * sample_axes.x + in_place.y * sample_axes.y;
+    seen.y += in_place.x * sample_axes.z + in_place.y * sample_axes.w;
+    seen.z = in_kind == 1.0 || in_kind == 2.0 ? base : seen.z + in_height * z_scale;
+    v_seen = seen;
+    v_normal = in_normal;
+    v_kind = int(in_kind);
+    gl_Position = view_projection * vec4(seen, 1.0);
+}
+"""
+
+# Alpha says what is not data: `Canvas.pick` leaves it out.
+SOLID_ALPHA = 250
+SOLID_FRAGMENT = (
+    """
+#version 330 core
+in vec3 v_seen;
+in vec2 v_normal;
+flat in int v_kind;
+uniform vec3 sun;
+uniform float base;
+uniform float depth;        // of the base below the lowest height, metres
+uniform float shade;
+uniform float hatch;        // pixels from stripe to stripe
+out vec4 color;
+"""
+    + _HAZE
+    + """
+const vec3 WALL = vec3(0.56, 0.515, 0.465);
+const vec3 GAP = vec3(0.80, 0.80, 0.79), STRIPE = vec3(0.60, 0.60, 0.60);
+
+void main() {
+    vec3 rgb;
+    if (v_kind >= 2) {
+        float across = fract((gl_FragCoord.x + gl_FragCoord.y) / hatch);
+        float soft = 1.0 / hatch;
+        float stripe = smoothstep(0.30 - soft, 0.30 + soft, abs(across - 0.5));
+        rgb = mix(GAP, STRIPE, stripe);
+    } else {
+        float lit = max(dot(v_normal, normalize(sun.xy + vec2(1e-9))), 0.0);
+        float above = clamp((v_seen.z - base) / depth, 0.0, 1.0);
+        float light = mix(1.0, (0.62 + 0.38 * lit) * (0.72 + 0.28 * above), shade);
+        rgb = WALL * light;
+    }
+    color = vec4(hazed(rgb, v_seen), ALPHA);
+}
+""".replace("ALPHA", f"{SOLID_ALPHA / 255}")
+)

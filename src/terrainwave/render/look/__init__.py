@@ -1,0 +1,1 @@
+"""How pictures look: colours, water, orthophotos, what is written over them."""

@@ -1,0 +1,75 @@
+"""Work beside the thread that draws, which looks for results and never waits."""
+
+import threading
+from collections.abc import Callable
+from queue import Empty, SimpleQueue
+from typing import Any, NamedTuple
+
+from terrainwave.errors import TerrainwaveError
+
+
+class Outcome(NamedTuple):
+    """A result, or what is said where there is none."""
+
+    value: Any
+    problem: str | None
+
+
+_Then = Callable[[Outcome], None]
+
+
+class Background:
+    """Runs functions in threads; their results are taken by `poll`. Used by one thread.
+
+    Parameters
+    ----------
+    n_threads : int
+        They end with the process, whatever they wait for.
+    """
+
+    def __init__(self, n_threads: int = 2) -> None:
+        self._tasks: SimpleQueue[tuple[Callable[[], Any], _Then] | None] = SimpleQueue()
+        self._done: SimpleQueue[tuple[Any, Exception | None, _Then]] = SimpleQueue()
+        self._n_threads = n_threads
+        self._is_closed = False
+        self.n_running = 0  # results still to come
+        for number in range(n_threads):
+            name = f"terrainwave-background-{number}"
+            threading.Thread(target=self._work, name=name, daemon=True).start()
+
+    def start(self, work: Callable[[], Any], then: _Then) -> None:
+        """Run `work` in a thread and `then`, with its outcome, in a later `poll`."""
+        self.n_running += 1
+        self._tasks.put((work, then))
+
+    def poll(self) -> None:
+        """Hand over the results that are here.
+
+        Raises
+        ------
+        Exception
+            What a function raised, if it is no `TerrainwaveError`.
+        """
+        while True:
+            try:
+                value, error, then = self._done.get_nowait()
+            except Empty:
+                return
+            self.n_running -= 1
+            if error is not None and not isinstance(error, TerrainwaveError):
+                raise error
+            then(Outcome(value, None if error is None else str(error)))
+
+    def close(self) -> None:
+        """Begin no more work; what runs is not waited for."""
+        self._is_closed = True
+        for _ in range(self._n_threads):
+            self._tasks.put(None)
+
+    def _work(self) -> None:
+        while (task := self._tasks.get()) is not None and not self._is_closed:
+            work, then = task
+            try:
+                self._done.put((work(), None, then))
+            except Exception as error:  # noqa: BLE001  `poll` decides what it means
+                self._done.put((None, error, then))

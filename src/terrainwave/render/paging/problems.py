@@ -1,0 +1,120 @@
+"""What could not be read: damaged for good, or not now and tried again."""
+
+import math
+import time
+from collections.abc import Callable, Hashable
+from typing import TYPE_CHECKING
+
+from terrainwave.errors import SourceUnavailableError
+
+if TYPE_CHECKING:
+    from terrainwave.file import TerrainFile
+
+_FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 30.0  # seconds
+_SILENCE = 5.0
+
+
+class Problems:
+    """Pieces that could not be built, and the state of the connection. Used by one thread.
+
+    A piece whose server cannot be reached is held back until a pause has passed, each pause twice
+    as long as the one before; what comes meanwhile ends it. All others are damaged, for good.
+
+    Parameters
+    ----------
+    retries : bool
+        Whether anything is tried again.
+    n_replies : callable, optional
+        Returns how many replies a server has sent; its silence is worth a line. None: no server.
+    clock : callable
+        Seconds.
+
+    Attributes
+    ----------
+    damaged : dict of hashable to str
+        What is said of each piece.
+    """
+
+    def __init__(
+        self,
+        *,
+        retries: bool = False,
+        n_replies: Callable[[], int] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.damaged: dict[Hashable, str] = {}
+        self._retries, self._count, self._clock = retries, n_replies, clock
+        self._n_replies = 0  # when it was last looked at
+        self._held: set[Hashable] = set()
+        self._pause = 0.0
+        self._try_at = self._last_sign = clock()
+        self._message = ""
+
+    def add(self, piece: Hashable, error: Exception) -> None:
+        """Note why a piece could not be built."""
+        if not (self._retries and isinstance(error, SourceUnavailableError)):
+            self.damaged[piece] = str(error)
+            return
+        now = self._clock()
+        self._held.add(piece)
+        self._message = str(error)
+        self._has_replied()
+        if now >= self._try_at:  # several at a time are one interruption
+            self._pause = min(max(2 * self._pause, _FIRST_PAUSE), _LONGEST_PAUSE)
+            self._try_at = now + self._pause
+
+    def came(self) -> None:
+        """Note that a piece has come, of bytes from the server or of what was here already."""
+        if self._count is not None and not self._has_replied():
+            return
+        self._held.clear()
+        self._pause, self._message = 0.0, ""
+        self._try_at = self._last_sign = self._clock()
+
+    def _has_replied(self) -> bool:
+        """Say whether the server has sent anything since this was last asked."""
+        n_before, self._n_replies = self._n_replies, self._count() if self._count else 0
+        if self._n_replies != n_before:
+            self._last_sign = self._clock()
+        return self._n_replies != n_before
+
+    def holds(self, piece: Hashable) -> bool:
+        """Say whether a piece is not to be asked for now."""
+        if self._held and self._clock() >= self._try_at:
+            self._held.clear()
+        return piece in self._held or piece in self.damaged
+
+    @property
+    def is_clear(self) -> bool:
+        """Say whether nothing is held."""
+        return not self._held and not self.damaged
+
+    @property
+    def n_held(self) -> int:
+        """Return how many pieces wait for a pause to pass."""
+        return len(self._held)
+
+    def lines(self, n_missing: int = 0) -> list[str]:
+        """Return what to say of all this: nothing where all is well.
+
+        `n_missing` is how many pieces are asked for; none of them coming is worth a line, too.
+        """
+        lines, now = [], self._clock()
+        if not n_missing:
+            self._last_sign = now
+        if self._message:
+            left = math.ceil(max(self._try_at - now, 0.0))
+            again = f"trying again in {left} s" if left else "trying again"
+            lines.append(f"connection lost, {again}: {self._message}")
+        elif self._count is not None and now - self._last_sign > _SILENCE:
+            lines.append(f"waiting for the server: nothing for {now - self._last_sign:.0f} s")
+        if self.damaged:
+            n = len(self.damaged)
+            lines.append(f"{n} damaged block{'s' if n > 1 else ''} drawn coarser")
+        return lines
+
+
+def replies_of(terrain: "TerrainFile") -> Callable[[], int] | None:
+    """Return what counts the replies of a terrain's server; None where there is none."""
+    source = terrain.container.source
+    return (lambda: int(source.n_replies)) if hasattr(source, "n_replies") else None

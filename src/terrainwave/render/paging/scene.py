@@ -1,0 +1,442 @@
+"""One terrain as seen by moving cameras: what is here, what is wanted, what to draw."""
+
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.errors import LimitExceededError, TerrainwaveError
+from terrainwave.progress import ProgressCallback
+from terrainwave.render.modes import mode_class, options_of
+from terrainwave.render.modes.mode import MAX_TRIANGLES, Frames, Mode
+from terrainwave.render.paging.motion import Motion
+from terrainwave.render.paging.pager import Outcome, Pager
+from terrainwave.render.paging.problems import Problems, replies_of
+from terrainwave.render.paging.read_ahead import PATIENCE, read_ahead_of
+from terrainwave.render.scene.camera import Camera, Viewport
+from terrainwave.render.scene.frame import Frame, frame_of
+from terrainwave.render.scene.frustum import may_see
+from terrainwave.render.scene.selection import (
+    Built,
+    ErrorGovernor,
+    NodeTable,
+    Piece,
+    Selection,
+    View,
+)
+
+if TYPE_CHECKING:
+    from terrainwave.file import TerrainFile
+
+# Pieces that one frame takes, and seconds of processor time.
+_UPLOADS_PER_FRAME, _UPLOAD_S = 6, 0.0005
+_READY_PER_WORKER = 4
+# Depth planes where all is drawn in parts: one for all of them.
+_NEAREST_PART = 0.0
+# Where what is needed does not fit, τ is raised by steps; it sinks again as the camera moves on.
+_PRESSURE, _RELIEF = 1.1, 1.02
+# How much a piece is needed: not, soon, now.
+_NOT, _AHEAD, _WANTED = range(3)
+# What will be needed is looked at every so many frames, one more than `AHEAD` has.
+_FRAMES_PER_LOOK = 5
+# Of the pieces that fit, at most this share are coarse ones all around.
+_COARSE_SHARE = 32
+# Pieces that are asked for at a time.
+_MOST_ASKED = 64
+_NO_ROOM = "a block does not fit the memory allowed for pictures"
+
+
+class Store(Protocol):
+    """Where what `Mode.build` returns is kept to be drawn: the GPU, or a list in tests."""
+
+    @property
+    def max_blocks(self) -> int:
+        """Return how many pieces fit."""
+
+    def put(self, node: int, built: Any) -> bool:
+        """Keep what was built; false if there is no room."""
+
+    def drop(self, node: int) -> None:
+        """Forget it."""
+
+    @property
+    def n_bytes(self) -> int:
+        """Return the bytes of what is kept."""
+
+
+@dataclass
+class Timings:
+    """CPU milliseconds of the last update by part."""
+
+    page: float = 0.0
+    select: float = 0.0
+
+
+class Scene:
+    """A terrain with a store of patches.
+
+    Parameters
+    ----------
+    terrain : TerrainFile
+    store : Store
+    mode : str
+        One of `terrainwave.render.modes.MODES`.
+    error : str
+        One of the mode's `errors`.
+    detail : float, optional
+        μ > 0 of mode batched with error "paper": a level's error is μ times its spacing; 0.5 by
+        default.
+    order : int, optional
+        Of Neville's filter, 2 or 4 (default), that makes the levels of mode batched.
+    stepwise : bool
+        Modes dynamic and vertex-texture change by one height of their quadtree a frame, as their
+        paper does: what they keep is `Frames.tau`, more than τ while they lag behind the view.
+    orientation : bool
+        In modes adaptive, batched and loose with measured errors, these count less the steeper they
+        are looked down at; τ holds all the same.
+    exaggeration, radius : float, optional
+        See `frame_of`.
+    max_triangles : int
+        Per frame; τ is raised beyond it.
+    target_ms : float, optional
+        Per frame; τ is raised where it takes longer.
+    n_workers : int
+        Threads that read, decode and build.
+    retries : bool
+        Ask again for what a server did not send, after pauses, and the roots too; by default what
+        cannot be read is drawn coarser, and a root raises.
+    progress : callable, optional
+        Called with a `Progress` where a mode prepares for long.
+
+    Notes
+    -----
+    Used by one thread, but for the workers. A context manager.
+    """
+
+    def __init__(
+        self,
+        terrain: "TerrainFile",
+        store: Store,
+        *,
+        mode: str = "adaptive",
+        error: str = "measured",
+        detail: float | None = None,
+        order: int | None = None,
+        stepwise: bool = False,
+        orientation: bool = False,
+        exaggeration: float = 1.0,
+        radius: float | None = None,
+        max_triangles: int = MAX_TRIANGLES,
+        target_ms: float | None = None,
+        n_workers: int = 2,
+        retries: bool = False,
+        progress: ProgressCallback | None = None,
+    ) -> None:
+        self.terrain = terrain
+        self.frame: Frame = frame_of(terrain, radius=radius, exaggeration=exaggeration)
+        self.n_workers = n_workers
+        self.options = given = options_of(
+            mode, detail=detail, order=order, stepwise=stepwise, orientation=orientation
+        )
+        self.mode: Mode = mode_class(mode)(
+            terrain, self.frame, error=error, progress=progress, **given
+        )
+        self.store = store
+        self.table = NodeTable()
+        self.mode.max_triangles = max_triangles
+        self.governor = ErrorGovernor(max_triangles, target_ms)
+        self.timings = Timings()
+        self.problems = Problems(retries=retries, n_replies=replies_of(terrain))
+        for info in self.mode.roots():
+            self.table.add(info)
+        self._pager = Pager(
+            self.mode.build, n_workers=n_workers, max_ready=_READY_PER_WORKER * n_workers
+        )
+        self._ahead_reader = read_ahead_of(terrain, self.mode)
+        self._motion = Motion()
+        self._n_updates = 0
+        self._cameras: list[Camera] = []
+        self._looks: dict[int, NDArray[np.int32]] = {}
+        self._needed = self._soon = np.empty(0, dtype=np.int32)
+        self._last_camera: Camera | None = None
+        self._requested: list[int] = []
+        self._memory_factor, self._is_short = 1.0, True
+
+    def __enter__(self) -> "Scene":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop the workers."""
+        # A server that is silent would hold them for long.
+        self._pager.close(None if replies_of(self.terrain) is None else PATIENCE)
+        if self._ahead_reader is not None:
+            self._ahead_reader.close()
+        self.mode.close()
+
+    def exaggerate(self, factor: float) -> None:
+        """Change the vertical exaggeration; patches stay as they are."""
+        self.frame = self.frame.exaggerated(factor)
+
+    def view(self, camera: Camera, viewport: Viewport, max_pixel_error: float = 1.0) -> View:
+        """Return a view of this scene, in more detail where the terrain is flat.
+
+        But not in more than a sample for each pixel, which light and colours do not show.
+        """
+        detail = self.frame.detail(camera.eye)
+        return View(
+            camera, viewport, max_pixel_error * detail, self.mode.gamma, self.frame.exaggeration,
+            self.mode.is_oriented, self.mode.is_exact, 1.0 / detail,
+        )  # fmt: skip
+
+    @property
+    def build_ms(self) -> list[float]:
+        """Return what the last pieces took to read, decode and build: CPU milliseconds."""
+        return list(self._pager.build_ms)
+
+    @property
+    def n_cancelled(self) -> int:
+        """Return how many pieces were no longer wanted while they were built."""
+        return self._pager.n_cancelled
+
+    # One frame
+
+    def update(self, view: View, *, max_uploads: int = _UPLOADS_PER_FRAME) -> Frames:
+        """Take what has been built, ask for what is missing, return what to draw. Never waits."""
+        started = time.perf_counter()
+        self._motion.see(view.camera)
+        if self._last_camera != view.camera and not self._is_short:
+            self._memory_factor = max(self._memory_factor / _RELIEF, 1.0)
+        tau = self._split_error(view)
+        self._take(view, max_uploads)
+        wanted = self._needed = self._wanted(view, tau)
+        ahead = self._soon = self._ahead(view, tau, wanted)
+        missing = self._missing(wanted)
+        self._is_short = len(missing) > 0
+        asked = [missing, self._missing(ahead)]
+        if self._is_short:  # what leaves τ first, then what is to be split a little before it is
+            most = view.max_pixel_error * self._memory_factor
+            # Both are cut to what fits, by different orders: what is not wanted is never kept.
+            urgent = np.intersect1d(self._wanted(view, most), missing)
+            asked.insert(0, self._by_error(view, urgent))
+        self._request(np.concatenate(asked))
+        if self._is_short and self._ahead_reader is not None:
+            self._ahead_reader.look(view, tau, self._is_here)
+        self._last_camera = view.camera
+        paged = time.perf_counter()
+        selection, used = self.governor.select(self.table, view, tau)
+        n_missing = len(missing) + self.problems.n_held
+        frames = self.mode.frames(self.table, view, selection, used, n_missing)
+        self.timings = Timings((paged - started) * 1e3, (time.perf_counter() - paged) * 1e3)
+        return frames
+
+    def settle(self, view: View, *, timeout: float = 600.0) -> Frames:
+        """Return the settled frame: all that the view needs is here; waits for the workers.
+
+        Raises
+        ------
+        TerrainwaveError
+            If it takes longer than `timeout` seconds.
+        """
+        end = time.monotonic() + timeout
+        while True:
+            frames = self.update(view, max_uploads=1 << 30)
+            if not frames.n_missing:
+                return frames
+            if not self._pager.wait(max(end - time.monotonic(), 0.0)):
+                raise TerrainwaveError(f"the picture is not complete after {timeout:g} seconds")
+
+    def drawn_error(self, view: View, frames: Frames) -> float:
+        """Return the largest error on screen, pixels, of what is drawn and could be finer.
+
+        0 where all of it is the finest that the file has, at most the picture's diagonal. Above τ
+        only while finer pieces are on their way, or do not fit.
+        """
+        table, nodes = self.table, frames.nodes
+        is_finest = table.is_known[nodes] & (table.children[nodes] < 0).all(axis=1)
+        errors = table.errors[nodes] + frames.morphs * table.morphs[nodes]
+        on_screen = table.on_screen(view, nodes, errors)
+        diagonal = math.hypot(view.viewport.width, view.viewport.height)
+        return min(float(on_screen[~is_finest].max(initial=0.0)), diagonal)
+
+    def _split_error(self, view: View) -> float:
+        """Return the τ below which blocks are split, before the governor."""
+        return self.mode.split_error(view.max_pixel_error) * self._memory_factor
+
+    # Paging
+
+    def _wanted(self, view: View, tau: float, camera: Camera | None = None) -> NDArray[np.int32]:
+        camera = camera or view.camera
+        return self.mode.wanted(self.table, view, tau, self.store.max_blocks, camera)
+
+    def _ahead(self, view: View, tau: float, wanted: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Return the pieces to have besides `wanted`, as many as there is room for.
+
+        Those of coarse levels all around, which stand in where the camera turns to; what it will
+        see if it goes on as it does, soonest first; then the mode's own. One of these is looked at
+        each frame.
+        """
+        turn = self._n_updates % _FRAMES_PER_LOOK
+        self._n_updates += 1
+        if turn == 0:
+            self._cameras = self._motion.ahead()
+            n_looks = len(self._cameras) + 1
+            self._looks = {k: nodes for k, nodes in self._looks.items() if k < n_looks}
+            self._looks[0] = self.table.coarse_nodes(self.store.max_blocks // _COARSE_SHARE)
+            self._looks[_FRAMES_PER_LOOK] = self.mode.spare(self.table, view, self.store.max_blocks)
+        elif turn <= len(self._cameras) and not self._is_short:
+            self._looks[turn] = self._wanted(view, tau, self._cameras[turn - 1])
+        looked = np.concatenate([nodes for _, nodes in sorted(self._looks.items())])
+        is_wanted = np.zeros(len(self.table), dtype=np.bool_)
+        is_wanted[wanted] = True
+        ahead = looked[~is_wanted[looked]]
+        return ahead[: max(self.store.max_blocks - len(wanted), 0)]
+
+    def _missing(self, wanted: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Return the nodes that are not here and can be asked for."""
+        absent = wanted[~self.table.is_resident[wanted]]
+        if self.problems.is_clear:
+            return absent
+        holds, pieces = self.problems.holds, self.table.pieces
+        return np.array([n for n in absent.tolist() if not holds(pieces[n])], dtype=np.int32)
+
+    def _is_here(self, piece: Piece) -> bool:
+        """Say whether a piece is drawn, or could be; called by other threads."""
+        node = self.table.find(piece)
+        return node is not None and bool(self.table.is_resident[node])
+
+    def _by_error(self, view: View, nodes: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Return nodes in the order of the error on screen of what stands in for them."""
+        table = self.table
+        parents = table.parents[nodes]
+        above = np.maximum(parents, 0)
+        errors = np.where(parents < 0, np.inf, table.on_screen(view, above))
+        return nodes[np.argsort(-errors, kind="stable")]
+
+    def _request(self, nodes: NDArray[np.int32]) -> None:
+        """Ask for the first of some nodes; the others' turn comes in later frames."""
+        first = list(dict.fromkeys(nodes[: 2 * _MOST_ASKED].tolist()))[:_MOST_ASKED]
+        if first != self._requested:
+            pieces = [self.table.pieces[node] for node in first]
+            self._pager.request(pieces)
+            if self._ahead_reader is not None:
+                self._ahead_reader.request(pieces)
+            self._requested = first
+
+    def _take(self, view: View, max_uploads: int) -> None:
+        """Put what has been built into the store, where the last frame needs it.
+
+        At most `max_uploads`, and for no longer than `_UPLOAD_S` where that is more than one: the
+        rest comes next frame.
+        """
+        needs, started = None, time.thread_time()
+        for number in range(max_uploads):
+            is_late = number and time.thread_time() - started > _UPLOAD_S
+            taken = [] if is_late and max_uploads <= _UPLOADS_PER_FRAME else self._pager.take(1)
+            if not taken:
+                break
+            if needs is None:
+                needs = np.zeros(len(self.table), dtype=np.int8)
+                needs[self._soon], needs[self._needed] = _AHEAD, _WANTED
+                self._requested = []  # what could not be kept is asked for again
+            self._take_in(view, taken[0], needs)
+
+    def _take_in(self, view: View, outcome: Outcome, needs: NDArray[np.int8]) -> None:
+        """Keep what was built, or note why it could not be."""
+        piece, built, error = outcome
+        node = self.table.find(piece)
+        if error is None:
+            self.problems.came()
+            if node is not None and not self.table.is_resident[node]:
+                self._keep(view, node, built, needs)
+            return
+        if not isinstance(error, TerrainwaveError):
+            raise error
+        self.problems.add(piece, error)
+        if node in self.table.roots and piece in self.problems.damaged:
+            raise error
+
+    def _keep(self, view: View, node: int, built: Built, needs: NDArray[np.int8]) -> None:
+        """Put what was built into the store; what is needed least, and less than it, makes room."""
+        table = self.table
+        table.add_children(node, built.children)
+        need = int(needs[node]) if node < len(needs) else _NOT
+        if not self.store.put(node, built) and not self._make_room(view, node, built, needs, need):
+            if not table.is_resident.any():
+                raise LimitExceededError(_NO_ROOM)
+            if need == _WANTED:
+                self._memory_factor *= _PRESSURE  # all that is here is needed: need less
+            return
+        table.describe(node, built)
+        self.mode.keep(table.pieces[node], built)
+
+    def _make_room(
+        self, view: View, node: int, built: Built, needs: NDArray[np.int8], need: int
+    ) -> bool:
+        """Drop pieces until one fits; say whether it does."""
+        table = self.table
+        needs = np.pad(needs, (0, len(table) - len(needs)))
+        for threshold in range(_AHEAD, need + 1):
+            for victim in table.lowest_priority(view, needs >= threshold).tolist():
+                self._drop(victim)
+                if self.store.put(node, built):
+                    return True
+        return False
+
+    # Everything, a part at a time
+
+    def finest_in_view(self, view: View) -> list[int]:
+        """Return the nodes of all finest pieces in view; reads the index only."""
+        table, nodes = self.table, []
+        stack = table.roots.tolist()
+        scale = np.array([1.0, 1.0, view.exaggeration])
+        planes = view.planes
+        while stack:
+            node = stack.pop()
+            if not may_see(planes, table.low[node] * scale, table.high[node] * scale):
+                continue
+            if not table.is_known[node]:
+                table.add_children(node, self.mode.children(table.pieces[node]))
+            children = [child for child in table.children[node].tolist() if child >= 0]
+            stack += children
+            if not children:
+                nodes.append(node)
+        return nodes
+
+    def parts(self, view: View) -> Iterator[Frames]:
+        """Yield all finest pieces in view, as many at a time as the store holds."""
+        nodes = self.finest_in_view(view)
+        for node in np.flatnonzero(self.table.is_resident[: len(self.table)]).tolist():
+            self._drop(node)
+        n_done = 0
+        while n_done < len(nodes):
+            batch: list[int] = []
+            for node in nodes[n_done : n_done + self.store.max_blocks]:
+                built = self.mode.build(self.table.pieces[node])
+                if not self.store.put(node, built):
+                    break
+                self.table.describe(node, built)
+                self.mode.keep(self.table.pieces[node], built)
+                batch.append(node)
+            if not batch:
+                raise LimitExceededError(_NO_ROOM)
+            selection = Selection(
+                np.array(batch, dtype=np.int32),
+                np.full(len(batch), _NEAREST_PART),
+                int(self.table.n_triangles[batch].sum()),
+            )
+            yield self.mode.frames(self.table, view, selection, 0.0, 0)
+            for node in batch:
+                self._drop(node)
+            n_done += len(batch)
+
+    def _drop(self, node: int) -> None:
+        self.store.drop(node)
+        self.mode.drop(self.table.pieces[node])
+        self.table.is_resident[node] = False

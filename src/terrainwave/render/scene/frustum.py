@@ -1,0 +1,42 @@
+"""What the camera sees, as planes."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.render.scene.camera import Camera, Viewport
+from terrainwave.render.scene.kernels import N_PLANES, is_outside
+
+
+def frustum_planes(camera: Camera, viewport: Viewport) -> NDArray[np.float64]:
+    """Return five inward planes: left, right, bottom, top and the one through the eye.
+
+    Returns
+    -------
+    ndarray of float64, shape (5, 4)
+        Unit normals and offsets: n·p + w >= 0 inside. There is no far plane.
+    """
+    vertical = math.tan(math.radians(camera.fov) / 2)
+    horizontal = vertical * viewport.aspect
+    seen = np.array(
+        [
+            [1.0, 0.0, horizontal],
+            [-1.0, 0.0, horizontal],
+            [0.0, 1.0, vertical],
+            [0.0, -1.0, vertical],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    planes = np.empty((N_PLANES, 4))
+    planes[:, :3] = seen @ camera.axes
+    planes[:, :3] /= np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
+    planes[:, 3] = -planes[:, :3] @ camera.eye
+    return planes
+
+
+def may_see(
+    planes: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
+) -> bool:
+    """Say whether a box may be in view; never false for one that is."""
+    return not is_outside(planes, *low, *high)

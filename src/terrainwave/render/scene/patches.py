@@ -1,0 +1,371 @@
+"""From a block of the file to a patch: vertices, triangles and slopes as the GPU takes them.
+
+The step from a coarse block to the finest ones is large: their meshes keep to the file's own error.
+So finest blocks come in variants as well, with 4, 16 … times the tolerance, and stand in the tree
+between their parent and the file's mesh: a chain, each the only child of the one before.
+
+Runs in worker threads.
+"""
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.cache import Cache
+from terrainwave.grid.quadtree import Block, Region
+from terrainwave.mesh.loose import LooseMesher
+from terrainwave.mesh.sections import mesher_of
+from terrainwave.names import UNBOUNDED_MESHES
+from terrainwave.render.scene.frame import Frame
+from terrainwave.render.scene.kernels import (
+    SKIRT_FLAG,
+    bilinear_at,
+    border_edges,
+    surface_at,
+)
+from terrainwave.render.scene.scales import (
+    FLOAT32_ROUNDING,
+    HeightScale,
+    Texels,
+)
+from terrainwave.render.scene.selection import NodeInfo, Piece
+from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
+from terrainwave.tri.surface import deviation_from_bilinear
+
+if TYPE_CHECKING:
+    from terrainwave.file import TerrainFile
+
+# col and row in half samples of the block's level (the column's top bit marks skirts); height and
+# height of the parent's surface above the patch's base, metres.
+VERTEX = np.dtype([("col", "<u2"), ("row", "<u2"), ("z", "<f4"), ("z_parent", "<f4")])
+# Meshes that are kept: their children's vertices move to them.
+_CACHED_BYTES = 192 << 20
+_VARIANT_BITS = 2  # each variant has four times the tolerance of the one before
+_MAX_VARIANT = 5
+# Of the error of what it replaces, at most this share is a variant's.
+_VARIANT_SHARE = 0.6
+
+
+class Cancelled(Exception):
+    """A patch that nobody wants any more."""
+
+
+class Patch(NamedTuple):
+    """A piece as drawn.
+
+    Parameters
+    ----------
+    vertices : structured ndarray of VERTEX
+    triangles : ndarray of uint32, shape (n, 3)
+        The surface's, then those of skirts.
+    slopes : ndarray of float16, shape (n_rows + 2, n_cols + 2, 3)
+        Metres per metre to the east and to the north at the block's samples and around them.
+    base : float
+        Height of z = 0, metres.
+    error : float
+        No valid original is further from the surface, metres.
+    morph : float
+        Largest distance between the surface and its parent's at vertices, metres.
+    children : list of NodeInfo
+    """
+
+    piece: Piece
+    vertices: NDArray[np.void]
+    triangles: NDArray[np.uint32]
+    slopes: NDArray[np.float16]
+    base: float
+    error: float
+    morph: float
+    children: list[NodeInfo]
+
+    @property
+    def n_triangles(self) -> int:
+        """Return how many triangles are drawn, skirts too."""
+        return len(self.triangles)
+
+    @property
+    def n_bytes(self) -> int:
+        """Return the bytes of its arrays."""
+        return self.vertices.nbytes + self.triangles.nbytes + self.slopes.nbytes
+
+
+class PatchBuilder:
+    """Patches of a terrain's blocks. Thread-safe.
+
+    Parameters
+    ----------
+    frame : Frame
+        Local metres; its exaggeration is not used: the GPU applies it.
+    recursive : list of ndarray, optional
+        Err_Appr of every block (`level_errors.recursive_errors`): errors are then Err_Appr +
+        Err_Tri, Yusov & Turlapov 2010, eq. (3). By default they are those stored for meshes.
+    is_loose : bool
+        Blocks above the finest level have their non-guaranteed meshes (`mesh.loose`): their errors
+        are known once they are built.
+    """
+
+    def __init__(
+        self,
+        terrain: "TerrainFile",
+        frame: Frame,
+        *,
+        recursive: list[NDArray[np.float64]] | None = None,
+        is_loose: bool = False,
+    ) -> None:
+        self._terrain = terrain
+        self._frame = frame
+        self._recursive = recursive
+        self._mesher = mesher_of(terrain)
+        self._loose = LooseMesher(terrain) if is_loose else None
+        self._scale = HeightScale.of(terrain, frame)
+        self._texels = Texels(frame, self._scale)
+        self._meshes: Cache[Piece, BlockMesh] = Cache(
+            _CACHED_BYTES, size_of=lambda mesh: sum(part.nbytes for part in mesh)
+        )
+
+    # What the index says
+
+    def roots(self) -> list[NodeInfo]:
+        """Return the root blocks."""
+        return [self._first(block, math.inf) for block in self._terrain.grid.blocks(0)]
+
+    def children(self, piece: Piece) -> list[NodeInfo]:
+        """Return the children of a piece: its next variant, or the blocks one level finer."""
+        if piece.variant:
+            return [self.info(piece._replace(variant=piece.variant - 1))]
+        error = self.error(piece)
+        return [self._first(child, error) for child in self._terrain.grid.children(piece.block)]
+
+    def parent(self, piece: Piece) -> Piece | None:
+        """Return the parent of a piece, None for a root."""
+        if piece.level == self._terrain.n_levels - 1:
+            next_one = piece._replace(variant=piece.variant + 1)
+            above = Piece(*piece.block.parent) if piece.level else None
+            limit = self.error(above) if above else math.inf
+            if next_one.variant <= self._coarsest(limit):
+                return next_one
+        return Piece(*piece.block.parent) if piece.level else None
+
+    def _first(self, block: Block, error: float) -> NodeInfo:
+        """Return the first piece of a block below one with this error."""
+        is_finest = block.level == self._terrain.n_levels - 1
+        return self.info(Piece(*block, self._coarsest(error) if is_finest else 0))
+
+    def _coarsest(self, error: float) -> int:
+        """Return the coarsest variant that is worth its place below a piece with this error."""
+        variant = 0
+        while variant < _MAX_VARIANT and math.isfinite(error):
+            if self._variant_error(variant + 1) > _VARIANT_SHARE * error:
+                break
+            variant += 1
+        return variant
+
+    def _variant_error(self, variant: int) -> float:
+        tolerance = (
+            self._variant_tolerance(variant) / (1 << FRACTION_BITS) * abs(self._scale.per_quantum)
+        )
+        return self._terrain.quanta_error * self._frame.metres[2] + tolerance
+
+    def _variant_tolerance(self, variant: int) -> int:
+        own = max(self._terrain.header.mesh_tolerance, 1 << FRACTION_BITS)
+        return own << _VARIANT_BITS * variant
+
+    def info(self, piece: Piece) -> NodeInfo:
+        """Return box and error of a piece."""
+        block = piece.block
+        region = self._terrain.grid.full_region(block)
+        rows = np.array([region.row, region.row + region.n_rows - 1])
+        cols = np.array([region.col, region.col + region.n_cols - 1])
+        xy = self._frame.samples_to_local(np.repeat(rows, 2), np.tile(cols, 2))
+        error = self.error(piece)
+        low, high = sorted(z * self._frame.metres[2] for z in self._terrain.block_box(block))
+        (left, bottom), (right, top) = xy.min(axis=0), xy.max(axis=0)
+        return NodeInfo(
+            piece,
+            (float(left), float(bottom), low - error),
+            (float(right), float(top), high + error),
+            error,
+            self._frame.spacing * self._terrain.grid.stride(block.level),
+        )
+
+    def error(self, piece: Piece) -> float:
+        """Return the error of a piece that the file states, in metres."""
+        if piece.variant:
+            return self._variant_error(piece.variant)
+        terrain, block = self._terrain, piece.block
+        per_unit = self._frame.metres[2]
+        is_unbounded = terrain.mesh_kind in UNBOUNDED_MESHES
+        if is_unbounded or (self._recursive is None and terrain.mesh_kind != "none"):
+            return terrain.mesh_error(block) * per_unit
+        tolerance = self._mesher.tolerance(block) / (1 << FRACTION_BITS)
+        return self._heights_error(block) * per_unit + tolerance * abs(self._scale.per_quantum)
+
+    def _heights_error(self, block: Block) -> float:
+        """Return the error of a block's bilinear surface, in the file's unit."""
+        if self._recursive is not None:
+            return float(self._recursive[block.level][block.row, block.col])
+        if block.level == self._terrain.n_levels - 1:
+            return self._terrain.quanta_error
+        return self._terrain.block_error(block)
+
+    # Patches
+
+    def mesh(self, piece: Piece) -> BlockMesh:
+        """Return the mesh of a piece; the last ones are kept."""
+        return self._meshes.get_or_make(piece, lambda: self._triangulate(piece))
+
+    def _triangulate(self, piece: Piece) -> BlockMesh:
+        block = piece.block
+        if piece.variant:
+            return self._mesher.coarser_mesh(block, self._variant_tolerance(piece.variant))
+        if self._loose is not None and block.level < self._terrain.n_levels - 1:
+            return self._loose.mesh(block)
+        return self._mesher.mesh(block)
+
+    def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> Patch:
+        """Return the patch of a piece.
+
+        Raises
+        ------
+        Cancelled
+            If `is_cancelled` says so between two steps.
+        CorruptStreamError
+            If the file is damaged there.
+        """
+
+        def check() -> None:
+            if is_cancelled():
+                raise Cancelled
+
+        terrain, block = self._terrain, piece.block
+        children = self.children(piece)
+        check()
+        mesh = self.mesh(piece)
+        check()
+        z = self._scale.metres(mesh.heights / (1 << FRACTION_BITS))
+        base = float(z.min() + z.max()) / 2 if len(z) else 0.0
+        z_parent = self._parent_heights(piece, mesh, z)
+        check()
+        vertices = np.empty(len(z), dtype=VERTEX)
+        vertices["col"], vertices["row"] = mesh.cols, mesh.rows
+        vertices["z"], vertices["z_parent"] = z - base, z_parent - base
+        vertices, triangles = _with_skirts(mesh, vertices)
+        largest = float(
+            max(np.abs(z - base).max(initial=0), np.abs(z_parent - base).max(initial=0))
+        )
+        morph = float(np.abs(z - z_parent).max(initial=0))
+        error = self.error(piece)
+        is_unmeasured = terrain.mesh_kind == "none" or self._loose is not None
+        if is_unmeasured and block.level < terrain.n_levels - 1:
+            error = self._derived_error(block, mesh)
+        return Patch(
+            piece,
+            vertices,
+            triangles,
+            self.slopes(block),
+            base,
+            error + largest * FLOAT32_ROUNDING,
+            morph,
+            children,
+        )
+
+    def _derived_error(self, block: Block, mesh: BlockMesh) -> float:
+        """Return a bound for a mesh that the file says nothing about."""
+        terrain = self._terrain
+        samples = self._mesher.samples(block)
+        stride = terrain.grid.stride(block.level)
+        apart = deviation_from_bilinear(mesh, stride, samples.heights, samples.mask)
+        bilinear = terrain.block_error(block) * self._frame.metres[2]
+        return bilinear + apart / (1 << FRACTION_BITS) * abs(self._scale.per_quantum)
+
+    def _parent_heights(
+        self, piece: Piece, mesh: BlockMesh, z: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the heights of the parent's surface at the vertices; `z` where it has none.
+
+        Of a coarser level it is the surface of the samples: within a mesh's tolerance, a quarter
+        of its error, of what is drawn, and nobody has to make that mesh.
+        """
+        above = self.parent(piece)
+        if above is None or not len(z):
+            return z
+        if above.level < piece.level and self._loose is None:
+            return self._coarser_heights(piece, mesh, z)
+        parent = self.mesh(above)
+        numbers = np.full((int(mesh.rows.max()) + 1, int(mesh.cols.max()) + 1), -1, dtype=np.int32)
+        numbers[mesh.rows, mesh.cols] = np.arange(len(z), dtype=np.int32)
+        factor, first = 1, (0, 0)
+        if above.level < piece.level:
+            side = 2 * self._terrain.grid.block
+            factor, first = 2, ((piece.row & 1) * side, (piece.col & 1) * side)
+        heights = np.full(len(z), np.nan)
+        surface_at(
+            parent.rows, parent.cols, parent.heights, parent.triangles, factor, *first, numbers,
+            heights,
+        )  # fmt: skip
+        heights = self._scale.metres(heights / (1 << FRACTION_BITS))
+        return np.where(np.isnan(heights), z, heights)
+
+    def _coarser_heights(
+        self, piece: Piece, mesh: BlockMesh, z: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the heights between samples of the level above at the vertices of a mesh."""
+        grid = self._terrain.grid
+        inner = grid.block_region(piece.block)
+        level = Region(0, 0, *grid.level_shape(piece.level - 1))
+        row, col = inner.row // 2, inner.col // 2
+        n_rows, n_cols = (n // 2 + 2 for n in inner.shape)
+        region = Region(row, col, n_rows, n_cols).intersect(level)
+        heights, mask = self._terrain.decoder.window(piece.level - 1, region)
+        out = np.empty(len(z))
+        first = 2 * (inner.row - 2 * row), 2 * (inner.col - 2 * col)
+        quanta = (z - self._scale.zero) / self._scale.per_quantum
+        bilinear_at(mesh.rows, mesh.cols, heights, mask, *first, quanta, out)
+        return self._scale.metres(out)
+
+    def slopes(self, block: Block) -> NDArray[np.float16]:
+        """Return slopes and heights at the samples of a block and at one more on each side.
+
+        Neighbours of one level compute the same where they share samples. Past the raster's edge
+        the last ones are repeated, and once more where the block ends before its full size.
+        """
+        terrain, grid = self._terrain, self._terrain.grid
+        level = Region(0, 0, *grid.level_shape(block.level))
+        inner = grid.block_region(block)
+        near = grid.block_region(block, 1).intersect(level)
+        wide = grid.block_region(block, 2).intersect(level)
+        samples = terrain.decoder.window(block.level, wide)
+        n_rows, n_cols = (n + 2 + min(1, grid.block + 1 - n) for n in (inner.n_rows, inner.n_cols))
+        first = inner.row - 1 - wide.row, inner.col - 1 - wide.col
+        stride = grid.stride(block.level)
+        return self._texels.of(samples, first, near.shape, (n_rows, n_cols), stride)
+
+
+def _with_skirts(
+    mesh: BlockMesh, vertices: NDArray[np.void]
+) -> tuple[NDArray[np.void], NDArray[np.uint32]]:
+    """Return vertices and triangles with two triangles more below each edge on the border."""
+    triangles = mesh.triangles.astype(np.uint32)
+    if not len(triangles):
+        return vertices, triangles
+    last = int(mesh.rows.max()), int(mesh.cols.max())
+    edges = np.empty((4 * (last[0] + last[1]) + 8, 2), dtype=np.int32)
+    lower = np.empty(len(mesh.rows), dtype=np.int32)
+    n_edges, n_ends = border_edges(mesh.rows, mesh.cols, mesh.triangles, *last, lower, edges)
+    edges = edges[:n_edges]
+    ends = np.flatnonzero(lower >= 0)
+    below = np.empty(n_ends, dtype=VERTEX)
+    below[lower[ends]] = vertices[ends]
+    below["col"] |= SKIRT_FLAG
+    below_edges = (len(vertices) + lower[edges]).astype(np.uint32)
+    a, b = edges[:, 0].astype(np.uint32), edges[:, 1].astype(np.uint32)
+    skirts = np.concatenate(
+        [
+            np.column_stack([b, a, below_edges[:, 0]]),
+            np.column_stack([b, below_edges[:, 0], below_edges[:, 1]]),
+        ]
+    )
+    return np.concatenate([vertices, below]), np.concatenate([triangles, skirts])

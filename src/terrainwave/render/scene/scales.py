@@ -1,0 +1,122 @@
+"""From quanta of a file to metres of a frame, and to slopes and heights as textures hold them."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.render.scene.frame import Frame
+from terrainwave.render.scene.kernels import fill_texels
+
+if TYPE_CHECKING:
+    from terrainwave.file import TerrainFile
+
+# Half of float32's spacing, relative.
+FLOAT32_ROUNDING = 2.0**-24
+# What float16 holds.
+_LEAST_SLOPE, _LARGEST_HEIGHT = 2.0**-14, 6e4
+
+
+@dataclass(frozen=True)
+class HeightScale:
+    """Metres, without exaggeration, of decoded quanta.
+
+    Parameters
+    ----------
+    per_quantum : float
+        Negative where the raster's scale is.
+    zero : float
+        Metres of quantum 0.
+    """
+
+    per_quantum: float
+    zero: float
+
+    @classmethod
+    def of(cls, terrain: "TerrainFile", frame: Frame) -> Self:
+        """Return the scale of a file."""
+        header, raster = terrain.header, terrain.raster_info
+        quantum = header.quantum.numerator / header.quantum.denominator
+        per_unit = frame.metres[2]
+        return cls(
+            quantum * raster.scale * per_unit,
+            (header.base * quantum * raster.scale + raster.offset) * per_unit,
+        )
+
+    def metres(self, quanta: NDArray[Any]) -> NDArray[np.float64]:
+        """Return heights in metres."""
+        return quanta * self.per_quantum + self.zero
+
+
+@dataclass(frozen=True)
+class HeightTexels:
+    """Heights as a texture of float16 holds them, to colour by: (metres - reference) / scale.
+
+    Half a metre in a thousand is lost, but next to the reference: the sea's level where the raster
+    has one, else what is nearest to it.
+    """
+
+    reference: float
+    scale: float
+
+    @classmethod
+    def of(cls, frame: Frame) -> Self:
+        """Return the one that fits the heights of a frame."""
+        low, high = sorted(height * frame.metres[2] for height in frame.heights)
+        reference = min(max(0.0, low), high)
+        largest = max(reference - low, high - reference)
+        return cls(reference, max(largest / _LARGEST_HEIGHT, 1.0))
+
+
+class Texels:
+    """Slopes and heights of samples as textures hold them. Thread-safe.
+
+    Parameters
+    ----------
+    frame : Frame
+        Whose east and north slopes are along.
+    scale : HeightScale
+        Of the samples.
+    """
+
+    def __init__(self, frame: Frame, scale: HeightScale) -> None:
+        a, b, _, d, e, _ = frame.sample_matrix
+        self._slopes = np.linalg.inv(np.array([[a, b], [d, e]])).T.ravel() * scale.per_quantum
+        heights = HeightTexels.of(frame)
+        shift = (scale.zero - heights.reference) / heights.scale
+        self._heights = np.array([scale.per_quantum / heights.scale, shift, _LARGEST_HEIGHT])
+
+    def of(
+        self,
+        samples: tuple[NDArray[Any], NDArray[np.bool_]],
+        first: tuple[int, int],
+        inner: tuple[int, int],
+        shape: tuple[int, int],
+        stride: int,
+    ) -> NDArray[np.float16]:
+        """Return a texture of a part of samples.
+
+        Parameters
+        ----------
+        samples : tuple of ndarray, 2-D
+            Quanta of a level, and which are valid.
+        first : tuple of int
+            Where the texture begins in them, row and column; may be negative.
+        inner : tuple of int
+            Rows and columns that the texture has values of its own for; the nearest ones of these
+            are repeated.
+        shape : tuple of int
+            Of the texture.
+        stride : int
+            Samples of the full grid between two.
+
+        Returns
+        -------
+        ndarray of float16, shape (n_rows, n_cols, 3)
+            Metres per metre to the east and to the north, and heights (`HeightTexels`).
+        """
+        texels = np.empty((shape[0], 3 * shape[1]), dtype=np.uint16)
+        slopes_of = np.array([*self._slopes / stride, _LEAST_SLOPE])
+        fill_texels(*samples, *first, *inner, slopes_of, self._heights, texels)
+        return texels.view(np.float16).reshape(*shape, 3)

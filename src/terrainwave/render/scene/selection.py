@@ -1,0 +1,423 @@
+"""Which blocks to draw: recursive from the roots by screen error (Yusov & Turlapov 2010, §2.8).
+
+A node is a piece that the viewer has heard of. Its cost per frame follows what is in view: nodes
+outside the frustum end the recursion, and those good enough do.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.grid.quadtree import Block
+from terrainwave.render.scene.camera import Camera, Viewport, focal_length, gamma_guaranteed, slant
+from terrainwave.render.scene.frustum import frustum_planes
+from terrainwave.render.scene.kernels import (
+    bounded_errors,
+    fine_nodes,
+    node_scales,
+    priorities,
+    select_nodes,
+    wanted_nodes,
+)
+
+_FIRST_CAPACITY = 256
+_MOST_SCALE = 1e12  # pixels per metre, where the eye is in a box
+
+
+class Piece(NamedTuple):
+    """What is drawn at once: a block, triangulated within the tolerance number `variant`.
+
+    0 is the block's own; blocks of the finest level also come coarser (see `patches`).
+    """
+
+    level: int
+    row: int
+    col: int
+    variant: int = 0
+
+    @property
+    def block(self) -> Block:
+        """Return the block."""
+        return Block(self.level, self.row, self.col)
+
+
+class NodeInfo(NamedTuple):
+    """What the index says of a piece: its box in local metres, its error in metres.
+
+    `spacing` is how far its samples are apart, local metres.
+    """
+
+    piece: Piece
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    error: float
+    spacing: float
+
+
+class Built(Protocol):
+    """What `Mode.build` returns; the mode's store knows what else is in it."""
+
+    @property
+    def children(self) -> list[NodeInfo]:
+        """Return the piece's children; read in the worker, so that drawing never reads."""
+
+    @property
+    def n_triangles(self) -> int:
+        """Return how many triangles it draws."""
+
+    @property
+    def base(self) -> float:
+        """Return the height of its z = 0, metres."""
+
+    @property
+    def error(self) -> float:
+        """Return a bound that holds for its surface, metres."""
+
+    @property
+    def morph(self) -> float:
+        """Return the largest distance between its surface and its parent's, metres."""
+
+
+@dataclass(frozen=True)
+class View:
+    """Camera, size of the picture and what counts as an error on screen.
+
+    Parameters
+    ----------
+    max_pixel_error : float
+        τ, pixels; 0 takes the finest blocks everywhere.
+    gamma_of : callable
+        Returns γ of a camera and a viewport; by default one that holds in the corners too.
+    exaggeration : float
+        Factor of heights.
+    is_oriented : bool
+        Errors, being vertical, count less the steeper they are looked down at.
+    is_exact : bool
+        Errors count as each block's place in the picture has it (`kernels.node_scale`), not by one
+        γ for all of it.
+    flatness : float
+        What is less than this many times τ is let be where a piece has a sample for each pixel
+        (`Scene.view`); 1: nothing is.
+    """
+
+    camera: Camera
+    viewport: Viewport
+    max_pixel_error: float = 1.0
+    gamma_of: Callable[[Camera, Viewport], float] = gamma_guaranteed
+    exaggeration: float = 1.0
+    is_oriented: bool = False
+    is_exact: bool = False
+    flatness: float = 1.0
+
+    @cached_property
+    def gamma(self) -> float:
+        """Return γ of ``error on screen = γ · error / distance``."""
+        return self.gamma_of(self.camera, self.viewport)
+
+    @cached_property
+    def least_gamma(self) -> float:
+        """Return the γ with which errors of blocks count at least, in pixels · distance / error.
+
+        In `kernels.pixels_per_metre` K counts as 1 or more, and depths are at most distances.
+        Oriented, K / p_D is h / (p_D² r), h the horizontal distance and r that of a line through
+        the picture, at most its corners': distance is then (h² + v²) / h.
+        """
+        if not self.is_exact:
+            return self.gamma
+        length = focal_length(self.camera, self.viewport)
+        return length / slant(self.camera, self.viewport) if self.is_oriented else length
+
+    @cached_property
+    def lens(self) -> NDArray[np.float64]:
+        """Return what `kernels.pixels_per_metre` takes: see there."""
+        forward = self.camera.forward
+        if not self.is_exact:
+            return np.array([self.gamma, 1.0, 1.0, *forward])
+        scale = focal_length(self.camera, self.viewport)
+        up, right = self.viewport.height / 2 / scale, self.viewport.width / 2 / scale
+        sine, cosine = forward[2], math.hypot(*forward[:2])
+        step = (right * sine) ** 2 + (cosine + abs(sine) * up) ** 2
+        return np.array([scale, slant(self.camera, self.viewport) ** 2, step, *forward])
+
+    def tolerance(self, tau: float | None = None) -> NDArray[np.float64]:
+        """Return what `kernels.is_fine` takes, of another τ than the view's."""
+        tau = self.max_pixel_error if tau is None else tau
+        length = focal_length(self.camera, self.viewport)
+        return np.array([tau, tau * self.flatness, length])
+
+    @cached_property
+    def planes(self) -> NDArray[np.float64]:
+        """Return the planes of the frustum."""
+        return frustum_planes(self.camera, self.viewport)
+
+
+class Selection(NamedTuple):
+    """Nodes to draw with their distances, nearest part of the box to the eye; their triangles."""
+
+    nodes: NDArray[np.int32]
+    distances: NDArray[np.float64]
+    n_triangles: int
+
+
+class NodeTable:
+    """Known pieces in arrays, for the kernels. Used by one thread."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[Piece, int] = {}
+        self.pieces: list[Piece] = []
+        self._of_level: dict[int, list[int]] = {}
+        self.roots = np.empty(0, dtype=np.int32)
+        self._allocate(_FIRST_CAPACITY)
+
+    def _allocate(self, capacity: int) -> None:
+        self.low = np.zeros((capacity, 3))
+        self.high = np.zeros((capacity, 3))
+        self.errors = np.zeros(capacity)
+        self.spacings = np.zeros(capacity)
+        self.children = np.full((capacity, 4), -1, dtype=np.int32)
+        self.parents = np.full(capacity, -1, dtype=np.int32)
+        self.keys = np.zeros((capacity, 4), dtype=np.int64)  # the pieces, as numbers
+        self.is_known = np.zeros(capacity, dtype=np.bool_)
+        self.is_resident = np.zeros(capacity, dtype=np.bool_)
+        self.n_triangles = np.zeros(capacity, dtype=np.int64)
+        self.bases = np.zeros(capacity)
+        self.morphs = np.zeros(capacity)
+        self._stack = np.empty(capacity, dtype=np.int32)
+        self._nodes = np.empty(capacity, dtype=np.int32)
+        self._distances = np.empty(capacity)
+
+    def __len__(self) -> int:
+        return len(self.pieces)
+
+    def _grow(self) -> None:
+        old, n = dict(vars(self)), len(self)
+        self._allocate(2 * len(self.errors))
+        for name in (
+            "low", "high", "errors", "spacings", "children", "parents", "keys", "is_known",
+            "is_resident", "n_triangles", "bases", "morphs",
+        ):  # fmt: skip
+            getattr(self, name)[:n] = old[name][:n]
+
+    def find(self, piece: Piece) -> int | None:
+        """Return the number of a piece, None if it is not known."""
+        return self._numbers.get(piece)
+
+    def add(self, info: NodeInfo, parent: int = -1) -> int:
+        """Make a piece known; return its number."""
+        number = self._numbers.get(info.piece)
+        if number is not None:
+            return number
+        number = len(self)
+        if number == len(self.errors):
+            self._grow()
+        self._numbers[info.piece] = number
+        self.pieces.append(info.piece)
+        self.low[number], self.high[number] = info.low, info.high
+        self.errors[number], self.spacings[number] = info.error, info.spacing
+        self.keys[number] = info.piece
+        self._of_level.setdefault(info.piece.level, []).append(number)
+        self.parents[number] = parent
+        if parent < 0:
+            self.roots = np.append(self.roots, np.int32(number))
+        return number
+
+    def add_children(self, parent: int, infos: list[NodeInfo]) -> None:
+        """Make the children of a node known, all at once."""
+        if self.is_known[parent]:
+            return
+        for place, info in enumerate(infos):
+            self.children[parent, place] = self.add(info, parent)
+        self.is_known[parent] = True
+
+    def describe(self, node: int, built: Built) -> None:
+        """Take down what a piece that is in the store now says of itself."""
+        self.is_resident[node] = True
+        self.errors[node], self.n_triangles[node] = built.error, built.n_triangles
+        self.bases[node], self.morphs[node] = built.base, built.morph
+
+    def boxes(
+        self, nodes: NDArray[np.int32], exaggeration: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the lowest and highest corners of nodes as drawn, shape (n, 3) each."""
+        scale = np.array([1.0, 1.0, exaggeration])
+        return self.low[nodes] * scale, self.high[nodes] * scale
+
+    def scales(self, view: View, nodes: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Return pixels on screen per metre of nodes' errors; inf where the eye is in their box."""
+        scales = np.empty(len(nodes))
+        eye, z_scale = view.camera.eye, view.exaggeration
+        node_scales(nodes, self.low, self.high, z_scale, eye, view.lens, view.is_oriented, scales)
+        return scales
+
+    def on_screen(
+        self, view: View, nodes: NDArray[np.int32], errors: NDArray[np.float64] | None = None
+    ) -> NDArray[np.float64]:
+        """Return bounds on screen, pixels, of errors in metres: by default those of the nodes.
+
+        Finite, and 0 of errors of 0, also where the eye is in a node's box.
+        """
+        errors = self.errors[nodes] if errors is None else errors
+        return errors * view.exaggeration * np.minimum(self.scales(view, nodes), _MOST_SCALE)
+
+    def are_fine(self, view: View, nodes: NDArray[np.int32], tau: float) -> NDArray[np.bool_]:
+        """Say of nodes whether they need not be split in a view."""
+        out = np.empty(len(nodes), dtype=np.bool_)
+        fine_nodes(
+            nodes, self.low, self.high, self.errors, self.spacings, view.exaggeration,
+            view.camera.eye, view.lens, view.is_oriented, view.tolerance(tau), out,
+        )  # fmt: skip
+        return out
+
+    def bounded_errors(
+        self, view: View, nodes: NDArray[np.int32], start: float, end: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return shares of parents' surfaces, errors drawn and errors within `end` pixels, metres.
+
+        1 where the parent would just be drawn (its error at `start`), 0 where that error reaches
+        `end`; and no more than leaves error + share · distance to the parent within it, which keeps
+        the promise exactly: between vertices both surfaces are linear.
+        """
+        out = np.empty((len(nodes), 3))
+        bounded_errors(
+            nodes, self.low, self.high, self.errors, self.morphs, self.parents, view.exaggeration,
+            view.camera.eye, view.lens, view.is_oriented, start, end, out,
+        )  # fmt: skip
+        return out[:, 0], out[:, 1], out[:, 2]
+
+    def select(self, view: View, tau: float | None = None) -> Selection:
+        """Return the resident blocks that show the view within τ where they are here.
+
+        Parents stand in for children that are not resident.
+        """
+        if len(self._stack) < len(self.errors):
+            raise AssertionError("the stack holds every node")
+        n_out, n_triangles = select_nodes(
+            self.roots,
+            self.low,
+            self.high,
+            self.errors,
+            self.spacings,
+            self.children,
+            self.is_known,
+            self.is_resident,
+            self.n_triangles,
+            view.planes,
+            view.camera.eye,
+            view.exaggeration,
+            view.lens,
+            view.is_oriented,
+            view.tolerance(tau),
+            self._stack,
+            self._nodes,
+            self._distances,
+        )
+        return Selection(
+            self._nodes[:n_out].copy(), self._distances[:n_out].copy(), int(n_triangles)
+        )
+
+    def wanted(
+        self,
+        view: View,
+        max_blocks: int,
+        tau: float | None = None,
+        camera: Camera | None = None,
+    ) -> NDArray[np.int32]:
+        """Return the nodes that a view needs, ancestors first, at most `max_blocks`.
+
+        `camera` looks from elsewhere than the view's own.
+        """
+        if camera is not None and camera is not view.camera:
+            view = replace(view, camera=camera)
+        out = np.empty(max_blocks, dtype=np.int32)
+        # Near roots first.
+        roots = self.roots
+        if len(roots) > 1:
+            middle = (self.low[roots] + self.high[roots]) / 2
+            away = np.linalg.norm(middle - view.camera.eye, axis=1)
+            roots = roots[np.argsort(away, kind="stable")]
+        n_out = wanted_nodes(
+            roots,
+            self.low,
+            self.high,
+            self.errors,
+            self.spacings,
+            self.children,
+            self.is_known,
+            view.planes,
+            view.camera.eye,
+            view.exaggeration,
+            view.lens,
+            view.is_oriented,
+            view.tolerance(tau),
+            out,
+        )
+        return out[:n_out]
+
+    def coarse_nodes(self, most: int) -> NDArray[np.int32]:
+        """Return the known nodes of the coarsest levels, no more than `most`, by level."""
+        nodes: list[int] = []
+        for level in sorted(self._of_level):
+            if len(nodes) + len(self._of_level[level]) > most:
+                break
+            nodes += self._of_level[level]
+        return np.array(nodes, dtype=np.int32)
+
+    def lowest_priority(self, view: View, keep: NDArray[np.bool_]) -> NDArray[np.int32]:
+        """Return resident nodes that may be evicted, the least needed first.
+
+        Those without resident children that are not in `keep`, by w = u·V / d.
+        """
+        n = len(self)
+        inner = np.zeros(n, dtype=np.bool_)
+        parents = self.parents[:n][self.is_resident[:n]]
+        inner[parents[parents >= 0]] = True
+        nodes = np.flatnonzero(self.is_resident[:n] & ~keep & ~inner).astype(np.int32)
+        ranks = np.empty(len(nodes))
+        camera = view.camera
+        priorities(nodes, self.low, self.high, view.exaggeration, camera.eye, camera.forward, ranks)
+        return nodes[np.argsort(ranks, kind="stable")]
+
+
+class ErrorGovernor:
+    """Raises τ where triangles or time would exceed their limits, and lets it sink again.
+
+    Parameters
+    ----------
+    max_triangles : int
+        Budget per frame.
+    target_ms : float, optional
+        Time per frame; None: no matter.
+    """
+
+    _LARGEST = 64.0
+
+    def __init__(self, max_triangles: int, target_ms: float | None = None) -> None:
+        self.max_triangles = max_triangles
+        self.target_ms = target_ms
+        self.factor = 1.0
+
+    def after_frame(self, frame_ms: float) -> None:
+        """Adapt to the time that the last frame took."""
+        if self.target_ms is None:
+            return
+        ratio = frame_ms / self.target_ms
+        if ratio > 1.1:
+            self.factor = min(self.factor * min(ratio**0.5, 1.25), self._LARGEST)
+        elif ratio < 0.8:
+            self.factor = max(self.factor / 1.05, 1.0)
+
+    def select(
+        self, table: NodeTable, view: View, tau: float | None = None
+    ) -> tuple[Selection, float]:
+        """Return a selection within the budget, and its τ; `tau` is to be kept, or the view's."""
+        tau = (view.max_pixel_error if tau is None else tau) * self.factor
+        selection = table.select(view, tau)
+        while selection.n_triangles > self.max_triangles and tau < 1e6:
+            tau = max(tau, 0.05) * 1.3
+            selection = table.select(view, tau)
+        return selection, tau

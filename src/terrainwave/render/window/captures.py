@@ -1,0 +1,68 @@
+"""What a viewer writes: pictures, flights, profiles, under names that are not taken."""
+
+import json
+import os
+import threading
+import time
+from pathlib import Path
+
+from terrainwave.container.publish import publish
+from terrainwave.errors import StorageError
+
+# A flight is a key in each such time, so that `render --flight` flies it evenly.
+_KEY_SECONDS = 0.5
+_MOST_KEYS = 100_000
+_ATTEMPTS = 1000
+# Two files at once would take the same name.
+_NAMING = threading.Lock()
+
+
+def save_as_new(data: bytes, stem: str, ending: str, folder: str | os.PathLike[str] = ".") -> str:
+    """Write a file ``stem-date-time.ending``, numbered where that is there; return its name.
+
+    Raises
+    ------
+    StorageError
+        If it cannot be written.
+    """
+    with _NAMING:
+        return _save(data, stem, ending, Path(folder))
+
+
+def _save(data: bytes, stem: str, ending: str, folder: Path) -> str:
+    first = f"{stem}-{time.strftime('%Y%m%d-%H%M%S')}"
+    for number in range(1, _ATTEMPTS):
+        name = f"{first}{'' if number == 1 else f'-{number}'}{ending}"
+        path = folder / name
+        if os.path.lexists(path):
+            continue
+        with publish(path) as part:
+            part.file.write(data)
+        return name
+    raise StorageError(f"{first}{ending}: all numbers up to {_ATTEMPTS} are taken")
+
+
+class FlightRecorder:
+    """Cameras of a flight, one each half second."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self._seconds = 0.0
+        self._since_key = _KEY_SECONDS
+
+    def tick(self, seconds: float, camera_line: str) -> None:
+        """Take the time since the last frame into account, and where the camera is now."""
+        self._seconds += seconds
+        self._since_key += seconds
+        if self._since_key >= _KEY_SECONDS and len(self.lines) < _MOST_KEYS:
+            self._since_key = min(self._since_key - _KEY_SECONDS, _KEY_SECONDS)
+            self.lines.append(camera_line)
+
+    @property
+    def seconds(self) -> float:
+        """Return how long it has been recording."""
+        return self._seconds
+
+    def to_json(self) -> str:
+        """Return what ``terrainwave render --flight`` takes."""
+        return json.dumps(self.lines, indent=1) + "\n"

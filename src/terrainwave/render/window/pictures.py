@@ -1,0 +1,204 @@
+"""What `terrainwave render` does: one picture, or the pictures of a flight."""
+
+import json
+import time
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.errors import (
+    InvalidArgumentError,
+    InvalidHeightsError,
+)
+from terrainwave.render.gpu.canvas import Canvas
+from terrainwave.render.look.marks import draw_marks, legend_of
+from terrainwave.render.modes.mode import Frames
+from terrainwave.render.scene.camera import (
+    Camera,
+    Viewport,
+    along,
+    format_camera,
+    home,
+    parse_camera,
+)
+from terrainwave.render.scene.frame import Frame
+
+if TYPE_CHECKING:
+    from terrainwave.file import TerrainFile
+    from terrainwave.render.look.style import Style
+
+_MAX_KEYS = 100_000
+_OVERVIEW_SIDE = 257
+
+
+def choose_camera(
+    frame: Frame,
+    viewport: Viewport,
+    camera: str | None = None,
+    bounds: Sequence[float] | None = None,
+    heights: tuple[float, float] | None = None,
+) -> Camera:
+    """Return the camera that a line describes, or one that shows bounds (CRS) or everything.
+
+    `heights` are the lowest and highest within `bounds`, in the file's unit.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If the line is none, both are given, or the bounds are empty.
+    """
+    if camera is not None:
+        if bounds is not None:
+            raise InvalidArgumentError("found both `camera` and `bounds`, expected one of them")
+        return parse_camera(camera, frame)
+    low, high = frame.solid_box
+    if bounds is not None:
+        left, bottom, right, top = bounds
+        if not (left < right and bottom < top):
+            raise InvalidArgumentError(
+                f"found `bounds` {tuple(bounds)}, expected left < right and bottom < top"
+            )
+        ends = frame.to_local(np.array([[left, bottom, 0.0], [right, top, 0.0]]))
+        if heights is not None:
+            low[2], high[2] = np.sort(np.array(heights) * frame.metres[2] * frame.exaggeration)
+        low, high = np.array([*ends[0, :2], low[2]]), np.array([*ends[1, :2], high[2]])
+    return home((low, high), viewport)
+
+
+def heights_within(terrain: "TerrainFile", bounds: Sequence[float]) -> tuple[float, float]:
+    """Return the lowest and highest height within bounds, physical; of an overview: about.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If the bounds miss the raster, or all within them is void.
+    """
+    level = -1
+    region = terrain.region(bounds=bounds, level=level)
+    while max(region.shape) > _OVERVIEW_SIDE and level > -terrain.n_levels:
+        level -= 1
+        region = terrain.region(bounds=bounds, level=level)
+    # A coarse sample is void only if all around it is.
+    raw, valid = terrain.read_with_mask(tuple(region), level=level, on_error="mask", voids="any")
+    if not valid.any():
+        raise InvalidHeightsError("the picture would show no terrain: all within `bounds` is void")
+    raster = terrain.raster_info
+    found = raw[valid].astype(np.float64) * raster.scale + raster.offset
+    return float(found.min()), float(found.max())
+
+
+def read_flight(text: str, frame: Frame) -> list[Camera]:
+    """Return the cameras of a flight: a JSON list of camera lines.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If it is none.
+    """
+    try:
+        keys = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InvalidHeightsError(f"the flight is not JSON: {error}") from error
+    if (
+        not isinstance(keys, list)
+        or not 1 <= len(keys) <= _MAX_KEYS
+        or not all(isinstance(key, str) for key in keys)
+    ):
+        raise InvalidHeightsError(
+            'expected a flight as a JSON list of cameras: ["x,y,z,heading,pitch,fov", ...]'
+        )
+    return [parse_camera(key, frame) for key in keys]
+
+
+def fly_through(
+    canvas: Canvas,
+    cameras: list[Camera],
+    n_frames: int,
+    style: "Style",
+    max_pixel_error: float,
+    *,
+    settle: bool = True,
+    legend: bool = False,
+    scale_bar: bool = False,
+) -> Iterator[tuple[NDArray[np.uint8], dict[str, Any]]]:
+    """Yield pictures along a flight, with what `statistics` says of each.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If there is one picture, and nothing in it.
+    """
+    for number in range(n_frames):
+        camera = along(cameras, number / max(n_frames - 1, 1))
+        started = time.perf_counter()
+        image, frames = canvas.picture(
+            camera, style, max_pixel_error=max_pixel_error, settle=settle
+        )
+        seconds = time.perf_counter() - started
+        if n_frames == 1 and canvas.is_blank():
+            raise InvalidHeightsError(
+                "the picture would show no terrain: what is in view is void, or `camera` looks"
+                " elsewhere"
+            )
+        if legend or scale_bar:
+            image = with_marks(canvas, image, frames, style, legend=legend, scale_bar=scale_bar)
+        yield image, statistics(canvas, camera, frames, seconds)
+
+
+def with_marks(
+    canvas: Canvas,
+    image: NDArray[np.uint8],
+    frames: Frames,
+    style: "Style",
+    *,
+    legend: bool,
+    scale_bar: bool,
+) -> NDArray[np.uint8]:
+    """Return the last picture with a legend, and a scale bar that holds in its middle.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If there is to be a scale bar, and the camera looks away from the terrain.
+    """
+    scene, scale = canvas.scene, None
+    if scale_bar:
+        scale = canvas.metres_per_pixel()
+        if scale is None:
+            raise InvalidHeightsError(
+                "there is no scale to draw a bar of: the camera looks away from the terrain"
+            )
+    explained = None
+    if legend:
+        explained = legend_of(
+            style,
+            canvas.renderer.palette(frames, style),
+            scene.frame,
+            scene.terrain.units,
+            has_voids=canvas.has_voids and style.draws_solid,
+        )
+    return draw_marks(image, legend=explained, metres_per_pixel=scale)
+
+
+def statistics(canvas: Canvas, camera: Camera, frames: Frames, seconds: float) -> dict[str, Any]:
+    """Return the statistics of a drawn picture, as plain values."""
+    scene, info = canvas.scene, canvas.context.info
+    return {
+        "renderer": str(info["GL_RENDERER"]),
+        "version": str(info["GL_VERSION"]),
+        "size": [canvas.viewport.width, canvas.viewport.height],
+        "camera": format_camera(camera, scene.frame),
+        "mode": scene.mode.name,
+        "error": scene.mode.error,
+        "max_pixel_error": frames.tau,
+        "n_triangles": frames.n_triangles,
+        "n_blocks": len(frames.nodes),
+        "n_draw_calls": canvas.renderer.n_draw_calls,
+        "gpu_bytes": canvas.n_bytes,
+        "page_ms": scene.timings.page,
+        "select_ms": scene.timings.select,
+        "seconds": seconds,
+        "problems": sorted(scene.problems.damaged.values()),
+    }

@@ -1,0 +1,408 @@
+"""The window of `terrainwave view`."""
+
+import os
+import sys
+import time
+from collections import deque
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from terrainwave.errors import TerrainwaveError
+from terrainwave.extras import need
+from terrainwave.render import DEFAULT_MAX_BYTES
+from terrainwave.render.gpu.canvas import Canvas
+from terrainwave.render.look.drape_detail import DrapeDetail
+from terrainwave.render.look.water import may_have_water, read_water
+from terrainwave.render.modes.mode import Frames
+from terrainwave.render.paging.background import Background, Outcome
+from terrainwave.render.paging.problems import replies_of
+from terrainwave.render.scene.frame import check_drawable
+from terrainwave.render.scene.solid import build_solid
+from terrainwave.render.window.controls import HELP, Controls
+from terrainwave.render.window.pictures import choose_camera
+from terrainwave.render.window.session import Session
+
+if TYPE_CHECKING:
+    from terrainwave.file import TerrainFile
+    from terrainwave.render.look.style import Style
+
+_OVERLAY_SECONDS = 0.2
+_SOLID_PAUSE = 5.0
+_NO_WINDOW = (
+    "cannot open a window ({problem}); a picture needs none: terrainwave render FILE PICTURE.png;"
+    " a window needs a display and OpenGL 3.3, on Debian and Ubuntu: apt-get install libgl1"
+    " libgl1-mesa-dri libglu1-mesa libx11-6"
+)
+_LEFT, _RIGHT = 1, 2
+
+
+def _display_problem(line: str) -> str:
+    """Return what is wrong with the display; X's own message does not say which it asked for."""
+    if "cannot connect to" not in line.lower():
+        return line[:200]
+    display = os.environ.get("DISPLAY")
+    if not display:
+        return "found no DISPLAY in the environment, expected that of an X server"
+    return f"no X server answers for DISPLAY {display[:100]}"
+
+
+def run(
+    terrain: "TerrainFile",
+    *,
+    size: tuple[int, int],
+    camera: str | None,
+    style: "Style",
+    max_pixel_error: float,
+    max_bytes: int = DEFAULT_MAX_BYTES,
+    fullscreen: bool = False,
+    **options: Any,
+) -> str:
+    """Show a terrain until the window is closed; return the last camera as a line.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If the terrain has no surface.
+    TerrainwaveError
+        If there is no display or no OpenGL 3.3; one line that says what to do.
+    """
+    check_drawable(terrain)
+    toolkit: Any = need("moderngl_window", extra="view", purpose="a window")
+
+    arguments = ["--vsync", "true"] + (["--fullscreen"] if fullscreen else [])
+    try:
+        config = toolkit.create_window_config_instance(
+            window_config(toolkit.WindowConfig, f"{terrain.name} - terrainwave", size),
+            args=arguments,
+        )
+    except Exception as error:
+        lines = str(error).strip().splitlines() or [type(error).__name__]
+        raise TerrainwaveError(_NO_WINDOW.format(problem=_display_problem(lines[0]))) from error
+    with Canvas(
+        terrain,
+        config.wnd.buffer_size,
+        context=config.ctx,
+        max_bytes=max_bytes,
+        is_late=True,
+        retries=True,
+        **options,
+    ) as canvas:
+        style.check_body(canvas.scene.frame.body)
+        first = choose_camera(canvas.scene.frame, canvas.viewport, camera)
+        controls = Controls(canvas.scene, first, style, max_pixel_error)
+        session = Session(canvas.scene, controls, _say, radius=options.get("radius"))
+        viewer = config.viewer = Viewer(config.wnd, canvas, session, max_bytes)
+        _loop(config, viewer)
+        line = session.camera_line
+        session.close()
+        viewer.close()
+    config.wnd.destroy()
+    return line
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
+
+
+def window_config(base: Any, caption: str, size: tuple[int, int]) -> Any:
+    """Return a window's class: what is to be opened, and where its events go.
+
+    Events also come while the window opens (the pointer lies where it appears, a key is down),
+    before there is a ``viewer`` to take them: those are dropped.
+
+    Parameters
+    ----------
+    base : type
+        ``moderngl_window.WindowConfig``, which is imported late.
+    caption : str
+        The window's title.
+    size : tuple of int
+        Width and height in pixels.
+    """
+
+    class Config(base):  # type: ignore[misc]
+        gl_version = (3, 3)
+        title = caption
+        window_size = size
+        aspect_ratio = None
+        resizable = True
+        samples = 0
+        clear_color = None
+        log_level = 40
+        viewer: "Viewer | None" = None
+
+        def on_render(self, time: float, frame_time: float) -> None:
+            if self.viewer:
+                self.viewer.render(frame_time)
+
+        def on_resize(self, width: int, height: int) -> None:
+            if self.viewer:
+                self.viewer.resize()
+
+        def on_key_event(self, key: Any, action: Any, modifiers: Any) -> None:
+            if self.viewer:
+                self.viewer.key(key, action == self.wnd.keys.ACTION_PRESS)
+
+        def on_mouse_press_event(self, x: int, y: int, button: int) -> None:
+            if self.viewer:
+                self.viewer.press(x, y)
+
+        def on_mouse_release_event(self, x: int, y: int, button: int) -> None:
+            if self.viewer:
+                self.viewer.release(x, y)
+
+        def on_mouse_drag_event(self, x: int, y: int, dx: int, dy: int) -> None:
+            if self.viewer:
+                self.viewer.drag(dx, dy)
+
+        def on_mouse_position_event(self, x: int, y: int, dx: int, dy: int) -> None:
+            if self.viewer:
+                self.viewer.cursor = x, y
+
+        def on_mouse_scroll_event(self, x_offset: float, y_offset: float) -> None:
+            if self.viewer:
+                self.viewer.scroll(y_offset)
+
+    return Config
+
+
+def _loop(config: Any, viewer: "Viewer") -> None:
+    """Draw until the window closes; the window is destroyed by the caller, after its content."""
+    window, timer = config.wnd, config.timer
+    timer.start()
+    while not window.is_closing:
+        current, delta = timer.next_frame()
+        window.use()
+        window.render(current, delta)
+        if viewer.controls.is_closing:
+            window.close()
+        if not window.is_closing:
+            window.swap_buffers()
+
+
+class Viewer:
+    """A window's content: scene, session, overlay."""
+
+    def __init__(self, window: Any, canvas: Canvas, session: Session, max_bytes: int) -> None:
+        self._window = window
+        self._canvas = canvas
+        self._session, self.controls, self._max_bytes = session, session.controls, max_bytes
+        from terrainwave.render.gpu.overlay import Overlay  # late: moderngl
+
+        self.overlay = Overlay(canvas.context)
+        self.cursor = (0, 0)
+        self._times: deque[float] = deque(maxlen=60)
+        self._ink = Background(1)  # draws the overlay, which takes longer than a frame may
+        self._drawn: Any = None
+        self._overlay_time = 0.0
+        self._keys = _key_names(window.keys)
+        self._solid_at = self._first_seen = 0.0
+        self._wants_solid = True
+        self._wants_drape = canvas.photo is not None
+        scene = canvas.scene
+        self._wants_water = may_have_water(scene.terrain, scene.frame)
+        self._detail: DrapeDetail | None = None
+
+    def render(self, frame_time: float) -> None:
+        """Draw a frame."""
+        started = time.perf_counter()
+        controls, canvas = self.controls, self._canvas
+        size = canvas.viewport.width, canvas.viewport.height
+        if size != self._window.buffer_size:
+            self.resize()
+        self._session.tick(frame_time)
+        self._ink.poll()
+        frames = canvas.draw(
+            controls.camera,
+            controls.style,
+            max_pixel_error=controls.max_pixel_error,
+            settle=canvas.scene.mode.is_partwise,
+        )
+        if self._wants_solid and started > self._solid_at and self._is_at_rest(frames):
+            self._read_solid()
+        if self._wants_water and len(frames.nodes):
+            self._read_water()
+        if self._wants_drape and len(frames.nodes):
+            self._read_drape()
+        if self._detail is not None:
+            height = controls.height_over_ground
+            self._detail.tick(controls.camera, height, canvas.scene.frame)
+        canvas.context.copy_framebuffer(self._window.fbo, canvas.framebuffer)
+        self._window.use()
+        self._times.append(frame_time)
+        if time.perf_counter() - self._overlay_time > _OVERLAY_SECONDS:
+            self._update_overlay(frames)
+        line = self._session.line
+        if len(line):
+            self.overlay.draw_line(line, controls.camera, canvas.viewport)
+        self.overlay.draw()
+        canvas.scene.governor.after_frame((time.perf_counter() - started) * 1e3)
+
+    def _read_drape(self) -> None:
+        """Read the orthophoto in the background, first as a whole, then finer near the camera."""
+        canvas = self._canvas
+        self._wants_drape = False
+        assert canvas.photo is not None
+        background = self._session.slow
+        self._detail = DrapeDetail(
+            canvas.photo,
+            canvas.drape_texels_per_pixel,
+            background,
+            canvas.renderer.set_detail,
+        )
+
+        def take(outcome: Outcome) -> None:
+            if outcome.problem is None:
+                canvas.renderer.set_drape(outcome.value)
+            else:
+                self._session.note(outcome.problem)
+
+        background.start(canvas.read_drape, take)
+
+    def _read_water(self) -> None:
+        """Look for water in the background."""
+        self._wants_water = False
+        scene, renderer = self._canvas.scene, self._canvas.renderer
+
+        def take(outcome: Outcome) -> None:
+            if outcome.problem is None:
+                renderer.set_water(outcome.value)
+            else:
+                self._session.note(outcome.problem)
+
+        self._session.slow.start(lambda: read_water(scene.terrain, scene.frame), take)
+
+    def _is_at_rest(self, frames: Frames) -> bool:
+        """Say whether reading for the block under the terrain delays no part of the terrain."""
+        if not len(frames.nodes):
+            return False
+        self._first_seen = self._first_seen or time.perf_counter()
+        is_remote = replies_of(self._canvas.scene.terrain) is not None
+        has_waited = time.perf_counter() - self._first_seen > _SOLID_PAUSE
+        return has_waited or not (is_remote and frames.n_missing)
+
+    def _read_solid(self) -> None:
+        """Read the block under the terrain in the background; again later, if that fails."""
+        self._wants_solid = False
+        scene = self._canvas.scene
+
+        def take(outcome: Outcome) -> None:
+            if outcome.problem is None:
+                self._canvas.set_solid(outcome.value)
+            else:
+                self._wants_solid, self._solid_at = True, time.perf_counter() + _SOLID_PAUSE
+
+        self._session.slow.start(lambda: build_solid(scene.terrain, scene.frame), take)
+
+    def close(self) -> None:
+        """Free the overlay."""
+        self._ink.close()
+        self.overlay.release()
+
+    def resize(self) -> None:
+        """Follow the window's size."""
+        width, height = self._window.buffer_size
+        if width > 0 and height > 0:
+            self._canvas.resize((width, height))
+            self._overlay_time = 0.0
+
+    def key(self, key: Any, is_press: bool) -> None:
+        """Take a key event into account."""
+        name = self._keys.get(key)
+        if name is None:
+            return
+        if is_press:
+            self.controls.press(name, self._canvas.viewport)
+            self._session.grant(self._canvas.grab)
+            self._overlay_time = 0.0
+        else:
+            self.controls.release(name)
+
+    def press(self, x: float, y: float) -> None:
+        """Take a mouse button into account."""
+        self.cursor = int(x), int(y)
+        self.controls.grab(self._pick(x, y))
+
+    def release(self, x: float, y: float) -> None:
+        """Take a mouse button that goes up into account: a click, unless it has dragged."""
+        if self.controls.was_click:
+            self._session.click(self._pick(x, y))
+            self._overlay_time = 0.0
+
+    def drag(self, dx: float, dy: float) -> None:
+        """Take a movement with a button down into account."""
+        self.controls.drag(dx, dy, is_right=bool(self._window.mouse_states.right))
+
+    def scroll(self, steps: float) -> None:
+        """Take the wheel into account."""
+        self.controls.scroll(steps, self._pick(*self.cursor))
+
+    def _pick(self, x: float, y: float) -> Any:
+        ratio = self._window.pixel_ratio
+        return self._canvas.pick(x * ratio, y * ratio)
+
+    def _update_overlay(self, frames: Frames) -> None:
+        from terrainwave.render.gpu.overlay import (  # late: moderngl
+            Change,
+            change_of,
+            draw_overlay,
+        )
+
+        self._overlay_time = time.perf_counter()
+        if self._ink.n_running:
+            return
+        canvas, controls = self._canvas, self.controls
+        viewport, scene = canvas.viewport, canvas.scene
+        seconds = float(np.mean(self._times)) if self._times else 0.0
+        raised = "" if frames.tau <= controls.max_pixel_error * 1.01 else " (raised)"
+        loading = f", {frames.n_missing} to come" if frames.n_missing else ""
+        lines = [
+            f"{1 / max(seconds, 1e-6):.0f} fps, {frames.n_triangles:,} triangles in"
+            f" {len(frames.nodes)} blocks{loading}",
+            f"GPU {canvas.n_bytes / 2**20:.0f} MiB, within {frames.tau:.2g} pixels{raised}",
+        ]
+        lines += [f"speed {controls.speed:.3g} m/s"] if controls.is_flying else []
+        under = self._pick(*self.cursor)
+        if under is not None:
+            x, y, z = scene.frame.to_world(under[None])[0]
+            unit = scene.terrain.units or ""
+            lines.append(f"{x:.10g}, {y:.10g}: {z:.6g} {unit}".rstrip())
+        lines += self._session.lines(frames)
+        if canvas.photo is not None and canvas.photo.credit is not None:
+            lines.append(f"tiles: {canvas.photo.credit}")
+        lines.append("H: help")
+        shown = None
+        if controls.shows_help:
+            found = self._session.settings(frames, canvas.n_bytes, self._max_bytes)
+            shown = [*HELP, ("", ""), *found]
+        scale = canvas.metres_per_pixel()
+        camera, profile = controls.camera, self._session.profile
+        before = self._drawn
+
+        def draw() -> Change:
+            image = draw_overlay(viewport, camera, lines, scale, shown, profile)
+            return change_of(before, image)
+
+        def take(outcome: Outcome) -> None:
+            self.overlay.set(outcome.value)
+            self._drawn = outcome.value.image
+
+        self._ink.start(draw, take)
+
+
+def _key_names(keys: Any) -> dict[Any, str]:
+    """Map a backend's key codes to the names that `Controls` knows."""
+    names = {getattr(keys, letter.upper()): letter for letter in "abcdefhilmnopqrstwx"}
+    others = {
+        "ESCAPE": "escape", "BACKSPACE": "backspace", "TAB": "tab", "HOME": "home",
+        "COMMA": "comma", "PERIOD": "period",
+        "LEFT_BRACKET": "[", "RIGHT_BRACKET": "]", "MINUS": "-", "EQUAL": "+",
+        "LEFT_SHIFT": "shift", "RIGHT_SHIFT": "shift", "UP": "w", "DOWN": "s",
+        "LEFT": "a", "RIGHT": "d", "PAGE_UP": "e", "PAGE_DOWN": "q",
+    }  # fmt: skip
+    for code, name in others.items():
+        if hasattr(keys, code):
+            names[getattr(keys, code)] = name
+    return names

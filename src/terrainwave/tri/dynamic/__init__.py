@@ -1,0 +1,1 @@
+"""A quadtree of heights that follows a camera, by Haar coefficients."""

@@ -1,0 +1,875 @@
+"""Dynamic triangulation: which nodes of a Haar quadtree to draw, and the mesh of them.
+
+E. Yusov, V. Turlapov, "Dynamic terrain simplification based on Haar transform and vertices
+quadtree" (Graphicon 2006), §3.3-3.6. Each sample has one root above it: a node whose error on
+screen is below τ, and that of all nodes below it. The mesh is the full grid's in which every sample
+has moved to its root, without the triangles that have become degenerate. Neighbours may differ by
+any number of heights, in one patch and across patches, without cracks. Nothing folds: around a
+corner of cells, their centres lie in one quadrant each, on its diagonal.
+
+Marking: from the leaves up over all nodes, once (`mark_bottom_up`); then, from frame to frame, from
+the patches' roots down to what may change: one height at a time, as the paper prints it
+(`step_top_down`), or as far as it goes (`settle_top_down`). With the measured error all three end
+alike, whatever was before, because no node's error on screen is below that of one under it.
+
+Fans: each root draws the triangles of which it is the largest corner, or the north-west one of
+four; its sides in the order top, left, bottom, right. A neighbour that is divided gives the nodes
+along its facing border; a root gives itself; one that is part of a larger root is left to that one.
+A patch so draws the strips to its right and lower neighbours, and reads only their marks.
+
+Where we depart from the paper: the morph lies below the threshold of merging, τ / λ … τ, so that it
+keeps within τ (as printed it goes to λτ and beyond), and goes to where the parent is drawn, which
+may be on its own way (as printed it goes to the parent's place and jumps if that one moves).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.coding.jit import inlined_kernel, kernel
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.tri.dynamic.budget import Pressure, check_budget
+from terrainwave.tri.dynamic.haar import (
+    CLOSED,
+    ERROR,
+    FIRST,
+    HIGH,
+    LOW,
+    N_COLS,
+    N_ROWS,
+    HaarTree,
+    build_tree,
+)
+from terrainwave.tri.scratch import Scratch
+
+# NotNullNode, NullSubTreeRoot, NullSubTreeSubNode: what is above roots, roots, what is below them.
+INNER, ROOT, BELOW = 0, 1, 2
+# Of a view as an array: place of the eye and where it looks; focal length; largest distance by
+# depth; factor of heights; what is added to errors; half the width of boxes in cells; whether
+# errors are bounds; x and y of samples.
+_X, _Y, _Z, _FORWARD, _FOCAL, _SLANT, _Z_SCALE, _BASE, _REACH = 0, 1, 2, 3, 6, 7, 8, 9, 10
+_IS_BOUND, _MATRIX = 11, 12
+_FIRST_CAPACITY = 4096
+# Sides of a cell in the order of fans, and where the neighbour lies.
+_TOP, _LEFT, _BOTTOM, _RIGHT = 0, 1, 2, 3
+_DOWN, _ACROSS = (-1, 0, 1, 0), (0, -1, 0, 1)
+
+
+class Eye(NamedTuple):
+    """What errors on screen depend on.
+
+    Parameters
+    ----------
+    position : ndarray of float64, shape (3,)
+        In the units of the mesh.
+    forward : ndarray of float64, shape (3,)
+        Unit vector along the axis of the view.
+    planes : ndarray of float64, shape (n_planes, 4)
+        Inward planes of what is in view: n·p + w >= 0 inside. Without any, all is.
+    focal : float
+        Focal length in pixels, the paper's f = d_near s / r_near: half the picture's diagonal over
+        the tangent of half its angle.
+    slant : float
+        Largest distance / depth in view, that of the picture's corners.
+    z_scale : float
+        Factor of heights.
+    """
+
+    position: NDArray[np.float64]
+    forward: NDArray[np.float64]
+    planes: NDArray[np.float64]
+    focal: float
+    slant: float
+    z_scale: float = 1.0
+
+
+def check_update(tau: float, morph: float) -> None:
+    """Check what meshes that follow a camera are asked for.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If τ is not > 0 or λ is not >= 1.
+    """
+    if not tau > 0 or not morph >= 1:
+        raise InvalidHeightsError(f"found tau {tau} and morph {morph}, expected > 0 and >= 1")
+
+
+class Followed(NamedTuple):
+    """What marks say after they have followed a view.
+
+    Parameters
+    ----------
+    threshold : float
+        Errors on screen below this were merged, pixels: τ, or τ / λ with a morph.
+    tau : float
+        Pixels; above what was asked for if the budget demands it.
+    within : float
+        What the mesh keeps with measured errors, pixels: τ, or more while steps lag behind.
+    n_vertices : int
+        Roots that are not void.
+    n_touched : int
+        Nodes that marking looked at.
+    n_changed : int
+        Nodes that became a root or ceased to be one; 0 where marks have settled.
+    """
+
+    threshold: float
+    tau: float
+    within: float
+    n_vertices: int
+    n_touched: int
+    n_changed: int
+
+
+class DynamicFrame(NamedTuple):
+    """A mesh for one view.
+
+    Parameters
+    ----------
+    vertices : ndarray of float64, shape (n_vertices, 3)
+        Heights are multiplied by the view's factor.
+    triangles : ndarray of int32, shape (n_triangles, 3)
+        Counter-clockwise seen from above; a root's fan is consecutive.
+    nodes : ndarray of int32, shape (n_vertices, 3)
+        Height, row and column of each vertex's node.
+    edges : ndarray of int32, shape (n_edges, 2)
+        Vertices of the edges that end the mesh on open sides.
+    threshold, tau, n_touched, n_changed
+        See `Followed`.
+    """
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    nodes: NDArray[np.int32]
+    edges: NDArray[np.int32]
+    threshold: float
+    tau: float
+    n_touched: int
+    n_changed: int
+
+
+class DynamicMesh:
+    """A raster's mesh that follows a camera.
+
+    Parameters
+    ----------
+    heights : ndarray, shape (n_rows, n_cols)
+    mask : ndarray of bool, same shape, optional
+        Which samples are valid; all that are finite if None.
+    sample_matrix : tuple of float
+        (a, b, c, d, e, f): x = a col + b row + c, y = d col + e row + f.
+    patch : int
+        Samples per side of a patch: a power of two.
+    error : {"measured", "paper"}
+        See `haar`: a bound for every sample, with the worst direction and distance of the node's
+        box; or Haar coefficients with the direction to the node, as printed.
+    base_error : float
+        Largest distance of `heights` from what errors count from; added to measured errors.
+    open_sides, is_surface
+        See `haar.build_tree`.
+    scratch : Scratch, optional
+        Memory that meshes drawn by one thread share.
+
+    Attributes
+    ----------
+    marks : ndarray of uint8, shape (n_nodes,)
+        `INNER`, `ROOT` or, somewhere below a root, anything.
+    has_changed : ndarray of uint8, shape (patch rows, patch columns)
+        Patches with marks that have changed; whoever keeps a copy of the marks clears it.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If an argument is none of these.
+
+    Notes
+    -----
+    `update` costs O(nodes on screen). Used by one thread.
+    """
+
+    def __init__(
+        self,
+        heights: NDArray[np.floating],
+        *,
+        mask: NDArray[np.bool_] | None = None,
+        sample_matrix: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
+        patch: int = 256,
+        error: str = "measured",
+        base_error: float = 0.0,
+        open_sides: tuple[bool, bool, bool, bool] = CLOSED,
+        is_surface: bool = False,
+        scratch: Scratch | None = None,
+    ) -> None:
+        self.tree: HaarTree = build_tree(
+            heights, mask, patch=patch, error=error, open_sides=open_sides, is_surface=is_surface
+        )
+        self.marks: NDArray[np.uint8] = np.full(len(self.tree.z), BELOW, dtype=np.uint8)
+        layout = self.tree.layout
+        self.marks[layout[-1, FIRST] :] = ROOT
+        self._is_bound, self._open_sides = error == "measured", open_sides
+        self.base_error = base_error + self.tree.rounding if self._is_bound else 0.0
+        self._matrix = tuple(float(value) for value in sample_matrix)
+        self._is_mirrored = self._matrix[0] * self._matrix[4] < self._matrix[1] * self._matrix[3]
+        self._scratch = scratch or Scratch()
+        self._stack = np.empty((4 * len(layout), 3), dtype=np.int64)
+        self._places = np.empty((4 * len(layout), 4))
+        self.has_changed: NDArray[np.uint8] = np.ones(
+            tuple(layout[-1, N_ROWS:].tolist()), dtype=np.uint8
+        )
+        self._n_vertices = 0
+        self._is_marked = False
+        self._pressure = Pressure()
+
+    @property
+    def n_nodes(self) -> int:
+        """Return the number of nodes of all heights."""
+        return len(self.marks)
+
+    @property
+    def least_vertices(self) -> int:
+        """Return how many vertices a view may have at least: one per patch."""
+        return int(self.tree.layout[-1, N_ROWS] * self.tree.layout[-1, N_COLS])
+
+    # One frame
+
+    def follow(
+        self,
+        eye: Eye,
+        tau: float,
+        *,
+        morph: float = 1.0,
+        max_vertices: int | None = None,
+        is_stepwise: bool = False,
+    ) -> Followed:
+        """Bring marks up to date with a view: all that the GPU needs to move vertices itself.
+
+        Parameters
+        ----------
+        tau : float
+            Largest error on screen in pixels, > 0.
+        morph : float
+            λ >= 1: vertices move to their parents' places while those have errors of τ / λ … τ.
+            1: they jump.
+        max_vertices : int, optional
+            Budget; τ is raised until it is kept. At least `least_vertices`. Nodes around the eye
+            are divided whatever it says.
+        is_stepwise : bool
+            Change by one height at most, as the paper does, but for the first view and where the
+            budget demands more; the mesh may lag behind the view.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If an argument is out of range.
+        """
+        check_update(tau, morph)
+        check_budget(max_vertices, self.least_vertices, "patch")
+        view = self._view(eye)
+        self._pressure.relieve()
+        n_touched, n_changed, largest = self._mark(view, eye.planes, tau / morph, is_stepwise)
+        while (
+            max_vertices is not None and self._n_vertices > max_vertices and self._pressure.rise()
+        ):
+            *more, largest = self._mark(view, eye.planes, tau / morph, False)
+            n_touched, n_changed = n_touched + more[0], n_changed + more[1]
+        used = tau * self._pressure.factor
+        return Followed(
+            used / morph, used, max(used, largest), self._n_vertices, n_touched, n_changed
+        )
+
+    def largest_error(self, eye: Eye, followed: Followed) -> float:
+        """Return how far what is drawn in view is from `heights` at most, vertically.
+
+        0 without open sides. In their unit, without the view's factor. Where errors are no bounds,
+        the largest range of heights that one triangle may cover.
+        """
+        tree = self.tree
+        error: float = largest_error_in_view(
+            any(self._open_sides), tree.layout, tree.z, tree.bounds, self._view(eye), eye.planes,
+            followed.tau, self._stack, self.marks,
+        )  # fmt: skip
+        return error
+
+    def draw(self, eye: Eye, followed: Followed) -> DynamicFrame:
+        """Return the mesh of the marks; `followed` is what `follow` returned for this eye."""
+        tree = self.tree
+        vertex_of = self._scratch.take("vertex_of", (len(tree.z),), np.int32)
+        vertices, nodes, n_vertices, n_voids = self._place(eye, followed, vertex_of)
+        triangles = self._scratch.take("triangles", (2 * len(nodes), 3), np.int32)
+        n_triangles = draw_fans(
+            self.marks, tree.layout, tree.z, nodes, n_vertices, n_voids, vertex_of,
+            self._is_mirrored, self._stack, triangles,
+        )  # fmt: skip
+        return DynamicFrame(
+            vertices[:n_vertices].copy(),
+            triangles[:n_triangles].copy(),
+            nodes[:n_vertices].copy(),
+            self._outer_edges(vertex_of),
+            followed.threshold,
+            followed.tau,
+            followed.n_touched,
+            followed.n_changed,
+        )
+
+    def update(
+        self,
+        eye: Eye,
+        tau: float,
+        *,
+        morph: float = 1.0,
+        max_vertices: int | None = None,
+        is_stepwise: bool = False,
+    ) -> DynamicFrame:
+        """Return the mesh for a view: `follow`, whose arguments these are, and `draw`."""
+        return self.draw(
+            eye,
+            self.follow(eye, tau, morph=morph, max_vertices=max_vertices, is_stepwise=is_stepwise),
+        )
+
+    def _mark(
+        self, view: NDArray[np.float64], planes: NDArray[np.float64], tau: float, is_stepwise: bool
+    ) -> tuple[int, int, float]:
+        """Bring the marks up to date; return how many nodes were touched and changed.
+
+        And the largest error on screen of roots that should be divided further, 0 without any.
+        """
+        tree, tau = self.tree, tau * self._pressure.factor
+        if not self._is_marked:
+            self._is_marked = True
+            mark_bottom_up(tree.layout, tree.z, tree.bounds, view, planes, tau, self.marks)
+            self._n_vertices = int(np.count_nonzero((self.marks == ROOT) & ~np.isnan(tree.z)))
+            self.has_changed[...] = True
+            return self.n_nodes, int(np.count_nonzero(self.marks == ROOT)), 0.0
+        walk = step_top_down if is_stepwise else settle_top_down
+        n_touched, n_changed, n_more, largest = walk(
+            tree.layout, tree.z, tree.bounds, view, planes, tau, self._stack, self.marks,
+            self.has_changed,
+        )  # fmt: skip
+        self._n_vertices += n_more
+        return n_touched, n_changed, largest
+
+    def _place(
+        self, eye: Eye, followed: Followed, vertex_of: NDArray[np.int32]
+    ) -> tuple[NDArray[np.float64], NDArray[np.int32], int, int]:
+        """Return vertices and nodes of all roots; and how many have vertices, how many not."""
+        tree, capacity = self.tree, max(2 * self._n_vertices, _FIRST_CAPACITY)
+        while True:
+            nodes = self._scratch.take("nodes", (capacity, 3), np.int32)
+            vertices = self._scratch.take("vertices", (capacity, 3), np.float64)
+            n_vertices, n_voids = place_vertices(
+                tree.layout, tree.z, tree.bounds, self.marks, self._view(eye), eye.planes,
+                followed.threshold, followed.tau, self._stack, self._places, vertex_of, nodes,
+                vertices,
+            )  # fmt: skip
+            if n_vertices + n_voids <= capacity:
+                return vertices, nodes, n_vertices, n_voids
+            capacity = 2 * (n_vertices + n_voids)
+
+    def _outer_edges(self, vertex_of: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Return the edges between roots along open sides."""
+        layout = self.tree.layout
+        edges = np.empty((2 * int(layout[0, N_ROWS] + layout[0, N_COLS]), 2), dtype=np.int32)
+        n = fill_outer_edges(
+            self._open_sides, self.marks, layout, self.tree.z, vertex_of, edges
+        )  # fmt: skip
+        return edges[:n].copy()
+
+    def _view(self, eye: Eye) -> NDArray[np.float64]:
+        numbers = (
+            *eye.position, *eye.forward, eye.focal, eye.slant, eye.z_scale, self.base_error,
+            self.tree.reach, self._is_bound,
+        )  # fmt: skip
+        return np.array([*numbers, *self._matrix], dtype=np.float64)
+
+
+# Errors on screen
+
+
+@inlined_kernel
+def screen_error(height, row, col, layout, z, bounds, view, planes):
+    """Return the error on screen of a node of height >= 1, pixels; 0 outside the view (§3.3).
+
+    ε_scr = f ε √(1 - (e_P · e_h)²) / d, d from the eye to the nearest point of the node's box, e_P
+    the direction to the node and e_h up. That is exact on the axis of the view. For a bound, the
+    root is that of the box's point seen most from the side, and d becomes depth² / distance: the
+    largest singular value of a projection's derivative is f distance / depth².
+    """
+    node = layout[height, FIRST] + row * layout[height, N_COLS] + col
+    middle = z[node]
+    if np.isnan(middle):
+        return 0.0
+    inner = node - layout[1, FIRST]
+    error, z_scale = np.float64(bounds[inner, ERROR]), view[_Z_SCALE]
+    low, high = bounds[inner, LOW] * z_scale, bounds[inner, HIGH] * z_scale
+    side = 1 << height
+    down, right = (row + 0.5) * side - 0.5, (col + 0.5) * side - 0.5
+    x = view[_MATRIX] * right + view[_MATRIX + 1] * down + view[_MATRIX + 2]
+    y = view[_MATRIX + 3] * right + view[_MATRIX + 4] * down + view[_MATRIX + 5]
+    half = side * view[_REACH]
+    half_x = (abs(view[_MATRIX]) + abs(view[_MATRIX + 1])) * half
+    half_y = (abs(view[_MATRIX + 3]) + abs(view[_MATRIX + 4])) * half
+    if _is_hidden(planes, x, y, half_x, half_y, low, high, view[_IS_BOUND] == 0):
+        return 0.0
+    away_x, away_y = x - view[_X], y - view[_Y]
+    apart_x, apart_y = abs(away_x), abs(away_y)
+    near_x, near_y = max(apart_x - half_x, 0.0), max(apart_y - half_y, 0.0)
+    near_z = max(low - view[_Z], view[_Z] - high, 0.0)
+    distance = np.sqrt(near_x * near_x + near_y * near_y + near_z * near_z)
+    if distance == 0:
+        return np.inf
+    if view[_IS_BOUND] == 0:
+        across = np.sqrt(apart_x * apart_x + apart_y * apart_y)
+        along = middle * z_scale - view[_Z]
+        sine = across / max(np.sqrt(across * across + along * along), distance)
+        return view[_FOCAL] * error * z_scale * sine / distance
+    far_x, far_y = apart_x + half_x, apart_y + half_y
+    far_z = max(high - view[_Z], view[_Z] - low)
+    across = far_x * far_x + far_y * far_y
+    half_z = (high - low) / 2
+    depth = view[_FORWARD] * away_x + view[_FORWARD + 1] * away_y
+    depth += view[_FORWARD + 2] * (low + half_z - view[_Z])
+    depth -= abs(view[_FORWARD]) * half_x + abs(view[_FORWARD + 1]) * half_y
+    depth = max(depth - abs(view[_FORWARD + 2]) * half_z, distance / view[_SLANT])
+    ratio = min(np.sqrt(across + far_z * far_z) / depth, view[_SLANT])
+    scale = view[_FOCAL] * ratio / depth
+    base = view[_BASE] * z_scale
+    if error < 0:
+        size = np.sqrt(half_x * half_x + half_y * half_y + 4 * half_z * half_z)
+        return scale * (size + base)
+    return scale * (error * z_scale + base) * np.sqrt(across / (across + near_z * near_z))
+
+
+@inlined_kernel
+def _is_hidden(planes, x, y, half_x, half_y, low, high, is_sphere):
+    """Say whether a box, or the sphere around it, lies wholly behind one of the planes."""
+    mid_z, half_z = (low + high) / 2, (high - low) / 2
+    radius = np.sqrt(half_x * half_x + half_y * half_y + half_z * half_z) if is_sphere else 0.0
+    for k in range(planes.shape[0]):
+        most = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2] * mid_z + planes[k, 3]
+        if is_sphere:
+            most += radius
+        else:
+            most += abs(planes[k, 0]) * half_x + abs(planes[k, 1]) * half_y
+            most += abs(planes[k, 2]) * half_z
+        if most < 0:
+            return True
+    return False
+
+
+# Marking
+
+
+@kernel
+def _first_child(height, row, col, layout):
+    """Return the number of a node's first child, and how far its third is from it."""
+    n_cols = layout[height - 1, N_COLS]
+    return layout[height - 1, FIRST] + 2 * row * n_cols + 2 * col, n_cols
+
+
+@kernel
+def _are_roots(child, down, marks):
+    return (
+        marks[child] == ROOT
+        and marks[child + 1] == ROOT
+        and marks[child + down] == ROOT
+        and marks[child + down + 1] == ROOT
+    )
+
+
+@kernel
+def _mark_children(child, down, mark, marks):
+    marks[child] = marks[child + 1] = marks[child + down] = marks[child + down + 1] = mark
+
+
+@kernel
+def _n_valid(child, down, z):
+    """Return how many of four children are not void."""
+    n_void = np.isnan(z[child]) + np.isnan(z[child + 1])
+    return 4 - n_void - np.isnan(z[child + down]) - np.isnan(z[child + down + 1])
+
+
+@kernel
+def _merge(node, child, down, z, marks):
+    """Make a root of a node whose children are; return how many more roots have heights."""
+    marks[node] = ROOT
+    _mark_children(child, down, BELOW, marks)
+    return 0 if np.isnan(z[node]) else 1 - _n_valid(child, down, z)
+
+
+@kernel
+def _split(node, child, down, z, marks):
+    """Make roots of the children of a root that is not void; return as `_merge`."""
+    marks[node] = INNER
+    _mark_children(child, down, ROOT, marks)
+    return _n_valid(child, down, z) - 1
+
+
+@kernel
+def mark_bottom_up(layout, z, bounds, view, planes, tau, marks):
+    """Mark all nodes (NonRecursiveDetermineNullSubTrees, §3.4)."""
+    marks[: layout[1, FIRST]] = ROOT
+    for height in range(1, layout.shape[0]):
+        first, n_rows, n_cols = layout[height]
+        for row in range(n_rows):
+            for col in range(n_cols):
+                node = first + row * n_cols + col
+                child, down = _first_child(height, row, col, layout)
+                marks[node] = INNER
+                if _are_roots(child, down, marks) and (
+                    screen_error(height, row, col, layout, z, bounds, view, planes) < tau
+                ):
+                    marks[node] = ROOT
+                    _mark_children(child, down, BELOW, marks)
+
+
+@kernel
+def _push_patch(patch, layout, stack):
+    """Put the root of a patch, counted row by row, on the empty stack."""
+    n_cols = layout[-1, N_COLS]
+    stack[0, 0] = layout.shape[0] - 1
+    stack[0, 1], stack[0, 2] = patch // n_cols, patch % n_cols
+    return 1
+
+
+@kernel
+def _push_children(height, row, col, stack, depth):
+    for k in range(4):
+        stack[depth + k, 0] = height - 1
+        stack[depth + k, 1], stack[depth + k, 2] = 2 * row + (k >> 1), 2 * col + (k & 1)
+    return depth + 4
+
+
+@kernel
+def step_top_down(layout, z, bounds, view, planes, tau, stack, marks, has_changed):
+    """Change marks by one height at most (RecursiveDetermineNullSubTrees, §3.4).
+
+    Return how many nodes were touched, how many became roots or ceased to be, how many more roots
+    that are not void there are, and the largest error of roots that were divided: those below them
+    have none that is larger, if errors are bounds. `has_changed` is set for patches with changes.
+    """
+    n_touched = n_changed = n_more = 0
+    largest = 0.0
+    for patch in range(layout[-1, N_ROWS] * layout[-1, N_COLS]):
+        n_before = n_changed
+        depth = _push_patch(patch, layout, stack)
+        while depth > 0:
+            depth -= 1
+            height, row, col = stack[depth, 0], stack[depth, 1], stack[depth, 2]
+            n_touched += 1
+            if height == 0:
+                continue
+            node = layout[height, FIRST] + row * layout[height, N_COLS] + col
+            child, down = _first_child(height, row, col, layout)
+            is_root = marks[node] == ROOT
+            if not is_root and not _are_roots(child, down, marks):
+                depth = _push_children(height, row, col, stack, depth)
+                continue
+            error = screen_error(height, row, col, layout, z, bounds, view, planes)
+            if is_root and error > tau:
+                largest = max(largest, error)
+                n_more += _split(node, child, down, z, marks)
+                n_changed += 5
+            elif not is_root and error < tau:
+                n_more += _merge(node, child, down, z, marks)
+                n_changed += 5
+            elif not is_root:
+                depth = _push_children(height, row, col, stack, depth)
+        if n_changed > n_before:
+            has_changed[patch // layout[-1, N_COLS], patch % layout[-1, N_COLS]] = 1
+    return n_touched, n_changed, n_more, largest
+
+
+@kernel
+def settle_top_down(layout, z, bounds, view, planes, tau, stack, marks, has_changed):
+    """Change marks until a step would change nothing, in one walk; returns as `step_top_down`.
+
+    A node that ceases to be a root is looked at again with its children; one all of whose children
+    have become roots is looked at again after them. `~row` on the stack stands for "after".
+    """
+    n_touched = n_changed = n_more = 0
+    for patch in range(layout[-1, N_ROWS] * layout[-1, N_COLS]):
+        n_before = n_changed
+        depth = _push_patch(patch, layout, stack)
+        while depth > 0:
+            depth -= 1
+            height, row, col = stack[depth, 0], stack[depth, 1], stack[depth, 2]
+            is_after = row < 0
+            if is_after:
+                row = ~row
+            else:
+                n_touched += 1
+            if height == 0:
+                continue
+            node = layout[height, FIRST] + row * layout[height, N_COLS] + col
+            child, down = _first_child(height, row, col, layout)
+            if is_after or marks[node] == ROOT:
+                if is_after and not _are_roots(child, down, marks):
+                    continue
+                is_good = screen_error(height, row, col, layout, z, bounds, view, planes) < tau
+                if is_after and is_good:
+                    n_more += _merge(node, child, down, z, marks)
+                    n_changed += 5
+                if is_after or is_good:
+                    continue
+                n_more += _split(node, child, down, z, marks)
+                n_changed += 5
+            else:
+                stack[depth, 0], stack[depth, 1], stack[depth, 2] = height, ~row, col
+                depth += 1
+            if height > 1:
+                depth = _push_children(height, row, col, stack, depth)
+        if n_changed > n_before:
+            has_changed[patch // layout[-1, N_COLS], patch % layout[-1, N_COLS]] = 1
+    return n_touched, n_changed, n_more, 0.0
+
+
+@kernel
+def largest_error_in_view(
+    is_needed, layout, z, bounds, view, planes, tau, stack, marks
+):  # fmt: skip
+    """Return the largest error of nodes in view that are roots or have others on their way to them.
+
+    Those are roots and nodes whose error on screen is below `tau`; none below them has a larger
+    error. Near an outline, and where errors are no bounds, the range of heights counts.
+    """
+    largest = 0.0
+    if not is_needed:
+        return largest
+    for patch in range(layout[-1, N_ROWS] * layout[-1, N_COLS]):
+        depth = _push_patch(patch, layout, stack)
+        while depth > 0:
+            depth -= 1
+            height, row, col = stack[depth, 0], stack[depth, 1], stack[depth, 2]
+            if height == 0:
+                continue
+            on_screen = screen_error(height, row, col, layout, z, bounds, view, planes)
+            if on_screen == 0:
+                continue
+            node = layout[height, FIRST] + row * layout[height, N_COLS] + col
+            if marks[node] == INNER and on_screen >= tau:
+                depth = _push_children(height, row, col, stack, depth)
+                continue
+            inner = node - layout[1, FIRST]
+            error = np.float64(bounds[inner, ERROR])
+            if error < 0 or view[_IS_BOUND] == 0:
+                error = np.float64(bounds[inner, HIGH]) - np.float64(bounds[inner, LOW])
+            largest = max(largest, error)
+    return largest
+
+
+# Vertices
+
+
+@kernel
+def place_vertices(
+    layout, z, bounds, marks, view, planes, start, end, stack, places, vertex_of, nodes, vertices
+):
+    """Fill places and nodes of all roots; return how many have vertices, and how many are void.
+
+    A node whose parent P has the error ε on screen is drawn at α of its own place and 1 - α of
+    where P is drawn, α = (ε - start) / (end - start) within 0 … 1 (§3.6). Void roots come last in
+    `nodes`, from its end backwards. Where both together are more than it holds, they are not all
+    written.
+    """
+    count, n_voids, limit = 0, 0, nodes.shape[0]
+    z_scale = view[_Z_SCALE]
+    for patch in range(layout[-1, N_ROWS] * layout[-1, N_COLS]):
+        depth = _push_patch(patch, layout, stack)
+        places[0, 3] = 1.0
+        while depth > 0:
+            depth -= 1
+            height, row, col = stack[depth, 0], stack[depth, 1], stack[depth, 2]
+            node = layout[height, FIRST] + row * layout[height, N_COLS] + col
+            if np.isnan(z[node]):  # a root: its error is 0
+                if n_voids < limit:
+                    place = limit - 1 - n_voids
+                    nodes[place, 0], nodes[place, 1], nodes[place, 2] = height, row, col
+                n_voids += 1
+                continue
+            share = places[depth, 3]
+            side = 1 << height
+            down, right = (row + 0.5) * side - 0.5, (col + 0.5) * side - 0.5
+            x = view[_MATRIX] * right + view[_MATRIX + 1] * down + view[_MATRIX + 2]
+            y = view[_MATRIX + 3] * right + view[_MATRIX + 4] * down + view[_MATRIX + 5]
+            up = z[node] * z_scale
+            if share < 1:
+                x = share * x + (1 - share) * places[depth, 0]
+                y = share * y + (1 - share) * places[depth, 1]
+                up = share * up + (1 - share) * places[depth, 2]
+            if marks[node] == ROOT:
+                if count < limit:
+                    vertex_of[node] = count
+                    nodes[count, 0], nodes[count, 1], nodes[count, 2] = height, row, col
+                    vertices[count, 0], vertices[count, 1], vertices[count, 2] = x, y, up
+                count += 1
+                continue
+            share = 1.0
+            if end > start:
+                error = screen_error(height, row, col, layout, z, bounds, view, planes)
+                share = min(max((error - start) / (end - start), 0.0), 1.0)
+            for k in range(4):
+                places[depth + k, 0], places[depth + k, 1] = x, y
+                places[depth + k, 2], places[depth + k, 3] = up, share
+            depth = _push_children(height, row, col, stack, depth)
+    return count, n_voids
+
+
+# Fans
+
+
+@kernel
+def _root_beside(height, row, col, is_lower, is_right, layout, marks):
+    """Return the root at a corner of a cell: that of the cell, one below it or one above it.
+
+    -1 where a larger cell does not have that corner, or there is no cell. `is_lower` and `is_right`
+    say which of the four corners.
+    """
+    if row < 0 or col < 0 or row >= layout[height, N_ROWS] or col >= layout[height, N_COLS]:
+        return -1
+    node = layout[height, FIRST] + row * layout[height, N_COLS] + col
+    while marks[node] == INNER:
+        height, row, col = height - 1, 2 * row + is_lower, 2 * col + is_right
+        node = layout[height, FIRST] + row * layout[height, N_COLS] + col
+    while marks[node] == BELOW:
+        if (row & 1) != is_lower or (col & 1) != is_right:
+            return -1
+        height, row, col = height + 1, row >> 1, col >> 1
+        node = layout[height, FIRST] + row * layout[height, N_COLS] + col
+    return node
+
+
+@kernel
+def _add(a, b, c, vertex_of, is_mirrored, triangles, count):
+    """Append a triangle of three nodes; return how many there are then."""
+    if is_mirrored:
+        b, c = c, b
+    triangles[count, 0], triangles[count, 1] = vertex_of[a], vertex_of[b]
+    triangles[count, 2] = vertex_of[c]
+    return count + 1
+
+
+@kernel
+def _add_side(
+    root, side, height, row, col, layout, marks, z, vertex_of, is_mirrored, stack, triangles, count
+):
+    """Append the triangles of a root with the nodes along a divided neighbour's facing border.
+
+    `row` and `col` are the neighbour's. Return how many triangles there are then.
+    """
+    before = -1
+    stack[0, 0], stack[0, 1], stack[0, 2] = height, row, col
+    depth = 1
+    while depth > 0:
+        depth -= 1
+        height, row, col = stack[depth, 0], stack[depth, 1], stack[depth, 2]
+        node = layout[height, FIRST] + row * layout[height, N_COLS] + col
+        if marks[node] == INNER:
+            # Clockwise around the root: the second on the stack comes first.
+            for k in range(2):
+                if side == _TOP:
+                    down, right = 1, 1 - k
+                elif side == _RIGHT:
+                    down, right = 1 - k, 0
+                elif side == _BOTTOM:
+                    down, right = 0, k
+                else:
+                    down, right = k, 1
+                stack[depth + k, 0] = height - 1
+                stack[depth + k, 1], stack[depth + k, 2] = 2 * row + down, 2 * col + right
+            depth += 2
+            continue
+        if before >= 0 and not np.isnan(z[before]) and not np.isnan(z[node]):
+            count = _add(root, before, node, vertex_of, is_mirrored, triangles, count)
+        before = node
+    return count
+
+
+@kernel
+def _add_corner(nw, ne, se, sw, z, vertex_of, is_mirrored, triangles, count):
+    """Append the triangles of four roots around a corner, or of the three that are not void."""
+    is_nw, is_ne = not np.isnan(z[nw]), not np.isnan(z[ne])
+    is_se, is_sw = not np.isnan(z[se]), not np.isnan(z[sw])
+    if is_nw and is_se:
+        if is_ne:
+            count = _add(nw, ne, se, vertex_of, is_mirrored, triangles, count)
+        if is_sw:
+            count = _add(nw, se, sw, vertex_of, is_mirrored, triangles, count)
+    elif is_ne and is_sw:
+        if is_nw:
+            count = _add(nw, ne, sw, vertex_of, is_mirrored, triangles, count)
+        elif is_se:
+            count = _add(ne, se, sw, vertex_of, is_mirrored, triangles, count)
+    return count
+
+
+@kernel
+def draw_fans(
+    marks, layout, z, nodes, n_vertices, n_voids, vertex_of, is_mirrored, stack, triangles
+):
+    """Fill the triangles of all roots; return how many there are.
+
+    `nodes` holds the roots that have vertices, and from its end backwards those that are void.
+    Counter-clockwise in x, y where rows go down; `is_mirrored` for where they go up.
+    """
+    count = 0
+    for number in range(n_vertices + n_voids):
+        place = number if number < n_vertices else nodes.shape[0] - 1 - (number - n_vertices)
+        height = np.int64(nodes[place, 0])
+        row, col = np.int64(nodes[place, 1]), np.int64(nodes[place, 2])
+        first, n_rows, n_cols = (
+            layout[height, FIRST],
+            layout[height, N_ROWS],
+            layout[height, N_COLS],
+        )
+        root = first + row * n_cols + col
+        if height > 0 and number < n_vertices:
+            for side in range(4):
+                r, c = row + _DOWN[side], col + _ACROSS[side]
+                if 0 <= r < n_rows and 0 <= c < n_cols and marks[first + r * n_cols + c] == INNER:
+                    count = _add_side(
+                        root, side, height, r, c, layout, marks, z, vertex_of, is_mirrored, stack,
+                        triangles, count,
+                    )  # fmt: skip
+        ne = _root_beside(height, row, col + 1, 1, 0, layout, marks)
+        if ne < 0:
+            continue
+        se = _root_beside(height, row + 1, col + 1, 0, 0, layout, marks)
+        sw = _root_beside(height, row + 1, col, 0, 1, layout, marks)
+        if se >= 0 and sw >= 0:
+            count = _add_corner(
+                root, ne, se, sw, z, vertex_of, is_mirrored, triangles, count
+            )  # fmt: skip
+    return count
+
+
+@kernel
+def fill_outer_edges(open_sides, marks, layout, z, vertex_of, edges):
+    """Fill the edges between the roots along open sides; return how many there are."""
+    n_rows, n_cols = layout[0, N_ROWS], layout[0, N_COLS]
+    top = layout.shape[0] - 1
+    count = 0
+    for side in range(4):
+        before, at = -1, 0
+        while open_sides[side] and at < (n_rows if side & 1 else n_cols):
+            row, col = at, at
+            if side & 1:
+                col = 0 if side == 1 else n_cols - 1
+            else:
+                row = 0 if side == 0 else n_rows - 1
+            height = top
+            node = layout[top, FIRST] + (row >> top) * layout[top, N_COLS] + (col >> top)
+            while marks[node] == INNER:
+                height -= 1
+                node = layout[height, FIRST] + (row >> height) * layout[height, N_COLS]
+                node += col >> height
+            if np.isnan(z[node]):
+                before = -1
+            else:
+                if before >= 0:
+                    edges[count, 0], edges[count, 1] = vertex_of[before], vertex_of[node]
+                    count += 1
+                before = node
+            at += 1 << height
+    return count

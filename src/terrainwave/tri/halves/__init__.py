@@ -1,0 +1,1 @@
+"""The default triangulation: triangles halved until all samples are near."""

@@ -1,0 +1,1 @@
+"""Restricted quadtrees: as files store them, and as they follow a camera."""

@@ -1,0 +1,87 @@
+"""Where the vertices of a restricted quadtree are drawn between two thresholds (`view`).
+
+Each vertex has the share of the thresholds for which it is there, no larger than the shares of
+those it depends on. For each threshold the vertices that are there have a triangulation of their
+own; drawn is the mean of these surfaces, at the vertices that are there for any threshold.
+
+Around a vertex v the triangulations differ in how far the triangles that hold it are split: T, the
+one beside the edge that v splits, is split for the share of v and is there for that of its top,
+which splits the parent of T, and so on upwards to one whose top is always there. v's mean height is
+that of v and of its places on these triangles, weighted by the differences of shares.
+"""
+
+import numpy as np
+
+from terrainwave.coding.jit import kernel
+from terrainwave.tri.rqt.stored import own_neighbours
+
+
+@kernel
+def number_vertices(active, samples, vertex_of, heights):
+    """Fill the number of each active vertex, and its sample's height; NaN is void."""
+    for number in range(active.shape[0]):
+        row, col = np.int64(active[number, 0]), np.int64(active[number, 1])
+        vertex_of[row, col] = number
+        heights[number] = samples[row, col]
+
+
+@kernel
+def place_vertices(active, vertex_of, shares, heights, z_scale, matrix, vertices, places):
+    """Fill vertices and the samples they come from; return how many are not void.
+
+    `vertex_of` holds numbers of active vertices, and afterwards those of what was filled; -1 is
+    void. `heights` are those of samples.
+    """
+    for number in range(active.shape[0]):
+        vertices[number, 2] = _mean_height(active, number, vertex_of, shares, heights)
+    count = 0
+    for number in range(active.shape[0]):
+        row, col, height = active[number, 0], active[number, 1], vertices[number, 2]
+        if np.isnan(height):
+            vertex_of[row, col] = -1
+            continue
+        vertex_of[row, col] = count
+        places[count, 0], places[count, 1] = row, col
+        vertices[count, 0] = matrix[0] * col + matrix[1] * row + matrix[2]
+        vertices[count, 1] = matrix[3] * col + matrix[4] * row + matrix[5]
+        vertices[count, 2] = height * z_scale
+        count += 1
+    return count
+
+
+@kernel
+def _mean_height(active, number, vertex_of, shares, heights):
+    """Return the mean of a vertex's heights for all thresholds; its own where they have none."""
+    own, share = heights[number], shares[number]
+    if share >= 1 or np.isnan(own):
+        return own
+    row, col = np.int64(active[number, 0]), np.int64(active[number, 1])
+    r0, c0, r1, c1, r2, c2, r3, c3 = own_neighbours(row, col)
+    if not (0 <= r2 < vertex_of.shape[0] and 0 <= c2 < vertex_of.shape[1]):
+        r2, c2 = r3, c3  # both sides say the same
+    mean = share * own
+    # Corners and weights of the vertex's place on a triangle: ends of its longest side, its top.
+    first, second, top = vertex_of[r0, c0], vertex_of[r1, c1], vertex_of[r2, c2]
+    of_first, of_second, of_top = 0.5, 0.5, 0.0
+    while True:
+        above = shares[top]
+        if above > share:
+            height = of_first * heights[first] + of_second * heights[second]
+            if of_top > 0:
+                height += of_top * heights[top]
+            mean += (above - share) * (own if np.isnan(height) else height)
+            share = above
+        if share >= 1:
+            return mean
+        # The parent: its longest side was split by the top, and its own top is one of the others.
+        row, col = np.int64(active[top, 0]), np.int64(active[top, 1])
+        r0, c0, r1, c1, r2, c2, r3, c3 = own_neighbours(row, col)
+        end, other_end = vertex_of[r0, c0], vertex_of[r1, c1]
+        if second == end or second == other_end:
+            first, second, of_first, of_second = second, first, of_second, of_first
+        if first == other_end:
+            other_end = end
+        top, of_first, of_second, of_top = (
+            second, of_first + of_top / 2, of_top / 2, of_second
+        )  # fmt: skip
+        second = other_end

@@ -1,0 +1,767 @@
+"""A restricted quadtree that follows a camera: vertices split and merge from frame to frame.
+
+X. Zheng, Y. Wang, X. Wang, on massive terrain with integer wavelets and restricted quadtrees: a
+vertex is split where its coefficient exceeds a threshold that grows with the distance, and all that
+it depends on with it; it is merged where nothing depends on it any more. `stored` has the
+triangles, the dependencies and the sources; here the grid is a row of squares of `tile` cells,
+whose corners always are vertices.
+
+Three errors of a vertex, all made no smaller than those of the vertices that depend on it, so that
+a front from coarse to fine finds all:
+
+* `"coefficient"`: the magnitude of the wavelet coefficient at its place. No bound.
+* `"paper"`: the paper's δ, |h - mean of its four neighbours|, which it finds much like the
+  coefficient. No bound.
+* `"measured"`: the largest vertical distance of the samples of the two triangles that it splits. No
+  sample of a loaded tile is further than τ on screen.
+
+Boxes are nested, too: a vertex is active exactly where its own error on screen
+is above τ.
+
+Geomorphs, which the paper does not have: the surface drawn is the mean of those for all thresholds
+between τ / λ and τ. Vertices are split above τ / λ; one with the error ε is there for the share
+(ε - τ / λ) / (τ - τ / λ) of the thresholds, and lies where the others' triangles have it for the
+rest. So it begins on the edge that it splits and reaches its own height at τ. That changes nothing
+in what is promised: each of these surfaces is within its own threshold, so their mean is within τ.
+All of them are linear on the triangles drawn, so the mean is made at vertices alone (`morph`).
+
+Where a mesh ends, at voids and the raster's outline, it ends with whole triangles: a vertex whose
+triangles hold samples and voids has their size as its error. Such errors are stored negative.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.coding.jit import kernel
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.tri.dynamic.budget import Pressure, check_budget
+from terrainwave.tri.dynamic.dynamic import Eye, Followed, check_update
+from terrainwave.tri.dynamic.haar import CLOSED
+from terrainwave.tri.rqt.errors import (
+    is_corner,
+    measure_tile,
+    needs_of,
+    rounding_of,
+    widen_everywhere,
+)
+from terrainwave.tri.rqt.morph import number_vertices, place_vertices
+from terrainwave.tri.rqt.stored import neighbours
+from terrainwave.tri.scratch import Scratch
+from terrainwave.tri.triangle import area_of
+
+# Of a view as an array.
+_X, _Y, _Z, _FORWARD, _FOCAL, _SLANT, _Z_SCALE, _LOW, _HIGH = 0, 1, 2, 3, 6, 7, 8, 9, 10
+# Whether errors are bounds; half the width of boxes along x and y, and how much less deep they
+# begin, by their reach; x and y of samples.
+_IS_BOUND, _WIDTH, _DEPTH_LESS, _MATRIX = 11, 12, 14, 15
+# Of a plane of the view as an array: most of n·p + w over all boxes around x, y is
+# a x + b y + c + reach d.
+_ALONG_X, _ALONG_Y, _CONSTANT, _PER_REACH = 0, 1, 2, 3
+# Nodes that one vertex depends on and that are not active yet: at most a few of each stride.
+_MOST_DEPENDENCIES = 512
+_ROOM = 4 * _MOST_DEPENDENCIES  # for what depends on one vertex
+
+
+class RestrictedFrame(NamedTuple):
+    """A mesh for one view.
+
+    Parameters
+    ----------
+    vertices : ndarray of float64, shape (n_vertices, 3)
+        Heights are multiplied by the view's factor.
+    triangles : ndarray of int32, shape (n_triangles, 3)
+        Counter-clockwise seen from above.
+    places : ndarray of int32, shape (n_vertices, 2)
+        Row and column of each vertex's sample.
+    edges : ndarray of int32, shape (n_edges, 2)
+        Vertices of the edges along open sides.
+    border_error : float
+        How far those in view are from the samples on them, vertically.
+    n_active : int
+        Vertices of the quadtree, with those in voids.
+    n_touched : int
+        Vertices whose error on screen was computed.
+    n_changed : int
+        Vertices that were split or merged.
+    tau : float
+        Pixels; above what was asked for if the budget demands it.
+    """
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    places: NDArray[np.int32]
+    edges: NDArray[np.int32]
+    border_error: float
+    n_active: int
+    n_touched: int
+    n_changed: int
+    tau: float
+
+
+class RestrictedMesh:
+    """A raster's restricted quadtree that follows a camera.
+
+    Parameters
+    ----------
+    heights : ndarray, shape (n_rows, n_cols)
+        NaN is void.
+    tile : int
+        Cells per side of a tile: a power of two.
+    sample_matrix
+        As for `DynamicMesh`.
+    error : {"measured", "paper", "coefficient"}
+        See the module's docstring.
+    coefficients : ndarray, shape of `heights`, optional
+        Magnitudes of coefficients, in the unit of heights, for "coefficient" alone.
+    base_error : float
+        Largest distance of the samples' surface from what errors count from.
+    open_sides : tuple of bool
+        Whether the raster goes on beyond its first row and column, its last row and column.
+    scratch : Scratch, optional
+        Memory that meshes drawn by one thread share.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If an argument is none of these.
+    """
+
+    def __init__(
+        self,
+        heights: NDArray[np.floating],
+        *,
+        tile: int = 256,
+        sample_matrix: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
+        error: str = "measured",
+        base_error: float = 0.0,
+        coefficients: NDArray[np.floating] | None = None,
+        open_sides: tuple[bool, bool, bool, bool] = CLOSED,
+        scratch: Scratch | None = None,
+    ) -> None:
+        if tile < 2 or tile & (tile - 1):
+            raise InvalidHeightsError(f"found tile {tile}, expected a power of two from 2")
+        if np.ndim(heights) != 2 or not np.size(heights):
+            raise InvalidHeightsError(
+                f"found heights of shape {np.shape(heights)}, expected rows, columns"
+            )
+        if error not in ("measured", "paper", "coefficient"):
+            raise InvalidHeightsError(
+                f"found error {error!r}, expected measured, paper or coefficient"
+            )
+        if (coefficients is not None) != (error == "coefficient") or (
+            coefficients is not None and np.shape(coefficients) != np.shape(heights)
+        ):
+            raise InvalidHeightsError(
+                "expected coefficients, one for each height, with error 'coefficient' alone"
+            )
+        self.shape, self.tile = (heights.shape[0], heights.shape[1]), tile
+        n_rows, n_cols = (max(-(-(n - 1) // tile), 1) for n in self.shape)
+        self.n_tiles = n_rows, n_cols
+        self._is_bound, self._open_sides = error == "measured", open_sides
+        valid = heights[np.isfinite(heights)]
+        self._limits = (
+            float(valid.min(initial=np.inf)) - base_error if len(valid) else 0.0,
+            float(valid.max(initial=-np.inf)) + base_error if len(valid) else 0.0,
+        )
+        padded = n_rows * tile + 1, n_cols * tile + 1
+        self._heights = _padded(heights, padded, np.nan)
+        self._errors = self._measure(base_error, coefficients)
+        self._matrix = tuple(float(value) for value in sample_matrix)
+        self._n_children = np.zeros(padded, dtype=np.uint8)
+        self._is_active = np.zeros(padded, dtype=np.bool_)
+        self._scratch = scratch or Scratch()
+        self._active, self._n_active = np.empty((0, 2), dtype=np.int32), 0
+        self._on_screen = np.empty(0)
+        self._reset()
+        self._stack = np.empty((_MOST_DEPENDENCIES, 6), dtype=np.int64)
+        self._pressure = Pressure()
+
+    def _measure(
+        self, base_error: float, coefficients: NDArray[np.floating] | None
+    ) -> NDArray[np.float32]:
+        """Return the errors of all vertices."""
+        errors = np.zeros_like(self._heights)
+        own = np.zeros((0, 0), dtype=np.float32)
+        if coefficients is not None:
+            own = _padded(coefficients, errors.shape, 0.0)
+        base = base_error + rounding_of(self._limits) if self._is_bound else 0.0
+        for row, col in np.ndindex(self.n_tiles):
+            rows, cols = (slice(k * self.tile, (k + 1) * self.tile + 1) for k in (row, col))
+            measure_tile(
+                rows.start, cols.start, base, self._is_bound, self._heights[rows, cols],
+                own[rows, cols], errors[rows, cols],
+            )  # fmt: skip
+        widen_everywhere(errors, self.tile)
+        return errors
+
+    def _reset(self) -> None:
+        """Merge all vertices but the corners of tiles."""
+        rows, cols = self._active[: self._n_active].T
+        self._is_active[rows, cols] = False
+        self._n_children[rows, cols] = 0
+        corners = np.indices((self.n_tiles[0] + 1, self.n_tiles[1] + 1)).reshape(2, -1).T
+        corners = corners * self.tile
+        self._is_active[corners[:, 0], corners[:, 1]] = True
+        self._active, self._n_active = corners.astype(np.int32), len(corners)
+        self._on_screen = np.full(len(corners), np.nan)
+        self._reserve()
+
+    def _reserve(self) -> None:
+        """Make room for twice the active vertices, in what updates fill again and again."""
+        capacity = 2 * (self._n_active + _ROOM)
+        active = np.empty((capacity, 2), dtype=np.int32)
+        active[: self._n_active] = self._active[: self._n_active]
+        self._active = active
+        on_screen = np.empty(capacity)
+        on_screen[: self._n_active] = self._on_screen[: self._n_active]
+        self._on_screen = on_screen
+
+    # One frame
+
+    @property
+    def least_vertices(self) -> int:
+        """Return how many vertices there are always: the corners of tiles."""
+        return (self.n_tiles[0] + 1) * (self.n_tiles[1] + 1)
+
+    def update(
+        self, eye: Eye, tau: float, *, morph: float = 1.0, max_vertices: int | None = None
+    ) -> RestrictedFrame:
+        """Return the mesh for a view, within `tau` pixels.
+
+        Parameters
+        ----------
+        tau : float
+            Largest error on screen in pixels, > 0.
+        morph : float
+            λ >= 1: vertices move to their own heights while their errors go from τ / λ to τ.
+            1: they jump.
+        max_vertices : int, optional
+            Budget; τ is raised until it is kept. At least `least_vertices`. Those around the eye
+            are split whatever it says.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If an argument is out of range.
+        """
+        return self.draw(eye, self.follow(eye, tau, morph=morph, max_vertices=max_vertices))
+
+    def follow(
+        self, eye: Eye, tau: float, *, morph: float = 1.0, max_vertices: int | None = None
+    ) -> Followed:
+        """Split and merge for a view: the first half of `update`, whose arguments these are."""
+        check_update(tau, morph)
+        check_budget(max_vertices, self.least_vertices, "corner of a tile")
+        view, planes = self._view(eye), self._planes(eye)
+        self._pressure.relieve()
+        n_touched = n_changed = 0
+        while True:
+            threshold = tau * self._pressure.factor / morph
+            touched, changed = self._follow(view, planes, threshold, max_vertices)
+            n_touched, n_changed = n_touched + touched, n_changed + changed
+            if max_vertices is None or self._n_active <= max_vertices:
+                break
+            if not self._pressure.rise():
+                break
+        used = tau * self._pressure.factor
+        return Followed(used / morph, used, used, self._n_active, n_touched, n_changed)
+
+    def draw(self, eye: Eye, followed: Followed) -> RestrictedFrame:
+        """Return the mesh of a view; `followed` is what `follow` returned for this eye."""
+        view, planes, n = self._view(eye), self._planes(eye), self._n_active
+        scratch = self._scratch
+        vertex_of = scratch.take("vertex_of", self._is_active.shape, np.int32)
+        vertices = scratch.take("vertices", (n, 3), np.float64)
+        places = scratch.take("places", (n, 2), np.int32)
+        triangles = scratch.take("triangles", (2 * n, 3), np.int32)
+        count = self._place(view, planes, followed, vertex_of, vertices, places)
+        a, b, _, d, e, _ = self._matrix
+        n_triangles = draw_triangles(
+            self._heights, self.tile, self._is_active, a * e < b * d, vertex_of, self._stack,
+            triangles,
+        )  # fmt: skip
+        edges, error = self._borders(eye, view, vertex_of, vertices)
+        return RestrictedFrame(
+            vertices[:count].copy(), triangles[:n_triangles].copy(), places[:count].copy(),
+            edges, error, followed.n_vertices, followed.n_touched, followed.n_changed, followed.tau,
+        )  # fmt: skip
+
+    def _follow(
+        self,
+        view: NDArray[np.float64],
+        planes: NDArray[np.float64],
+        threshold: float,
+        max_vertices: int | None,
+    ) -> tuple[int, int]:
+        """Merge and split, until there are too many; return how many were touched and changed."""
+        self._n_active, n_touched, n_changed = merge_vertices(
+            self._errors, self.tile, self._is_active, self._n_children, self._active,
+            self._on_screen, self._n_active, view, planes, threshold,
+        )  # fmt: skip
+        limit = np.iinfo(np.int64).max if max_vertices is None else max_vertices
+        done = 0
+        while done < self._n_active <= limit:
+            if self._n_active + _ROOM > len(self._active):
+                self._reserve()
+            done, self._n_active, touched, changed = split_vertices(
+                self._errors, self.tile, self._is_active, self._n_children, self._active,
+                self._on_screen, done, self._n_active, limit, view, planes, threshold, self._stack,
+            )  # fmt: skip
+            n_touched, n_changed = n_touched + touched, n_changed + changed
+        return n_touched, n_changed
+
+    def _place(
+        self,
+        view: NDArray[np.float64],
+        planes: NDArray[np.float64],
+        followed: Followed,
+        vertex_of: NDArray[np.int32],
+        vertices: NDArray[np.float64],
+        places: NDArray[np.int32],
+    ) -> int:
+        """Fill the vertices that are not void and their samples; return how many there are."""
+        n, start, end = self._n_active, followed.threshold, followed.tau
+        active = self._active[:n]
+        shares = self._scratch.take("shares", (n,), np.float64)
+        heights = self._scratch.take("heights", (n,), np.float64)
+        number_vertices(active, self._heights, vertex_of, heights)
+        if end > start:
+            fill_shares(
+                self._errors, self.tile, active, self._on_screen, vertex_of, view, planes, start,
+                end, shares,
+            )  # fmt: skip
+        else:
+            shares[:] = 1.0
+        count: int = place_vertices(
+            active, vertex_of, shares, heights, view[_Z_SCALE], view[_MATRIX:], vertices, places
+        )
+        return count
+
+    def _borders(
+        self,
+        eye: Eye,
+        view: NDArray[np.float64],
+        vertex_of: NDArray[np.int32],
+        vertices: NDArray[np.float64],
+    ) -> tuple[NDArray[np.int32], float]:
+        """Return the edges along open sides, and how far those in view are from samples."""
+        edges = np.empty((2 * sum(self.shape), 2), dtype=np.int32)
+        n, error = follow_borders(
+            self._open_sides, self.shape, self._heights, self._is_active, vertex_of, vertices,
+            view[_Z_SCALE], view[_MATRIX:], eye.planes, edges,
+        )  # fmt: skip
+        return edges[:n].copy(), error
+
+    def _view(self, eye: Eye) -> NDArray[np.float64]:
+        numbers = (
+            *eye.position, *eye.forward, eye.focal, eye.slant, eye.z_scale,
+            *self._range(eye), self._is_bound, *self._widths(),
+            float(np.abs(eye.forward[:2]) @ self._widths()),
+        )  # fmt: skip
+        return np.array([*numbers, *self._matrix], dtype=np.float64)
+
+    def _widths(self) -> tuple[float, float]:
+        """Return how far a step of rows and columns goes along x and y."""
+        a, b, _, d, e, _ = self._matrix
+        return abs(a) + abs(b), abs(d) + abs(e)
+
+    def _range(self, eye: Eye) -> tuple[float, float]:
+        """Return the lowest and highest of all that is drawn."""
+        low, high = sorted(height * eye.z_scale for height in self._limits)
+        return low, high
+
+    def _planes(self, eye: Eye) -> NDArray[np.float64]:
+        """Return the view's planes for boxes that reach from the lowest to the highest height."""
+        (low, high), normals = self._range(eye), eye.planes[:, :3]
+        planes = np.empty((len(normals), 4))
+        planes[:, :2] = normals[:, :2]
+        planes[:, _CONSTANT] = np.maximum(normals[:, 2] * low, normals[:, 2] * high)
+        planes[:, _CONSTANT] += eye.planes[:, 3]
+        planes[:, _PER_REACH] = np.abs(normals[:, :2]) @ self._widths()
+        return planes
+
+    def screen_error(self, eye: Eye, row: int, col: int) -> float:
+        """Return a vertex's error on screen, pixels."""
+        error = float(self._errors[row, col])
+        return float(screen_error(error, row, col, self.tile, self._view(eye), self._planes(eye)))
+
+
+def _padded(
+    values: NDArray[np.floating], shape: tuple[int, ...], beyond: float
+) -> NDArray[np.float32]:
+    padded = np.full(shape, beyond, dtype=np.float32)
+    padded[: values.shape[0], : values.shape[1]] = values
+    return padded
+
+
+# Errors on screen
+
+
+@kernel
+def _stride_of(row, col, tile):
+    """Return the stride that a vertex has by its place; that of a tile's corners is `tile`."""
+    both = row | col
+    return min(both & -both, tile) if both else tile
+
+
+@kernel
+def screen_error(error, row, col, tile, view, planes):
+    """Return the error on screen of a vertex with some error.
+
+    The box reaches over all that may depend on the vertex: 3 strides each way for centres, 2 for
+    edges.
+    """
+    stride = _stride_of(row, col, tile)
+    is_centre = row & stride and col & stride and stride < tile
+    return error_in_box(error, row, col, (3 if is_centre else 2) * stride, view, planes)
+
+
+@kernel
+def error_in_box(error, row, col, reach, view, planes):
+    """Return the error on screen in a box around a place: f ε / d; 0 outside the view.
+
+    The box reaches over `reach` rows and columns each way. Where errors are bounds, see
+    `dynamic.screen_error`.
+    """
+    if error == 0:
+        return 0.0
+    x = view[_MATRIX] * col + view[_MATRIX + 1] * row + view[_MATRIX + 2]
+    y = view[_MATRIX + 3] * col + view[_MATRIX + 4] * row + view[_MATRIX + 5]
+    half_x, half_y = view[_WIDTH] * reach, view[_WIDTH + 1] * reach
+    low, high = view[_LOW], view[_HIGH]
+    half_z, away_z = (high - low) / 2, (high + low) / 2 - view[_Z]
+    away_x, away_y = x - view[_X], y - view[_Y]
+    for k in range(planes.shape[0]):
+        most = planes[k, _ALONG_X] * x + planes[k, _ALONG_Y] * y + planes[k, _CONSTANT]
+        if most + planes[k, _PER_REACH] * reach < 0:
+            return 0.0
+    near_x, near_y = max(abs(away_x) - half_x, 0.0), max(abs(away_y) - half_y, 0.0)
+    near_z = max(abs(away_z) - half_z, 0.0)
+    distance = np.sqrt(near_x * near_x + near_y * near_y + near_z * near_z)
+    if distance == 0:
+        return np.inf
+    is_outline, error = error < 0, abs(error) * view[_Z_SCALE]
+    if is_outline:
+        error = np.sqrt(half_x * half_x + half_y * half_y + error * error)
+    if view[_IS_BOUND] == 0:
+        return view[_FOCAL] * error / distance
+    depth = view[_FORWARD] * away_x + view[_FORWARD + 1] * away_y + view[_FORWARD + 2] * away_z
+    depth -= view[_DEPTH_LESS] * reach + abs(view[_FORWARD + 2]) * half_z
+    depth = max(depth, distance / view[_SLANT])
+    far_x, far_y, far_z = abs(away_x) + half_x, abs(away_y) + half_y, abs(away_z) + half_z
+    farthest = np.sqrt(far_x * far_x + far_y * far_y + far_z * far_z)
+    return view[_FOCAL] * error * min(farthest / depth, view[_SLANT]) / depth
+
+
+# Shares of thresholds
+
+
+@kernel
+def fill_shares(
+    errors, tile, active, on_screen, vertex_of, view, planes, start, end, shares
+):  # fmt: skip
+    """Fill for which share of the thresholds between `start` and `end` each vertex is there.
+
+    `on_screen` has errors that are computed already, else NaN. Where one vertex is, so is all that
+    it depends on, which comes before it in `active`.
+    """
+    n_rows, n_cols = vertex_of.shape
+    shares[:] = 0.0
+    for number in range(active.shape[0] - 1, -1, -1):
+        row, col = np.int64(active[number, 0]), np.int64(active[number, 1])
+        if is_corner(row, col, tile):
+            shares[number] = 1.0
+            continue
+        share = shares[number]
+        if share < 1:
+            pixels = on_screen[number]
+            if np.isnan(pixels):
+                error = np.float64(errors[row, col])
+                pixels = screen_error(error, row, col, tile, view, planes)
+            share = max(share, min((pixels - start) / (end - start), 1.0))
+            shares[number] = share
+        r2, c2, r3, c3 = needs_of(row, col, tile)
+        for r, c in ((r2, c2), (r3, c3)):
+            if 0 <= r < n_rows and 0 <= c < n_cols:
+                needed = vertex_of[r, c]
+                shares[needed] = max(shares[needed], share)
+
+
+# Splits and merges
+
+
+@kernel
+def _child(row, col, tile, k):
+    """Return the k-th of the four vertices that may depend on one; -1 where there is none."""
+    stride = _stride_of(row, col, tile)
+    if not is_corner(row, col, tile) and row & stride and col & stride:
+        down, right = ((-1, 0), (0, -1), (1, 0), (0, 1))[k]
+        return row + down * stride, col + right * stride
+    half = stride // 2
+    if half == 0:
+        return -1, -1
+    return row + half * (2 * (k >> 1) - 1), col + half * (2 * (k & 1) - 1)
+
+
+@kernel
+def merge_vertices(
+    errors, tile, is_active, n_children, active, on_screen, n_active, view, planes, tau
+):
+    """Merge vertices that nothing depends on and whose error is not above `tau`, the last first.
+
+    Fill the errors on screen that this takes, NaN elsewhere. Return how many are left, how many
+    were touched and merged. What a merged vertex depended on was split before it and comes after
+    it here.
+    """
+    n_touched = n_changed = 0
+    for number in range(n_active - 1, -1, -1):
+        row, col = np.int64(active[number, 0]), np.int64(active[number, 1])
+        on_screen[number] = np.nan
+        if n_children[row, col] or is_corner(row, col, tile):
+            continue
+        n_touched += 1
+        error = np.float64(errors[row, col])
+        on_screen[number] = screen_error(error, row, col, tile, view, planes)
+        if on_screen[number] > tau:
+            continue
+        is_active[row, col] = False
+        n_changed += 1
+        r2, c2, r3, c3 = needs_of(row, col, tile)
+        for r, c in ((r2, c2), (r3, c3)):
+            if 0 <= r < is_active.shape[0] and 0 <= c < is_active.shape[1]:
+                n_children[r, c] -= 1
+    kept = 0
+    for number in range(n_active):
+        if is_active[active[number, 0], active[number, 1]]:
+            active[kept, 0], active[kept, 1] = active[number, 0], active[number, 1]
+            on_screen[kept] = on_screen[number]
+            kept += 1
+    return kept, n_touched, n_changed
+
+
+@kernel
+def split_vertices(
+    errors, tile, is_active, n_children, active, on_screen, done, n_active, limit, view, planes,
+    tau, stack,
+):  # fmt: skip
+    """Split what depends on active vertices where its error is above `tau`, and all it needs.
+
+    Goes on from the vertex number `done` while there is room in `active` and no more than `limit`
+    are active. Return the next vertex, how many are active, how many were touched and split.
+    """
+    n_touched = n_changed = 0
+    n_rows, n_cols = is_active.shape
+    while done < n_active <= limit and n_active + _ROOM <= active.shape[0]:
+        at_row, at_col = np.int64(active[done, 0]), np.int64(active[done, 1])
+        done += 1
+        if n_children[at_row, at_col] == 4:
+            continue
+        for k in range(4):
+            row, col = _child(at_row, at_col, tile, k)
+            if row < 0 or col < 0 or row >= n_rows or col >= n_cols or is_active[row, col]:
+                continue
+            r, c, _, _ = needs_of(row, col, tile)
+            if (r != at_row or c != at_col) and 0 <= r < n_rows and 0 <= c < n_cols:
+                if is_active[r, c]:
+                    continue  # looked at from there
+            n_touched += 1
+            error = np.float64(errors[row, col])
+            pixels = screen_error(error, row, col, tile, view, planes)
+            if pixels <= tau:
+                continue
+            n_more = _activate(row, col, tile, is_active, n_children, active, n_active, stack)
+            on_screen[n_active : n_active + n_more] = np.nan
+            n_active += n_more
+            on_screen[n_active - 1] = pixels
+            n_changed += n_more
+    return done, n_active, n_touched, n_changed
+
+
+@kernel
+def _activate(row, col, tile, is_active, n_children, active, n_active, stack):
+    """Append a vertex and all inactive ones that it needs; return how many.
+
+    They are appended so that each comes after those it depends on.
+    """
+    n_rows, n_cols = is_active.shape
+    stack[0, 0], stack[0, 1] = row, col
+    count, done = 1, 0
+    while done < count:
+        row, col = stack[done, 0], stack[done, 1]
+        done += 1
+        r2, c2, r3, c3 = needs_of(row, col, tile)
+        for r, c in ((r2, c2), (r3, c3)):
+            is_new = 0 <= r < n_rows and 0 <= c < n_cols and not is_active[r, c]
+            for number in range(done, count):
+                is_new = is_new and not (stack[number, 0] == r and stack[number, 1] == c)
+            if is_new:
+                stack[count, 0], stack[count, 1] = r, c
+                count += 1
+    n_new = 0
+    for number in range(count - 1, -1, -1):
+        row, col = stack[number, 0], stack[number, 1]
+        if is_active[row, col]:
+            continue  # by another way
+        is_active[row, col] = True
+        active[n_active + n_new, 0], active[n_active + n_new, 1] = row, col
+        n_new += 1
+        r2, c2, r3, c3 = needs_of(row, col, tile)
+        for r, c in ((r2, c2), (r3, c3)):
+            if 0 <= r < n_rows and 0 <= c < n_cols:
+                n_children[r, c] += 1
+    return n_new
+
+
+# Triangles
+
+
+@kernel
+def draw_triangles(heights, tile, is_active, is_mirrored, vertex_of, stack, triangles):
+    """Fill the triangles of the active vertices; return how many there are."""
+    count = 0
+    for row in range(0, is_active.shape[0] - 1, tile):
+        for col in range(0, is_active.shape[1] - 1, tile):
+            half = tile // 2
+            r0, c0, r1, c1, r2, c2, r3, c3 = neighbours(row + half, col + half, half)
+            stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = r0, c0, r1, c1
+            stack[0, 4], stack[0, 5] = r2, c2
+            stack[1, 0], stack[1, 1], stack[1, 2], stack[1, 3] = r0, c0, r1, c1
+            stack[1, 4], stack[1, 5] = r3, c3
+            depth = 2
+            while depth > 0:
+                depth -= 1
+                r0, c0, r1, c1 = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
+                r2, c2 = stack[depth, 4], stack[depth, 5]
+                r, c = (r0 + r1) >> 1, (c0 + c1) >> 1
+                is_whole = not ((r0 + r1) & 1 or (c0 + c1) & 1)
+                if is_whole and is_active[r, c]:
+                    stack[depth, 0], stack[depth, 1] = r2, c2
+                    stack[depth, 2], stack[depth, 3] = r0, c0
+                    stack[depth, 4], stack[depth, 5] = r, c
+                    stack[depth + 1, 0], stack[depth + 1, 1] = r1, c1
+                    stack[depth + 1, 2], stack[depth + 1, 3] = r2, c2
+                    stack[depth + 1, 4], stack[depth + 1, 5] = r, c
+                    depth += 2
+                elif is_whole:
+                    count = _add(r0, c0, r1, c1, r2, c2, is_mirrored, vertex_of, triangles, count)
+                else:
+                    r, c = min(r0, r1, r2), min(c0, c1, c2)
+                    valid = 0
+                    for k in range(4):
+                        valid |= (not np.isnan(heights[r + (k >> 1), c + (k & 1)])) << k
+                    count = _add_in_quad(
+                        r0, c0, r1, c1, r2, c2, valid, is_mirrored, is_active, vertex_of,
+                        triangles, count,
+                    )  # fmt: skip
+    return count
+
+
+@kernel
+def _add(r0, c0, r1, c1, r2, c2, is_mirrored, vertex_of, triangles, count):
+    """Append a triangle without void corners; return how many there are then."""
+    if vertex_of[r0, c0] < 0 or vertex_of[r1, c1] < 0 or vertex_of[r2, c2] < 0:
+        return count
+    if (area_of(r0, c0, r1, c1, r2, c2) > 0) == is_mirrored:
+        r1, c1, r2, c2 = r2, c2, r1, c1
+    triangles[count, 0], triangles[count, 1] = vertex_of[r0, c0], vertex_of[r1, c1]
+    triangles[count, 2] = vertex_of[r2, c2]
+    return count + 1
+
+
+@kernel
+def _add_in_quad(
+    r0, c0, r1, c1, r2, c2, valid, is_mirrored, is_active, vertex_of, triangles, count
+):
+    """Append one half of a quad of samples; the triangle of three that are valid with its first.
+
+    `valid` has a bit for each corner, row by row, that is not void.
+    """
+    if valid == 15:
+        return _add(r0, c0, r1, c1, r2, c2, is_mirrored, vertex_of, triangles, count)
+    top, left = min(r0, r1, r2), min(c0, c1, c2)
+    is_nw, is_ne, is_sw, is_se = valid & 1, valid & 2, valid & 4, valid & 8
+    n_valid = int(is_nw != 0) + int(is_ne != 0) + int(is_sw != 0) + int(is_se != 0)
+    n_top = int(r0 == top) + int(r1 == top) + int(r2 == top)
+    if n_valid < 3 or n_top < 2 or not is_active[top : top + 2, left : left + 2].all():
+        return count
+    # A void corner is replaced by the one across.
+    r0, c0 = (top, left) if is_nw else (top + 1, left + 1)
+    r1, c1 = (top, left + 1) if is_ne else (top + 1, left)
+    r2, c2 = (top + 1, left) if is_sw and is_ne else (top + 1, left + 1)
+    return _add(r0, c0, r1, c1, r2, c2, is_mirrored, vertex_of, triangles, count)
+
+
+# Borders
+
+
+@kernel
+def follow_borders(
+    open_sides, shape, heights, is_active, vertex_of, vertices, z_scale, matrix, planes, edges
+):
+    """Fill the edges along open sides; return how many, and how far those in view are from samples.
+
+    Without the factor of heights.
+    """
+    count, largest = 0, 0.0
+    for side in range(4):
+        if open_sides[side]:
+            count, largest = _follow_border(
+                side, shape, heights, is_active, vertex_of, vertices, z_scale, matrix, planes,
+                edges, count, largest,
+            )  # fmt: skip
+    return count, largest / z_scale
+
+
+@kernel
+def _follow_border(
+    side, shape, heights, is_active, vertex_of, vertices, z_scale, matrix, planes, edges, count,
+    largest,
+):  # fmt: skip
+    """Append the edges along one side; return how many there are then, and the largest distance."""
+    before, start = -1, 0
+    place = 0 if side < 2 else shape[side - 2] - 1
+    down, right = side & 1, 1 - (side & 1)
+    first_row, first_col = (0, place) if down else (place, 0)
+    ends = np.empty((4, 3))
+    for at in range(shape[0] if down else shape[1]):
+        row, col = first_row + at * down, first_col + at * right
+        if np.isnan(heights[row, col]):
+            before = -1
+            continue
+        if not is_active[row, col]:
+            continue
+        vertex = vertex_of[row, col]
+        if before >= 0:
+            edges[count, 0], edges[count, 1] = before, vertex
+            count += 1
+            rise = (vertices[vertex, 2] - vertices[before, 2]) / (at - start)
+            for k in range(start, at):
+                apart = 0.0
+                for m in range(2):
+                    r, c = first_row + (k + m) * down, first_col + (k + m) * right
+                    drawn = vertices[before, 2] + (k + m - start) * rise
+                    original = heights[r, c] * z_scale
+                    ends[m, 2], ends[2 + m, 2] = drawn, original
+                    ends[m, 0] = matrix[0] * c + matrix[1] * r + matrix[2]
+                    ends[m, 1] = matrix[3] * c + matrix[4] * r + matrix[5]
+                    ends[2 + m, 0], ends[2 + m, 1] = ends[m, 0], ends[m, 1]
+                    apart = max(apart, abs(drawn - original))
+                if apart > largest and not _are_hidden(ends, planes):
+                    largest = apart
+        before, start = vertex, at
+    return count, largest
+
+
+@kernel
+def _are_hidden(points, planes):
+    """Say whether points lie wholly behind one of the planes."""
+    for k in range(planes.shape[0]):
+        is_behind = True
+        for m in range(points.shape[0]):
+            most = planes[k, 0] * points[m, 0] + planes[k, 1] * points[m, 1]
+            is_behind = is_behind and most + planes[k, 2] * points[m, 2] + planes[k, 3] < 0
+        if is_behind:
+            return True
+    return False

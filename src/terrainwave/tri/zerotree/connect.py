@@ -1,0 +1,228 @@
+"""Meshes from cuts: every sample moves to its root, degenerate triangles are dropped.
+
+A. Pereberin's rule, as told by E. Yusov 2006 (§3.5.1) and E. Yusov, V. Turlapov 2010 (§2.4):
+triangulate as if in the full grid every vertex had moved to the root of the tree that holds it,
+then drop the triangles two of whose corners have become one. No crack for any difference of
+heights. What the papers don't say: three different roots may lie on one line or the wrong way
+round. `unfold` splits the tallest of their trees until none do; a mesh made of a cut that the
+guaranteed triangulation or `unfold` has left covers the area once.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.coding.jit import kernel
+from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
+from terrainwave.tri.triangle import area_of, check_block, deviation
+from terrainwave.tri.zerotree.labels import (
+    Cut,
+    Keep,
+    Trees,
+    promote,
+    root_along,
+    set_node,
+    void_edges,
+)
+from terrainwave.tri.zerotree.labels import zero_tree_cut as _zero_tree_cut
+
+
+class LooseMesh(NamedTuple):
+    """The non-guaranteed triangulation and what it is worth.
+
+    `error` is its true one: the largest vertical deviation over all covered samples, in 1/16
+    quanta, rounded up. `n_folded` triangles of the bare rule had no positive area; splitting their
+    trees (`unfold`) has removed them.
+    """
+
+    mesh: BlockMesh
+    cut: Cut
+    error: int
+    n_folded: int
+
+
+def loose_mesh(
+    heights: NDArray[np.int32],
+    mask: NDArray[np.bool_],
+    trees: Trees,
+    keep: Keep | None = None,
+) -> LooseMesh:
+    """Return the non-guaranteed triangulation of a block (Yusov & Turlapov 2010, §2.4).
+
+    Parameters
+    ----------
+    heights : ndarray of int32, shape (n_rows, n_cols)
+        Decoded heights of the block, in quanta.
+    mask : ndarray of bool, same shape
+        Which samples are valid.
+    trees : ndarray of uint8, same shape
+        Zero trees of the group that refines the block (`coding.zerotrees`).
+    keep : ndarray of bool, same shape, optional
+        Samples that must be vertices besides those at voids.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ or are too large.
+    """
+    check_block(heights, mask)
+    check_block(trees, mask)
+    mask = np.ascontiguousarray(mask)
+    kept = void_edges(mask)
+    if keep is not None:
+        kept |= keep
+    cut = _zero_tree_cut(trees, kept)
+    n_folded = unfold(mask, cut)
+    mesh = mesh_of_cut(heights, mask, cut)
+    return LooseMesh(mesh, cut, mesh_error(heights, mesh), n_folded)
+
+
+def unfold(mask: NDArray[np.bool_], cut: Cut) -> int:
+    """Split nodes in place until every triangle has positive area; return how many first had not.
+
+    Of a bad triangle the tallest nodes are split. Nodes of height 0 give triangles of area 1, so
+    that this ends.
+    """
+    n_first = n_found = _split_folds(mask, cut)
+    while n_found:
+        n_found = _split_folds(mask, cut)
+    promote(cut)
+    return int(n_first)
+
+
+def mesh_of_cut(heights: NDArray[np.int32], mask: NDArray[np.bool_], cut: Cut) -> BlockMesh:
+    """Return the triangles of a cut; vertices in the order of their samples, row by row."""
+    vertex_of = np.full(heights.shape, -1, dtype=np.int32)
+    corners = np.empty((2 * max(heights.size, 1), 3), dtype=np.int64)
+    n_triangles = _collect(np.ascontiguousarray(mask), cut, vertex_of, corners)
+    return build_mesh(heights, vertex_of, corners[:n_triangles])
+
+
+def build_mesh(
+    heights: NDArray[np.int32], vertex_of: NDArray[np.int32], corners: NDArray[np.int64]
+) -> BlockMesh:
+    """Return a mesh from triangles of samples (flat indices); `vertex_of` >= 0 marks their samples.
+
+    Changes `vertex_of` to the number of each vertex.
+    """
+    rows, cols = np.nonzero(vertex_of >= 0)
+    vertex_of[rows, cols] = np.arange(len(rows), dtype=np.int32)
+    return BlockMesh(
+        (2 * rows).astype(np.int32),
+        (2 * cols).astype(np.int32),
+        heights[rows, cols].astype(np.int64) << FRACTION_BITS,
+        vertex_of.reshape(-1)[corners].astype(np.int32).reshape(-1, 3),
+    )
+
+
+def mesh_error(heights: NDArray[np.int32], mesh: BlockMesh) -> int:
+    """Return the largest vertical deviation of covered samples, in 1/16 quanta, rounded up.
+
+    For meshes whose vertices are samples, and whose triangles have positive area.
+    """
+    worst = _largest_error(
+        np.ascontiguousarray(heights), mesh.rows >> 1, mesh.cols >> 1, mesh.triangles
+    )
+    return int(worst)
+
+
+@kernel
+def triangles_of_quad(mask, row, col):
+    """Return a number of bits: which triangles the quad at (row, col) of the full grid has.
+
+    Corners a (row, col), b right of it, c below b, d below a. 1: a b c, 2: a c d, and where just
+    one corner is void 4: b c d, 8: a b d.
+    """
+    a, b = mask[row, col], mask[row, col + 1]
+    c, d = mask[row + 1, col + 1], mask[row + 1, col]
+    if a and c:
+        return (1 if b else 0) | (2 if d else 0)
+    if b and d:
+        return (4 if c else 0) | (8 if a else 0)
+    return 0
+
+
+@kernel
+def corner_of_quad(kind, corner):
+    """Return (down, right) of corner 0, 1 or 2 of a kind of triangle (1, 2, 4, 8)."""
+    if corner == 0:
+        return 0, (1 if kind == 4 else 0)
+    if corner == 1:
+        return (0, 1) if kind == 1 or kind == 8 else (1, 1)
+    return (1, 1) if kind == 1 else (1, 0)
+
+
+@kernel
+def _collect(mask, cut, vertex_of, corners):
+    """Fill `corners` with the triangles, mark their samples; return how many there are."""
+    n_rows, n_cols = mask.shape
+    count = 0
+    for row in range(n_rows - 1):
+        for col in range(n_cols - 1):
+            kinds = triangles_of_quad(mask, row, col)
+            for shift in range(4):
+                if not (kinds >> shift) & 1:
+                    continue
+                for k in range(3):
+                    down, right = corner_of_quad(1 << shift, k)
+                    i, j = row + down, col + right
+                    height = np.int64(cut[i, j])
+                    i, j = root_along(i, n_rows, height), root_along(j, n_cols, height)
+                    corners[count, k] = i * n_cols + j
+                a, b, c = corners[count, 0], corners[count, 1], corners[count, 2]
+                if a == b or b == c or a == c:
+                    continue
+                for k in range(3):
+                    vertex_of[corners[count, k] // n_cols, corners[count, k] % n_cols] = 0
+                count += 1
+    return count
+
+
+@kernel
+def _split_folds(mask, cut):
+    """Split the tallest nodes of triangles without positive area; return how many were found."""
+    n_rows, n_cols = mask.shape
+    count = 0
+    rows, cols = np.zeros(3, dtype=np.int64), np.zeros(3, dtype=np.int64)
+    heights = np.zeros(3, dtype=np.int64)
+    for row in range(n_rows - 1):
+        for col in range(n_cols - 1):
+            kinds = triangles_of_quad(mask, row, col)
+            for shift in range(4):
+                if not (kinds >> shift) & 1:
+                    continue
+                for k in range(3):
+                    down, right = corner_of_quad(1 << shift, k)
+                    heights[k] = cut[row + down, col + right]
+                    rows[k] = root_along(row + down, n_rows, heights[k])
+                    cols[k] = root_along(col + right, n_cols, heights[k])
+                is_degenerate = False
+                for k in range(3):
+                    other = (k + 1) % 3
+                    if rows[k] == rows[other] and cols[k] == cols[other]:
+                        is_degenerate = True
+                if is_degenerate:
+                    continue
+                if area_of(rows[0], cols[0], rows[1], cols[1], rows[2], cols[2]) > 0:
+                    continue
+                count += 1
+                tallest = max(heights[0], heights[1], heights[2])
+                for k in range(3):
+                    if heights[k] == tallest:
+                        set_node(cut, rows[k], cols[k], tallest, tallest - 1)
+    return count
+
+
+@kernel
+def _largest_error(heights, rows, cols, triangles):
+    """Return ceil(16 * largest deviation) over all triangles."""
+    worst = np.int64(0)
+    for t in range(triangles.shape[0]):
+        r0, c0 = np.int64(rows[triangles[t, 0]]), np.int64(cols[triangles[t, 0]])
+        r1, c1 = np.int64(rows[triangles[t, 1]]), np.int64(cols[triangles[t, 1]])
+        r2, c2 = np.int64(rows[triangles[t, 2]]), np.int64(cols[triangles[t, 2]])
+        area = area_of(r0, c0, r1, c1, r2, c2)
+        error = deviation(heights, r0, c0, r1, c1, r2, c2, np.int64(1) << 62)
+        worst = max(worst, -((-(error << FRACTION_BITS)) // area))
+    return worst

@@ -1,0 +1,188 @@
+"""Algorithm I: the guaranteed triangulation of a block (Yusov & Turlapov 2010, §2.5).
+
+It starts at the full grid and merges nodes from the finest upwards. A node that is not JS and whose
+children are all roots becomes the root of their samples; the step is taken back if one of the
+**new** triangles, those with a corner that moved, has an error above the tolerance. Departures:
+
+* the error is the largest vertical deviation over the covered samples, in exact integers, and may
+  equal the tolerance (the paper: less than);
+* a step is also taken back if a new triangle has no positive area: vertices off the middle of their
+  node can fold over. So a mesh is a height field that covers the block exactly once: the area of
+  the triangles adds up to that of the grid, and every one adds to it;
+* voids, and vertices that neighbours need: `keep`.
+
+The result depends on the order of steps, which is: heights upwards, then row by row. Quads are
+split from their first sample to their last, the way roots lie: with the other diagonal so many
+steps would fold that far more triangles are left.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.coding.jit import kernel
+from terrainwave.tri.triangle import check_block, check_tolerance, fits
+from terrainwave.tri.zerotree.labels import (
+    Cut,
+    Keep,
+    Trees,
+    axis_nodes,
+    ceilings,
+    end_sample,
+    first_sample,
+    second_child,
+    top_height,
+    void_edges,
+)
+
+_ROW_SHIFT = 16
+_COL_MASK = (1 << _ROW_SHIFT) - 1
+
+
+def guaranteed_cut(
+    heights: NDArray[np.int32],
+    mask: NDArray[np.bool_],
+    tolerance: int,
+    trees: Trees | None = None,
+    keep: Keep | None = None,
+) -> Cut:
+    """Return the cut of the guaranteed triangulation; `connect.mesh_of_cut` makes the mesh.
+
+    Parameters
+    ----------
+    heights : ndarray of int32, shape (n_rows, n_cols)
+        Decoded heights in quanta, within ±2**30; 1 to 4097 samples a side. What void samples hold
+        does not matter.
+    mask : ndarray of bool, same shape
+        Which samples are valid.
+    tolerance : int
+        Err_Tri, in 1/16 quanta; >= 0.
+    trees : ndarray of uint8, same shape, optional
+        Zero trees of the group that refines the block: the triangulation is nowhere coarser. None,
+        as for blocks of the full grid, leaves that out.
+    keep : ndarray of bool, same shape, optional
+        Samples that must be vertices besides those at voids.
+
+    Returns
+    -------
+    cut : ndarray of uint8, same shape
+        See `tri.zerotree.labels`.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ or are too large, or the tolerance is negative.
+    """
+    check_block(heights, mask)
+    tolerance = check_tolerance(tolerance)
+    for other in (trees, keep):
+        if other is not None:
+            check_block(other, mask)
+    kept = void_edges(mask)
+    if keep is not None:
+        kept |= keep
+    roots = np.empty(heights.shape, dtype=np.int32)
+    cut = np.zeros(heights.shape, dtype=np.uint8)
+    _merge(np.ascontiguousarray(heights), ceilings(kept, trees), tolerance, roots, cut)
+    return cut
+
+
+@kernel
+def _merge(heights, ceiling, tolerance, roots, cut):
+    """Algorithm I; `roots` (row << 16 | column of each sample's root) and `cut` are filled."""
+    n_rows, n_cols = heights.shape
+    for row in range(n_rows):
+        for col in range(n_cols):
+            roots[row, col] = row << _ROW_SHIFT | col
+            cut[row, col] = 0
+    for height in range(1, top_height(n_rows, n_cols) + 1):
+        for i in range(axis_nodes(n_rows, height)):
+            row = first_sample(i, n_rows, height)
+            row_2, row_end = second_child(row, n_rows, height), end_sample(row, n_rows, height)
+            for j in range(axis_nodes(n_cols, height)):
+                col = first_sample(j, n_cols, height)
+                col_2 = second_child(col, n_cols, height)
+                # While heights go up, `cut` is right at the first samples of roots.
+                below = height - 1
+                if ceiling[row, col] < height or cut[row, col] != below:
+                    continue
+                if row_2 != row and cut[row_2, col] != below:
+                    continue
+                if col_2 != col and cut[row, col_2] != below:
+                    continue
+                if row_2 != row and col_2 != col and cut[row_2, col_2] != below:
+                    continue
+                col_end = end_sample(col, n_cols, height)
+                if row_2 == row and col_2 == col:
+                    cut[row, col] = height
+                    continue
+                moved_row = row_2 if row_2 != row else row_end
+                moved_col = col_2 if col_2 != col else col_end
+                if not _new_triangles_fit(
+                    heights, roots, tolerance, row, col, row_end, col_end, moved_row, moved_col
+                ):
+                    continue
+                cut[row, col] = height
+                root = row << _ROW_SHIFT | col
+                for r in range(row, row_end):
+                    line = roots[r]
+                    for c in range(col, col_end):
+                        line[c] = root
+    for row in range(n_rows):
+        for col in range(n_cols):
+            root = np.int64(roots[row, col])
+            cut[row, col] = cut[root >> _ROW_SHIFT, root & _COL_MASK]
+
+
+@kernel
+def _new_triangles_fit(heights, roots, tolerance, row, col, row_end, col_end, moved_row, moved_col):
+    """Check the triangles that change when the node's samples move to its first one.
+
+    Those beyond `moved_row` or `moved_col` move, the first child's have their root there already.
+    Quads with a void corner never change: `ceiling` keeps their samples.
+    """
+    n_rows, n_cols = heights.shape
+    here = np.int64(row) << _ROW_SHIFT | col
+    for r in range(max(row - 1, 0), min(row_end, n_rows - 1)):
+        c = max(col - 1, 0)
+        last = min(col_end, n_cols - 1)
+        a_in, d_in = row <= r < row_end, row <= r + 1 < row_end
+        a_late, d_late = r >= moved_row, r + 1 >= moved_row
+        both_in = a_in and d_in
+        inside = c >= col
+        # What happens to corners a and d of the quad at c: in the node or not, moved or not.
+        a_moves = a_in and inside and (a_late or c >= moved_col)
+        d_moves = d_in and inside and (d_late or c >= moved_col)
+        a = here if a_in and inside else np.int64(roots[r, c])
+        d = here if d_in and inside else np.int64(roots[r + 1, c])
+        while c < last:
+            right = c + 1
+            inside = col <= right < col_end
+            late = right >= moved_col
+            b_moves = a_in and inside and (a_late or late)
+            c_moves = d_in and inside and (d_late or late)
+            b = here if a_in and inside else np.int64(roots[r, right])
+            e = here if d_in and inside else np.int64(roots[r + 1, right])
+            if (a_moves or c_moves or b_moves) and a != b and b != e and a != e:
+                if not _fits(heights, a, b, e, tolerance):
+                    return False
+            if (a_moves or c_moves or d_moves) and a != e and e != d and a != d:
+                if not _fits(heights, a, e, d, tolerance):
+                    return False
+            a, d, a_moves, d_moves = b, e, b_moves, c_moves
+            c = right
+            if both_in and inside and c < col_end - 1:
+                # Inside the node nothing is left: go to its last column.
+                c = col_end - 1
+                a = d = here
+                a_moves = a_late or c >= moved_col
+                d_moves = d_late or c >= moved_col
+    return True
+
+
+@kernel
+def _fits(heights, a, b, c, tolerance):
+    """Check a triangle of three packed roots."""
+    return fits(
+        heights, a >> _ROW_SHIFT, a & _COL_MASK, b >> _ROW_SHIFT, b & _COL_MASK, c >> _ROW_SHIFT,
+        c & _COL_MASK, tolerance,
+    )  # fmt: skip

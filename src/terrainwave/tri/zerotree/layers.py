@@ -1,0 +1,87 @@
+"""Zero trees of decoded difference layers (docs/format-mesh-zerotree.md, §5).
+
+E. Yusov, V. Turlapov 2010, §2.4 takes the joint zero trees of the coefficients that code the
+group below a block. Files are smallest with next to no coefficients, so that such trees say little.
+Here the difference layer is what it has become, the group's decoded heights less their prediction
+from the block's, and a coefficient is significant by what the triangulation may neglect: not a byte
+is spent on the trees, and they see all detail, that of residuals too.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.coding.filters import BAND_GAINS, forward_transform, synthesise
+from terrainwave.coding.jit import kernel
+from terrainwave.coding.zerotrees import mark_zero_trees
+from terrainwave.tri.mesh import FRACTION_BITS
+from terrainwave.tri.zerotree.labels import Trees
+
+# A coefficient is significant from this share of Err_Tri on, in 1/16.
+SHARE_BITS = 4
+SHARE = 14
+# Fraction bits of the layer, as in `codec.cdf97.refiner`.
+_LAYER_BITS = 6
+# Predictions reach this many of the block's samples far.
+_REACH = 2
+
+
+def layer_trees(
+    heights: NDArray[np.int32],
+    mask: NDArray[np.bool_],
+    finer: NDArray[np.int32],
+    finer_mask: NDArray[np.bool_],
+    tolerance: int,
+) -> Trees:
+    """Return the zero trees of the difference layer between a block and the group below it.
+
+    Parameters
+    ----------
+    heights : ndarray of int32, shape (n_rows, n_cols)
+        The block's decoded heights in quanta, those inside the raster.
+    mask : ndarray of bool, same shape
+        Which of them are valid; what void samples hold does not matter.
+    finer : ndarray of int32, shape (2 * n_rows - 1 or 2 * n_rows, likewise)
+        Decoded heights of the next finer level in the same place.
+    finer_mask : ndarray of bool, shape of `finer`
+        Which of them are valid.
+    tolerance : int
+        Err_Tri of the block, in 1/16 quanta.
+
+    Returns
+    -------
+    ndarray of uint8, shape (n_rows, n_cols)
+        A map as in `coding.zerotrees`; its finest nodes are the block's samples.
+    """
+    layer = np.empty(finer.shape, dtype=np.int32)
+    line = np.zeros(heights.shape[1] + 4, dtype=np.int64)
+    rows = np.zeros((heights.shape[0] + 4, finer.shape[1]), dtype=np.int64)
+    synthesise(np.where(mask, heights, np.int32(0)), 0, 0, line, rows, layer)
+    field = (finer.astype(np.int64) - layer) << _LAYER_BITS
+    if not (mask.all() and finer_mask.all()):
+        near = np.zeros(mask.shape, dtype=np.bool_)
+        _mark_near(np.ascontiguousarray(mask), near)
+        field[~finer_mask | near.repeat(2, 0).repeat(2, 1)[: field.shape[0], : field.shape[1]]] = 0
+    half = np.zeros(((finer.shape[1] + 1) >> 1) + 3, dtype=np.int64)
+    forward_transform(field, half, half.copy())
+    trees = np.empty(heights.shape, dtype=np.uint8)
+    mark_zero_trees(field, _thresholds(tolerance), trees)
+    return trees
+
+
+def _thresholds(tolerance: int) -> NDArray[np.int64]:
+    """Return the smallest significant magnitudes by transform and band, in 1/64 quanta."""
+    scaled = tolerance * SHARE << (_LAYER_BITS - FRACTION_BITS)
+    return np.maximum((scaled * BAND_GAINS) >> (SHARE_BITS + 12), 1)
+
+
+@kernel
+def _mark_near(mask, near):
+    """Mark samples with a void within `_REACH` rows and columns."""
+    n_rows, n_cols = mask.shape
+    for row in range(n_rows):
+        for col in range(n_cols):
+            if mask[row, col]:
+                continue
+            for i in range(max(row - _REACH, 0), min(row + _REACH + 1, n_rows)):
+                for j in range(max(col - _REACH, 0), min(col + _REACH + 1, n_cols)):
+                    near[i, j] = True
