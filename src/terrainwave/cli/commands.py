@@ -440,7 +440,8 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
         result = terrainwave.patch(file, new, progress=bar, **options)
     if as_json:
         print_json(asdict(result))
-    elif not quiet:
+        return
+    if not quiet:
         click.echo(
             f"{plain(result.path)}: {count_of(result.n_recoded, 'unit')} coded again,"
             f" {result.n_copied:,} copied, {result.n_bytes:,} bytes"
@@ -450,6 +451,8 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
             f" {result.measured_error:.6g}{_unit(result.units)}, of the whole file"
         )
         _note_unit(result.units)
+    for note in result.notes:
+        print_note(note)
 
 
 @main.command()

@@ -6,8 +6,9 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import BinaryIO, Protocol, TypeAlias, runtime_checkable
 
+from terrainwave.arguments import checked_path, shown
 from terrainwave.container.ranges import ByteRange, merge_ranges, split_merged
-from terrainwave.errors import StorageError, TruncatedStreamError
+from terrainwave.errors import InvalidArgumentError, StorageError, TruncatedStreamError
 from terrainwave.forks import renew_after_fork
 
 # Files up to this size are taken whole from servers, and out of archives, that give no parts.
@@ -206,6 +207,8 @@ def open_source(source: SourceLike) -> ByteSource:
 
     Raises
     ------
+    InvalidArgumentError
+        If it is none of these, or an empty name.
     StorageError
         If it cannot be opened or does not serve byte ranges.
     """
@@ -216,9 +219,12 @@ def open_source(source: SourceLike) -> ByteSource:
 
         return open_url(source)
     if isinstance(source, str | os.PathLike):
-        return FileSource(source)
+        return FileSource(checked_path(source))
     if isinstance(source, ByteSource):
         return source
     if hasattr(source, "read") and hasattr(source, "seek"):
         return BufferSource(source)
-    raise StorageError(f"cannot read bytes from a {type(source).__name__}")
+    raise InvalidArgumentError(
+        f"found {shown(source)}, expected the path or URL of a .twz file, its bytes, or a binary"
+        " file object"
+    )

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.arguments import checked_number
 from terrainwave.errors import (
     InvalidArgumentError,
     InvalidHeightsError,
@@ -44,6 +45,7 @@ def solidify(mesh: Mesh, base: float) -> Mesh:
     """
     if not mesh.n_triangles:
         raise InvalidHeightsError("the mesh is empty: there are no valid heights under it")
+    base = checked_number("solid", base)
     lowest = float(mesh.points[mesh.triangles.ravel(), 2].min())
     if not base < lowest:
         raise InvalidArgumentError(
