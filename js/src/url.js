@@ -209,8 +209,8 @@ export class UrlSource {
       const names = Object.keys(this.headers).map((name) => name.toLowerCase());
       problem = names.includes("authorization")
         ? `the server refuses the user and password given (${reason})`
-        : `the server wants a login (${reason}): give a user and password in the URL, as` +
-          " https://user:password@host/…";
+        : `the server wants a login (${reason}): write user and password before the host of the` +
+          " URL, user:password@host";
     } else if (MAY_EXPIRE.includes(status) && hasExpired(this.url, new TextDecoder().decode(body))) {
       problem = `the URL has expired (${reason}); get a new one and open it again`;
     } else if (MAY_EXPIRE.includes(status) && isSigned(this.url)) {

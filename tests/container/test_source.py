@@ -9,7 +9,7 @@ import pytest
 
 from terrainwave.container.ranges import ByteRange
 from terrainwave.container.source import BufferSource, FileSource, open_source
-from terrainwave.errors import StorageError, TruncatedStreamError
+from terrainwave.errors import InvalidArgumentError, StorageError, TruncatedStreamError
 
 DATA = bytes(range(256)) * 40
 
@@ -131,7 +131,7 @@ def test_a_source_is_taken_as_it_is():
 
 
 def test_other_things_are_no_source():
-    with pytest.raises(StorageError, match="int"):
+    with pytest.raises(InvalidArgumentError, match=r"^found 3, expected the path or URL"):
         open_source(3)
 
 

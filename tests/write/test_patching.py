@@ -321,7 +321,8 @@ def test_a_patch_that_raises_the_format_says_so_and_the_original_keeps_it(placed
         main, ["patch", str(path), str(new), "-q", "--original", str(tmp_path / "old.tif")]
     )
     assert (done.exit_code, done.output) == (0, "")
-    assert terrainwave.open(path).info().format == "1.0"
+    with Terrain(path) as terrain:
+        assert terrain.info().format == "1.0"
     result = patch(placed(2), new, original=tmp_path / "old.tif")
     assert (result.format, result.notes) == ("1.0", [])
     done = CliRunner().invoke(main, ["patch", str(placed(2)), str(new), "-q"])

@@ -64,8 +64,8 @@ _RETRY = Retry()  # knows how to read Retry-After
 _MAY_EXPIRE = {400, 401, 403}
 _MAX_WORDS = 4096
 _NO_LOGIN = (
-    "the server wants a login ({}): give a user and password in the URL, as"
-    " https://user:password@host/…"
+    "the server wants a login ({}): write user and password before the host of the URL,"
+    " user:password@host"
 )
 _WRONG_LOGIN = "the server refuses the user and password given ({})"
 _DECODED = ("gzip", "x-gzip", "deflate")  # of whole files

@@ -45,12 +45,11 @@ def solidify(mesh: Mesh, base: float) -> Mesh:
     """
     if not mesh.n_triangles:
         raise InvalidHeightsError("the mesh is empty: there are no valid heights under it")
-    base = checked_number("solid", base)
     lowest = float(mesh.points[mesh.triangles.ravel(), 2].min())
-    if not base < lowest:
-        raise InvalidArgumentError(
-            f"found `solid` {base:g}, expected less than the mesh's lowest height {lowest:g}"
-        )
+    expected = f"less than the mesh's lowest height {lowest:g}"
+    base = checked_number("solid", base, expected=expected)
+    if base >= lowest:
+        raise InvalidArgumentError(f"found `solid` {base:g}, expected {expected}")
     vertices, triangles = _used_only(mesh.vertices, mesh.triangles)
     vertices, triangles, moved = _split_joints(vertices, triangles)
     n_top = len(vertices)
