@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import some
 from containers import open_container
 from reference_decoder.units import decode
 from strategies import terrain_like, write_geotiff
@@ -215,7 +216,10 @@ def test_with_the_original_no_corrections_are_made(tmp_path):
 
 @pytest.mark.large
 @pytest.mark.parametrize("method", ["rapid", "predictive"])
-def test_units_with_corrections_agree_where_they_meet_with_the_original_too(tmp_path, method):
+@pytest.mark.parametrize("after_each", some([False, True], 2))
+def test_units_with_corrections_agree_where_they_meet_with_the_original_too(
+    tmp_path, method, after_each
+):
     patched = Patched(tmp_path, "floats", method=method)
     for _ in range(5):
         patched.patch()
@@ -227,7 +231,9 @@ def test_units_with_corrections_agree_where_they_meet_with_the_original_too(tmp_
         patched.write(patched.new, patched.heights[row : row + 1, col : col + 1], row, col)
         result = patch(patched.path, patched.new, original=tmp_path / "all.tif")
         assert (result.n_recoded, result.n_copied) == (1, 9)
-        decode(patched.path.read_bytes())
+        if after_each:
+            decode(patched.path.read_bytes())
+    decode(patched.path.read_bytes())
 
 
 @pytest.mark.large
