@@ -22,7 +22,7 @@ GRID = ROOT | {"coding", "grid"}
 MAY_IMPORT = {
     "errors": set(),
     "_version": set(),
-    "progress": {"errors"},
+    "progress": {"errors", "arguments"},
     "extras": {"errors"},
     "names": set(),
     "forks": set(),

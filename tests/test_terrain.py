@@ -678,7 +678,7 @@ def test_threads_are_as_many_as_the_processors_that_the_process_may_use(store_da
 
 @pytest.mark.parametrize("threads", [0, -1])
 def test_fewer_threads_than_one_are_refused(store_data, threads):
-    with pytest.raises(InvalidHeightsError, match="expected at least 1"):
+    with pytest.raises(InvalidHeightsError, match="expected a whole number >= 1"):
         Terrain(store_data, threads=threads)
 
 

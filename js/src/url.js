@@ -205,7 +205,13 @@ export class UrlSource {
   /** Return the error of a status that brings no bytes. */
   refused({ status, reason, asksToWait, body }) {
     let problem = `HTTP status ${reason}`;
-    if (MAY_EXPIRE.includes(status) && hasExpired(this.url, new TextDecoder().decode(body))) {
+    if (status === 401 && !isSigned(this.url)) {
+      const names = Object.keys(this.headers).map((name) => name.toLowerCase());
+      problem = names.includes("authorization")
+        ? `the server refuses the user and password given (${reason})`
+        : `the server wants a login (${reason}): write user and password before the host of the` +
+          " URL, user:password@host";
+    } else if (MAY_EXPIRE.includes(status) && hasExpired(this.url, new TextDecoder().decode(body))) {
       problem = `the URL has expired (${reason}); get a new one and open it again`;
     } else if (MAY_EXPIRE.includes(status) && isSigned(this.url)) {
       problem += "; the URL is signed: it may have expired, or be signed for another request";

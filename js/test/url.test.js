@@ -80,10 +80,10 @@ async function outcome(address, options) {
   }
 }
 
-async function check({ replies, query = "", error = "", waits, within = 0, requests }) {
+async function check({ replies, query = "", login = "", error = "", waits, within = 0, requests }) {
   await serving(replies, async (host, asked) => {
     const address = `${host}/dir/a.twz`;
-    const found = await outcome(address + query);
+    const found = await outcome((login ? address.replace("://", `://${login}@`) : address) + query);
     const expected = error.replace("NAME", address);
     if (!expected) assert.deepEqual(found.bytes, DATA.subarray(START, END), found.error);
     else if (expected.endsWith("…")) assert.ok(found.error?.startsWith(expected.slice(0, -1)), found.error);

@@ -29,7 +29,7 @@ static const char USAGE[] =
     "  twz dump FILE      heights of a level to stdout, row by row, as the numbers of the file's dtype\n"
     "                     in the byte order of this machine; void samples hold nodata, else NaN, else 0\n"
     "      --level N      0 is the coarsest, -1 (which is meant otherwise) the full grid\n"
-    "      --window R,C,ROWS,COLS   of the level: from row R and column C on\n"
+    "      --window R,C,ROWS,COLS   of the level: from row R and column C on, cut to the level with a note\n"
     "      --mask         instead of heights one byte for each sample: 1 valid, 0 void\n"
     "      --own          one byte for each sample: 1 if the original has one at this very place\n"
     "      --blocks       four int64 for each block of the level, in Morton order, in quanta: lowest and\n"
@@ -290,6 +290,19 @@ static int dump_blocks(session *s) {
   return status;
 }
 
+/* Cut a window to its level, with a note; one that lies outside of it is left for the library to refuse. */
+static void cut(twz_box *box, const twz_level *level) {
+  if (box->row >= level->n_rows || box->col >= level->n_cols) return;
+  uint32_t n_rows = level->n_rows - box->row, n_cols = level->n_cols - box->col;
+  if (box->n_rows <= n_rows && box->n_cols <= n_cols) return;
+  if (box->n_rows > n_rows) box->n_rows = n_rows;
+  if (box->n_cols > n_cols) box->n_cols = n_cols;
+  fprintf(stderr,
+          "twz: note: the window reaches beyond the level's %u x %u samples: what lies inside it is taken,"
+          " %u x %u samples from row %u, column %u on\n",
+          level->n_rows, level->n_cols, box->n_rows, box->n_cols, box->row, box->col);
+}
+
 /* Decode a level in strips of whole units; write them if is_dumped. */
 static int go_through(session *s, int number, int is_dumped) {
   const options *o = s->options;
@@ -297,7 +310,10 @@ static int go_through(session *s, int number, int is_dumped) {
   twz_level level;
   if (twz_file_level(s->file, number, &level, &s->error) != TWZ_OK) return failed(s);
   twz_box box = {0, 0, level.n_rows, level.n_cols};
-  if (o->has_window && is_dumped) box = o->window;
+  if (o->has_window && is_dumped) {
+    box = o->window;
+    cut(&box, &level);
+  }
   size_t width = o->what == HEIGHTS ? i->dtype_bytes : 1;
   uint32_t strip = 2 * i->block_size, row = box.row, stop = box.row + box.n_rows;
   if (box.n_rows == 0 || stop < row) stop = row + 1, box.n_rows = 0; /* let the library say so */

@@ -56,6 +56,28 @@ def disagreements(twz, path):
                     done = subprocess.run(command, capture_output=True, check=False)
                     if done.stdout != np.ascontiguousarray(array).tobytes():
                         yield f"{path} level {level} {what} {way}: {done.stderr.decode()}"
+        yield from disagreements_on_windows(twz, path, terrain_file)
+
+
+def disagreements_on_windows(twz, path, terrain_file):
+    """Yield what becomes of windows at and beyond the edge that is otherwise in Python."""
+    n_rows, n_cols = terrain_file.shape
+    for window, is_cut in (
+        ((n_rows - 9, n_cols - 7, 9, 7), False),
+        ((n_rows - 9, n_cols - 7, 20, 7), True),
+        ((0, n_cols - 7, 3, 4_000_000_000), True),
+    ):
+        expected = terrain_file.read(window, voids="any").tobytes()
+        words = "--window", ",".join(map(str, window))
+        done = subprocess.run([twz, "dump", path, *words], capture_output=True, check=False)
+        has_note = b"note: the window reaches beyond" in done.stderr
+        if (done.stdout, has_note, done.returncode) != (expected, is_cut, 0):
+            yield f"{path} {words}: {done.stderr.decode()}"
+    for window in (f"{n_rows},0,5,5", f"0,{n_cols},5,5", "0,0,0,5"):
+        words = "--window", window
+        done = subprocess.run([twz, "dump", path, *words], capture_output=True, check=False)
+        if done.stdout or done.returncode == 0 or not done.stderr:
+            yield f"{path} {words}: found {len(done.stdout)} bytes, expected an error"
 
 
 def main():

@@ -1,10 +1,13 @@
 """Checks of arguments that several functions have: what was found, what was expected."""
 
 import math
+import numbers
 import os
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from decimal import Decimal
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 from terrainwave.errors import InvalidArgumentError
@@ -26,6 +29,8 @@ ARCHIVE_ENDING = ".pmtiles"
 
 # Longer ones are WKT, whose name is its first quoted string.
 _LONGEST_CODE = 40
+# Characters of a wrong value that a message shows.
+_LONGEST_VALUE = 60
 
 
 def check_ending(path: str | os.PathLike[str], endings: Sequence[str]) -> None:
@@ -54,14 +59,40 @@ def check_local(target: str | os.PathLike[str]) -> None:
     Raises
     ------
     InvalidArgumentError
-        If it is one; the message has neither login nor query.
+        If it is one, or no name of a file; the message has neither login nor query.
     """
-    name = os.fspath(target)
+    name = checked_path(target)
     if "://" in name:
         raise InvalidArgumentError(
             f"found a URL, {name.partition('://')[0]}://…, expected a path: files are written to"
             " this machine alone; upload the finished file"
         )
+
+
+def checked_path(path: object, argument: str | None = None) -> str:
+    """Return the name of a file or folder as text.
+
+    Parameters
+    ----------
+    path : object
+        What was given.
+    argument : str, optional
+        The argument that it was given for, where messages should name it.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If it is no text and no path, or is empty: as a path that would be the working directory.
+    """
+    of = "" if argument is None else f"`{argument}` "
+    name = os.fspath(path) if isinstance(path, str | os.PathLike) else None
+    if not isinstance(name, str):  # a PathLike may be one of bytes, too
+        raise InvalidArgumentError(f"found {of}{shown(path)}, expected a path as text")
+    if not name:
+        raise InvalidArgumentError(
+            f"found {of}'', an empty name, expected that of a file or folder"
+        )
+    return name
 
 
 def is_twz_name(name: object) -> bool:
@@ -128,23 +159,183 @@ def one_of(words: Sequence[str]) -> str:
     return " or ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
-def checked_error(name: str, error: float | None) -> float | None:
+def shown(value: object) -> str:
+    """Return a wrong value as messages show it: a number as it is, texts quoted, all in one line.
+
+    A text that reads as a number is called one, or messages would find what they expect. Arrays are
+    called by their shape, other long values by their type.
+    """
+    if number_of(value) is not None:
+        text = str(value)
+    elif isinstance(value, str) and _reads_as_number(value):
+        text = f"the text {value!r}"
+    elif hasattr(value, "shape") and hasattr(value, "dtype"):
+        text = f"an array of shape {value.shape}"
+    else:
+        text = in_one_line(repr(value))
+    kind = type(value).__name__
+    short = f"{'an' if kind[:1].lower() in 'aeiou' else 'a'} {kind}"
+    return text if 0 < len(text) <= _LONGEST_VALUE else short
+
+
+def _reads_as_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def number_of(value: object) -> int | float | None:
+    """Return the number that a value is; None for texts, truth values and all else.
+
+    Numbers of numpy and arrays of one number without dimensions are numbers as Python's are.
+    """
+    if getattr(value, "shape", None) == () and not getattr(value, "mask", False):
+        value = getattr(value, "item", lambda: value)()
+    if isinstance(value, bool) or not isinstance(value, numbers.Real | Decimal):
+        return None
+    if isinstance(value, int):
+        return int(value)
+    try:
+        return float(value)
+    except (ValueError, OverflowError):  # Decimal's signalling NaN, a fraction too large
+        return math.nan
+
+
+def checked_number(
+    name: str,
+    value: object,
+    *,
+    least: float = -math.inf,
+    above: float = -math.inf,
+    most: float = math.inf,
+    expected: str = "",
+) -> float:
+    """Return a finite number as a float.
+
+    Parameters
+    ----------
+    name : str
+        Of the argument, as messages call it.
+    value : object
+        What was given for it.
+    least, above, most : float
+        It is >= `least`, > `above` and <= `most`.
+    expected : str
+        What messages say instead of these.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If it is anything else: a text and a truth value are no numbers.
+    """
+    number = number_of(value)
+    try:
+        given = math.nan if number is None else float(number)
+    except OverflowError:  # of more than 308 digits
+        given = math.inf
+    if not (math.isfinite(given) and given >= least and given > above and given <= most):
+        if not expected and above > -math.inf:
+            expected = f"a finite number > {above:g}"
+        raise InvalidArgumentError(
+            f"found `{name}` {shown(value)}, expected"
+            f" {expected or _in_range('a finite number', least, most)}"
+        )
+    return given
+
+
+def checked_whole(
+    name: str,
+    value: object,
+    *,
+    least: float = -math.inf,
+    most: float = math.inf,
+    expected: str = "",
+) -> int:
+    """Return a whole number as an int; arguments and errors are those of `checked_number`."""
+    number = number_of(value)
+    if isinstance(number, float) and number.is_integer():
+        number = int(number)
+    if not isinstance(number, int) or not least <= number <= most:
+        raise InvalidArgumentError(
+            f"found `{name}` {shown(value)}, expected"
+            f" {expected or _in_range('a whole number', least, most)}"
+        )
+    return number
+
+
+def _in_range(kind: str, least: float, most: float) -> str:
+    if most == math.inf:
+        return kind if least == -math.inf else f"{kind} >= {least:g}"
+    return f"{kind}, {least:g} … {most:g}"
+
+
+def checked_numbers(name: str, values: Any, names: str, *, is_whole: bool = False) -> Any:
+    """Return finite numbers as a tuple of floats, or of ints; as many as there are `names`.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If they are anything else, or of another number.
+    """
+    taken: list[float] | None = []
+    check = checked_whole if is_whole else checked_number
+    try:
+        taken = [] if isinstance(values, str | bytes) else [check(name, one) for one in values]
+    except (TypeError, InvalidArgumentError):  # nothing to iterate over, or no number in it
+        taken = []
+    count = names.count(",") + 1
+    if len(taken) != count:
+        words = {2: "two", 3: "three", 4: "four"}.get(count, count)
+        kind = "whole numbers" if is_whole else "finite numbers"
+        raise InvalidArgumentError(
+            f"found `{name}` {shown(values)}, expected {words} {kind}: {names}"
+        )
+    return tuple(taken)
+
+
+def check_choice(name: str, value: object, choices: Iterable[str]) -> None:
+    """Refuse what is none of some words.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If it is none of them.
+    """
+    known = list(choices)
+    if not isinstance(value, str) or value not in known:
+        expected = f"one of {', '.join(known)}" if len(known) > 2 else one_of(known)
+        found = repr(value) if isinstance(value, str) else shown(value)
+        if number_of(value) is not None:
+            # 1.0 and the text '1.0' look alike.
+            found, expected = f"the number {found}", one_of([*map(repr, known)])
+        raise InvalidArgumentError(f"found `{name}` {found}, expected {expected}")
+
+
+def checked_error(name: str, error: object) -> float | None:
     """Return a finite error >= 0 as a float, or None.
 
     Raises
     ------
     InvalidArgumentError
-        If it is anything else; the message begins with `name`.
+        If it is anything else.
     """
-    if error is None:
-        return None
-    try:
-        number = float(error)
-    except (TypeError, ValueError, OverflowError):  # text, no number, or an int too large
-        number = math.nan
-    if not (math.isfinite(number) and number >= 0):
-        raise InvalidArgumentError(f"found `{name}` {error}, expected a finite number >= 0")
-    return number
+    return None if error is None else checked_number(name, error, least=0)
+
+
+def check_callback(progress: object) -> None:
+    """Refuse what cannot be called with a `Progress`.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If it is neither None nor callable.
+    """
+    if progress is not None and not callable(progress):
+        raise InvalidArgumentError(
+            f"found `progress` {shown(progress)}, expected a function that takes a Progress"
+        )
 
 
 def check_flags(**flags: object) -> None:
@@ -156,9 +347,10 @@ def check_flags(**flags: object) -> None:
         If one of `flags` is no bool; the message begins with its name.
     """
     for name, value in flags.items():
-        # NumPy's truth values are no bool.
-        if not isinstance(value, bool) and getattr(value, "dtype", None) != "bool":
-            raise InvalidArgumentError(f"found `{name}` {value!r}, expected True or False")
+        # NumPy's truth values are no bool; an array of them is none of either.
+        is_numpys = getattr(value, "dtype", None) == "bool" and getattr(value, "shape", None) == ()
+        if not isinstance(value, bool) and not is_numpys:
+            raise InvalidArgumentError(f"found `{name}` {shown(value)}, expected True or False")
 
 
 def check_method(name: str) -> None:
@@ -169,8 +361,7 @@ def check_method(name: str) -> None:
     InvalidArgumentError
         If there is no such method.
     """
-    if name != "auto" and name not in METHODS:
-        raise InvalidArgumentError(f"found `method` {name!r}, expected auto, {', '.join(METHODS)}")
+    check_choice("method", name, ("auto", *METHODS))
 
 
 def check_effort(effort: str) -> None:
@@ -181,10 +372,7 @@ def check_effort(effort: str) -> None:
     InvalidArgumentError
         If it is none.
     """
-    if effort not in EFFORTS:
-        raise InvalidArgumentError(
-            f"found `effort` {effort!r}, expected one of {', '.join(EFFORTS)}"
-        )
+    check_choice("effort", effort, EFFORTS)
 
 
 def check_mesh(mesh: str, *, or_none: bool) -> None:
@@ -196,10 +384,7 @@ def check_mesh(mesh: str, *, or_none: bool) -> None:
         If it is no such name.
     """
     known = (*MESH_CHOICES, "none") if or_none else MESH_CHOICES
-    if mesh not in ("auto", *known):
-        raise InvalidArgumentError(
-            f"found `mesh` {mesh!r}, expected one of auto, {', '.join(known)}"
-        )
+    check_choice("mesh", mesh, ("auto", *known))
 
 
 def check_mesh_of(mesh: str, method: Method, *, is_faithful: bool) -> None:
@@ -222,18 +407,16 @@ def check_mesh_of(mesh: str, method: Method, *, is_faithful: bool) -> None:
         )
 
 
-def checked_threads(threads: int | None) -> int:
+def checked_threads(threads: object) -> int:
     """Return the number of threads that is meant: all processors it may use where none is given.
 
     Raises
     ------
     InvalidArgumentError
-        If there are fewer than one.
+        If it is no whole number >= 1.
     """
-    if threads is not None and threads < 1:
-        raise InvalidArgumentError(f"found {threads} threads, expected at least 1")
     if threads is not None:
-        return threads
+        return checked_whole("threads", threads, least=1)
     # A process may be kept on some of the processors, as in a container or by `taskset`.
     may_use = getattr(os, "sched_getaffinity", None)
     return (len(may_use(0)) if may_use else os.cpu_count()) or 1

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import check_flags, checked_threads, in_one_line
+from terrainwave.arguments import (
+    VOIDS,
+    check_choice,
+    check_flags,
+    checked_number,
+    checked_numbers,
+    checked_threads,
+    checked_whole,
+    in_one_line,
+    shown,
+)
 from terrainwave.codec.registry import check_layout, check_parameters, newer_layout
 from terrainwave.container.codes import decode_error, decode_range
 from terrainwave.container.header import LAYOUT_FEATURES, Header
@@ -29,7 +39,12 @@ from terrainwave.names import EFFORTS, FORMATS, METHODS, methods_that
 from terrainwave.place.position import Turn, longitude_turn
 from terrainwave.place.units import HeightUnit, height_unit
 from terrainwave.raster_io.info import RasterInfo
-from terrainwave.read.places import region_of_bounds, region_of_window, to_samples
+from terrainwave.read.places import (
+    places_of,
+    region_of_bounds,
+    region_of_window,
+    to_samples,
+)
 from terrainwave.read.resample import RESAMPLING, resample
 
 if TYPE_CHECKING:
@@ -39,7 +54,9 @@ if TYPE_CHECKING:
 
 DEFAULT_CACHE_BYTES = 256 << 20
 DEFAULT_MAX_BYTES = 4 << 30
-# Columns by which a raster may miss the whole turn.
+# What becomes of damaged blocks.
+ON_ERROR = ("raise", "mask")
+# Columns by which a raster may miss the whole turn, and bounds the raster's.
 _SAME_COLUMN = 0.01
 
 
@@ -154,6 +171,7 @@ class TerrainFile:
     ) -> None:
         check_flags(native=native)
         self.n_threads = checked_threads(threads)
+        cache_bytes = checked_whole("cache_bytes", cache_bytes, least=0)
         self._arguments = (source, cache_bytes, threads, native)
         self.is_native = native
         self._source = open_source(source)
@@ -329,13 +347,12 @@ class TerrainFile:
         InvalidHeightsError
             If there is no such level.
         """
-        index = level + self.n_levels if level < 0 else level
-        if not 0 <= index < self.n_levels:
-            raise InvalidArgumentError(
-                f"found `level` {level}, expected 0 … {self.n_levels - 1}"
-                f" or -1 (full) … -{self.n_levels}"
-            )
-        return index
+        last = self.n_levels - 1
+        expected = f"0 … {last} or -1 (full) … -{self.n_levels}"
+        if last == 0:
+            expected = "0 or -1: the file has one level, the full grid"
+        found = checked_whole("level", level, least=-self.n_levels, most=last, expected=expected)
+        return found + self.n_levels if found < 0 else found
 
     def level_shape(self, level: int = -1) -> tuple[int, int]:
         """Return the numbers of rows and columns of a level."""
@@ -395,12 +412,6 @@ class TerrainFile:
         is_strict = self.quantizer.is_strict(self.header.max_error, self.header.effective_bound)
         return 0.0 if is_strict else self.quantizer.float_error
 
-    @property
-    def _format(self) -> str:
-        """Return the version of the format; tables by reach are older than their feature bit."""
-        is_newer = newer_layout(self.header.method, self.header.parameters) > 0
-        return FORMATS[-1] if is_newer else self.header.format
-
     def info(self) -> Info:
         """Return a summary of the file, from its header alone."""
         header, raster = self.header, self._raster
@@ -430,7 +441,7 @@ class TerrainFile:
             units_of_crs=self._height_unit.of_crs,
             method=header.method,
             effort=EFFORTS[min(header.effort, len(EFFORTS) - 1)],
-            format=self._format,
+            format=format_of(header),
             faithful=header.is_faithful,
             block=header.block,
             border_rings=header.border_rings,
@@ -596,12 +607,16 @@ class TerrainFile:
         CorruptStreamError
             If a block is damaged and `on_error` is ``"raise"``; the message names it.
         """
-        if on_error not in ("raise", "mask"):
-            raise InvalidArgumentError(f"found `on_error` {on_error!r}, expected 'raise' or 'mask'")
-        if resampling not in RESAMPLING:
-            raise InvalidArgumentError(
-                f"found `resampling` {resampling!r}, expected one of {', '.join(RESAMPLING)}"
-            )
+        check_choice("on_error", on_error, ON_ERROR)
+        check_choice("resampling", resampling, RESAMPLING)
+        check_flags(masked=masked)
+        max_bytes = checked_whole("max_bytes", max_bytes, least=0)
+        if out_shape is not None:
+            out_shape = checked_numbers("out_shape", out_shape, "n_rows, n_cols", is_whole=True)
+            if min(out_shape) < 1:
+                raise InvalidArgumentError(
+                    f"found `out_shape` {shown(out_shape)}, expected at least (1, 1)"
+                )
         index = self.level_index(level)
         region = self.region(window, bounds=bounds, level=level)
         self._check_size(out_shape or region.shape, max_bytes)
@@ -640,6 +655,7 @@ class TerrainFile:
 
         What `read` cannot tell: a raster with a mask of its own may hold any value in its voids.
         """
+        check_choice("on_error", on_error, ON_ERROR)
         region = self.region(window, level=level)
         index = self.level_index(level)
         return self._filled(*self._levels.read(index, region, on_error, voids))
@@ -677,6 +693,8 @@ class TerrainFile:
             If the file is not of method cdf53, whose streams alone can be read in part, or
             `quality` is out of range.
         """
+        check_choice("on_error", on_error, ON_ERROR)
+        quality = checked_number("quality", quality, above=0)
         header, index = self.header, self.level_index(level)
         region = self.region(window, level=level)
         if not METHODS[header.method].is_cuttable:
@@ -685,8 +703,6 @@ class TerrainFile:
                 f"found `quality` and a file of method {header.method}, expected one of method"
                 f" {fit}: other streams cannot be read in part"
             )
-        if not (np.isfinite(quality) and quality > 0):
-            raise InvalidArgumentError(f"found `quality` {quality}, expected a number > 0")
         from terrainwave.read.decoder import units_of
         from terrainwave.read.early import EarlyPayloads
         from terrainwave.read.tiles import TileDecoder
@@ -734,6 +750,34 @@ class TerrainFile:
             )
         return region
 
+    def note_on_cut(
+        self, window: Any = None, *, bounds: Sequence[float] | None = None, level: int = -1
+    ) -> str | None:
+        """Say that a window or bounds reach beyond a level, and what is left of it; None if not.
+
+        `region` cuts them without a word, as `read` tells; who writes a file passes this on.
+        """
+        index = self.level_index(level)
+        n_rows, n_cols = self.grid.level_shape(index)
+        region = self.region(window, bounds=bounds, level=level)
+        left = (
+            f"what lies inside it is taken, {region.n_rows} x {region.n_cols} samples from row"
+            f" {region.row}, column {region.col} on"
+        )
+        if bounds is not None:
+            left_x, bottom, right, top = map(float, bounds)
+            own = self.bounds
+            # What rounding of coordinates in text leaves out counts as nothing.
+            slack = _SAME_COLUMN * min(self.res)
+            inside = own[0] - slack <= left_x and own[1] - slack <= bottom
+            inside &= right <= own[2] + slack and top <= own[3] + slack
+            if inside:
+                return None
+            return f"the `bounds` reach beyond the raster's, {_in_words(own)}: {left}"
+        if window is None or region_of_window(window, (n_rows, n_cols)) == region:
+            return None
+        return f"the `window` reaches beyond the level's {n_rows} x {n_cols} samples: {left}"
+
     def sample(
         self,
         points: Iterable[tuple[float, float]] | NDArray[np.float64],
@@ -757,8 +801,9 @@ class TerrainFile:
             NaN outside the outermost samples and where a sample needed is void. The error bound
             holds at samples, not between them.
         """
-        listed = points if isinstance(points, np.ndarray) else list(points)
-        places = np.asarray(listed, dtype=np.float64).reshape(-1, 2)
+        places = places_of(points)
+        if voids is not None:
+            check_choice("voids", voids, VOIDS)
         index = self.level_index(level)
         rows, cols = to_samples(self._of_this_turn(places), self.transform(index))
         heights = self._heights_at(index, rows, cols, voids)
@@ -828,6 +873,15 @@ class TerrainFile:
                 f"the window holds {shape[0]} x {shape[1]} samples, {n_bytes:,} bytes; more than"
                 f" max_bytes = {max_bytes:,}: read a smaller window or a coarser level"
             )
+
+
+def format_of(header: Header) -> str:
+    """Return the first version of the format whose readers know all that a file uses.
+
+    Tables by reach are older than their feature bit.
+    """
+    is_newer = newer_layout(header.method, header.parameters) > 0
+    return FORMATS[-1] if is_newer else header.format
 
 
 def _with_valid(

@@ -5,6 +5,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from terrainwave.arguments import check_callback
+
 # Calls closer together than this are dropped, except the last of a stage.
 _INTERVAL = 0.1
 
@@ -31,9 +33,16 @@ ProgressCallback = Callable[[Progress], None]
 
 
 class Reporter:
-    """Calls a callback at most ten times a second, from one thread at a time."""
+    """Calls a callback at most ten times a second, from one thread at a time.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If it is neither None nor can be called.
+    """
 
     def __init__(self, callback: ProgressCallback | None) -> None:
+        check_callback(callback)
         self._callback = callback
         self._lock = threading.Lock()
         self._last = 0.0

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.arguments import check_flags, checked_number, checked_numbers, shown
+from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block
 from terrainwave.progress import ProgressCallback
@@ -107,8 +108,10 @@ class Terrain(TerrainFile):
         """
         if self.mesh_kind == "none":
             raise InvalidHeightsError("the file has no meshes: add them with terrainwave mesh")
-        if not self.grid.contains(block):
-            raise InvalidHeightsError(f"found {block}, expected a block of the file's levels")
+        if not isinstance(block, Block) or not self.grid.contains(block):
+            raise InvalidArgumentError(
+                f"found `block` {shown(block)}, expected a Block of the file's levels"
+            )
         return self._mesher.mesh(block)
 
     # To other libraries.
@@ -132,6 +135,7 @@ class Terrain(TerrainFile):
         """
         from terrainwave.extras import need
 
+        check_flags(mask_and_scale=mask_and_scale)
         need("xarray", extra="xarray")
         from terrainwave.ext.xarray_backend import terrain_dataset
 
@@ -190,6 +194,8 @@ class Terrain(TerrainFile):
         """
         from terrainwave.render.window.static import plot
 
+        shade = checked_number("shade", shade, least=0, most=1)
+
         return plot(self, ax, cmap=cmap, shade=shade, bounds=bounds)
 
     def view(
@@ -230,6 +236,11 @@ class Terrain(TerrainFile):
         """
         from terrainwave.render.look.style import Style
         from terrainwave.render.window.static import view
+
+        size = checked_numbers("size", size, "width, height", is_whole=True)
+        if min(size) < 1:
+            raise InvalidArgumentError(f"found `size` {shown(size)}, expected pixels >= 1")
+        max_pixel_error = checked_number("max_pixel_error", max_pixel_error, above=0)
 
         return view(
             self, size=size, camera=camera, style=style or Style(),

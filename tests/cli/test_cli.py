@@ -187,6 +187,33 @@ def test_decompress_window_bounds_and_level(tmp_path, twz):
     np.testing.assert_array_equal(read_geotiff(level)[0], half)
 
 
+@pytest.mark.parametrize("command", [["decompress", "a.tif"], ["mesh", "a.ply"]])
+@pytest.mark.parametrize(
+    ("option", "part"),
+    [("--window", "100,100,900,900"), ("--bounds", "403000,3990000,500000,3997000")],
+)
+def test_a_part_beyond_the_edge_is_cut_with_a_note(tmp_path, twz, command, option, part):
+    done = run(command[0], twz, tmp_path / command[1], option, part)
+    assert done.exit_code == 0
+    assert done.stderr.count("note: the ") == 1
+    assert re.search(
+        rf"note: the {option} reach(es)? beyond the (level's 150 x 140 samples|raster's, 4.*):"
+        r" what lies inside it is taken, 50 x 40 samples from row 100, column 100 on",
+        done.stderr,
+    )
+
+
+@pytest.mark.parametrize("level", [-1, -2])
+@pytest.mark.parametrize("kind", ["bounds", "window"])
+def test_a_whole_part_has_no_note(tmp_path, twz, kind, level):
+    with terrainwave.open(twz) as terrain:
+        n_rows, n_cols = terrain.level_shape(level)
+        part = terrain.bounds if kind == "bounds" else (0, 0, n_rows, n_cols)
+    words = f"--{kind}", ",".join(map(repr, part)), "--level", level
+    done = run("decompress", twz, tmp_path / "a.tif", *words)
+    assert (done.exit_code, "note" in done.stderr) == (0, False)
+
+
 def test_decompress_makes_a_cog(tmp_path, twz):
     assert run("decompress", twz, tmp_path / "a.tif", "--cog", "--threads", 2).exit_code == 0
     with rasterio.open(tmp_path / "a.tif") as dataset:
@@ -544,7 +571,7 @@ def test_wrong_window_is_wrong_usage(tmp_path, twz, option, value):
 @pytest.mark.parametrize(
     ("option", "value", "expected"),
     [
-        ("--level", "99", "found --level 99, expected 0 …"),
+        ("--level", "99", "found --level 99, expected 0 … 3 or -1 (full) … -4"),
         ("--window", "500,0,1,1", "does not meet the level's"),
         (
             "--bounds",
@@ -558,6 +585,12 @@ def test_part_that_is_not_there_is_wrong_usage(tmp_path, twz, option, value, exp
     line = one_line(run("decompress", twz, tmp_path / "a.tif", option, value), 2)
     assert expected in line
     assert not (tmp_path / "a.tif").exists()
+
+
+def test_a_level_of_a_file_with_one_is_told(tmp_path):
+    terrainwave.compress(terrain_like(9, 9), tmp_path / "a.twz", max_error=1, method="store")
+    line = one_line(run("decompress", tmp_path / "a.twz", tmp_path / "a.tif", "--level", -2), 2)
+    assert "found --level -2, expected 0 or -1: the file has one level, the full grid" in line
 
 
 def test_a_nodata_value_of_400_digits_is_one_line(tmp_path, dem):

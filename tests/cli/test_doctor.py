@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import sys
 
 import pytest
@@ -50,7 +51,7 @@ def test_a_gdal_without_it_is_status_1_and_names_the_package_and_the_folder(gdal
     gdal(f"GDAL {minor}.3, released 2025/04/01", UNKNOWN, status=1)
     result = run("doctor")
     assert result.exit_code == 1
-    assert "does not read .twz files" in result.stdout
+    assert re.search(rf"^GDAL {minor}\.3 \(.*\) does not read .twz files$", result.stdout, re.M)
     assert f"install the driver for GDAL {minor}: the package libgdal-twz" in result.stdout
     assert "GDAL_DRIVER_PATH" in result.stdout
 
@@ -107,3 +108,11 @@ def test_what_was_found_is_json_too(gdal):
 def test_what_programs_print_cannot_reach_the_terminal(gdal):
     gdal("GDAL 3.6.2\x1b[31m, released", KNOWS)
     assert "\x1b" not in run("doctor").stdout
+
+
+def test_rasterio_s_own_gdal_is_told_in_a_sentence_of_its_own(gdal):
+    gdal("GDAL 3.6.2, released 2023/01/02", UNKNOWN, status=1)
+    line = run("doctor").stdout.splitlines()[-1]
+    assert line.startswith("rasterio of this Python, with GDAL ")
+    assert "does not read .twz files: it brings a GDAL of its own" in line
+    assert "rasterio.open(terrain.geotiff()) reads them" in line

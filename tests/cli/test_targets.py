@@ -41,6 +41,37 @@ def contents(directory):
     return {path.name: path.read_bytes() for path in directory.iterdir()}
 
 
+# --- names
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["compress", "", "a.twz"], ["compress", "a.tif", ""], ["compress", "a.tif", "", "a.twz"],
+        ["compress", "", "--to", "out"], ["compress", "a.tif", "--to", ""],
+        ["compress", "a.tif", "new.twz", "--temp-dir", ""],
+        ["decompress", "", "a.tif"], ["decompress", "dem.twz", ""],
+        ["decompress", "", "--to", "out"],
+        ["patch", "", "a.tif"], ["patch", "dem.twz", ""],
+        ["patch", "dem.twz", "a.tif", "--original", ""],
+        ["patch", "dem.twz", "a.tif", "--temp-dir", ""],
+        ["info", ""], ["verify", ""], ["verify", "dem.twz", ""],
+        ["mesh", "", "a.ply"], ["mesh", "dem.twz", ""], ["mesh", "dem.twz", "", "--store"],
+        ["mesh", "dem.twz", "b.twz", "--store", "--original", ""],
+        ["tiles", "", "out"], ["tiles", "dem.twz", ""], ["publish", "", "out"],
+        ["publish", "dem.twz", ""], ["render", "", "a.png"], ["render", "dem.twz", ""],
+        ["warmup", "--to", ""], ["demo", ""],
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_an_empty_name_is_one_clear_line(tmp_path, dems, twz, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    before = contents(tmp_path)
+    line = one_line(run(*arguments), 2)
+    assert "found '', an empty name, expected that of a " in line
+    assert contents(tmp_path) == before
+
+
 # --- compress
 
 

@@ -103,7 +103,9 @@ def test_sources_are_what_the_imports_of_a_file_lead_to(path):
 
 
 def test_methods_and_triangulations_do_not_share_all_sources():
-    sources = {Path(source).name for source in sources_of(str(PACKAGE / "tri" / "halves" / "halves.py"))}
+    sources = {
+        Path(source).name for source in sources_of(str(PACKAGE / "tri" / "halves" / "halves.py"))
+    }
     assert "jit.py" in sources
     assert not sources & {"spiht.py", "terrain.py"}
 

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numba import types
+from numba.core import config
 from strangers import (
     as_root_without_rights,
     as_stranger,
@@ -19,7 +21,7 @@ from strangers import (
     visible_folder,
 )
 
-from terrainwave.coding import kernel_places
+from terrainwave.coding import kernel_cache, kernel_places
 from terrainwave.coding.jit import kernel
 from terrainwave.errors import TerrainwaveWarning
 
@@ -228,6 +230,26 @@ def test_kernels_of_numba_s_compiler_and_of_ours_are_kept_apart(installed, tmp_p
         assert used(package, cache=cache, TERRAINWAVE_COMPILER=compiler)[0] == []
 
 
+@pytest.mark.parametrize("name", kernel_cache._SETTINGS)
+def test_each_setting_of_numba_that_changes_code_has_kernels_of_its_own(monkeypatch, name):
+    @kernel
+    def doubled(number):
+        return 2 * number
+
+    cache = doubled._cache
+    entries = kernel_cache._Entries(cache, cache.place.folders[0])
+    codegen = doubled.targetctx.codegen()
+    signature = (types.float64,)
+    before = entries._index_key(signature, codegen)
+    assert entries._index_key(signature, codegen) == before
+    monkeypatch.setattr(config, name, "another")
+    assert entries._index_key(signature, codegen) != before
+
+
+def test_the_settings_that_change_code_are_settings_of_numba():
+    assert all(hasattr(config, name) for name in kernel_cache._SETTINGS)
+
+
 @pytest.mark.full
 def test_kernels_that_cannot_be_read_or_are_damaged_are_compiled_again(installed, tmp_path):
     cache = tmp_path / "cache"
@@ -248,7 +270,12 @@ def test_kernels_that_cannot_be_read_or_are_damaged_are_compiled_again(installed
 
 
 @pytest.mark.parametrize(
-    "others", [({"dtype": "int16"}, {"dtype": "float64"}), ({"NUMBA_CPU_NAME": "generic"}, {})]
+    "others",
+    [
+        ({"NUMBA_BOUNDSCHECK": "1"}, {}),
+        pytest.param(({"dtype": "int16"}, {"dtype": "float64"}), marks=pytest.mark.full),
+        pytest.param(({"NUMBA_CPU_NAME": "generic"}, {}), marks=pytest.mark.full),
+    ],
 )
 def test_files_whose_numbers_two_processes_took_at_once_are_not_taken_for_each_other(
     installed, tmp_path, others

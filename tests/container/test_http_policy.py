@@ -131,7 +131,9 @@ def outcome(address):
 def check(case, waits):
     with serving(case["replies"]) as (server, host):
         address = f"{host}/dir/a.twz"
-        found = outcome(address + case.get("query", ""))
+        login = f"{case['login']}@" if "login" in case else ""
+        asked = address.replace("://", f"://{login}") + case.get("query", "")
+        found = outcome(asked)
         n_requests = len(server.asked)
     expected = case.get("error", "").replace("NAME", address)
     if not expected:

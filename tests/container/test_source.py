@@ -10,7 +10,7 @@ import pytest
 from terrainwave.container.sources.opening import open_source
 from terrainwave.container.sources.ranges import ByteRange
 from terrainwave.container.sources.source import BufferSource, FileSource
-from terrainwave.errors import StorageError, TruncatedStreamError
+from terrainwave.errors import InvalidArgumentError, StorageError, TruncatedStreamError
 
 DATA = bytes(range(256)) * 40
 
@@ -132,7 +132,7 @@ def test_a_source_is_taken_as_it_is():
 
 
 def test_other_things_are_no_source():
-    with pytest.raises(StorageError, match="int"):
+    with pytest.raises(InvalidArgumentError, match=r"^found 3, expected the path or URL"):
         open_source(3)
 
 

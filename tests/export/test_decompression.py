@@ -153,7 +153,6 @@ def test_nan_comes_back(tmp_path):
     ("options", "at", "transform"),
     [
         ({"window": (7, 3, 20, 30)}, np.s_[7:27, 3:33], (10, 0, 1030, 0, -10, 4930)),
-        ({"window": (250, 130, 99, 99)}, np.s_[250:, 130:], (10, 0, 2300, 0, -10, 2500)),
         ({"bounds": (1030, 4900, 1050, 4930)}, np.s_[7:10, 3:5], (10, 0, 1030, 0, -10, 4930)),
         # The first centre stays at (1005, 4995): pixels of 20 m begin at 995 and 5005.
         ({"level": -2}, np.s_[::2, ::2], (20, 0, 995, 0, -20, 5005)),
@@ -172,6 +171,26 @@ def test_a_part_has_its_heights_and_its_place(files, tmp_path, options, at, tran
     assert heights.shape == known.shape
     np.testing.assert_array_equal(heights[known], HEIGHTS[at][known])
     assert tuple(profile["transform"])[:6] == transform
+
+
+@pytest.mark.parametrize(
+    ("options", "at", "words"),
+    [
+        ({"window": (250, 130, 99, 99)}, np.s_[250:, 130:], "window reaches beyond the level's"),
+        ({"window": (-3, 0, 8, 9)}, np.s_[:5, :9], "window reaches beyond the level's"),
+        ({"window": (0, 0, 999, 9), "level": -2}, np.s_[::2, :18:2], "window reaches beyond"),
+        ({"bounds": (0, 4900, 1050, 4930)}, np.s_[7:10, :5], "bounds reach beyond the raster's"),
+    ],
+)
+def test_a_part_that_reaches_beyond_the_raster_is_cut_with_a_warning(
+    files, tmp_path, options, at, words
+):
+    with pytest.warns(TerrainwaveWarning, match=words) as caught:
+        heights, _, _ = back_from(files, tmp_path, **options)
+    n_rows, n_cols = HEIGHTS[at].shape
+    assert heights.shape == (n_rows, n_cols)
+    (note,) = (str(one.message) for one in caught if words in str(one.message))
+    assert f"is taken, {n_rows} x {n_cols} samples from row " in note
 
 
 def test_a_part_outside_the_raster_is_refused(files, tmp_path):

@@ -139,10 +139,16 @@ class Patched:
 
 
 @pytest.mark.large
-@pytest.mark.parametrize(("name", "method"), some(CASES, 3))
-def test_fifty_patches_move_nothing_beside_them(tmp_path, name, method):
+@pytest.mark.parametrize(
+    ("name", "method", "n_patches"),
+    [
+        *((name, method, 8) for name, method in CASES[::3]),
+        *(pytest.param(*case, 50, marks=pytest.mark.full) for case in CASES),
+    ],
+)
+def test_patches_move_nothing_beside_them(tmp_path, name, method, n_patches):
     patched = Patched(tmp_path, name, method=method)
-    for number in range(50):
+    for number in range(n_patches):
         patched.check(patched.patch())
         n_corrections, n_bytes = patched.sections()
         # Of samples whose prediction has changed, those that a correction brings back are some.
@@ -161,11 +167,21 @@ def test_fifty_patches_move_nothing_beside_them(tmp_path, name, method):
 
 
 @pytest.mark.large
-@pytest.mark.parametrize("method", ["rapid", "predictive"])
-@pytest.mark.parametrize("mesh", some(["halves", "zerotree-plain", "rqt"], 2))
-def test_errors_of_stored_meshes_hold_after_patches(tmp_path, method, mesh):
+@pytest.mark.parametrize(
+    ("method", "mesh", "n_patches"),
+    [
+        ("rapid", "halves", 2),
+        ("predictive", "rqt", 2),
+        *(
+            pytest.param(method, mesh, 6, marks=pytest.mark.full)
+            for method in ("rapid", "predictive")
+            for mesh in ("halves", "zerotree-plain", "rqt")
+        ),
+    ],
+)
+def test_errors_of_stored_meshes_hold_after_patches(tmp_path, method, mesh, n_patches):
     patched = Patched(tmp_path, "voids", method=method, mesh=mesh)
-    for _ in range(6):
+    for _ in range(n_patches):
         patched.check(patched.patch())
         patched.write(tmp_path / "all.tif", patched.heights)
         report = terrainwave.verify(patched.path, tmp_path / "all.tif", mesh=True)
@@ -177,7 +193,7 @@ def test_errors_of_coarse_blocks_do_not_add_up(tmp_path):
     """Each patch added the largest change of a block's samples to what the file says of it."""
     patched = Patched(tmp_path, "hills", mesh="none")
     heights = patched.heights.copy()
-    for n in range(30):
+    for n in range(8):
         patched.heights[60:69, 20:29] = heights.max() if n % 2 else heights.min()
         patched.write(patched.new, patched.heights[60:69, 20:29], 60, 20)
         patch(patched.path, patched.new)
@@ -200,7 +216,10 @@ def test_with_the_original_no_corrections_are_made(tmp_path):
 
 @pytest.mark.large
 @pytest.mark.parametrize("method", ["rapid", "predictive"])
-def test_units_with_corrections_agree_where_they_meet_with_the_original_too(tmp_path, method):
+@pytest.mark.parametrize("after_each", some([False, True], 2))
+def test_units_with_corrections_agree_where_they_meet_with_the_original_too(
+    tmp_path, method, after_each
+):
     patched = Patched(tmp_path, "floats", method=method)
     for _ in range(5):
         patched.patch()
@@ -212,7 +231,9 @@ def test_units_with_corrections_agree_where_they_meet_with_the_original_too(tmp_
         patched.write(patched.new, patched.heights[row : row + 1, col : col + 1], row, col)
         result = patch(patched.path, patched.new, original=tmp_path / "all.tif")
         assert (result.n_recoded, result.n_copied) == (1, 9)
-        decode(patched.path.read_bytes())
+        if after_each:
+            decode(patched.path.read_bytes())
+    decode(patched.path.read_bytes())
 
 
 @pytest.mark.large
@@ -229,11 +250,17 @@ def test_corrections_go_with_what_they_put_back(tmp_path):
 
 
 @pytest.mark.large
-@pytest.mark.parametrize(("name", "method"), some(CASES, 2))
-def test_the_slow_decoder_reads_patched_files(tmp_path, name, method):
+@pytest.mark.parametrize(
+    ("name", "method", "n_patches"),
+    [
+        ("hills", "rapid", 4),
+        *(pytest.param(*case, 12, marks=pytest.mark.full) for case in CASES),
+    ],
+)
+def test_the_slow_decoder_reads_patched_files(tmp_path, name, method, n_patches):
     """It is written from docs/FORMAT.md alone, and finds units that disagree where they meet."""
     patched = Patched(tmp_path, name, method=method)
-    for _ in range(12):
+    for _ in range(n_patches):
         patched.patch()
     assert patched.sections()[0] > 50
     for level, (heights, valid, _) in enumerate(patched.levels()):

@@ -13,15 +13,16 @@ from terrainwave.write.options import Options
     ("options", "message"),
     [
         ({"max_error": -1}, "found max_error -1, expected a finite number >= 0"),
-        ({"mesh_error": "a"}, "found mesh_error a, expected a finite number >= 0"),
-        ({"method": "zip"}, "found method 'zip', expected auto, rapid, predictive, cdf97"),
+        ({"mesh_error": "a"}, "found mesh_error 'a', expected a finite number >= 0"),
+        ({"max_error": "2"}, "found max_error the text '2', expected a finite number >= 0"),
+        ({"method": "zip"}, "found method 'zip', expected one of auto, rapid, predictive"),
         ({"block": 100}, "found block 100, expected one of 32, 64, 128, 256, 512, 1024"),
         ({"effort": "most"}, "found effort 'most', expected one of fast, default, best"),
         ({"border_rings": 2}, "found border_rings 2, expected 1 or 3"),
         ({"border_rings": 3, "method": "cdf53"}, "found border_rings 3 and method cdf53"),
         ({"mesh": "rtin"}, "found mesh 'rtin'"),
         ({"mesh": "zerotree-coded", "method": "cdf97"}, "expected faithful"),
-        ({"threads": 0}, "found 0 threads, expected at least 1"),
+        ({"threads": 0}, "found threads 0, expected a whole number >= 1"),
         ({"max_error": 1, "rate": 1, "method": "cdf53"}, "found max_error and rate"),
         ({"rate": 0, "method": "cdf53"}, "found rate 0, expected a number > 0"),
         ({"psnr": float("nan"), "method": "cdf53"}, "found psnr nan, expected a finite number"),
@@ -56,7 +57,7 @@ def test_truth_values_of_numpy_are_flags():
 
 
 def test_options_are_what_names_and_numbers_stand_for():
-    options = Options(max_error="2", effort="best", threads=3)
+    options = Options(max_error=2, effort="best", threads=3)
     assert (options.max_error, options.method, options.mesh) == (2.0, "predictive", "halves")
     assert (options.effort_number, options.n_threads, options.is_embedded) == (2, 3, False)
 

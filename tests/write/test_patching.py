@@ -15,7 +15,7 @@ from twz import twz_bytes
 
 import terrainwave
 from terrainwave.cli import main
-from terrainwave.errors import BoundViolationError, InvalidHeightsError
+from terrainwave.errors import BoundViolationError, InvalidHeightsError, StorageError
 from terrainwave.grid.quadtree import Region
 from terrainwave.terrain import Terrain
 from terrainwave.write import patch as patching
@@ -292,6 +292,7 @@ def test_json_has_the_error_of_the_whole_file(placed, tmp_path):
     new = merged(changed(HEIGHTS), *MIDDLE)
     with Terrain(path) as terrain:
         apart = np.abs(terrain.read().astype(int) - new)
+        assert result["format"] == terrain.info().format == "1.1"
     assert apart[60:69, 20:29].max() <= apart.max() <= result["measured_error"]
     assert result["measured_error"] <= result["effective_error"] == 2
 
@@ -310,6 +311,50 @@ def test_an_original_without_an_earlier_patch_is_refused(placed, tmp_path, max_e
     assert path.read_bytes() == before
     # The same place again hides what the first patch changed.
     patch(path, tmp_path / "new.tif", original=tmp_path / "old.tif")
+
+
+@pytest.mark.large
+def test_a_patch_that_raises_the_format_says_so_and_the_original_keeps_it(placed, tmp_path):
+    part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
+    path, new = placed(2), tmp_path / "new.tif"
+    done = CliRunner().invoke(
+        main, ["patch", str(path), str(new), "-q", "--original", str(tmp_path / "old.tif")]
+    )
+    assert (done.exit_code, done.output) == (0, "")
+    with Terrain(path) as terrain:
+        assert terrain.info().format == "1.0"
+    result = patch(placed(2), new, original=tmp_path / "old.tif")
+    assert (result.format, result.notes) == ("1.0", [])
+    done = CliRunner().invoke(main, ["patch", str(placed(2)), str(new), "-q"])
+    assert done.stderr.startswith("note: the file is of format 1.1 now, and was of 1.0, whose")
+    result = patch(placed(2), new)
+    assert result.format == "1.1"
+    assert len(result.notes) == 1
+    part_of(changed(HEIGHTS, 64, 24), new, *MIDDLE)
+    patch(path, new)
+    assert patch(path, new).notes == []  # it is of format 1.1 already
+
+
+@pytest.mark.parametrize("with_original", [False, True])
+def test_the_range_that_is_refused_is_that_of_the_new_raster(placed, tmp_path, with_original):
+    """With the original it was that of both together, in one window."""
+    high = HEIGHTS[60:69, 20:29].copy()
+    high[0, 0] = HEIGHTS.max() + 100
+    write_geotiff(tmp_path / "new.tif", high, crs="EPSG:32610", transform=(2, 0, 1040, 0, -2, 4880))
+    original = tmp_path / "old.tif" if with_original else None
+    with pytest.raises(
+        InvalidHeightsError,
+        match=f"^the new raster has heights from {high.min()} to {high.max()}, the file can hold",
+    ):
+        patch(placed(2), tmp_path / "new.tif", original=original)
+
+
+def test_the_file_itself_is_no_newer_raster_and_no_original(placed, tmp_path):
+    path = placed(2)
+    with pytest.raises(StorageError, match="is the file to be patched; expected the newer raster"):
+        patch(path, path)
+    with pytest.raises(StorageError, match="to be patched; as original expected the raster that"):
+        patch(path, tmp_path / "old.tif", original=path)
 
 
 def test_an_original_with_other_voids_is_refused(tmp_path):

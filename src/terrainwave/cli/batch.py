@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from terrainwave.arguments import checked_threads, count_of, path_in_url
+from terrainwave.arguments import checked_path, checked_threads, count_of, path_in_url
 from terrainwave.cli.manifest import Manifest
 from terrainwave.cli.output import Bar, line_of, plain, print_error, print_note
 from terrainwave.cli.streams import STREAM
@@ -80,6 +80,7 @@ def plan(sources: Sequence[str], directory: str, ending: str) -> list[Job]:
     for source in sources:
         if source == STREAM:
             raise click.UsageError("found - and --to, expected names: targets are called by them")
+        checked_path(source)
         job = Job(source, os.path.join(directory, Path(path_in_url(source)).stem + ending))
         other = jobs.setdefault(os.path.basename(str(job.target)).casefold(), job)
         if other is not job:

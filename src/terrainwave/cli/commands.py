@@ -45,6 +45,7 @@ from terrainwave.cli.options import (
     Directory,
     Finite,
     Input,
+    Name,
     NamedInput,
     Nodata,
     Numbers,
@@ -168,7 +169,7 @@ def _batched(command: Callable[..., Any]) -> Callable[..., Any]:
     help="Take the heights without place and CRS, whatever the raster says of them.",
 )
 @click.option("--border-rings", type=click.Choice(["1", "3"]), default="1", show_default=True)
-@click.option("--temp-dir", type=click.Path(), help="Where large temporary data go.")
+@click.option("--temp-dir", type=Name(), help="Where large temporary data go.")
 @click.option(
     "--scheduler",
     metavar="ADDRESS",
@@ -427,7 +428,7 @@ def _print_result(result: Any) -> None:
     help="The raster that FILE was made of, with all earlier patches. Heights beyond NEW are then"
     " coded towards it; without it they stay as they are in FILE.",
 )
-@click.option("--temp-dir", type=click.Path(), help="Where large temporary data go.")
+@click.option("--temp-dir", type=Name(), help="Where large temporary data go.")
 @click.option("--threads", type=THREADS, help="Threads; by default all processors that it may use.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
@@ -440,7 +441,8 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
         result = terrainwave.patch(file, new, progress=bar, **options)
     if as_json:
         print_json(asdict(result))
-    elif not quiet:
+        return
+    if not quiet:
         click.echo(
             f"{plain(result.path)}: {count_of(result.n_recoded, 'unit')} coded again,"
             f" {result.n_copied:,} copied, {result.n_bytes:,} bytes"
@@ -450,12 +452,18 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
             f" {result.measured_error:.6g}{_unit(result.units)}, of the whole file"
         )
         _note_unit(result.units)
+    for note in result.notes:
+        print_note(note)
 
 
 @main.command()
 @click.argument("paths", nargs=-1, metavar="SOURCE TARGET", shell_complete=complete_files)
-@click.option("--window", type=Numbers("row,col,n_rows,n_cols", int), help="Part to write.")
-@click.option("--bounds", type=Numbers("left,bottom,right,top", float), help="Part, in the CRS.")
+@click.option(
+    "--window", type=Numbers("row,col,n_rows,n_cols", int), help="Part to write; cut to the level."
+)
+@click.option(
+    "--bounds", type=Numbers("left,bottom,right,top", float), help="Part, in the CRS; cut too."
+)
 @click.option("--level", type=int, default=-1, help="-1 full grid (default), -2 half, 0 coarsest.")
 @click.option(
     "--quality",

@@ -56,8 +56,9 @@ class Diagnosis:
             lines.append(f"rasterio of this Python, with GDAL {self.rasterio}, reads .twz files")
         else:
             lines.append(
-                f"rasterio of this Python, with GDAL {self.rasterio}, does not: open"
-                " `Terrain.geotiff()` by it (a GDAL inside of a wheel cannot load drivers)"
+                f"rasterio of this Python, with GDAL {self.rasterio}, does not read .twz files: it"
+                " brings a GDAL of its own, which does not load the system's driver; in Python"
+                " rasterio.open(terrain.geotiff()) reads them"
             )
         return lines
 

@@ -8,7 +8,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from terrainwave.arguments import ARCHIVE_ENDING, BLOCKS, check_ending
+from terrainwave.arguments import ARCHIVE_ENDING, BLOCKS, check_ending, checked_path
 from terrainwave.cli.streams import STREAM, read_stream
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.render.look.colorings import AUTO, NO_SEA
@@ -29,6 +29,23 @@ class _Path(click.ParamType):
     def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
         """Let the shell complete the name."""
         return [CompletionItem(incomplete, type=self.completes)]
+
+    def named(self, value: Any, param: Any, ctx: Any) -> str:
+        """Return the name, which is not empty."""
+        try:
+            return checked_path(value)
+        except InvalidArgumentError as error:
+            self.fail(str(error), param, ctx)
+
+
+class Name(_Path):
+    """The name of a file or folder, whatever it is for."""
+
+    name = "path"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> str:
+        """Return the name."""
+        return self.named(value, param, ctx)
 
 
 class Target(_Path):
@@ -53,7 +70,7 @@ class Target(_Path):
 
 
 class Directory(_Path):
-    """A directory to write; the name of an archive or of a stream is none."""
+    """A directory to write; the name of an archive or of a stream is none, nor is an empty one."""
 
     name = "directory"
     completes = "dir"
@@ -64,7 +81,7 @@ class Directory(_Path):
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
         """Return the name; of a file where one with that ending is allowed too."""
-        path = os.fspath(value)
+        path = self.named(value, param, ctx)
         ending = os.path.splitext(path)[1].lower()
         if ending == self._or_ending:
             return path
@@ -86,7 +103,7 @@ class Input(_Path):
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
         """Return the path of what holds the bytes."""
         if value != STREAM or ctx is None or ctx.resilient_parsing:
-            return os.fspath(value)
+            return self.named(value, param, ctx)
         return read_stream(ctx)
 
 
@@ -97,7 +114,7 @@ class NamedInput(Input):
         """Return the path."""
         if value == STREAM:
             self.fail("found -, expected the name of a file: this is not for streams", param, ctx)
-        return os.fspath(value)
+        return self.named(value, param, ctx)
 
 
 class Finite(click.ParamType):

@@ -12,7 +12,7 @@ import click
 
 from terrainwave.arguments import PICTURE_ENDINGS, count_of
 from terrainwave.cli.commands import main
-from terrainwave.cli.options import Input, Numbers, SeaLevel, Target
+from terrainwave.cli.options import Input, Name, Numbers, SeaLevel, Target
 from terrainwave.cli.output import Bar, announce_compiling, plain, print_note, reading
 from terrainwave.cli.streams import STREAM, printing_beside, written
 from terrainwave.render import DEFAULT_MAX_BYTES
@@ -84,7 +84,7 @@ def _drawing(command: Callable[..., Any]) -> Callable[..., Any]:
                      " colour-blind eyes."),
         click.option("--coloring", type=click.Choice(list(MEANINGS)), metavar="NAME",
                      default="auto", show_default=True, help=COLORING_HELP),
-        click.option("--drape", type=click.Path(), metavar="IMAGE",
+        click.option("--drape", type=Name(), metavar="IMAGE",
                      help="Orthophoto to lay on the terrain; it is warped to it. A file, its URL"
                      " or that of tiles, https://.../{z}/{x}/{y}.png."),
         click.option("--radius", type=POSITIVE, help="Of the body, metres, for degrees."),

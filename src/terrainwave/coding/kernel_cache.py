@@ -17,6 +17,30 @@ from numba.core.registry import CPUDispatcher
 from terrainwave.coding.kernel_places import ADVICE, Place, keep, lose, place_of
 from terrainwave.coding.private_names import missing
 
+# Settings of numba that change the code which it makes of a kernel, and that its own key does not
+# have: that has the processor and its features.
+_SETTINGS = (
+    "BOUNDSCHECK",
+    "OPT",
+    "LOOP_VECTORIZE",
+    "SLP_VECTORIZE",
+    "DISABLE_INTEL_SVML",
+    "LLVM_REFPRUNE_PASS",
+    "LLVM_REFPRUNE_FLAGS",
+    "DEBUGINFO_DEFAULT",
+    "EXTEND_VARIABLE_LIFETIMES",
+    "ENABLE_PROFILING",
+    "JIT_COVERAGE",
+)
+
+
+def _settings() -> tuple[str, ...]:
+    """Return the settings of numba that change generated code.
+
+    A process that checks bounds must not take kernels without checks, nor the other way round.
+    """
+    return tuple(str(getattr(config, name, None) or 0) for name in _SETTINGS)
+
 
 class _Locator(_CacheLocator):
     """Says where the cache of a function lies, and what it holds for."""
@@ -48,18 +72,18 @@ class _Stored(CompileResultCacheImpl):
     """What a file of the cache holds: also what it was compiled for.
 
     Two processes that compile a function at once may give two files one number. Then the index says
-    that a file holds code for certain types and a processor, and it holds other code.
+    that a file holds code for certain types, a processor and settings, and it holds other code.
     """
 
     def reduce(self, compiled: Any) -> Any:
         """Return what is stored."""
-        return compiled.codegen.magic_tuple(), super().reduce(compiled)
+        return (compiled.codegen.magic_tuple(), _settings()), super().reduce(compiled)
 
     def rebuild(self, target_context: Any, stored: Any) -> Any:
         """Return what was stored, or refuse it."""
-        processor, data = stored
-        if processor != target_context.codegen().magic_tuple():
-            raise ValueError("compiled for another processor")
+        made_for, data = stored
+        if made_for != (target_context.codegen().magic_tuple(), _settings()):
+            raise ValueError("compiled for another processor, or by other settings of numba")
         return super().rebuild(target_context, data)
 
 
@@ -87,7 +111,8 @@ class _Entries(FunctionCache):
         return found
 
     def _index_key(self, signature: Any, codegen: Any) -> tuple[Any, ...]:
-        return (*super()._index_key(signature, codegen), *self._kernel.key_of(signature))
+        own = *self._kernel.key_of(signature), *_settings()
+        return (*super()._index_key(signature, codegen), *own)
 
 
 class KernelCache:

@@ -125,7 +125,12 @@ def check_target(target: str | os.PathLike[str], overwrite: bool = False) -> Non
     _check_target(Path(os.path.realpath(target)), overwrite)
 
 
-def refuse_own_source(source: object, target: str | os.PathLike[str]) -> None:
+def refuse_own_source(
+    source: object,
+    target: str | os.PathLike[str],
+    *,
+    problem: str = "is the file to be read; expected another name for the result",
+) -> None:
     """Raise `StorageError` if `target` is the file that `source` is, or is read from.
 
     Replacing it would leave the user without the original.
@@ -135,10 +140,13 @@ def refuse_own_source(source: object, target: str | os.PathLike[str]) -> None:
     source : object
         A path, or something opened whose `name` is one, or a list of these; what is no path is no
         file's.
+    target : path
+    problem : str
+        What the message says of `target`.
     """
     if isinstance(source, list | tuple):
         for one in source:
-            refuse_own_source(one, target)
+            refuse_own_source(one, target, problem=problem)
         return
     path = source if isinstance(source, str | os.PathLike) else getattr(source, "name", None)
     if not isinstance(path, str | os.PathLike):
@@ -148,9 +156,7 @@ def refuse_own_source(source: object, target: str | os.PathLike[str]) -> None:
     except (OSError, ValueError):  # one of them is missing, or no path at all
         return
     if is_same:
-        raise StorageError(
-            f"{os.fspath(target)} is the file to be read; expected another name for the result"
-        )
+        raise StorageError(f"{os.fspath(target)} {problem}")
 
 
 @contextmanager
@@ -232,10 +238,14 @@ def publish_directory(
 
     Raises
     ------
+    InvalidArgumentError
+        If `overwrite` is neither true nor false, or `target` is a URL.
     StorageError
         Before the block: if the target exists and may not be replaced, or its parent is missing or
         not writable. After it: if the target cannot be replaced.
     """
+    check_flags(overwrite=overwrite)
+    check_local(target)
     final = Path(os.path.realpath(target))
     _check_directory(final, marker, overwrite)
     with scratch_directory(final.parent, final.name) as scratch:

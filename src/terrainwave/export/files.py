@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave._version import __version__
-from terrainwave.arguments import AS_IS, check_ending
+from terrainwave.arguments import AS_IS, check_ending, check_flags
 from terrainwave.container.publish import check_target, publish, scratch
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
@@ -72,6 +72,7 @@ def save_mesh(
         If the file cannot be written.
     """
     extension = check_extension(path)
+    check_flags(overwrite=overwrite)
     if extension == ".terrain":
         _refuse_frame(frame, z_scale, solid)
         need("quantized_mesh_encoder", extra=_EXTRA)

@@ -1,13 +1,12 @@
 """Coordinate frames of exported meshes: the CRS itself, local metres, geocentric metres."""
 
-import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import AS_IS
+from terrainwave.arguments import AS_IS, check_choice, checked_number
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.export.mesh_data import MeshData
 from terrainwave.place.position import LocalAxes, Place, place_of
@@ -73,10 +72,9 @@ def to_frame(
     InvalidHeightsError
         If an option is out of range or the frame cannot be had.
     """
-    if frame is not None and frame not in FRAMES:
-        raise InvalidArgumentError(f"found `frame` {frame!r}, expected one of {', '.join(FRAMES)}")
-    if not (math.isfinite(z_scale) and z_scale > 0):
-        raise InvalidArgumentError(f"found `z_scale` {z_scale}, expected a number > 0")
+    if frame is not None:
+        check_choice("frame", frame, FRAMES)
+    z_scale = checked_number("z_scale", z_scale, above=0)
     if not mesh.n_triangles:
         raise InvalidHeightsError("the mesh is empty: there are no valid heights under it")
     if check_vertical(vertical) and frame != "ecef":

@@ -1,6 +1,7 @@
 """Write a .twz file back to a GeoTIFF or COG, in bounded memory; or as a 16-bit height tile."""
 
 import os
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,10 +14,13 @@ from terrainwave.arguments import (
     VOIDS,
     check_ending,
     check_flags,
+    checked_number,
+    checked_threads,
     one_of,
+    shown,
 )
 from terrainwave.container.publish import refuse_own_source
-from terrainwave.errors import InvalidArgumentError
+from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.export.ellipsoidal import above_ellipsoid
 from terrainwave.export.georeference import info_to_write, keep_place
 from terrainwave.export.height_tiles import write_height_tile
@@ -89,16 +93,19 @@ def decompress(
     """
     check_flags(cog=cog, overwrite=overwrite)
     reporter = Reporter(progress)
+    n_threads = 1 if threads is None else checked_threads(threads)
     check_ending(dst, (*GEOTIFF_ENDINGS, *HEIGHT_TILE_ENDINGS))
     is_tile = Path(dst).suffix.lower() in HEIGHT_TILE_ENDINGS
     if is_tile and cog:
         raise InvalidArgumentError(f"{os.fspath(dst)}: a height tile cannot be a COG")
     if is_tile and quality is not None:
         raise InvalidArgumentError(f"{os.fspath(dst)}: a height tile cannot be read in part")
-    if not is_tile and voids not in (None, *VOIDS):
+    if quality is not None:
+        quality = checked_number("quality", quality, above=0)
+    if not is_tile and not (voids is None or (isinstance(voids, str) and voids in VOIDS)):
         raise InvalidArgumentError(
-            f"{os.fspath(dst)}: `voids` {voids} is for height tiles, expected {one_of(VOIDS)}, or a"
-            f" name ending in {one_of(HEIGHT_TILE_ENDINGS)}"
+            f"{os.fspath(dst)}: found `voids` {shown(voids)}, which is for height tiles, expected"
+            f" {one_of(VOIDS)}, or a name ending in {one_of(HEIGHT_TILE_ENDINGS)}"
         )
     if size is not None and not is_tile:
         raise InvalidArgumentError(
@@ -114,6 +121,8 @@ def decompress(
     refuse_own_source(src, dst)
     with TerrainFile(src, threads=threads) as terrain:
         region = terrain.region(window, bounds=bounds, level=level)
+        if note := terrain.note_on_cut(window, bounds=bounds, level=level):
+            warnings.warn(note, TerrainwaveWarning, stacklevel=2)
         if is_tile:
             return write_height_tile(
                 terrain,
@@ -136,19 +145,19 @@ def decompress(
             converted = above_ellipsoid(terrain, info, level)
             info = converted.info
         total = region.n_rows * region.n_cols
-        shown = None if voids is None else str(voids)
+        wanted = None if voids is None else str(voids)
         done = 0
-        with RasterSink(dst, info, cog=cog, overwrite=overwrite, n_threads=threads or 1) as sink:
+        with RasterSink(dst, info, cog=cog, overwrite=overwrite, n_threads=n_threads) as sink:
             side = 2 * terrain.grid.block
             n_rows = max(side, _WINDOW_SAMPLES // max(region.n_cols, 1) // side * side)
             n_cols = max(side, _WINDOW_SAMPLES // n_rows // side * side)
             # Along the borders of groups, so that each is decoded once.
             for part in region.tiles(n_rows, n_cols, is_aligned=True):
                 if quality is None:
-                    heights, valid = terrain.read_with_mask(part, level=level, voids=shown)
+                    heights, valid = terrain.read_with_mask(part, level=level, voids=wanted)
                 else:
                     heights, valid, _ = terrain.read_early(
-                        part, level=level, quality=quality, voids=shown
+                        part, level=level, quality=quality, voids=wanted
                     )
                 if converted is not None:
                     heights = converted.heights(part, region, heights, valid)

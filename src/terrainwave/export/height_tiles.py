@@ -9,6 +9,7 @@ import math
 import os
 import warnings
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave._version import __version__
-from terrainwave.arguments import FILLINGS
+from terrainwave.arguments import FILLINGS, checked_number, checked_whole
 from terrainwave.container.publish import publish
 from terrainwave.container.spool import cannot_write, storage_errors
 from terrainwave.errors import (
@@ -139,11 +140,11 @@ def _tile_shape(region: Region, size: int | str | None) -> tuple[int, int]:
     if size is None:
         power = 1 << (max(shorter - 1, 2).bit_length() - 1)
         size = min(power + 1, MAX_SIZE)
-    if isinstance(size, str) or not is_tile_size(size):
-        raise InvalidArgumentError(
-            f"found `size` {size}, expected 2^n + 1 from 3 to {MAX_SIZE} (such as 1025) or window"
-        )
-    return size, size
+    expected = f"2^n + 1 from 3 to {MAX_SIZE} (such as 1025) or window"
+    side = checked_whole("size", size, expected=expected)
+    if not is_tile_size(side):
+        raise InvalidArgumentError(f"found `size` {side}, expected {expected}")
+    return side, side
 
 
 def _read(
@@ -275,15 +276,13 @@ def checked_voids(voids: str | float) -> str | float:
     InvalidArgumentError
         If it is neither.
     """
-    if voids in FILLINGS:
-        return voids
-    try:
-        height = float(voids)
-    except (TypeError, ValueError):
-        height = math.nan
-    if not math.isfinite(height):
-        raise InvalidArgumentError(f"found `voids` {voids}, expected lowest, fill or a height")
-    return height
+    if isinstance(voids, str):
+        if voids in FILLINGS:
+            return voids
+        # The command line's are texts.
+        with suppress(ValueError):
+            voids = float(voids)
+    return checked_number("voids", voids, expected="lowest, fill or a height")
 
 
 def fill_voids(heights: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:

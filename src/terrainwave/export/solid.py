@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.arguments import checked_number
 from terrainwave.errors import (
     InvalidArgumentError,
     InvalidHeightsError,
@@ -45,10 +46,10 @@ def solidify(mesh: MeshData, base: float) -> MeshData:
     if not mesh.n_triangles:
         raise InvalidHeightsError("the mesh is empty: there are no valid heights under it")
     lowest = float(mesh.points[mesh.triangles.ravel(), 2].min())
-    if not base < lowest:
-        raise InvalidArgumentError(
-            f"found `solid` {base:g}, expected less than the mesh's lowest height {lowest:g}"
-        )
+    expected = f"less than the mesh's lowest height {lowest:g}"
+    base = checked_number("solid", base, expected=expected)
+    if base >= lowest:
+        raise InvalidArgumentError(f"found `solid` {base:g}, expected {expected}")
     vertices, triangles = _used_only(mesh.vertices, mesh.triangles)
     vertices, triangles, moved = _split_joints(vertices, triangles)
     n_top = len(vertices)

@@ -15,10 +15,17 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from terrainwave._version import __version__
-from terrainwave.arguments import ARCHIVE_ENDING, check_ending, checked_threads
+from terrainwave.arguments import (
+    ARCHIVE_ENDING,
+    check_ending,
+    check_flags,
+    checked_number,
+    checked_threads,
+    checked_whole,
+)
 from terrainwave.container.publish import publish
 from terrainwave.container.spool import storage_errors
-from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
+from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.extras import need
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
@@ -115,10 +122,11 @@ def write_pmtiles(
     writing = need("pmtiles.writer", extra="pmtiles", purpose="a PMTiles archive")
     globe = Globe(terrain, radius=radius)
     zooms = _checked_zooms(globe, min_zoom, max_zoom)
-    if not 0 <= rim <= tiling.MAX_RIM:
-        raise InvalidArgumentError(f"found `rim` {rim}, expected 0 … {tiling.MAX_RIM}")
+    rim = checked_whole("rim", rim, least=0, most=tiling.MAX_RIM)
+    check_flags(transparent_voids=transparent_voids, overwrite=overwrite)
     look = tiling.Look(tiling.encoding_of(encoding).name, transparent_voids)
     if void_height is not None:
+        void_height = checked_number("void_height", void_height)
         tiling.check_void_height(void_height, encoding)
     if note := tiling.note_on_range(globe, encoding):
         warnings.warn(note, TerrainwaveWarning, stacklevel=2)
@@ -164,14 +172,11 @@ def _checked_zooms(globe: Globe, first: int, last: int | None) -> range:
         If there are none, or their pixels would be smaller than the raster's.
     """
     finest = tiling.max_zoom(globe)
-    last = finest if last is None else last
-    if not 0 <= last <= finest:
-        raise InvalidArgumentError(
-            f"found `max_zoom` {last}, expected 0 … {finest}: pixels of the last are no larger"
-            " than the raster's"
-        )
-    if not 0 <= first <= last:
-        raise InvalidArgumentError(f"found `min_zoom` {first}, expected 0 … {last}")
+    expected = f"0 … {finest}: pixels of the last are no larger than the raster's"
+    if last is None:
+        last = finest
+    last = checked_whole("max_zoom", last, least=0, most=finest, expected=expected)
+    first = checked_whole("min_zoom", first, least=0, most=last, expected=f"0 … {last}")
     return range(first, last + 1)
 
 

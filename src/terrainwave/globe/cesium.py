@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import AS_IS, checked_threads
+from terrainwave.arguments import AS_IS, checked_number, checked_threads, checked_whole
 from terrainwave.container.publish import publish_directory
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import (
@@ -164,12 +164,11 @@ class TilePyramid:
         max_zoom: int | None = None,
         vertical: str = AS_IS,
     ) -> None:
-        if cells < 2 or cells > 1024 or cells & (cells - 1):
-            raise InvalidArgumentError(f"found `cells` {cells}, expected a power of two, 2 … 1024")
-        if not math.isfinite(void_height):
-            raise InvalidArgumentError(
-                f"found `void_height` {void_height}, expected a finite number"
-            )
+        expected = "a power of two, 2 … 1024"
+        cells = checked_whole("cells", cells, least=2, most=1024, expected=expected)
+        if cells & (cells - 1):
+            raise InvalidArgumentError(f"found `cells` {cells}, expected {expected}")
+        void_height = checked_number("void_height", void_height)
         self.globe = terrain if isinstance(terrain, Globe) else Globe(terrain, radius=radius)
         self._cells, self._asked = cells, max_zoom
         self._ellipsoidal = self.globe.onto_ellipsoid() if check_vertical(vertical) else None
@@ -199,12 +198,10 @@ class TilePyramid:
     def max_zoom(self) -> int:
         """Return the finest zoom there is."""
         finest = self._finest
-        if self._asked is not None and not 0 <= self._asked <= finest:
-            raise InvalidArgumentError(
-                f"found `max_zoom` {self._asked}, expected 0 … {finest}: cells of the last are no"
-                " larger than pixels"
-            )
-        return finest if self._asked is None else self._asked
+        if self._asked is None:
+            return finest
+        expected = f"0 … {finest}: cells of the last are no larger than pixels"
+        return checked_whole("max_zoom", self._asked, least=0, most=finest, expected=expected)
 
     @cached_property
     def _finest(self) -> int:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import one_of
+from terrainwave.arguments import check_choice
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.extras import need
 from terrainwave.globe.lonlat import Globe
@@ -101,8 +101,7 @@ def encoding_of(name: str) -> Encoding:
     InvalidArgumentError
         If there is none.
     """
-    if name not in ENCODINGS:
-        raise InvalidArgumentError(f"found `encoding` {name!r}, expected {one_of([*ENCODINGS])}")
+    check_choice("encoding", name, ENCODINGS)
     return ENCODINGS[name]
 
 

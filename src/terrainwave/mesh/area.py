@@ -11,6 +11,7 @@ With a budget of triangles the outlines of voids are those of a level that the b
 (`mesh.outlines`): all originals are covered, and small voids may be.
 """
 
+import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -21,11 +22,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.arguments import check_flags, checked_error, checked_whole
 from terrainwave.cache import Cache
 from terrainwave.container.codes import decode_error
 from terrainwave.errors import (
     InvalidArgumentError,
     InvalidHeightsError,
+    TerrainwaveWarning,
 )
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import (
@@ -135,6 +138,11 @@ def mesh_area(
     progress: ProgressCallback | None = None,
 ) -> PlacedMesh:
     """Return the mesh of `Terrain.mesh`, where arguments and errors are told."""
+    check_flags(guarantee=guarantee)
+    max_error = checked_error("max_error", max_error)
+    if max_triangles is not None:
+        max_triangles = checked_whole("max_triangles", max_triangles, least=1)
+    optimise = checked_whole("optimise", optimise, least=0)
     if not guarantee:
         if max_error is not None or max_triangles is not None or optimise:
             raise InvalidArgumentError(
@@ -144,18 +152,14 @@ def mesh_area(
         level = _level_with_trees(terrain, level)
     index = terrain.level_index(level)
     region = terrain.region(window, bounds=bounds, level=level)
+    if note := terrain.note_on_cut(window, bounds=bounds, level=level):
+        warnings.warn(note, TerrainwaveWarning, stacklevel=3)
     if min(region.shape) < 2:
         raise InvalidArgumentError(
             f"found an area of {region.n_rows} x {region.n_cols} samples, expected at least"
             " 2 x 2: a mesh lies between samples"
         )
-    if max_triangles is not None and max_triangles < 1:
-        raise InvalidArgumentError(f"found `max_triangles` {max_triangles}, expected at least 1")
-    if max_error is not None and not (np.isfinite(max_error) and max_error >= 0):
-        raise InvalidArgumentError(f"found `max_error` {max_error}, expected a number >= 0")
-    if optimise < 0:
-        raise InvalidArgumentError(f"found `optimise` {optimise}, expected 0 or more sweeps")
-    area = _Area(region, index, int(optimise))
+    area = _Area(region, index, optimise)
     with ThreadPoolExecutor(terrain.n_threads, thread_name_prefix="terrainwave") as executor:
         extractor = _Extractor(terrain, area, executor, Reporter(progress))
         if not guarantee:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.arguments import checked_number
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
 from terrainwave.place.bodies import EARTH as THE_EARTH
 from terrainwave.place.bodies import UNKNOWN, body_of_radius
@@ -273,8 +274,8 @@ def place_of(
     TerrainwaveError
         If there is a CRS and pyproj is missing.
     """
-    if radius is not None and not (math.isfinite(radius) and radius > 0):
-        raise InvalidArgumentError(f"found `radius` {radius}, expected metres > 0")
+    if radius is not None:
+        radius = checked_number("radius", radius, above=0, expected="metres > 0")
     system = system_of(crs_text)
     if system is None:
         place = _guess(bounds, is_placed, radius, has_frames)

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import AS_IS, ELLIPSOID, VERTICAL
-from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
+from terrainwave.arguments import AS_IS, ELLIPSOID, VERTICAL, check_choice
+from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.place.bodies import EARTH as THE_EARTH
 from terrainwave.place.description import GEOGRAPHIC, Vertical
 from terrainwave.place.position import Place
@@ -43,10 +43,7 @@ def check_vertical(vertical: str) -> bool:
     InvalidArgumentError
         If the word is neither of `VERTICAL`.
     """
-    if vertical not in VERTICAL:
-        raise InvalidArgumentError(
-            f"found `vertical` {vertical!r}, expected one of {', '.join(VERTICAL)}"
-        )
+    check_choice("vertical", vertical, VERTICAL)
     return vertical == ELLIPSOID
 
 

@@ -10,7 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from terrainwave.arguments import check_flags
+from terrainwave.arguments import check_flags, checked_path, checked_whole, number_of, shown
 from terrainwave.errors import (
     InvalidArgumentError,
     InvalidHeightsError,
@@ -110,6 +110,13 @@ class RasterSource:
         warn: bool = True,
     ) -> None:
         check_flags(georeference=georeference)
+        band = checked_whole("band", band, least=1)
+        if nodata is not None:
+            given, nodata = nodata, number_of(nodata)
+            if nodata is None:
+                raise InvalidArgumentError(
+                    f"found `nodata` {shown(given)}, expected a number, or nan"
+                )
         self._lock = threading.Lock()
         self._backend = _open_backend(source, band, nodata, georeference=georeference)
         self.name: str = self._backend.name
@@ -289,7 +296,7 @@ def _open_backend(
             return MosaicBackend(source, band, nodata)
         source = source[0]
     if isinstance(source, str | os.PathLike):
-        dataset = open_dataset(os.fspath(source))
+        dataset = open_dataset(checked_path(source))
         return DatasetBackend(dataset, band, owned=True, georeference=georeference)
     if _is_raster(source):
         return DatasetBackend(source, band, owned=False, georeference=georeference)
@@ -299,8 +306,8 @@ def _open_backend(
         return LabelledBackend(source, band, override=nodata, georeference=georeference)
     if isinstance(source, list | tuple):
         return ArrayBackend(np.asarray(source))
-    raise InvalidHeightsError(
-        f"found a {type(source).__name__}; expected a path, a rasterio dataset, a 2-D array, an"
+    raise InvalidArgumentError(
+        f"found {shown(source)}, expected a path, a rasterio dataset, a 2-D array, an"
         " xarray DataArray or Dataset, or a list of paths or datasets"
     )
 

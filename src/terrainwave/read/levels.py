@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import VOIDS, one_of
+from terrainwave.arguments import VOIDS, check_choice
 from terrainwave.container.header import Header
-from terrainwave.errors import CorruptStreamError, InvalidArgumentError, TerrainwaveWarning
+from terrainwave.errors import CorruptStreamError, TerrainwaveWarning
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.read.decoder import TreeDecoder
 from terrainwave.read.native import NativeError, NativeFile
@@ -93,8 +93,8 @@ class LevelReader:
         InvalidArgumentError
             If `voids` is neither None nor one of `VOIDS`.
         """
-        if voids not in (None, *VOIDS):
-            raise InvalidArgumentError(f"found `voids` {voids!r}, expected {one_of(VOIDS)}")
+        if voids is not None:
+            check_choice("voids", voids, VOIDS)
         return voids == EXACT and self._is_untold(level)
 
     def _is_untold(self, level: int) -> bool:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.arguments import checked_numbers, shown
 from terrainwave.errors import (
     InvalidArgumentError,
     InvalidHeightsError,
@@ -35,16 +36,12 @@ def region_of_window(window: Any, shape: tuple[int, int]) -> Region:
         if any(isinstance(part, slice) for part in window):
             rows, cols = (_of_slice(part, size) for part, size in zip(window, shape, strict=True))
             return Region(rows.start, cols.start, len(rows), len(cols))
-        row, col, n_rows, n_cols = (int(number) for number in window)
-        is_whole = (row, col, n_rows, n_cols) == tuple(window)
-    except (TypeError, ValueError, OverflowError):  # no numbers, not four, NaN, infinite
-        is_whole = False
-    if not is_whole:
+        return Region(*checked_numbers("window", window, "row, col, n_rows, n_cols", is_whole=True))
+    except (TypeError, ValueError):  # none of them, no four whole numbers
         raise InvalidArgumentError(
-            f"found `window` {window!r}, expected (row, col, n_rows, n_cols) in whole samples,"
+            f"found `window` {shown(window)}, expected (row, col, n_rows, n_cols) in whole samples,"
             " a rasterio Window, or two slices without a step: rows, columns"
-        )
-    return Region(row, col, n_rows, n_cols)
+        ) from None
 
 
 def _of_rasterio(window: Any) -> Region:
@@ -75,10 +72,10 @@ def region_of_bounds(bounds: Sequence[float], transform: Transform) -> Region:
     InvalidHeightsError
         If the bounds are empty, or the transform cannot place them.
     """
-    left, bottom, right, top = (float(value) for value in bounds)
+    left, bottom, right, top = checked_numbers("bounds", bounds, "left, bottom, right, top")
     if not (left < right and bottom < top):
         raise InvalidArgumentError(
-            f"found `bounds` {tuple(bounds)}, expected left < right and bottom < top"
+            f"found `bounds` {shown(tuple(bounds))}, expected left < right and bottom < top"
         )
     corners = np.array([(x, y) for x in (left, right) for y in (bottom, top)])
     rows, cols = to_samples(corners, transform)
@@ -112,3 +109,28 @@ def to_samples(
 
 def _round_half_up(value: float) -> int:
     return int(np.floor(value + 0.5))
+
+
+def places_of(points: Any) -> NDArray[np.float64]:
+    """Return places as an array of shape (n_points, 2).
+
+    Raises
+    ------
+    InvalidArgumentError
+        If they are no pairs of numbers.
+    """
+    try:
+        listed = points if isinstance(points, np.ndarray) else list(points)
+        given = np.asarray(listed)
+        places = given.astype(np.float64) if given.dtype.kind in "iuf" else None
+    except (TypeError, ValueError):  # nothing to iterate over, pairs of several lengths
+        places = None
+    if places is not None and places.size == 0:
+        return np.empty((0, 2))
+    if places is not None and places.shape == (2,):  # one place
+        return places[None]
+    if places is None or places.ndim != 2 or places.shape[1] != 2:
+        raise InvalidArgumentError(
+            f"found `points` {shown(points)}, expected pairs of numbers (x, y)"
+        )
+    return places

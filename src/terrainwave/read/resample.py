@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.errors import InvalidHeightsError, LimitExceededError
+from terrainwave.errors import LimitExceededError
 from terrainwave.grid.quadtree import Grid, Region
 
 RESAMPLING = ("nearest", "bilinear", "average")
@@ -34,9 +34,7 @@ def resample(
     ``nearest`` and ``bilinear`` take samples of the coarsest level that is not coarser than the
     output; ``average`` is the mean of the valid samples that each output pixel covers.
     """
-    n_rows, n_cols = (int(size) for size in out_shape)
-    if n_rows < 1 or n_cols < 1:
-        raise InvalidHeightsError(f"found out_shape {tuple(out_shape)}, expected at least (1, 1)")
+    n_rows, n_cols = out_shape
     if method == "average":
         return _average(read, region, (n_rows, n_cols), max_bytes)
     row_scale, col_scale = region.n_rows / n_rows, region.n_cols / n_cols

@@ -20,7 +20,15 @@ from rasterio.enums import MaskFlags
 from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
 from rasterio.windows import Window
 
-from terrainwave.arguments import check_flags
+from terrainwave.arguments import (
+    check_callback,
+    check_flags,
+    checked_error,
+    checked_path,
+    checked_whole,
+    number_of,
+    shown,
+)
 from terrainwave.errors import (
     InvalidArgumentError,
     StorageError,
@@ -156,6 +164,14 @@ def verify(
     which keeps numbers). Which NaN marked a void is not kept and not compared.
     """
     check_flags(mesh=mesh)
+    check_callback(progress)
+    max_error = checked_error("max_error", max_error)
+    band = checked_whole("band", band, least=1)
+    if nodata is not None and number_of(nodata) is None:
+        raise InvalidArgumentError(f"found `nodata` {shown(nodata)}, expected a number, or nan")
+    checked_path(twz)
+    if original is not None:
+        checked_path(original)
     from terrainwave.terrain import Terrain
 
     with Terrain(twz, threads=threads) as terrain:

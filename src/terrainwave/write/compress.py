@@ -14,7 +14,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, cast
 
-from terrainwave.arguments import TWZ_ENDINGS, check_ending
+from terrainwave.arguments import (
+    TWZ_ENDINGS,
+    check_ending,
+    check_flags,
+    checked_path,
+    checked_whole,
+)
 from terrainwave.container.depot import Depot
 from terrainwave.container.publish import (
     publish,
@@ -220,6 +226,12 @@ def compress(
         verify=verify,
         threads=threads,
     )
+    check_flags(overwrite=overwrite)
+    if task_samples is not None:
+        task_samples = checked_whole("task_samples", task_samples, least=1)
+    if temp_dir is not None:
+        temp_dir = checked_path(temp_dir, "temp_dir")
+    reporter = Reporter(progress)
     cluster = None
     if client is not None:
         if not options.coding.is_clusterable:
@@ -234,7 +246,7 @@ def compress(
         temp_dir = None if is_remote else temp_dir
     elif task_samples is not None:
         raise InvalidArgumentError(
-            f"found task_samples {task_samples} without a client, expected both or none of them"
+            f"found `task_samples` {task_samples} without a client, expected both or none of them"
         )
     check_ending(dst, TWZ_ENDINGS)
     refuse_own_source(src, dst)
@@ -244,7 +256,6 @@ def compress(
         RasterSource(src, band=band, nodata=nodata, georeference=georeference) as source,
         scratch_directory(temp_dir or Path(dst).absolute().parent, Path(dst).name) as directory,
     ):
-        reporter = Reporter(progress)
         written = _write(part.file, part.path, source, options, directory, reporter, cluster)
         n_bytes = os.path.getsize(part.path)
     _warn_of(written.marks)

@@ -5,6 +5,7 @@ from typing import Any
 
 from terrainwave.arguments import (
     BLOCKS,
+    check_choice,
     check_effort,
     check_flags,
     check_mesh,
@@ -12,6 +13,7 @@ from terrainwave.arguments import (
     check_method,
     checked_error,
     checked_threads,
+    checked_whole,
 )
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.names import (
@@ -61,7 +63,14 @@ class Options:
             "rate": checked_error("rate", self.rate),
             "psnr": checked_error("psnr", self.psnr),
             "mesh_error": checked_error("mesh_error", self.mesh_error),
+            "border_rings": checked_whole("border_rings", self.border_rings, expected="1 or 3"),
         }
+        blocks = f"one of {', '.join(map(str, BLOCKS))}"
+        settled["block"] = checked_whole("block", self.block, expected=blocks)
+        if settled["block"] not in BLOCKS:
+            raise InvalidArgumentError(f"found `block` {settled['block']}, expected {blocks}")
+        if self.threads is not None:
+            settled["threads"] = checked_threads(self.threads)
         flags = [field.name for field in fields(self) if isinstance(field.default, bool)]
         check_flags(**{name: getattr(self, name) for name in flags})
         check_mesh(self.mesh, or_none=True)
@@ -79,14 +88,7 @@ class Options:
         mesh = stored_mesh(self.mesh, self.coding, is_faithful=self.faithful)
         object.__setattr__(self, "mesh", mesh)
         self._check_goals(asked)
-        if self.block not in BLOCKS:
-            raise InvalidArgumentError(
-                f"found `block` {self.block}, expected one of {', '.join(map(str, BLOCKS))}"
-            )
-        if self.format not in FORMATS:
-            raise InvalidArgumentError(
-                f"found `format` {self.format!r}, expected {' or '.join(FORMATS)}"
-            )
+        check_choice("format", self.format, FORMATS)
         if self.border_rings not in (1, 3):
             raise InvalidArgumentError(f"found `border_rings` {self.border_rings}, expected 1 or 3")
         if self.border_rings != 1 and self.coding.is_tiled:
@@ -112,7 +114,6 @@ class Options:
                 f"found `stable` and {found}, expected `method` {fit}, and not `faithful`: those"
                 " round heights in ways of their own"
             )
-        checked_threads(self.threads)
 
     def _check_goals(self, asked: str) -> None:
         """Raise `InvalidArgumentError` unless at most one of three goals is given, and fits.

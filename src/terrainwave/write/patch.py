@@ -15,7 +15,7 @@ import os
 from collections.abc import Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import check_local, checked_threads
+from terrainwave.arguments import check_local, checked_path, checked_threads
 from terrainwave.codec.group import HAS_CORRECTIONS
 from terrainwave.codec.refiner import FREE, Decoded, GroupSpec, Heights, Mask
 from terrainwave.codec.registry import refiner_by_name
@@ -37,7 +37,7 @@ from terrainwave.container.publish import publish, refuse_own_source, scratch_di
 from terrainwave.container.sink import SpoolSink
 from terrainwave.container.writer import assemble
 from terrainwave.errors import BoundViolationError, InvalidHeightsError
-from terrainwave.file import TerrainFile
+from terrainwave.file import TerrainFile, format_of
 from terrainwave.grid.affine import places_to_pixels
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.remainders import Remainders
@@ -78,7 +78,8 @@ class PatchResult:
     `measured_error` from its original: it is the largest error measured where originals are known
     (the new raster, and `original`), and of what the file states of its other blocks.
     `moved_error`, how far heights that the new raster does not cover have moved, is 0: patches of
-    format 1.0 moved them.
+    format 1.0 moved them. `format` is the first version of the format whose readers know all that
+    the file uses now. `notes` say what a user should know.
     """
 
     path: str
@@ -89,6 +90,8 @@ class PatchResult:
     measured_error: float
     moved_error: float
     units: str | None
+    format: str
+    notes: list[str] = field(default_factory=list)
 
 
 def patch(
@@ -143,9 +146,13 @@ def patch(
     """
     n_threads = checked_threads(threads)
     check_local(path)
-    refuse_own_source(src, path)
+    refuse_own_source(src, path, problem="is the file to be patched; expected the newer raster")
     if original is not None:
-        refuse_own_source(original, path)
+        problem = "is the file to be patched; as original expected the raster that it was made of"
+        refuse_own_source(original, path, problem=problem)
+    if temp_dir is not None:
+        temp_dir = checked_path(temp_dir, "temp_dir")
+    reporter = Reporter(progress)
     final = Path(os.path.realpath(path))
     with (
         TerrainFile(final, threads=1, native=False) as terrain,
@@ -164,7 +171,7 @@ def patch(
         place = _place(terrain.raster_info, source.info)
         merged = _Merged(terrain, source, place, _checked_original(terrain, whole))
         merged.check()
-        patcher = _Patcher(terrain, merged, directory, executor, Reporter(progress))
+        patcher = _Patcher(terrain, merged, directory, executor, reporter)
         n_recoded, n_copied = patcher.code()
         if patcher.is_changed:
             with publish(final, overwrite=True) as part:
@@ -174,6 +181,7 @@ def patch(
             error = patcher.prove(final)
         patcher.close()
         scale = abs(terrain.raster_info.scale)
+        before, after = (format_of(header) for header in (terrain.header, patcher.header))
     return PatchResult(
         path=os.fspath(path),
         n_bytes=os.path.getsize(final),
@@ -183,6 +191,15 @@ def patch(
         measured_error=max(error, patcher.stated_error) * scale,
         moved_error=0.0,
         units=terrain.units,
+        format=after,
+        notes=[] if after == before else [_note_on_format(before, after)],
+    )
+
+
+def _note_on_format(before: str, after: str) -> str:
+    return (
+        f"the file is of format {after} now, and was of {before}, whose readers refuse it; patched"
+        " with the original it keeps its format (docs/patching.md)"
     )
 
 
@@ -306,45 +323,65 @@ class _Merged:
 
     def check(self) -> None:
         """Raise `InvalidHeightsError` unless the file can hold all new heights."""
-        quantizer, info = self._terrain.quantizer, self._terrain.raster_info
-        header = self._terrain.header
-        low, high = (quantizer.height_of(number) for number in (header.z_min, header.z_max))
+        quantizer, header = self._terrain.quantizer, self._terrain.header
+        ranges: dict[str, tuple[float, float]] = {}
         for window in self.place.tiles(_WINDOW, _WINDOW):
             raw, valid = self.read(*window)
             self._check_original(window, raw, valid)
-            if info.mask_kind == "none" and not valid.all():
+            is_new = np.zeros(window.shape, dtype=np.bool_)
+            part = window.intersect(self._new_place)
+            if part.n_rows and part.n_cols:
+                is_new[part.slices_in(window)] = True
+            for name, which in (("the new raster", is_new), ("the original", ~is_new)):
+                if not which.any():
+                    continue
+                heights = self._checked_heights(name, raw, valid, which)
+                if heights.size:
+                    lowest, highest = ranges.get(name, (np.inf, -np.inf))
+                    ends = min(lowest, heights.min()), max(highest, heights.max())
+                    ranges[name] = ends
+        low, high = (quantizer.height_of(number) for number in (header.z_min, header.z_max))
+        slack = quantizer.quantum / 2 if quantizer.rho else 0.0
+        for name, (lowest, highest) in ranges.items():
+            if lowest < low - slack or highest > high + slack:
                 raise InvalidHeightsError(
-                    "the new raster has voids, and the file has no way to mark them: compress the"
-                    " whole raster again"
+                    f"{name} has heights from {lowest:.10g} to {highest:.10g}, the file can hold"
+                    f" {low:.10g} to {high:.10g} (stored units): compress the whole raster again"
                 )
-            heights = raw[valid].astype(np.float64)
-            if heights.size == 0:
-                continue
-            if info.nodata is not None and (heights == info.nodata).any():
-                raise InvalidHeightsError(
-                    f"the new raster has valid heights of {info.nodata:g}, the file's nodata value:"
-                    " they would be read as voids. If they are voids, say so with `nodata`; else"
-                    " compress the whole raster again"
-                )
-            if header.z_min > header.z_max:
-                raise InvalidHeightsError(
-                    "the new raster has heights, and the file has voids alone, so that it has no"
-                    " range of heights: compress the whole raster again"
-                )
-            slack = quantizer.quantum / 2 if quantizer.rho else 0.0
-            if heights.min() < low - slack or heights.max() > high + slack:
-                raise InvalidHeightsError(
-                    f"the new raster has heights from {heights.min():g} to {heights.max():g}, the"
-                    f" file can hold {low:g} to {high:g} (stored units): compress the whole raster"
-                    " again"
-                )
-            decoded = quantizer.dequantize(quantizer.quantize(raw, valid))
-            if not quantizer.rho and not np.array_equal(decoded[valid], raw[valid]):
-                raise InvalidHeightsError(
-                    "the new raster has heights that are no multiples of the file's vertical step"
-                    f" {quantizer.quantum:g} (stored units): round them, or compress the whole"
-                    " raster again"
-                )
+
+    def _checked_heights(
+        self, name: str, raw: NDArray[Any], valid: NDArray[np.bool_], which: Mask
+    ) -> NDArray[np.float64]:
+        """Return the valid heights of a raster's samples; raise unless the file can tell them."""
+        quantizer, info = self._terrain.quantizer, self._terrain.raster_info
+        taken = valid & which
+        if info.mask_kind == "none" and not valid[which].all():
+            raise InvalidHeightsError(
+                f"{name} has voids, and the file has no way to mark them: compress the whole raster"
+                " again"
+            )
+        heights = raw[taken].astype(np.float64)
+        if heights.size == 0:
+            return heights
+        if info.nodata is not None and (heights == info.nodata).any():
+            raise InvalidHeightsError(
+                f"{name} has valid heights of {info.nodata:g}, the file's nodata value: they would"
+                " be read as voids. If they are voids, say so with `nodata`; else compress the"
+                " whole raster again"
+            )
+        if self._terrain.header.z_min > self._terrain.header.z_max:
+            raise InvalidHeightsError(
+                f"{name} has heights, and the file has voids alone, so that it has no range of"
+                " heights: compress the whole raster again"
+            )
+        decoded = quantizer.dequantize(quantizer.quantize(raw, taken))
+        if not quantizer.rho and not np.array_equal(decoded[taken], raw[taken]):
+            raise InvalidHeightsError(
+                f"{name} has heights that are no multiples of the file's vertical step"
+                f" {quantizer.quantum:g} (stored units): round them, or compress the whole raster"
+                " again"
+            )
+        return heights
 
     def _check_original(self, region: Region, raw: NDArray[Any], valid: NDArray[np.bool_]) -> None:
         """Raise `InvalidHeightsError` if the file was made of another original than is given.

@@ -3,8 +3,9 @@
 import os
 from typing import BinaryIO, TypeAlias
 
+from terrainwave.arguments import checked_path, shown
 from terrainwave.container.sources.source import BufferSource, ByteSource, FileSource
-from terrainwave.errors import StorageError
+from terrainwave.errors import InvalidArgumentError
 
 SourceLike: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO | ByteSource
 
@@ -14,6 +15,8 @@ def open_source(source: SourceLike) -> ByteSource:
 
     Raises
     ------
+    InvalidArgumentError
+        If it is none of these, or an empty name.
     StorageError
         If it cannot be opened or does not serve byte ranges.
     """
@@ -24,9 +27,12 @@ def open_source(source: SourceLike) -> ByteSource:
 
         return open_url(source)
     if isinstance(source, str | os.PathLike):
-        return FileSource(source)
+        return FileSource(checked_path(source))
     if isinstance(source, ByteSource):
         return source
     if hasattr(source, "read") and hasattr(source, "seek"):
         return BufferSource(source)
-    raise StorageError(f"cannot read bytes from a {type(source).__name__}")
+    raise InvalidArgumentError(
+        f"found {shown(source)}, expected the path or URL of a .twz file, its bytes, or a binary"
+        " file object"
+    )

@@ -68,6 +68,11 @@ _RETRY = Retry()  # knows how to read Retry-After
 # Refusals that may mean that a signature has expired, and how much of their words is looked at.
 _MAY_EXPIRE = {400, 401, 403}
 _MAX_WORDS = 4096
+_NO_LOGIN = (
+    "the server wants a login ({}): write user and password before the host of the URL,"
+    " user:password@host"
+)
+_WRONG_LOGIN = "the server refuses the user and password given ({})"
 _DECODED = ("gzip", "x-gzip", "deflate")  # of whole files
 # What asking again does not help against: no such host, no server there, a bad certificate.
 _LASTING = (socket.gaierror, ConnectionRefusedError, ssl.SSLCertVerificationError)
@@ -268,6 +273,9 @@ class HttpSource(MergingSource):
             )
         elif reply.proxy:
             problem = f"the proxy {display_name(reply.proxy)} answers {reply.reason}"
+        elif reply.status == 401 and not is_signed(reply.url):
+            problem = _WRONG_LOGIN if self._logs_in(reply.url) else _NO_LOGIN
+            problem = problem.format(reply.reason)
         elif reply.status in _MAY_EXPIRE and has_expired(reply.url, reply.body.decode("latin-1")):
             problem = f"the URL has expired ({reply.reason}); get a new one and open it again"
         elif reply.status in _MAY_EXPIRE and is_signed(reply.url):
@@ -276,6 +284,9 @@ class HttpSource(MergingSource):
             problem += f"; the server asks to wait {math.ceil(reply.seconds_to_wait)} s"
         kind = SourceUnavailableError if reply.status in _BUSY else StorageError
         return kind(f"cannot read {self.name}: {problem}")
+
+    def _logs_in(self, url: str) -> bool:
+        return "Authorization" in self._headers(urlsplit(url), None)
 
     def _ask(self, wanted: ByteRange | None) -> _Reply:
         """Return the first reply that is no redirect and no sign of a busy server."""
