@@ -214,6 +214,9 @@ typedef struct NAMED(span) {
 
 #ifdef READ_VECTORS
 #include "rapid_vectors.h"
+#define READ_RAW ISA(read_raw_vectors)
+#else
+#define READ_RAW NAMED(read_raw)
 #endif
 
 /* Details first ... stop - 1 of a row; `valid` is at every step-th place, NULL: all are. */
@@ -235,7 +238,7 @@ static NAMED(span) NAMED(begin_span)(const NAMED(row) * row, int32_t first, int3
 
 static void NAMED(end_span)(const NAMED(row) * row, int32_t first, int32_t stop, const uint8_t *valid, size_t step,
                             int64_t most, const NAMED(span) * s) {
-  if (s->has_raw) NAMED(read_raw)(s->contexts, s->details, s->n, most, s->streams);
+  if (s->has_raw) READ_RAW(s->contexts, s->details, s->n, most, s->streams);
   if (s->details == row->details + first) return;
   int32_t n = 0;
   row->packed_details[s->n] = 0;
@@ -932,3 +935,4 @@ static twz_status NAMED(decode_groups)(rapid_unit *units, int n_units, twz_error
   return TWZ_OK;
 }
 #endif
+#undef READ_RAW
