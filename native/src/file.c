@@ -256,15 +256,19 @@ static void link_newest(twz_file *f, unit *u) {
   f->newest = u;
 }
 
+static void take_out(twz_file *f, unit *u) {
+  unlink_unit(f, u);
+  table_remove(&f->units, &u->entry);
+  f->cached_bytes -= u->n_bytes;
+}
+
 /* Take the oldest units that nobody uses out, until what is kept fits; returns them, to be released without the lock. */
 static unit *trim(twz_file *f) {
   unit *u = f->oldest, *out = NULL;
   while (u && f->cached_bytes > f->cache_bytes) {
     unit *next = u->newer;
     if (u->n_users == 0) {
-      unlink_unit(f, u);
-      table_remove(&f->units, &u->entry);
-      f->cached_bytes -= u->n_bytes;
+      take_out(f, u);
       u->older = out;
       out = u;
     }
@@ -281,9 +285,13 @@ static void free_units(twz_file *f, unit *u) {
   }
 }
 
-unit *cache_take(twz_file *f, place key) {
+unit *cache_take(twz_file *f, place key, int32_t *n_rows) {
   file_lock(f);
   unit *u = (unit *)table_find(&f->units, key);
+  if (u && !has_rows(u, *n_rows)) {
+    *n_rows = ALL_ROWS;
+    u = NULL;
+  }
   if (u) {
     u->n_users++;
     unlink_unit(f, u);
@@ -296,7 +304,13 @@ unit *cache_take(twz_file *f, place key) {
 /* Give a decoded unit, with one user; returns the one to use, as another thread may have been first. */
 unit *cache_give(twz_file *f, unit *u) {
   file_lock(f);
-  unit *out = NULL, *found = (unit *)table_find(&f->units, u->entry.at);
+  unit *out = NULL, *less = NULL, *found = (unit *)table_find(&f->units, u->entry.at);
+  if (found && !has_rows(found, u->layers[0].n_ready ? u->layers[0].n_ready : ALL_ROWS)) {
+    take_out(f, found);
+    found->is_cached = 0;
+    if (found->n_users == 0) less = found;
+    found = NULL;
+  }
   if (found) {
     found->n_users++;
   } else if (table_insert(&f->units, &f->allocator, &u->entry)) {
@@ -307,6 +321,7 @@ unit *cache_give(twz_file *f, unit *u) {
   }
   file_unlock(f);
   free_units(f, out);
+  if (less) unit_free(f, less);
   if (!found) return u;
   unit_free(f, u);
   return found;

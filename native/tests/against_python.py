@@ -42,8 +42,14 @@ def is_readable(twz, way, path):
     return done.returncode == 0
 
 
+def boxes(n_rows, n_cols):
+    """Yield windows in which units that are decoded end early: the first rows, and some in the middle."""
+    yield 0, 0, -(-n_rows // 3), n_cols
+    yield n_rows // 3, n_cols // 3, -(-n_rows // 4), -(-n_cols // 4)
+
+
 def disagreements(twz, path):
-    """Yield what is read otherwise."""
+    """Yield what is read otherwise, as a whole or by windows."""
     with tw.open(path, threads=1) as terrain_file:
         for level in range(terrain_file.n_levels):
             heights, valid = terrain_file.read_with_mask(level=level, voids="any")
@@ -56,6 +62,12 @@ def disagreements(twz, path):
                     done = subprocess.run(command, capture_output=True, check=False)
                     if done.stdout != np.ascontiguousarray(array).tobytes():
                         yield f"{path} level {level} {what} {way}: {done.stderr.decode()}"
+                for row, col, n_rows, n_cols in boxes(*heights.shape):
+                    window = f"{row},{col},{n_rows},{n_cols}"
+                    command = [twz, "dump", path, "--level", str(level), "--window", window, *way]
+                    done = subprocess.run(command, capture_output=True, check=False)
+                    if done.stdout != heights[row : row + n_rows, col : col + n_cols].tobytes():
+                        yield f"{path} level {level} window {window} {way}: {done.stderr.decode()}"
 
 
 def main():
