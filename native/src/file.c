@@ -256,10 +256,26 @@ static void link_newest(twz_file *f, unit *u) {
   f->newest = u;
 }
 
+/* Count a unit's bytes, as long as the cache holds them: heights of a heap until its last unit leaves. */
+static void count_in(twz_file *f, unit *u) {
+  f->cached_bytes += u->n_bytes;
+  if (u->heap && u->heap->n_cached++ == 0) f->cached_bytes += u->heap->n_out;
+}
+
+static void count_out(twz_file *f, unit *u) {
+  f->cached_bytes -= u->n_bytes;
+  if (!u->heap) return;
+  const layer *l = &u->layers[0];
+  uint64_t n_bytes = sizeof *l->heights * (uint64_t)l->rows.n * (uint64_t)l->cols.n;
+  f->cached_bytes += n_bytes;
+  u->heap->n_out += n_bytes;
+  if (--u->heap->n_cached == 0) f->cached_bytes -= u->heap->n_out;
+}
+
 static void take_out(twz_file *f, unit *u) {
   unlink_unit(f, u);
   table_remove(&f->units, &u->entry);
-  f->cached_bytes -= u->n_bytes;
+  count_out(f, u);
 }
 
 /* Take the oldest units that nobody uses out, until what is kept fits; returns them, to be released without the lock. */
@@ -316,7 +332,7 @@ unit *cache_give(twz_file *f, unit *u) {
   } else if (table_insert(&f->units, &f->allocator, &u->entry)) {
     u->is_cached = 1;
     link_newest(f, u);
-    f->cached_bytes += u->n_bytes;
+    count_in(f, u);
     out = trim(f);
   }
   file_unlock(f);

@@ -322,7 +322,8 @@ enum { MOST_LAYERS = 10 };
 
 /* Memory that units share: those that are decoded together. */
 typedef struct heap {
-  size_t n_users;
+  size_t n_users, n_cached;
+  uint64_t n_out; /* bytes of those that left the cache, where the others keep them */
   int32_t *heights;
 } heap;
 

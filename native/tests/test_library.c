@@ -264,6 +264,51 @@ static void a_window_in_the_cache_needs_no_bytes(memory *m) {
   twz_file_free(file);
 }
 
+/* What the cache counts is what it holds: all of it comes back when it is emptied. */
+static size_t n_sized; /* bytes that are held */
+
+static void *sized_allocate(void *context, size_t n) {
+  max_align_t *memory = malloc(sizeof(max_align_t) + n);
+  (void)context;
+  if (!memory) return NULL;
+  *(size_t *)(void *)memory = n;
+  n_sized += n;
+  return memory + 1;
+}
+
+static void sized_release(void *context, void *memory) {
+  max_align_t *start = (max_align_t *)memory - 1;
+  (void)context;
+  n_sized -= *(size_t *)(void *)start;
+  free(start);
+}
+
+static void the_cache_counts_what_it_holds(memory *m) {
+  twz_options options = TWZ_OPTIONS;
+  options.allocator.allocate = sized_allocate;
+  options.allocator.release = sized_release;
+  options.cache_bytes = 40000;
+  twz_file *file = open_memory(m, &options);
+  twz_level size;
+  CHECK(twz_file_level(file, -1, &size, NULL) == TWZ_OK);
+  for (int i = 0; i < 20; i++) {
+    raster part;
+    twz_box b = {below(size.n_rows), below(size.n_cols), 1, 1};
+    b.n_rows += below(min_u32(size.n_rows - b.row, 60));
+    b.n_cols += below(min_u32(size.n_cols - b.col, 60));
+    CHECK(read_raster(file, m, -1, &b, NULL, &part, NULL) == TWZ_OK);
+    free_raster(&part);
+    CHECK(file->cached_bytes <= file->cache_bytes);
+  }
+  size_t before = n_sized, counted = (size_t)file->cached_bytes, n_units = file->units.n;
+  file->cache_bytes = 0;
+  while (file->units.n > 0) cache_leave(file, cache_take(file, file->newest->entry.at, &(int32_t){1}));
+  size_t given_back = before - n_sized, heaps = n_units * sizeof(heap);
+  CHECK(counted <= given_back && given_back <= counted + heaps && file->cached_bytes == 0);
+  twz_file_free(file);
+  CHECK(n_sized == 0);
+}
+
 /* ---- What must fail ---- */
 
 typedef struct counter {
@@ -463,6 +508,7 @@ int main(int n, char **files) {
     threads_may_share_a_file(&m, pool);
 #endif
     a_window_in_the_cache_needs_no_bytes(&m);
+    the_cache_counts_what_it_holds(&m);
     no_memory_is_an_error(&m);
     calls_that_are_wrong_say_so(&m);
     damage_is_noticed(&m);
