@@ -1,7 +1,8 @@
 """Hold `twz` against the Python package on more than the conformance set has: python … TWZ.
 
-Rasters of many equal units, which the library decodes two at a time, with and without voids: all
-levels, each kind of kernels, one thread and three.
+Rasters of many equal units, which the library decodes up to four at a time, with and without voids,
+and rasters at the border of what 16 bits hold: all levels and windows, each kind of kernels, one
+thread and three.
 """
 
 import subprocess
@@ -34,6 +35,14 @@ def terrain(has_voids):
     heights = heights.astype(np.float32) / 8
     heights[200:260, 100:400] = np.nan
     return heights
+
+
+def of_range(span):
+    """Return heights whose range is what 16 bits hold, or not, with cliffs from end to end of it."""
+    heights = terrain(False).astype(np.int32)[:200, :200]
+    heights = (heights - heights.min()) % (span + 1)
+    heights[40:90, 30:170] = np.where(heights[40:90, 30:170] % 3 == 0, 0, span)
+    return heights - 1_000_000
 
 
 def is_readable(twz, way, path):
@@ -79,6 +88,12 @@ def main():
             for number, options in enumerate(OPTIONS):
                 path = str(Path(folder) / f"{has_voids}-{number}.twz")
                 tw.compress(terrain(has_voids), path, block=64, mesh="none", **options)
+                found += disagreements(twz, path)
+                n_files += 1
+        for span in (65_534, 65_535, 65_536):
+            for bound in (0, 3):  # the ends of the range are kept: cliffs lie on them
+                path = str(Path(folder) / f"{span}-{bound}.twz")
+                tw.compress(of_range(span), path, max_error=bound, block=32, mesh="none")
                 found += disagreements(twz, path)
                 n_files += 1
     for line in found:
