@@ -38,7 +38,7 @@ def terrain(has_voids):
 
 
 def of_range(span):
-    """Return heights whose range is what 16 bits hold, or not, with cliffs from end to end of it."""
+    """Return heights of a range that 16 bits hold, or not, with cliffs from end to end."""
     heights = terrain(False).astype(np.int32)[:200, :200]
     heights = (heights - heights.min()) % (span + 1)
     heights[40:90, 30:170] = np.where(heights[40:90, 30:170] % 3 == 0, 0, span)
@@ -52,7 +52,7 @@ def is_readable(twz, way, path):
 
 
 def boxes(n_rows, n_cols):
-    """Yield windows in which units that are decoded end early: the first rows, and some in the middle."""
+    """Yield windows of which units need their first rows only."""
     yield 0, 0, -(-n_rows // 3), n_cols
     yield n_rows // 3, n_cols // 3, -(-n_rows // 4), -(-n_cols // 4)
 
