@@ -78,7 +78,7 @@ static int read_window(const char *text, twz_box *box) {
     if (comma) *comma = 0;
     if (!read_number(at, 0, UINT32_MAX, &number)) return 0;
     *fields[i] = (uint32_t)number;
-    at = comma + 1;
+    if (comma) at = comma + 1;
   }
   return 1;
 }

@@ -113,7 +113,8 @@ typedef struct twz_options {
   size_t size;             /* sizeof(twz_options) */
   twz_allocator allocator;
   twz_locks locks;
-  uint64_t cache_bytes;    /* decoded units that are kept for later windows; 0: none */
+  uint64_t cache_bytes;    /* most memory of decoded units that are kept for later windows; 0: none. Units that
+                              windows use are kept besides, until these are freed */
   uint64_t max_bytes;      /* most memory of one window, decoded units and payloads; 0: no limit */
   twz_kernels kernels;     /* TWZ_BAD_ARGUMENT if this processor or this build has them not */
 } twz_options;

@@ -312,6 +312,7 @@ twz_status write_raw(const heights *h, void *out, const int32_t *quanta, const u
 typedef struct layer {
   axis rows, cols;
   int32_t *heights;     /* quanta (cdf53: steps) */
+  int32_t n_ready;      /* rows that heights are wanted of, or there, from the first on; 0: all */
   uint8_t *valid;       /* NULL: all are valid */
   uint8_t *own;         /* with feature bit 4; NULL: as valid */
   int64_t *remainders;  /* NULL: all are 0 */
@@ -321,7 +322,8 @@ enum { MOST_LAYERS = 10 };
 
 /* Memory that units share: those that are decoded together. */
 typedef struct heap {
-  size_t n_users;
+  size_t n_users, n_cached;
+  uint64_t n_out; /* bytes of those that left the cache, where the others keep them */
   int32_t *heights;
 } heap;
 
@@ -335,6 +337,12 @@ typedef struct unit {
   heap *heap; /* where heights of the first layer are; NULL: they are an array of its own */
   layer layers[MOST_LAYERS];
 } unit;
+
+/* A unit whose first rows served a window is decoded as a whole when more are wanted: at most twice. */
+enum { ALL_ROWS = INT32_MAX };
+static inline int has_rows(const unit *u, int32_t n_rows) {
+  return u->layers[0].n_ready == 0 || u->layers[0].n_ready >= n_rows;
+}
 
 static inline layer *layer_of(unit *u, int level) { return &u->layers[level - u->first_level]; }
 
@@ -447,7 +455,7 @@ twz_status load_all(const twz_allocator *a, need_function need, feed_function fe
                     void *source, twz_error *error);
 
 /* The cache: units that are taken or given stay until they are left. */
-unit *cache_take(twz_file *f, place key); /* NULL: not there */
+unit *cache_take(twz_file *f, place key, int32_t *n_rows); /* NULL: it or some of so many rows are not there */
 unit *cache_give(twz_file *f, unit *u);
 void cache_leave(twz_file *f, unit *u);
 void unit_free(twz_file *f, unit *u); /* takes the lock */
