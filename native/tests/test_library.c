@@ -436,6 +436,9 @@ int main(int n, char **files) {
   twz_pool *pool;
   CHECK(twz_pool_new(3, &pool, NULL) == TWZ_OK);
   CHECK(twz_version() == TWZ_VERSION_MAJOR * 10000 + TWZ_VERSION_MINOR * 100 + TWZ_VERSION_PATCH);
+  char numbers[40];
+  snprintf(numbers, sizeof numbers, "%d.%d.%d", TWZ_VERSION_MAJOR, TWZ_VERSION_MINOR, TWZ_VERSION_PATCH);
+  CHECK(strncmp(TWZ_VERSION, numbers, strlen(numbers)) == 0);
   checksums_are_those_of_the_format();
   numbers_are_the_nearest_ones();
   texts_are_checked();
