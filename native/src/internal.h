@@ -336,6 +336,11 @@ typedef struct unit {
   layer layers[MOST_LAYERS];
 } unit;
 
+static inline int is_valid_at(const layer *l, size_t at) { return !l->valid || l->valid[at]; }
+/* The place of a sample of the core in the region. */
+static inline size_t core_at(const layer *l, int32_t row, int32_t col) {
+  return (size_t)(l->rows.core + row) * (size_t)l->cols.n + (size_t)(l->cols.core + col);
+}
 static inline layer *layer_of(unit *u, int level) { return &u->layers[level - u->first_level]; }
 
 /* ---- Methods -------------------------------------------------------------------------------- */
@@ -451,6 +456,12 @@ unit *cache_take(twz_file *f, place key); /* NULL: not there */
 unit *cache_give(twz_file *f, unit *u);
 void cache_leave(twz_file *f, unit *u);
 void unit_free(twz_file *f, unit *u); /* takes the lock */
+
+/* The parent's line at or before (after) a line of the level, counted from the first parent height. */
+static inline int32_t line_above(uint32_t line, int is_after, uint32_t first, int32_t n) {
+  int64_t at = (int64_t)(((uint64_t)line + (is_after ? 1u : 0u)) >> 1) - first;
+  return (int32_t)clamp_i64(at, 0, n - 1);
+}
 
 /* What the parent heights of a key are (§2.4), out of the unit that holds its block. */
 parent parent_of(const twz_file *f, place key, const unit *above);
