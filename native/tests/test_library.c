@@ -2,6 +2,7 @@
  * Tests of the library with the files it is given: test_library FILE ... What files decode to is held against the
  * conformance set elsewhere (CMakeLists.txt); here ways to the same heights are compared, and what must fail fails.
  */
+#include <float.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -389,13 +390,14 @@ static void numbers_are_the_nearest_ones(void) {
                                      "0.50000000000000011102230246251565404236316680908203125", "8.98846567431158e307"};
   for (size_t i = 0; i < sizeof HARD / sizeof *HARD; i++) CHECK(number_of(HARD[i]) == strtod(HARD[i], NULL));
   for (int i = 0; i < 30000; i++) { /* whatever digits and exponents */
-    char text[80];
+    char text[1100];
     int n = 0;
+    uint32_t most = i % 16 ? 25 : 1000; /* digits after the point: at times more than are kept */
     if (below(2)) text[n++] = '-';
     n += snprintf(text + n, sizeof text - (size_t)n, "%u", 1 + below(9));
     for (uint32_t k = below(25); k > 0; k--) text[n++] = (char)('0' + below(10));
     text[n++] = '.';
-    for (uint32_t k = 1 + below(25); k > 0; k--) text[n++] = (char)('0' + below(10));
+    for (uint32_t k = 1 + below(most); k > 0; k--) text[n++] = (char)('0' + below(10));
     snprintf(text + n, sizeof text - (size_t)n, "e%d", (int)below(620) - 330);
     double x = strtod(text, NULL), y = number_of(text);
     if (isinf(x) ? !isnan(y) : x != y) {
@@ -403,6 +405,13 @@ static void numbers_are_the_nearest_ones(void) {
       n_failed++;
     }
   }
+  /* Half way between 1 and the next double, and hardly more, by digits that are not kept. */
+  char half[1100] = "1.00000000000000011102230246251565404236316680908203125";
+  size_t n_half = strlen(half);
+  memset(half + n_half, '0', 1000);
+  CHECK(number_of(half) == 1);
+  half[n_half + 999] = '1';
+  CHECK(number_of(half) == 1 + DBL_EPSILON);
   char long_one[1900] = "0.";
   memset(long_one + 2, '0', 1800);
   strcpy(long_one + 1802, "5e1800");
