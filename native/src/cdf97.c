@@ -414,33 +414,28 @@ typedef struct fields {
 } fields;
 
 static twz_status read_fields(decoding *d, reader *r, fields *f, twz_error *error) {
-  REQUIRE(r->n > 0, error, "a payload without a byte of method cdf97");
-  f->flags = r->bytes[r->at++];
+  TRY(read_byte(r, &f->flags, error));
   REQUIRE(f->flags <= RAW, error, "flags %d of method cdf97", f->flags);
   if (f->flags == RAW) {
-    uint64_t z;
-    REQUIRE(r->at < r->n, error, "a payload of method cdf97 is cut");
-    f->n_bits = r->bytes[r->at++];
+    TRY(read_byte(r, &f->n_bits, error));
     REQUIRE(f->n_bits <= 32, error, "%d bits of a raw height, more than 32", f->n_bits);
-    TRY(read_varint(r, &z, error));
-    f->base = z % 2 ? -(int64_t)((z + 1) / 2) : (int64_t)(z / 2);
+    TRY(read_signed_varint(r, &f->base, error));
     REQUIRE(abs_i64(f->base) <= MOST, error, "a base of raw heights beyond 2^30");
   }
   if (f->flags & COEFFICIENTS) {
     uint64_t s;
+    int byte;
     TRY(read_varint(r, &s, error));
     REQUIRE(s >= 1 && s <= (uint64_t)1 << 32, error, "step code %llu, not 1 to 2^32", (unsigned long long)s);
     d->step_code = (int64_t)s;
-    REQUIRE(r->at < r->n, error, "a payload of method cdf97 is cut");
-    int byte = r->bytes[r->at++];
+    TRY(read_byte(r, &byte, error));
     REQUIRE(byte < 64, error, "%d as the byte of offset and direction, 64 or more", byte);
     d->offset = byte & 15;
     d->is_along[HL] = byte >> 4 & 1;
     d->is_along[LH] = byte >> 5 & 1;
   }
   if (f->flags & RESIDUALS) {
-    REQUIRE(r->at < r->n, error, "a payload of method cdf97 is cut");
-    f->set = r->bytes[r->at++];
+    TRY(read_byte(r, &f->set, error));
     REQUIRE(f->set < N_SETS, error, "set %d of weights does not exist", f->set);
   }
   return TWZ_OK;

@@ -54,7 +54,7 @@ static inline uint64_t load_u64(const uint8_t *p) {
   return load_u32(p) | (uint64_t)load_u32(p + 4) << 32;
 }
 
-/* ---- Errors (error.c) ----------------------------------------------------------------------- */
+/* ---- Errors (bytes.c) ----------------------------------------------------------------------- */
 
 /* Fill `error` (may be NULL) and return the status. */
 twz_status twz_fail(twz_error *error, twz_status status, const char *format, ...) TWZ_PRINTF(3, 4);
@@ -124,6 +124,8 @@ typedef struct reader {
 
 /* Read a varint (§1.4). */
 twz_status read_varint(reader *r, uint64_t *value, twz_error *error);
+twz_status read_signed_varint(reader *r, int64_t *value, twz_error *error);
+twz_status read_byte(reader *r, int *byte, twz_error *error);
 /* Read a varint n and take n bytes as a section of its own. */
 twz_status read_section(reader *r, reader *section, const char *name, twz_error *error);
 
@@ -161,7 +163,7 @@ twz_status json_parse(json_document *document, const char *text, size_t n, twz_e
 void json_free(json_document *document);
 const json_value *json_member(const json_value *object, const char *key); /* NULL: none or null */
 
-/* ---- Header and grid (header.c, grid.c) ----------------------------------------------------- */
+/* ---- Header and grid (header.c) ------------------------------------------------------------- */
 
 enum {
   HEADER_SIZE = 128,
@@ -341,8 +343,6 @@ static inline int is_valid_at(const layer *l, size_t at) { return !l->valid || l
 static inline size_t core_at(const layer *l, int32_t row, int32_t col) {
   return (size_t)(l->rows.core + row) * (size_t)l->cols.n + (size_t)(l->cols.core + col);
 }
-static inline layer *layer_of(unit *u, int level) { return &u->layers[level - u->first_level]; }
-
 /* ---- Methods -------------------------------------------------------------------------------- */
 
 struct rapid_tables;
@@ -469,11 +469,6 @@ parent parent_of(const twz_file *f, place key, const unit *above);
 static inline int32_t parent_height(const parent *p, int32_t row, int32_t col) {
   if (p->is_void) return 0;
   return p->layer->heights[(size_t)(p->row + row) * (size_t)p->layer->cols.n + (size_t)(p->col + col)];
-}
-static inline int parent_valid(const parent *p, int32_t row, int32_t col) {
-  if (p->is_void) return 0;
-  const uint8_t *valid = p->layer->valid;
-  return !valid || valid[(size_t)(p->row + row) * (size_t)p->layer->cols.n + (size_t)(p->col + col)];
 }
 
 #endif
