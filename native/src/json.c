@@ -186,36 +186,23 @@ static twz_status read_number(parser *p, json_value *value) {
 /* ---- Strings ---- */
 
 static int hex4(const parser *p, size_t at, uint32_t *code) {
+  static const char DIGITS[] = "0123456789abcdefABCDEF";
   *code = 0;
   if (p->n - at < 4) return 0;
   for (size_t i = at; i < at + 4; i++) {
-    char c = p->text[i];
-    uint32_t digit = c >= '0' && c <= '9'   ? (uint32_t)(c - '0')
-                     : c >= 'a' && c <= 'f' ? (uint32_t)(c - 'a' + 10)
-                     : c >= 'A' && c <= 'F' ? (uint32_t)(c - 'A' + 10)
-                                            : 16;
-    if (digit == 16) return 0;
-    *code = *code * 16 + digit;
+    const char *found = p->text[i] ? strchr(DIGITS, p->text[i]) : NULL;
+    if (!found) return 0;
+    uint32_t digit = (uint32_t)(found - DIGITS);
+    *code = *code * 16 + (digit < 16 ? digit : digit - 6);
   }
   return 1;
 }
 
 static char *put_utf8(char *to, uint32_t code) {
-  if (code < 0x80) {
-    *to++ = (char)code;
-  } else if (code < 0x800) {
-    *to++ = (char)(0xC0 | code >> 6);
-    *to++ = (char)(0x80 | (code & 63));
-  } else if (code < 0x10000) {
-    *to++ = (char)(0xE0 | code >> 12);
-    *to++ = (char)(0x80 | (code >> 6 & 63));
-    *to++ = (char)(0x80 | (code & 63));
-  } else {
-    *to++ = (char)(0xF0 | code >> 18);
-    *to++ = (char)(0x80 | (code >> 12 & 63));
-    *to++ = (char)(0x80 | (code >> 6 & 63));
-    *to++ = (char)(0x80 | (code & 63));
-  }
+  static const uint8_t FIRST[4] = {0, 0xC0, 0xE0, 0xF0}; /* by bytes that follow */
+  int n_more = (code >= 0x80) + (code >= 0x800) + (code >= 0x10000);
+  *to++ = (char)(FIRST[n_more] | code >> (6 * n_more));
+  while (n_more-- > 0) *to++ = (char)(0x80 | (code >> (6 * n_more) & 63));
   return to;
 }
 

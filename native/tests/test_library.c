@@ -422,6 +422,16 @@ static void numbers_are_the_nearest_ones(void) {
   for (size_t i = 0; i < sizeof WRONG / sizeof *WRONG; i++) CHECK(isnan(number_of(WRONG[i])));
 }
 
+static void escapes_are_the_characters_they_name(void) {
+  static const char TEXT[] = "{\"a\": \"\\u0041\\u00e9\\u20AC\\ud83d\\uDE00\\u007f\\u0080\\u07ff\\u0800\\n\\\\\"}";
+  twz_allocator plain = {0, 0, 0};
+  json_document d = {&plain, NULL, NULL};
+  CHECK(json_parse(&d, TEXT, strlen(TEXT), NULL) == TWZ_OK);
+  CHECK(strcmp(json_member(d.root, "a")->string,
+               "A\xc3\xa9\xe2\x82\xac\xf0\x9f\x98\x80\x7f\xc2\x80\xdf\xbf\xe0\xa0\x80\n\\") == 0);
+  json_free(&d);
+}
+
 static void texts_are_checked(void) {
   static const struct { const char *text; int is_good; } CASES[] = {
       {"{}", 1}, {" { } ", 1}, {"{\"a\":[1,{\"b\":null}],\"c\":\"\\u00e9\\ud83d\\ude00\"}", 1}, {"[]", 0}, {"{", 0}, {"{\"a\"}", 0},
@@ -450,6 +460,7 @@ int main(int n, char **files) {
   CHECK(strncmp(TWZ_VERSION, numbers, strlen(numbers)) == 0);
   checksums_are_those_of_the_format();
   numbers_are_the_nearest_ones();
+  escapes_are_the_characters_they_name();
   texts_are_checked();
   for (int i = 1; i < n; i++) {
     path = files[i];
