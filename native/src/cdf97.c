@@ -307,8 +307,9 @@ static ptrdiff_t edged_at(const decoding *d, int32_t r, int32_t c) {
 
 static void fill_base(decoding *d, int has_details) {
   for (int32_t r = 0; r < d->n_rows; r++) {
-    for (int32_t c = 0; c < d->n_cols; c++) {
-      int64_t h = d->predicted ? d->predicted[core_at(d->out, r, c)] : 0;
+    size_t place = core_at(d->out, r, 0);
+    for (int32_t c = 0; c < d->n_cols; c++, place++) {
+      int64_t h = d->predicted ? d->predicted[place] : 0;
       int64_t x = has_details ? clamp_i64(d->details[(ptrdiff_t)r * d->n_cols + c], -256 * MOST, 256 * MOST) : 0;
       d->base[edged_at(d, r, c)] = clamp_i64(64 * h + x, -64 * MOST, 64 * MOST);
     }
@@ -389,9 +390,9 @@ static void decode_residuals(decoding *d, int set) {
   memset(d->mu, 0, n * sizeof *d->mu);
   memset(d->signs, 0, n);
   for (int32_t r = 0; r < d->n_rows; r++) {
-    for (int32_t c = 0; c < d->n_cols; c++) {
-      ptrdiff_t at = edged_at(d, r, c);
-      size_t place = core_at(d->out, r, c);
+    ptrdiff_t at = edged_at(d, r, 0);
+    size_t place = core_at(d->out, r, 0);
+    for (int32_t c = 0; c < d->n_cols; c++, at++, place++) {
       int phase = 2 * (r & 1) + (c & 1), known = d->border.known[place], valid = is_valid_at(d->out, place);
       int64_t p = predict_sample(d, twz_cdf97_terms[set][phase], at), h = shift_right(p + 32, 6), height = h;
       if (known) {
