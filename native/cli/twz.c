@@ -374,8 +374,7 @@ int main(int n, char **arguments) {
     return 0;
   }
   if (n == 2 && strcmp(arguments[1], "--version") == 0) {
-    int v = twz_version();
-    printf("twz %d.%d.%d\n", v / 10000, v / 100 % 100, v % 100);
+    puts("twz " TWZ_VERSION);
     return 0;
   }
   options o;

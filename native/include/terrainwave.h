@@ -58,7 +58,9 @@ extern "C" {
 #define TWZ_API
 #endif
 
-#define TWZ_VERSION_MAJOR 0
+/* Between releases the next one's, with .dev0 behind the numbers. */
+#define TWZ_VERSION "1.1.0.dev0"
+#define TWZ_VERSION_MAJOR 1
 #define TWZ_VERSION_MINOR 1
 #define TWZ_VERSION_PATCH 0
 

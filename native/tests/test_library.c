@@ -2,6 +2,7 @@
  * Tests of the library with the files it is given: test_library FILE ... What files decode to is held against the
  * conformance set elsewhere (CMakeLists.txt); here ways to the same heights are compared, and what must fail fails.
  */
+#include <float.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -448,13 +449,14 @@ static void numbers_are_the_nearest_ones(void) {
                                      "0.50000000000000011102230246251565404236316680908203125", "8.98846567431158e307"};
   for (size_t i = 0; i < sizeof HARD / sizeof *HARD; i++) CHECK(number_of(HARD[i]) == strtod(HARD[i], NULL));
   for (int i = 0; i < 30000; i++) { /* whatever digits and exponents */
-    char text[80];
+    char text[1100];
     int n = 0;
+    uint32_t most = i % 16 ? 25 : 1000; /* digits after the point: at times more than are kept */
     if (below(2)) text[n++] = '-';
     n += snprintf(text + n, sizeof text - (size_t)n, "%u", 1 + below(9));
     for (uint32_t k = below(25); k > 0; k--) text[n++] = (char)('0' + below(10));
     text[n++] = '.';
-    for (uint32_t k = 1 + below(25); k > 0; k--) text[n++] = (char)('0' + below(10));
+    for (uint32_t k = 1 + below(most); k > 0; k--) text[n++] = (char)('0' + below(10));
     snprintf(text + n, sizeof text - (size_t)n, "e%d", (int)below(620) - 330);
     double x = strtod(text, NULL), y = number_of(text);
     if (isinf(x) ? !isnan(y) : x != y) {
@@ -462,6 +464,13 @@ static void numbers_are_the_nearest_ones(void) {
       n_failed++;
     }
   }
+  /* Half way between 1 and the next double, and hardly more, by digits that are not kept. */
+  char half[1100] = "1.00000000000000011102230246251565404236316680908203125";
+  size_t n_half = strlen(half);
+  memset(half + n_half, '0', 1000);
+  CHECK(number_of(half) == 1);
+  half[n_half + 999] = '1';
+  CHECK(number_of(half) == 1 + DBL_EPSILON);
   char long_one[1900] = "0.";
   memset(long_one + 2, '0', 1800);
   strcpy(long_one + 1802, "5e1800");
@@ -470,6 +479,16 @@ static void numbers_are_the_nearest_ones(void) {
   CHECK(number_of(long_one) == strtod(long_one, NULL) || isinf(strtod(long_one, NULL)));
   static const char *const WRONG[] = {"01", "1.", ".5", "-", "+1", "1e", "1e400", "-1e999999999999999999999", "NaN", "Infinity", "0x1", "1 1"};
   for (size_t i = 0; i < sizeof WRONG / sizeof *WRONG; i++) CHECK(isnan(number_of(WRONG[i])));
+}
+
+static void escapes_are_the_characters_they_name(void) {
+  static const char TEXT[] = "{\"a\": \"\\u0041\\u00e9\\u20AC\\ud83d\\uDE00\\u007f\\u0080\\u07ff\\u0800\\n\\\\\"}";
+  twz_allocator plain = {0, 0, 0};
+  json_document d = {&plain, NULL, NULL};
+  CHECK(json_parse(&d, TEXT, strlen(TEXT), NULL) == TWZ_OK);
+  CHECK(strcmp(json_member(d.root, "a")->string,
+               "A\xc3\xa9\xe2\x82\xac\xf0\x9f\x98\x80\x7f\xc2\x80\xdf\xbf\xe0\xa0\x80\n\\") == 0);
+  json_free(&d);
 }
 
 static void texts_are_checked(void) {
@@ -495,8 +514,12 @@ int main(int n, char **files) {
   twz_pool *pool;
   CHECK(twz_pool_new(3, &pool, NULL) == TWZ_OK);
   CHECK(twz_version() == TWZ_VERSION_MAJOR * 10000 + TWZ_VERSION_MINOR * 100 + TWZ_VERSION_PATCH);
+  char numbers[40];
+  snprintf(numbers, sizeof numbers, "%d.%d.%d", TWZ_VERSION_MAJOR, TWZ_VERSION_MINOR, TWZ_VERSION_PATCH);
+  CHECK(strncmp(TWZ_VERSION, numbers, strlen(numbers)) == 0);
   checksums_are_those_of_the_format();
   numbers_are_the_nearest_ones();
+  escapes_are_the_characters_they_name();
   texts_are_checked();
   for (int i = 1; i < n; i++) {
     path = files[i];
