@@ -348,7 +348,6 @@ static inline int has_rows(const unit *u, int32_t n_rows) {
 
 static inline layer *layer_of(unit *u, int level) { return &u->layers[level - u->first_level]; }
 
-
 static inline int is_valid_at(const layer *l, size_t at) { return !l->valid || l->valid[at]; }
 /* The place of a sample of the core in the region. */
 static inline size_t core_at(const layer *l, int32_t row, int32_t col) {
