@@ -14,7 +14,15 @@ import click
 
 from terrainwave.arguments import checked_path, checked_threads, count_of, path_in_url
 from terrainwave.cli.manifest import Manifest
-from terrainwave.cli.output import Bar, line_of, plain, print_error, print_note
+from terrainwave.cli.output import (
+    Bar,
+    announce_compiling,
+    line_of,
+    plain,
+    print_error,
+    print_json,
+    print_note,
+)
 from terrainwave.cli.streams import STREAM
 from terrainwave.container.sources.addresses import display_name
 from terrainwave.errors import InvalidArgumentError, TerrainwaveError
@@ -158,6 +166,33 @@ def run(
     if not quiet:
         click.echo(_summary(in_order, word))
     return [outcome.to_dict(word) for outcome in in_order], _status(in_order)
+
+
+def run_to(
+    sources: tuple[str, ...],
+    directory: str,
+    ending: str,
+    work: Work,
+    word: str,
+    *,
+    manifest: Manifest | None,
+    threads: int | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Make a file of each source in a directory, and end with the status of all."""
+    if not sources:
+        raise click.UsageError("Missing argument 'SOURCE'.")
+    jobs = plan(sources, directory, ending)
+    announce_compiling(quiet=quiet)
+    with made(directory):
+        found, status = run(
+            jobs, work, word=word, threads=threads, quiet=quiet or as_json,
+            manifest=manifest,
+        )  # fmt: skip
+    if as_json:
+        print_json({"files": found})
+    finish(status)
 
 
 def _tell(outcome: _Outcome, bar: Bar, *, quiet: bool) -> None:

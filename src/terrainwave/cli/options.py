@@ -2,15 +2,23 @@
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
 
-from terrainwave.arguments import ARCHIVE_ENDING, BLOCKS, check_ending, checked_path
+from terrainwave.arguments import (
+    ARCHIVE_ENDING,
+    AS_IS,
+    BLOCKS,
+    VERTICAL,
+    check_ending,
+    checked_path,
+)
 from terrainwave.cli.streams import STREAM, read_stream
 from terrainwave.errors import InvalidArgumentError
+from terrainwave.names import MESH_CHOICES, METHODS, SMALLEST_METHOD, methods_that
 from terrainwave.render.look.colorings import AUTO, NO_SEA
 
 TILE_SIZES = tuple(2**n + 1 for n in range(1, 15))
@@ -248,3 +256,57 @@ class Numbers(click.ParamType):
             count = {2: "two", 4: "four"}.get(self._count, self._count)
             self.fail(f"found {value}, expected {count} {kind}: {self.name}", param, ctx)
         return numbers
+
+
+THREADS = click.IntRange(min=1)
+METHOD = click.Choice(["auto", *METHODS])
+CUTTABLE = methods_that(lambda method: method.is_cuttable)
+FAITHFUL = methods_that(lambda method: method.may_be_faithful)
+_EFFORTS = [f"{method.name} {method.effort}" for method in METHODS.values() if method.effort]
+EFFORT = (
+    f"How much is tried: {'; '.join(_EFFORTS)}; the others have one way."
+    f" For archives: best without --method is {SMALLEST_METHOD.name}, whose files are"
+    " 0.95 of the default's size (0.78 to 0.99), and are read 5 times as slowly."
+)
+VERTICAL_OPTION = click.option(
+    "--vertical",
+    type=click.Choice(VERTICAL),
+    default=AS_IS,
+    show_default=True,
+    help="Heights on the globe: taken as above the ellipsoid, or converted from the CRS's vertical"
+    " datum by PROJ's grid.",
+)
+MESH = click.Choice(["auto", *MESH_CHOICES, "none"])
+
+
+def writing(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of commands that write a file."""
+    for option in (
+        click.option(
+            "--threads", type=THREADS, help="Threads; by default all processors that it may use."
+        ),
+        click.option("--overwrite", is_flag=True, help="Replace an existing file."),
+        click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes."),
+    ):
+        command = option(command)
+    return command
+
+
+def batched(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of commands that take many files at once."""
+    for option in (
+        click.option(
+            "--skip-existing",
+            is_flag=True,
+            help="With --to: leave out what is there already, of the same source and with the same"
+            " options.",
+        ),
+        click.option(
+            "--to",
+            type=Directory(),
+            metavar="DIR",
+            help="Write a file for each SOURCE to this directory; go on past those that fail.",
+        ),
+    ):
+        command = option(command)
+    return command

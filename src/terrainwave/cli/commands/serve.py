@@ -12,9 +12,18 @@ from typing import Any
 import click
 
 from terrainwave.arguments import count_of
-from terrainwave.cli.commands import main, plain_json
-from terrainwave.cli.options import PAGE_SEA_LEVEL_OPTION, NamedInput, Positive
-from terrainwave.cli.output import announce_compiling, message_of, print_note
+from terrainwave.cli.options import (
+    PAGE_SEA_LEVEL_OPTION,
+    NamedInput,
+    Positive,
+)
+from terrainwave.cli.output import (
+    Command,
+    announce_compiling,
+    message_of,
+    plain_json,
+    print_note,
+)
 from terrainwave.cli.signals import Terminated
 from terrainwave.errors import StorageError, TerrainwaveError
 from terrainwave.extras import need
@@ -34,7 +43,7 @@ def _host_names(_: Any, __: Any, names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
-@main.command()
+@click.command(cls=Command)
 @click.argument("files", nargs=-1, type=NamedInput())
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
 @click.option("--port", type=click.IntRange(0, 65535), default=8765, show_default=True,

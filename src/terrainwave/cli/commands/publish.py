@@ -7,13 +7,23 @@ from typing import Any
 import click
 
 from terrainwave.arguments import count_of
-from terrainwave.cli.commands import main, print_json
-from terrainwave.cli.options import PAGE_SEA_LEVEL_OPTION, Directory, NamedInput, Positive
-from terrainwave.cli.output import Bar, announce_compiling, plain
+from terrainwave.cli.options import (
+    PAGE_SEA_LEVEL_OPTION,
+    Directory,
+    NamedInput,
+    Positive,
+)
+from terrainwave.cli.output import (
+    Bar,
+    Command,
+    announce_compiling,
+    plain,
+    print_json,
+)
 from terrainwave.names import TILE_ENCODINGS
 
 
-@main.command()
+@click.command(cls=Command)
 @click.argument("files", nargs=-1, required=True, type=NamedInput())
 @click.argument("directory", type=Directory())
 @click.option("--radius", type=Positive(), help="Of the planet, in metres, for degrees.")

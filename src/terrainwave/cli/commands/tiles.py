@@ -8,20 +8,22 @@ from typing import Any
 import click
 
 from terrainwave.arguments import ARCHIVE_ENDING, AS_IS, count_of
-from terrainwave.cli.commands import (
-    THREADS,
-    VERTICAL_OPTION,
-    main,
+from terrainwave.cli.options import THREADS, VERTICAL_OPTION, Directory, Finite, Input, Positive
+from terrainwave.cli.output import (
+    Bar,
+    Command,
+    announce_compiling,
+    plain,
+    print_grid,
     print_json,
+    reading,
     vertical_in_words,
 )
-from terrainwave.cli.options import Directory, Finite, Input, Positive
-from terrainwave.cli.output import Bar, announce_compiling, plain, print_grid, reading
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.names import TILE_ENCODINGS
 
 
-@main.command()
+@click.command(cls=Command)
 @click.argument("file", type=Input())
 @click.argument("target", type=Directory(or_ending=ARCHIVE_ENDING))
 @click.option(
