@@ -76,6 +76,10 @@ INSIDE = {
         "gpu": {"scene", "modes", "paging", "look"},
         "window": {"scene", "modes", "paging", "look", "gpu"},
     },
+    "cli": {
+        "": {"commands"},  # the package itself and `rio`
+        "commands": set(),
+    },
 }
 # Of the window, what knows no OpenGL.
 WITHOUT_GPU = {"captures", "controls", "ground", "session"}
