@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from terrainwave.cli.options import (
+    RADIUS_OPTION,
     Name,
     Numbers,
     SeaLevel,
@@ -86,7 +87,7 @@ def drawing(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--drape", type=Name(), metavar="IMAGE",
                      help="Orthophoto to lay on the terrain; it is warped to it. A file, its URL"
                      " or that of tiles, https://.../{z}/{x}/{y}.png."),
-        click.option("--radius", type=POSITIVE, help="Of the body, metres, for degrees."),
+        RADIUS_OPTION,
         click.option("--exaggeration", type=POSITIVE, default=1.0, show_default=True,
                      help="Factor of heights."),
         click.option("--error", type=click.Choice(["measured", "paper", "coefficient"]),

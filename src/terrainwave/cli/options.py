@@ -18,7 +18,7 @@ from terrainwave.arguments import (
 )
 from terrainwave.cli.streams import STREAM, read_stream
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.names import MESH_CHOICES, METHODS, SMALLEST_METHOD, methods_that
+from terrainwave.names import METHODS, SMALLEST_METHOD, methods_that
 from terrainwave.render.look.colorings import AUTO, NO_SEA
 
 TILE_SIZES = tuple(2**n + 1 for n in range(1, 15))
@@ -261,12 +261,18 @@ class Numbers(click.ParamType):
 THREADS = click.IntRange(min=1)
 METHOD = click.Choice(["auto", *METHODS])
 CUTTABLE = methods_that(lambda method: method.is_cuttable)
-FAITHFUL = methods_that(lambda method: method.may_be_faithful)
 _EFFORTS = [f"{method.name} {method.effort}" for method in METHODS.values() if method.effort]
 EFFORT = (
     f"How much is tried: {'; '.join(_EFFORTS)}; the others have one way."
     f" For archives: best without --method is {SMALLEST_METHOD.name}, whose files are"
     " 0.95 of the default's size (0.78 to 0.99), and are read 5 times as slowly."
+)
+RADIUS_OPTION = click.option(
+    "--radius",
+    type=Positive(),
+    metavar="METRES",
+    help="Radius of the planet or moon in metres, for coordinates in degrees. Default: the"
+    " ellipsoid of the CRS.",
 )
 VERTICAL_OPTION = click.option(
     "--vertical",
@@ -276,7 +282,12 @@ VERTICAL_OPTION = click.option(
     help="Heights on the globe: taken as above the ellipsoid, or converted from the CRS's vertical"
     " datum by PROJ's grid.",
 )
-MESH = click.Choice(["auto", *MESH_CHOICES, "none"])
+
+
+def check_one_area(options: dict[str, Any]) -> None:
+    """Refuse a window together with bounds."""
+    if options["window"] and options["bounds"]:
+        raise click.UsageError("found both --window and --bounds, expected one of them")
 
 
 def writing(command: Callable[..., Any]) -> Callable[..., Any]:

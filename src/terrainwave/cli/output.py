@@ -90,8 +90,21 @@ def warnings_as_notes() -> Iterator[None]:
         yield
 
 
+@functools.cache
+def _own_options() -> set[str]:
+    """Return the names of options that -o takes."""
+    from terrainwave.codec import method_options
+    from terrainwave.names import MESH_KINDS, METHODS
+    from terrainwave.tri import mesh_options
+
+    kinds = [*map(method_options.options_of, METHODS), *map(mesh_options.options_of, MESH_KINDS)]
+    return {name for kind in kinds if kind is not None for name in kind.names()}
+
+
 def _option(argument: str) -> str:
     """Return the option for an argument of a function."""
+    if argument in _own_options():
+        return f"-o {argument}"
     names = {"src": "SOURCE", "dst": "TARGET", "client": "--scheduler"}
     return names.get(argument, f"--{argument}".replace("_", "-"))
 

@@ -99,7 +99,7 @@ class Job:
         But for meshes that follow coefficients, where the method has none: these are measured.
         """
         mesh = mesh_without_coefficients(self.options.mesh, method)
-        return replace(self, options=replace(self.options, method=method.name, mesh=mesh))
+        return replace(self, options=self.options.with_method(method, mesh))
 
     @property
     def has_voids(self) -> bool:
@@ -166,7 +166,7 @@ class Job:
             n_cols=info.n_cols,
             block=self.grid.block,
             border_rings=options.border_rings,
-            method=options.method,
+            method=options.coding.name,
             dtype=info.dtype,
             effort=options.effort_number,
             quantum=self._quantum,
@@ -260,8 +260,8 @@ def settled(
         )
     if scan.has_negative_zeros and bound == 0 and not quantizer.remainder_bytes:
         notes.append(
-            f"-0.0 becomes 0.0: method {options.method} keeps numbers, not the sign of zero; method"
-            f" {methods_that(lambda method: not method.is_tiled)} keeps both"
+            f"-0.0 becomes 0.0: method {options.coding.name} keeps numbers, not the sign of zero;"
+            f" method {methods_that(lambda method: not method.is_tiled)} keeps both"
         )
     measured = None
     if options.coding.is_tiled:

@@ -1,33 +1,23 @@
 """The command compress: rasters become .twz files."""
 
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, replace
 from typing import Any
 
 import click
 
-from terrainwave.arguments import (
-    TWZ_ENDINGS,
-)
-from terrainwave.cli.batch import (
-    Done,
-    Job,
-    refuse_options_of_batches,
-    run_to,
-)
+from terrainwave.arguments import TWZ_ENDINGS
+from terrainwave.cli.batch import Done, Job, refuse_options_of_batches, run_to
 from terrainwave.cli.manifest import Manifest
 from terrainwave.cli.options import (
-    CUTTABLE,
     EFFORT,
-    FAITHFUL,
-    MESH,
     METHOD,
     BlockSide,
     Bound,
     Input,
     Name,
     Nodata,
-    Positive,
     Target,
     batched,
     complete_files,
@@ -35,7 +25,6 @@ from terrainwave.cli.options import (
 )
 from terrainwave.cli.output import (
     Bar,
-    Command,
     announce_compiling,
     note_unit,
     plain,
@@ -43,19 +32,26 @@ from terrainwave.cli.output import (
     print_note,
     unit_behind,
 )
+from terrainwave.cli.own_options import (
+    OWN_OPTION,
+    CommandWithOwnOptions,
+    MeshKind,
+    former_options,
+    with_own_options,
+)
 from terrainwave.cli.streams import printing_beside, written
 from terrainwave.names import (
+    DEFAULT_EFFORT,
+    DEFAULT_MESH,
     DEFAULT_METHOD,
     EFFORTS,
     FORMATS,
-    METHODS,
     SMALLEST_METHOD,
-    Method,
 )
 from terrainwave.progress import ProgressCallback
 
 
-@click.command(cls=Command)
+@click.command(cls=CommandWithOwnOptions)
 @click.argument("paths", nargs=-1, metavar="SOURCE... TARGET", shell_complete=complete_files)
 @click.option(
     "--max-error",
@@ -63,8 +59,6 @@ from terrainwave.progress import ProgressCallback
     help="Largest allowed error, in the raster's vertical unit; 0 is lossless."
     " Default: lossless where the heights have a vertical step, else 0.01.",
 )
-@click.option("--rate", type=Positive(), help=f"With --method {CUTTABLE}: bits per sample.")
-@click.option("--psnr", type=Positive(), help=f"With --method {CUTTABLE}: decibels to reach.")
 @click.option(
     "--method",
     type=METHOD,
@@ -72,156 +66,170 @@ from terrainwave.progress import ProgressCallback
     show_default=True,
     help=f"auto is {DEFAULT_METHOD.name}; with --effort best it is {SMALLEST_METHOD.name}.",
 )
-@click.option("--block", type=BlockSide(), default=256, show_default=True, help="Cells per side.")
 @click.option(
-    "--effort", type=click.Choice(EFFORTS), default="default", show_default=True, help=EFFORT
+    "--effort", type=click.Choice(EFFORTS), default=DEFAULT_EFFORT, show_default=True, help=EFFORT
 )
-@click.option("--nodata", type=Nodata(), help="Replaces the raster's own nodata value.")
-@click.option("--band", type=click.IntRange(min=1), default=1, show_default=True)
-@click.option(
-    "--no-georeference",
-    is_flag=True,
-    help="Take the heights without place and CRS, whatever the raster says of them.",
-)
-@click.option("--border-rings", type=click.Choice(["1", "3"]), default="1", show_default=True)
-@click.option("--temp-dir", type=Name(), help="Where large temporary data go.")
-@click.option(
-    "--scheduler",
-    metavar="ADDRESS",
-    help="Share the work out to a dask cluster whose workers see SOURCE and TARGET.",
-)
-@click.option("--no-verify", is_flag=True, help="Skip decoding and comparing every sample.")
-@click.option("--mesh", type=MESH, default="auto", show_default=True, help="Triangulation.")
+@click.option("--mesh", type=MeshKind("none"), default=DEFAULT_MESH, show_default=True,
+              help="Kind of the meshes of all blocks.")  # fmt: skip
+@OWN_OPTION
 @click.option("--no-mesh", is_flag=True, help="Same as --mesh none.")
 @click.option(
     "--mesh-error",
     type=Bound(),
-    help="Distance of the finest meshes from the heights. Default: the guaranteed error, or the"
-    " heights' vertical step if that is more.",
-)
-@click.option(
-    "--faithful",
-    is_flag=True,
-    help=f"With --method {FAITHFUL}: follow the method's paper to the letter.",
+    help="Largest distance of the finest meshes from the decoded heights. Default: the guaranteed"
+    " error, or the heights' vertical step if that is larger.",
 )
 @click.option(
     "--strict",
     is_flag=True,
-    help="Floats with a decimal step (0.01 …): the stored floats are within the bound themselves,"
-    " not only the decimal numbers, for a larger file.",
+    help="Floats with a decimal step (0.01 …): the stored floats are within the bound, not only the"
+    " decimal numbers that they stand for. Files become larger.",
 )
+@click.option(
+    "--stable",
+    is_flag=True,
+    help="Round heights to fixed steps, which follow from --max-error and the raster's type."
+    " Heights then do not change when you decompress them and compress them again with the same"
+    " bound. Files become larger.",
+)
+@click.option("--block", type=BlockSide(), default=256, show_default=True,
+              help="Cells on each side of a block.")  # fmt: skip
 @click.option(
     "--format",
     type=click.Choice(FORMATS),
     default=FORMATS[-1],
     show_default=True,
-    help=f"{FORMATS[0]}: write what the first readers read, too.",
+    help=f"Format of the file; terrainwave 1.0 reads {FORMATS[0]} only.",
 )
+@click.option("--nodata", type=Nodata(), help="Nodata value; replaces the raster's own.")
+@click.option("--band", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Band to compress.")  # fmt: skip
 @click.option(
-    "--stable",
+    "--no-georeference",
     is_flag=True,
-    help="Round heights to fixed steps that follow from --max-error and the raster's type: what was"
-    " decompressed and is compressed again with the same bound does not change, for a larger file.",
+    help="Compress the heights alone and ignore the raster's transform and CRS.",
+)
+@click.option("--no-verify", is_flag=True, help="Do not decode and compare every sample.")
+@click.option("--temp-dir", type=Name(), help="Folder for large temporary files.")
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Distribute the work over a dask cluster whose workers see SOURCE and TARGET.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+@former_options
 @batched
 @writing
 def compress(
     paths: tuple[str, ...],
+    own: tuple[str, ...],
+    no_mesh: bool,
+    no_georeference: bool,
+    no_verify: bool,
     to: str | None,
     skip_existing: bool,
-    no_georeference: bool,
-    border_rings: str,
-    scheduler: str | None,
-    no_verify: bool,
-    mesh: str,
-    no_mesh: bool,
-    as_json: bool,
-    quiet: bool,
     **options: Any,
 ) -> None:
     """Compress the raster SOURCE to the file TARGET (.twz).
 
-    Several SOURCEs are a mosaic: rasters of one CRS and grid. It is void where none of them is;
-    where they overlap, the last counts. A SOURCE or TARGET that is - is stdin or stdout.
+    Several SOURCEs are a mosaic: rasters of one CRS and grid. Samples that no raster covers are
+    void; where rasters overlap, the last one counts. A SOURCE or TARGET - is stdin or stdout.
     With --to DIR there is no TARGET: each SOURCE becomes a file of its own in DIR.
     """
+    refuse_options_of_batches(to, skip_existing=skip_existing, overwrite=options["overwrite"])
+    if no_mesh:
+        options["mesh"] = "none"
+    options = with_own_options(own, options)
+    options |= {"georeference": not no_georeference, "verify": not no_verify}
+    if to is None:
+        _compress(*_sources_and_target(paths), **options)
+    else:
+        _compress_each(paths, to, skips=skip_existing, **options)
+
+
+def _compress(
+    sources: list[str],
+    target: str,
+    *,
+    scheduler: str | None,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
+    """Make one file of one raster, or of a mosaic."""
     import terrainwave
 
-    refuse_options_of_batches(to, skip_existing=skip_existing, overwrite=options["overwrite"])
-    method = METHODS.get(options["method"], DEFAULT_METHOD)
-    _check_goals(method, options)
-    if scheduler is not None and not method.is_clusterable:
+    if not options["georeference"] and len(sources) > 1:
         raise click.UsageError(
-            f"found --scheduler and --method {method.name}, expected one of them"
+            f"found --no-georeference and {len(sources)} SOURCEs, expected one: the rasters of a"
+            " mosaic are placed by their georeference"
         )
-    options |= {
-        "georeference": not no_georeference,
-        "border_rings": int(border_rings),
-        "mesh": "none" if no_mesh else mesh,
-        "verify": not no_verify,
-    }
-    if to is not None:
-        if scheduler is not None:
-            raise click.UsageError("found --scheduler and --to, expected one of them")
-
-        if skip_existing:
-            options["overwrite"] = True  # what is there and not the same is made again
-
-        def compress_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
-            result = terrainwave.compress(
-                job.source, str(job.target), progress=progress,
-                **options | {"threads": threads, "keep_origin": True},
-            )  # fmt: skip
-            return Done(_result_line(result), asdict(result))
-
-        run_to(
-            paths, to, ".twz", compress_one, "compressed",
-            manifest=_manifest_of_rasters(to, options) if skip_existing else None,
-            threads=options["threads"], as_json=as_json, quiet=quiet,
-        )  # fmt: skip
-        return
-    sources, target = _sources_and_target(paths)
-    if no_georeference and len(sources) > 1:
-        raise click.UsageError(
-            f"found --no-georeference and {len(sources)} SOURCEs, expected one: a mosaic is put"
-            " together by their places"
-        )
+    if scheduler is not None and not _asked(options).coding.is_clusterable:
+        method = _asked(options).coding.name
+        raise click.UsageError(f"found --scheduler and --method {method}, expected one of them")
     announce_compiling(quiet=quiet)
     with (
         _cluster(scheduler) as client,
         Bar(quiet=quiet) as bar,
         written(target, ".twz") as path,
     ):
-        result = terrainwave.compress(
-            sources,
-            path,
-            client=client,
-            progress=bar,
-            **options,
-        )
-    result = replace(result, path=target)
+        result = terrainwave.compress(sources, path, client=client, progress=bar, **options)
     with printing_beside(target):
-        if as_json:
-            print_json(asdict(result))
-        elif not quiet:
-            _print_result(result)
+        _print_result(replace(result, path=target), as_json=as_json, quiet=quiet)
 
 
-def _manifest_of_rasters(directory: str, options: dict[str, Any]) -> Manifest:
-    """Return what tells which files of a batch of `compress` are as asked for."""
-    from terrainwave.raster_io.files import files_of
+def _compress_each(
+    sources: Sequence[str],
+    directory: str,
+    *,
+    skips: bool,
+    scheduler: str | None,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
+    """Make a file of each raster, in a directory."""
+    import terrainwave
+
+    if scheduler is not None:
+        raise click.UsageError("found --scheduler and --to, expected one of them")
+    if skips:
+        options["overwrite"] = True  # a file that is not as asked for is made again
+
+    def compress_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
+        changed = options | {"threads": threads, "keep_origin": True}
+        result = terrainwave.compress(job.source, str(job.target), progress=progress, **changed)
+        return Done(_result_line(result), asdict(result))
+
+    run_to(
+        sources, directory, ".twz", compress_one, "compressed",
+        manifest=_manifest(directory, options) if skips else None,
+        threads=options["threads"], as_json=as_json, quiet=quiet,
+    )  # fmt: skip
+
+
+# What is asked of the raster that is read, and of the run, and not of the file that is made.
+_OF_SOURCE = ("nodata", "band", "georeference")
+_OF_RUN = ("temp_dir", "overwrite", "threads")
+
+
+def _asked(options: dict[str, Any]) -> Any:
+    """Return the options of the file, checked."""
     from terrainwave.write.options import Options
+
+    return Options(**{name: options[name] for name in options.keys() - {*_OF_SOURCE, *_OF_RUN}})
+
+
+def _manifest(directory: str, options: dict[str, Any]) -> Manifest:
+    """Return what tells which files of a batch are as asked for."""
+    from terrainwave.raster_io.files import files_of
     from terrainwave.write.origin import difference
 
-    unrelated = ("temp_dir", "overwrite", "threads")
-    of_files = {name: value for name, value in options.items() if name not in unrelated}
-    source = {"nodata": repr(of_files["nodata"])}
-    source |= {name: of_files[name] for name in ("band", "georeference")}
-    asked = Options(**{name: of_files[name] for name in of_files.keys() - source.keys()})
+    of_files = {name: value for name, value in options.items() if name not in _OF_RUN}
+    source = {name: options[name] for name in _OF_SOURCE} | {"nodata": repr(options["nodata"])}
     return Manifest(
         directory,
-        {"command": "compress", **asked.to_metadata(), **source},
+        {"command": "compress", **_asked(options).to_metadata(), **source},
         files_of=files_of,
         # Whatever the manifest says: heights that are the same need no second file.
         compare=lambda source, target, known, progress: difference(
@@ -248,16 +256,6 @@ def _sources_and_target(paths: tuple[str, ...]) -> tuple[list[str], str]:
     return [Input().convert(path, None, ctx) for path in paths[:-1]], target
 
 
-def _check_goals(method: Method, options: dict[str, Any]) -> None:
-    """Refuse goals of `compress` that exclude each other."""
-    given = [name for name in ("max_error", "rate", "psnr") if options[name] is not None]
-    names = " and ".join(f"--{name}".replace("_", "-") for name in given)
-    if len(given) > 1:
-        raise click.UsageError(f"found {names}, expected one of them")
-    if given and given != ["max_error"] and not method.is_cuttable:
-        raise click.UsageError(f"found {names} without --method {CUTTABLE}, expected --max-error")
-
-
 def _cluster(scheduler: str | None) -> AbstractContextManager[Any]:
     """Give a client of a dask scheduler; None without an address."""
     if scheduler is None:
@@ -274,7 +272,11 @@ def _result_line(result: Any) -> str:
     )
 
 
-def _print_result(result: Any) -> None:
+def _print_result(result: Any, *, as_json: bool, quiet: bool) -> None:
+    if as_json:
+        print_json(asdict(result))
+    if as_json or quiet:
+        return
     measured = "not checked" if result.measured_error is None else f"{result.measured_error:.6g}"
     click.echo(_result_line(result))
     click.echo(

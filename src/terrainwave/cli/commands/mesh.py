@@ -1,31 +1,27 @@
 """The command mesh: a mesh of a .twz file, or a copy of the file with meshes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import click
 
-from terrainwave.arguments import (
-    TWZ_ENDINGS,
-    check_ending,
-    count_of,
-)
+from terrainwave.arguments import TWZ_ENDINGS, check_ending, count_of
 from terrainwave.cli.options import (
-    MESH,
+    RADIUS_OPTION,
     VERTICAL_OPTION,
     Bound,
     Finite,
     Input,
     Numbers,
     Positive,
+    check_one_area,
     complete_files,
     writing,
 )
 from terrainwave.cli.output import (
     Bar,
-    Command,
     announce_compiling,
     note_unit,
     plain,
@@ -35,12 +31,21 @@ from terrainwave.cli.output import (
     unit_behind,
     vertical_in_words,
 )
-from terrainwave.names import (
-    MESH_CHOICES,
+from terrainwave.cli.own_options import (
+    OWN_OPTION,
+    CommandWithOwnOptions,
+    MeshKind,
+    with_own_options,
 )
 
+# What --store takes, what it shares with meshes in files of their own, and what these take that
+# have a goal.
+_STORE_OPTIONS = {"mesh", "own", "mesh_error", "original"}
+_COMMON_OPTIONS = {"threads", "overwrite", "quiet", "as_json"}
+_GOALS = {"max_error", "max_triangles", "optimise"}
 
-@click.command(cls=Command)
+
+@click.command(cls=CommandWithOwnOptions)
 @click.argument("file", type=Input())
 @click.argument("target", shell_complete=complete_files)
 @click.option(
@@ -49,7 +54,8 @@ from terrainwave.names import (
     help="Largest allowed vertical distance of the mesh from the original heights, in the file's"
     " unit. Default: that of the stored meshes.",
 )
-@click.option("--max-triangles", type=click.IntRange(min=1), help="The best mesh of at most N.")
+@click.option("--max-triangles", type=click.IntRange(min=1), metavar="N",
+              help="Make the mesh of smallest error with at most N triangles.")  # fmt: skip
 @click.option("--level", type=int, default=-1, help="-1 full grid (default), -2 half, 0 coarsest.")
 @click.option("--window", type=Numbers("row,col,n_rows,n_cols", int), help="Part, in samples.")
 @click.option("--bounds", type=Numbers("left,bottom,right,top", float), help="Part, in the CRS.")
@@ -57,32 +63,33 @@ from terrainwave.names import (
     "--optimise/--no-optimise",
     default=True,
     show_default=True,
-    help="Spend more time for fewer triangles at the same error.",
+    help="Spend more time to get fewer triangles with the same error.",
 )
 @click.option(
     "--loose",
     is_flag=True,
-    help="The triangulation of the zero trees alone, without a guarantee (Yusov & Turlapov 2010,"
-    " §2.4); its error is measured. --level -2 (default) is the finest.",
+    help="Write the triangulation of the zero trees alone, which guarantees no error (Yusov &"
+    " Turlapov 2010, §2.4); its error is measured. --level -2 (default) is the finest.",
 )
 @click.option(
     "--frame",
     type=click.Choice(["local", "native", "ecef"]),
-    help="Coordinates: metres from the middle, as in the CRS, or geocentric. Default: local where"
-    " the CRS counts degrees, else native.",
+    help="Coordinates: metres from the middle (local), those of the CRS (native), or geocentric"
+    " (ecef). Default: local where the CRS has degrees, else native.",
 )
-@click.option("--z-scale", type=Positive(), default=1.0, help="Multiply heights.")
+@click.option("--z-scale", type=Positive(), default=1.0, help="Multiply heights by this factor.")
 @click.option(
     "--solid",
     type=Finite(),
-    help="Make a printable body with a flat base at this height, in the file's unit.",
+    help="Write a watertight body with a flat base at this height, in the file's unit, to print.",
 )
-@click.option("--radius", type=Positive(), help="Of the planet, in metres, for degrees.")
+@RADIUS_OPTION
 @VERTICAL_OPTION
 @click.option(
     "--store", is_flag=True, help="Make a copy of FILE with meshes stored in it; TARGET is a .twz."
 )
-@click.option("--mesh", "kind", type=MESH, help="With --store: triangulation.")
+@click.option("--mesh", type=MeshKind(), help="With --store: kind of the meshes.")
+@OWN_OPTION
 @click.option("--mesh-error", type=Bound(), help="With --store: as for compress.")
 @click.option(
     "--original", type=Input(), help="With --store: the raster, to measure errors against."
@@ -91,54 +98,60 @@ from terrainwave.names import (
 @writing
 @click.pass_context
 def mesh(context: click.Context, /, file: str, target: str, store: bool, **options: Any) -> None:
-    """Write a mesh of FILE (.twz) to TARGET, no further from the original than the bound.
+    """Write a crack-free mesh of FILE (.twz) to TARGET, within the bound of the original.
 
-    TARGET's extension tells the format: .ply, .obj, .stl, .glb, .gltf, .vtu, .vtk, or .terrain, a
+    TARGET's extension selects the format: .ply, .obj, .stl, .glb, .gltf, .vtu, .vtk, or .terrain, a
     Cesium quantized-mesh tile.
     """
+    _refuse_unfit(context, store=store, loose=options["loose"])
+    if store:
+        names = _COMMON_OPTIONS | _STORE_OPTIONS
+        _store_meshes(file, target, **{name: options[name] for name in names})
+    else:
+        names = options.keys() - _STORE_OPTIONS
+        _export_mesh(file, target, **{name: options[name] for name in names})
+
+
+def _refuse_unfit(context: click.Context, *, store: bool, loose: bool) -> None:
+    """Refuse options that are for meshes in files of their own with --store, and so on."""
     given = {
         name
-        for name in options
+        for name in context.params
         if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
-    }
-    common = {"threads", "overwrite", "quiet", "as_json"}
-    unfit = given - common - _STORE_OPTIONS if store else given & _STORE_OPTIONS
+    } - {"file", "target", "store"}
+    unfit = given - _COMMON_OPTIONS - _STORE_OPTIONS if store else given & _STORE_OPTIONS
     if unfit:
-        names = {"kind": "mesh"}
-        flags = ", ".join(sorted(f"--{names.get(name, name)}".replace("_", "-") for name in unfit))
-        raise click.UsageError(f"found {flags} {'with' if store else 'without'} --store")
-    if options["loose"]:
-        goals = sorted(given & {"max_error", "max_triangles", "optimise"})
-        if goals:
-            flags = ", ".join(f"--{name}".replace("_", "-") for name in goals)
-            raise click.UsageError(
-                f"found {flags} with --loose, which has no goal: its mesh follows the zero trees"
-            )
-        options["optimise"] = False
-    if store:
-        _store_meshes(file, target, **{name: options[name] for name in common | _STORE_OPTIONS})
-    else:
-        _export_mesh(
-            file, target, **{name: options[name] for name in options.keys() - _STORE_OPTIONS}
+        raise click.UsageError(f"found {_flags(unfit)} {'with' if store else 'without'} --store")
+    if loose and given & _GOALS:
+        raise click.UsageError(
+            f"found {_flags(given & _GOALS)} with --loose, expected none of them: the zero trees"
+            " alone determine the mesh"
         )
 
 
-_STORE_OPTIONS = {"kind", "mesh_error", "original"}
+def _flags(names: Iterable[str]) -> str:
+    return ", ".join(
+        sorted("-o" if name == "own" else f"--{name}".replace("_", "-") for name in names)
+    )
 
 
 def _store_meshes(
-    file: str, target: str, *, kind: str | None, as_json: bool, quiet: bool, **options: Any
+    file: str,
+    target: str,
+    *,
+    mesh: Any,
+    own: tuple[str, ...],
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
 ) -> None:
     import terrainwave
 
-    if kind == "none":
-        raise click.UsageError(
-            f"found --mesh none with --store, expected one of auto, {', '.join(MESH_CHOICES)}"
-        )
+    options |= with_own_options(own, {"mesh": mesh or "auto"})
     check_ending(target, TWZ_ENDINGS)
     announce_compiling(quiet=quiet)
     with reading(file), Bar(quiet=quiet) as bar:
-        path = terrainwave.store_meshes(file, target, mesh=kind or "auto", progress=bar, **options)
+        path = terrainwave.store_meshes(file, target, progress=bar, **options)
     n_bytes = Path(path).stat().st_size
     if as_json:
         print_json({"path": path, "n_bytes": n_bytes})
@@ -167,12 +180,12 @@ def _export_mesh(
     from terrainwave.container.publish import refuse_own_source
     from terrainwave.export.files import check_extension, prepare
 
-    if options["window"] and options["bounds"]:
-        raise click.UsageError("found both --window and --bounds, expected one of them")
+    check_one_area(options)
     extension = check_extension(target)
     if extension == ".terrain" and (frame or z_scale != 1 or solid is not None):
         raise click.UsageError(
-            "a .terrain tile has a frame of its own: expected no --frame, --z-scale, --solid"
+            "found --frame, --z-scale or --solid, expected none of them: a .terrain tile has a"
+            " frame of its own"
         )
     refuse_own_source(file, target)
     prepare(target, overwrite=overwrite)
@@ -193,7 +206,7 @@ def _export_mesh(
         surface = _mesh_for(
             target,
             lambda max_error: terrain.mesh(
-                optimise=int(optimise),
+                optimise=int(optimise and not loose),
                 guarantee=not loose,
                 progress=bar,
                 **options | {"max_error": max_error},

@@ -9,9 +9,9 @@ import click
 from terrainwave.arguments import count_of
 from terrainwave.cli.options import (
     PAGE_SEA_LEVEL_OPTION,
+    RADIUS_OPTION,
     Directory,
     NamedInput,
-    Positive,
 )
 from terrainwave.cli.output import (
     Bar,
@@ -26,7 +26,7 @@ from terrainwave.names import TILE_ENCODINGS
 @click.command(cls=Command)
 @click.argument("files", nargs=-1, required=True, type=NamedInput())
 @click.argument("directory", type=Directory())
-@click.option("--radius", type=Positive(), help="Of the planet, in metres, for degrees.")
+@RADIUS_OPTION
 @click.option(
     "--encoding",
     type=click.Choice(TILE_ENCODINGS),

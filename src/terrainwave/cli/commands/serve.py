@@ -14,8 +14,8 @@ import click
 from terrainwave.arguments import count_of
 from terrainwave.cli.options import (
     PAGE_SEA_LEVEL_OPTION,
+    RADIUS_OPTION,
     NamedInput,
-    Positive,
 )
 from terrainwave.cli.output import (
     Command,
@@ -53,7 +53,7 @@ def _host_names(_: Any, __: Any, names: tuple[str, ...]) -> tuple[str, ...]:
 @click.option("--cors", is_flag=True, help="Let pages of other sites read the tiles.")
 @click.option("--threads", "n_decoding", type=click.IntRange(1, 64), default=2, show_default=True,
               help="Requests that decode at a time.")  # fmt: skip
-@click.option("--radius", type=Positive(), help="Of the planet, in metres, for degrees.")
+@RADIUS_OPTION
 @click.option(
     "--encoding",
     type=click.Choice(TILE_ENCODINGS),

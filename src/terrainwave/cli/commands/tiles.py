@@ -8,7 +8,14 @@ from typing import Any
 import click
 
 from terrainwave.arguments import ARCHIVE_ENDING, AS_IS, count_of
-from terrainwave.cli.options import THREADS, VERTICAL_OPTION, Directory, Finite, Input, Positive
+from terrainwave.cli.options import (
+    RADIUS_OPTION,
+    THREADS,
+    VERTICAL_OPTION,
+    Directory,
+    Finite,
+    Input,
+)
 from terrainwave.cli.output import (
     Bar,
     Command,
@@ -52,7 +59,7 @@ from terrainwave.names import TILE_ENCODINGS
 @click.option("--transparent-voids", is_flag=True, help="Of an archive: voids get alpha 0.")
 @VERTICAL_OPTION
 @click.option("--attribution", default="", help="For the metadata: whose data these are.")
-@click.option("--radius", type=Positive(), help="Of the planet, in metres, for degrees.")
+@RADIUS_OPTION
 @click.option("--threads", type=THREADS, help="Threads; by default all processors that it may use.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing target.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")

@@ -1,0 +1,1 @@
+"""The smallest method: heights as they are, packed into bits."""
