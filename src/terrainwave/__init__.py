@@ -25,18 +25,18 @@ from terrainwave.errors import (
 )
 
 if TYPE_CHECKING:
-    from terrainwave.codec.cdf53.options import Cdf53
-    from terrainwave.codec.cdf97.options import Cdf97
-    from terrainwave.codec.predictive.options import Predictive
-    from terrainwave.codec.rapid.options import Rapid
-    from terrainwave.codec.store.options import Store
+    from terrainwave.codec.cdf53 import Cdf53
+    from terrainwave.codec.cdf97 import Cdf97
+    from terrainwave.codec.predictive import Predictive
+    from terrainwave.codec.rapid import Rapid
+    from terrainwave.codec.store import Store
     from terrainwave.export.geotiff import decompress
     from terrainwave.export.mesh import Mesh
     from terrainwave.file import Info
     from terrainwave.progress import Progress
     from terrainwave.terrain import Terrain
-    from terrainwave.tri.rqt.options import Rqt
-    from terrainwave.tri.zerotree.options import Zerotree
+    from terrainwave.tri.rqt import Rqt
+    from terrainwave.tri.zerotree import Zerotree
     from terrainwave.verification.heights import VerifyReport, verify
     from terrainwave.write.compress import CompressResult, compress, compress_to_bytes
     from terrainwave.write.meshes import store_meshes
@@ -82,13 +82,13 @@ __all__ = [
 # Numba and rasterio are imported with the first of these that is used: `terrainwave --help` and
 # `import terrainwave` need neither.
 _LAZY = {
-    "Rapid": "codec.rapid.options",
-    "Predictive": "codec.predictive.options",
-    "Cdf97": "codec.cdf97.options",
-    "Cdf53": "codec.cdf53.options",
-    "Store": "codec.store.options",
-    "Zerotree": "tri.zerotree.options",
-    "Rqt": "tri.rqt.options",
+    "Rapid": "codec.rapid",
+    "Predictive": "codec.predictive",
+    "Cdf97": "codec.cdf97",
+    "Cdf53": "codec.cdf53",
+    "Store": "codec.store",
+    "Zerotree": "tri.zerotree",
+    "Rqt": "tri.rqt",
     "CompressResult": "write.compress",
     "compress": "write.compress",
     "compress_to_bytes": "write.compress",

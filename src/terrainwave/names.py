@@ -16,7 +16,7 @@ MESHES = ("none", "halves", "zerotree-plain", "rqt", "zerotree-layer", "zerotree
           "rqt-coefficient")  # fmt: skip
 # Those that can be asked for, with module and class in `tri` of their options; "auto" is the first.
 # `tri.mesh_options.stored_mesh` says what files then hold.
-MESH_KINDS = {"halves": "", "zerotree": "zerotree.options.Zerotree", "rqt": "rqt.options.Rqt"}
+MESH_KINDS = {"halves": "", "zerotree": "zerotree.Zerotree", "rqt": "rqt.Rqt"}
 DEFAULT_MESH = "halves"
 # Those whose tolerance only selects vertices: their errors are measured, and may be larger.
 UNBOUNDED_MESHES = ("rqt-coefficient",)
@@ -49,7 +49,7 @@ class Method:
     is_clusterable : bool
         A part of the raster can be coded without the rest, on another machine.
     may_be_faithful : bool
-        Its files may follow its paper to the letter (`codec.cdf97.options`).
+        Its files may follow its paper to the letter (`codec.cdf97.Cdf97`).
     is_patchable : bool
         A unit can be coded again so that heights that still hold come back as they were: its loop
         takes corrections (`codec.corrections`).
@@ -91,19 +91,19 @@ REACH_LAYOUT, WEIGHTS_LAYOUT = 3, 5
 METHODS = {
     method.name: method
     for method in (
-        Method(name="rapid", number=4, options="rapid.options.Rapid",
+        Method(name="rapid", number=4, options="rapid.Rapid",
                refiner="rapid.refiner.Rapid", has_parameters=True,
                has_reach=True, is_patchable=True, is_read_in_browsers=True),
-        Method(name="predictive", number=2, options="predictive.options.Predictive",
+        Method(name="predictive", number=2, options="predictive.Predictive",
                refiner="predictive.refiner.Predictive",
                has_parameters=True, is_patchable=True, is_read_in_browsers=True,
                effort="1, 2 or 8 sets of weights"),
-        Method(name="cdf97", number=1, options="cdf97.options.Cdf97",
+        Method(name="cdf97", number=1, options="cdf97.Cdf97",
                refiner="cdf97.refiner.Cdf97", pyramid="lowpass",
                effort="1, up to 3 or up to 7 steps", has_layers=True, may_be_faithful=True),
-        Method(name="cdf53", number=3, options="cdf53.options.Cdf53",
+        Method(name="cdf53", number=3, options="cdf53.Cdf53",
                pyramid="lowpass53", is_cuttable=True, is_clusterable=False),
-        Method(name="store", number=0, options="store.options.Store",
+        Method(name="store", number=0, options="store.Store",
                refiner="store.refiner.Store", is_read_in_browsers=True),
     )
 }  # fmt: skip

@@ -1,6 +1,6 @@
 """Options of one method, or of one kind of meshes: declared once, for Python and for commands.
 
-A class for each lies beside what it is for (`codec.cdf97.options`, `tri.rqt.options`). The library
+A class for each is in the package of what it is for (`codec.cdf97`, `tri.rqt`). The library
 takes an object, ``method=tw.Cdf97(faithful=True)``, the command line words,
 ``--method cdf97 -o faithful``.
 """

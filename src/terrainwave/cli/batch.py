@@ -87,7 +87,9 @@ def plan(sources: Sequence[str], directory: str, ending: str) -> list[Job]:
     jobs: dict[str, Job] = {}
     for source in sources:
         if source == STREAM:
-            raise click.UsageError("found - and --to, expected names: targets are called by them")
+            raise click.UsageError(
+                "found - and --to, expected names of files: targets get their names from them"
+            )
         checked_path(source)
         job = Job(source, os.path.join(directory, Path(path_in_url(source)).stem + ending))
         other = jobs.setdefault(os.path.basename(str(job.target)).casefold(), job)
@@ -199,7 +201,7 @@ def _tell(outcome: _Outcome, bar: Bar, *, quiet: bool) -> None:
     if outcome.error is not None:
         print_error(outcome.message)
     elif not quiet:
-        bar.echo(f"{outcome.name}: there is {plain(outcome.job.target)}, skipped"
+        bar.echo(f"{outcome.name}: {plain(outcome.job.target)} exists already, skipped"
                  if outcome.done is None else outcome.done.line)  # fmt: skip
 
 
@@ -264,8 +266,8 @@ def refuse_unknown_raster(target: str) -> None:
     except TerrainwaveError:
         return
     raise StorageError(
-        f"{target} already exists and nothing tells what it was made of; it is left as it is;"
-        " `overwrite` instead of `skip_existing` replaces it"
+        f"{target} already exists, and no manifest says what it was made of: the command leaves it"
+        " as it is; to replace it, use `overwrite` instead of `skip_existing`"
     )
 
 

@@ -6,22 +6,15 @@ from typing import Any
 
 import click
 
-from terrainwave.cli.options import (
-    RADIUS_OPTION,
-    Name,
-    Numbers,
-    SeaLevel,
-)
-from terrainwave.cli.output import (
-    print_note,
-)
+from terrainwave.cli.options import RADIUS_OPTION, Name, Numbers, SeaLevel
+from terrainwave.cli.output import print_note
 from terrainwave.render import DEFAULT_MAX_BYTES
 from terrainwave.render.look.colorings import AUTO, MEANINGS, RAMP_NAMES
 from terrainwave.render.modes import MODES
 
 RAMPS = click.Choice([AUTO, *RAMP_NAMES])
 # In a line each: the blank lines keep click from filling them.
-COLORING_HELP = "What colours say.\n\n\b\n" + "\n".join(
+COLORING_HELP = "Meaning of the colours.\n\n\b\n" + "\n".join(
     f"{name}: {meaning}" for name, meaning in MEANINGS.items()
 )
 # Metres: land that is lower is worth a note.
@@ -69,49 +62,52 @@ def drawing(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--threads", "n_workers", type=click.IntRange(1, 64), default=2,
                      show_default=True, help="Threads that read and decode."),
         click.option("--memory", type=click.IntRange(min=64), default=DEFAULT_MAX_BYTES >> 20,
-                     show_default=True, help="Memory on the GPU, MiB."),
-        click.option("--background", type=Color(), help="One colour instead of the sky."),
+                     show_default=True, help="Memory to use on the GPU, in MiB."),
+        click.option("--background", type=Color(), help="Colour to draw instead of the sky."),
         click.option("--wireframe", is_flag=True, help="Draw edges only."),
-        click.option("--haze", type=click.FloatRange(0, 1), default=0.25, show_default=True),
+        click.option("--haze", type=click.FloatRange(0, 1), default=0.25, show_default=True,
+                     help="Haze in the distance; 0 is none."),
         click.option("--sun", type=Numbers("azimuth,altitude", float), default="315,38",
-                     show_default=True, help="Where the light comes from, degrees."),
+                     show_default=True, help="Direction of the light, in degrees."),
         click.option("--sea-level", type=SeaLevel(), default=AUTO, show_default=True,
-                     help="Of absolute colours: the height in the file's unit up to which all is"
-                     " water, or none. auto: water is what is level at 0, and what lies below 0"
-                     " where that hangs together with depths of more than 450 m."),
+                     help="Height up to which absolute colours show water, in the file's unit, or"
+                     " none. auto: level ground at 0 is water, and ground below 0 that is connected"
+                     " to depths of more than 450 m."),
         click.option("--ramp", type=RAMPS, default=AUTO, show_default=True,
-                     help="Relative colours; by default the body's. cividis is safe for"
-                     " colour-blind eyes."),
+                     help="Relative colours. Default: those of the planet or moon. cividis suits"
+                     " colour-blind readers."),
         click.option("--coloring", type=click.Choice(list(MEANINGS)), metavar="NAME",
                      default="auto", show_default=True, help=COLORING_HELP),
         click.option("--drape", type=Name(), metavar="IMAGE",
-                     help="Orthophoto to lay on the terrain; it is warped to it. A file, its URL"
-                     " or that of tiles, https://.../{z}/{x}/{y}.png."),
+                     help="Orthophoto to drape over the terrain, warped to its CRS: a file, a URL"
+                     " or the URL of tiles, https://.../{z}/{x}/{y}.png."),
         RADIUS_OPTION,
         click.option("--exaggeration", type=POSITIVE, default=1.0, show_default=True,
-                     help="Factor of heights."),
+                     help="Multiply heights by this factor."),
         click.option("--error", type=click.Choice(["measured", "paper", "coefficient"]),
                      default="measured", show_default=True,
-                     help="Which errors and which formula choose blocks; coefficient, those of the"
-                     " wavelet, for mode rqt of files of method cdf53."),
+                     help="Errors and formula that select blocks. coefficient: wavelet"
+                     " coefficients, for mode rqt and files of method cdf53."),
         click.option("--max-pixel-error", type=POSITIVE, default=1.0, show_default=True,
-                     help="Largest distance on screen from the full terrain, pixels."),
+                     help="Largest distance on screen from the full terrain, in pixels."),
         click.option("--detail", type=POSITIVE, metavar="FACTOR",
-                     help="Of mode batched with --error paper: a level's error is this factor times"
-                     " its spacing; 0.5 by default."),
+                     help="With --mode batched --error paper: the error of a level is this factor"
+                     " times its spacing. Default: 0.5."),
         click.option("--order", type=click.Choice(["2", "4"]), callback=_as_int,
-                     help="Of the filter that makes the levels of mode batched; 4 by default."),
+                     help="With --mode batched: order of the filter of levels. Default: 4."),
         click.option("--stepwise", is_flag=True,
-                     help="Modes dynamic and vertex-texture change by one height of their quadtree"
-                     " a frame."),
+                     help="With --mode dynamic or vertex-texture: change one height of the quadtree"
+                     " in each frame."),
         click.option("--orientation", is_flag=True,
-                     help="Modes adaptive, batched and loose draw fewer triangles where the ground"
-                     " is looked down at: errors are vertical. Light is coarser there, too."),
+                     help="With --mode adaptive, batched or loose: draw fewer triangles where the"
+                     " camera looks down, because errors are vertical. Shading becomes coarser"
+                     " there, too."),
         click.option("--mode", type=click.Choice(MODES), default="adaptive", show_default=True,
-                     help="Meshes of blocks, regular blocks, a mesh made anew each frame, or all."),
-        click.option("--camera", help="x,y,z,heading,pitch,fov: place in the file's coordinates,"
-                     " height in its unit, degrees; heading from north, pitch up from level."),
-        click.option("--size", type=Size(), default="1280x853", show_default=True),
+                     help="How to draw the terrain: docs/viewing.md describes the modes."),
+        click.option("--camera", help="x,y,z,heading,pitch,fov: position in the CRS, height in the"
+                     " file's unit; angles in degrees, heading from north, pitch upwards."),
+        click.option("--size", type=Size(), default="1280x853", show_default=True,
+                     help="Width and height of the picture, in pixels."),
     ):  # fmt: skip
         command = option(command)
     return command

@@ -163,8 +163,8 @@ PAGE_SEA_LEVEL_OPTION = click.option(
     type=SeaLevel(),
     default=AUTO,
     show_default=True,
-    help="Of the page's colours: the height in metres below which all is water, or none. auto: 0"
-    " where there are heights below -450 m, else none.",
+    help="Height in metres below which the page's colours show water, or none. auto: 0 if there"
+    " are heights below -450 m, else none.",
 )
 
 
@@ -258,13 +258,17 @@ class Numbers(click.ParamType):
         return numbers
 
 
-THREADS = click.IntRange(min=1)
+THREADS_OPTION = click.option(
+    "--threads",
+    type=click.IntRange(min=1),
+    help="Number of threads. Default: all available processors.",
+)
 METHOD = click.Choice(["auto", *METHODS])
 CUTTABLE = methods_that(lambda method: method.is_cuttable)
 _EFFORTS = [f"{method.name} {method.effort}" for method in METHODS.values() if method.effort]
 EFFORT = (
-    f"How much is tried: {'; '.join(_EFFORTS)}; the others have one way."
-    f" For archives: best without --method is {SMALLEST_METHOD.name}, whose files are"
+    f"How many ways of coding the encoder tries: {'; '.join(_EFFORTS)}; other methods have one."
+    f" For archives: best without --method selects {SMALLEST_METHOD.name}, whose files are"
     " 0.95 of the default's size (0.78 to 0.99), and are read 5 times as slowly."
 )
 RADIUS_OPTION = click.option(
@@ -279,8 +283,8 @@ VERTICAL_OPTION = click.option(
     type=click.Choice(VERTICAL),
     default=AS_IS,
     show_default=True,
-    help="Heights on the globe: taken as above the ellipsoid, or converted from the CRS's vertical"
-    " datum by PROJ's grid.",
+    help="Heights on the globe: used as heights above the ellipsoid without a change (as-is), or"
+    " converted from the CRS's vertical datum by PROJ's grid (ellipsoid).",
 )
 
 
@@ -293,9 +297,7 @@ def check_one_area(options: dict[str, Any]) -> None:
 def writing(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of commands that write a file."""
     for option in (
-        click.option(
-            "--threads", type=THREADS, help="Threads; by default all processors that it may use."
-        ),
+        THREADS_OPTION,
         click.option("--overwrite", is_flag=True, help="Replace an existing file."),
         click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes."),
     ):
@@ -309,14 +311,14 @@ def batched(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option(
             "--skip-existing",
             is_flag=True,
-            help="With --to: leave out what is there already, of the same source and with the same"
+            help="With --to: skip files that exist and were made of the same source with the same"
             " options.",
         ),
         click.option(
             "--to",
             type=Directory(),
             metavar="DIR",
-            help="Write a file for each SOURCE to this directory; go on past those that fail.",
+            help="Write a file for each SOURCE to this directory, and continue if one fails.",
         ),
     ):
         command = option(command)

@@ -98,7 +98,7 @@ class Job:
 
         But for meshes that follow coefficients, where the method has none: these are measured.
         """
-        mesh = mesh_without_coefficients(self.options.mesh, method)
+        mesh = mesh_without_coefficients(self.options.mesh_kind, method)
         return replace(self, options=self.options.with_method(method, mesh))
 
     @property
@@ -183,7 +183,7 @@ class Job:
             | (IS_FAITHFUL if options.faithful else 0)
             | LAYOUT_FEATURES.get(newer_layout(options.coding.name, parameters), 0)
             | (HAS_FILLS if self.has_fills else 0),
-            mesh=options.mesh,
+            mesh=options.mesh_kind,
             mesh_tolerance=self.mesh_tolerance,
             metadata={**metadata, "software": f"terrainwave {__version__}"},
             parameters=parameters,

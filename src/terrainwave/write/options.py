@@ -126,6 +126,12 @@ class Options:
         return self._own.method
 
     @property
+    def mesh_kind(self) -> str:
+        """Return the kind of meshes that files hold, as `names.MESHES` has it."""
+        assert isinstance(self.mesh, str)
+        return self.mesh
+
+    @property
     def border_rings(self) -> int:
         """Return how many rings of samples neighbouring blocks share."""
         return getattr(self.method, "border_rings", 1)
@@ -211,7 +217,7 @@ def taking_former(
             arguments: dict[str, Any] = dict(kwargs)
             for hint in [*_move_to_method(arguments, former), *_move_to_mesh(arguments)]:
                 warnings.warn(hint, DeprecationWarning, stacklevel=2)
-            return call(*args, **arguments)  # type: ignore[arg-type]
+            return call(*args, **arguments)
 
         return with_former
 

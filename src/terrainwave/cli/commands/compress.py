@@ -1,6 +1,5 @@
 """The command compress: rasters become .twz files."""
 
-from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, replace
 from typing import Any
@@ -179,7 +178,7 @@ def _compress(
 
 
 def _compress_each(
-    sources: Sequence[str],
+    sources: tuple[str, ...],
     directory: str,
     *,
     skips: bool,

@@ -30,17 +30,11 @@ from terrainwave.cli.options import (
     Target,
     TileSize,
     batched,
+    check_one_area,
     complete_files,
     writing,
 )
-from terrainwave.cli.output import (
-    Bar,
-    Command,
-    announce_compiling,
-    plain,
-    print_note,
-    reading,
-)
+from terrainwave.cli.output import Bar, Command, announce_compiling, plain, print_note, reading
 from terrainwave.cli.streams import STREAM, printing_beside, written
 from terrainwave.progress import ProgressCallback
 
@@ -48,92 +42,58 @@ from terrainwave.progress import ProgressCallback
 @click.command(cls=Command)
 @click.argument("paths", nargs=-1, metavar="SOURCE TARGET", shell_complete=complete_files)
 @click.option(
-    "--window", type=Numbers("row,col,n_rows,n_cols", int), help="Part to write; cut to the level."
+    "--window",
+    type=Numbers("row,col,n_rows,n_cols", int),
+    help="Part to write, in samples.",
 )
 @click.option(
-    "--bounds", type=Numbers("left,bottom,right,top", float), help="Part, in the CRS; cut too."
+    "--bounds", type=Numbers("left,bottom,right,top", float), help="Part to write, in the CRS."
 )
 @click.option("--level", type=int, default=-1, help="-1 full grid (default), -2 half, 0 coarsest.")
 @click.option(
     "--quality",
     type=Positive(),
-    help=f"Of a file of method {CUTTABLE}: read only so many bits per sample.",
+    help=f"Read only so many bits per sample, of a file of method {CUTTABLE}.",
 )
 @click.option("--cog", is_flag=True, help="Make a cloud-optimised GeoTIFF.")
 @click.option(
     "--size",
     type=TileSize(),
-    help="Samples on a side of a height tile, 2^n + 1: the window is resampled to that square."
-    " Default: the largest that is not larger than the window; window writes its own samples.",
+    help="Samples on each side of a height tile, 2^n + 1. The command resamples the window to this"
+    " square. Default: the largest that fits into the window. window: the samples of the window.",
 )
 @click.option(
     "--voids",
     metavar="exact|any|lowest|fill|HEIGHT",
-    help="Of a coarse level's GeoTIFF, what is void: exact, each sample where the full grid is"
-    " (default, if the file tells), or any, samples alone around which nothing is valid; the others"
-    " have a height of what is around them. Of a height tile, what voids become: the lowest height"
-    " (default), what is around them (fill) or a height.",
+    help="Voids in the GeoTIFF of a coarse level: exact, where the full grid is void (default, if"
+    " the file has this), or any, only where all samples around are void; other samples then have"
+    " the height of their neighbours. Height of voids in a height tile: lowest (default), fill"
+    " (that of their neighbours) or a number.",
 )
 @VERTICAL_OPTION
 @batched
 @writing
-def decompress(
-    paths: tuple[str, ...], to: str | None, skip_existing: bool, quiet: bool, **options: Any
-) -> None:
+def decompress(paths: tuple[str, ...], to: str | None, skip_existing: bool, **options: Any) -> None:
     """Write the file SOURCE (.twz) to the GeoTIFF TARGET (.tif), or to stdout if that is -.
 
-    A TARGET ending in .r16 or .png becomes a 16-bit height tile for game engines instead, with
-    TARGET.json beside it that tells its scale and place. With --to DIR there is no TARGET: each
-    SOURCE becomes a GeoTIFF in DIR.
+    If TARGET ends in .r16 or .png, the command writes a 16-bit height tile for game engines
+    instead, and TARGET.json with its scale and place. With --to DIR there is no TARGET: each SOURCE
+    becomes a GeoTIFF in DIR.
     """
+    refuse_options_of_batches(to, skip_existing=skip_existing, overwrite=options["overwrite"])
+    check_one_area(options)
+    if to is None:
+        _decompress(*_source_and_target(paths), **options)
+    else:
+        _decompress_each(paths, to, skips=skip_existing, **options)
+
+
+def _decompress(source: str, target: str, *, quiet: bool, **options: Any) -> None:
+    """Write one GeoTIFF or height tile."""
     import terrainwave
 
-    refuse_options_of_batches(to, skip_existing=skip_existing, overwrite=options["overwrite"])
-    if options["window"] and options["bounds"]:
-        raise click.UsageError("found both --window and --bounds, expected one of them")
-    if to is not None:
-        if skip_existing:
-            options["overwrite"] = True
-
-        def decompress_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
-            with reading(job.source):
-                path = terrainwave.decompress(
-                    job.source, str(job.target), progress=progress, **options | {"threads": threads}
-                )
-            return Done(f"{plain(path)}: {Path(path).stat().st_size:,} bytes")
-
-        run_to(
-            paths, to, ".tif", decompress_one, "decompressed",
-            manifest=_manifest_of_files(to, options, skips=skip_existing),
-            threads=options["threads"], as_json=False, quiet=quiet,
-        )  # fmt: skip
-        return
-    if len(paths) != 2:
-        if len(paths) < 2:
-            raise click.UsageError(f"Missing argument '{'TARGET' if paths else 'SOURCE'}'.")
-        raise click.UsageError(
-            f"found {len(paths)} names, expected SOURCE and TARGET; to make a GeoTIFF of each add"
-            " --to DIR"
-        )
-    ctx = click.get_current_context()
-    target = Target((*GEOTIFF_ENDINGS, *HEIGHT_TILE_ENDINGS)).convert(paths[1], None, ctx)
-    source = Input().convert(paths[0], None, ctx)
     is_tile = Path(target).suffix.lower() in HEIGHT_TILE_ENDINGS
-    if options["size"] and not is_tile:
-        raise click.UsageError(f"{target}: --size is for height tiles, expected .r16 or .png")
-    if options["voids"] not in (None, *VOIDS) and not is_tile:
-        found = f"found --voids {options['voids']}"
-        if options["voids"] in FILLINGS or options["voids"][-1:].isdigit():
-            found = f"{target}: --voids {options['voids']} is for height tiles"
-        raise click.UsageError(
-            f"{found}, expected {one_of(VOIDS)}, or a name ending in .r16 or .png"
-        )
-    if options["vertical"] != AS_IS and is_tile:
-        raise click.UsageError(
-            f"{target}: a height tile keeps the file's datum, expected no --vertical"
-        )
-    if options["cog"] and is_tile:
-        raise click.UsageError(f"{target}: a height tile cannot be a COG, expected no --cog")
+    (_check_options_of_tile if is_tile else _check_options_of_geotiff)(target, options)
     announce_compiling(quiet=quiet)
     with reading(source), Bar(quiet=quiet) as bar, written(target, ".tif") as path:
         terrainwave.decompress(source, path, progress=bar, **options)
@@ -145,7 +105,70 @@ def decompress(
             click.echo(f"{plain(target)}: {n_bytes:,} bytes")
 
 
-def _manifest_of_files(directory: str, options: dict[str, Any], *, skips: bool) -> Manifest:
+def _decompress_each(
+    sources: tuple[str, ...], directory: str, *, skips: bool, quiet: bool, **options: Any
+) -> None:
+    """Write a GeoTIFF of each file, in a directory."""
+    import terrainwave
+
+    if skips:
+        options["overwrite"] = True
+
+    def decompress_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
+        with reading(job.source):
+            path = terrainwave.decompress(
+                job.source, str(job.target), progress=progress, **options | {"threads": threads}
+            )
+        return Done(f"{plain(path)}: {Path(path).stat().st_size:,} bytes")
+
+    run_to(
+        sources, directory, ".tif", decompress_one, "decompressed",
+        manifest=_manifest(directory, options, skips=skips),
+        threads=options["threads"], as_json=False, quiet=quiet,
+    )  # fmt: skip
+
+
+def _source_and_target(paths: tuple[str, ...]) -> tuple[str, str]:
+    if len(paths) < 2:
+        raise click.UsageError(f"Missing argument '{'TARGET' if paths else 'SOURCE'}'.")
+    if len(paths) > 2:
+        raise click.UsageError(
+            f"found {len(paths)} names, expected SOURCE and TARGET; to make a GeoTIFF of each add"
+            " --to DIR"
+        )
+    ctx = click.get_current_context()
+    target = Target((*GEOTIFF_ENDINGS, *HEIGHT_TILE_ENDINGS)).convert(paths[1], None, ctx)
+    return Input().convert(paths[0], None, ctx), target
+
+
+def _check_options_of_geotiff(target: str, options: dict[str, Any]) -> None:
+    """Refuse what is for height tiles."""
+    if options["size"]:
+        raise click.UsageError(f"{target}: --size is for height tiles, expected .r16 or .png")
+    voids = options["voids"]
+    if voids not in (None, *VOIDS):
+        found = f"found --voids {voids}"
+        if voids in FILLINGS or voids[-1:].isdigit():
+            found = f"{target}: --voids {voids} is for height tiles"
+        raise click.UsageError(
+            f"{found}, expected {one_of(VOIDS)}, or a name ending in .r16 or .png"
+        )
+
+
+def _check_options_of_tile(target: str, options: dict[str, Any]) -> None:
+    """Refuse what is for GeoTIFFs."""
+    if options["vertical"] != AS_IS:
+        raise click.UsageError(
+            f"{target}: found --vertical {options['vertical']}, expected none: a height tile keeps"
+            " the file's datum"
+        )
+    if options["cog"]:
+        raise click.UsageError(
+            f"{target}: found --cog, expected none: a height tile cannot be a COG"
+        )
+
+
+def _manifest(directory: str, options: dict[str, Any], *, skips: bool) -> Manifest:
     """Return what tells which rasters of a batch of `decompress` are as asked for."""
     unrelated = ("overwrite", "threads")
 

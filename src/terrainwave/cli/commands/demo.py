@@ -2,16 +2,8 @@
 
 import click
 
-from terrainwave.cli.options import (
-    Directory,
-)
-from terrainwave.cli.output import (
-    Bar,
-    Command,
-    announce_compiling,
-    plain,
-    print_grid,
-)
+from terrainwave.cli.options import Directory
+from terrainwave.cli.output import Bar, Command, announce_compiling, plain, print_grid
 
 
 @click.command(cls=Command)

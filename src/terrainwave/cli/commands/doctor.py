@@ -4,19 +4,16 @@ from dataclasses import asdict
 
 import click
 
-from terrainwave.cli.output import (
-    Command,
-    plain,
-    print_json,
-)
+from terrainwave.cli.output import Command, plain, print_json
 
 
 @click.command(cls=Command)
-@click.option("--json", "as_json", is_flag=True, help="Print what was found as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def doctor(as_json: bool) -> int:
-    """Tell whether this system's GDAL, and with it QGIS, reads .twz files, and what to do.
+    """Check whether this system's GDAL, and with it QGIS, reads .twz files, and print what to do.
 
-    The GDAL is the one whose command gdalinfo is on the PATH. The status is 1 if it does not.
+    The command checks the GDAL whose gdalinfo is on the PATH. The status is 1 if it does not read
+    .twz files.
     """
     from terrainwave.cli.doctor import diagnose
 

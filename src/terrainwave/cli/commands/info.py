@@ -1,17 +1,12 @@
 """The command info: what a .twz file holds."""
 
-from dataclasses import asdict
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import Any, Self
 
 import click
 
-from terrainwave.arguments import (
-    count_of,
-    crs_name,
-)
-from terrainwave.cli.options import (
-    Input,
-)
+from terrainwave.arguments import count_of, crs_name
+from terrainwave.cli.options import Input
 from terrainwave.cli.output import (
     Command,
     print_grid,
@@ -20,9 +15,7 @@ from terrainwave.cli.output import (
     reading,
     unit_behind,
 )
-from terrainwave.names import (
-    UNBOUNDED_MESHES,
-)
+from terrainwave.names import UNBOUNDED_MESHES
 
 
 @click.command(cls=Command)
@@ -31,57 +24,77 @@ from terrainwave.names import (
 @click.option(
     "--errors",
     type=click.Choice(["measured", "recursive"]),
-    help="List each level's largest error: as stored, or the upper bound computed from decoded"
-    " heights (slow).",
+    help="List the largest error of each level: as stored, or an upper bound computed from the"
+    " decoded heights (slow).",
 )
-@click.option("--voids", is_flag=True, help="Count the voids (slow: decodes all heights).")
+@click.option("--voids", is_flag=True, help="Count voids (slow: decodes all heights).")
 @click.option(
     "--parts",
     is_flag=True,
-    help="List the bytes of each part by URL too, which takes many requests.",
+    help="List the bytes of each part, also of a URL, which takes many requests.",
 )
 @click.option(
     "--meshes",
     is_flag=True,
-    help="List each level's triangles, the bits they take and what zero trees hold (slow: makes all"
+    help="List the triangles of each level, their bits and their zero trees (slow: makes all"
     " meshes).",
 )
-def info(
-    file: str, as_json: bool, errors: str | None, voids: bool, parts: bool, meshes: bool
-) -> None:
-    """Show what the file FILE (.twz) holds."""
+def info(file: str, as_json: bool, **more: Any) -> None:
+    """Show what FILE (.twz) contains."""
     import terrainwave
-    from terrainwave.mesh.level_errors import level_errors
 
     with reading(file), terrainwave.open(file) as terrain:
         summary = terrain.info()
-        by_part = terrain.parts() if parts or "://" not in file else None
-        by_level = None if errors is None else level_errors(terrain, errors)
-        n_voids = terrain.count_voids() if voids else None
-        by_mesh = _mesh_levels(terrain) if meshes else None
+        found = _Found.of(terrain, **more | {"parts": more["parts"] or "://" not in file})
     if as_json:
-        more = {
-            "parts": None if by_part is None else asdict(by_part),
-            "level_errors": by_level,
-            "n_voids": n_voids,
-            "meshes": None if by_mesh is None else [level._asdict() for level in by_mesh],
+        print_json(summary.to_dict() | found.to_dict())
+        return
+    print_table(_info_rows(summary, found.n_voids))
+    found.print(summary)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What options ask for; None where they do not."""
+
+    parts: Any
+    level_errors: list[float] | None
+    n_voids: int | None
+    meshes: Any
+
+    @classmethod
+    def of(
+        cls, terrain: Any, *, errors: str | None, voids: bool, parts: bool, meshes: bool
+    ) -> Self:
+        """Look it up in a file."""
+        from terrainwave.mesh.level_errors import level_errors
+        from terrainwave.mesh.statistics import mesh_levels
+
+        return cls(
+            parts=terrain.parts() if parts else None,
+            level_errors=None if errors is None else level_errors(terrain, errors),
+            n_voids=terrain.count_voids() if voids else None,
+            meshes=mesh_levels(terrain) if meshes else None,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what was asked for, for --json."""
+        fields = {
+            "parts": None if self.parts is None else asdict(self.parts),
+            "level_errors": self.level_errors,
+            "n_voids": self.n_voids,
+            "meshes": None if self.meshes is None else [level._asdict() for level in self.meshes],
         }
-        found = {name: value for name, value in more.items() if value is not None}
-        print_json(summary.to_dict() | found)
-    else:
-        print_table(_info_rows(summary, n_voids))
-        if by_part is not None:
-            _print_parts(by_part)
-        if by_level is not None:
-            _print_level_errors(summary.level_shapes, by_level)
-        if by_mesh is not None:
-            _print_mesh_levels(by_mesh)
+        return {name: value for name, value in fields.items() if value is not None}
 
-
-def _mesh_levels(terrain: Any) -> Any:
-    from terrainwave.mesh.statistics import mesh_levels
-
-    return mesh_levels(terrain)
+    def print(self, summary: Any) -> None:
+        """Print tables of what was asked for."""
+        if self.parts is not None:
+            _print_parts(self.parts)
+        if self.level_errors is not None:
+            _print_level_errors(summary.level_shapes, self.level_errors)
+        if self.meshes is not None:
+            _print_mesh_levels(self.meshes)
 
 
 def _voids_in_words(info: Any, n_voids: int | None) -> str:

@@ -86,7 +86,10 @@ _GOALS = {"max_error", "max_triangles", "optimise"}
 @RADIUS_OPTION
 @VERTICAL_OPTION
 @click.option(
-    "--store", is_flag=True, help="Make a copy of FILE with meshes stored in it; TARGET is a .twz."
+    "--store",
+    "stores",
+    is_flag=True,
+    help="Make a copy of FILE with meshes stored in it; TARGET is a .twz.",
 )
 @click.option("--mesh", type=MeshKind(), help="With --store: kind of the meshes.")
 @OWN_OPTION
@@ -97,14 +100,14 @@ _GOALS = {"max_error", "max_triangles", "optimise"}
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @writing
 @click.pass_context
-def mesh(context: click.Context, /, file: str, target: str, store: bool, **options: Any) -> None:
+def mesh(context: click.Context, /, file: str, target: str, stores: bool, **options: Any) -> None:
     """Write a crack-free mesh of FILE (.twz) to TARGET, within the bound of the original.
 
     TARGET's extension selects the format: .ply, .obj, .stl, .glb, .gltf, .vtu, .vtk, or .terrain, a
     Cesium quantized-mesh tile.
     """
-    _refuse_unfit(context, store=store, loose=options["loose"])
-    if store:
+    _refuse_unfit(context, stores=stores, loose=options["loose"])
+    if stores:
         names = _COMMON_OPTIONS | _STORE_OPTIONS
         _store_meshes(file, target, **{name: options[name] for name in names})
     else:
@@ -112,16 +115,16 @@ def mesh(context: click.Context, /, file: str, target: str, store: bool, **optio
         _export_mesh(file, target, **{name: options[name] for name in names})
 
 
-def _refuse_unfit(context: click.Context, *, store: bool, loose: bool) -> None:
+def _refuse_unfit(context: click.Context, *, stores: bool, loose: bool) -> None:
     """Refuse options that are for meshes in files of their own with --store, and so on."""
     given = {
         name
         for name in context.params
         if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
-    } - {"file", "target", "store"}
-    unfit = given - _COMMON_OPTIONS - _STORE_OPTIONS if store else given & _STORE_OPTIONS
+    } - {"file", "target", "stores"}
+    unfit = given - _COMMON_OPTIONS - _STORE_OPTIONS if stores else given & _STORE_OPTIONS
     if unfit:
-        raise click.UsageError(f"found {_flags(unfit)} {'with' if store else 'without'} --store")
+        raise click.UsageError(f"found {_flags(unfit)} {'with' if stores else 'without'} --store")
     if loose and given & _GOALS:
         raise click.UsageError(
             f"found {_flags(given & _GOALS)} with --loose, expected none of them: the zero trees"

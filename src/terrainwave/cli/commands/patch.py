@@ -5,16 +5,8 @@ from typing import Any
 
 import click
 
-from terrainwave.arguments import (
-    count_of,
-)
-from terrainwave.cli.options import (
-    THREADS,
-    Input,
-    Name,
-    NamedInput,
-    Nodata,
-)
+from terrainwave.arguments import count_of
+from terrainwave.cli.options import THREADS_OPTION, Input, Name, NamedInput, Nodata
 from terrainwave.cli.output import (
     Bar,
     Command,
@@ -31,20 +23,21 @@ from terrainwave.cli.output import (
 @click.command(cls=Command)
 @click.argument("file", type=NamedInput())
 @click.argument("new", type=Input())
-@click.option("--nodata", type=Nodata(), help="Replaces the new raster's own nodata value.")
-@click.option("--band", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option("--nodata", type=Nodata(), help="Nodata value of NEW; replaces its own.")
+@click.option("--band", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Band of NEW.")  # fmt: skip
 @click.option(
     "--original",
     type=Input(),
-    help="The raster that FILE was made of, with all earlier patches. Heights beyond NEW are then"
-    " coded towards it; without it they stay as they are in FILE.",
+    help="The raster that FILE was made of, with all earlier patches. Heights outside NEW are then"
+    " compressed again from this raster; without it they stay as they are in FILE.",
 )
-@click.option("--temp-dir", type=Name(), help="Where large temporary data go.")
-@click.option("--threads", type=THREADS, help="Threads; by default all processors that it may use.")
+@click.option("--temp-dir", type=Name(), help="Folder for large temporary files.")
+@THREADS_OPTION
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> None:
-    """Bring FILE (.twz) up to date with the raster NEW, which covers all or part of it."""
+    """Update FILE (.twz) with the heights of the raster NEW, which covers all or part of it."""
     import terrainwave
 
     announce_compiling(quiet=quiet)

@@ -7,19 +7,8 @@ from typing import Any
 import click
 
 from terrainwave.arguments import count_of
-from terrainwave.cli.options import (
-    PAGE_SEA_LEVEL_OPTION,
-    RADIUS_OPTION,
-    Directory,
-    NamedInput,
-)
-from terrainwave.cli.output import (
-    Bar,
-    Command,
-    announce_compiling,
-    plain,
-    print_json,
-)
+from terrainwave.cli.options import PAGE_SEA_LEVEL_OPTION, RADIUS_OPTION, Directory, NamedInput
+from terrainwave.cli.output import Bar, Command, announce_compiling, plain, print_json
 from terrainwave.names import TILE_ENCODINGS
 
 
@@ -32,8 +21,8 @@ from terrainwave.names import TILE_ENCODINGS
     type=click.Choice(TILE_ENCODINGS),
     default=TILE_ENCODINGS[0],
     show_default=True,
-    help="Of the tiles that the page makes: mapbox has steps of 0.1 m from -10000 m, terrarium of"
-    " 1/256 m from -32768 m.",
+    help="Encoding of the tiles that the page makes. mapbox has steps of 0.1 m above -10000 m,"
+    " terrarium steps of 1/256 m above -32768 m.",
 )
 @PAGE_SEA_LEVEL_OPTION
 @click.option("--overwrite", is_flag=True, help="Replace an existing published folder.")

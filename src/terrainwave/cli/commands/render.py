@@ -8,10 +8,7 @@ from typing import Any
 
 import click
 
-from terrainwave.arguments import (
-    PICTURE_ENDINGS,
-    count_of,
-)
+from terrainwave.arguments import PICTURE_ENDINGS, count_of
 from terrainwave.cli.drawing import (
     announce_preparation,
     drawing,
@@ -19,19 +16,8 @@ from terrainwave.cli.drawing import (
     style_of,
     suggest_exaggeration,
 )
-from terrainwave.cli.options import (
-    Input,
-    Numbers,
-    Target,
-)
-from terrainwave.cli.output import (
-    Bar,
-    Command,
-    announce_compiling,
-    plain,
-    print_note,
-    reading,
-)
+from terrainwave.cli.options import Input, Numbers, Target
+from terrainwave.cli.output import Bar, Command, announce_compiling, plain, print_note, reading
 from terrainwave.cli.streams import STREAM, printing_beside, written
 
 
@@ -40,40 +26,70 @@ from terrainwave.cli.streams import STREAM, printing_beside, written
 @click.argument("target", type=Target(PICTURE_ENDINGS))
 @drawing
 @click.option(
-    "--bounds", type=Numbers("left,bottom,right,top", float), help="Show this, in the CRS."
+    "--bounds", type=Numbers("left,bottom,right,top", float), help="Area to show, in the CRS."
 )
-@click.option("--legend", is_flag=True, help="Draw what the colours say, with units.")
-@click.option("--scale-bar", is_flag=True, help="Draw a length that holds in the middle.")
+@click.option("--legend", is_flag=True, help="Draw a legend of the colours, with units.")
+@click.option("--scale-bar", is_flag=True, help="Draw a scale bar, for the middle of the picture.")
 @click.option("--samples", type=click.IntRange(0, 16), default=4, show_default=True,
-              help="Per pixel, against jagged edges.")  # fmt: skip
+              help="Samples per pixel, for smooth edges.")  # fmt: skip
 @click.option(
     "--stats",
     type=Target((".json",), or_stdout=False),
-    help="Write what was drawn to this JSON file.",
+    help="Write numbers about the picture to this JSON file.",
 )
 @click.option("--flight", type=click.File("r", encoding="utf-8"),
-              help="JSON list of cameras to fly along: TARGET gets numbers.")  # fmt: skip
-@click.option("--frames", "n_frames", type=click.IntRange(1), default=60, show_default=True)
+              help="JSON list of cameras to fly along; pictures get numbers.")  # fmt: skip
+@click.option("--frames", "n_frames", type=click.IntRange(1), default=60, show_default=True,
+              help="Pictures of a flight.")  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace existing files.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
 def render(
     file: str,
     target: str,
-    size: tuple[int, int],
-    camera: str | None,
-    bounds: tuple[float, ...] | None,
-    max_pixel_error: float,
-    memory: int,
-    stats: str | None,
     flight: Any,
     n_frames: int,
-    legend: bool,
-    scale_bar: bool,
+    stats: str | None,
     overwrite: bool,
     quiet: bool,
     **options: Any,
 ) -> None:
     """Draw FILE (.twz) to the picture TARGET (.png; - is stdout), without a screen."""
+    if flight is not None and target == STREAM:
+        raise click.UsageError(
+            "found - as TARGET and --flight, expected a name: a flight has many pictures"
+        )
+    announce_compiling(quiet=quiet)
+    if not quiet:
+        announce_preparation(options)
+    started = time.perf_counter()
+    names = [target] if flight is None else _numbered(target, n_frames)
+    drawn = _draw(file, names, flight, overwrite=overwrite, quiet=quiet, **options)
+    if stats is not None:
+        _write(stats, json.dumps(drawn if flight else drawn[0], indent=2).encode(), overwrite)
+    for problem in drawn[-1]["problems"]:
+        print_note(f"drawn coarser: {problem}")
+    if not quiet:
+        with printing_beside(target):
+            _print_picture(names[-1], drawn[-1], time.perf_counter() - started)
+
+
+def _draw(
+    file: str,
+    names: list[str],
+    flight: Any,
+    *,
+    camera: str | None,
+    bounds: tuple[float, ...] | None,
+    size: tuple[int, int],
+    max_pixel_error: float,
+    memory: int,
+    legend: bool,
+    scale_bar: bool,
+    overwrite: bool,
+    quiet: bool,
+    **options: Any,
+) -> list[dict[str, Any]]:
+    """Draw the pictures; return what was drawn in each."""
     import terrainwave
     from terrainwave.render.gpu.canvas import Canvas
     from terrainwave.render.look.marks import check_marks
@@ -85,53 +101,31 @@ def render(
         read_flight,
     )
 
-    if flight is not None and target == STREAM:
-        raise click.UsageError("found - as TARGET and --flight, expected a name: there are several")
-    announce_compiling(quiet=quiet)
-    if not quiet:
-        announce_preparation(options)
-    started = time.perf_counter()
-    all_drawn: list[dict[str, Any]] = []
-    with ExitStack() as stack:
-        stack.enter_context(reading(file))
-        terrain = stack.enter_context(terrainwave.open(file))
+    all_drawn = []
+    with reading(file), terrainwave.open(file) as terrain, ExitStack() as stack:
         check_drawable(terrain)
         within = None if bounds is None else heights_within(terrain, bounds)
         style = style_of(options)
         check_marks(size, style, legend=legend, scale_bar=scale_bar)
         with Bar(quiet=quiet) as bar:
-            scene = stack.enter_context(
-                Canvas(terrain, size, max_bytes=memory << 20, progress=bar, **options)
-            )
-        style.check_body(scene.scene.frame.body)
-        suggest_exaggeration(scene.scene.frame)
-        note_dry_land(scene, style)
+            canvas = Canvas(terrain, size, max_bytes=memory << 20, progress=bar, **options)
+            stack.enter_context(canvas)
+        frame = canvas.scene.frame
+        style.check_body(frame.body)
+        suggest_exaggeration(frame)
+        note_dry_land(canvas, style)
         if flight is None:
-            cameras, n_frames = (
-                [choose_camera(scene.scene.frame, scene.viewport, camera, bounds, within)],
-                1,
-            )
+            cameras = [choose_camera(frame, canvas.viewport, camera, bounds, within)]
         else:
-            cameras = read_flight(flight.read(), scene.scene.frame)
-        names = _names(target, 1 if flight is None else n_frames, flight is not None)
+            cameras = read_flight(flight.read(), frame)
         pictures = fly_through(
-            scene, cameras, n_frames, style, max_pixel_error, legend=legend, scale_bar=scale_bar
+            canvas, cameras, len(names), style, max_pixel_error, legend=legend, scale_bar=scale_bar
         )
         for name, (image, drawn) in zip(names, pictures, strict=True):
             with written(name, ".png") as path:
                 _write_png(path, image, overwrite)
             all_drawn.append(drawn)
-    if stats is not None:
-        _write(
-            stats, json.dumps(all_drawn if flight else all_drawn[0], indent=2).encode(), overwrite
-        )
-    last = all_drawn[-1]
-    for problem in last["problems"]:
-        print_note(f"drawn coarser: {problem}")
-    if not quiet:
-        seconds = time.perf_counter() - started
-        with printing_beside(target):
-            _print_picture(names[-1], last, seconds)
+    return all_drawn
 
 
 def _print_picture(name: str, drawn: dict[str, Any], seconds: float) -> None:
@@ -143,9 +137,8 @@ def _print_picture(name: str, drawn: dict[str, Any], seconds: float) -> None:
     click.echo(f"--camera {drawn['camera']}")
 
 
-def _names(target: str, n_frames: int, is_numbered: bool) -> list[str]:
-    if not is_numbered:
-        return [target]
+def _numbered(target: str, n_frames: int) -> list[str]:
+    """Return a name for each picture of a flight."""
     path = Path(target)
     digits = max(4, len(str(n_frames)))
     return [

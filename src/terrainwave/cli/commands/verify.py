@@ -1,29 +1,13 @@
 """The command verify: .twz files are compared with their rasters."""
 
-import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
-from terrainwave.arguments import (
-    TWZ_ENDINGS,
-    count_of,
-)
-from terrainwave.cli.batch import (
-    Done,
-    Job,
-    find_original,
-    finish,
-    run,
-)
-from terrainwave.cli.options import (
-    THREADS,
-    Bound,
-    Input,
-    Nodata,
-    complete_files,
-)
+from terrainwave.arguments import TWZ_ENDINGS, count_of
+from terrainwave.cli.batch import Done, Job, find_original, finish, run
+from terrainwave.cli.options import THREADS_OPTION, Bound, Input, Nodata, complete_files
 from terrainwave.cli.output import (
     Bar,
     Command,
@@ -44,48 +28,54 @@ from terrainwave.progress import ProgressCallback
     "--originals",
     type=click.Path(file_okay=False, exists=True),
     metavar="DIR",
-    help="Where the rasters of several FILEs are, with the same names.",
+    help="Folder with the rasters of several FILEs, by the same names.",
 )
-@click.option("--max-error", type=Bound(), help="Hold the file to this bound instead of its own.")
-@click.option("--band", type=click.IntRange(min=1), default=1, help="Band of ORIGINAL.")
-@click.option("--nodata", type=Nodata(), help="The nodata value that was given to compress.")
-@click.option("--mesh", is_flag=True, help="Check all meshes too: errors, borders, coverage.")
-@click.option("--threads", type=THREADS, help="Threads; by default all processors that it may use.")
-@click.option("--quiet", "-q", is_flag=True, help="Print nothing; the exit status tells.")
+@click.option("--max-error", type=Bound(), help="Check this bound instead of the file's own.")
+@click.option(
+    "--band", type=click.IntRange(min=1), default=1, show_default=True, help="Band of ORIGINAL."
+)
+@click.option("--nodata", type=Nodata(), help="Nodata value that was given to compress.")
+@click.option("--mesh", is_flag=True, help="Check errors, borders and coverage of all meshes, too.")
+@THREADS_OPTION
+@click.option("--quiet", "-q", is_flag=True, help="Print nothing; the exit status is the result.")
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
-def verify(
-    paths: tuple[str, ...], originals: str | None, quiet: bool, as_json: bool, **options: Any
-) -> None:
-    """Compare FILE (.twz) with its ORIGINAL raster; without that, check all of FILE.
+def verify(paths: tuple[str, ...], originals: str | None, **options: Any) -> None:
+    """Compare FILE (.twz) with its ORIGINAL raster; without ORIGINAL, check all of FILE.
 
-    Several FILEs, all of them .twz, are checked one by one; with --originals DIR each is compared
+    Several FILEs, all of them .twz, are checked one by one. With --originals DIR each is compared
     with the raster of its name in DIR.
     """
-    import terrainwave
-
     if not paths:
         raise click.UsageError("Missing argument 'FILE'.")
     are_files = all(Path(path).suffix.lower() in TWZ_ENDINGS for path in paths)
     if originals is not None or (are_files and len(paths) > 1):
-        _verify_all(paths, originals, quiet=quiet, as_json=as_json, **options)
-        return
-    if len(paths) > 2:
+        _verify_all(paths, originals, **options)
+    elif len(paths) > 2:
         raise click.UsageError(
             f"found {len(paths)} names that are not all .twz, expected FILE and ORIGINAL, or"
             " files and --originals DIR"
         )
+    else:
+        _verify(*paths, **options)
+
+
+def _verify(
+    path: str, original: str | None = None, *, quiet: bool, as_json: bool, **options: Any
+) -> None:
+    """Check one file."""
+    import terrainwave
+
     ctx = click.get_current_context()
-    file, *rest = (Input().convert(path, None, ctx) for path in paths)
-    original = rest[0] if rest else None
+    file = Input().convert(path, None, ctx)
+    raster = None if original is None else Input().convert(original, None, ctx)
     announce_compiling(quiet=quiet)
     with reading(file), Bar(quiet=quiet) as bar:
-        report = terrainwave.verify(file, original, progress=bar, **options)
+        report = terrainwave.verify(file, raster, progress=bar, **options)
     if as_json:
         print_json(report.to_dict())
     elif not quiet:
         _print_report(report)
-    if not report.ok:
-        sys.exit(1)
+    finish(int(not report.ok))
 
 
 def _verify_all(

@@ -11,21 +11,19 @@ from terrainwave.cli.drawing import (
     style_of,
     suggest_exaggeration,
 )
-from terrainwave.cli.options import (
-    Input,
-)
-from terrainwave.cli.output import (
-    Command,
-    announce_compiling,
-    reading,
-)
+from terrainwave.cli.options import Input
+from terrainwave.cli.output import Command, announce_compiling, reading
 
 
 @click.command(cls=Command)
 @click.argument("file", type=Input())
 @drawing
-@click.option("--target-ms", type=POSITIVE, help="Raise the pixel error where a frame is slower.")
-@click.option("--fullscreen", is_flag=True)
+@click.option(
+    "--target-ms",
+    type=POSITIVE,
+    help="Raise the pixel error if a frame takes longer than this, in milliseconds.",
+)
+@click.option("--fullscreen", is_flag=True, help="Fill the screen.")
 def view(
     file: str, camera: str | None, max_pixel_error: float, memory: int, **options: Any
 ) -> None:

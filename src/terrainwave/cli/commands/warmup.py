@@ -6,18 +6,9 @@ from typing import Any
 
 import click
 
-from terrainwave.cli.options import (
-    Directory,
-)
-from terrainwave.cli.output import (
-    Command,
-    announce_compiling,
-    plain,
-    print_note,
-)
-from terrainwave.names import (
-    WARMUP_TASKS,
-)
+from terrainwave.cli.options import Directory
+from terrainwave.cli.output import Command, announce_compiling, plain, print_note
+from terrainwave.names import WARMUP_TASKS
 
 
 class Tasks(click.ParamType):
@@ -41,20 +32,20 @@ class Tasks(click.ParamType):
     type=Tasks(),
     default=",".join(WARMUP_TASKS),
     show_default=True,
-    help="What to compile for; compress always is.",
+    help="Tasks to compile kernels for; compress is always one.",
 )
 @click.option(
     "--to",
     "folder",
     type=Directory(),
-    help="Keep the kernels in this folder; NUMBA_CACHE_DIR names it to later runs.",
+    help="Keep the kernels in this folder. Later runs find it by NUMBA_CACHE_DIR.",
 )
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
 def warmup(tasks: tuple[str, ...], folder: str | None, quiet: bool) -> None:
-    """Compile all kernels now, so that no later run has to (for container images).
+    """Compile all kernels now, so that later runs start faster (for container images).
 
-    Kernels are kept beside the package, or in the folder that NUMBA_CACHE_DIR names. Where that
-    cannot be written, they are kept in a folder of your own, and the command says which.
+    The command keeps kernels beside the package, or in the folder that NUMBA_CACHE_DIR names. If it
+    cannot write there, it keeps them in a private folder of the user and prints its name.
     """
     from terrainwave.cli.warmup import compile_kernels, keep_kernels_in
 
