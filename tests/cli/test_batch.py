@@ -160,7 +160,7 @@ def test_a_replaced_source_is_done_again(tmp_path, dems, has_manifest):
         ["--method", "predictive"],
         ["--block", 64],
         ["--mesh", "halves"],
-        ["--border-rings", 3],
+        ["-o", "border_rings=3"],
         ["--nodata", 7],
         pytest.param(["--effort", "fast", "--method", "predictive"], marks=pytest.mark.full),
         ["--effort", "best"],

@@ -24,14 +24,10 @@ _FORMER = "terrainwave.former"
 
 Words = dict[str, str | None]
 
-OWN_OPTION = click.option(
-    "-o",
-    "own",
-    multiple=True,
-    metavar="NAME[=VALUE]",
-    help="Set an option of the method or of the kind of meshes. To list them, name both:"
-    " --method METHOD --mesh KIND --help.",
-)
+
+def own_option(help: str) -> Callable[[Any], Any]:
+    """Return the option -o."""
+    return click.option("-o", "own", multiple=True, metavar="NAME[=VALUE]", help=help)
 
 
 class MeshKind(click.Choice[str]):
@@ -117,6 +113,8 @@ def _words(own: Sequence[str]) -> Words:
     for text in own:
         name, sign, value = text.partition("=")
         name = name.replace("-", "_")
+        if not name:
+            raise click.UsageError(f"found -o {text or repr(text)}, expected NAME or NAME=VALUE")
         if name in words:
             raise click.UsageError(f"found -o {name} twice, expected it once")
         words[name] = value if sign else None
@@ -138,8 +136,7 @@ def _refuse_others(
         if name in known:
             continue
         if any(name in kind.names() for kind in meshes):
-            # Of a former name, whose options are told already, there are no more.
-            found = mesh if isinstance(mesh, str) else mesh.call()
+            found = mesh if isinstance(mesh, str) else mesh.former_name
             refuse_unknown(name, "mesh", DEFAULT_MESH if found == "auto" else found, meshes)
         if of_method is not None and any(name in kind.names() for kind in methods):
             refuse_unknown(name, "method", method, methods)

@@ -15,6 +15,11 @@ class MeshOptions(OptionSet):
 
     argument = "mesh"
 
+    @property
+    def former_name(self) -> str:
+        """Return the name that the kind with these options had in 1.0."""
+        return "-".join([self.name, *(str(getattr(self, name)) for name in self.names())])
+
     def stored(self, method: Method, *, is_faithful: bool) -> str:
         """Return the kind of meshes that a file of a method holds, as `names.MESHES` has it.
 

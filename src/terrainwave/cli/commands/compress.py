@@ -32,10 +32,10 @@ from terrainwave.cli.output import (
     unit_behind,
 )
 from terrainwave.cli.own_options import (
-    OWN_OPTION,
     CommandWithOwnOptions,
     MeshKind,
     former_options,
+    own_option,
     with_own_options,
 )
 from terrainwave.cli.streams import printing_beside, written
@@ -70,7 +70,10 @@ from terrainwave.progress import ProgressCallback
 )
 @click.option("--mesh", type=MeshKind("none"), default=DEFAULT_MESH, show_default=True,
               help="Kind of the meshes of all blocks.")  # fmt: skip
-@OWN_OPTION
+@own_option(
+    "Set an option of the method or of the kind of meshes. To list them, name both:"
+    " --method METHOD --mesh KIND --help."
+)
 @click.option("--no-mesh", is_flag=True, help="Same as --mesh none.")
 @click.option(
     "--mesh-error",

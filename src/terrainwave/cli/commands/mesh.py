@@ -32,9 +32,9 @@ from terrainwave.cli.output import (
     vertical_in_words,
 )
 from terrainwave.cli.own_options import (
-    OWN_OPTION,
     CommandWithOwnOptions,
     MeshKind,
+    own_option,
     with_own_options,
 )
 
@@ -92,7 +92,9 @@ _GOALS = {"max_error", "max_triangles", "optimise"}
     help="Make a copy of FILE with meshes stored in it; TARGET is a .twz.",
 )
 @click.option("--mesh", type=MeshKind(), help="With --store: kind of the meshes.")
-@OWN_OPTION
+@own_option(
+    "With --store: set an option of the kind of meshes. To list them, name it: --mesh KIND --help."
+)
 @click.option("--mesh-error", type=Bound(), help="With --store: as for compress.")
 @click.option(
     "--original", type=Input(), help="With --store: the raster, to measure errors against."
