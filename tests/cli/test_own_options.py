@@ -105,7 +105,7 @@ def test_a_rate_in_the_way_of_1_0_is_kept_with_a_note(tmp_path, dem):
         ("-o =3", "found -o =3, expected NAME or NAME=VALUE"),
         (
             "--mesh zerotree-plain -o labels=layer",
-            "found -o labels and --mesh zerotree-plain, expected",
+            "found -o labels and --mesh zerotree-plain,",
         ),
     ],
 )
