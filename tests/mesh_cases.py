@@ -7,6 +7,7 @@ import numpy as np
 from hypothesis import strategies as st
 from rasterio.transform import Affine
 from strategies import write_geotiff
+from twz import grouped
 
 import terrainwave
 from terrainwave.grid.quadtree import Region
@@ -173,7 +174,7 @@ def write_case(case, directory):
         bands={"scales": case.scale, "offsets": case.offset},
     )
     terrainwave.compress(
-        raster, directory / "case.twz", overwrite=True, verify=False, **case.options
+        raster, directory / "case.twz", overwrite=True, verify=False, **grouped(case.options)
     )
     return directory / "case.twz"
 

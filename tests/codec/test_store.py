@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from terrainwave.codec.refiner import GroupSpec, Sides
-from terrainwave.codec.store import Store
+from terrainwave.codec.store.refiner import Store
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.grid.quadtree import Region
 

@@ -18,18 +18,19 @@ def read_twz(
     level: int = -1,
     window: Any = None,
     bounds: Any = None,
+    optimise: int = 1,
     frame: str | None = "local",
     z_scale: float = 1.0,
 ) -> Any:
-    """Return a watertight mesh of a .twz file, with its heights as point data.
+    """Return a crack-free mesh of a .twz file, with its heights as point data.
 
     Parameters
     ----------
     path : str
         Path or URL.
-    max_error, max_triangles, level, window, bounds
-        As for `Terrain.mesh`: which mesh, and of what. By default the stored meshes of the level;
-        of a file without any, a mesh within its own error and its vertical quantum.
+    max_error, max_triangles, level, window, bounds, optimise
+        As for `Terrain.mesh`: which mesh, and of what. Of a file without meshes, by default one
+        within its own error and its vertical quantum.
     frame, z_scale
         Coordinates as for `Mesh.save`: local metres, or ``"native"`` or ``"ecef"``.
 
@@ -51,7 +52,7 @@ def read_twz(
             max_error = terrain.quanta_error + terrain.info().quantum
         area_mesh = mesh_area(
             terrain, window, bounds=bounds, level=level, max_error=max_error,
-            max_triangles=max_triangles,
+            max_triangles=max_triangles, optimise=optimise,
         )  # fmt: skip
         mesh = MeshData(*area_mesh)
         placed = to_frame(mesh, frame, z_scale=z_scale)

@@ -184,7 +184,7 @@ class DistributedPasses:
 
     def encode(self, job: Job) -> Coded:
         """Code all units; segments below the tasks' blocks are stored in the depot."""
-        site = Site(self.raster, self.depot, job, self.level, job.options.method)
+        site = Site(self.raster, self.depot, job, self.level, job.options.coding.name)
         top = self._top_pyramid(site)
         try:
             refiner, tables = fitted_refiner(job, *self._targets(site, top))
@@ -208,7 +208,7 @@ class DistributedPasses:
     def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> float:
         """Decode the file from disk and compare every sample; return the largest error."""
         assert not isinstance(path, bytes)  # what has a client is written to disk
-        site = Site(self.raster, self.depot, job, self.level, job.options.method)
+        site = Site(self.raster, self.depot, job, self.level, job.options.coding.name)
         count = self._counter("proving")
         tasks = {region: (site, os.path.abspath(path), region) for region in self._own_regions()}
         largest = 0.0

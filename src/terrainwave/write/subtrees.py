@@ -307,9 +307,9 @@ def mesher_of(
         error_code,
         job.mesh_tolerance,
         has_voids=job.has_voids,
-        kind=job.options.mesh,
+        kind=job.options.mesh_kind,
         part=part,
-        trees=tree_source(job.options.mesh, decoder),
+        trees=tree_source(job.options.mesh_kind, decoder),
     )
 
 
