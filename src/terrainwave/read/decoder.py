@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
-from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner
+from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner, Validity
 from terrainwave.codec.units import block_of_unit, unit_spec
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.parameters import CodecParameters
@@ -17,10 +17,6 @@ from terrainwave.read.fetched import FetchedPayloads
 _MAX_SPECS = 1024
 # Units of scattered samples whose payloads are fetched in one call.
 _AT_A_TIME = 64
-
-
-def _n_bytes(unit: Decoded) -> int:
-    return sum(part.nbytes for part in unit if part is not None)
 
 
 class TreeDecoder:
@@ -46,7 +42,7 @@ class TreeDecoder:
         self._refiner = refiner
         self._parameters = parameters
         self._fetched = FetchedPayloads(payloads)
-        self._cache: Cache[Block, Decoded] = Cache(cache_bytes, size_of=_n_bytes)
+        self._cache: Cache[Block, Decoded] = Cache(cache_bytes, size_of=lambda unit: unit.nbytes)
         self._specs: Cache[Block, GroupSpec] = Cache(_MAX_SPECS)
 
     def prefetch(self, keys: Sequence[Block]) -> list[Block]:
@@ -125,14 +121,9 @@ class TreeDecoder:
         """Return a copy of what a unit holds of the samples that another one holds as well."""
         here = self._spec(key).region
         common = here.intersect(self._spec(other).region)
-        heights, mask, _, rest, own = _cut(self.unit(key), common.slices_in(here))
-        return Decoded(
-            heights.copy(),
-            mask.copy(),
-            None,
-            None if rest is None else rest.copy(),
-            None if own is None else own.copy(),
-        )
+        heights, validity, _, rest = self.unit(key).part(common.slices_in(here))
+        rest = None if rest is None else rest.copy()
+        return Decoded(heights.copy(), validity.copy(), None, rest)
 
     def part_once(self, key: Block, region: Region) -> tuple[tuple[slice, slice], Decoded]:
         """Return `part`, for a reader of a whole region.
@@ -156,7 +147,8 @@ class TreeDecoder:
         self.prefetch(keys)
         for key in keys:
             there, unit = self.part(key, region)
-            heights[there], mask[there] = unit.heights, unit.mask
+            heights[there] = unit.heights
+            mask[there] = True if unit.validity.mask is None else unit.validity.mask
         return heights, mask
 
     def samples(self, level: int, rows: NDArray[np.int64], cols: NDArray[np.int64]) -> Decoded:
@@ -186,7 +178,7 @@ class TreeDecoder:
             if unit.remainders is not None:
                 rest = np.zeros(shape, unit.remainders.dtype) if rest is None else rest
                 rest[0, here] = unit.remainders[at]
-        return Decoded(heights, mask, None, rest, own)
+        return Decoded(heights, Validity.of(mask, own), None, rest)
 
     def block(self, block: Block) -> Decoded:
         """Return the decoded heights of a block, with its apron if the file has one."""
@@ -199,14 +191,7 @@ def _part(
     unit: Decoded, spec: GroupSpec, common: Region, region: Region
 ) -> tuple[tuple[slice, slice], Decoded]:
     """Return where the part `common` of a unit lies in a region, and views of it."""
-    return common.slices_in(region), _cut(unit, common.slices_in(spec.region))
-
-
-def _cut(unit: Decoded, at: tuple[slice, slice]) -> Decoded:
-    """Return a part of a unit without its labels; views."""
-    rest = None if unit.remainders is None else unit.remainders[at]
-    own = None if unit.own is None else unit.own[at]
-    return Decoded(unit.heights[at], unit.mask[at], None, rest, own)
+    return common.slices_in(region), unit.part(common.slices_in(spec.region))
 
 
 def units_of(grid: Grid, level: int, region: Region) -> list[Block]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from terrainwave.codec.cdf53.refiner import LevelHeights, decode_masks, unpack_head
 from terrainwave.codec.group import read_head
-from terrainwave.codec.refiner import Decoded, Heights, Mask
+from terrainwave.codec.refiner import Decoded, Heights, Mask, Validity
 from terrainwave.container.header import Header
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.quadtree import Block, Region
@@ -31,12 +31,12 @@ class _MaskDecoder(TreeDecoder):
         spec, payload = self._spec(key), self._payload(key)
         heights = _no_heights(spec.region)
         if not payload:
-            return Decoded(heights, np.zeros(spec.region.shape, dtype=np.bool_), None)
+            return Decoded(heights, _all_void(spec.region))
         try:
             head = read_head(spec, None if key.is_root_key else self.block(key), payload)
         except CorruptStreamError as exc:
             raise type(exc)(f"{unit_name(key)} is damaged: {exc}") from exc
-        return Decoded(heights, head.valid.mask, None)
+        return Decoded(heights, head.validity)
 
 
 class _TileMaskDecoder(TileDecoder):
@@ -45,7 +45,7 @@ class _TileMaskDecoder(TileDecoder):
     def _decode_tile(self, key: Block) -> Tile:
         spec, payload = self._layout.spec(key), self._payload(key)
         if not payload:
-            masks = [np.zeros(region.shape, dtype=np.bool_) for region in spec.regions]
+            levels = [_all_void(region) for region in spec.regions]
         else:
             above = self._layout.above(key)
             outer = None
@@ -53,12 +53,12 @@ class _TileMaskDecoder(TileDecoder):
                 outer = self._tile(above)[-1].part(spec.outer).validity
             try:
                 head, _ = unpack_head(spec, payload)
-                masks = [valid.mask for valid in decode_masks(spec, head, outer)]
+                levels = decode_masks(spec, head, outer)
             except CorruptStreamError as exc:
                 raise type(exc)(f"the tile of {unit_name(key)} is damaged: {exc}") from exc
         return [
-            LevelHeights(region, _no_heights(region), mask)
-            for region, mask in zip(spec.regions, masks, strict=True)
+            LevelHeights(region, _no_heights(region), validity)
+            for region, validity in zip(spec.regions, levels, strict=True)
         ]
 
 
@@ -152,3 +152,7 @@ def _samples_in(core: Region, region: Region, stride: int) -> tuple[Region, tupl
 def _no_heights(region: Region) -> Heights:
     """Return heights that take no memory."""
     return np.broadcast_to(np.int32(0), region.shape)
+
+
+def _all_void(region: Region) -> Validity:
+    return Validity(np.zeros(region.shape, dtype=np.bool_))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from terrainwave.cache import Cache
 from terrainwave.codec.cdf53.refiner import LevelHeights, decode_tile
 from terrainwave.codec.cdf53.tiles import TileLayout
-from terrainwave.codec.refiner import Decoded, Heights
+from terrainwave.codec.refiner import Decoded, Heights, as_array
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.units import unit_spec
 from terrainwave.coding.lifting53 import forward_transform, places_of
@@ -176,8 +176,7 @@ def _blocks_along(first: int, n: int, side: int) -> range:
 
 
 def _n_bytes(tile: Tile) -> int:
-    arrays = [part for level in tile for part in level[1:] if part is not None]
-    return sum(array.nbytes for array in arrays)
+    return sum(level.heights.nbytes + level.validity.nbytes for level in tile)
 
 
 def final_heights(level: LevelHeights, parameters: CodecParameters) -> Decoded:
@@ -190,7 +189,7 @@ def final_heights(level: LevelHeights, parameters: CodecParameters) -> Decoded:
     heights = np.clip(wide, parameters.z_min, parameters.z_max).astype(np.int32)
     low, high = parameters.forbidden
     if low <= high:
-        collides = level.mask & (heights >= low) & (heights <= high)
+        collides = as_array(level.validity.mask, heights.shape)
+        collides = collides & (heights >= low) & (heights <= high)
         heights[collides] = low - 1 if high >= parameters.z_max else high + 1
-    own = None if level.own is None else level.own.copy()
-    return Decoded(heights, level.mask.copy(), None, own=own)
+    return Decoded(heights, level.validity.copy())

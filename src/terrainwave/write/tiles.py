@@ -20,8 +20,7 @@ from terrainwave.codec.cdf53.refiner import (
     unpack_tile,
 )
 from terrainwave.codec.cdf53.tiles import TileLayout, TileSpec
-from terrainwave.codec.own_masks import Validity
-from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask
+from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Validity
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.errors import (
     InvalidArgumentError,
@@ -152,7 +151,7 @@ class TileCoder:
         return encode_tile(spec, self._pyramid.steps(spec.last, spec.region), valid, outer)
 
     def _validity(self, level: int, region: Region) -> Validity:
-        return Validity(self._pyramid.mask(level, region), self._pyramid.own(level, region))
+        return Validity.of(self._pyramid.mask(level, region), self._pyramid.own(level, region))
 
     def target(self, spec: TileSpec) -> tuple[Heights, Mask]:
         """Return the heights, in quanta, and validity of a tile of full-grid samples."""

@@ -56,7 +56,7 @@ from terrainwave.codec.refiner import (
     Heights,
     Labels,
     Mask,
-    Sides,
+    as_array,
 )
 from terrainwave.codec.shared_lines import N_BORDER_MODELS, code_border, code_root_sample, put_back
 from terrainwave.coding.jit import kernel
@@ -206,7 +206,7 @@ class Predictive:
         spec: GroupSpec,
         parent: Heights | None,
         target: Heights,
-        mask: Mask,
+        mask: Mask | None,
         corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[bytes, Heights, Labels | None]:
         """Return the payload and the heights `decode` makes of it."""
@@ -222,7 +222,7 @@ class Predictive:
         self,
         spec: GroupSpec,
         parent: Heights | None,
-        mask: Mask,
+        mask: Mask | None,
         payload: bytes,
         corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[Heights, Labels | None]:
@@ -282,9 +282,7 @@ def _code_window(
     """Return the bits of a window coded alone, its even samples given; append to `seen`."""
     low, high = int(target.min()), int(target.max())
     region = Region(0, 0, *target.shape)
-    spec = GroupSpec(
-        1, region, region, None, Sides(False, False, False, False), step, low, high, (1, 0), 1, 0
-    )
+    spec = GroupSpec.alone(region, step, low, high)
     out = np.empty(6 * target.size + 1024, dtype=np.uint8)
     coder = new_encoder(out, trained.start_models(N_DETAIL_MODELS))
     unit = _new_unit(coder, _CLAMP | _MIXED, all_sets, seen)
@@ -307,7 +305,7 @@ def _code_unit(
     spec: GroupSpec,
     parent: Heights | None,
     target: Heights | None,
-    mask: Mask,
+    mask: Mask | None,
     unit: _Unit,
     corrections: Corrections,
 ) -> tuple[Heights, Labels | None]:
@@ -317,6 +315,7 @@ def _code_unit(
     """
     heights = np.zeros(spec.region.shape, dtype=np.int32)
     is_known = np.zeros(spec.region.shape, dtype=np.bool_)
+    mask = as_array(mask, spec.region.shape)
     core = spec.core.slices_in(spec.region)
     code_border(
         spec, parent, target, mask, unit.border, heights, is_known, is_nested=True,

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.corrections import correct
-from terrainwave.codec.masks import is_whole
 from terrainwave.codec.memory import Spares, new_heights
 from terrainwave.codec.rapid.file_tables import Tables
 from terrainwave.codec.rapid.layout import (
@@ -144,7 +143,7 @@ class UnitCoder:
         spec: GroupSpec,
         parent: Heights | None,
         target: Heights,
-        mask: Mask,
+        mask: Mask | None,
         corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[bytes, Heights, Labels | None]:
         """Return the payload and the heights `decode` makes of it."""
@@ -176,7 +175,7 @@ class UnitCoder:
         self,
         spec: GroupSpec,
         target: Heights,
-        mask: Mask,
+        mask: Mask | None,
         counts: NDArray[np.int64],
         *,
         is_inner: bool = False,
@@ -206,14 +205,16 @@ class UnitCoder:
             memory.put_back(logs, streams)
         return heights
 
-    def _flags(self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask) -> int:
-        is_wide = self._is_wide(spec, parent, target if is_whole(mask) else target[mask])
+    def _flags(
+        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask | None
+    ) -> int:
+        is_wide = self._is_wide(spec, parent, target if mask is None else target[mask])
         return (_WIDE if is_wide else 0) | (_SINGLE if target.size < _MANY_SAMPLES else 0)
 
     def _encode(
-        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask, flags: int,
-        freqs: NDArray[np.uint32], memory: _Memory, logs: _Logs, known: Known = _NONE_KNOWN,
-        corrections: Corrections = NO_CORRECTIONS,
+        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask | None,
+        flags: int, freqs: NDArray[np.uint32], memory: _Memory, logs: _Logs,
+        known: Known = _NONE_KNOWN, corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[Heights, Streams]:  # fmt: skip
         """Return decoded heights, and the logs of what is to be written."""
         streams = Streams(
@@ -240,7 +241,7 @@ class UnitCoder:
         self,
         spec: GroupSpec,
         parent: Heights | None,
-        mask: Mask,
+        mask: Mask | None,
         payload: bytes,
         corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[Heights, Labels | None]:
@@ -259,7 +260,7 @@ class UnitCoder:
         self,
         spec: GroupSpec,
         parent: Heights | None,
-        mask: Mask,
+        mask: Mask | None,
         payload: bytes,
         out: Heights,
         corrections: Corrections = NO_CORRECTIONS,
@@ -323,7 +324,7 @@ class UnitCoder:
         return (int(parent.min()) + int(parent.max())) >> 1
 
     def _code(
-        self, spec: GroupSpec, parent: Heights | None, target: Heights | None, mask: Mask,
+        self, spec: GroupSpec, parent: Heights | None, target: Heights | None, mask: Mask | None,
         flags: int, streams: Streams, out: Heights, memory: _Memory, corrections: Corrections,
         known: Known = _NONE_KNOWN,
     ) -> None:  # fmt: skip
@@ -340,13 +341,12 @@ class UnitCoder:
                 )
         if spec.region != spec.core:
             out[:] = 0  # a lattice fills all but the apron, whose lines may not meet
-        has_void = not is_whole(mask)
         unit = _Unit(
             spec=spec,
             is_encoding=target is not None,
             goal=_NO_GOAL if target is None else target.ravel(),
-            valid=mask.ravel() if has_void else _NO_MASK,
-            has_void=has_void,
+            valid=_NO_MASK if mask is None else mask.ravel(),
+            has_void=mask is not None,
             out=out.ravel(),
             origin=origin,
             scale=scale_of(spec.step, low, high, self._tables.is_by_reach),

@@ -66,7 +66,7 @@ def _plan(
     pitch: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     region = Region(0, 0, *shape)
-    spec = GroupSpec(1, Region(*core), region, None, shared, 1, 0, 0, (1, 0), rings, 0)
+    spec = GroupSpec.alone(Region(*core), 1, 0, 0, region=region, shared=shared, rings=rings)
     plan = plan_border(spec)
     last = parent_shape[0] - 1, parent_shape[1] - 1
     corners = []
