@@ -28,7 +28,7 @@ from terrainwave.errors import (
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.read.tiles import final_heights
-from terrainwave.write.encoder import PayloadSink, Stats, TreeEncoder
+from terrainwave.write.encoder import PayloadSink, Stats, UnitEncoder
 from terrainwave.write.job import Job
 from terrainwave.write.pyramid import Pyramid
 
@@ -80,8 +80,8 @@ class TileSource(Protocol):
         ...
 
 
-class TileEncoder(TreeEncoder):
-    """Encode all tiles of a raster; a `TreeEncoder` to those who use it."""
+class TileEncoder(UnitEncoder):
+    """Encode all tiles of a raster."""
 
     def __init__(
         self,
@@ -92,7 +92,7 @@ class TileEncoder(TreeEncoder):
         sink: PayloadSink,
         on_samples: Callable[[int], None],
     ) -> None:
-        super().__init__(grid, None, parameters, pyramid, sink, on_samples)
+        super().__init__(grid, parameters, pyramid, sink, on_samples)
         self._layout = TileLayout(grid, parameters.has_fills)
         self._source = source
         # Decoded tiles with units to come, and how many; the heads of tiles to come.

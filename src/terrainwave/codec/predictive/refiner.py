@@ -179,9 +179,10 @@ class Predictive:
 
     name = "predictive"
 
-    def __init__(self, parameters: bytes = b"") -> None:
+    def __init__(self, parameters: bytes = b"", added: FileTables | None = None) -> None:
+        """Take a file's tables from their bytes, unless they are known (`added`)."""
         self.parameters = parameters
-        self._tables = all_tables(parse_parameters(parameters))
+        self._tables = all_tables(parse_parameters(parameters) if added is None else added)
 
     def fitted(
         self,
@@ -199,7 +200,8 @@ class Predictive:
         added = fit_tables(grid, step, heights, mask)
         windows = windows_of(grid, 0, heights, mask, _WINDOW)
         e_weights = _fit_e_weights(added, windows, step, grid.n_rows * grid.n_cols)
-        return Predictive(pack_parameters(added._replace(e_weights=e_weights)))
+        added = added._replace(e_weights=e_weights)
+        return Predictive(pack_parameters(added), added)
 
     def encode(
         self,
