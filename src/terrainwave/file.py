@@ -623,10 +623,8 @@ class TerrainFile:
         if out_shape is None:
             heights, void = self._levels.read(index, region, on_error, voids)
         else:
-            heights, valid = resample(
-                lambda shift, part: _with_valid(
-                    *self._levels.read(index - shift, part, on_error, voids)
-                ),
+            heights, void = resample(
+                lambda shift, part: self._levels.read(index - shift, part, on_error, voids),
                 region,
                 out_shape,
                 resampling,
@@ -634,7 +632,6 @@ class TerrainFile:
                 self.grid,
                 max_bytes,
             )
-            void = None if valid.all() else ~valid
         if void is not None:
             heights[void] = self._raster.void_value
         if masked:

@@ -43,6 +43,9 @@ from terrainwave.codec.predictive.passes import (
     KNOWN,
     N_ROW_BUFFERS,
     VOID,
+    Arrays,
+    PassTables,
+    Range,
     code_pass,
     fill_noisy,
     fits_narrow,
@@ -134,12 +137,9 @@ class _Rows(NamedTuple):
 
 
 class _Scratch(NamedTuple):
-    """The arrays of a lattice."""
+    """The memory of a lattice."""
 
-    planes: NDArray[np.int32]
-    errors: NDArray[np.int32]
-    activity: NDArray[np.int32]
-    bends: NDArray[np.int32]
+    arrays: Arrays
     rows: _Rows
 
 
@@ -168,7 +168,7 @@ class _Workspace(threading.local):
             np.zeros((N_ROW_BUFFERS, n_cols), dtype=np.int32),
             np.zeros((N_ROW_BUFFERS, n_cols), dtype=np.int64),
         )
-        return _Scratch(planes, errors, activity, bends, rows)
+        return _Scratch(Arrays(planes, errors, activity, bends), rows)
 
 
 _WORKSPACE = _Workspace()
@@ -395,7 +395,7 @@ def _code_lattice(
     most = max(abs(spec.z_min), abs(spec.z_max)) + spec.step
     most = max(most, -int(heights.min()), int(heights.max()))
     scratch = _WORKSPACE.scratch(shape, most)
-    planes, errors, activity, bends = scratch[:4]
+    planes, errors, activity, bends = scratch.arrays
     if goal is not None:
         planes.fill(0)  # rims of planes that `_choose` looks at before they are coded
     split(heights, planes)
@@ -482,19 +482,14 @@ def _run_pass(
     weights = unit.tables.stencils[own][choice.stencil_set]
     e_weights = unit.tables.e_weights[own][choice.e_class]
     limits = cell_limits(spec.step) if unit.flags & _MIXED else None
+    tables = PassTables(weights, e_weights, bool(unit.flags & _CLAMP), limits)
     code_pass(
-        goal, kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, own, geometry,
-        weights, e_weights, bool(unit.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
-        scratch.rows.of(weights, e_weights), limits, unit.coder, unit.mixers,
-        corrections.kept.ravel(), corrections.added.ravel(),
+        goal, kinds, scratch.arrays, geometry, tables, Range(spec.step, spec.z_min, spec.z_max),
+        scratch.rows.of(weights, e_weights), unit.coder, unit.mixers,
+        Corrections(corrections.kept.ravel(), corrections.added.ravel()),
     )  # fmt: skip
     if unit.seen is not None:
-        unit.seen[own].append(
-            features_of(
-                kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, geometry,
-                weights, bool(unit.flags & _CLAMP), spec.step,
-            )
-        )  # fmt: skip
+        unit.seen[own].append(features_of(kinds, scratch.arrays, geometry, tables, spec.step))
 
 
 def _choose(
@@ -512,7 +507,7 @@ def _choose(
     heights must stay, the set that they were coded with is: by another one, each would take a
     correction.
     """
-    own, planes = geometry.plane, scratch.planes
+    own, planes = geometry.plane, scratch.arrays.planes
     saved = planes[own].copy()
     fill_noisy(goal, planes[own], spec.step)
     every = 8 if goal.size > 16384 else 2
@@ -551,15 +546,16 @@ def _set_of_kept(
 ) -> int | None:
     """Return the stencil set that reaches most heights that must stay; None if it reaches none.
 
-    ``scratch.planes`` of the pass are overwritten.
+    The plane of the pass is overwritten.
     """
     if not kept.size:
         return None
     own, n_rows, n_cols = geometry.plane, *goal.shape
-    scratch.planes[own, PAD : PAD + n_rows, PAD : PAD + n_cols] = goal
+    planes = scratch.arrays.planes
+    planes[own, PAD : PAD + n_rows, PAD : PAD + n_cols] = goal
     reached = [
         n_reached(
-            goal, kinds, kept.ravel(), scratch.planes, own, geometry, weights,
+            goal, kinds, kept.ravel(), planes, own, geometry, weights,
             bool(unit.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
             scratch.rows.of(weights, unit.tables.e_weights[own][0]),
         )
@@ -584,20 +580,21 @@ def _encode_smallest(
     The likeliest is tried last, as what the last trial left needs no copying back.
     """
     own = geometry.plane
+    planes, errors, activity, _ = scratch.arrays
     # Bytes before this one are final.
     first = max(int(unit.coder.state[OUT_POS]), 0)
     arrays = [
         unit.coder.state, unit.coder.models, unit.mixers, unit.coder.stream[first:],
-        scratch.planes[own], scratch.errors[own], scratch.activity[own], corrections.added,
+        planes[own], errors[own], activity[own], corrections.added,
     ]  # fmt: skip
     start = [array.copy() for array in arrays[:3]] if len(choices) > 1 else []
-    known = scratch.planes[own].copy() if len(choices) > 1 else scratch.planes[own]
+    known = planes[own].copy() if len(choices) > 1 else planes[own]
     kept: list[NDArray[np.generic]] = []
     smallest = 1 << 62
     for n_left, choice in reversed(list(enumerate(choices))):
         if start and n_left < len(choices) - 1:
             unit.coder.state[:], unit.coder.models[:], unit.mixers[:] = start
-            scratch.planes[own] = known
+            planes[own] = known
         code = choice.stencil_set * 4 + choice.e_class
         code_raw(unit.coder, _SET_BITS + 2, code)
         _run_pass(goal, kinds, geometry, choice, spec, scratch, unit, corrections)

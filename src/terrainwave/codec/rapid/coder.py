@@ -32,8 +32,8 @@ from terrainwave.codec.rapid.symbols import (
     Streams,
 )
 from terrainwave.codec.rapid.wavefront import (
-    Grid2,
     Known,
+    Lattice,
     code_rows,
 )
 from terrainwave.codec.refiner import (
@@ -311,13 +311,13 @@ class UnitCoder:
         """Return whether a unit needs 64 bits: it has heights far from its origin."""
         if spec.step >= _MOST_NARROW_STEP:
             return True
-        limit, origin = _LIMIT32 // self._widest, self._origin(spec, parent, True)
+        limit, origin = _LIMIT32 // self._widest, self._origin(spec, parent)
         seen = [heights] if parent is None else [heights, parent]
         low = min((int(part.min()) for part in seen if part.size), default=origin)
         high = max((int(part.max()) for part in seen if part.size), default=origin)
         return max(low, spec.z_min) < origin - limit or min(high, spec.z_max) > origin + limit
 
-    def _origin(self, spec: GroupSpec, parent: Heights | None, is_wide: bool) -> int:
+    def _origin(self, spec: GroupSpec, parent: Heights | None) -> int:
         """Return the height that a narrow unit's are less: 0 where the header's range fits."""
         if parent is None or max(-spec.z_min, spec.z_max) * self._widest <= _LIMIT32:
             return 0
@@ -330,7 +330,7 @@ class UnitCoder:
     ) -> None:  # fmt: skip
         """Encode `target`, or decode where it is None; fill `out` with the region's heights."""
         is_wide = bool(flags & _WIDE)
-        origin = self._origin(spec, parent, is_wide)
+        origin = self._origin(spec, parent)
         low, high = spec.z_min - origin, spec.z_max - origin
         if not is_wide:
             limit = _LIMIT32 // self._widest
@@ -369,7 +369,7 @@ class UnitCoder:
         row = (spec.core.row >> 1) - spec.parent_region.row
         col = (spec.core.col >> 1) - spec.parent_region.col
         source, pitch = _flat(parent)
-        coarse = Grid2(row * pitch + col, pitch, 1)
+        coarse = Lattice(row * pitch + col, pitch, 1)
         rings = 1 + (spec.rings >> 1)
         known = Known(*(rings if is_shared else 0 for is_shared in spec.shared))
         self._code_rows(unit, 1, source, coarse, known, plan_lines(spec, pitch))
@@ -386,7 +386,7 @@ class UnitCoder:
             for col in range(0, n_cols, stride):
                 _code_corner(unit, first + row * pitch + col)
         if stride > 1:
-            coarse = Grid2(first, 2 * pitch, 2)
+            coarse = Lattice(first, 2 * pitch, 2)
             self._code_rows(unit, stride >> 1, unit.out, coarse, known, _NONE_SHARED)
 
     def _weights_from(self, level: int, stride: int, scale: Scale) -> NDArray[np.int64]:
@@ -413,7 +413,7 @@ class UnitCoder:
         return arranged[key]
 
     def _code_rows(
-        self, unit: _Unit, stride: int, source: Heights, coarse: Grid2, known: Known,
+        self, unit: _Unit, stride: int, source: Heights, coarse: Lattice, known: Known,
         shared: tuple[NDArray[np.int64], NDArray[np.int64]],
     ) -> None:  # fmt: skip
         """Code the lattice of every `stride`-th sample, those of half the stride, … all samples.
@@ -424,7 +424,7 @@ class UnitCoder:
         assert spec.core.n_cols <= 2 * MAX_COLS
         code_rows(
             unit.is_encoding, unit.has_void, unit.goal, unit.valid, unit.out, source, *shared,
-            Grid2(_first(spec), spec.region.shape[1], 1), coarse, spec.core.shape, stride,
+            Lattice(_first(spec), spec.region.shape[1], 1), coarse, spec.core.shape, stride,
             self._weights_from(spec.level, stride, unit.scale), known, unit.origin, unit.workspace,
             unit.scale, unit.streams, unit.kept, unit.added,
         )  # fmt: skip
