@@ -76,12 +76,10 @@ class GroupSpec:
         z_min: int,
         z_max: int,
         *,
-        level: int = 1,
         region: Region | None = None,
         parent_region: Region | None = None,
         shared: Sides = NOT_SHARED,
         forbidden: tuple[int, int] = (1, 0),
-        rings: int = 1,
         effort: int = 0,
     ) -> Self:
         """Return the spec of a unit that is part of no file, by default one without neighbours.
@@ -89,9 +87,18 @@ class GroupSpec:
         `codec.units.unit_spec` returns those of a file's units.
         """
         return cls(
-            level, core, region or core, parent_region, shared, step, z_min, z_max, forbidden,
-            rings, effort,
-        )  # fmt: skip
+            level=1,
+            core=core,
+            region=region or core,
+            parent_region=parent_region,
+            shared=shared,
+            step=step,
+            z_min=z_min,
+            z_max=z_max,
+            forbidden=forbidden,
+            rings=1,
+            effort=effort,
+        )
 
     @property
     def half(self) -> int:

@@ -255,23 +255,11 @@ def _error_of(height, value, scale_shift, inverse):
 
 
 @inlined_kernel
-def _code_other(
-    at, state, stream, models, is_encoder, here_signs, above_signs, col, fraction, e_bin, octaves,
-    scale_shift, inverse, sign, residual,
-):  # fmt: skip
-    """Code an index that is not 0, its sign first; return sign, magnitude less 1, and the coder."""
+def _side(fraction, scale_shift, inverse):
+    """Return to which side of a whole number a prediction lies, and how far: 0 ... 6."""
     sixth = in_steps(6 * abs(fraction), scale_shift, inverse, 1 - BASE_BITS)
     sixth = min((sixth + 1) >> 1, 3)
-    side = 3 + sixth if fraction > 0 else 3 - sixth
-    model = _sign_context(here_signs, above_signs, col, side)
-    bit, at = code_step(at, state, stream, models, is_encoder, model, np.int64(sign < 0))
-    # Two bins an octave.
-    mag_bin = min(e_bin + 2 * octaves, N_E_BINS - 1)
-    residual, at = code_magnitude_step(
-        at, state, stream, models, is_encoder, _MAG_MODELS + mag_bin * N_UNARY,
-        np.int64(_PREFIX_MODELS), SHIFT_OF_E[mag_bin], residual - 1,
-    )  # fmt: skip
-    return np.int64(1 - 2 * bit), residual, at
+    return 3 + sixth if fraction > 0 else 3 - sixth
 
 
 @kernel
@@ -335,9 +323,16 @@ def code_residuals(
                 bit = np.int64(residual != 0)
                 bit, at = code_step(at, state, stream, models, is_encoder, zero, bit)
                 if bit:
-                    sign, residual, at = _code_other(
-                        at, state, stream, models, is_encoder, here_signs, above_signs, j, fraction,
-                        e_bin, octaves, scale_shift, inverse, sign, residual,
+                    side = _side(fraction, scale_shift, inverse)
+                    model = _sign_context(here_signs, above_signs, j, side)
+                    bit = np.int64(sign < 0)
+                    bit, at = code_step(at, state, stream, models, is_encoder, model, bit)
+                    sign = np.int64(1 - 2 * bit)
+                    # Two bins an octave.
+                    mag_bin = min(e_bin + 2 * octaves, N_E_BINS - 1)
+                    residual, at = code_magnitude_step(
+                        at, state, stream, models, is_encoder, _MAG_MODELS + mag_bin * N_UNARY,
+                        np.int64(_PREFIX_MODELS), SHIFT_OF_E[mag_bin], residual - 1,
                     )  # fmt: skip
                     residual = min(residual + 1, most)
                     height += sign * (residual * width + shift)

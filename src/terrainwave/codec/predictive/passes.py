@@ -62,6 +62,7 @@ E_WEIGHT_BITS = 9
 # Rows of the row buffer.
 (_ACC, _LOWEST, _LOWER, _UPPER, _HIGHEST, _ERRORS, _SPREAD, _FLOOR, _CEILING, _WIDTH) = range(10)
 N_ROW_BUFFERS = 10
+_N_FRACTIONS = (1 << (P_BITS - 1)) + 1
 
 
 @kernel
@@ -261,9 +262,59 @@ class Range(NamedTuple):
     z_max: int
 
 
+class _Scale(NamedTuple):
+    """What follows from the step and the range of heights."""
+
+    shift: int
+    inverse: int
+    half: int
+    p_low: int
+    p_high: int
+
+
+class _Sample(NamedTuple):
+    """A sample to code: its sorted core, neighbours, and prediction, in 2**-P_BITS and rounded."""
+
+    bottom: int
+    lower: int
+    upper: int
+    top: int
+    west: int
+    north: int
+    value: int
+    whole: int
+
+
+class _Contexts(NamedTuple):
+    """What is expected of a detail, and how many of its neighbours lie above and below."""
+
+    expected: int
+    e_bin: int
+    log_range: int
+    n_up: int
+    n_down: int
+
+
 @kernel_part
-def _prepare_row(arrays, geometry, tables, row, rows, n_cols, p_low, p_high, scale_shift, inverse):
+def _scale_of(heights):
+    """Return the scale of a `Range`."""
+    shift, inverse = step_scale(heights.step)
+    p_low, p_high = np.int64(heights.z_min) << P_BITS, np.int64(heights.z_max) << P_BITS
+    return _Scale(shift, inverse, heights.step >> 1, p_low, p_high)
+
+
+@kernel
+def _fill_fractions(scale, bins, errors):
+    """Fill in what follows from a prediction's distance to the nearest integer, at most 32."""
+    for k in range(bins.shape[0]):
+        bins[k] = min(in_steps(np.int64(k), scale.shift, scale.inverse, 3 - P_BITS), 3)
+        errors[k] = in_steps(np.int64(k), scale.shift, scale.inverse, 5 - P_BITS)
+
+
+@kernel_part
+def _prepare_row(arrays, geometry, tables, scale, rows, row, n_cols):
     """Fill the row buffers with what does not depend on the row itself."""
+    p_low, p_high = scale.p_low, scale.p_high
     own, core, e_weights = geometry.plane, geometry.core, tables.e_weights
     planes, errors, activity, bends = arrays
     lowest, highest = rows[_LOWEST], rows[_HIGHEST]
@@ -285,31 +336,34 @@ def _prepare_row(arrays, geometry, tables, row, rows, n_cols, p_low, p_high, sca
         ceilings[j] = min(max(bound, p_low), p_high)
     for j in range(n_cols):
         width = np.int64(highest[j]) - lowest[j]
-        widths[j] = in_steps(width, scale_shift, inverse, E_BITS)
+        widths[j] = in_steps(width, scale.shift, scale.inverse, E_BITS)
 
 
 @inlined_kernel
-def _distances(core, value, unclamped, w_median, w_middle, w_mean):
+def _distances(sample, unclamped, w_median, w_middle, w_mean):
     """Return the weighted distances of the core's means to a prediction, which is in 2**-P_BITS."""
-    bottom, lower, upper, top = core
+    bottom, lower, upper, top = sample.bottom, sample.lower, sample.upper, sample.top
     distances = np.int64(0)
     if w_median != 0:
-        distances += w_median * abs(((lower + upper) << (P_BITS - 1)) - value)
+        median = (lower + upper) << (P_BITS - 1)
+        distances += w_median * abs(median - sample.value)
     if w_middle != 0:
-        distances += w_middle * abs(((bottom + top) << (P_BITS - 1)) - value)
+        middle = (bottom + top) << (P_BITS - 1)
+        distances += w_middle * abs(middle - sample.value)
     if w_mean != 0:
-        distances += w_mean * abs(unclamped - ((bottom + lower + upper + top) << (P_BITS - 2)))
+        mean = (bottom + lower + upper + top) << (P_BITS - 2)
+        distances += w_mean * abs(unclamped - mean)
     return distances
 
 
 @inlined_kernel
-def _sides(core, west, north, whole, half):
-    """Return how many of the core and two neighbours are over half a step above, and below."""
-    bottom, lower, upper, top = core
+def _sides(sample, half):
+    """Return how many of core and neighbours are more than half a step above, and below."""
+    bottom, lower, upper, top, west, north, _, whole = sample
+    n_up = n_down = np.int64(0)
     is_quiet = (
         max(max(top, west), north) - whole <= half and whole - min(min(bottom, west), north) <= half
     )
-    n_up = n_down = np.int64(0)
     if not is_quiet:
         ceiling, floor = whole + half, whole - half
         n_up = (
@@ -342,43 +396,39 @@ def _detail_of(goal, whole, step, half):
 
 
 @inlined_kernel
-def _code_other(
-    at, state, stream, models, is_encoder, mixers, core, west, north, value, whole, sides, e_bin,
-    expected, log_range, scale_shift, inverse, limits, detail,
-):  # fmt: skip
-    """Code a detail that is not 0; return it."""
-    bottom, lower, upper, top = core
+def _contexts_of_other(sample, contexts, scale):
+    """Return what `code_detail` takes of a detail that is not 0: from its models of signs on."""
+    bottom, lower, upper, top, west, north, value, whole = sample
+    expected, e_bin, _, n_up, n_down = contexts
+    shift, inverse = scale.shift, scale.inverse
     from_median = ((lower + upper) << (P_BITS - 1)) - value
     from_middle = ((bottom + top) << (P_BITS - 1)) - value
     e_floor = max(expected, 128)
     log_floor = log8(e_floor)
-    size = in_steps(abs(from_median), scale_shift, inverse, E_BITS - P_BITS)
+    size = in_steps(abs(from_median), shift, inverse, E_BITS - P_BITS)
     median_bin = middle_bin(size if from_median > 0 else -size, e_floor, log_floor)
-    size = in_steps(abs(from_middle), scale_shift, inverse, E_BITS - P_BITS)
+    size = in_steps(abs(from_middle), shift, inverse, E_BITS - P_BITS)
     middle = middle_bin(size if from_middle > 0 else -size, e_floor, log_floor)
     fraction = value - (whole << P_BITS)
-    sixth = in_steps(6 * abs(fraction), scale_shift, inverse, 1 - P_BITS)
+    sixth = in_steps(6 * abs(fraction), shift, inverse, 1 - P_BITS)
     sixth = min((sixth + 1) >> 1, 3)
     sixth = 3 + sixth if fraction > 0 else 3 - sixth
     sign_b = SIGN_B + ((SIGN_E_OF_BIN[e_bin] * 7 + sixth) * 9 + median_bin) * 9 + middle
-    sign_h = SIGN_H + ((e_bin >> 2) * 8 + sides[0]) * 8 + sides[1]
+    sign_h = SIGN_H + ((e_bin >> 2) * 8 + n_up) * 8 + n_down
     above, below = max((top << P_BITS) - value, 0), max(value - (bottom << P_BITS), 0)
-    reach_b = in_steps(above, scale_shift, inverse, E_BITS - P_BITS)
-    reach_a = in_steps(below, scale_shift, inverse, E_BITS - P_BITS)
+    reach_b = in_steps(above, shift, inverse, E_BITS - P_BITS)
+    reach_a = in_steps(below, shift, inverse, E_BITS - P_BITS)
     around = (
         bottom - whole, lower - whole, upper - whole, top - whole, west - whole, north - whole,
     )  # fmt: skip
-    return code_detail(
-        at, state, stream, models, is_encoder, mixers, e_bin, sign_b, sign_h, reach_b, reach_a,
-        expected + E_OFFSET, log_range, around, limits, detail,
-    )  # fmt: skip
+    return sign_b, sign_h, reach_b, reach_a, around
 
 
 @inlined_kernel
-def _error_of(height, value, scale_shift, inverse):
+def _error_of(height, value, scale):
     """Return how far a height is from its prediction, in 1/32 step."""
     distance = abs((height << P_BITS) - value)
-    return min(in_steps(distance, scale_shift, inverse, 5 - P_BITS), MAX_ERROR)
+    return min(in_steps(distance, scale.shift, scale.inverse, 5 - P_BITS), MAX_ERROR)
 
 
 @kernel
@@ -417,8 +467,7 @@ def code_pass(
     sums, spread = rows[_ERRORS], rows[_SPREAD]
     floors, ceilings, widths = rows[_FLOOR], rows[_CEILING], rows[_WIDTH]
     step, z_min, z_max = heights
-    scale_shift, inverse = step_scale(step)
-    half = step >> 1
+    scale = _scale_of(heights)
     most = 2 * MAX_HEIGHT // step + 2
     e_weights, limits = tables.e_weights, tables.limits
     w_west = np.int64(tables.weights[0])
@@ -426,14 +475,9 @@ def code_pass(
     w_median, w_middle, w_mean = e_weights[F_MEDIAN], e_weights[F_MIDDLE], e_weights[F_MEAN]
     has_corrections = added.shape[0] > 0
     z_range = np.int64(z_min), np.int64(z_max)
-    p_low, p_high = np.int64(z_min) << P_BITS, np.int64(z_max) << P_BITS
-    # What follows from a prediction's distance to the nearest integer, at most 32.
-    n_fractions = (1 << (P_BITS - 1)) + 1
-    bin_of_fraction = np.empty(n_fractions, dtype=np.int64)
-    error_of_fraction = np.empty(n_fractions, dtype=np.int64)
-    for k in range(n_fractions):
-        bin_of_fraction[k] = min(in_steps(np.int64(k), scale_shift, inverse, 3 - P_BITS), 3)
-        error_of_fraction[k] = in_steps(np.int64(k), scale_shift, inverse, 5 - P_BITS)
+    bin_of_fraction = np.empty(_N_FRACTIONS, dtype=np.int64)
+    error_of_fraction = np.empty(_N_FRACTIONS, dtype=np.int64)
+    _fill_fractions(scale, bin_of_fraction, error_of_fraction)
     state, stream, models, is_encoder = coder
     at = take_out(state)
     _frame_own(plane, core_taps, planes, -1, n_cols)
@@ -443,9 +487,7 @@ def code_pass(
         above = plane[row + PAD - 1]
         here_errors[PAD - 1] = own_errors[row + PAD - 1, PAD]
         here_errors[PAD - 2] = own_errors[row + PAD - 1, PAD]
-        _prepare_row(
-            arrays, geometry, tables, row, rows, n_cols, p_low, p_high, scale_shift, inverse
-        )
+        _prepare_row(arrays, geometry, tables, scale, rows, row, n_cols)
         west = np.int64(here[PAD - 1])
         error_west, error_west2 = np.int64(here_errors[PAD - 1]), np.int64(here_errors[PAD - 2])
         samples, sample_errors, northern = here[PAD:], here_errors[PAD:], above[PAD:]
@@ -459,7 +501,7 @@ def code_pass(
                 error = np.int64(0)
                 if kind == KNOWN:
                     west = np.int64(samples[j])
-                    error = _error_of(west, value, scale_shift, inverse)
+                    error = _error_of(west, value, scale)
                 else:
                     west = whole
                     if has_corrections:
@@ -469,15 +511,18 @@ def code_pass(
                 sample_errors[j] = error
                 error_west2, error_west = error_west, error
                 continue
-            core = np.int64(lowest[j]), np.int64(lower[j]), np.int64(upper[j]), np.int64(highest[j])
+            sample = _Sample(
+                np.int64(lowest[j]), np.int64(lower[j]), np.int64(upper[j]), np.int64(highest[j]),
+                west, np.int64(northern[j]), value, whole,
+            )  # fmt: skip
             distances = np.int64(spread[j]) << P_BITS
-            distances += _distances(core, value, unclamped, w_median, w_middle, w_mean)
+            distances += _distances(sample, unclamped, w_median, w_middle, w_mean)
             # In 1/16384 step.
             expected = (
                 sums[j]
                 + w_e_west * error_west
                 + w_e_west2 * error_west2
-                + in_steps(distances, scale_shift, inverse, 5 - P_BITS)
+                + in_steps(distances, scale.shift, scale.inverse, 5 - P_BITS)
             )
             expected = min(expected >> 6, MAX_E)
             e_bin, log_range = contexts_of(expected)
@@ -486,13 +531,11 @@ def code_pass(
             zero_b = ZERO_B + (e_bin * N_RANGE_BINS + range_bin) * 4 + bin_of_fraction[fraction]
             detail = np.int64(0)
             if target is not None:
-                detail = _detail_of(goal[row, j], whole, step, half)
+                detail = _detail_of(goal[row, j], whole, step, scale.half)
             bit = np.int64(detail != 0)
-            north = np.int64(northern[j])
-            sides = np.int64(0), np.int64(0)
+            n_up = n_down = np.int64(0)
             if limits is not None:
-                sides = _sides(core, west, north, whole, half)
-                n_up, n_down = sides
+                n_up, n_down = _sides(sample, scale.half)
                 zero_h = ZERO_H + (e_bin * 7 + 6 - n_up - n_down) * 4 + min(min(n_up, n_down), 3)
                 bit, at = code_mean_step(at, state, stream, models, is_encoder, zero_b, zero_h, bit)
             else:
@@ -501,18 +544,22 @@ def code_pass(
                 west = whole
                 error = error_of_fraction[fraction]
             else:
-                detail, at = _code_other(
-                    at, state, stream, models, is_encoder, mixers, core, west, north, value, whole,
-                    sides, e_bin, expected, log_range, scale_shift, inverse, limits, detail,
+                contexts = _Contexts(expected, e_bin, log_range, n_up, n_down)
+                sign_b, sign_h, reach_b, reach_a, around = _contexts_of_other(
+                    sample, contexts, scale
+                )
+                detail, at = code_detail(
+                    at, state, stream, models, is_encoder, mixers, e_bin, sign_b, sign_h, reach_b,
+                    reach_a, expected + E_OFFSET, log_range, around, limits, detail,
                 )  # fmt: skip
                 detail = min(max(detail, -most), most)
                 west = min(max(whole + detail * step, z_min), z_max)
-                error = _error_of(west, value, scale_shift, inverse)
+                error = _error_of(west, value, scale)
             if has_corrections:
                 height = corrected(west, kept, added, row * n_cols + j, z_range, z_range)
                 if height != west:
                     west = height
-                    error = _error_of(west, value, scale_shift, inverse)
+                    error = _error_of(west, value, scale)
             samples[j] = west
             sample_errors[j] = error
             error_west2, error_west = error_west, error

@@ -6,6 +6,7 @@ symbols counted. All in whole numbers: the same raster gives the same tables eve
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
@@ -210,7 +211,7 @@ def _count_window(
     """Code a window as a root block; count its symbols and return the decoded heights."""
     region = Region(0, 0, *target.shape)
     low, high = int(target.min()), int(target.max())
-    spec = GroupSpec.alone(region, step, low, high, level=level)
+    spec = replace(GroupSpec.alone(region, step, low, high), level=level)
     return coder.count(spec, target, None if mask.all() else mask, counts, is_inner=is_inner)
 
 
