@@ -623,10 +623,8 @@ class TerrainFile:
         if out_shape is None:
             heights, void = self._levels.read(index, region, on_error, voids)
         else:
-            heights, valid = resample(
-                lambda shift, part: _with_valid(
-                    *self._levels.read(index - shift, part, on_error, voids)
-                ),
+            heights, void = resample(
+                lambda shift, part: self._levels.read(index - shift, part, on_error, voids),
                 region,
                 out_shape,
                 resampling,
@@ -634,7 +632,6 @@ class TerrainFile:
                 self.grid,
                 max_bytes,
             )
-            void = None if valid.all() else ~valid
         if void is not None:
             heights[void] = self._raster.void_value
         if masked:
@@ -705,13 +702,11 @@ class TerrainFile:
             )
         from terrainwave.read.decoder import units_of
         from terrainwave.read.early import EarlyPayloads
-        from terrainwave.read.tiles import TileDecoder
+        from terrainwave.read.tiles import make_decoder
 
         max_bytes = int(quality * region.n_rows * region.n_cols / 8)
         payloads = EarlyPayloads(self.container, units_of(self.grid, index, region), max_bytes)
-        decoder = TileDecoder(
-            self.grid, header.codec_parameters, payloads, self._cache_bytes, are_prefixes=True
-        )
+        decoder = make_decoder(header, payloads, self._cache_bytes, are_prefixes=True)
         found = self._filled(*self._levels.read(index, region, on_error, voids, decoder))
         return EarlyHeights(*found, payloads.n_bytes)
 
