@@ -27,7 +27,7 @@ from terrainwave.errors import (
 if TYPE_CHECKING:
     from terrainwave.export.geotiff import decompress
     from terrainwave.export.mesh import Mesh
-    from terrainwave.file import Info
+    from terrainwave.file.info import Info
     from terrainwave.progress import Progress
     from terrainwave.terrain import Terrain
     from terrainwave.verification.heights import VerifyReport, verify
@@ -76,7 +76,7 @@ _LAZY = {
     "PatchResult": "write.patch",
     "patch": "write.patch",
     "Progress": "progress",
-    "Info": "file",
+    "Info": "file.info",
     "Terrain": "terrain",
     "Mesh": "export.mesh",
     "VerifyReport": "verification.heights",

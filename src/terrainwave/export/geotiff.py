@@ -138,7 +138,7 @@ def decompress(
             info_to_write(terrain),
             n_rows=region.n_rows,
             n_cols=region.n_cols,
-            transform=terrain.transform(level, region),
+            transform=terrain.transform_of(level, region)[:6],
         )
         converted = None
         if is_converted:

@@ -308,7 +308,7 @@ class _Comparison:
                 yield f"{name} is {found!r}, the original's is {expected!r}"
         if not _same_nodata(terrain.nodata, self._nodata, self._dtype):
             yield f"nodata is {terrain.nodata!r}, the original's is {self._nodata!r}"
-        found, expected = tuple(terrain.transform())[:6], tuple(dataset.transform)[:6]
+        found, expected = tuple(terrain.transform)[:6], tuple(dataset.transform)[:6]
         if found != expected:
             yield f"the transform is {found}, the original's is {expected}"
         # Of samples that lie nowhere a file keeps no CRS.

@@ -37,7 +37,8 @@ from terrainwave.container.publish import publish, refuse_own_source, scratch_di
 from terrainwave.container.sink import SpoolSink
 from terrainwave.container.writer import assemble
 from terrainwave.errors import BoundViolationError, InvalidHeightsError
-from terrainwave.file import TerrainFile, format_of
+from terrainwave.file import TerrainFile
+from terrainwave.file.info import format_of
 from terrainwave.grid.affine import places_to_pixels
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.remainders import Remainders
