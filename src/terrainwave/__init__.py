@@ -99,8 +99,10 @@ def __dir__() -> list[str]:
     return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
 
 
-def open(source: Any, **options: Any) -> "Terrain":
+def open(
+    source: Any, *, cache_bytes: int = 256 << 20, threads: int | None = None, native: bool = True
+) -> "Terrain":
     """Open a .twz file by path, URL, bytes or file object; see `Terrain` for the options."""
     from terrainwave.terrain import Terrain
 
-    return Terrain(source, **options)
+    return Terrain(source, cache_bytes=cache_bytes, threads=threads, native=native)

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 DEFAULT_MAX_BYTES = 4 << 30
 # What becomes of damaged blocks.
 ON_ERROR = ("raise", "mask")
+# Heights in the dtype of the raster.
+RasterHeights = NDArray[np.integer[Any] | np.floating[Any]]
 
 
 class EarlyHeights(NamedTuple):
@@ -126,7 +128,7 @@ class TerrainFile(DescribedFile):
         on_error: str = "raise",
         voids: str | None = None,
         max_bytes: int = DEFAULT_MAX_BYTES,
-    ) -> NDArray[Any]:
+    ) -> RasterHeights:
         """Read heights in the file's dtype, the void value in voids.
 
         Heights are as stored in the raster: ``scale * stored + offset`` of `info` makes them
@@ -164,11 +166,12 @@ class TerrainFile(DescribedFile):
 
         Returns
         -------
-        heights : ndarray, shape (n_rows, n_cols)
-            A copy. On the full grid every valid sample is within `effective_error` of the original;
-            of floats on a decimal grid (0.1, 0.01 …) this holds for the decimal numbers, and the
-            floats nearest to two of them may differ by one float spacing more (`Info.float_error`;
-            `compress` with `strict`).
+        heights : ndarray of the raster's dtype (`dtype`), shape (n_rows, n_cols)
+            A copy; a `numpy.ma.MaskedArray` if `masked`. The dtype is that of the raster, on every
+            level: uint8, int16, uint16, int32, float32 or float64. On the full grid every valid
+            sample is within `effective_error` of the original; of floats on a decimal grid (0.1,
+            0.01 …) this holds for the decimal numbers, and the floats nearest to two of them may
+            differ by one float spacing more (`Info.float_error`; `compress` with `strict`).
 
         Raises
         ------
@@ -222,7 +225,7 @@ class TerrainFile(DescribedFile):
         level: int = -1,
         on_error: str = "raise",
         voids: str | None = None,
-    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    ) -> tuple[RasterHeights, NDArray[np.bool_]]:
         """Return heights and validity of a window of a level; arguments as in `read`.
 
         What `read` cannot tell: a raster with a mask of its own may hold any value in its voids.
