@@ -17,8 +17,8 @@ from terrainwave.ext.serve.layers import Layer, Raster, Shelf, named
 from terrainwave.ext.serve.ranges import asked_span, is_same
 from terrainwave.ext.serve.sending import PART, Ahead, Desk, begun, parts
 from terrainwave.globe import terrain_rgb as tiling
-from terrainwave.globe.cesium import MAX_ZOOM as LAST_MESH_ZOOM
 from terrainwave.globe.terrain_rgb import Look
+from terrainwave.globe.tile_scheme import MAX_ZOOM as LAST_MESH_ZOOM
 
 STATIC = Path(__file__).parent / "static"
 
