@@ -344,7 +344,7 @@ class TerrainFile:
 
         Raises
         ------
-        InvalidHeightsError
+        InvalidArgumentError
             If there is no such level.
         """
         last = self.n_levels - 1
@@ -600,7 +600,7 @@ class TerrainFile:
 
         Raises
         ------
-        InvalidHeightsError
+        InvalidArgumentError
             If an argument is out of range or the window misses the level.
         LimitExceededError
             If the result would be larger than `max_bytes`.
@@ -686,7 +686,7 @@ class TerrainFile:
 
         Raises
         ------
-        InvalidHeightsError
+        InvalidArgumentError
             If the file is not of method cdf53, whose streams alone can be read in part, or
             `quality` is out of range.
         """
@@ -717,7 +717,7 @@ class TerrainFile:
 
         Raises
         ------
-        InvalidHeightsError
+        InvalidArgumentError
             If both are given, one is malformed, or they miss the level.
         """
         index = self.level_index(level)
