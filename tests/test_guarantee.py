@@ -269,14 +269,14 @@ def test_longer_rasters_keep_the_bound(shape, max_error):
     check(case, twz_bytes(case.heights, max_error=max_error), max_error)
 
 
-@pytest.mark.parametrize("max_error", [Fraction(1, 2), Decimal("0.5"), np.float32(0.5), "0.5"])
+@pytest.mark.parametrize("max_error", [Fraction(1, 2), Decimal("0.5"), np.float32(0.5)])
 def test_a_bound_may_be_any_number(max_error):
     data = twz_bytes(np.array([[0.0, 0.3], [7.1, 9.9]]), max_error=max_error, method="store")
     with Terrain(data) as terrain:
         assert terrain.max_error == 0.5
 
 
-@pytest.mark.parametrize("max_error", ["half", 10**400, [1, 2], np.nan, -np.inf])
+@pytest.mark.parametrize("max_error", ["half", "0.5", 10**400, [1, 2], np.nan, -np.inf])
 def test_a_bound_that_is_no_finite_number_is_refused(max_error):
     with pytest.raises(InvalidHeightsError, match="expected a finite number"):
         twz_bytes(np.zeros((2, 2)), max_error=max_error)

@@ -53,7 +53,7 @@ class Method:
     is_patchable : bool
         A unit can be coded again so that heights that still hold come back as they were: its loop
         takes corrections (`codec.corrections`).
-    has_parameters : bool
+    has_file_tables : bool
         The file's header may hold tables for all of its units.
     is_read_in_browsers : bool
         The reader in JavaScript decodes it.
@@ -74,7 +74,7 @@ class Method:
     is_clusterable: bool = True
     may_be_faithful: bool = False
     is_patchable: bool = False
-    has_parameters: bool = False
+    has_file_tables: bool = False
     is_read_in_browsers: bool = False
     has_reach: bool = False
     has_layers: bool = False
@@ -92,11 +92,11 @@ METHODS = {
     method.name: method
     for method in (
         Method(name="rapid", number=4, options="rapid.Rapid",
-               refiner="rapid.refiner.Rapid", has_parameters=True,
+               refiner="rapid.refiner.Rapid", has_file_tables=True,
                has_reach=True, is_patchable=True, is_read_in_browsers=True),
         Method(name="predictive", number=2, options="predictive.Predictive",
                refiner="predictive.refiner.Predictive",
-               has_parameters=True, is_patchable=True, is_read_in_browsers=True,
+               has_file_tables=True, is_patchable=True, is_read_in_browsers=True,
                effort="1, 2 or 8 sets of weights"),
         Method(name="cdf97", number=1, options="cdf97.Cdf97",
                refiner="cdf97.refiner.Cdf97", pyramid="lowpass",

@@ -86,7 +86,7 @@ def test_a_map_of_a_part_shows_that_part(terrain, ax):
 
 
 def test_a_shade_out_of_range_is_refused(terrain, ax):
-    with pytest.raises(InvalidHeightsError, match="found shade 2, expected 0 … 1"):
+    with pytest.raises(InvalidHeightsError, match="found shade 2, expected a finite number, 0 … 1"):
         terrain.plot(ax, shade=2)
 
 

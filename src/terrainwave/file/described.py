@@ -11,7 +11,7 @@ from affine import Affine
 from numpy.typing import NDArray
 
 from terrainwave.arguments import check_flags, checked_threads, checked_whole, in_one_line
-from terrainwave.codec.registry import check_layout, check_parameters
+from terrainwave.codec.registry import check_file_tables, check_layout
 from terrainwave.container.codes import decode_error, decode_range
 from terrainwave.container.header import LAYOUT_FEATURES, Header
 from terrainwave.container.parts import Parts, parts_of
@@ -54,8 +54,8 @@ class DescribedFile:
             header = self.container.header
             bits = LAYOUT_FEATURES.items()
             told = sum(layout for layout, bit in bits if header.features & bit)
-            check_parameters(header.method, header.parameters)
-            check_layout(header.method, header.parameters, told)
+            check_file_tables(header.method, header.file_tables)
+            check_layout(header.method, header.file_tables, told)
             # Null means the same as a key that is missing (FORMAT.md §4.2).
             known = {name: value for name, value in header.metadata.items() if value is not None}
             known |= {"n_rows": header.n_rows, "n_cols": header.n_cols, "dtype": header.dtype}
@@ -182,7 +182,7 @@ class DescribedFile:
 
         Raises
         ------
-        InvalidHeightsError
+        InvalidArgumentError
             If there is no such level.
         """
         last = self.n_levels - 1
@@ -344,7 +344,7 @@ class DescribedFile:
 
         Raises
         ------
-        InvalidHeightsError
+        InvalidArgumentError
             If both are given, one is malformed, or they miss the level.
         """
         return self.level_place(level).region(window, bounds)

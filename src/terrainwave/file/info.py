@@ -136,5 +136,5 @@ def format_of(header: Header) -> str:
 
     Tables by reach are older than their feature bit.
     """
-    is_newer = newer_layout(header.method, header.parameters) > 0
+    is_newer = newer_layout(header.method, header.file_tables) > 0
     return FORMATS[-1] if is_newer else header.format

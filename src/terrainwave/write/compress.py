@@ -220,10 +220,10 @@ def compress(
     reporter = Reporter(progress)
     cluster = None
     if client is not None:
-        if not options.coding.is_clusterable:
+        if not options.named_method.is_clusterable:
             raise InvalidArgumentError(
-                f"found `method` {options.coding.name} and a client, expected another method: only"
-                f" one machine codes the tiles of {options.coding.name}"
+                f"found `method` {options.named_method.name} and a client, expected another method:"
+                f" only one machine codes the tiles of {options.named_method.name}"
             )
         is_remote = temp_dir is not None and "://" in os.fspath(temp_dir)
         raster = shared_raster(src, band, nodata)
@@ -349,12 +349,12 @@ def _write(
             coded = passes.encode(job)
             is_large = coded.n_bytes > source.info.n_bytes
             is_large = is_large and not (options.is_embedded or options.faithful)
-            if is_large and options.coding != PLAIN_METHOD:
+            if is_large and options.named_method != PLAIN_METHOD:
                 coded = smaller(coded, passes.encode(job.with_method(PLAIN_METHOD)))
-                if coded.job.options.coding == PLAIN_METHOD:
+                if coded.job.options.named_method == PLAIN_METHOD:
                     notes.append("the heights do not compress: stored as they are")
             job = coded.job
-            assemble(file, job.header(coded.parameters), coded.segments)
+            assemble(file, job.header(coded.file_tables), coded.segments)
             measured = None
             if options.verify:
                 measured = passes.prove(path or cast(io.BytesIO, file).getvalue(), job)
@@ -362,7 +362,7 @@ def _write(
     scale = abs(source.info.scale)
     moved = job.moved_error * scale
     return _Written(
-        method=job.options.coding.name,
+        method=job.options.named_method.name,
         max_error=float(job.bound) + moved,
         effective_error=min(job.effective_error * scale, float(job.bound)) + moved,
         measured_error=None if measured is None else measured * scale,

@@ -90,9 +90,9 @@ class Options:
                 "found `stable` without `max_error`, expected both: fixed steps follow from the"
                 " bound"
             )
-        if self.coding.is_tiled or self.faithful:
+        if self.named_method.is_tiled or self.faithful:
             fit = methods_that(lambda method: not method.is_tiled)
-            found = "`faithful`" if self.faithful else f"`method` {self.coding.name}"
+            found = "`faithful`" if self.faithful else f"`method` {self.named_method.name}"
             raise InvalidArgumentError(
                 f"found `stable` and {found}, expected `method` {fit}, and not `faithful`: those"
                 " round heights in ways of their own"
@@ -102,7 +102,7 @@ class Options:
         """Return what files are made differently by, or checked; plain values for JSON."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         values |= {name: getattr(self, name) for name in _OF_METHODS}
-        values["method"] = self.coding.name
+        values["method"] = self.named_method.name
         return {
             name: value
             for name, value in values.items()
@@ -121,7 +121,7 @@ class Options:
         return self.method
 
     @property
-    def coding(self) -> Method:
+    def named_method(self) -> Method:
         """Return the method."""
         return self._own.method
 
@@ -178,9 +178,11 @@ class Options:
             return []
         if self.faithful:
             return [f"effort {self.effort} changes nothing: faithful files have one wavelet step"]
-        if self.coding.effort:
+        if self.named_method.effort:
             return []
-        return [f"effort {self.effort} changes nothing: method {self.coding.name} has no efforts"]
+        return [
+            f"effort {self.effort} changes nothing: method {self.named_method.name} has no efforts"
+        ]
 
 
 # What `to_metadata` states beside the fields of `Options`, of any method.

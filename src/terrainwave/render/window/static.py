@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from terrainwave.arguments import PICTURE_ENDINGS, check_ending
 from terrainwave.container.publish import publish
 from terrainwave.errors import (
-    InvalidArgumentError,
     TerrainwaveError,
     TerrainwaveWarning,
 )
@@ -70,8 +69,6 @@ def plot(terrain: "TerrainFile", ax: Any, *, cmap: str | None, shade: float, bou
     """Draw a map; see `Terrain.plot`."""
     pyplot = need("matplotlib.pyplot", extra="demo")
     colors = need("matplotlib.colors", extra="demo")
-    if not 0 <= shade <= 1:
-        raise InvalidArgumentError(f"found `shade` {shade}, expected 0 … 1")
     level = -1
     while (
         level > -terrain.n_levels
