@@ -57,8 +57,8 @@ def _of_files() -> Iterator[tuple[str, bytes]]:
         text = inflate(packed, MAX_METADATA, "metadata", DICTIONARY)
         yield "metadata", b"\0" + text
         if found.method in ("rapid", "predictive"):
-            kind = [name for name in REFINERS if REFINERS[name].has_parameters].index(found.method)
-            yield "parameters", bytes([kind]) + found.parameters
+            kind = [name for name in REFINERS if REFINERS[name].has_file_tables].index(found.method)
+            yield "parameters", bytes([kind]) + found.file_tables
         if path in VIRTUAL:
             yield "virtual", bytes([0, VIRTUAL.index(path)]) + text
             seeks = struct.pack("<iHBiHB", 0, 300, 0, -200, 400, 2)

@@ -144,7 +144,7 @@ def _known_parameters(name: str) -> tuple[bytes, ...]:
     found = {b""}
     for path in sorted(GOLDEN.glob(f"{name}-*.twz")):
         with Terrain(path.read_bytes(), threads=1) as terrain:
-            found.add(terrain.header.parameters)
+            found.add(terrain.header.file_tables)
     return tuple(sorted(found))
 
 
@@ -179,7 +179,7 @@ def unit_target(name: str) -> Target:
 def parameters(data: bytes) -> None:
     """Read the tables that a file brings along for its method."""
     if data:
-        names = [name for name, method in REFINERS.items() if method.has_parameters]
+        names = [name for name, method in REFINERS.items() if method.has_file_tables]
         registry.refiner_by_name(pick(data[0], names), data[1:])
 
 

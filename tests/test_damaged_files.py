@@ -252,7 +252,7 @@ def test_extreme_numbers_that_are_legal_are_read(z_min, z_max, step):
 
 def claims(n_rows, n_cols, block=1024, dtype="int16"):
     """Return a file of about 200 bytes that claims a raster; all of it is void."""
-    header = toy_header(n_rows, n_cols, block, dtype=dtype, metadata={"nodata": 0}, parameters=b"")
+    header = toy_header(n_rows, n_cols, block, dtype=dtype, metadata={"nodata": 0}, file_tables=b"")
     return forge(header, empty_page(page_layout(header.grid, None)))
 
 
@@ -331,7 +331,7 @@ def test_damage_never_costs_memory(data, change):
 
 
 def test_a_payload_longer_than_the_file_is_rejected():
-    header = toy_header(3, 3, 32, metadata={}, parameters=b"")
+    header = toy_header(3, 3, 32, metadata={}, file_tables=b"")
     layout = page_layout(header.grid, None)
     page = replace(
         empty_page(layout),

@@ -23,7 +23,7 @@ def test_numbers_are_those_from_0_and_the_default_is_named_first():
 def test_a_refiner_has_the_name_and_the_tables_of_its_line(method):
     refiner = refiner_by_name(method.name)
     assert refiner.name == method.name
-    assert isinstance(refiner, FittingRefiner) == method.has_parameters
+    assert isinstance(refiner, FittingRefiner) == method.has_file_tables
 
 
 def test_a_method_of_a_newer_version_is_not_supported():

@@ -33,7 +33,7 @@ from twz import twz_bytes
 import terrainwave
 from terrainwave.codec.cdf97 import trained as tables97
 from terrainwave.codec.predictive import trained as tables
-from terrainwave.codec.predictive.file_tables import all_tables, parse_parameters
+from terrainwave.codec.predictive.file_tables import all_tables, parse_file_tables
 from terrainwave.coding.deflate import deflate
 from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.errors import CorruptStreamError
@@ -743,7 +743,7 @@ def test_random_tiles_of_several_levels_decode_as_format_says(seed):
 def test_tables_of_a_file_are_those_of_p_10():
     section = random_parameters(np.random.default_rng(0))
     found = predictive.read_tables(section)
-    expected = all_tables(parse_parameters(section))
+    expected = all_tables(parse_file_tables(section))
     for number, plane in enumerate(predictive.PLANES, 1):
         np.testing.assert_array_equal(expected.stencils[number], found.stencils[plane])
         np.testing.assert_array_equal(expected.e_weights[number], found.weights[plane])

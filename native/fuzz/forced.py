@@ -22,7 +22,7 @@ from terrainwave.codec.rapid.file_tables import (
     default_codes,
     freqs_of,
     missing_tap,
-    pack_parameters,
+    pack_file_tables,
     rest_symbols,
     weights_of,
 )
@@ -133,7 +133,7 @@ def tables(rng, *, has_weights):
     before = Rapid.fitted
 
     def fitted(_self, grid, *_rest, **_options):
-        return Rapid(pack_parameters(any_tables(rng, grid.k_max, has_weights)))
+        return Rapid(pack_file_tables(any_tables(rng, grid.k_max, has_weights)))
 
     Rapid.fitted = fitted
     try:

@@ -20,7 +20,7 @@ from terrainwave.arguments import (
     in_one_line,
     shown,
 )
-from terrainwave.codec.registry import check_layout, check_parameters, newer_layout
+from terrainwave.codec.registry import check_file_tables, check_layout, newer_layout
 from terrainwave.container.codes import decode_error, decode_range
 from terrainwave.container.header import LAYOUT_FEATURES, Header
 from terrainwave.container.parts import Parts, parts_of
@@ -180,8 +180,8 @@ class TerrainFile:
             header = self.container.header
             bits = LAYOUT_FEATURES.items()
             told = sum(layout for layout, bit in bits if header.features & bit)
-            check_parameters(header.method, header.parameters)
-            check_layout(header.method, header.parameters, told)
+            check_file_tables(header.method, header.file_tables)
+            check_layout(header.method, header.file_tables, told)
             # Null means the same as a key that is missing (FORMAT.md §4.2).
             known = {name: value for name, value in header.metadata.items() if value is not None}
             known |= {"n_rows": header.n_rows, "n_cols": header.n_cols, "dtype": header.dtype}
@@ -875,7 +875,7 @@ def format_of(header: Header) -> str:
 
     Tables by reach are older than their feature bit.
     """
-    is_newer = newer_layout(header.method, header.parameters) > 0
+    is_newer = newer_layout(header.method, header.file_tables) > 0
     return FORMATS[-1] if is_newer else header.format
 
 

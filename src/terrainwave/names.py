@@ -51,7 +51,7 @@ class Method:
     is_patchable : bool
         A unit can be coded again so that heights that still hold come back as they were: its loop
         takes corrections (`codec.corrections`).
-    has_parameters : bool
+    has_file_tables : bool
         The file's header may hold tables for all of its units.
     is_read_in_browsers : bool
         The reader in JavaScript decodes it.
@@ -71,7 +71,7 @@ class Method:
     is_clusterable: bool = True
     may_be_faithful: bool = False
     is_patchable: bool = False
-    has_parameters: bool = False
+    has_file_tables: bool = False
     is_read_in_browsers: bool = False
     has_reach: bool = False
     has_layers: bool = False
@@ -88,10 +88,10 @@ REACH_LAYOUT, WEIGHTS_LAYOUT = 3, 5
 METHODS = {
     method.name: method
     for method in (
-        Method(name="rapid", number=4, refiner="rapid.refiner.Rapid", has_parameters=True,
+        Method(name="rapid", number=4, refiner="rapid.refiner.Rapid", has_file_tables=True,
                has_reach=True, is_patchable=True, is_read_in_browsers=True),
         Method(name="predictive", number=2, refiner="predictive.refiner.Predictive",
-               has_parameters=True, is_patchable=True, is_read_in_browsers=True,
+               has_file_tables=True, is_patchable=True, is_read_in_browsers=True,
                effort="1, 2 or 8 sets of weights"),
         Method(name="cdf97", number=1, refiner="cdf97.refiner.Cdf97", pyramid="lowpass",
                effort="1, up to 3 or up to 7 steps", has_layers=True, may_be_faithful=True),

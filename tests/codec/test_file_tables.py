@@ -17,8 +17,8 @@ from terrainwave.codec.predictive.file_tables import (
     FileTables,
     all_tables,
     missing_tap,
-    pack_parameters,
-    parse_parameters,
+    pack_file_tables,
+    parse_file_tables,
     weights_of,
 )
 from terrainwave.codec.predictive.fit import fit_non_negative, fit_tables, fit_weights
@@ -46,15 +46,15 @@ def some_tables():
 
 def test_tables_survive():
     added = some_tables()
-    back = parse_parameters(pack_parameters(added))
+    back = parse_file_tables(pack_file_tables(added))
     assert back.stencils == added.stencils
     for plane in PLANES:
         np.testing.assert_array_equal(back.e_weights[plane], added.e_weights[plane])
 
 
 def test_no_tables_are_no_bytes():
-    assert pack_parameters(NO_TABLES) == b""
-    found = all_tables(parse_parameters(b""))
+    assert pack_file_tables(NO_TABLES) == b""
+    found = all_tables(parse_file_tables(b""))
     for plane in PLANES:
         np.testing.assert_array_equal(found.stencils[plane], STENCILS[plane])
         np.testing.assert_array_equal(found.e_weights[plane], E_WEIGHTS[plane])
@@ -68,17 +68,17 @@ def test_file_stencils_follow_the_trained_ones_and_keep_a_constant():
 
 
 def test_every_prefix_and_an_extra_byte_are_rejected():
-    section = pack_parameters(some_tables())
+    section = pack_file_tables(some_tables())
     for length in range(1, len(section)):
         with pytest.raises(CorruptStreamError):
-            parse_parameters(section[:length])
+            parse_file_tables(section[:length])
     with pytest.raises(CorruptStreamError):
-        parse_parameters(section + b"\0")
+        parse_file_tables(section + b"\0")
 
 
 def test_an_unknown_layout_is_unsupported():
     with pytest.raises(UnsupportedVersionError):
-        parse_parameters(b"\x02" + pack_parameters(some_tables())[1:])
+        parse_file_tables(b"\x02" + pack_file_tables(some_tables())[1:])
 
 
 @pytest.mark.parametrize("method", ["store", "cdf97"])
@@ -100,19 +100,19 @@ def test_a_stencil_out_of_range_is_rejected(change):
     bad = stencil(1)._replace(**change)
     added = FileTables({1: [bad], 2: [], 3: []}, dict.fromkeys(PLANES))
     with pytest.raises(CorruptStreamError):
-        parse_parameters(pack_parameters(added))
+        parse_file_tables(pack_file_tables(added))
 
 
 def test_too_many_stencils_are_rejected():
     n_most = MAX_SETS - len(STENCILS[2])
     for n_sets in (n_most, n_most + 1):
         added = FileTables({1: [], 2: [stencil(2)] * n_sets, 3: []}, dict.fromkeys(PLANES))
-        section = pack_parameters(added)
+        section = pack_file_tables(added)
         if n_sets == n_most:
-            assert len(parse_parameters(section).stencils[2]) == n_most
+            assert len(parse_file_tables(section).stencils[2]) == n_most
             continue
         with pytest.raises(CorruptStreamError):
-            parse_parameters(section)
+            parse_file_tables(section)
 
 
 def test_feature_weights_out_of_range_are_rejected():
@@ -120,13 +120,13 @@ def test_feature_weights_out_of_range_are_rejected():
     weights[3] = parameters_module.MAX_FEATURE_WEIGHT + 1
     added = NO_TABLES._replace(e_weights={1: weights, 2: None, 3: None})
     with pytest.raises(CorruptStreamError):
-        parse_parameters(pack_parameters(added))
+        parse_file_tables(pack_file_tables(added))
 
 
 @given(st.binary(max_size=200))
 def test_any_bytes_give_tables_within_their_limits_or_our_own_error(data):
     try:
-        found = all_tables(parse_parameters(b"\x01" + data))
+        found = all_tables(parse_file_tables(b"\x01" + data))
     except CorruptStreamError:
         return
     for plane in PLANES:
@@ -174,14 +174,14 @@ def test_fitted_tables_make_a_strange_surface_smaller_within_the_bound(step):
     heights = rough((401, 401))
     refiner, added = fitted_to(heights, step)
     assert any(added.stencils.values())
-    assert refiner.parameters
+    assert refiner.file_tables
     spec, mask = unit((257, 257), step), np.ones((257, 257), dtype=bool)
     target = np.ascontiguousarray(heights[:257, :257])
     parent = np.ascontiguousarray(target[::2, ::2])
     payload, decoded, _ = refiner.encode(spec, parent, target, mask)
     plain, _, _ = Predictive().encode(spec, parent, target, mask)
     assert len(payload) < (0.98 if step == 1 else 0.95) * len(plain)
-    back, _ = Predictive(refiner.parameters).decode(spec, parent, mask, payload)
+    back, _ = Predictive(refiner.file_tables).decode(spec, parent, mask, payload)
     np.testing.assert_array_equal(back, decoded)
     assert np.abs(back.astype(np.int64) - target).max() <= spec.half
     # Without its tables the stream means something else, or nothing.
@@ -196,11 +196,11 @@ def test_fitted_tables_make_a_strange_surface_smaller_within_the_bound(step):
 def test_fitting_twice_gives_the_same_bytes():
     heights = rough((401, 401), seed=5)
     first, second = fitted_to(heights, 3)[0], fitted_to(heights.copy(), 3)[0]
-    assert first.parameters == second.parameters
+    assert first.file_tables == second.file_tables
 
 
 def test_small_rasters_get_no_tables():
-    assert fitted_to(rough((100, 100)), 3)[0].parameters == b""
+    assert fitted_to(rough((100, 100)), 3)[0].file_tables == b""
 
 
 def test_extreme_file_tables_cannot_overflow():
@@ -217,7 +217,7 @@ def test_extreme_file_tables_cannot_overflow():
         {plane: weights for plane in PLANES},
     )
     assert abs(weights_of(1, added.stencils[1][0])).max() > 15_000
-    refiner = Predictive(pack_parameters(added))
+    refiner = Predictive(pack_file_tables(added))
     spec = dataclasses.replace(unit(shape, 3), z_min=-big, z_max=big)
     mask = np.ones(shape, dtype=bool)
     payload, decoded, _ = refiner.encode(spec, parent, target, mask)

@@ -34,8 +34,8 @@ from terrainwave.codec.rapid.file_tables import (
     default_freqs,
     freq_of,
     freqs_of,
-    pack_parameters,
-    parse_parameters,
+    pack_file_tables,
+    parse_file_tables,
     rest_symbols,
 )
 from terrainwave.codec.rapid.fit import codes_for
@@ -74,7 +74,7 @@ def check(spec, parent, target, mask=None, refiner=None):
 def refiner_of(family):
     """Return a refiner with nothing of the file's own but the family."""
     stencils = ((FileStencil(0),) * len(PLANES),) * N_CLASSES
-    return Rapid(pack_parameters(FileTables(0, family, stencils, {})))
+    return Rapid(pack_file_tables(FileTables(0, family, stencils, {})))
 
 
 @pytest.mark.large
@@ -262,13 +262,13 @@ def some_tables(family=4, n_weighted=0):
 @pytest.mark.parametrize("family", [4, 10])
 def test_parameters_come_back(family, n_weighted):
     tables = some_tables(family, n_weighted)
-    section = pack_parameters(tables)
+    section = pack_file_tables(tables)
     assert section[0] == (5 if n_weighted else 1 if family == 4 else 3)
     own = Tables(tables).features != Tables(some_tables(family)).features
     assert own[:n_weighted, :3].any((1, 2)).all()
     assert not own[n_weighted:].any()
     assert not own[:, 3].any()
-    read, wanted = parse_parameters(section), Tables(tables)
+    read, wanted = parse_file_tables(section), Tables(tables)
     np.testing.assert_array_equal(read.stencils, wanted.stencils)
     np.testing.assert_array_equal(read.features, wanted.features)
     np.testing.assert_array_equal(read.slots(3), wanted.slots(3))
@@ -279,11 +279,11 @@ def test_parameters_come_back(family, n_weighted):
 @pytest.mark.large
 @pytest.mark.parametrize("n_weighted", [0, 2])
 def test_every_prefix_of_parameters_is_rejected(n_weighted):
-    section = pack_parameters(some_tables(n_weighted=n_weighted))
+    section = pack_file_tables(some_tables(n_weighted=n_weighted))
     accepted = []
     for length in range(1, len(section)):
         try:
-            accepted.append(parse_parameters(section[:length])._file)
+            accepted.append(parse_file_tables(section[:length])._file)
         except CorruptStreamError:
             continue
     # Zeros after stencils and some weights are whole tables, as all else is as usual then. Only the
@@ -291,19 +291,19 @@ def test_every_prefix_of_parameters_is_rejected(n_weighted):
     assert len(accepted) <= bool(n_weighted)
     assert not any(tables.codes for tables in accepted)
     with pytest.raises(CorruptStreamError):
-        parse_parameters(section + b"\0")
+        parse_file_tables(section + b"\0")
 
 
 @pytest.mark.parametrize("layout", [0, 2, 4])
 def test_an_unknown_layout_is_unsupported(layout):
     with pytest.raises(UnsupportedVersionError, match=f"layout {layout}"):
-        parse_parameters(bytes([layout]) + b"abc")
+        parse_file_tables(bytes([layout]) + b"abc")
 
 
 @given(st.sampled_from([b"\1", b"\3", b"\5"]), st.binary(max_size=200))
 def test_any_parameters_give_tables_or_our_own_error(layout, section):
     try:
-        tables = parse_parameters(layout + section)
+        tables = parse_file_tables(layout + section)
     except CorruptStreamError:
         return
     assert (np.abs(tables.stencils) < 1 << 15).all()
@@ -342,7 +342,7 @@ def test_weights_are_rejected_just_where_a_sum_may_pass_31_bits(feature):
                 assert max(t for n in (1, 3, 101) for t in most(Tables(tables), n)) < 1 << 31
             if code == MAX_CODE and not sound[-1]:
                 with pytest.raises(CorruptStreamError, match="out of range"):
-                    parse_parameters(pack_parameters(tables))
+                    parse_file_tables(pack_file_tables(tables))
         assert sound == sorted(sound, reverse=True)
 
 
@@ -352,7 +352,7 @@ def test_a_code_of_a_weight_outside_its_range_is_rejected(code):
     weights[1, 1, 5] = code
     plain = ((FileStencil(0),) * 3,) * 4
     with pytest.raises(CorruptStreamError, match="out of range"):
-        parse_parameters(pack_parameters(FileTables(0, 2, plain, {}, weights)))
+        parse_file_tables(pack_file_tables(FileTables(0, 2, plain, {}, weights)))
 
 
 def test_frequencies_that_leave_nothing_or_no_escape_are_rejected():
@@ -389,11 +389,11 @@ def test_fitted_tables_make_smaller_payloads_and_are_worth_their_bytes(step):
     rows, cols = np.mgrid[:300, :260]
     target = (90 * np.sin(rows / 2.1) * np.cos(cols / 2.9) + terrain((300, 260))).astype(np.int32)
     refiner = fit(target, step)
-    k_max = parse_parameters(refiner.parameters).k_max
+    k_max = parse_file_tables(refiner.file_tables).k_max
     spec = dataclasses.replace(lone_spec(target.shape, step, parent=False), level=k_max)
     fitted, _ = check(spec, None, target, refiner=refiner)
     plain, _ = check(spec, None, target)
-    assert len(fitted) + len(refiner.parameters) < 0.97 * len(plain)
+    assert len(fitted) + len(refiner.file_tables) < 0.97 * len(plain)
 
 
 def houses(shape):
@@ -410,11 +410,11 @@ def test_contexts_are_by_reach_where_that_makes_payloads_smaller(step, monkeypat
     spec = lone_spec(target.shape, step, parent=False)
     monkeypatch.setattr(rapid_fitting, "_with_weights", lambda tables, *_: tables)
     refiner = fit(target, step)
-    assert parse_parameters(refiner.parameters).is_by_reach
+    assert parse_file_tables(refiner.file_tables).is_by_reach
     own, _ = check(spec, None, target, refiner=refiner)
     monkeypatch.setattr(rapid_fitting, "_SAVED_BY_REACH", 1.0)
     refiner = fit(target, step)
-    assert not parse_parameters(refiner.parameters).is_by_reach
+    assert not parse_file_tables(refiner.file_tables).is_by_reach
     other, _ = check(spec, None, target, refiner=refiner)
     assert len(own) < 0.99 * len(other)
 
@@ -423,15 +423,15 @@ def test_contexts_are_by_reach_where_that_makes_payloads_smaller(step, monkeypat
 def test_weights_of_the_file_make_payloads_smaller(step, monkeypatch):
     target = houses((230, 240))
     refiner = fit(target, step)
-    assert refiner.parameters[0] == 5
+    assert refiner.file_tables[0] == 5
     spec = lone_spec(target.shape, step, parent=False)
-    spec = dataclasses.replace(spec, level=parse_parameters(refiner.parameters).k_max)
+    spec = dataclasses.replace(spec, level=parse_file_tables(refiner.file_tables).k_max)
     own, _ = check(spec, None, target, refiner=refiner)
     monkeypatch.setattr(rapid_fitting, "_with_weights", lambda tables, *_: tables)
     other = fit(target, step)
-    assert other.parameters[0] in (1, 3)
+    assert other.file_tables[0] in (1, 3)
     plain, _ = check(spec, None, target, refiner=other)
-    assert len(own) + len(refiner.parameters) < len(plain) + len(other.parameters)
+    assert len(own) + len(refiner.file_tables) < len(plain) + len(other.file_tables)
 
 
 def test_weights_are_what_non_negative_least_squares_finds():
@@ -455,7 +455,7 @@ def test_weights_are_the_same_from_rows_in_parts():
 
 
 def test_smooth_ground_keeps_contexts_by_the_mean():
-    assert not parse_parameters(fit(terrain((90, 100)), 3).parameters).is_by_reach
+    assert not parse_file_tables(fit(terrain((90, 100)), 3).file_tables).is_by_reach
 
 
 def test_tiny_and_void_rasters_get_plain_tables():
@@ -464,8 +464,8 @@ def test_tiny_and_void_rasters_get_plain_tables():
         (terrain((40, 40)), np.zeros((40, 40), dtype=bool)),
     ):
         refiner = fit(target, 3, mask)
-        assert len(refiner.parameters) < 20
-        tables = parse_parameters(refiner.parameters)
+        assert len(refiner.file_tables) < 20
+        tables = parse_file_tables(refiner.file_tables)
         np.testing.assert_array_equal(tables.slots(3), Tables(None).slots(3))
 
 
@@ -474,7 +474,7 @@ def test_windows_whose_tried_part_is_void_do_no_harm():
     target = terrain((300, 280))
     mask = np.zeros(target.shape, dtype=bool)
     mask[180:, 170:] = True
-    tables = parse_parameters(fit(target, 3, mask).parameters)
+    tables = parse_file_tables(fit(target, 3, mask).file_tables)
     assert tables.slots(3).shape == (N_CONTEXTS << 11,)
     spec = lone_spec(target.shape, 3, parent=False)
     check(spec, None, target, mask, fit(target, 3, mask))
@@ -482,7 +482,7 @@ def test_windows_whose_tried_part_is_void_do_no_harm():
 
 def test_the_same_raster_gives_the_same_tables():
     target = terrain((60, 70))
-    assert fit(target, 3).parameters == fit(target.copy(), 3).parameters
+    assert fit(target, 3).file_tables == fit(target.copy(), 3).file_tables
 
 
 def test_sums_of_fits_do_not_depend_on_their_order():

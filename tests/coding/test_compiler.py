@@ -14,8 +14,8 @@ from terrainwave.codec.rapid.file_tables import (
     FileTables,
     Tables,
     default_codes,
-    pack_parameters,
-    parse_parameters,
+    pack_file_tables,
+    parse_file_tables,
 )
 from terrainwave.coding import compiler, jit
 from terrainwave.coding.jit import all_compiled, inlined_kernel, kernel, kernel_part, rare_kernel
@@ -240,12 +240,12 @@ def test_tables_of_files_are_the_same_by_plain_python(monkeypatch):
         stencils=4 * ((FileStencil(1, 2, tuple(range(-9, 10))), FileStencil(0), FileStencil(0)),),
         codes={5: freq_codes()},
     )
-    compiled = pack_parameters(tables)
+    compiled = pack_file_tables(tables)
     monkeypatch.setattr(jit, "_is_patient", True)
     monkeypatch.setattr(rapid_parameters._code_tables, "_is_compiled", False)
     monkeypatch.setattr(rapid_parameters._code_tables, "_is_cheap", lambda _: True)
-    assert pack_parameters(tables) == compiled
-    plain, usual = parse_parameters(compiled), Tables(tables)
+    assert pack_file_tables(tables) == compiled
+    plain, usual = parse_file_tables(compiled), Tables(tables)
     np.testing.assert_array_equal(plain.stencils, usual.stencils)
     np.testing.assert_array_equal(plain.packed_freqs(3), usual.packed_freqs(3))
 

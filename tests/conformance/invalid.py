@@ -146,7 +146,7 @@ def section_with(codes):
 
     plain = ((rapid_parameters.FileStencil(0),) * 3,) * 4
     tables = rapid_parameters.FileTables(0, 1, plain, {}, np.array([codes], dtype=np.int64))
-    return rapid_parameters.pack_parameters(tables)
+    return rapid_parameters.pack_file_tables(tables)
 
 
 def columns(change_columns):

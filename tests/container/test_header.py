@@ -81,7 +81,7 @@ def test_header_comes_back_from_its_bytes(header):
     ],
 )
 def test_extreme_but_legal_values_come_back(changes):
-    header = toy_header(metadata={}, parameters=b"", **changes)
+    header = toy_header(metadata={}, file_tables=b"", **changes)
     assert unpack_header(pack_header(header, EXTENTS))[0] == header
 
 

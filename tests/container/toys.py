@@ -39,7 +39,7 @@ def toy_header(n_rows=5, n_cols=5, block=32, **changes):
         effective_bound=0.1,
         rho=0.0,
         metadata={"transform": [1, 0, 0, 0, -1, 0], "crs": "EPSG:4326", "own": {"a": [1]}},
-        parameters=b"par",
+        file_tables=b"par",
     )
     fields.update(changes)
     return Header(**fields)
@@ -94,15 +94,15 @@ def forge(header, page, body=b"", rest=b"", first_child=None, metadata=None):
         file_size=0,
         metadata_length=len(metadata),
         metadata_crc=zlib.crc32(metadata),
-        parameters_length=len(header.parameters),
-        parameters_crc=zlib.crc32(header.parameters),
+        parameters_length=len(header.file_tables),
+        parameters_crc=zlib.crc32(header.file_tables),
         top_page_length=page_length(columns),
     )
     end = extents.top_start + extents.top_page_length + len(body)
     has_children = len(page.child_lengths) > 0
     start = (end if has_children else 0) + (first_child or 0)
     extents = replace(extents, file_size=end + len(rest))
-    parts = pack_header(header, extents), metadata, header.parameters, pack_page(columns, start)
+    parts = pack_header(header, extents), metadata, header.file_tables, pack_page(columns, start)
     return b"".join((*parts, body, rest))
 
 

@@ -272,7 +272,7 @@ def test_format_1_0_has_no_bit_and_no_layout_of_1_1(tmp_path):
     rough[30:60, 70:90] = NODATA
     rough = rough.astype("int16")
     with terrainwave.open(made(heights=rough, max_error=0)) as terrain:
-        layout = newer_layout("rapid", terrain.header.parameters)
+        layout = newer_layout("rapid", terrain.header.file_tables)
         assert layout, "the raster is not rough enough for the test"
         assert terrain.header.features == 16 + {3: 8, 5: 32}[layout]
         assert terrain.info().format == "1.1"
@@ -280,7 +280,7 @@ def test_format_1_0_has_no_bit_and_no_layout_of_1_1(tmp_path):
     header = read_file(data).header
     assert header.features == 0
     with terrainwave.open(data) as terrain:
-        assert newer_layout("rapid", terrain.header.parameters) == 0
+        assert newer_layout("rapid", terrain.header.file_tables) == 0
         assert terrain.info().format == "1.0"
         np.testing.assert_array_equal(terrain.read(), rough)
     with pytest.raises(InvalidArgumentError, match=r"found format '1\.2', expected 1\.0 or 1\.1"):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import terrainwave
-from terrainwave.codec.predictive.file_tables import parse_parameters
+from terrainwave.codec.predictive.file_tables import parse_file_tables
 from terrainwave.codec.rapid import file_tables as rapid_parameters
 from terrainwave.container.header import Header
 
@@ -32,7 +32,7 @@ def test_a_file_with_fitted_tables_keeps_the_bound_on_any_number_of_threads(tmp_
         )
     assert paths[0].read_bytes() == paths[1].read_bytes()
     header = header_of(paths[0])
-    assert any(parse_parameters(header.parameters).stencils.values())
+    assert any(parse_file_tables(header.file_tables).stencils.values())
     with terrainwave.Terrain(paths[0]) as terrain:
         back = terrain.read()
     assert np.abs(back.astype(np.int64) - heights).max() <= max_error
@@ -40,7 +40,7 @@ def test_a_file_with_fitted_tables_keeps_the_bound_on_any_number_of_threads(tmp_
 
 def test_a_small_raster_pays_for_no_tables(tmp_path):
     terrainwave.compress(rough((60, 70)), tmp_path / "a.twz", max_error=1, method="predictive")
-    assert header_of(tmp_path / "a.twz").parameters == b""
+    assert header_of(tmp_path / "a.twz").file_tables == b""
 
 
 @pytest.mark.large
@@ -52,8 +52,8 @@ def test_tables_of_rapid_are_the_same_on_any_number_of_threads(tmp_path):
     ]
     assert files[0] == files[1]
     (tmp_path / "a.twz").write_bytes(files[0])
-    parameters = header_of(tmp_path / "a.twz").parameters
-    stencils = rapid_parameters.parse_parameters(parameters).stencils
+    parameters = header_of(tmp_path / "a.twz").file_tables
+    stencils = rapid_parameters.parse_file_tables(parameters).stencils
     assert (stencils != rapid_parameters.Tables(None).stencils).any()
 
 

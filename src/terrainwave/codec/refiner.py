@@ -270,9 +270,9 @@ class DirectRefiner(CorrectingRefiner, Protocol):
 
 @runtime_checkable
 class FittingRefiner(Refiner, Protocol):
-    """A refiner with tables for the whole file; `parameters` are their bytes in the header."""
+    """A refiner with tables for the whole file; `file_tables` are their bytes in the header."""
 
-    parameters: bytes
+    file_tables: bytes
 
     def fitted(
         self,

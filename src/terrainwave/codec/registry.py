@@ -7,17 +7,17 @@ from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
 from terrainwave.names import METHODS, REACH_LAYOUT, WEIGHTS_LAYOUT
 
 
-def refiner_by_name(name: str, parameters: bytes = b"") -> Refiner:
-    """Return the refiner of a file's method, with the `parameters` of its header.
+def refiner_by_name(name: str, file_tables: bytes = b"") -> Refiner:
+    """Return the refiner of a file's method, with the tables of its header.
 
     Methods of tiles have none (`names.Method.is_tiled`).
 
     Raises
     ------
     UnsupportedVersionError
-        If this version has no such method, or doesn't know its parameters.
+        If this version has no such method, or doesn't know its tables.
     CorruptStreamError
-        If the parameters contradict FORMAT.md.
+        If the tables contradict FORMAT.md.
     """
     if name not in METHODS:
         raise UnsupportedVersionError(
@@ -25,21 +25,21 @@ def refiner_by_name(name: str, parameters: bytes = b"") -> Refiner:
             " install a newer one"
         )
     method = METHODS[name]
-    check_parameters(name, parameters)
+    check_file_tables(name, file_tables)
     assert method.refiner is not None, f"method {name} codes tiles"
     module, kind = method.refiner.rsplit(".", 1)
     made = getattr(import_module(f"terrainwave.codec.{module}"), kind)
-    refiner: Refiner = made(parameters) if method.has_parameters else made()
+    refiner: Refiner = made(file_tables) if method.has_file_tables else made()
     return refiner
 
 
-def newer_layout(name: str, parameters: bytes) -> int:
+def newer_layout(name: str, file_tables: bytes) -> int:
     """Return the layout of a file's tables if readers of format 1.0 don't know it, else 0."""
-    layout = parameters[0] if METHODS[name].has_reach and parameters else 0
+    layout = file_tables[0] if METHODS[name].has_reach and file_tables else 0
     return layout if layout in (REACH_LAYOUT, WEIGHTS_LAYOUT) else 0
 
 
-def check_layout(name: str, parameters: bytes, told: int) -> None:
+def check_layout(name: str, file_tables: bytes, told: int) -> None:
     """Refuse tables of another layout than the header says.
 
     `told` is the layout that a feature bit stands for, 0 without one. Files with contexts by reach
@@ -50,7 +50,7 @@ def check_layout(name: str, parameters: bytes, told: int) -> None:
     CorruptStreamError
         If the header says what the tables are not, or not that they have weights.
     """
-    layout = newer_layout(name, parameters)
+    layout = newer_layout(name, file_tables)
     if told == REACH_LAYOUT and layout != told:
         raise CorruptStreamError("the header says that contexts are by reach, the tables do not")
     if told == WEIGHTS_LAYOUT and layout != told:
@@ -63,15 +63,15 @@ def check_layout(name: str, parameters: bytes, told: int) -> None:
         )
 
 
-def check_parameters(name: str, parameters: bytes) -> None:
-    """Refuse parameters of a method that has none.
+def check_file_tables(name: str, file_tables: bytes) -> None:
+    """Refuse tables of a method that has none.
 
     Raises
     ------
     UnsupportedVersionError
-        If the method has no parameters.
+        If the method has none.
     """
-    if parameters and not METHODS[name].has_parameters:
+    if file_tables and not METHODS[name].has_file_tables:
         raise UnsupportedVersionError(
             f"the file has parameters for method {name}, which this terrainwave does not know:"
             " install a newer one"

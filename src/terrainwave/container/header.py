@@ -122,8 +122,8 @@ class Header:
         `HAS_WEIGHTS`, `HAS_CORRECTIONS`.
     metadata : dict
         The JSON metadata (`container.metadata`).
-    parameters : bytes
-        Parameters of the method that hold for the whole file; opaque here, at most 64 KiB.
+    file_tables : bytes
+        Tables of the method for the whole file (FORMAT.md §4.3); opaque here, at most 64 KiB.
     """
 
     n_rows: int
@@ -145,7 +145,7 @@ class Header:
     mesh_tolerance: int = 0
     features: int = 0
     metadata: dict[str, object] = field(default_factory=dict, hash=False)
-    parameters: bytes = b""
+    file_tables: bytes = b""
 
     @property
     def grid(self) -> Grid:
@@ -323,7 +323,7 @@ def pack_header(header: Header, extents: Extents) -> bytes:
 def unpack_header(data: bytes) -> tuple[Header, Extents]:
     """Read and check the header at the start of `data` (FORMAT.md §4.1).
 
-    `metadata` and `parameters` of the result are empty: they lie outside these bytes.
+    `metadata` and `file_tables` of the result are empty: they lie outside these bytes.
 
     Raises
     ------

@@ -408,14 +408,14 @@ def _payload_places(
 
 
 def _with_sections(header: Header, extents: Extents, start: bytes) -> Header:
-    """Return `header` with the metadata and the method's parameters, both checked."""
+    """Return `header` with the metadata and the method's tables, both checked."""
     metadata = start[extents.parameters_start - extents.metadata_length : extents.parameters_start]
     if zlib.crc32(metadata) != extents.metadata_crc:
         raise CorruptStreamError("checksum of the metadata does not match")
-    parameters = start[extents.parameters_start : extents.top_start]
-    if zlib.crc32(parameters) != extents.parameters_crc:
+    file_tables = start[extents.parameters_start : extents.top_start]
+    if zlib.crc32(file_tables) != extents.parameters_crc:
         raise CorruptStreamError("checksum of the method's parameters does not match")
-    return replace(header, metadata=unpack_metadata(metadata), parameters=parameters)
+    return replace(header, metadata=unpack_metadata(metadata), file_tables=file_tables)
 
 
 def check_crc(data: bytes, crc: int, kind: str, key: Block) -> None:

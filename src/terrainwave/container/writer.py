@@ -75,18 +75,18 @@ def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
         for head in heads:
             parts[head] = _prepare(grid, head, segments, parts)
     metadata = pack_metadata(header.metadata)
-    top_start = HEADER_SIZE + len(metadata) + len(header.parameters)
+    top_start = HEADER_SIZE + len(metadata) + len(header.file_tables)
     extents = Extents(
         file_size=top_start + sum(part.length for part in parts.values()),
         metadata_length=len(metadata),
         metadata_crc=zlib.crc32(metadata),
-        parameters_length=len(header.parameters),
-        parameters_crc=zlib.crc32(header.parameters),
+        parameters_length=len(header.file_tables),
+        parameters_crc=zlib.crc32(header.file_tables),
         top_page_length=parts[None].page_length,
     )
     first = pack_header(header, extents)
     with storage_errors(f"cannot write {getattr(out_file, 'name', 'the file')}"):
-        out_file.write(first + metadata + header.parameters)
+        out_file.write(first + metadata + header.file_tables)
         child_start = top_start
         for heads in levels:
             # The children of this level's segments follow its last one.

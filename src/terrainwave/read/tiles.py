@@ -163,7 +163,7 @@ def make_decoder(
     """
     grid, parameters = header.grid, header.codec_parameters
     if not METHODS[header.method].is_tiled:
-        refiner = refiner_by_name(header.method, header.parameters)
+        refiner = refiner_by_name(header.method, header.file_tables)
         return TreeDecoder(grid, parameters, groups_by(refiner, payloads), cache_bytes)
     # Half for units, half for tiles.
     decode = partial(decode_tile, is_prefix=are_prefixes)

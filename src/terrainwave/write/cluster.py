@@ -187,8 +187,8 @@ class DistributedPasses:
         site = Site(self.raster, self.depot, job, self.level, job.options.method)
         top = self._top_pyramid(site)
         try:
-            refiner, tables = fitted_refiner(job, *self._targets(site, top))
-            site = replace(site, tables=tables)
+            refiner, file_tables = fitted_refiner(job, *self._targets(site, top))
+            site = replace(site, file_tables=file_tables)
             sink = SpoolSink(job.grid, site.top_heads(), self.directory)
             encoder = TreeEncoder(
                 job.grid, refiner, job.parameters, top, sink, lambda n_samples: None, self.level
@@ -202,8 +202,8 @@ class DistributedPasses:
         segments = below.segments
         if job.options.mesh != "none":
             segments = self._mesh(site, refiner, codes)
-        n_bytes = sink.n_bytes + below.n_bytes + len(site.tables)
-        return Coded(site.tables, {**sink.spools, **segments}, n_bytes, job)
+        n_bytes = sink.n_bytes + below.n_bytes + len(site.file_tables)
+        return Coded(site.file_tables, {**sink.spools, **segments}, n_bytes, job)
 
     def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> float:
         """Decode the file from disk and compare every sample; return the largest error."""
@@ -237,7 +237,7 @@ class DistributedPasses:
             self.source,
             site.job.quantizer,
             site.grid,
-            kind=site.job.options.coding.pyramid,
+            kind=site.job.options.named_method.pyramid,
             has_voids=site.job.has_voids,
             directory=self.directory,
             executor=self.executor,

@@ -236,7 +236,7 @@ def compress(
     reporter = Reporter(progress)
     cluster = None
     if client is not None:
-        if not options.coding.is_clusterable:
+        if not options.named_method.is_clusterable:
             raise InvalidArgumentError(
                 f"found `method` {options.method} and a client, expected another method: only one"
                 f" machine codes the tiles of {options.method}"
@@ -364,12 +364,12 @@ def _write(
             coded = passes.encode(job)
             is_large = coded.n_bytes > source.info.n_bytes
             is_large = is_large and not (options.is_embedded or options.faithful)
-            if is_large and options.coding != PLAIN_METHOD:
+            if is_large and options.named_method != PLAIN_METHOD:
                 coded = smaller(coded, passes.encode(job.with_method(PLAIN_METHOD)))
-                if coded.job.options.coding == PLAIN_METHOD:
+                if coded.job.options.named_method == PLAIN_METHOD:
                     notes.append("the heights do not compress: stored as they are")
             job = coded.job
-            assemble(file, job.header(coded.parameters), coded.segments)
+            assemble(file, job.header(coded.file_tables), coded.segments)
             measured = None
             if options.verify:
                 measured = passes.prove(path or cast(io.BytesIO, file).getvalue(), job)

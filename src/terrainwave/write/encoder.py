@@ -58,13 +58,13 @@ def fitted_refiner(
     `heights` and `mask` return targets and validity of a region of a level. The tables are empty
     where the method has none, or no sample is valid.
     """
-    refiner = refiner_by_name(job.options.coding.name)
+    refiner = refiner_by_name(job.options.named_method.name)
     if not isinstance(refiner, FittingRefiner) or not job.n_valid:
         return refiner, b""
     fitted = refiner.fitted(
         job.grid, job.parameters.step, heights, mask, may_have_reach=job.options.may_be_new
     )
-    return fitted, fitted.parameters
+    return fitted, fitted.file_tables
 
 
 class Ancestor(NamedTuple):

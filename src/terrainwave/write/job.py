@@ -152,8 +152,8 @@ class Job:
             has_fills=self.has_fills,
         )
 
-    def header(self, parameters: bytes) -> Header:
-        """Return the header of the file; `parameters` are the tables of its method."""
+    def header(self, file_tables: bytes) -> Header:
+        """Return the header of the file; `file_tables` are the tables of its method."""
         options, quantizer, info = self.options, self.quantizer, self.info
         metadata = metadata_of(info)
         if self.moved:
@@ -181,12 +181,12 @@ class Job:
             rho=quantizer.rho,
             features=(HAS_REMAINDERS if quantizer.remainder_bytes else 0)
             | (IS_FAITHFUL if options.faithful else 0)
-            | LAYOUT_FEATURES.get(newer_layout(options.coding.name, parameters), 0)
+            | LAYOUT_FEATURES.get(newer_layout(options.named_method.name, file_tables), 0)
             | (HAS_FILLS if self.has_fills else 0),
             mesh=options.mesh,
             mesh_tolerance=self.mesh_tolerance,
             metadata={**metadata, "software": f"terrainwave {__version__}"},
-            parameters=parameters,
+            file_tables=file_tables,
         )
 
 
@@ -249,7 +249,7 @@ def settled(
         # Tiles code whole levels at once: nothing of theirs could take remainders.
         quantizer = scan.quantizer(
             Fraction(0) if options.stable else _raw_bound(bound, info),
-            may_have_remainders=not options.coding.is_tiled,
+            may_have_remainders=not options.named_method.is_tiled,
             is_strict=options.strict,
         )
     is_exact = quantizer.rho == 0 or quantizer.remainder_bytes > 0
@@ -264,7 +264,7 @@ def settled(
             f" {methods_that(lambda method: not method.is_tiled)} keeps both"
         )
     measured = None
-    if options.coding.is_tiled:
+    if options.named_method.is_tiled:
         quantizer, measured = _with_room_for_nodata(quantizer, info)
         measured = None if options.is_embedded else measured
     grid = Grid(info.n_rows, info.n_cols, options.block)

@@ -179,7 +179,7 @@ class Coded:
     `job` is the one that was coded; that of an embedded file has got its measured error.
     """
 
-    parameters: bytes
+    file_tables: bytes
     segments: dict[Block | None, SegmentSpool | StoredSegment]
     n_bytes: int
     job: Job
@@ -210,7 +210,7 @@ def encode(
         source,
         job.quantizer,
         job.grid,
-        kind=job.options.coding.pyramid,
+        kind=job.options.named_method.pyramid,
         has_voids=job.has_voids,
         directory=directory,
         executor=executor,
@@ -241,25 +241,27 @@ def encode(
                     n_levels=job.grid.k_max + 1,
                 )
 
-        section = b""
+        file_tables = b""
         units: dict[Block, Decoded] = {}
-        if job.options.coding.is_tiled:
+        if job.options.named_method.is_tiled:
             # Imported here: compiling costs seconds that other methods need not pay.
             from terrainwave.write.tiles import encode_tiles
 
             stats = encode_tiles(job, pyramid, sink, directory, on_samples, executor)
         else:
-            section, stats, units = _encode_units(job, pyramid, sink, on_samples, executor)
+            file_tables, stats, units = _encode_units(job, pyramid, sink, on_samples, executor)
         if job.options.is_embedded:
             job = job.with_measured(_finest_error(job, stats))
         errors = error_codes(stats, job.lost, job.recursion_bound)
-        mesh_errors = _mesh_errors(job, section, pyramid, sink, units, errors, executor, reporter)
+        mesh_errors = _mesh_errors(
+            job, file_tables, pyramid, sink, units, errors, executor, reporter
+        )
     finally:
         pyramid.close()
     whole = job.quantizer.z_min, job.quantizer.z_max
     boxes = enclosing_boxes(stats, errors, whole, {})
     set_codes(job.grid, sink.spools, whole, boxes, errors, mesh_errors)
-    return Coded(section, {**sink.spools}, sink.n_bytes + len(section), job)
+    return Coded(file_tables, {**sink.spools}, sink.n_bytes + len(file_tables), job)
 
 
 def _encode_units(
@@ -273,7 +275,7 @@ def _encode_units(
 
     And what the units decode to, where meshes are to be made of it and all of it fits in memory.
     """
-    refiner, section = fitted_refiner(job, pyramid.heights, pyramid.mask)
+    refiner, file_tables = fitted_refiner(job, pyramid.heights, pyramid.mask)
     units: dict[Block, Decoded] = {}
     # Heights and masks of all levels: four thirds of five bytes for each sample.
     is_kept = 20 * job.grid.n_rows * job.grid.n_cols <= 3 * _MESH_CACHE_BYTES
@@ -281,7 +283,7 @@ def _encode_units(
         job.grid, refiner, job.parameters, pyramid, sink, on_samples,
         on_unit=units.__setitem__ if is_kept and job.options.mesh != "none" else None,
     )  # fmt: skip
-    return section, encoder.run(executor), units
+    return file_tables, encoder.run(executor), units
 
 
 def _finest_error(job: Job, stats: Stats) -> int:
@@ -295,7 +297,7 @@ def _finest_error(job: Job, stats: Stats) -> int:
 
 def _mesh_errors(
     job: Job,
-    section: bytes,
+    file_tables: bytes,
     pyramid: Pyramid,
     sink: SpoolSink,
     units: dict[Block, Decoded],
@@ -310,7 +312,7 @@ def _mesh_errors(
     if job.options.mesh == "none":
         return {}
     grid = job.grid
-    decoder = make_decoder(job.header(section), sink.payloads, _MESH_CACHE_BYTES)
+    decoder = make_decoder(job.header(file_tables), sink.payloads, _MESH_CACHE_BYTES)
     while units:
         decoder.put(*units.popitem())
     size = grid.n_rows * grid.n_cols, np.dtype(job.info.dtype).itemsize

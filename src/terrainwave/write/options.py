@@ -84,19 +84,19 @@ class Options:
                 settled["effort"] = DEFAULT_EFFORT
         for name, value in settled.items():
             object.__setattr__(self, name, value)
-        check_mesh_of(self.mesh, self.coding, is_faithful=self.faithful)
-        mesh = stored_mesh(self.mesh, self.coding, is_faithful=self.faithful)
+        check_mesh_of(self.mesh, self.named_method, is_faithful=self.faithful)
+        mesh = stored_mesh(self.mesh, self.named_method, is_faithful=self.faithful)
         object.__setattr__(self, "mesh", mesh)
         self._check_goals(asked)
         check_choice("format", self.format, FORMATS)
         if self.border_rings not in (1, 3):
             raise InvalidArgumentError(f"found `border_rings` {self.border_rings}, expected 1 or 3")
-        if self.border_rings != 1 and self.coding.is_tiled:
+        if self.border_rings != 1 and self.named_method.is_tiled:
             raise InvalidArgumentError(
                 f"found `border_rings` {self.border_rings} and `method` {self.method}, expected"
                 " `border_rings` 1"
             )
-        if self.faithful and not self.coding.may_be_faithful:
+        if self.faithful and not self.named_method.may_be_faithful:
             fit = methods_that(lambda method: method.may_be_faithful)
             raise InvalidArgumentError(
                 f"found `faithful` and `method` {asked}, expected `method` {fit}: the others"
@@ -107,7 +107,7 @@ class Options:
                 "found `stable` without `max_error`, expected both: fixed steps follow from the"
                 " bound"
             )
-        if self.stable and (self.coding.is_tiled or self.faithful):
+        if self.stable and (self.named_method.is_tiled or self.faithful):
             fit = methods_that(lambda method: not method.is_tiled)
             found = "`faithful`" if self.faithful else f"`method` {asked}"
             raise InvalidArgumentError(
@@ -137,7 +137,7 @@ class Options:
         (name,) = given
         if goals[name] == 0:
             raise InvalidArgumentError(f"found `{name}` 0, expected a number > 0")
-        if not self.coding.is_cuttable:
+        if not self.named_method.is_cuttable:
             fit = methods_that(lambda method: method.is_cuttable)
             raise InvalidArgumentError(
                 f"found `{name}` and `method` {asked}, expected `method` {fit}: the others"
@@ -155,7 +155,7 @@ class Options:
         }
 
     @property
-    def coding(self) -> Method:
+    def named_method(self) -> Method:
         """Return the method that `method` names."""
         return METHODS[self.method]
 
@@ -186,6 +186,6 @@ class Options:
             return []
         if self.faithful:
             return [f"effort {self.effort} changes nothing: faithful files have one wavelet step"]
-        if self.coding.effort:
+        if self.named_method.effort:
             return []
         return [f"effort {self.effort} changes nothing: method {self.method} has no efforts"]

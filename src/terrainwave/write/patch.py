@@ -424,7 +424,7 @@ class _PatchEncoder(TreeEncoder):
         # from their surfaces, in quanta.
         self.apart: dict[Block, int] = {}
         header = terrain.header
-        refiner = refiner_by_name(header.method, header.parameters)
+        refiner = refiner_by_name(header.method, header.file_tables)
         # With the original all heights are known, and none needs to be put back; but corrections of
         # earlier patches are heights that neighbours have as well.
         self._corrects = header.step > 1 and (header.has_corrections or merged.is_open)

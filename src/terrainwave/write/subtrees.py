@@ -76,7 +76,7 @@ class Site:
     """What the tasks of a run share.
 
     `level` is that of the blocks whose subtrees are tasks, `method` the one asked for, by which
-    results in the depot are named; `tables` are empty until they are known.
+    results in the depot are named; `file_tables` are empty until they are known.
     """
 
     raster: RasterPlace
@@ -84,7 +84,7 @@ class Site:
     job: Job
     level: int
     method: str
-    tables: bytes = b""
+    file_tables: bytes = b""
 
     @property
     def grid(self) -> Grid:
@@ -98,7 +98,7 @@ class Site:
 
     def refiner(self) -> Refiner:
         """Return the refiner with the file's tables."""
-        return refiner_by_name(self.job.options.coding.name, self.tables)
+        return refiner_by_name(self.job.options.named_method.name, self.file_tables)
 
     def name(self, stage: str, head: Block) -> str:
         """Return the name of what a task has left in the depot."""
@@ -141,7 +141,7 @@ class Site:
             source,
             self.job.quantizer,
             self.grid,
-            kind=self.job.options.coding.pyramid,
+            kind=self.job.options.named_method.pyramid,
             has_voids=self.job.has_voids,
             directory=directory,
             executor=executor,

@@ -115,7 +115,7 @@ def _code_magnitude(coder: Coder, first: int, value: int = 0) -> int:
     return int(code_magnitude(coder, first, first + N_UNARY, 0, value))
 
 
-def pack_parameters(added: FileTables) -> bytes:
+def pack_file_tables(added: FileTables) -> bytes:
     """Return the parameters section; no bytes if there is nothing to store."""
     if is_empty(added):
         return b""
@@ -144,8 +144,8 @@ def pack_parameters(added: FileTables) -> bytes:
     return bytes([_LAYOUT]) + out[:n_bytes].tobytes()
 
 
-def parse_parameters(section: bytes) -> FileTables:
-    """Undo `pack_parameters`, trusting nothing.
+def parse_file_tables(section: bytes) -> FileTables:
+    """Undo `pack_file_tables`, trusting nothing.
 
     Raises
     ------

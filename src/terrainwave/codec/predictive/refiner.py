@@ -34,8 +34,8 @@ from terrainwave.codec.predictive.file_tables import (
     FileTables,
     Tables,
     all_tables,
-    pack_parameters,
-    parse_parameters,
+    pack_file_tables,
+    parse_file_tables,
 )
 from terrainwave.codec.predictive.fit import features_of, fit_features, fit_tables, windows_of
 from terrainwave.codec.predictive.passes import (
@@ -179,10 +179,10 @@ class Predictive:
 
     name = "predictive"
 
-    def __init__(self, parameters: bytes = b"", added: FileTables | None = None) -> None:
+    def __init__(self, file_tables: bytes = b"", added: FileTables | None = None) -> None:
         """Take a file's tables from their bytes, unless they are known (`added`)."""
-        self.parameters = parameters
-        self._tables = all_tables(parse_parameters(parameters) if added is None else added)
+        self.file_tables = file_tables
+        self._tables = all_tables(parse_file_tables(file_tables) if added is None else added)
 
     def fitted(
         self,
@@ -201,7 +201,7 @@ class Predictive:
         windows = windows_of(grid, 0, heights, mask, _WINDOW)
         e_weights = _fit_e_weights(added, windows, step, grid.n_rows * grid.n_cols)
         added = added._replace(e_weights=e_weights)
-        return Predictive(pack_parameters(added), added)
+        return Predictive(pack_file_tables(added), added)
 
     def encode(
         self,
@@ -273,7 +273,7 @@ def _fit_e_weights(
     both = added._replace(e_weights=weights)
     n_bits = sum(_code_window(*window, step, tables, None) for window in judges)
     n_bits -= sum(_code_window(*window, step, all_tables(both), None) for window in judges)
-    n_stored = 8 * (len(pack_parameters(both)) - len(pack_parameters(added)))
+    n_stored = 8 * (len(pack_file_tables(both)) - len(pack_file_tables(added)))
     n_judged = sum(mask.size for _, mask in judges)
     return weights if n_bits * n_in_file > _WORTH * n_stored * n_judged else none
 

@@ -309,7 +309,7 @@ def default_freqs(family: int) -> NDArray[np.int64]:
 # Bytes ------------------------------------------------------------------------------------------
 
 
-def pack_parameters(tables: FileTables) -> bytes:
+def pack_file_tables(tables: FileTables) -> bytes:
     """Return the parameters section."""
     out = np.zeros(1 << 16, dtype=np.uint8)
     coder = new_encoder(out, new_models(_N_MODELS))
@@ -331,8 +331,8 @@ def pack_parameters(tables: FileTables) -> bytes:
     return bytes([layout]) + out[:n_bytes].tobytes()
 
 
-def parse_parameters(section: bytes) -> Tables:
-    """Undo `pack_parameters`, trusting nothing; no bytes stand for trained tables alone.
+def parse_file_tables(section: bytes) -> Tables:
+    """Undo `pack_file_tables`, trusting nothing; no bytes stand for trained tables alone.
 
     Raises
     ------

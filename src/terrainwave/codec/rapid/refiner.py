@@ -7,8 +7,8 @@ from terrainwave.codec.rapid.coder import UnitCoder
 from terrainwave.codec.rapid.file_tables import (
     FileTables,
     Tables,
-    pack_parameters,
-    parse_parameters,
+    pack_file_tables,
+    parse_file_tables,
 )
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.grid.quadtree import Grid, Region
@@ -19,10 +19,10 @@ class Rapid(UnitCoder):
 
     name = "rapid"
 
-    def __init__(self, parameters: bytes = b"", tables: FileTables | None = None) -> None:
+    def __init__(self, file_tables: bytes = b"", tables: FileTables | None = None) -> None:
         """Take a file's tables from their bytes, unless they are known."""
-        super().__init__(_tables_of(parameters) if tables is None else Tables(tables))
-        self.parameters = parameters
+        super().__init__(_tables_of(file_tables) if tables is None else Tables(tables))
+        self.file_tables = file_tables
 
     def fitted(
         self,
@@ -40,10 +40,10 @@ class Rapid(UnitCoder):
         from terrainwave.codec.rapid.fit import fit_tables
 
         tables = fit_tables(grid, step, heights, mask, may_have_reach=may_have_reach)
-        return Rapid(pack_parameters(tables), tables)
+        return Rapid(pack_file_tables(tables), tables)
 
 
 @lru_cache(maxsize=8)
-def _tables_of(parameters: bytes) -> Tables:
+def _tables_of(file_tables: bytes) -> Tables:
     """Return the tables of a file; those who open it again find them, and what decoders made."""
-    return parse_parameters(parameters)
+    return parse_file_tables(file_tables)
