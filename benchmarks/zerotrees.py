@@ -20,6 +20,7 @@ from scipy import ndimage
 import terrainwave
 from benchmarks import common
 from benchmarks.render import KEYS, camera_at_key
+from terrainwave import Cdf97, Zerotree
 from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.mesh.statistics import mesh_levels
 from terrainwave.render.paging.scene import Scene
@@ -27,8 +28,8 @@ from terrainwave.render.scene.camera import Camera, Viewport, home
 
 BLOCKS, BOUNDS, RINGS = (64, 256), (1.0, 3.0, 10.0), (1, 3)
 # What the trees are, and whether the file is faithful.
-TREES = {"coded": ("zerotree-coded", True), "layers": ("zerotree-layer", False),
-         "none": ("zerotree-plain", False)}  # fmt: skip
+TREES = {"coded": (Zerotree(labels="coded"), True), "layers": (Zerotree(labels="layer"), False),
+         "none": (Zerotree(labels="plain"), False)}  # fmt: skip
 VIEWPORT, TAUS = Viewport(1920, 1080), (1.0, 4.0)
 
 # Bits per sample of the raster, metres. `triangles` are those of all blocks of the finest level,
@@ -51,8 +52,9 @@ def measure_grid(dem: Path, folder: Path) -> Iterator[GridRow]:
     for block, max_error, rings in cases:
         for is_faithful in (True, False):
             terrainwave.compress(
-                dem, heights, max_error=max_error, method="cdf97", block=block, mesh="none",
-                border_rings=rings, faithful=is_faithful, verify=False, overwrite=True,
+                dem, heights, max_error=max_error, block=block, mesh="none",
+                method=Cdf97(border_rings=rings, faithful=is_faithful), verify=False,
+                overwrite=True,
             )  # fmt: skip
             report = terrainwave.verify(heights, dem)
             assert report.ok, report.problems
@@ -85,7 +87,7 @@ def measure_views(dem: Path, folder: Path) -> Iterator[ViewRow]:
     for max_error in BOUNDS:
         for trees, (kind, is_faithful) in TREES.items():
             terrainwave.compress(
-                dem, file, max_error=max_error, method="cdf97", mesh=kind, faithful=is_faithful,
+                dem, file, max_error=max_error, method=Cdf97(faithful=is_faithful), mesh=kind,
                 verify=False, overwrite=True,
             )  # fmt: skip
             with (

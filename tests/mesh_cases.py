@@ -7,11 +7,12 @@ import numpy as np
 from hypothesis import strategies as st
 from rasterio.transform import Affine
 from strategies import write_geotiff
+from twz import grouped
 
 import terrainwave
 from terrainwave.grid.quadtree import Region
-from terrainwave.verification.checks import deviation
-from terrainwave.verification.meshes import Ruler, mesh_problems, must_be_covered, surface_of_mesh
+from terrainwave.verification.on_grid import Ruler, mesh_problems, must_be_covered, surface_of_mesh
+from terrainwave.verification.surface import deviation
 
 KINDS = (
     "smooth", "cliffs", "noise", "flat", "half sea", "spikes", "ramp", "steps", "rough patch",
@@ -173,7 +174,7 @@ def write_case(case, directory):
         bands={"scales": case.scale, "offsets": case.offset},
     )
     terrainwave.compress(
-        raster, directory / "case.twz", overwrite=True, verify=False, **case.options
+        raster, directory / "case.twz", overwrite=True, verify=False, **grouped(case.options)
     )
     return directory / "case.twz"
 

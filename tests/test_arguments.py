@@ -45,9 +45,8 @@ OF_VOIDS = {"on_error": WORD, "voids": WORD}
 
 WRONG = {
     "compress": OF_RASTERS | OF_CODING | OF_FILES | {
-        "dst": PATH, "rate": NUMBER, "psnr": NUMBER, "border_rings": WHOLE, "mesh_error": NUMBER,
-        "faithful": FLAG, "keep_origin": FLAG, "temp_dir": PATH, "task_samples": WHOLE,
-        "client": ANYTHING,
+        "dst": PATH, "mesh_error": NUMBER, "keep_origin": FLAG, "temp_dir": PATH,
+        "task_samples": WHOLE, "client": ANYTHING,
     },
     "compress_to_bytes": {name: OF_RASTERS[name] for name in ("src", "nodata", "georeference")}
     | OF_CODING,
@@ -72,7 +71,7 @@ WRONG = {
     "Terrain.read_with_mask": OF_WINDOWS | OF_VOIDS,
     "Terrain.read_early": OF_WINDOWS | OF_VOIDS | {"quality": NUMBER},
     "Terrain.region": OF_WINDOWS | {"bounds": FOUR},
-    "Terrain.transform": OF_WINDOWS,
+    "Terrain.transform_of": OF_WINDOWS,
     "Terrain.coordinates": OF_WINDOWS,
     "Terrain.level_shape": {"level": WHOLE},
     "Terrain.sample": {"points": POINTS, "level": WHOLE, "voids": WORD},
@@ -178,7 +177,7 @@ def test_numbers_of_numpy_are_numbers(tmp_path):
     file = tmp_path / "a.twz"
     tw.compress(
         HEIGHTS, file, max_error=np.float32(0.5), block=np.int64(64), threads=np.uint8(1),
-        band=np.int32(1), nodata=np.float32(-5), border_rings=np.int64(1), method="store",
+        band=np.int32(1), nodata=np.float32(-5), method=tw.Store(border_rings=np.int64(1)),
         keep_origin=True, mesh_error=np.array(2), mesh="none",
     )  # fmt: skip
     plain = tmp_path / "b.twz"

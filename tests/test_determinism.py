@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from containers import open_container
 from strategies import terrain_like, write_geotiff
-from twz import twz_bytes
+from twz import grouped, twz_bytes
 
 from terrainwave.container.page import page_layout
 from terrainwave.write import compress as compression
@@ -98,12 +98,13 @@ def test_other_processes_and_hash_seeds_give_the_same_bytes(tmp_path, expected, 
     np.save(tmp_path / "heights.npy", HEIGHTS)
     code = (
         "import sys, numpy as np, terrainwave as tw;"
-        "tw.compress(np.load(sys.argv[1]), sys.argv[2], method=sys.argv[3], block=32,"
-        " max_error=2, nodata=-32768, border_rings=int(sys.argv[4]), threads=2)"
+        "tw.compress(np.load(sys.argv[1]), sys.argv[2], method=eval(sys.argv[3]), block=32,"
+        " max_error=2, nodata=-32768, threads=2)"
     )
     target = tmp_path / "there.twz"
-    rings = str(options_of(method)["border_rings"])
-    arguments = [sys.executable, "-c", code, tmp_path / "heights.npy", target, method, rings]
+    own = grouped(options_of(method) | {"method": method})["method"]
+    asked = repr(own) if isinstance(own, str) else own.call()
+    arguments = [sys.executable, "-c", code, tmp_path / "heights.npy", target, asked]
     subprocess.run(arguments, env={**os.environ, "PYTHONHASHSEED": "77"}, check=True)
     assert hashlib.sha256(target.read_bytes()).digest() == hashlib.sha256(expected).digest()
 

@@ -23,6 +23,7 @@ from conformance import invalid  # noqa: E402
 from conformance.editor import Editor  # noqa: E402
 from rasterio.transform import Affine  # noqa: E402
 from strategies import write_geotiff  # noqa: E402
+from twz import grouped  # noqa: E402
 
 import terrainwave  # noqa: E402
 from terrainwave.container.header import FORMAT_VERSION  # noqa: E402
@@ -353,7 +354,7 @@ def write_case(path, shape, dtype, amplitude, kind, profile, options):
         write_geotiff(raster, heights, mask=mask, nodata=nodata, units=("m",), **profile)
         options = {"block": 32, "mesh": "halves", "method": "predictive"} | options
         n_patches = options.pop("patches", 0)
-        terrainwave.compress(raster, path, threads=1, overwrite=True, **options)
+        terrainwave.compress(raster, path, threads=1, overwrite=True, **grouped(options))
         for number in range(n_patches):
             write_patch(raster, heights, valid if kind != "none" else None, number, nodata, profile)
             terrainwave.patch(path, raster, threads=1)

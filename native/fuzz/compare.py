@@ -60,13 +60,13 @@ def write_any(path, seed):
     is_lossy = rng.random() < 0.7
     is_lossy |= method == "cdf53" and dtype.startswith("float")  # it keeps none of them exactly
     options = {
-        "method": method,
         "block": int(rng.choice([32, 64])),
-        "border_rings": 1 if method == "cdf53" else int(rng.choice([1, 3])),
         "max_error": max(span * 10.0 ** rng.uniform(-5, -0.5), 1.0) if is_lossy else 0,
         "mesh": "none",
         "threads": 1,
     }
+    rings = {} if method == "cdf53" else {"border_rings": int(rng.choice([1, 3]))}
+    options["method"] = getattr(tw, method.capitalize())(**rings)
     if has_voids:
         options["nodata"] = NODATA
     with contextlib.ExitStack() as stack:

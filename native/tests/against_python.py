@@ -18,7 +18,7 @@ WAYS = (["--kernels", "baseline"], ["--kernels", "avx2"], [], ["--threads", "3"]
 OPTIONS = (
     {"max_error": 0},
     {"max_error": 3},
-    {"max_error": 40, "border_rings": 3},
+    {"max_error": 40, "method": tw.Rapid(border_rings=3)},
     {"max_error": 1, "method": "predictive"},
     {"max_error": 1, "method": "cdf97"},
     {"max_error": 0, "method": "cdf53"},

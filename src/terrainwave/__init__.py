@@ -25,11 +25,18 @@ from terrainwave.errors import (
 )
 
 if TYPE_CHECKING:
+    from terrainwave.codec.cdf53 import Cdf53
+    from terrainwave.codec.cdf97 import Cdf97
+    from terrainwave.codec.predictive import Predictive
+    from terrainwave.codec.rapid import Rapid
+    from terrainwave.codec.store import Store
     from terrainwave.export.geotiff import decompress
     from terrainwave.export.mesh import Mesh
-    from terrainwave.file import Info
+    from terrainwave.file.info import Info
     from terrainwave.progress import Progress
     from terrainwave.terrain import Terrain
+    from terrainwave.tri.rqt import Rqt
+    from terrainwave.tri.zerotree import Zerotree
     from terrainwave.verification.heights import VerifyReport, verify
     from terrainwave.write.compress import CompressResult, compress, compress_to_bytes
     from terrainwave.write.meshes import store_meshes
@@ -37,6 +44,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BoundViolationError",
+    "Cdf53",
+    "Cdf97",
     "ClusterError",
     "CompressResult",
     "CorruptStreamError",
@@ -46,15 +55,20 @@ __all__ = [
     "LimitExceededError",
     "Mesh",
     "PatchResult",
+    "Predictive",
     "Progress",
+    "Rapid",
+    "Rqt",
     "SourceUnavailableError",
     "StorageError",
+    "Store",
     "Terrain",
     "TerrainwaveError",
     "TerrainwaveWarning",
     "TruncatedStreamError",
     "UnsupportedVersionError",
     "VerifyReport",
+    "Zerotree",
     "__version__",
     "compress",
     "compress_to_bytes",
@@ -68,6 +82,13 @@ __all__ = [
 # Numba and rasterio are imported with the first of these that is used: `terrainwave --help` and
 # `import terrainwave` need neither.
 _LAZY = {
+    "Rapid": "codec.rapid",
+    "Predictive": "codec.predictive",
+    "Cdf97": "codec.cdf97",
+    "Cdf53": "codec.cdf53",
+    "Store": "codec.store",
+    "Zerotree": "tri.zerotree",
+    "Rqt": "tri.rqt",
     "CompressResult": "write.compress",
     "compress": "write.compress",
     "compress_to_bytes": "write.compress",
@@ -76,7 +97,7 @@ _LAZY = {
     "PatchResult": "write.patch",
     "patch": "write.patch",
     "Progress": "progress",
-    "Info": "file",
+    "Info": "file.info",
     "Terrain": "terrain",
     "Mesh": "export.mesh",
     "VerifyReport": "verification.heights",
@@ -99,8 +120,10 @@ def __dir__() -> list[str]:
     return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
 
 
-def open(source: Any, **options: Any) -> "Terrain":
+def open(
+    source: Any, *, cache_bytes: int = 256 << 20, threads: int | None = None, native: bool = True
+) -> "Terrain":
     """Open a .twz file by path, URL, bytes or file object; see `Terrain` for the options."""
     from terrainwave.terrain import Terrain
 
-    return Terrain(source, **options)
+    return Terrain(source, cache_bytes=cache_bytes, threads=threads, native=native)

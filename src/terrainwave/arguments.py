@@ -11,7 +11,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.names import EFFORTS, MESH_CHOICES, METHODS, UNBOUNDED_MESHES, Method, methods_that
+from terrainwave.names import EFFORTS
 
 # Cells on a side of a block.
 BLOCKS = (32, 64, 128, 256, 512, 1024)
@@ -353,17 +353,6 @@ def check_flags(**flags: object) -> None:
             raise InvalidArgumentError(f"found `{name}` {shown(value)}, expected True or False")
 
 
-def check_method(name: str) -> None:
-    """Refuse a method that there is not.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If there is no such method.
-    """
-    check_choice("method", name, ("auto", *METHODS))
-
-
 def check_effort(effort: str) -> None:
     """Refuse an effort that there is not.
 
@@ -373,38 +362,6 @@ def check_effort(effort: str) -> None:
         If it is none.
     """
     check_choice("effort", effort, EFFORTS)
-
-
-def check_mesh(mesh: str, *, or_none: bool) -> None:
-    """Check the name of a kind of meshes; "none" is one only where that is allowed.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it is no such name.
-    """
-    known = (*MESH_CHOICES, "none") if or_none else MESH_CHOICES
-    check_choice("mesh", mesh, ("auto", *known))
-
-
-def check_mesh_of(mesh: str, method: Method, *, is_faithful: bool) -> None:
-    """Check that files of a method, faithful to its paper or not, can have meshes of a kind.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the kind follows wavelet coefficients or zero trees that such files do not have.
-    """
-    if mesh == "zerotree-coded" and not is_faithful:
-        raise InvalidArgumentError(
-            f"found `mesh` {mesh} for a file that codes no zero trees, expected `faithful`, or"
-            " `mesh` zerotree-layer, which follows those of the decoded heights"
-        )
-    if mesh in UNBOUNDED_MESHES and not method.is_tiled:
-        raise InvalidArgumentError(
-            f"found `mesh` {mesh!r} and method {method.name}, expected method"
-            f" {methods_that(lambda method: method.is_tiled)}, whose coefficients it follows"
-        )
 
 
 def checked_threads(threads: object) -> int:

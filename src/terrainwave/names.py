@@ -10,14 +10,14 @@ from dataclasses import dataclass
 FORMATS = ("1.0", "1.1")
 # In the order in which files number them.
 EFFORTS = ("fast", "default", "best")
+DEFAULT_EFFORT = EFFORTS[1]
 # Kinds of meshes, in the order in which files number them.
 MESHES = ("none", "halves", "zerotree-plain", "rqt", "zerotree-layer", "zerotree-coded",
           "rqt-coefficient")  # fmt: skip
-# Those that can be asked for; "auto" is the first, `stored_mesh` says what files then hold.
-MESH_CHOICES = (
-    "halves", "zerotree", "rqt", "zerotree-plain", "zerotree-layer", "zerotree-coded",
-    "rqt-coefficient",
-)  # fmt: skip
+# Those that can be asked for, with module and class in `tri` of their options; "auto" is the first.
+# `tri.mesh_options.stored_mesh` says what files then hold.
+MESH_KINDS = {"halves": "", "zerotree": "zerotree.Zerotree", "rqt": "rqt.Rqt"}
+DEFAULT_MESH = "halves"
 # Those whose tolerance only selects vertices: their errors are measured, and may be larger.
 UNBOUNDED_MESHES = ("rqt-coefficient",)
 # How pixels of terrain-RGB tiles stand for heights (`globe.terrain_rgb.ENCODINGS`).
@@ -34,6 +34,8 @@ class Method:
     ----------
     name, number : str, int
         What users call it, and what stands for it in a file's header (FORMAT.md §4.1).
+    options : str
+        Module and class in `codec` of its options.
     refiner : str, optional
         Module and class in `codec` that code its units; None where these are gathered in tiles of
         several levels (`codec.cdf53.tiles`), which have no aprons.
@@ -47,7 +49,7 @@ class Method:
     is_clusterable : bool
         A part of the raster can be coded without the rest, on another machine.
     may_be_faithful : bool
-        Its files may follow its paper to the letter (`write.options.Options.faithful`).
+        Its files may follow its paper to the letter (`codec.cdf97.Cdf97`).
     is_patchable : bool
         A unit can be coded again so that heights that still hold come back as they were: its loop
         takes corrections (`codec.corrections`).
@@ -64,6 +66,7 @@ class Method:
 
     name: str
     number: int
+    options: str
     refiner: str | None = None
     pyramid: str = "nested"
     effort: str = ""
@@ -88,15 +91,20 @@ REACH_LAYOUT, WEIGHTS_LAYOUT = 3, 5
 METHODS = {
     method.name: method
     for method in (
-        Method(name="rapid", number=4, refiner="rapid.refiner.Rapid", has_parameters=True,
+        Method(name="rapid", number=4, options="rapid.Rapid",
+               refiner="rapid.refiner.Rapid", has_parameters=True,
                has_reach=True, is_patchable=True, is_read_in_browsers=True),
-        Method(name="predictive", number=2, refiner="predictive.refiner.Predictive",
+        Method(name="predictive", number=2, options="predictive.Predictive",
+               refiner="predictive.refiner.Predictive",
                has_parameters=True, is_patchable=True, is_read_in_browsers=True,
                effort="1, 2 or 8 sets of weights"),
-        Method(name="cdf97", number=1, refiner="cdf97.refiner.Cdf97", pyramid="lowpass",
+        Method(name="cdf97", number=1, options="cdf97.Cdf97",
+               refiner="cdf97.refiner.Cdf97", pyramid="lowpass",
                effort="1, up to 3 or up to 7 steps", has_layers=True, may_be_faithful=True),
-        Method(name="cdf53", number=3, pyramid="lowpass53", is_cuttable=True, is_clusterable=False),
-        Method(name="store", number=0, refiner="store.Store", is_read_in_browsers=True),
+        Method(name="cdf53", number=3, options="cdf53.Cdf53",
+               pyramid="lowpass53", is_cuttable=True, is_clusterable=False),
+        Method(name="store", number=0, options="store.Store",
+               refiner="store.refiner.Store", is_read_in_browsers=True),
     )
 }  # fmt: skip
 DEFAULT_METHOD = METHODS["rapid"]  # what "auto" names, whatever the raster (decision 21)
@@ -104,25 +112,6 @@ DEFAULT_METHOD = METHODS["rapid"]  # what "auto" names, whatever the raster (dec
 SMALLEST_METHOD = METHODS["predictive"]
 # Takes heights that no method makes smaller.
 PLAIN_METHOD = METHODS["store"]
-
-
-def stored_mesh(mesh: str, method: Method, *, is_faithful: bool = False) -> str:
-    """Return the kind of meshes that a file of a method holds where `mesh` is asked for.
-
-    Parameters
-    ----------
-    mesh : str
-        "auto", "none" or one of `MESH_CHOICES`.
-    is_faithful : bool
-        The file's coded zero trees are those of Yusov & Turlapov 2010.
-    """
-    if mesh == "auto":
-        return MESH_CHOICES[0]
-    if mesh != "zerotree":
-        return mesh
-    if not method.has_layers:
-        return "zerotree-plain"
-    return "zerotree-coded" if is_faithful else "zerotree-layer"
 
 
 def mesh_without_coefficients(mesh: str, method: Method) -> str:

@@ -45,11 +45,11 @@ class Terrain(TerrainFile):
         level: int = -1,
         max_error: float | None = None,
         max_triangles: int | None = None,
-        optimise: int = 0,
+        optimise: int | None = None,
         guarantee: bool = True,
         progress: ProgressCallback | None = None,
     ) -> "Mesh":
-        """Return one connected watertight mesh of an area.
+        """Return one connected mesh of an area, without cracks.
 
         Parameters
         ----------
@@ -61,16 +61,17 @@ class Terrain(TerrainFile):
         max_error : float, optional
             Largest vertical distance from any valid original sample, in physical units. Blocks of
             several levels are mixed to reach it with few triangles; whatever the file's kind of
-            meshes, they are made anew as `halves`, of the decoded heights. By default the stored
-            meshes of `level` are taken as they are.
+            meshes, they are made anew as `halves`, of the decoded heights. By default the
+            tolerance is that of the stored meshes of `level`.
         max_triangles : int, optional
             Find the smallest error, up to 2 %, whose mesh has at most as many triangles; not
             beyond `max_error`, if that is given too. Where outlines of voids have more than one
             edge on four triangles, those of a coarser level are taken: all valid samples are
             covered, and voids smaller than that level's cells.
-        optimise : int
-            Sweeps of half-edge collapses over blocks of the full grid: one nearly halves the
-            triangles. They too are of meshes made anew as `halves`.
+        optimise : int, optional
+            Sweeps of half-edge collapses over blocks of the full grid, by default 1: it nearly
+            halves the triangles, as the command ``mesh`` does. Meshes are made anew as `halves` for
+            it; 0 without `max_error` and `max_triangles` takes the stored meshes as they are.
         guarantee : bool
             False gives the triangulation of the zero trees alone (Yusov & Turlapov 2010, §2.4),
             without any of the three arguments above: its `error` is what it turns out to be.
@@ -95,11 +96,13 @@ class Terrain(TerrainFile):
         from terrainwave.export.mesh import Mesh
         from terrainwave.mesh.area import mesh_area
 
-        placed = mesh_area(
-            self, window, bounds=bounds, level=level, max_error=max_error,
+        check_flags(guarantee=guarantee)
+        if optimise is None:
+            optimise = int(guarantee)  # zero trees alone are not to be changed
+        return mesh_area(
+            self, Mesh, window, bounds=bounds, level=level, max_error=max_error,
             max_triangles=max_triangles, optimise=optimise, guarantee=guarantee, progress=progress,
         )  # fmt: skip
-        return Mesh(*placed)
 
     def block_mesh(self, block: Block) -> "BlockMesh":
         """Return the mesh of a block as `mesh_error` measures it, in samples and quanta.

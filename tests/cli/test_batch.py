@@ -160,7 +160,7 @@ def test_a_replaced_source_is_done_again(tmp_path, dems, has_manifest):
         ["--method", "predictive"],
         ["--block", 64],
         ["--mesh", "halves"],
-        ["--border-rings", 3],
+        ["-o", "border_rings=3"],
         ["--nodata", 7],
         pytest.param(["--effort", "fast", "--method", "predictive"], marks=pytest.mark.full),
         ["--effort", "best"],
@@ -334,7 +334,7 @@ def test_a_raster_of_which_nothing_is_known_is_never_replaced(tmp_path, dems, fi
     before = [dem.read_bytes() for dem in dems]
     done = run("decompress", *files, "--to", tmp_path / "dems", "--skip-existing")
     assert done.exit_code == 1
-    assert done.stderr.count("nothing tells what it was made of") == 3
+    assert done.stderr.count("no manifest says what it was made of") == 3
     assert [dem.read_bytes() for dem in dems] == before
     dems[0].write_text("no raster")
     done = run("decompress", *files, "--to", tmp_path / "dems", "--skip-existing")

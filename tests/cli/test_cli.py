@@ -114,7 +114,7 @@ def test_compress_prints_json(tmp_path, dem):
 
 def test_options_of_compress_reach_the_file(tmp_path, dem):
     target = tmp_path / "a.twz"
-    options = "--method store --block 64 --effort fast --border-rings 3 --nodata 100 --threads 1"
+    options = "--method store --block 64 --effort fast -o border_rings=3 --nodata 100 --threads 1"
     done = run("compress", dem, target, *options.split(), "--temp-dir", tmp_path, "--no-verify")
     assert done.exit_code == 0, done.output
     assert "not checked" in done.stdout
@@ -132,10 +132,10 @@ def test_no_mesh_is_accepted(tmp_path, dem, option):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--rate", 1, "--psnr", 40, "--method", "cdf53"], "found --rate and --psnr"),
-        (["--rate", 1, "--max-error", 2, "--method", "cdf53"], "found --max-error and --rate"),
-        (["--psnr", 40], "found --psnr without --method cdf53"),
-        (["--rate", 0, "--method", "cdf53"], "found 0, expected a finite number > 0"),
+        (["-o", "rate=1", "-o", "psnr=40", "--method", "cdf53"], "found -o rate and -o psnr"),
+        (["-o", "rate=1", "--max-error", 2, "--method", "cdf53"], "found --max-error and -o rate"),
+        (["-o", "psnr=40"], "found -o psnr and --method auto, expected --method cdf53"),
+        (["-o", "rate=0", "--method", "cdf53"], "found -o rate 0, expected a finite number > 0"),
         (["--method", "cdf53", "--scheduler", "x"], "found --scheduler and --method cdf53"),
     ],
 )
@@ -147,7 +147,7 @@ def test_options_that_exclude_each_other_are_wrong_usage(tmp_path, dem, options,
 @pytest.mark.large
 def test_a_file_of_cdf53_is_cut_checked_and_read_in_part(tmp_path, dem):
     target = tmp_path / "cut.twz"
-    assert run("compress", dem, target, "--method", "cdf53", "--psnr", 40).exit_code == 0
+    assert run("compress", dem, target, "--method", "cdf53", "-o", "psnr=40").exit_code == 0
     assert run("verify", target, dem).exit_code == 0
     part = tmp_path / "part.tif"
     assert run("decompress", target, part, "--quality", 1).exit_code == 0
@@ -238,15 +238,15 @@ def test_info_json_is_complete(twz):
 
 def test_info_says_that_a_file_is_faithful(tmp_path, dem):
     target = tmp_path / "a.twz"
-    options = ["--method", "cdf97", "--faithful", "--max-error", 20, "--no-mesh"]
+    options = ["--method", "cdf97", "-o", "faithful", "--max-error", 20, "--no-mesh"]
     assert run("compress", dem, target, *options).exit_code == 0
     assert json.loads(run("info", target, "--json").stdout)["faithful"] is True
     assert "cdf97, faithful to its paper" in run("info", target).stdout
 
 
 def test_methods_without_a_paper_are_not_faithful(tmp_path, dem):
-    done = run("compress", dem, tmp_path / "a.twz", "--faithful")
-    assert "found --faithful and --method auto, expected --method cdf97" in one_line(done, 2)
+    done = run("compress", dem, tmp_path / "a.twz", "-o", "faithful")
+    assert "found -o faithful and --method auto, expected --method cdf97" in one_line(done, 2)
 
 
 def test_unknown_unit_is_said(tmp_path):
@@ -546,7 +546,7 @@ def test_wrong_bound_is_wrong_usage(tmp_path, dem, bound):
         ("--block", "16", "expected one of 32, 64"),
         ("--method", "zip", "'auto'"),
         ("--effort", "huge", "'best'"),
-        ("--border-rings", "2", "'3'"),
+        ("-o", "border_rings=2", "expected 1 or 3"),
         ("--nodata", "none", "expected a number or nan"),
         ("--band", "0", "x>=1"),
         ("--threads", "0", "x>=1"),
@@ -602,7 +602,7 @@ def test_a_nodata_value_of_400_digits_is_one_line(tmp_path, dem):
 @pytest.mark.parametrize(
     ("command", "options", "message"),
     [
-        ("compress", "--border-rings 3 --method cdf53", "found --border-rings 3 and --method"),
+        ("compress", "-o border_rings=3 --method cdf53", "found -o border_rings and --method"),
         ("decompress", "--bounds 2,2,1,1", "found --bounds (2.0, 2.0, 1.0, 1.0), expected left"),
         ("decompress", "--quality 1", "found --quality and a file of method store"),
         ("mesh", "--max-error 0.1", "found --max-error 0.1, expected at least 1"),

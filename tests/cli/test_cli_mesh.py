@@ -55,7 +55,7 @@ def asked(monkeypatch):
         asked.update(options)
         heights = self.read(options["window"], bounds=options["bounds"])
         return grid_mesh(
-            heights, self.transform(), error=0.5, crs=self.crs, units=self.raster_info.units
+            heights, self.transform[:6], error=0.5, crs=self.crs, units=self.raster_info.units
         )
 
     monkeypatch.setattr(Terrain, "mesh", mesh, raising=False)
@@ -239,7 +239,7 @@ def with_error(monkeypatch, smallest):
         asked.append(max_error)
         if max_error < smallest:
             raise terrainwave.InvalidHeightsError("too small")
-        return grid_mesh(self.read() / 7, self.transform(), error=max_error, crs=self.crs)
+        return grid_mesh(self.read() / 7, self.transform[:6], error=max_error, crs=self.crs)
 
     monkeypatch.setattr(Terrain, "mesh", mesh)
     return asked
@@ -337,9 +337,12 @@ def test_store_adds_meshes_to_a_copy(tmp_path):
         ("--store --frame local --solid 3", "found --frame, --solid with --store"),
         ("--mesh halves", "found --mesh without --store"),
         ("--mesh-error 2", "found --mesh-error without --store"),
-        ("--store --mesh none", "expected one of auto, halves, zerotree, rqt, zerotree-plain"),
+        ("--store --mesh none", "'none' is not one of 'halves', 'zerotree', 'rqt'"),
         ("--store --mesh rqt3", "rqt3"),
-        ("--store --mesh zerotree-coded", "that codes no zero trees"),
+        ("--store --mesh zerotree -o labels=coded", "that codes no zero trees"),
+        ("--store -o labels=coded", "found -o labels and --mesh halves, expected --mesh zerotree"),
+        ("--store --mesh rqt -o rate=1", "found -o rate, expected select; terrainwave mesh"),
+        ("-o labels=coded", "found -o without --store"),
     ],
 )
 def test_options_of_store_and_export_do_not_mix(tmp_path, twz, options, words):

@@ -14,7 +14,7 @@ from fastapi.testclient import TestClient
 from rasterio.windows import Window
 
 import terrainwave
-from terrainwave.cli.serving import _listen
+from terrainwave.cli.commands.serve import _listen
 from terrainwave.errors import CorruptStreamError
 from terrainwave.ext.serve import sending
 from terrainwave.ext.serve.app import make_app

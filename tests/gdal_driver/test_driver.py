@@ -72,7 +72,7 @@ def assert_all_levels_are_those_of_terrain(paths, folder):
                 assert found["heights"].tobytes() == heights.tobytes(), (path.name, level)
                 np.testing.assert_array_equal(found["same"], heights)
                 np.testing.assert_array_equal(found["mask"], np.where(valid, 255, 0), path.name)
-                a, b, c, d, e, f = terrain.transform(level)[:6]
+                a, b, c, d, e, f = terrain.transform_of(level)[:6]
                 np.testing.assert_allclose(found["transform"], (c, a, b, f, d, e), rtol=1e-15)
 
 

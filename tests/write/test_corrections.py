@@ -6,6 +6,7 @@ from cases import some
 from containers import open_container
 from reference_decoder.units import decode
 from strategies import terrain_like, write_geotiff
+from twz import grouped
 
 import terrainwave
 from terrainwave.codec import group
@@ -55,7 +56,7 @@ class Patched:
         self.nodata = self.options.get("nodata")
         self.rng = np.random.default_rng(7)
         self.write(directory / "old.tif", self.heights)
-        terrainwave.compress(directory / "old.tif", self.path, **self.options)
+        terrainwave.compress(directory / "old.tif", self.path, **grouped(self.options))
         self.lowest, self.highest = self.valid().min(), self.valid().max()
 
     def write(self, path, heights, row=0, col=0):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from cases import some
 from strategies import terrain_like, write_geotiff
+from twz import grouped
 
 from terrainwave.errors import ClusterError, InvalidHeightsError
 from terrainwave.grid.quadtree import Grid
@@ -49,9 +50,10 @@ def both(tmp_path, cluster, name, **options):
     heights, profile = RASTERS[name]
     source, here, there = (tmp_path / file for file in ("dem.tif", "here.twz", "there.twz"))
     write_geotiff(source, heights, tiled=True, blockxsize=256, blockysize=256, **profile)
-    compress(source, here, **OPTIONS | options)
+    options = grouped(OPTIONS | options)
+    compress(source, here, **options)
     size = {"task_samples": 1 << 20 if name == "strip" else 1}
-    compress(source, there, client=cluster, **OPTIONS | size | options)
+    compress(source, there, client=cluster, **options | size)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dem.tif", "here.twz", "there.twz"]
     return here.read_bytes(), there.read_bytes()
 

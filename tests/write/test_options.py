@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 from strategies import terrain_like, write_geotiff
 
+from terrainwave import Cdf53, Cdf97, Predictive, Rapid, Rqt, Store, Zerotree
+from terrainwave.codec import method_options
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
+from terrainwave.names import MESH_KINDS, METHODS
 from terrainwave.write.compress import compress
 from terrainwave.write.options import Options
 
@@ -18,17 +21,15 @@ from terrainwave.write.options import Options
         ({"method": "zip"}, "found method 'zip', expected one of auto, rapid, predictive"),
         ({"block": 100}, "found block 100, expected one of 32, 64, 128, 256, 512, 1024"),
         ({"effort": "most"}, "found effort 'most', expected one of fast, default, best"),
-        ({"border_rings": 2}, "found border_rings 2, expected 1 or 3"),
-        ({"border_rings": 3, "method": "cdf53"}, "found border_rings 3 and method cdf53"),
+        ({"method": Cdf97}, "expected a name, such as 'rapid', or options of a method, such as tw"),
+        ({"method": 5}, "found method 5, expected a name"),
+        ({"mesh": Zerotree}, "expected a name, such as 'halves', or options of a kind of meshes"),
         ({"mesh": "rtin"}, "found mesh 'rtin'"),
-        ({"mesh": "zerotree-coded", "method": "cdf97"}, "expected faithful"),
+        ({"mesh": Zerotree(labels="coded"), "method": "cdf97"}, "found labels coded for a file"),
+        ({"mesh": Rqt(select="coefficient")}, "found select coefficient and method rapid"),
         ({"threads": 0}, "found threads 0, expected a whole number >= 1"),
-        ({"max_error": 1, "rate": 1, "method": "cdf53"}, "found max_error and rate"),
-        ({"rate": 0, "method": "cdf53"}, "found rate 0, expected a number > 0"),
-        ({"psnr": float("nan"), "method": "cdf53"}, "found psnr nan, expected a finite number"),
-        ({"faithful": True}, "found faithful and method auto, expected method cdf97"),
-        ({"faithful": True, "method": "store"}, "found faithful and method store, expected"),
-        ({"rate": 1}, "found rate and method auto, expected method cdf53: the others"),
+        ({"max_error": 1, "method": Cdf53(rate=1)}, "found max_error and rate, expected one of"),
+        ({"strict": True, "method": Cdf53(psnr=1)}, "found strict and psnr, expected max_error"),
     ],
 )
 def test_what_cannot_be_is_refused_where_options_are_made(options, message):
@@ -36,7 +37,41 @@ def test_what_cannot_be_is_refused_where_options_are_made(options, message):
         Options(**options)
 
 
-@pytest.mark.parametrize("name", ["stable", "faithful", "strict", "keep_origin", "verify"])
+@pytest.mark.parametrize(
+    ("kind", "options", "message"),
+    [
+        (Rapid, {"border_rings": 2}, "found border_rings 2, expected 1 or 3"),
+        (Store, {"border_rings": True}, "found border_rings True, expected 1 or 3"),
+        (Predictive, {"border_rings": "3"}, "found border_rings the text '3', expected 1 or 3"),
+        (Cdf97, {"faithful": 1}, "found faithful 1, expected True or False"),
+        (Cdf53, {"rate": 0}, "found rate 0, expected a finite number > 0"),
+        (Cdf53, {"psnr": float("nan")}, "found psnr nan, expected a finite number > 0"),
+        (Cdf53, {"rate": 1, "psnr": 40}, "found rate and psnr, expected one of them"),
+        (Zerotree, {"labels": "none"}, "found labels 'none', expected one of plain, layer, coded"),
+        (Zerotree, {"labels": 1}, "found labels the number 1, expected"),
+        (Rqt, {"select": None}, "found select None, expected error or coefficient"),
+    ],
+)
+def test_own_options_that_cannot_be_are_refused_where_they_are_made(kind, options, message):
+    with pytest.raises(InvalidArgumentError, match=f"^{message}"):
+        kind(**options)
+
+
+def test_no_name_is_an_option_of_a_method_and_of_meshes():
+    """-o sets both."""
+    of_methods = {name for method in METHODS for name in method_options.options_of(method).names()}
+    of_meshes = {name for kind in (Zerotree, Rqt) for name in kind.names()}
+    assert not of_methods & of_meshes
+    assert {kind.name for kind in (Zerotree, Rqt)} < {*MESH_KINDS}
+
+
+def test_options_of_another_method_are_those_that_both_have():
+    options = Options(method=Cdf97(border_rings=3, faithful=True), mesh=Zerotree())
+    other = options.with_method(METHODS["store"], "zerotree-plain")
+    assert (other.method, other.mesh) == (Store(border_rings=3), "zerotree-plain")
+
+
+@pytest.mark.parametrize("name", ["stable", "strict", "keep_origin", "verify"])
 @pytest.mark.parametrize("value", ["no", "False", 0, 1, None])
 def test_what_is_neither_true_nor_false_is_refused(name, value):
     with pytest.raises(InvalidArgumentError, match=f"^found {name} .*, expected True or False$"):
@@ -58,7 +93,7 @@ def test_truth_values_of_numpy_are_flags():
 
 def test_options_are_what_names_and_numbers_stand_for():
     options = Options(max_error=2, effort="best", threads=3)
-    assert (options.max_error, options.method, options.mesh) == (2.0, "predictive", "halves")
+    assert (options.max_error, options.method, options.mesh) == (2.0, Predictive(), "halves")
     assert (options.effort_number, options.n_threads, options.is_embedded) == (2, 3, False)
 
 
@@ -75,15 +110,15 @@ def test_a_method_without_efforts_says_so(tmp_path, method):
 
 
 def test_faithful_files_have_no_efforts():
-    (note,) = Options(method="cdf97", faithful=True, effort="best").notes
+    (note,) = Options(method=Cdf97(faithful=True), effort="best").notes
     assert note.startswith("effort best changes nothing: faithful")
-    assert Options(method="cdf97", faithful=True).notes == []
+    assert Options(method=Cdf97(faithful=True)).notes == []
 
 
 def test_a_faithful_file_stays_one_where_heights_do_not_compress(tmp_path):
     noise = np.random.default_rng(0).integers(0, 256, (33, 33), dtype="uint8")
     target = tmp_path / "noise.twz"
-    result = compress(noise, target, max_error=0, method="cdf97", faithful=True, mesh="none")
+    result = compress(noise, target, max_error=0, method=Cdf97(faithful=True), mesh="none")
     assert result.n_bytes > 1.1 * noise.nbytes
     assert result.method == "cdf97"
 
@@ -101,4 +136,4 @@ def test_a_size_of_tasks_is_refused_where_there_are_none(tmp_path):
 )
 def test_auto_is_rapid_and_with_effort_best_predictive(effort, method, stored):
     options = Options(effort=effort)
-    assert (options.method, options.effort_number, options.notes) == (method, stored, [])
+    assert (options.coding.name, options.effort_number, options.notes) == (method, stored, [])

@@ -10,6 +10,7 @@ from strategies import terrain_like, write_geotiff
 from twz import twz_bytes
 
 import terrainwave
+from terrainwave import Cdf97
 from terrainwave.container.header import HAS_FILLS, HAS_WEIGHTS
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.verification.heights import verify
@@ -85,7 +86,7 @@ def test_a_bound_below_the_spacing_of_floats_is_kept_by_every_bit():
     [
         (dict(stable=True), "stable without max_error"),
         (dict(stable=True, max_error=1, method="cdf53"), "stable and method cdf53"),
-        (dict(stable=True, max_error=1, method="cdf97", faithful=True), "stable and faithful"),
+        (dict(stable=True, max_error=1, method=Cdf97(faithful=True)), "stable and faithful"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(options, found):

@@ -7,7 +7,6 @@ machine. Numba and rasterio are imported inside the commands,
 so that --help answers at once.
 """
 
-from terrainwave.cli import pictures, publishing, serving, tiles
 from terrainwave.cli.commands import main
 
-__all__ = ["main", "pictures", "publishing", "serving", "tiles"]
+__all__ = ["main"]

@@ -14,7 +14,15 @@ import click
 
 from terrainwave.arguments import checked_path, checked_threads, count_of, path_in_url
 from terrainwave.cli.manifest import Manifest
-from terrainwave.cli.output import Bar, line_of, plain, print_error, print_note
+from terrainwave.cli.output import (
+    Bar,
+    announce_compiling,
+    line_of,
+    plain,
+    print_error,
+    print_json,
+    print_note,
+)
 from terrainwave.cli.streams import STREAM
 from terrainwave.container.sources.addresses import display_name
 from terrainwave.errors import InvalidArgumentError, TerrainwaveError
@@ -79,7 +87,9 @@ def plan(sources: Sequence[str], directory: str, ending: str) -> list[Job]:
     jobs: dict[str, Job] = {}
     for source in sources:
         if source == STREAM:
-            raise click.UsageError("found - and --to, expected names: targets are called by them")
+            raise click.UsageError(
+                "found - and --to, expected names of files: targets get their names from them"
+            )
         checked_path(source)
         job = Job(source, os.path.join(directory, Path(path_in_url(source)).stem + ending))
         other = jobs.setdefault(os.path.basename(str(job.target)).casefold(), job)
@@ -160,11 +170,38 @@ def run(
     return [outcome.to_dict(word) for outcome in in_order], _status(in_order)
 
 
+def run_to(
+    sources: tuple[str, ...],
+    directory: str,
+    ending: str,
+    work: Work,
+    word: str,
+    *,
+    manifest: Manifest | None,
+    threads: int | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Make a file of each source in a directory, and end with the status of all."""
+    if not sources:
+        raise click.UsageError("Missing argument 'SOURCE'.")
+    jobs = plan(sources, directory, ending)
+    announce_compiling(quiet=quiet)
+    with made(directory):
+        found, status = run(
+            jobs, work, word=word, threads=threads, quiet=quiet or as_json,
+            manifest=manifest,
+        )  # fmt: skip
+    if as_json:
+        print_json({"files": found})
+    finish(status)
+
+
 def _tell(outcome: _Outcome, bar: Bar, *, quiet: bool) -> None:
     if outcome.error is not None:
         print_error(outcome.message)
     elif not quiet:
-        bar.echo(f"{outcome.name}: there is {plain(outcome.job.target)}, skipped"
+        bar.echo(f"{outcome.name}: {plain(outcome.job.target)} exists already, skipped"
                  if outcome.done is None else outcome.done.line)  # fmt: skip
 
 
@@ -229,8 +266,8 @@ def refuse_unknown_raster(target: str) -> None:
     except TerrainwaveError:
         return
     raise StorageError(
-        f"{target} already exists and nothing tells what it was made of; it is left as it is;"
-        " `overwrite` instead of `skip_existing` replaces it"
+        f"{target} already exists, and no manifest says what it was made of: the command leaves it"
+        " as it is; to replace it, use `overwrite` instead of `skip_existing`"
     )
 
 

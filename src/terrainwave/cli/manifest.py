@@ -18,7 +18,7 @@ from terrainwave.progress import ProgressCallback
 NAME = ".terrainwave-manifest.jsonl"
 # Beyond some for each target, it is written anew.
 _MOST_LINES = 100
-UNKNOWN = "nothing tells what it was made of"
+UNKNOWN = "no manifest says what it was made of"
 
 # Source, target, what the manifest says against the target: why it is not what the command makes
 # of the source; None if it is.

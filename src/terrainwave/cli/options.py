@@ -2,15 +2,23 @@
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
 
-from terrainwave.arguments import ARCHIVE_ENDING, BLOCKS, check_ending, checked_path
+from terrainwave.arguments import (
+    ARCHIVE_ENDING,
+    AS_IS,
+    BLOCKS,
+    VERTICAL,
+    check_ending,
+    checked_path,
+)
 from terrainwave.cli.streams import STREAM, read_stream
 from terrainwave.errors import InvalidArgumentError
+from terrainwave.names import METHODS, SMALLEST_METHOD, methods_that
 from terrainwave.render.look.colorings import AUTO, NO_SEA
 
 TILE_SIZES = tuple(2**n + 1 for n in range(1, 15))
@@ -155,8 +163,8 @@ PAGE_SEA_LEVEL_OPTION = click.option(
     type=SeaLevel(),
     default=AUTO,
     show_default=True,
-    help="Of the page's colours: the height in metres below which all is water, or none. auto: 0"
-    " where there are heights below -450 m, else none.",
+    help="Height in metres below which the page's colours show water, or none. auto: 0 if there"
+    " are heights below -450 m, else none.",
 )
 
 
@@ -248,3 +256,70 @@ class Numbers(click.ParamType):
             count = {2: "two", 4: "four"}.get(self._count, self._count)
             self.fail(f"found {value}, expected {count} {kind}: {self.name}", param, ctx)
         return numbers
+
+
+THREADS_OPTION = click.option(
+    "--threads",
+    type=click.IntRange(min=1),
+    help="Number of threads. Default: all available processors.",
+)
+METHOD = click.Choice(["auto", *METHODS])
+CUTTABLE = methods_that(lambda method: method.is_cuttable)
+_EFFORTS = [f"{method.name} {method.effort}" for method in METHODS.values() if method.effort]
+EFFORT = (
+    f"How many ways of coding the encoder tries: {'; '.join(_EFFORTS)}; other methods have one."
+    f" For archives: best without --method selects {SMALLEST_METHOD.name}, whose files are"
+    " 0.95 of the default's size (0.78 to 0.99), and are read 5 times as slowly."
+)
+RADIUS_OPTION = click.option(
+    "--radius",
+    type=Positive(),
+    metavar="METRES",
+    help="Radius of the planet or moon in metres, for coordinates in degrees. Default: the"
+    " ellipsoid of the CRS.",
+)
+VERTICAL_OPTION = click.option(
+    "--vertical",
+    type=click.Choice(VERTICAL),
+    default=AS_IS,
+    show_default=True,
+    help="Heights on the globe: used as heights above the ellipsoid without a change (as-is), or"
+    " converted from the CRS's vertical datum by PROJ's grid (ellipsoid).",
+)
+
+
+def check_one_area(options: dict[str, Any]) -> None:
+    """Refuse a window together with bounds."""
+    if options["window"] and options["bounds"]:
+        raise click.UsageError("found both --window and --bounds, expected one of them")
+
+
+def writing(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of commands that write a file."""
+    for option in (
+        THREADS_OPTION,
+        click.option("--overwrite", is_flag=True, help="Replace an existing file."),
+        click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes."),
+    ):
+        command = option(command)
+    return command
+
+
+def batched(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of commands that take many files at once."""
+    for option in (
+        click.option(
+            "--skip-existing",
+            is_flag=True,
+            help="With --to: skip files that exist and were made of the same source with the same"
+            " options.",
+        ),
+        click.option(
+            "--to",
+            type=Directory(),
+            metavar="DIR",
+            help="Write a file for each SOURCE to this directory, and continue if one fails.",
+        ),
+    ):
+        command = option(command)
+    return command

@@ -5,6 +5,8 @@ characters out of whatever is printed, and tables hold rich's `Text`, in which m
 """
 
 import functools
+import json
+import math
 import os
 import sys
 import traceback
@@ -17,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import click
 
-from terrainwave.arguments import in_one_line
+from terrainwave.arguments import AS_IS, in_one_line
 from terrainwave.cli.descriptors import discard_stdout, is_of_stdout, prepare_streams
 from terrainwave.cli.signals import INTERRUPTED, Terminated, ending_by_signals
 from terrainwave.errors import (
@@ -88,8 +90,21 @@ def warnings_as_notes() -> Iterator[None]:
         yield
 
 
+@functools.cache
+def _own_options() -> set[str]:
+    """Return the names of options that -o takes."""
+    from terrainwave.codec import method_options
+    from terrainwave.names import MESH_KINDS, METHODS
+    from terrainwave.tri import mesh_options
+
+    kinds = [*map(method_options.options_of, METHODS), *map(mesh_options.options_of, MESH_KINDS)]
+    return {name for kind in kinds if kind is not None for name in kind.names()}
+
+
 def _option(argument: str) -> str:
     """Return the option for an argument of a function."""
+    if argument in _own_options():
+        return f"-o {argument}"
     names = {"src": "SOURCE", "dst": "TARGET", "client": "--scheduler"}
     return names.get(argument, f"--{argument}".replace("_", "-"))
 
@@ -119,8 +134,6 @@ class Command(click.Command):
 
 class Commands(click.Group):
     """A click group whose errors are one line each and which sets the exit status."""
-
-    command_class = Command
 
     def main(self, *args: Any, standalone_mode: bool = True, **kwargs: Any) -> Any:
         """Run a command; never returns in standalone mode."""
@@ -342,3 +355,38 @@ def print_grid(header: list[str], rows: list[list[str]]) -> None:
     for row in rows:
         table.add_row(*(Text(plain(cell)) for cell in row))
     Console(highlight=False).print(table)
+
+
+def print_json(fields: dict[str, Any]) -> None:
+    """Print a result as JSON."""
+    click.echo(json.dumps(plain_json(fields), indent=2, allow_nan=False))
+
+
+def plain_json(value: Any) -> Any:
+    """Return `value` with the numbers that JSON lacks as strings."""
+    if isinstance(value, dict):
+        return {name: plain_json(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain_json(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return value
+
+
+def unit_behind(units: str | None) -> str:
+    """Return the unit to print behind a height, or nothing if it is unknown."""
+    return f" {plain(units)}" if units else ""
+
+
+def note_unit(units: str | None) -> None:
+    """Say that errors have no unit, where the raster names none."""
+    if not units:
+        print_note("the raster does not name its vertical unit: errors are in that of its heights")
+
+
+def vertical_in_words(about: dict[str, Any]) -> str:
+    """Return what heights on the globe are, as files tell it in a few fields."""
+    if about["heights"] == AS_IS:
+        return f"as they are ({plain(about['datum'])})" if "datum" in about else "as they are"
+    grids = f" by {', '.join(map(plain, about['grids']))}" if about.get("grids") else ""
+    return f"above the ellipsoid{grids}"

@@ -4,9 +4,9 @@ from typing import Any
 
 from terrainwave.export.files import to_pyvista
 from terrainwave.export.frames import to_frame
-from terrainwave.export.mesh_data import MeshData
 from terrainwave.file import TerrainFile
 from terrainwave.mesh.area import mesh_area
+from terrainwave.mesh.mesh_data import MeshData
 
 
 def read_twz(
@@ -18,18 +18,19 @@ def read_twz(
     level: int = -1,
     window: Any = None,
     bounds: Any = None,
+    optimise: int = 1,
     frame: str | None = "local",
     z_scale: float = 1.0,
 ) -> Any:
-    """Return a watertight mesh of a .twz file, with its heights as point data.
+    """Return a crack-free mesh of a .twz file, with its heights as point data.
 
     Parameters
     ----------
     path : str
         Path or URL.
-    max_error, max_triangles, level, window, bounds
-        As for `Terrain.mesh`: which mesh, and of what. By default the stored meshes of the level;
-        of a file without any, a mesh within its own error and its vertical quantum.
+    max_error, max_triangles, level, window, bounds, optimise
+        As for `Terrain.mesh`: which mesh, and of what. Of a file without meshes, by default one
+        within its own error and its vertical quantum.
     frame, z_scale
         Coordinates as for `Mesh.save`: local metres, or ``"native"`` or ``"ecef"``.
 
@@ -49,11 +50,10 @@ def read_twz(
     with TerrainFile(path) as terrain:
         if max_error is None and max_triangles is None and terrain.mesh_kind == "none":
             max_error = terrain.quanta_error + terrain.info().quantum
-        area_mesh = mesh_area(
-            terrain, window, bounds=bounds, level=level, max_error=max_error,
-            max_triangles=max_triangles,
+        mesh = mesh_area(
+            terrain, MeshData, window, bounds=bounds, level=level, max_error=max_error,
+            max_triangles=max_triangles, optimise=optimise,
         )  # fmt: skip
-        mesh = MeshData(*area_mesh)
         placed = to_frame(mesh, frame, z_scale=z_scale)
         surface = to_pyvista(placed)
         surface.point_data["heights"] = mesh.points[:, 2]

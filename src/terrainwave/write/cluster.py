@@ -32,7 +32,7 @@ from terrainwave.mesh.sections import make_sections
 from terrainwave.progress import Reporter
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
-from terrainwave.read.decoder import TreeDecoder
+from terrainwave.read.decoder import TreeDecoder, groups_by
 from terrainwave.tri.stored import STORED_KINDS
 from terrainwave.write.boxes import Box, enclosing_boxes, error_codes, set_codes
 from terrainwave.write.encoder import Stats, TreeEncoder, fitted_refiner
@@ -184,7 +184,7 @@ class DistributedPasses:
 
     def encode(self, job: Job) -> Coded:
         """Code all units; segments below the tasks' blocks are stored in the depot."""
-        site = Site(self.raster, self.depot, job, self.level, job.options.method)
+        site = Site(self.raster, self.depot, job, self.level, job.options.coding.name)
         top = self._top_pyramid(site)
         try:
             refiner, tables = fitted_refiner(job, *self._targets(site, top))
@@ -208,7 +208,7 @@ class DistributedPasses:
     def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> float:
         """Decode the file from disk and compare every sample; return the largest error."""
         assert not isinstance(path, bytes)  # what has a client is written to disk
-        site = Site(self.raster, self.depot, job, self.level, job.options.method)
+        site = Site(self.raster, self.depot, job, self.level, job.options.coding.name)
         count = self._counter("proving")
         tasks = {region: (site, os.path.abspath(path), region) for region in self._own_regions()}
         largest = 0.0
@@ -335,7 +335,8 @@ class DistributedPasses:
         job, grid, sink = site.job, site.grid, codes.sink
         # Meshes of the tasks' own blocks may follow the groups that tasks have coded.
         with site.segments(CODED, ABOVE) as stored:
-            decoder = TreeDecoder(grid, refiner, job.parameters, stored.payloads, _CACHE_BYTES)
+            source = groups_by(refiner, stored.payloads)
+            decoder = TreeDecoder(grid, job.parameters, source, _CACHE_BYTES)
             mesher = mesher_of(site, decoder, lambda block: codes.errors.get(block, 0))
             sections = make_sections(
                 grid, mesher, self.executor, lambda n_samples: None, range(site.level + 1)

@@ -21,6 +21,7 @@ from terrainwave.arguments import (
     checked_path,
     checked_whole,
 )
+from terrainwave.codec.method_options import MethodOptions
 from terrainwave.container.depot import Depot
 from terrainwave.container.publish import (
     publish,
@@ -37,6 +38,7 @@ from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.raster_io.marks import note_on_marks
 from terrainwave.raster_io.source import RasterSource
+from terrainwave.tri.mesh_options import MeshOptions
 from terrainwave.write.cluster import (
     TASK_SAMPLES,
     DistributedPasses,
@@ -47,7 +49,7 @@ from terrainwave.write.cluster import (
 from terrainwave.write.earlier import earlier_error
 from terrainwave.write.job import fixed_steps, settled
 from terrainwave.write.local import LocalPasses, smaller
-from terrainwave.write.options import Options
+from terrainwave.write.options import Options, taking_former
 from terrainwave.write.subtrees import RasterPlace
 
 
@@ -73,23 +75,20 @@ class CompressResult:
     notes: list[str] = field(default_factory=list)
 
 
+@taking_former("rate", "psnr", "border_rings", "faithful")
 def compress(
     src: Any,
     dst: str | os.PathLike[str],
     *,
     max_error: float | None = None,
-    rate: float | None = None,
-    psnr: float | None = None,
-    method: str = "auto",
+    method: str | MethodOptions = "auto",
     block: int = 256,
     effort: str = "default",
     nodata: float | None = None,
     band: int = 1,
     georeference: bool = True,
-    border_rings: int = 1,
-    mesh: str = "auto",
+    mesh: str | MeshOptions = "auto",
     mesh_error: float | None = None,
-    faithful: bool = False,
     strict: bool = False,
     stable: bool = False,
     format: str = FORMATS[-1],
@@ -117,15 +116,10 @@ def compress(
         Largest allowed error in physical units (after scale and offset); >= 0, closed. 0 is
         lossless, bit by bit. By default 0 where the heights have a vertical quantum and 0.01 where
         they don't.
-    rate : float, optional
-        With method cdf53, instead of `max_error`: bits per sample that the file may take. The
-        file's bound is then the error that was measured.
-    psnr : float, optional
-        With method cdf53, instead of `max_error`: decibels of the heights' range over the root
-        mean square error that the file must reach.
-    method : str
+    method : str, Rapid, Predictive, Cdf97, Cdf53 or Store
         ``"rapid"``, ``"predictive"``, ``"cdf97"``, ``"cdf53"``, ``"store"`` or ``"auto"``, which is
-        rapid whatever the raster. Files of predictive, for archives, are smaller and read several
+        rapid whatever the raster; or a method with options of its own, as
+        ``tw.Cdf97(faithful=True)``. Files of predictive, for archives, are smaller and read several
         times more slowly.
     block : int
         Cells per side of a block: 32, 64, … 1024.
@@ -139,24 +133,17 @@ def compress(
     georeference : bool
         False takes the heights without place and CRS: of samples that follow no even grid, as
         curvilinear ones, which are refused otherwise.
-    border_rings : int
-        1, or 3 to share one more ring on both sides of every border (Yusov & Turlapov 2010, §2.3).
-    mesh : str
+    mesh : str, Zerotree or Rqt
         Triangulation of every block: ``"halves"`` or ``"auto"`` (halves), which is made again when
         it is read and stores only its measured error; ``"zerotree"``, the guaranteed triangulation
-        of Yusov & Turlapov 2010, stored as labels, with method cdf97 driven by zero trees
-        (``"zerotree-layer"``, ``"zerotree-plain"`` are with and without for any method);
-        ``"rqt"``, a restricted quadtree, which stores some vertices of borders; or ``"none"``. To
-        make the second and third takes memory that grows with the raster
-        (`mesh.sections.make_sections`).
+        of Yusov & Turlapov 2010, stored as labels, with method cdf97 driven by zero trees;
+        ``"rqt"``, a restricted quadtree, which stores some vertices of borders; or ``"none"``. The
+        second and third take options, as ``tw.Zerotree(labels="layer")``. To make them takes memory
+        that grows with the raster (`mesh.sections.make_sections`).
     mesh_error : float, optional
         Largest vertical distance of the finest meshes from the decoded heights, in physical units;
         by default what `max_error` guarantees, or the vertical quantum if that is more (0.01 for
         exact heights on no grid).
-    faithful : bool
-        With method cdf97, follow Yusov & Turlapov 2010 to the letter: coefficients of one wavelet
-        step on all levels, the coarse levels' quantiser and the errors of blocks as printed. Files
-        become larger; their zero trees say where the terrain is rough.
     strict : bool
         Of floats on a decimal grid (0.1, 0.01 …) keep the bound for what is stored:
         ``abs(decoded - original) <= max_error``, exactly and as numpy computes it in their type. By
@@ -168,7 +155,8 @@ def compress(
         Round heights to fixed steps first, which follow from `max_error`, type, scale and nodata
         value alone, and code these exactly: whoever compresses what was decompressed, whole or in
         parts, with the same bound gets the same heights again. The bound holds as `strict` has it.
-        Files become larger (docs/integrations.md). Not with method cdf53 or `faithful`.
+        Files become larger (docs/integrations.md). Not with method cdf53, nor with
+        ``Cdf97(faithful=True)``.
     format : str
         ``"1.1"``, or ``"1.0"``: what the first readers read, too. A file is of format 1.1 only if
         it uses what is new there: where voids are, it tells which heights of coarse levels are
@@ -210,15 +198,11 @@ def compress(
     """
     options = Options(
         max_error=max_error,
-        rate=rate,
-        psnr=psnr,
         method=method,
         block=block,
         effort=effort,
-        border_rings=border_rings,
         mesh=mesh,
         mesh_error=mesh_error,
-        faithful=faithful,
         strict=strict,
         stable=stable,
         format=format,
@@ -236,8 +220,8 @@ def compress(
     if client is not None:
         if not options.coding.is_clusterable:
             raise InvalidArgumentError(
-                f"found `method` {options.method} and a client, expected another method: only one"
-                f" machine codes the tiles of {options.method}"
+                f"found `method` {options.coding.name} and a client, expected another method: only"
+                f" one machine codes the tiles of {options.coding.name}"
             )
         is_remote = temp_dir is not None and "://" in os.fspath(temp_dir)
         raster = shared_raster(src, band, nodata)
@@ -275,16 +259,17 @@ def compress(
     )
 
 
+@taking_former()
 def compress_to_bytes(
     src: Any,
     *,
     max_error: float | None = None,
-    method: str = "auto",
+    method: str | MethodOptions = "auto",
     block: int = 256,
     effort: str = "default",
     nodata: float | None = None,
     georeference: bool = True,
-    mesh: str = "none",
+    mesh: str | MeshOptions = "none",
     strict: bool = False,
     stable: bool = False,
     format: str = FORMATS[-1],
@@ -375,7 +360,7 @@ def _write(
     scale = abs(source.info.scale)
     moved = job.moved_error * scale
     return _Written(
-        method=job.options.method,
+        method=job.options.coding.name,
         max_error=float(job.bound) + moved,
         effective_error=min(job.effective_error * scale, float(job.bound)) + moved,
         measured_error=None if measured is None else measured * scale,

@@ -98,8 +98,8 @@ class Job:
 
         But for meshes that follow coefficients, where the method has none: these are measured.
         """
-        mesh = mesh_without_coefficients(self.options.mesh, method)
-        return replace(self, options=replace(self.options, method=method.name, mesh=mesh))
+        mesh = mesh_without_coefficients(self.options.mesh_kind, method)
+        return replace(self, options=self.options.with_method(method, mesh))
 
     @property
     def has_voids(self) -> bool:
@@ -166,7 +166,7 @@ class Job:
             n_cols=info.n_cols,
             block=self.grid.block,
             border_rings=options.border_rings,
-            method=options.method,
+            method=options.coding.name,
             dtype=info.dtype,
             effort=options.effort_number,
             quantum=self._quantum,
@@ -183,7 +183,7 @@ class Job:
             | (IS_FAITHFUL if options.faithful else 0)
             | LAYOUT_FEATURES.get(newer_layout(options.coding.name, parameters), 0)
             | (HAS_FILLS if self.has_fills else 0),
-            mesh=options.mesh,
+            mesh=options.mesh_kind,
             mesh_tolerance=self.mesh_tolerance,
             metadata={**metadata, "software": f"terrainwave {__version__}"},
             parameters=parameters,
@@ -260,8 +260,8 @@ def settled(
         )
     if scan.has_negative_zeros and bound == 0 and not quantizer.remainder_bytes:
         notes.append(
-            f"-0.0 becomes 0.0: method {options.method} keeps numbers, not the sign of zero; method"
-            f" {methods_that(lambda method: not method.is_tiled)} keeps both"
+            f"-0.0 becomes 0.0: method {options.coding.name} keeps numbers, not the sign of zero;"
+            f" method {methods_that(lambda method: not method.is_tiled)} keeps both"
         )
     measured = None
     if options.coding.is_tiled:

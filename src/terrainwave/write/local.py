@@ -320,7 +320,7 @@ def _mesh_errors(
         lambda block: errors.get(block, 0),
         job.mesh_tolerance,
         has_voids=job.has_voids,
-        kind=job.options.mesh,
+        kind=job.options.mesh_kind,
         executor=executor,
         on_samples=reporter.counter("making meshes", *size),
     )

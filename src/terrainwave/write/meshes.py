@@ -13,8 +13,6 @@ import numpy as np
 from terrainwave.arguments import (
     TWZ_ENDINGS,
     check_ending,
-    check_mesh,
-    check_mesh_of,
     checked_error,
     checked_threads,
 )
@@ -35,17 +33,20 @@ from terrainwave.mesh.blocks import (
     mesh_tolerance,
 )
 from terrainwave.mesh.sections import make_meshes
-from terrainwave.names import METHODS, stored_mesh
+from terrainwave.names import METHODS
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.raster_io.source import RasterSource
+from terrainwave.tri.mesh_options import MeshOptions, check_mesh, stored_mesh
+from terrainwave.write.options import taking_former
 
 
+@taking_former()
 def store_meshes(
     src: str | os.PathLike[str],
     dst: str | os.PathLike[str],
     *,
-    mesh: str = "auto",
+    mesh: str | MeshOptions = "auto",
     mesh_error: float | None = None,
     original: Any = None,
     threads: int | None = None,
@@ -60,8 +61,8 @@ def store_meshes(
         A .twz file, with or without meshes.
     dst : path
         The file to make, whose name ends in ``.twz``. It appears complete or not at all.
-    mesh : str
-        ``"auto"`` (halves) or one of `names.MESH_CHOICES`, as in `compress`.
+    mesh : str, Zerotree or Rqt
+        As in `compress`, but not ``"none"``.
     mesh_error : float, optional
         As in `compress`.
     original : path, dataset or array, optional
@@ -97,7 +98,6 @@ def store_meshes(
     ):
         container = terrain.container
         method, is_faithful = METHODS[container.header.method], container.header.is_faithful
-        check_mesh_of(mesh, method, is_faithful=is_faithful)
         header = replace(
             container.header,
             metadata=without_origin(container.header.metadata),

@@ -1,38 +1,30 @@
 """`Options`: what `compress` is asked for, checked where it is made and handed on whole."""
 
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+import functools
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, ParamSpec, TypeVar
 
 from terrainwave.arguments import (
     BLOCKS,
     check_choice,
-    check_effort,
     check_flags,
-    check_mesh,
-    check_mesh_of,
-    check_method,
     checked_error,
     checked_threads,
     checked_whole,
 )
+from terrainwave.codec.method_options import MethodOptions, chosen, chosen_with, with_method
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.names import (
-    DEFAULT_METHOD,
-    EFFORTS,
-    FORMATS,
-    METHODS,
-    SMALLEST_METHOD,
-    Method,
-    methods_that,
-    stored_mesh,
-)
-
-DEFAULT_EFFORT = "default"
+from terrainwave.names import DEFAULT_EFFORT, EFFORTS, FORMATS, Method, methods_that
+from terrainwave.tri.mesh_options import MeshOptions, check_mesh, of_former_name, stored_mesh
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """Options of `compress`, which says what they mean; "auto" has become what it stands for.
+    """Options of `compress`, which says what they mean.
+
+    Once made, `method` is the method's own options and `mesh` the kind of meshes that files hold.
 
     Raises
     ------
@@ -41,15 +33,11 @@ class Options:
     """
 
     max_error: float | None = None
-    rate: float | None = None
-    psnr: float | None = None
-    method: str = "auto"
+    method: str | MethodOptions = "auto"
     block: int = 256
-    effort: str = "default"
-    border_rings: int = 1
-    mesh: str = "auto"
+    effort: str = DEFAULT_EFFORT
+    mesh: str | MeshOptions = "auto"
     mesh_error: float | None = None
-    faithful: bool = False
     strict: bool = False
     stable: bool = False
     format: str = FORMATS[-1]
@@ -58,106 +46,110 @@ class Options:
     threads: int | None = None
 
     def __post_init__(self) -> None:
+        blocks = f"one of {', '.join(map(str, BLOCKS))}"
         settled: dict[str, Any] = {
             "max_error": checked_error("max_error", self.max_error),
-            "rate": checked_error("rate", self.rate),
-            "psnr": checked_error("psnr", self.psnr),
             "mesh_error": checked_error("mesh_error", self.mesh_error),
-            "border_rings": checked_whole("border_rings", self.border_rings, expected="1 or 3"),
+            "block": checked_whole("block", self.block, expected=blocks),
         }
-        blocks = f"one of {', '.join(map(str, BLOCKS))}"
-        settled["block"] = checked_whole("block", self.block, expected=blocks)
         if settled["block"] not in BLOCKS:
             raise InvalidArgumentError(f"found `block` {settled['block']}, expected {blocks}")
         if self.threads is not None:
             settled["threads"] = checked_threads(self.threads)
         flags = [field.name for field in fields(self) if isinstance(field.default, bool)]
         check_flags(**{name: getattr(self, name) for name in flags})
-        check_mesh(self.mesh, or_none=True)
-        check_method(self.method)
-        check_effort(self.effort)
-        asked = self.method
-        if asked == "auto":
-            method = SMALLEST_METHOD if self.effort == EFFORTS[-1] else DEFAULT_METHOD
-            settled["method"] = method.name
-            if not method.effort:
-                settled["effort"] = DEFAULT_EFFORT
+        check_choice("format", self.format, FORMATS)
+        settled["method"], settled["effort"] = chosen(self.method, self.effort)
+        if not _is_settled(self.mesh):
+            check_mesh(self.mesh, or_none=True)
+            own = settled["method"]
+            settled["mesh"] = stored_mesh(
+                self.mesh, own.method, is_faithful=getattr(own, "faithful", False)
+            )
         for name, value in settled.items():
             object.__setattr__(self, name, value)
-        check_mesh_of(self.mesh, self.coding, is_faithful=self.faithful)
-        mesh = stored_mesh(self.mesh, self.coding, is_faithful=self.faithful)
-        object.__setattr__(self, "mesh", mesh)
-        self._check_goals(asked)
-        check_choice("format", self.format, FORMATS)
-        if self.border_rings not in (1, 3):
-            raise InvalidArgumentError(f"found `border_rings` {self.border_rings}, expected 1 or 3")
-        if self.border_rings != 1 and self.coding.is_tiled:
+        self._check_goals()
+
+    def _check_goals(self) -> None:
+        """Raise `InvalidArgumentError` unless at most one of three goals is given, and fits."""
+        cuts = [name for name in ("rate", "psnr") if getattr(self, name) is not None]
+        if cuts and self.max_error is not None:
             raise InvalidArgumentError(
-                f"found `border_rings` {self.border_rings} and `method` {self.method}, expected"
-                " `border_rings` 1"
+                f"found `max_error` and `{cuts[0]}`, expected one of them: a stream is cut in one"
+                " place"
             )
-        if self.faithful and not self.coding.may_be_faithful:
-            fit = methods_that(lambda method: method.may_be_faithful)
+        if cuts and self.strict:
             raise InvalidArgumentError(
-                f"found `faithful` and `method` {asked}, expected `method` {fit}: the others"
-                " follow no paper to the letter"
+                f"found `strict` and `{cuts[0]}`, expected `max_error`: there is no other bound to"
+                " keep strictly"
             )
-        if self.stable and self.max_error is None:
+        if not self.stable:
+            return
+        if self.max_error is None:
             raise InvalidArgumentError(
                 "found `stable` without `max_error`, expected both: fixed steps follow from the"
                 " bound"
             )
-        if self.stable and (self.coding.is_tiled or self.faithful):
+        if self.coding.is_tiled or self.faithful:
             fit = methods_that(lambda method: not method.is_tiled)
-            found = "`faithful`" if self.faithful else f"`method` {asked}"
+            found = "`faithful`" if self.faithful else f"`method` {self.coding.name}"
             raise InvalidArgumentError(
                 f"found `stable` and {found}, expected `method` {fit}, and not `faithful`: those"
                 " round heights in ways of their own"
             )
 
-    def _check_goals(self, asked: str) -> None:
-        """Raise `InvalidArgumentError` unless at most one of three goals is given, and fits.
-
-        `asked` is the method as the user named it.
-        """
-        goals = {"max_error": self.max_error, "rate": self.rate, "psnr": self.psnr}
-        given = [name for name, goal in goals.items() if goal is not None]
-        if len(given) > 1:
-            names = " and ".join(f"`{name}`" for name in given)
-            raise InvalidArgumentError(
-                f"found {names}, expected one of them: a stream is cut in one place"
-            )
-        if not self.is_embedded:
-            return
-        if self.strict:
-            raise InvalidArgumentError(
-                f"found `strict` and `{given[0]}`, expected `max_error`: there is no other bound to"
-                " keep strictly"
-            )
-        (name,) = given
-        if goals[name] == 0:
-            raise InvalidArgumentError(f"found `{name}` 0, expected a number > 0")
-        if not self.coding.is_cuttable:
-            fit = methods_that(lambda method: method.is_cuttable)
-            raise InvalidArgumentError(
-                f"found `{name}` and `method` {asked}, expected `method` {fit}: the others"
-                " keep a bound (`max_error`) instead"
-            )
-
     def to_metadata(self) -> dict[str, Any]:
         """Return what files are made differently by, or checked; plain values for JSON."""
-        unrelated = ("threads", "keep_origin")
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        values |= {name: getattr(self, name) for name in _OF_METHODS}
+        values["method"] = self.coding.name
         return {
             name: value
-            for name, value in asdict(self).items()
+            for name, value in values.items()
             # By identity: a bound of 0 equals False.
-            if name not in unrelated and value is not None and value is not False
+            if name not in ("threads", "keep_origin") and value is not None and value is not False
         }
+
+    def with_method(self, method: Method, mesh: str) -> "Options":
+        """Return the options with another method and other stored meshes; all else stays."""
+        return replace(self, method=with_method(self._own, method), mesh=mesh)
+
+    @property
+    def _own(self) -> MethodOptions:
+        """Return the method's own options."""
+        assert isinstance(self.method, MethodOptions)
+        return self.method
 
     @property
     def coding(self) -> Method:
-        """Return the method that `method` names."""
-        return METHODS[self.method]
+        """Return the method."""
+        return self._own.method
+
+    @property
+    def mesh_kind(self) -> str:
+        """Return the kind of meshes that files hold, as `names.MESHES` has it."""
+        assert isinstance(self.mesh, str)
+        return self.mesh
+
+    @property
+    def border_rings(self) -> int:
+        """Return how many rings of samples neighbouring blocks share."""
+        return getattr(self.method, "border_rings", 1)
+
+    @property
+    def faithful(self) -> bool:
+        """Say whether the file follows its method's paper to the letter."""
+        return getattr(self.method, "faithful", False)
+
+    @property
+    def rate(self) -> float | None:
+        """Return the bits per sample that the file may take, where that is its goal."""
+        return getattr(self.method, "rate", None)
+
+    @property
+    def psnr(self) -> float | None:
+        """Return the decibels that the file must reach, where that is its goal."""
+        return getattr(self.method, "psnr", None)
 
     @property
     def effort_number(self) -> int:
@@ -188,4 +180,72 @@ class Options:
             return [f"effort {self.effort} changes nothing: faithful files have one wavelet step"]
         if self.coding.effort:
             return []
-        return [f"effort {self.effort} changes nothing: method {self.method} has no efforts"]
+        return [f"effort {self.effort} changes nothing: method {self.coding.name} has no efforts"]
+
+
+# What `to_metadata` states beside the fields of `Options`, of any method.
+_OF_METHODS = ("rate", "psnr", "border_rings", "faithful")
+
+
+def _is_settled(mesh: str | MeshOptions) -> bool:
+    return isinstance(mesh, str) and of_former_name(mesh) is not None
+
+
+# Arguments that `compress` had in 1.0 and that went to the options of methods, with their defaults.
+_FORMER = {"rate": None, "psnr": None, "border_rings": 1, "faithful": False}
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
+
+def taking_former(
+    *names: str,
+) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
+    """Let a function go on taking arguments and meshes in the way of 1.0, until 2.0.
+
+    Each warns (DeprecationWarning) and names the new way. The signature has the new way alone.
+
+    Parameters
+    ----------
+    names : str
+        Arguments that the function had, of `_FORMER`.
+    """
+
+    def decorate(call: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+        @functools.wraps(call)
+        def with_former(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+            former = {name: kwargs.pop(name) for name in names if name in kwargs}
+            arguments: dict[str, Any] = dict(kwargs)
+            for hint in [*_move_to_method(arguments, former), *_move_to_mesh(arguments)]:
+                warnings.warn(hint, DeprecationWarning, stacklevel=2)
+            return call(*args, **arguments)
+
+        return with_former
+
+    return decorate
+
+
+def _move_to_method(arguments: dict[str, Any], former: Mapping[str, Any]) -> Iterator[str]:
+    """Put former arguments into the options of `method`; yield what to tell who gave them."""
+    if not former:
+        return
+    given = {name: value for name, value in former.items() if not _is_default(name, value)}
+    way = "leave out what is the default"
+    if given:
+        effort = arguments.get("effort", DEFAULT_EFFORT)
+        own, stated = chosen_with(arguments.get("method", "auto"), effort, given)
+        arguments |= {"method": own, "effort": stated}
+        way = f"write method={own.call()}"
+    yield f"{' and '.join(former)}: until terrainwave 2.0; {way}"
+
+
+def _is_default(name: str, value: object) -> bool:
+    return type(value) is type(_FORMER[name]) and value == _FORMER[name]
+
+
+def _move_to_mesh(arguments: dict[str, Any]) -> Iterator[str]:
+    """Put the former name of a mesh into options; yield what to tell who gave it."""
+    mesh = arguments.get("mesh")
+    own = of_former_name(mesh) if isinstance(mesh, str) else None
+    if own is not None:
+        arguments["mesh"] = own
+        yield f"mesh={mesh!r}: until terrainwave 2.0; write mesh={own.call()}"

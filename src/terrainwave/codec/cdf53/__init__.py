@@ -1,1 +1,37 @@
 """The method whose streams can end early: the reversible 5/3 wavelet, tiles of several levels."""
+
+from dataclasses import dataclass
+
+from terrainwave.codec.method_options import MethodOptions
+from terrainwave.errors import InvalidArgumentError
+from terrainwave.option_sets import positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cdf53(MethodOptions):
+    """Options of method cdf53, whose files can be cut to a size or a mean error.
+
+    Parameters
+    ----------
+    rate : float, optional
+        Bits per sample that the file may take, > 0, instead of `max_error`. The file's bound is
+        then the error that was measured.
+    psnr : float, optional
+        Decibels of the heights' range over the root mean square error that the file must reach,
+        > 0, instead of `max_error`.
+    """
+
+    name = "cdf53"
+
+    rate: float | None = positive("Bits per sample that the file may take, instead of --max-error.")
+    psnr: float | None = positive(
+        "Decibels of the heights' range over the root mean square error that the file must reach,"
+        " instead of --max-error."
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.rate is not None and self.psnr is not None:
+            raise InvalidArgumentError(
+                "found `rate` and `psnr`, expected one of them: a stream is cut in one place"
+            )

@@ -1,1 +1,26 @@
 """The method of Yusov & Turlapov 2010: the 9/7 wavelet, zero trees, residuals."""
+
+from dataclasses import dataclass
+
+from terrainwave.codec.method_options import BlockMethodOptions
+from terrainwave.option_sets import flag
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cdf97(BlockMethodOptions):
+    """Options of method cdf97, the wavelet codec of Yusov & Turlapov 2010.
+
+    Parameters
+    ----------
+    border_rings : int
+        1, or 3 to share one more ring on both sides of every block border (Yusov & Turlapov 2010,
+        §2.3).
+    faithful : bool
+        Follow Yusov & Turlapov 2010 to the letter: coefficients of one wavelet step on all levels,
+        the coarse levels' quantiser and the errors of blocks as printed. Files become larger; their
+        zero trees say where the terrain is rough.
+    """
+
+    name = "cdf97"
+
+    faithful: bool = flag("Follow Yusov & Turlapov (2010) to the letter. Files become larger.")

@@ -1,1 +1,42 @@
 """Restricted quadtrees: as files store them, and as they follow a camera."""
+
+from dataclasses import dataclass
+
+from terrainwave.errors import InvalidArgumentError
+from terrainwave.names import Method, methods_that
+from terrainwave.option_sets import choice
+from terrainwave.tri.mesh_options import MeshOptions
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rqt(MeshOptions):
+    """Options of restricted quadtrees.
+
+    Parameters
+    ----------
+    select : str
+        What selects vertices: ``"error"``, so that all samples are within `mesh_error`; or
+        ``"coefficient"``, with method cdf53: those whose wavelet coefficient is above `mesh_error`,
+        as Zheng, Wang and Wang do. The error of these meshes is measured, and may be larger.
+    """
+
+    name = "rqt"
+
+    select: str = choice(
+        "What selects vertices: error, so that all samples are within --mesh-error (default); or"
+        " coefficient, with method cdf53, their wavelet coefficients: the error is measured.",
+        "error",
+        "coefficient",
+        default="error",
+    )
+
+    def stored(self, method: Method, *, is_faithful: bool) -> str:
+        """Return the kind of meshes that a file of a method holds."""
+        if self.select == "error":
+            return self.name
+        if not method.is_tiled:
+            raise InvalidArgumentError(
+                f"found `select` coefficient and `method` {method.name}, expected `method`"
+                f" {methods_that(lambda method: method.is_tiled)}, whose coefficients it follows"
+            )
+        return f"{self.name}-{self.select}"

@@ -12,15 +12,15 @@ from typing import Any
 import click
 
 from terrainwave.arguments import count_of
-from terrainwave.cli.commands import main, plain_json
-from terrainwave.cli.options import PAGE_SEA_LEVEL_OPTION, NamedInput, Positive
-from terrainwave.cli.output import announce_compiling, message_of, print_note
+from terrainwave.cli.options import PAGE_SEA_LEVEL_OPTION, RADIUS_OPTION, NamedInput
+from terrainwave.cli.output import Command, announce_compiling, message_of, plain_json, print_note
 from terrainwave.cli.signals import Terminated
 from terrainwave.errors import StorageError, TerrainwaveError
 from terrainwave.extras import need
 from terrainwave.names import TILE_ENCODINGS
 
 # A name, an address, all names below one, or any; without a port.
+_ANY_HOST = ("0.0.0.0", "::")
 _HOST_NAME = re.compile(r"(\*\.)?[\w.-]+|\[[0-9A-Fa-f:.]+\]|\*")
 
 
@@ -34,98 +34,95 @@ def _host_names(_: Any, __: Any, names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
-@main.command()
+@click.command(cls=Command)
 @click.argument("files", nargs=-1, type=NamedInput())
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
 @click.option("--port", type=click.IntRange(0, 65535), default=8765, show_default=True,
-              help="0 takes a free one.")  # fmt: skip
+              help="Port to listen on; 0 selects a free one.")  # fmt: skip
 @click.option("--allow-host", "hosts", multiple=True, metavar="NAME", callback=_host_names,
-              help="Name it may be asked by, besides localhost.")  # fmt: skip
+              help="Accept requests by this host name, too, not only localhost.")  # fmt: skip
 @click.option("--cors", is_flag=True, help="Let pages of other sites read the tiles.")
 @click.option("--threads", "n_decoding", type=click.IntRange(1, 64), default=2, show_default=True,
-              help="Requests that decode at a time.")  # fmt: skip
-@click.option("--radius", type=Positive(), help="Of the planet, in metres, for degrees.")
+              help="Requests that decode at the same time.")  # fmt: skip
+@RADIUS_OPTION
 @click.option(
     "--encoding",
     type=click.Choice(TILE_ENCODINGS),
     default=TILE_ENCODINGS[0],
     show_default=True,
-    help="Of terrain-RGB tiles, unless ?encoding= says another one:"
-    " mapbox has steps of 0.1 m from -10000 m, terrarium of 1/256 m from -32768 m.",
+    help="Encoding of terrain-RGB tiles whose address has no ?encoding=. mapbox has steps of 0.1 m"
+    " above -10000 m, terrarium steps of 1/256 m above -32768 m.",
 )
 @click.option(
     "--transparent-voids",
     is_flag=True,
-    help="Voids of terrain-RGB tiles get alpha 0, unless ?voids=height asks for none.",
+    help="Make voids of terrain-RGB tiles transparent, unless their address has ?voids=height.",
 )
 @PAGE_SEA_LEVEL_OPTION
 @click.option("--open", "opens", is_flag=True, help="Open the page in a browser.")
 @click.option("--stdin", "listens", is_flag=True,
-              help="For programs: read names of further files from stdin, a line each, answer each"
-              " with a line of JSON, and end where stdin ends.")  # fmt: skip
+              help="For programs: read names of further files from stdin, one a line, answer each"
+              " with one line of JSON, and stop at the end of stdin.")  # fmt: skip
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
 def serve(
     files: tuple[str, ...],
     host: str,
     port: int,
     hosts: tuple[str, ...],
-    cors: bool,
-    n_decoding: int,
-    radius: float | None,
-    encoding: str,
-    transparent_voids: bool,
-    sea_level: str | float,
     opens: bool,
     listens: bool,
     quiet: bool,
+    **options: Any,
 ) -> None:
     """Serve FILES (.twz): a page that flies over them, terrain-RGB and quantized-mesh tiles.
 
-    Open the printed address in a browser. MapLibre reads NAME/tiles.json, CesiumJS NAME/mesh,
-    NAME/height?lon=…&lat=… answers a height; NAME is the file's name without its ending.
+    Open the printed address in a browser. MapLibre reads NAME/tiles.json, and CesiumJS NAME/mesh.
+    NAME/height?lon=…&lat=… returns a height. NAME is the file's name without its ending.
     """
     if not files and not listens:
         raise click.UsageError("Missing argument 'FILES...'.")
     for package in ("uvicorn", "fastapi", "PIL"):
         need(package, extra="serve", purpose="serve")
-    from terrainwave.ext.serve.app import make_app
-    from terrainwave.ext.serve.connections import server_of
-
     with _saying_goodbye(quiet=quiet):
         announce_compiling(quiet=quiet)
-        named = tuple(name for name in (host, *hosts) if name not in ("0.0.0.0", "::"))
-        app = make_app(
-            list(files),
-            hosts=named,
-            cors=cors,
-            n_decoding=n_decoding,
-            radius=radius,
-            encoding=encoding,
-            transparent_voids=transparent_voids,
-            sea_level=sea_level,
-        )
-        listener = _listen(host, port)
-        address = f"http://{_in_url(host)}:{listener.getsockname()[1]}/"
-        if not quiet:
-            n_terrains = count_of(len(app.state.layers), "terrain")
-            click.echo(f"{n_terrains} at {address}  (Ctrl-C ends)")
-        if host in ("0.0.0.0", "::") and not hosts:
-            print_note(
-                "asked by other names than localhost it refuses: name them with --allow-host"
-            )
-        if opens:
-            webbrowser.open(address)
-        server = server_of(app, n_files=len(files))
-        if listens:
-            add = app.state.shelf.add
-            threading.Thread(target=_serve_named, args=(add, address, server), daemon=True).start()
-        with listener:
-            server.run(sockets=[listener])
+        app = _app(files, host, hosts, **options)
+        with _listen(host, port) as listener:
+            address = f"http://{_in_url(host)}:{listener.getsockname()[1]}/"
+            if not quiet:
+                n_terrains = count_of(len(app.state.layers), "terrain")
+                click.echo(f"{n_terrains} at {address}  (Ctrl-C ends)")
+            if host in _ANY_HOST and not hosts:
+                print_note(
+                    "the server refuses requests by other names than localhost; allow a name with"
+                    " --allow-host"
+                )
+            if opens:
+                webbrowser.open(address)
+            _serve(app, len(files), listener, address if listens else None)
+
+
+def _app(files: tuple[str, ...], host: str, hosts: tuple[str, ...], **options: Any) -> Any:
+    """Return the application that answers."""
+    from terrainwave.ext.serve.app import make_app
+
+    named = tuple(name for name in (host, *hosts) if name not in _ANY_HOST)
+    return make_app(list(files), hosts=named, **options)
+
+
+def _serve(app: Any, n_files: int, listener: socket.socket, address: str | None) -> None:
+    """Answer until the server ends; with an address, serve files that stdin names, too."""
+    from terrainwave.ext.serve.connections import server_of
+
+    server = server_of(app, n_files=n_files)
+    if address is not None:
+        arguments = app.state.shelf.add, address, server
+        threading.Thread(target=_serve_named, args=arguments, daemon=True).start()
+    server.run(sockets=[listener])
 
 
 @contextmanager
 def _saying_goodbye(*, quiet: bool) -> Iterator[None]:
-    """Let signals end the command: the way to end it, not a failure, and nothing is left to say.
+    """Let signals end the command without an error: nothing has failed.
 
     The status is 0 after Ctrl-C, and after others what shells expect.
     """

@@ -7,23 +7,22 @@ from typing import Any
 import click
 
 from terrainwave.arguments import count_of
-from terrainwave.cli.commands import main, print_json
-from terrainwave.cli.options import PAGE_SEA_LEVEL_OPTION, Directory, NamedInput, Positive
-from terrainwave.cli.output import Bar, announce_compiling, plain
+from terrainwave.cli.options import PAGE_SEA_LEVEL_OPTION, RADIUS_OPTION, Directory, NamedInput
+from terrainwave.cli.output import Bar, Command, announce_compiling, plain, print_json
 from terrainwave.names import TILE_ENCODINGS
 
 
-@main.command()
+@click.command(cls=Command)
 @click.argument("files", nargs=-1, required=True, type=NamedInput())
 @click.argument("directory", type=Directory())
-@click.option("--radius", type=Positive(), help="Of the planet, in metres, for degrees.")
+@RADIUS_OPTION
 @click.option(
     "--encoding",
     type=click.Choice(TILE_ENCODINGS),
     default=TILE_ENCODINGS[0],
     show_default=True,
-    help="Of the tiles that the page makes: mapbox has steps of 0.1 m from -10000 m, terrarium of"
-    " 1/256 m from -32768 m.",
+    help="Encoding of the tiles that the page makes. mapbox has steps of 0.1 m above -10000 m,"
+    " terrarium steps of 1/256 m above -32768 m.",
 )
 @PAGE_SEA_LEVEL_OPTION
 @click.option("--overwrite", is_flag=True, help="Replace an existing published folder.")

@@ -8,50 +8,59 @@ from typing import Any
 import click
 
 from terrainwave.arguments import ARCHIVE_ENDING, AS_IS, count_of
-from terrainwave.cli.commands import (
-    THREADS,
+from terrainwave.cli.options import (
+    RADIUS_OPTION,
+    THREADS_OPTION,
     VERTICAL_OPTION,
-    main,
+    Directory,
+    Finite,
+    Input,
+)
+from terrainwave.cli.output import (
+    Bar,
+    Command,
+    announce_compiling,
+    plain,
+    print_grid,
     print_json,
+    reading,
     vertical_in_words,
 )
-from terrainwave.cli.options import Directory, Finite, Input, Positive
-from terrainwave.cli.output import Bar, announce_compiling, plain, print_grid, reading
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.names import TILE_ENCODINGS
 
 
-@main.command()
+@click.command(cls=Command)
 @click.argument("file", type=Input())
 @click.argument("target", type=Directory(or_ending=ARCHIVE_ENDING))
 @click.option(
     "--max-zoom",
     type=click.IntRange(min=0),
-    help="The finest zoom. Default: the first one whose cells are no larger than pixels.",
+    help="Finest zoom. Default: the first one whose cells are no larger than pixels.",
 )
-@click.option("--min-zoom", type=click.IntRange(min=0), help="Of an archive: the first zoom.")
+@click.option("--min-zoom", type=click.IntRange(min=0), help="Of an archive: coarsest zoom.")
 @click.option(
     "--rim",
     type=click.IntRange(min=0),
-    help="Of an archive: pixels by which heights go on beyond edges and into voids.",
+    help="Of an archive: continue heights by so many pixels beyond edges and into voids.",
 )
 @click.option(
     "--void-height",
     type=Finite(),
-    help="Of voids and what the raster does not cover, in metres above the ellipsoid."
-    " Default: 0; in an archive 1 m below the lowest height.",
+    help="Height of voids and of places that the raster does not cover, in metres above the"
+    " ellipsoid. Default: 0; in an archive 1 m below the lowest height.",
 )
 @click.option(
     "--encoding",
     type=click.Choice(TILE_ENCODINGS),
-    help="Of an archive: how pixels stand for heights. mapbox (default): steps of 0.1 m from"
-    " -10000 m; terrarium: steps of 1/256 m from -32768 m.",
+    help="Of an archive: how pixels encode heights. mapbox (default) has steps of 0.1 m above"
+    " -10000 m, terrarium steps of 1/256 m above -32768 m.",
 )
-@click.option("--transparent-voids", is_flag=True, help="Of an archive: voids get alpha 0.")
+@click.option("--transparent-voids", is_flag=True, help="Of an archive: make voids transparent.")
 @VERTICAL_OPTION
-@click.option("--attribution", default="", help="For the metadata: whose data these are.")
-@click.option("--radius", type=Positive(), help="Of the planet, in metres, for degrees.")
-@click.option("--threads", type=THREADS, help="Threads; by default all processors that it may use.")
+@click.option("--attribution", default="", help="Owner of the data, for the metadata.")
+@RADIUS_OPTION
+@THREADS_OPTION
 @click.option("--overwrite", is_flag=True, help="Replace an existing target.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")

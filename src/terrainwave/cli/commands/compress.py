@@ -1,0 +1,290 @@
+"""The command compress: rasters become .twz files."""
+
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import asdict, replace
+from typing import Any
+
+import click
+
+from terrainwave.arguments import TWZ_ENDINGS
+from terrainwave.cli.batch import Done, Job, refuse_options_of_batches, run_to
+from terrainwave.cli.manifest import Manifest
+from terrainwave.cli.options import (
+    EFFORT,
+    METHOD,
+    BlockSide,
+    Bound,
+    Input,
+    Name,
+    Nodata,
+    Target,
+    batched,
+    complete_files,
+    writing,
+)
+from terrainwave.cli.output import (
+    Bar,
+    announce_compiling,
+    note_unit,
+    plain,
+    print_json,
+    print_note,
+    unit_behind,
+)
+from terrainwave.cli.own_options import (
+    CommandWithOwnOptions,
+    MeshKind,
+    former_options,
+    own_option,
+    with_own_options,
+)
+from terrainwave.cli.streams import printing_beside, written
+from terrainwave.names import (
+    DEFAULT_EFFORT,
+    DEFAULT_MESH,
+    DEFAULT_METHOD,
+    EFFORTS,
+    FORMATS,
+    SMALLEST_METHOD,
+)
+from terrainwave.progress import ProgressCallback
+
+
+@click.command(cls=CommandWithOwnOptions)
+@click.argument("paths", nargs=-1, metavar="SOURCE... TARGET", shell_complete=complete_files)
+@click.option(
+    "--max-error",
+    type=Bound(),
+    help="Largest allowed error, in the raster's vertical unit; 0 is lossless."
+    " Default: lossless where the heights have a vertical step, else 0.01.",
+)
+@click.option(
+    "--method",
+    type=METHOD,
+    default="auto",
+    show_default=True,
+    help=f"auto is {DEFAULT_METHOD.name}; with --effort best it is {SMALLEST_METHOD.name}.",
+)
+@click.option(
+    "--effort", type=click.Choice(EFFORTS), default=DEFAULT_EFFORT, show_default=True, help=EFFORT
+)
+@click.option("--mesh", type=MeshKind("none"), default=DEFAULT_MESH, show_default=True,
+              help="Kind of the meshes of all blocks.")  # fmt: skip
+@own_option(
+    "Set an option of the method or of the kind of meshes. To list them, name both:"
+    " --method METHOD --mesh KIND --help."
+)
+@click.option("--no-mesh", is_flag=True, help="Same as --mesh none.")
+@click.option(
+    "--mesh-error",
+    type=Bound(),
+    help="Largest distance of the finest meshes from the decoded heights. Default: the guaranteed"
+    " error, or the heights' vertical step if that is larger.",
+)
+@click.option(
+    "--strict",
+    is_flag=True,
+    help="Floats with a decimal step (0.01 …): the stored floats are within the bound, not only the"
+    " decimal numbers that they stand for. Files become larger.",
+)
+@click.option(
+    "--stable",
+    is_flag=True,
+    help="Round heights to fixed steps, which follow from --max-error and the raster's type."
+    " Heights then do not change when you decompress them and compress them again with the same"
+    " bound. Files become larger.",
+)
+@click.option("--block", type=BlockSide(), default=256, show_default=True,
+              help="Cells on each side of a block.")  # fmt: skip
+@click.option(
+    "--format",
+    type=click.Choice(FORMATS),
+    default=FORMATS[-1],
+    show_default=True,
+    help=f"Format of the file; terrainwave 1.0 reads {FORMATS[0]} only.",
+)
+@click.option("--nodata", type=Nodata(), help="Nodata value; replaces the raster's own.")
+@click.option("--band", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Band to compress.")  # fmt: skip
+@click.option(
+    "--no-georeference",
+    is_flag=True,
+    help="Compress the heights alone and ignore the raster's transform and CRS.",
+)
+@click.option("--no-verify", is_flag=True, help="Do not decode and compare every sample.")
+@click.option("--temp-dir", type=Name(), help="Folder for large temporary files.")
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Distribute the work over a dask cluster whose workers see SOURCE and TARGET.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+@former_options
+@batched
+@writing
+def compress(
+    paths: tuple[str, ...],
+    own: tuple[str, ...],
+    no_mesh: bool,
+    no_georeference: bool,
+    no_verify: bool,
+    to: str | None,
+    skip_existing: bool,
+    **options: Any,
+) -> None:
+    """Compress the raster SOURCE to the file TARGET (.twz).
+
+    Several SOURCEs are a mosaic: rasters of one CRS and grid. Samples that no raster covers are
+    void; where rasters overlap, the last one counts. A SOURCE or TARGET - is stdin or stdout.
+    With --to DIR there is no TARGET: each SOURCE becomes a file of its own in DIR.
+    """
+    refuse_options_of_batches(to, skip_existing=skip_existing, overwrite=options["overwrite"])
+    if no_mesh:
+        options["mesh"] = "none"
+    options = with_own_options(own, options)
+    options |= {"georeference": not no_georeference, "verify": not no_verify}
+    if to is None:
+        _compress(*_sources_and_target(paths), **options)
+    else:
+        _compress_each(paths, to, skips=skip_existing, **options)
+
+
+def _compress(
+    sources: list[str],
+    target: str,
+    *,
+    scheduler: str | None,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
+    """Make one file of one raster, or of a mosaic."""
+    import terrainwave
+
+    if not options["georeference"] and len(sources) > 1:
+        raise click.UsageError(
+            f"found --no-georeference and {len(sources)} SOURCEs, expected one: the rasters of a"
+            " mosaic are placed by their georeference"
+        )
+    if scheduler is not None and not _asked(options).coding.is_clusterable:
+        method = _asked(options).coding.name
+        raise click.UsageError(f"found --scheduler and --method {method}, expected one of them")
+    announce_compiling(quiet=quiet)
+    with (
+        _cluster(scheduler) as client,
+        Bar(quiet=quiet) as bar,
+        written(target, ".twz") as path,
+    ):
+        result = terrainwave.compress(sources, path, client=client, progress=bar, **options)
+    with printing_beside(target):
+        _print_result(replace(result, path=target), as_json=as_json, quiet=quiet)
+
+
+def _compress_each(
+    sources: tuple[str, ...],
+    directory: str,
+    *,
+    skips: bool,
+    scheduler: str | None,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
+    """Make a file of each raster, in a directory."""
+    import terrainwave
+
+    if scheduler is not None:
+        raise click.UsageError("found --scheduler and --to, expected one of them")
+    if skips:
+        options["overwrite"] = True  # a file that is not as asked for is made again
+
+    def compress_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
+        changed = options | {"threads": threads, "keep_origin": True}
+        result = terrainwave.compress(job.source, str(job.target), progress=progress, **changed)
+        return Done(_result_line(result), asdict(result))
+
+    run_to(
+        sources, directory, ".twz", compress_one, "compressed",
+        manifest=_manifest(directory, options) if skips else None,
+        threads=options["threads"], as_json=as_json, quiet=quiet,
+    )  # fmt: skip
+
+
+# What is asked of the raster that is read, and of the run, and not of the file that is made.
+_OF_SOURCE = ("nodata", "band", "georeference")
+_OF_RUN = ("temp_dir", "overwrite", "threads")
+
+
+def _asked(options: dict[str, Any]) -> Any:
+    """Return the options of the file, checked."""
+    from terrainwave.write.options import Options
+
+    return Options(**{name: options[name] for name in options.keys() - {*_OF_SOURCE, *_OF_RUN}})
+
+
+def _manifest(directory: str, options: dict[str, Any]) -> Manifest:
+    """Return what tells which files of a batch are as asked for."""
+    from terrainwave.raster_io.files import files_of
+    from terrainwave.write.origin import difference
+
+    of_files = {name: value for name, value in options.items() if name not in _OF_RUN}
+    source = {name: options[name] for name in _OF_SOURCE} | {"nodata": repr(options["nodata"])}
+    return Manifest(
+        directory,
+        {"command": "compress", **_asked(options).to_metadata(), **source},
+        files_of=files_of,
+        # Whatever the manifest says: heights that are the same need no second file.
+        compare=lambda source, target, known, progress: difference(
+            target, source, progress=progress, **of_files
+        ),
+    )
+
+
+def _sources_and_target(paths: tuple[str, ...]) -> tuple[list[str], str]:
+    """Return the sources and the target of `compress`, by their order."""
+    if len(paths) < 2:
+        missing = "TARGET" if paths else "SOURCE"
+        raise click.UsageError(f"Missing argument '{missing}'.")
+    ctx = click.get_current_context()
+    target = paths[-1]
+    try:
+        # Not only a slip: with `*.tif` the last raster stands where the target does.
+        target = Target(TWZ_ENDINGS).convert(target, None, ctx)
+    except click.BadParameter as error:
+        raise click.UsageError(
+            f"TARGET is the last name: {error.message}; to compress each raster to a file of its"
+            " own add --to DIR"
+        ) from error
+    return [Input().convert(path, None, ctx) for path in paths[:-1]], target
+
+
+def _cluster(scheduler: str | None) -> AbstractContextManager[Any]:
+    """Give a client of a dask scheduler; None without an address."""
+    if scheduler is None:
+        return nullcontext()
+    from terrainwave.ext.distributed import connected
+
+    return connected(scheduler)
+
+
+def _result_line(result: Any) -> str:
+    return (
+        f"{plain(result.path)}: {result.n_bytes:,} bytes, {result.bits_per_sample:.4g} bits/sample,"
+        f" {result.ratio:.4g} times smaller than raw"
+    )
+
+
+def _print_result(result: Any, *, as_json: bool, quiet: bool) -> None:
+    if as_json:
+        print_json(asdict(result))
+    if as_json or quiet:
+        return
+    measured = "not checked" if result.measured_error is None else f"{result.measured_error:.6g}"
+    click.echo(_result_line(result))
+    click.echo(
+        f"max error asked {result.max_error:.6g}, guaranteed {result.effective_error:.6g},"
+        f" measured {measured}{unit_behind(result.units)}"
+    )
+    note_unit(result.units)
+    for note in result.notes:
+        print_note(note)

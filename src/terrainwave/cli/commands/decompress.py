@@ -1,0 +1,187 @@
+"""The command decompress: .twz files become GeoTIFFs and height tiles."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from terrainwave.arguments import (
+    AS_IS,
+    FILLINGS,
+    GEOTIFF_ENDINGS,
+    HEIGHT_TILE_ENDINGS,
+    VOIDS,
+    one_of,
+)
+from terrainwave.cli.batch import (
+    Done,
+    Job,
+    refuse_options_of_batches,
+    refuse_unknown_raster,
+    run_to,
+)
+from terrainwave.cli.manifest import UNKNOWN, Manifest
+from terrainwave.cli.options import (
+    CUTTABLE,
+    VERTICAL_OPTION,
+    Input,
+    Numbers,
+    Positive,
+    Target,
+    TileSize,
+    batched,
+    check_one_area,
+    complete_files,
+    writing,
+)
+from terrainwave.cli.output import Bar, Command, announce_compiling, plain, print_note, reading
+from terrainwave.cli.streams import STREAM, printing_beside, written
+from terrainwave.progress import ProgressCallback
+
+
+@click.command(cls=Command)
+@click.argument("paths", nargs=-1, metavar="SOURCE TARGET", shell_complete=complete_files)
+@click.option(
+    "--window",
+    type=Numbers("row,col,n_rows,n_cols", int),
+    help="Part to write, in samples.",
+)
+@click.option(
+    "--bounds", type=Numbers("left,bottom,right,top", float), help="Part to write, in the CRS."
+)
+@click.option("--level", type=int, default=-1, help="-1 full grid (default), -2 half, 0 coarsest.")
+@click.option(
+    "--quality",
+    type=Positive(),
+    help=f"Read only so many bits per sample, of a file of method {CUTTABLE}.",
+)
+@click.option("--cog", is_flag=True, help="Make a cloud-optimised GeoTIFF.")
+@click.option(
+    "--size",
+    type=TileSize(),
+    help="Samples on each side of a height tile, 2^n + 1. The command resamples the window to this"
+    " square. Default: the largest that fits into the window. window: the samples of the window.",
+)
+@click.option(
+    "--voids",
+    metavar="exact|any|lowest|fill|HEIGHT",
+    help="Voids in the GeoTIFF of a coarse level: exact, where the full grid is void (default, if"
+    " the file has this), or any, only where all samples around are void; other samples then have"
+    " the height of their neighbours. Height of voids in a height tile: lowest (default), fill"
+    " (that of their neighbours) or a number.",
+)
+@VERTICAL_OPTION
+@batched
+@writing
+def decompress(paths: tuple[str, ...], to: str | None, skip_existing: bool, **options: Any) -> None:
+    """Write the file SOURCE (.twz) to the GeoTIFF TARGET (.tif), or to stdout if that is -.
+
+    If TARGET ends in .r16 or .png, the command writes a 16-bit height tile for game engines
+    instead, and TARGET.json with its scale and place. With --to DIR there is no TARGET: each SOURCE
+    becomes a GeoTIFF in DIR.
+    """
+    refuse_options_of_batches(to, skip_existing=skip_existing, overwrite=options["overwrite"])
+    check_one_area(options)
+    if to is None:
+        _decompress(*_source_and_target(paths), **options)
+    else:
+        _decompress_each(paths, to, skips=skip_existing, **options)
+
+
+def _decompress(source: str, target: str, *, quiet: bool, **options: Any) -> None:
+    """Write one GeoTIFF or height tile."""
+    import terrainwave
+
+    is_tile = Path(target).suffix.lower() in HEIGHT_TILE_ENDINGS
+    (_check_options_of_tile if is_tile else _check_options_of_geotiff)(target, options)
+    announce_compiling(quiet=quiet)
+    with reading(source), Bar(quiet=quiet) as bar, written(target, ".tif") as path:
+        terrainwave.decompress(source, path, progress=bar, **options)
+        n_bytes = Path(path).stat().st_size
+        if target == STREAM and Path(f"{path}.aux.xml").exists():
+            print_note("stdout has no .aux.xml beside it: write to a file to keep the CRS")
+    if not quiet:
+        with printing_beside(target):
+            click.echo(f"{plain(target)}: {n_bytes:,} bytes")
+
+
+def _decompress_each(
+    sources: tuple[str, ...], directory: str, *, skips: bool, quiet: bool, **options: Any
+) -> None:
+    """Write a GeoTIFF of each file, in a directory."""
+    import terrainwave
+
+    if skips:
+        options["overwrite"] = True
+
+    def decompress_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
+        with reading(job.source):
+            path = terrainwave.decompress(
+                job.source, str(job.target), progress=progress, **options | {"threads": threads}
+            )
+        return Done(f"{plain(path)}: {Path(path).stat().st_size:,} bytes")
+
+    run_to(
+        sources, directory, ".tif", decompress_one, "decompressed",
+        manifest=_manifest(directory, options, skips=skips),
+        threads=options["threads"], as_json=False, quiet=quiet,
+    )  # fmt: skip
+
+
+def _source_and_target(paths: tuple[str, ...]) -> tuple[str, str]:
+    if len(paths) < 2:
+        raise click.UsageError(f"Missing argument '{'TARGET' if paths else 'SOURCE'}'.")
+    if len(paths) > 2:
+        raise click.UsageError(
+            f"found {len(paths)} names, expected SOURCE and TARGET; to make a GeoTIFF of each add"
+            " --to DIR"
+        )
+    ctx = click.get_current_context()
+    target = Target((*GEOTIFF_ENDINGS, *HEIGHT_TILE_ENDINGS)).convert(paths[1], None, ctx)
+    return Input().convert(paths[0], None, ctx), target
+
+
+def _check_options_of_geotiff(target: str, options: dict[str, Any]) -> None:
+    """Refuse what is for height tiles."""
+    if options["size"]:
+        raise click.UsageError(f"{target}: --size is for height tiles, expected .r16 or .png")
+    voids = options["voids"]
+    if voids not in (None, *VOIDS):
+        found = f"found --voids {voids}"
+        if voids in FILLINGS or voids[-1:].isdigit():
+            found = f"{target}: --voids {voids} is for height tiles"
+        raise click.UsageError(
+            f"{found}, expected {one_of(VOIDS)}, or a name ending in .r16 or .png"
+        )
+
+
+def _check_options_of_tile(target: str, options: dict[str, Any]) -> None:
+    """Refuse what is for GeoTIFFs."""
+    if options["vertical"] != AS_IS:
+        raise click.UsageError(
+            f"{target}: found --vertical {options['vertical']}, expected none: a height tile keeps"
+            " the file's datum"
+        )
+    if options["cog"]:
+        raise click.UsageError(
+            f"{target}: found --cog, expected none: a height tile cannot be a COG"
+        )
+
+
+def _manifest(directory: str, options: dict[str, Any], *, skips: bool) -> Manifest:
+    """Return what tells which rasters of a batch of `decompress` are as asked for."""
+    unrelated = ("overwrite", "threads")
+
+    def compare(source: str, target: str, known: str, progress: ProgressCallback) -> str:
+        if known == UNKNOWN:
+            refuse_unknown_raster(target)
+        return known
+
+    return Manifest(
+        directory,
+        {"command": "decompress"}
+        | {name: value for name, value in options.items() if name not in unrelated},
+        files_of=lambda source: [source],
+        compare=compare,
+        skips=skips,
+    )

@@ -1,0 +1,26 @@
+"""The command demo: a real elevation model at four bounds."""
+
+import click
+
+from terrainwave.cli.options import Directory
+from terrainwave.cli.output import Bar, Command, announce_compiling, plain, print_grid
+
+
+@click.command(cls=Command)
+@click.argument("directory", type=Directory(), default="terrainwave-demo")
+@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
+def demo(directory: str, quiet: bool) -> None:
+    """Compress a real elevation model at four bounds, check each, draw a picture; in DIRECTORY."""
+    from terrainwave.cli.demo import BOUNDS, run_demo
+
+    announce_compiling(quiet=quiet)
+    with Bar(quiet=quiet) as bar:
+        result = run_demo(directory, progress=bar)
+    if quiet:
+        return
+    click.echo(
+        f"{result.n_rows} x {result.n_cols} heights, GeoTIFF (DEFLATE): {result.n_bytes:,} bytes"
+    )
+    header = ["bound", "bytes", "bits/sample", "GeoTIFF/twz", "max error", "RMSE"]
+    print_grid(header, [result.row(bound) for bound in BOUNDS])
+    click.echo(f"checked each; picture: {plain(result.picture)}")

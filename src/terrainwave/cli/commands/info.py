@@ -1,0 +1,207 @@
+"""The command info: what a .twz file holds."""
+
+from dataclasses import asdict, dataclass
+from typing import Any, Self
+
+import click
+
+from terrainwave.arguments import count_of, crs_name
+from terrainwave.cli.options import Input
+from terrainwave.cli.output import (
+    Command,
+    print_grid,
+    print_json,
+    print_table,
+    reading,
+    unit_behind,
+)
+from terrainwave.names import UNBOUNDED_MESHES
+
+
+@click.command(cls=Command)
+@click.argument("file", type=Input())
+@click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
+@click.option(
+    "--errors",
+    type=click.Choice(["measured", "recursive"]),
+    help="List the largest error of each level: as stored, or an upper bound computed from the"
+    " decoded heights (slow).",
+)
+@click.option("--voids", is_flag=True, help="Count voids (slow: decodes all heights).")
+@click.option(
+    "--parts",
+    is_flag=True,
+    help="List the bytes of each part, also of a URL, which takes many requests.",
+)
+@click.option(
+    "--meshes",
+    is_flag=True,
+    help="List the triangles of each level, their bits and their zero trees (slow: makes all"
+    " meshes).",
+)
+def info(file: str, as_json: bool, **more: Any) -> None:
+    """Show what FILE (.twz) contains."""
+    import terrainwave
+
+    with reading(file), terrainwave.open(file) as terrain:
+        summary = terrain.info()
+        found = _Found.of(terrain, **more | {"parts": more["parts"] or "://" not in file})
+    if as_json:
+        print_json(summary.to_dict() | found.to_dict())
+        return
+    print_table(_info_rows(summary, found.n_voids))
+    found.print(summary)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What options ask for; None where they do not."""
+
+    parts: Any
+    level_errors: list[float] | None
+    n_voids: int | None
+    meshes: Any
+
+    @classmethod
+    def of(
+        cls, terrain: Any, *, errors: str | None, voids: bool, parts: bool, meshes: bool
+    ) -> Self:
+        """Look it up in a file."""
+        from terrainwave.mesh.level_errors import level_errors
+        from terrainwave.mesh.statistics import mesh_levels
+
+        return cls(
+            parts=terrain.parts() if parts else None,
+            level_errors=None if errors is None else level_errors(terrain, errors),
+            n_voids=terrain.count_voids() if voids else None,
+            meshes=mesh_levels(terrain) if meshes else None,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what was asked for, for --json."""
+        fields = {
+            "parts": None if self.parts is None else asdict(self.parts),
+            "level_errors": self.level_errors,
+            "n_voids": self.n_voids,
+            "meshes": None if self.meshes is None else [level._asdict() for level in self.meshes],
+        }
+        return {name: value for name, value in fields.items() if value is not None}
+
+    def print(self, summary: Any) -> None:
+        """Print tables of what was asked for."""
+        if self.parts is not None:
+            _print_parts(self.parts)
+        if self.level_errors is not None:
+            _print_level_errors(summary.level_shapes, self.level_errors)
+        if self.meshes is not None:
+            _print_mesh_levels(self.meshes)
+
+
+def _voids_in_words(info: Any, n_voids: int | None) -> str:
+    if info.minimum is None:
+        return "all samples"
+    kind = {
+        "none": "none",
+        "nodata": f"where heights are {info.nodata}",
+        "nan": "where heights are NaN",
+        "mask": "by a mask",
+    }[info.voids]
+    if n_voids is None:
+        return kind
+    return f"{count_of(n_voids, 'sample')}, {n_voids / (info.n_rows * info.n_cols):.4g} of all"
+
+
+def _print_parts(parts: Any) -> None:
+    """Print the bytes of each part of a file; levels only where each has bytes of its own."""
+    rows = [("header and metadata", parts.metadata), ("tables", parts.tables)]
+    rows += [("index", parts.index), ("heights", sum(parts.heights))]
+    if len(parts.heights) > 1:
+        rows += [(f"  level {level}", size) for level, size in enumerate(parts.heights)]
+    rows.append(("meshes", parts.meshes))
+    total = sum(size for name, size in rows if not name.startswith(" "))
+    print_grid(
+        ["part", "bytes", "share"],
+        [[name, f"{size:,}", f"{100 * size / total:.3g} %"] for name, size in rows],
+    )
+
+
+def _print_mesh_levels(levels: Any) -> None:
+    rows = [
+        [
+            str(found.level),
+            f"{found.n_triangles:,}",
+            f"{found.label_bits:.3f}",
+            "" if found.significant is None else f"{100 * found.significant:.3g} %",
+            "" if found.n_loose is None else f"{found.n_loose:,}",
+        ]
+        for found in levels
+    ]
+    print_grid(["level", "triangles", "bits/sample", "significant nodes", "loose triangles"], rows)
+
+
+def _print_level_errors(shapes: Any, errors: list[float]) -> None:
+    rows = [
+        [str(level), *map(str, shape), f"{error:.6g}"]
+        for level, (shape, error) in enumerate(zip(shapes, errors, strict=True))
+    ]
+    print_grid(["level", "rows", "columns", "largest error"], rows)
+
+
+def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
+    unit = unit_behind(info.units)
+    crs = crs_name(info.crs)
+    if crs != info.crs and info.crs:
+        crs += " (WKT; --json shows all)"
+    levels = ", ".join(f"{rows} x {cols}" for rows, cols in info.level_shapes)
+    extent = "none" if info.minimum is None else f"{info.minimum:.6g} to {info.maximum:.6g}{unit}"
+    scale = f"{info.scale:g}, offset {info.offset:g}"
+    way = "faithful to its paper" if info.faithful else f"effort {info.effort}"
+    tolerance = f"within {info.mesh_tolerance:.6g}{unit} of the heights"
+    if info.mesh in UNBOUNDED_MESHES:
+        tolerance = f"coefficients above {info.mesh_tolerance:.6g}{unit}; errors are measured"
+    floats = (
+        f"; stored floats may differ by {info.float_error:.3g} more" if info.float_error else ""
+    )
+    rows = [
+        ("file", f"{info.path}, {info.n_bytes:,} bytes"),
+        ("size", f"{info.n_rows} rows x {info.n_cols} columns, {info.dtype}"),
+        ("bits/sample", f"{info.bits_per_sample:.4g}, {info.ratio:.4g} times smaller than raw"),
+        (
+            "max error",
+            f"asked {info.max_error:.6g}, holds {info.effective_error:.6g}{unit}{floats}",
+        ),
+        (
+            "moved",
+            f"{info.moved_error:.6g}{unit} of it by patches, or in a file before"
+            if info.moved_error
+            else "",
+        ),
+        ("quantum", f"{info.quantum:.6g}{unit}"),
+        ("heights", extent),
+        ("unit", _unit_in_words(info)),
+        ("voids", _voids_in_words(info, n_voids)),
+        ("method", f"{info.method}, {way}, border rings {info.border_rings}"),
+        ("format", info.format),
+        ("block", f"{info.block} x {info.block} cells"),
+        ("mesh", info.mesh if info.mesh == "none" else f"{info.mesh}, {tolerance}"),
+        ("levels", f"{info.n_levels}: {levels}"),
+        ("nodata", "none" if info.nodata is None else info.nodata),
+        ("CRS", crs),
+        ("bounds", ", ".join(f"{value:.10g}" for value in info.bounds)),
+        ("pixel", f"{info.transform[0]:.10g}, {info.transform[4]:.10g}"),
+        ("a pixel is", (info.area_or_point or "").lower()),
+        ("scale", scale if (info.scale, info.offset) != (1, 0) else ""),
+        ("description", info.description or ""),
+        *((f"tag {name}", value) for name, value in info.tags.items()),
+        *((f"band tag {name}", value) for name, value in info.band_tags.items()),
+        ("colour", info.color_interpretation or ""),
+    ]
+    return [(name, value) for name, value in rows if value != ""]
+
+
+def _unit_in_words(info: Any) -> str:
+    if info.units is None:
+        return "unknown"
+    if info.units_of_crs is not None:
+        return f"{info.units} (from the band; the CRS says {info.units_of_crs})"
+    return f"{info.units} (from the {info.units_from})"

@@ -1,0 +1,278 @@
+"""The command mesh: a mesh of a .twz file, or a copy of the file with meshes."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+
+from terrainwave.arguments import TWZ_ENDINGS, check_ending, count_of
+from terrainwave.cli.options import (
+    RADIUS_OPTION,
+    VERTICAL_OPTION,
+    Bound,
+    Finite,
+    Input,
+    Numbers,
+    Positive,
+    check_one_area,
+    complete_files,
+    writing,
+)
+from terrainwave.cli.output import (
+    Bar,
+    announce_compiling,
+    note_unit,
+    plain,
+    print_json,
+    print_note,
+    reading,
+    unit_behind,
+    vertical_in_words,
+)
+from terrainwave.cli.own_options import (
+    CommandWithOwnOptions,
+    MeshKind,
+    own_option,
+    with_own_options,
+)
+
+# What --store takes, what it shares with meshes in files of their own, and what these take that
+# have a goal.
+_STORE_OPTIONS = {"mesh", "own", "mesh_error", "original"}
+_COMMON_OPTIONS = {"threads", "overwrite", "quiet", "as_json"}
+_GOALS = {"max_error", "max_triangles", "optimise"}
+
+
+@click.command(cls=CommandWithOwnOptions)
+@click.argument("file", type=Input())
+@click.argument("target", shell_complete=complete_files)
+@click.option(
+    "--max-error",
+    type=Bound(),
+    help="Largest allowed vertical distance of the mesh from the original heights, in the file's"
+    " unit. Default: that of the stored meshes.",
+)
+@click.option("--max-triangles", type=click.IntRange(min=1), metavar="N",
+              help="Make the mesh of smallest error with at most N triangles.")  # fmt: skip
+@click.option("--level", type=int, default=-1, help="-1 full grid (default), -2 half, 0 coarsest.")
+@click.option("--window", type=Numbers("row,col,n_rows,n_cols", int), help="Part, in samples.")
+@click.option("--bounds", type=Numbers("left,bottom,right,top", float), help="Part, in the CRS.")
+@click.option(
+    "--optimise/--no-optimise",
+    default=True,
+    show_default=True,
+    help="Spend more time to get fewer triangles with the same error.",
+)
+@click.option(
+    "--loose",
+    is_flag=True,
+    help="Write the triangulation of the zero trees alone, which guarantees no error (Yusov &"
+    " Turlapov 2010, §2.4); its error is measured. --level -2 (default) is the finest.",
+)
+@click.option(
+    "--frame",
+    type=click.Choice(["local", "native", "ecef"]),
+    help="Coordinates: metres from the middle (local), those of the CRS (native), or geocentric"
+    " (ecef). Default: local where the CRS has degrees, else native.",
+)
+@click.option("--z-scale", type=Positive(), default=1.0, help="Multiply heights by this factor.")
+@click.option(
+    "--solid",
+    type=Finite(),
+    help="Write a watertight body with a flat base at this height, in the file's unit, to print.",
+)
+@RADIUS_OPTION
+@VERTICAL_OPTION
+@click.option(
+    "--store",
+    "stores",
+    is_flag=True,
+    help="Make a copy of FILE with meshes stored in it; TARGET is a .twz.",
+)
+@click.option("--mesh", type=MeshKind(), help="With --store: kind of the meshes.")
+@own_option(
+    "With --store: set an option of the kind of meshes. To list them, name it: --mesh KIND --help."
+)
+@click.option("--mesh-error", type=Bound(), help="With --store: as for compress.")
+@click.option(
+    "--original", type=Input(), help="With --store: the raster, to measure errors against."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+@writing
+@click.pass_context
+def mesh(context: click.Context, /, file: str, target: str, stores: bool, **options: Any) -> None:
+    """Write a crack-free mesh of FILE (.twz) to TARGET, within the bound of the original.
+
+    TARGET's extension selects the format: .ply, .obj, .stl, .glb, .gltf, .vtu, .vtk, or .terrain, a
+    Cesium quantized-mesh tile.
+    """
+    _refuse_unfit(context, stores=stores, loose=options["loose"])
+    if stores:
+        names = _COMMON_OPTIONS | _STORE_OPTIONS
+        _store_meshes(file, target, **{name: options[name] for name in names})
+    else:
+        names = options.keys() - _STORE_OPTIONS
+        _export_mesh(file, target, **{name: options[name] for name in names})
+
+
+def _refuse_unfit(context: click.Context, *, stores: bool, loose: bool) -> None:
+    """Refuse options that are for meshes in files of their own with --store, and so on."""
+    given = {
+        name
+        for name in context.params
+        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+    } - {"file", "target", "stores"}
+    unfit = given - _COMMON_OPTIONS - _STORE_OPTIONS if stores else given & _STORE_OPTIONS
+    if unfit:
+        raise click.UsageError(f"found {_flags(unfit)} {'with' if stores else 'without'} --store")
+    if loose and given & _GOALS:
+        raise click.UsageError(
+            f"found {_flags(given & _GOALS)} with --loose, expected none of them: the zero trees"
+            " alone determine the mesh"
+        )
+
+
+def _flags(names: Iterable[str]) -> str:
+    return ", ".join(
+        sorted("-o" if name == "own" else f"--{name}".replace("_", "-") for name in names)
+    )
+
+
+def _store_meshes(
+    file: str,
+    target: str,
+    *,
+    mesh: Any,
+    own: tuple[str, ...],
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
+    import terrainwave
+
+    options |= with_own_options(own, {"mesh": mesh or "auto"})
+    check_ending(target, TWZ_ENDINGS)
+    announce_compiling(quiet=quiet)
+    with reading(file), Bar(quiet=quiet) as bar:
+        path = terrainwave.store_meshes(file, target, progress=bar, **options)
+    n_bytes = Path(path).stat().st_size
+    if as_json:
+        print_json({"path": path, "n_bytes": n_bytes})
+    elif not quiet:
+        click.echo(f"{plain(path)}: {n_bytes:,} bytes, with meshes")
+
+
+def _export_mesh(
+    file: str,
+    target: str,
+    *,
+    frame: str | None,
+    z_scale: float,
+    solid: float | None,
+    radius: float | None,
+    vertical: str,
+    optimise: bool,
+    loose: bool,
+    overwrite: bool,
+    threads: int | None,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
+    import terrainwave
+    from terrainwave.container.publish import refuse_own_source
+    from terrainwave.export.files import check_extension, prepare
+
+    check_one_area(options)
+    extension = check_extension(target)
+    if extension == ".terrain" and (frame or z_scale != 1 or solid is not None):
+        raise click.UsageError(
+            "found --frame, --z-scale or --solid, expected none of them: a .terrain tile has a"
+            " frame of its own"
+        )
+    refuse_own_source(file, target)
+    prepare(target, overwrite=overwrite)
+    if vertical == "ellipsoid" and frame != "ecef" and extension != ".terrain":
+        raise click.UsageError(
+            "found --vertical ellipsoid, expected --frame ecef or a .terrain tile with it: other"
+            " coordinates keep the file's datum"
+        )
+    shape = {
+        "frame": frame, "z_scale": z_scale, "solid": solid, "radius": radius, "vertical": vertical,
+    }  # fmt: skip
+    announce_compiling(quiet=quiet)
+    with (
+        reading(file),
+        terrainwave.open(file, threads=threads) as terrain,
+        Bar(quiet=quiet) as bar,
+    ):
+        surface = _mesh_for(
+            target,
+            lambda max_error: terrain.mesh(
+                optimise=int(optimise and not loose),
+                guarantee=not loose,
+                progress=bar,
+                **options | {"max_error": max_error},
+            ),
+            options["max_error"],
+            shape,
+        )
+    saved = surface.save(target, overwrite=overwrite, **shape)
+    if as_json:
+        print_json(asdict(saved))
+    elif not quiet:
+        _print_saved(saved, "measured" if loose else "guaranteed")
+
+
+def _mesh_for(
+    target: str, make: Callable[[float | None], Any], bound: float | None, shape: dict[str, Any]
+) -> Any:
+    """Return a mesh whose error keeps the bound in the file too, where that can be had.
+
+    Rounding in the file adds to a mesh's error: the mesh is made again with so much less.
+    """
+    from terrainwave.errors import InvalidHeightsError
+    from terrainwave.export.files import file_rounding
+
+    first = surface = make(bound)
+    if bound is None:
+        return first
+    for _ in range(_MESH_ATTEMPTS):
+        rounding = file_rounding(surface, target, **shape)
+        if surface.error + rounding <= bound:
+            return surface
+        try:
+            # The next mesh is another one: its rounding may be somewhat more.
+            surface = make(bound - _ROUNDING_SLACK * rounding)
+        except InvalidHeightsError:
+            break
+    print_note(
+        f"rounding of coordinates in the file adds to the error, which is more than {bound:g};"
+        " .ply, .obj and .vtu keep it"
+    )
+    return first
+
+
+_MESH_ATTEMPTS = 3
+_ROUNDING_SLACK = 1.25
+
+
+def _print_saved(saved: Any, kind_of_error: str) -> None:
+    click.echo(
+        f"{plain(saved.path)}: {count_of(saved.n_triangles, 'triangle')},"
+        f" {saved.n_vertices:,} vertices,"
+        f" {saved.n_bytes:,} bytes"
+    )
+    heights = "" if saved.vertical is None else f", heights {vertical_in_words(saved.vertical)}"
+    click.echo(
+        f"{kind_of_error} error {saved.error:.6g}{unit_behind(saved.units)},"
+        f" frame {saved.frame}{heights}"
+    )
+    note_unit(saved.units)
+    if saved.curvature:
+        print_note(
+            f"flat triangles lie up to {saved.curvature:.3g} m below the curved body between"
+            " their vertices; the error does not count this"
+        )

@@ -1,0 +1,160 @@
+"""The command render: pictures without a screen."""
+
+import json
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import click
+
+from terrainwave.arguments import PICTURE_ENDINGS, count_of
+from terrainwave.cli.drawing import (
+    announce_preparation,
+    drawing,
+    note_dry_land,
+    style_of,
+    suggest_exaggeration,
+)
+from terrainwave.cli.options import Input, Numbers, Target
+from terrainwave.cli.output import Bar, Command, announce_compiling, plain, print_note, reading
+from terrainwave.cli.streams import STREAM, printing_beside, written
+
+
+@click.command(cls=Command)
+@click.argument("file", type=Input())
+@click.argument("target", type=Target(PICTURE_ENDINGS))
+@drawing
+@click.option(
+    "--bounds", type=Numbers("left,bottom,right,top", float), help="Area to show, in the CRS."
+)
+@click.option("--legend", is_flag=True, help="Draw a legend of the colours, with units.")
+@click.option("--scale-bar", is_flag=True, help="Draw a scale bar, for the middle of the picture.")
+@click.option("--samples", type=click.IntRange(0, 16), default=4, show_default=True,
+              help="Samples per pixel, for smooth edges.")  # fmt: skip
+@click.option(
+    "--stats",
+    type=Target((".json",), or_stdout=False),
+    help="Write numbers about the picture to this JSON file.",
+)
+@click.option("--flight", type=click.File("r", encoding="utf-8"),
+              help="JSON list of cameras to fly along; pictures get numbers.")  # fmt: skip
+@click.option("--frames", "n_frames", type=click.IntRange(1), default=60, show_default=True,
+              help="Pictures of a flight.")  # fmt: skip
+@click.option("--overwrite", is_flag=True, help="Replace existing files.")
+@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
+def render(
+    file: str,
+    target: str,
+    flight: Any,
+    n_frames: int,
+    stats: str | None,
+    overwrite: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
+    """Draw FILE (.twz) to the picture TARGET (.png; - is stdout), without a screen."""
+    if flight is not None and target == STREAM:
+        raise click.UsageError(
+            "found - as TARGET and --flight, expected a name: a flight has many pictures"
+        )
+    announce_compiling(quiet=quiet)
+    if not quiet:
+        announce_preparation(options)
+    started = time.perf_counter()
+    names = [target] if flight is None else _numbered(target, n_frames)
+    drawn = _draw(file, names, flight, overwrite=overwrite, quiet=quiet, **options)
+    if stats is not None:
+        _write(stats, json.dumps(drawn if flight else drawn[0], indent=2).encode(), overwrite)
+    for problem in drawn[-1]["problems"]:
+        print_note(f"drawn coarser: {problem}")
+    if not quiet:
+        with printing_beside(target):
+            _print_picture(names[-1], drawn[-1], time.perf_counter() - started)
+
+
+def _draw(
+    file: str,
+    names: list[str],
+    flight: Any,
+    *,
+    camera: str | None,
+    bounds: tuple[float, ...] | None,
+    size: tuple[int, int],
+    max_pixel_error: float,
+    memory: int,
+    legend: bool,
+    scale_bar: bool,
+    overwrite: bool,
+    quiet: bool,
+    **options: Any,
+) -> list[dict[str, Any]]:
+    """Draw the pictures; return what was drawn in each."""
+    import terrainwave
+    from terrainwave.render.gpu.canvas import Canvas
+    from terrainwave.render.look.marks import check_marks
+    from terrainwave.render.scene.frame import check_drawable
+    from terrainwave.render.window.pictures import (
+        choose_camera,
+        fly_through,
+        heights_within,
+        read_flight,
+    )
+
+    all_drawn = []
+    with reading(file), terrainwave.open(file) as terrain, ExitStack() as stack:
+        check_drawable(terrain)
+        within = None if bounds is None else heights_within(terrain, bounds)
+        style = style_of(options)
+        check_marks(size, style, legend=legend, scale_bar=scale_bar)
+        with Bar(quiet=quiet) as bar:
+            canvas = Canvas(terrain, size, max_bytes=memory << 20, progress=bar, **options)
+            stack.enter_context(canvas)
+        frame = canvas.scene.frame
+        style.check_body(frame.body)
+        suggest_exaggeration(frame)
+        note_dry_land(canvas, style)
+        if flight is None:
+            cameras = [choose_camera(frame, canvas.viewport, camera, bounds, within)]
+        else:
+            cameras = read_flight(flight.read(), frame)
+        pictures = fly_through(
+            canvas, cameras, len(names), style, max_pixel_error, legend=legend, scale_bar=scale_bar
+        )
+        for name, (image, drawn) in zip(names, pictures, strict=True):
+            with written(name, ".png") as path:
+                _write_png(path, image, overwrite)
+            all_drawn.append(drawn)
+    return all_drawn
+
+
+def _print_picture(name: str, drawn: dict[str, Any], seconds: float) -> None:
+    click.echo(
+        f"{plain(name)}: {count_of(drawn['n_triangles'], 'triangle')} of"
+        f" {count_of(drawn['n_blocks'], 'block')} within {drawn['max_pixel_error']:.3g} pixels,"
+        f" {seconds:.1f} s on {drawn['renderer']}"
+    )
+    click.echo(f"--camera {drawn['camera']}")
+
+
+def _numbered(target: str, n_frames: int) -> list[str]:
+    """Return a name for each picture of a flight."""
+    path = Path(target)
+    digits = max(4, len(str(n_frames)))
+    return [
+        str(path.with_name(f"{path.stem}-{number:0{digits}}{path.suffix}"))
+        for number in range(n_frames)
+    ]
+
+
+def _write_png(target: str, image: Any, overwrite: bool) -> None:
+    from terrainwave.render.look.png import encode_png
+
+    _write(target, encode_png(image), overwrite)
+
+
+def _write(target: str, data: bytes, overwrite: bool) -> None:
+    from terrainwave.container.publish import publish
+
+    with publish(target, overwrite) as part:
+        part.file.write(data)

@@ -1,0 +1,157 @@
+"""The command verify: .twz files are compared with their rasters."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from terrainwave.arguments import TWZ_ENDINGS, count_of
+from terrainwave.cli.batch import Done, Job, find_original, finish, run
+from terrainwave.cli.options import THREADS_OPTION, Bound, Input, Nodata, complete_files
+from terrainwave.cli.output import (
+    Bar,
+    Command,
+    announce_compiling,
+    plain,
+    print_grid,
+    print_json,
+    print_note,
+    reading,
+)
+from terrainwave.container.sources.addresses import display_name
+from terrainwave.progress import ProgressCallback
+
+
+@click.command(cls=Command)
+@click.argument("paths", nargs=-1, metavar="FILE [ORIGINAL]", shell_complete=complete_files)
+@click.option(
+    "--originals",
+    type=click.Path(file_okay=False, exists=True),
+    metavar="DIR",
+    help="Folder with the rasters of several FILEs, by the same names.",
+)
+@click.option("--max-error", type=Bound(), help="Check this bound instead of the file's own.")
+@click.option(
+    "--band", type=click.IntRange(min=1), default=1, show_default=True, help="Band of ORIGINAL."
+)
+@click.option("--nodata", type=Nodata(), help="Nodata value that was given to compress.")
+@click.option("--mesh", is_flag=True, help="Check errors, borders and coverage of all meshes, too.")
+@THREADS_OPTION
+@click.option("--quiet", "-q", is_flag=True, help="Print nothing; the exit status is the result.")
+@click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
+def verify(paths: tuple[str, ...], originals: str | None, **options: Any) -> None:
+    """Compare FILE (.twz) with its ORIGINAL raster; without ORIGINAL, check all of FILE.
+
+    Several FILEs, all of them .twz, are checked one by one. With --originals DIR each is compared
+    with the raster of its name in DIR.
+    """
+    if not paths:
+        raise click.UsageError("Missing argument 'FILE'.")
+    are_files = all(Path(path).suffix.lower() in TWZ_ENDINGS for path in paths)
+    if originals is not None or (are_files and len(paths) > 1):
+        _verify_all(paths, originals, **options)
+    elif len(paths) > 2:
+        raise click.UsageError(
+            f"found {len(paths)} names that are not all .twz, expected FILE and ORIGINAL, or"
+            " files and --originals DIR"
+        )
+    else:
+        _verify(*paths, **options)
+
+
+def _verify(
+    path: str, original: str | None = None, *, quiet: bool, as_json: bool, **options: Any
+) -> None:
+    """Check one file."""
+    import terrainwave
+
+    ctx = click.get_current_context()
+    file = Input().convert(path, None, ctx)
+    raster = None if original is None else Input().convert(original, None, ctx)
+    announce_compiling(quiet=quiet)
+    with reading(file), Bar(quiet=quiet) as bar:
+        report = terrainwave.verify(file, raster, progress=bar, **options)
+    if as_json:
+        print_json(report.to_dict())
+    elif not quiet:
+        _print_report(report)
+    finish(int(not report.ok))
+
+
+def _verify_all(
+    files: tuple[str, ...],
+    originals: str | None,
+    *,
+    threads: int | None,
+    quiet: bool,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    import terrainwave
+
+    def verify_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
+        original = None if originals is None else find_original(job.source, originals)
+        with reading(job.source):
+            report = terrainwave.verify(
+                job.source, original, threads=threads, progress=progress, **options
+            )
+        found = "ok" if report.ok else f"not ok, {plain('; '.join(report.problems))}"
+        if report.errors is not None:
+            found += f", {count_of(report.errors.n_valid, 'height')} compared"
+            if not report.errors.n_valid:
+                print_note(
+                    f"{display_name(job.source)}: no height was compared: none is valid in both"
+                )
+        return Done(
+            f"{plain(display_name(job.source))}: {found}", report.to_dict(), is_good=report.ok
+        )
+
+    announce_compiling(quiet=quiet)
+    found, status = run(
+        [Job(file) for file in dict.fromkeys(files)], verify_one, word="ok", threads=threads,
+        quiet=quiet or as_json,
+    )  # fmt: skip
+    if as_json:
+        print_json({"files": found})
+    finish(status)
+
+
+def _print_report(report: Any) -> None:
+    for problem in report.problems:
+        click.echo(f"problem: {plain(problem)}")
+    if report.errors is not None:
+        errors = report.errors
+        click.echo(
+            f"{count_of(errors.n_valid, 'height')} compared: max error {errors.max_error:.6g}"
+            f" (bound {report.bound:.6g}), RMSE {errors.rmse:.6g}"
+        )
+        if not report.problems and not report.is_strict:
+            click.echo(
+                "the bound holds of the numbers that floats stand for; stored floats differ by up"
+                " to one float spacing more (compress --strict)"
+            )
+        elif report.is_strict and errors.n_valid:
+            click.echo("the bound holds of the stored values themselves")
+    if report.errors is not None and not report.errors.n_valid:
+        print_note("no height was compared: there is none that is valid in both")
+    if report.original is None:
+        click.echo("no heights compared: give the ORIGINAL raster for that")
+    if report.mesh is not None:
+        _print_meshes(report.mesh)
+    click.echo("ok" if report.ok else "not ok")
+
+
+def _print_meshes(report: Any) -> None:
+    rows = [
+        [f"level {level.level}", f"{level.n_triangles:,}", f"{level.stored_error:.6g}",
+         f"{level.measured_error:.6g}"]
+        for level in report.levels
+    ]  # fmt: skip
+    for area in report.areas:
+        asked = "area, stored" if area.max_error is None else f"area, {area.max_error:.6g}"
+        name = f"{asked}, optimised" if area.optimise else asked
+        rows.append(
+            [name, f"{area.n_triangles:,}", f"{area.stated_error:.6g}",
+             f"{area.measured_error:.6g}"]
+        )  # fmt: skip
+    print_grid(["meshes", "triangles", "stated error", f"from {report.against}"], rows)

@@ -1,0 +1,48 @@
+"""The command view: a window to fly in."""
+
+from typing import Any
+
+import click
+
+from terrainwave.cli.drawing import (
+    POSITIVE,
+    announce_preparation,
+    drawing,
+    style_of,
+    suggest_exaggeration,
+)
+from terrainwave.cli.options import Input
+from terrainwave.cli.output import Command, announce_compiling, reading
+
+
+@click.command(cls=Command)
+@click.argument("file", type=Input())
+@drawing
+@click.option(
+    "--target-ms",
+    type=POSITIVE,
+    help="Raise the pixel error if a frame takes longer than this, in milliseconds.",
+)
+@click.option("--fullscreen", is_flag=True, help="Fill the screen.")
+def view(
+    file: str, camera: str | None, max_pixel_error: float, memory: int, **options: Any
+) -> None:
+    """Open a window and fly over FILE (.twz) or its URL; H shows the keys and settings."""
+    import terrainwave
+    from terrainwave.render.scene.frame import frame_of
+    from terrainwave.render.window.viewer import run
+
+    announce_compiling()
+    announce_preparation(options)
+    with reading(file), terrainwave.open(file) as terrain:
+        if options["exaggeration"] == 1.0:
+            suggest_exaggeration(frame_of(terrain, radius=options["radius"]))
+        line = run(
+            terrain,
+            camera=camera,
+            style=style_of(options),
+            max_pixel_error=max_pixel_error,
+            max_bytes=memory << 20,
+            **options,
+        )
+    click.echo(f"--camera {line}")

@@ -1,0 +1,159 @@
+"""Options of one method, or of one kind of meshes: declared once, for Python and for commands.
+
+A class for each is in the package of what it is for (`codec.cdf97`, `tri.rqt`). The library
+takes an object, ``method=tw.Cdf97(faithful=True)``, the command line words,
+``--method cdf97 -o faithful``.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, Self
+
+from terrainwave.arguments import (
+    check_choice,
+    check_flags,
+    checked_number,
+    checked_whole,
+    one_of,
+)
+from terrainwave.errors import InvalidArgumentError
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """What values an option has: how they are checked, read from words, and shown in help."""
+
+    checked: Callable[[str, Any], Any]
+    read: Callable[[str], Any]
+    values: str
+
+
+def flag(help: str) -> Any:
+    """Return the field of an option that is switched on."""
+
+    def checked(name: str, value: Any) -> bool:
+        check_flags(**{name: value})
+        return bool(value)
+
+    return _field(False, help, _Kind(checked, str, ""))
+
+
+def choice(help: str, *values: str, default: str | None) -> Any:
+    """Return the field of an option that is one of some words; None where it may be left out."""
+
+    def checked(name: str, value: Any) -> Any:
+        if value is not None or default is not None:
+            check_choice(name, value, values)
+        return value
+
+    return _field(default, help, _Kind(checked, str, "|".join(values)))
+
+
+def whole(help: str, *values: int) -> Any:
+    """Return the field of an option that is one of some whole numbers, the first by default."""
+    expected = one_of([*map(str, values)])
+
+    def checked(name: str, value: Any) -> int:
+        number = checked_whole(name, value, expected=expected)
+        if number not in values:
+            raise InvalidArgumentError(f"found `{name}` {number}, expected {expected}")
+        return number
+
+    return _field(values[0], help, _Kind(checked, _number, "|".join(map(str, values))))
+
+
+def positive(help: str) -> Any:
+    """Return the field of an option that is a number > 0, and None where it is left out."""
+
+    def checked(name: str, value: Any) -> float | None:
+        return None if value is None else checked_number(name, value, above=0)
+
+    return _field(None, help, _Kind(checked, _number, "NUMBER"))
+
+
+def _field(default: Any, help: str, kind: _Kind) -> Any:
+    return field(default=default, metadata={"help": help, "kind": kind})
+
+
+def _number(text: str) -> float | str:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text  # which the check refuses
+
+
+@dataclass(frozen=True, kw_only=True)
+class OptionSet:
+    """Options that belong together, checked where they are made.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If one of them, or two together, cannot be; the message says what was found and expected.
+    """
+
+    # What they are for, and the argument that takes them.
+    name: ClassVar[str] = ""
+    argument: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        for option in fields(self):
+            value = option.metadata["kind"].checked(option.name, getattr(self, option.name))
+            object.__setattr__(self, option.name, value)
+
+    @classmethod
+    def names(cls) -> list[str]:
+        """Return the names of the options."""
+        return [option.name for option in fields(cls)]
+
+    @classmethod
+    def from_words(cls, words: dict[str, str | None]) -> Self:
+        """Return the set that words stand for; an option that is switched on has no value."""
+        kinds = {option.name: option.metadata["kind"] for option in fields(cls)}
+        values: dict[str, Any] = {}
+        for name, word in words.items():
+            kind = kinds[name]
+            if word is None and kind.values:
+                raise InvalidArgumentError(
+                    f"found `{name}` without a value, expected `{name}`={kind.values}"
+                )
+            if word is not None and not kind.values:
+                raise InvalidArgumentError(
+                    f"found `{name}`={word}, expected `{name}` alone, which switches it on"
+                )
+            values[name] = True if word is None else kind.read(word)
+        return cls(**values)
+
+    @classmethod
+    def described(cls) -> list[tuple[str, str]]:
+        """Return each option as a command takes it, with its help."""
+        rows = []
+        for option in fields(cls):
+            values = option.metadata["kind"].values
+            rows.append((f"{option.name}={values}".rstrip("="), option.metadata["help"]))
+        return rows
+
+    def call(self) -> str:
+        """Return the call that makes the set, as a user of Python writes it."""
+        given = ", ".join(
+            f"{option.name}={getattr(self, option.name)!r}"
+            for option in fields(self)
+            if getattr(self, option.name) != option.default
+        )
+        return f"tw.{type(self).__name__}({given})"
+
+
+def refuse_unknown(name: str, argument: str, found: str, sets: Sequence[type[OptionSet]]) -> None:
+    """Refuse an option that the set in use lacks: name the sets that have it.
+
+    Raises
+    ------
+    InvalidArgumentError
+        Always.
+    """
+    having = one_of([each.name for each in sets if name in each.names()] or [""])
+    raise InvalidArgumentError(
+        f"found `{name}` and `{argument}` {found}, expected `{argument}` {having}"
+    )

@@ -1,0 +1,87 @@
+"""The options of kinds of meshes, and the kind of meshes that a file then holds."""
+
+from dataclasses import dataclass
+from importlib import import_module
+
+from terrainwave.arguments import check_choice, shown
+from terrainwave.errors import InvalidArgumentError
+from terrainwave.names import DEFAULT_MESH, MESH_KINDS, MESHES, Method
+from terrainwave.option_sets import OptionSet
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshOptions(OptionSet):
+    """Options of one kind of meshes."""
+
+    argument = "mesh"
+
+    @property
+    def former_name(self) -> str:
+        """Return the name that the kind with these options had in 1.0."""
+        return "-".join([self.name, *(str(getattr(self, name)) for name in self.names())])
+
+    def stored(self, method: Method, *, is_faithful: bool) -> str:
+        """Return the kind of meshes that a file of a method holds, as `names.MESHES` has it.
+
+        Parameters
+        ----------
+        method : Method
+            That of the file.
+        is_faithful : bool
+            The file codes the zero trees of Yusov & Turlapov 2010.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If such a file does not have what the kind follows.
+        """
+        raise NotImplementedError
+
+
+def options_of(name: str) -> type[MeshOptions] | None:
+    """Return the class of the options of a kind of meshes; None for one without."""
+    place = MESH_KINDS.get(name, "")
+    if not place:
+        return None
+    module, kind = place.rsplit(".", 1)
+    found: type[MeshOptions] = getattr(import_module(f"terrainwave.tri.{module}"), kind)
+    return found
+
+
+def check_mesh(mesh: object, *, or_none: bool) -> None:
+    """Check what kind of meshes is asked for; "none" is one only where that is allowed.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If it is neither a name nor options of one.
+    """
+    if isinstance(mesh, MeshOptions):
+        return
+    if not isinstance(mesh, str):
+        examples = [kind().call() for name in MESH_KINDS if (kind := options_of(name)) is not None]
+        raise InvalidArgumentError(
+            f"found `mesh` {shown(mesh)}, expected a name, such as {DEFAULT_MESH!r}, or options of"
+            f" a kind of meshes, such as {examples[0]}"
+        )
+    check_choice("mesh", mesh, ("auto", *MESH_KINDS, *["none"] * or_none))
+
+
+def stored_mesh(mesh: str | MeshOptions, method: Method, *, is_faithful: bool) -> str:
+    """Return the kind of meshes that a file of a method holds where `mesh` is asked for."""
+    if isinstance(mesh, str):
+        kind = options_of(mesh)
+        if kind is None:
+            return DEFAULT_MESH if mesh == "auto" else mesh
+        mesh = kind()
+    return mesh.stored(method, is_faithful=is_faithful)
+
+
+def of_former_name(mesh: str) -> MeshOptions | None:
+    """Return the options that the name of a stored kind stands for; None if it is no such name."""
+    name, _, value = mesh.partition("-")
+    kind = options_of(name)
+    if kind is None or not value or mesh not in MESHES:
+        return None
+    (option,) = kind.names()
+    return kind(**{option: value})

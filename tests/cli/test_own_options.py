@@ -1,0 +1,151 @@
+"""``-o``: options of methods and meshes on the command line."""
+
+import pytest
+from commands import run
+from strategies import terrain_like, write_geotiff
+
+import terrainwave
+from terrainwave.codec import method_options
+from terrainwave.names import MESH_KINDS, METHODS
+from terrainwave.tri import mesh_options
+
+SETS = [method_options.options_of(method) for method in METHODS]
+SETS += [kind for kind in map(mesh_options.options_of, MESH_KINDS) if kind is not None]
+
+
+@pytest.fixture
+def dem(tmp_path):
+    return write_geotiff(tmp_path / "dem.tif", terrain_like(60, 70), units=("m",))
+
+
+def compressed(dem, *words, notes=()):
+    target = dem.parent / "out.twz"
+    done = run(
+        "compress", dem, target, "--max-error", 1, "--block", 32, "--quiet", "--overwrite", *words
+    )
+    assert done.exit_code == 0, done.output
+    assert [line for line in done.stderr.splitlines() if " works until " in line] == list(notes)
+    return target.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("words", "options"),
+    [
+        (
+            "--method cdf97 -o faithful -o border_rings=3",
+            {"method": terrainwave.Cdf97(faithful=True, border_rings=3)},
+        ),
+        (
+            "-o border-rings=3 --mesh zerotree -o labels=layer",
+            {
+                "method": terrainwave.Rapid(border_rings=3),
+                "mesh": terrainwave.Zerotree(labels="layer"),
+            },
+        ),
+        (
+            "-o border_rings=3 --effort best",
+            {"method": terrainwave.Predictive(border_rings=3), "effort": "best"},
+        ),
+        (
+            "--method cdf53 --mesh rqt -o select=coefficient",
+            {"method": "cdf53", "mesh": terrainwave.Rqt(select="coefficient")},
+        ),
+        ("--mesh auto", {}),
+    ],
+)
+def test_options_are_those_of_python(dem, tmp_path, words, options):
+    other = tmp_path / "other.twz"
+    terrainwave.compress(dem, other, max_error=1, block=32, **options)
+    assert compressed(dem, *words.split()) == other.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("former", "new"),
+    [
+        ("--faithful --method cdf97", "--method cdf97 -o faithful"),
+        ("--border-rings 3", "-o border_rings=3"),
+        ("--mesh zerotree-layer", "--mesh zerotree -o labels=layer"),
+    ],
+)
+def test_the_ways_of_1_0_give_the_same_bytes_and_a_note(dem, former, new):
+    option = former.partition(" --method")[0]
+    note = f"note: {option.partition(' 3')[0]} works until terrainwave 2.0; write "
+    note += new.removeprefix("--method cdf97 ")
+    assert compressed(dem, *former.split(), notes=[note]) == compressed(dem, *new.split())
+
+
+def test_a_rate_in_the_way_of_1_0_is_kept_with_a_note(tmp_path, dem):
+    found = []
+    for words in ("--rate 2", "-o rate=2"):
+        target = tmp_path / "out.twz"
+        done = run("compress", dem, target, "--method", "cdf53", *words.split(), "--overwrite")
+        assert done.exit_code == 0, done.output
+        is_former = words.startswith("--")
+        assert ("note: --rate works until terrainwave 2.0; write -o rate=2" in done.stderr) is (
+            is_former
+        )
+        found.append(target.read_bytes())
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("-o rate=1", "found -o rate and --method auto, expected --method cdf53"),
+        ("-o faithful --method store", "found -o faithful and --method store, expected --method"),
+        ("-o labels=layer", "found -o labels and --mesh halves, expected --mesh zerotree"),
+        ("-o select=error --mesh none", "found -o select and --mesh none, expected --mesh rqt"),
+        ("-o foo=1", "found -o foo, expected border_rings; terrainwave compress --method METHOD"),
+        ("-o foo --method cdf97 --mesh rqt", "expected border_rings, faithful or select;"),
+        ("-o border_rings=x", "found -o border_rings 'x', expected 1 or 3"),
+        ("-o border_rings=2", "found -o border_rings 2, expected 1 or 3"),
+        ("-o border_rings", "found -o border_rings without a value, expected -o border_rings=1|3"),
+        ("--method cdf97 -o faithful=no", "found -o faithful=no, expected -o faithful alone"),
+        ("-o border_rings=1 -o border-rings=3", "found -o border_rings twice, expected it once"),
+        ("-o =3", "found -o =3, expected NAME or NAME=VALUE"),
+        (
+            "--mesh zerotree-plain -o labels=layer",
+            "found -o labels and --mesh zerotree-plain,",
+        ),
+    ],
+)
+def test_what_cannot_be_is_one_line(tmp_path, dem, words, message):
+    done = run("compress", dem, tmp_path / "a.twz", *words.split())
+    assert done.exit_code == 2
+    (line,) = (line for line in done.stderr.splitlines() if not line.startswith("note:"))
+    assert message in line
+    assert not (tmp_path / "a.twz").exists()
+
+
+@pytest.mark.parametrize("kind", SETS, ids=lambda kind: kind.name)
+def test_help_lists_options_where_their_method_or_mesh_is_named(kind):
+    for words in (
+        [f"--{kind.argument}", kind.name, "--help"],
+        ["--help", f"--{kind.argument}", kind.name],
+    ):
+        text = run("compress", *words).stdout
+        section = text.split(f"Options of --{kind.argument} {kind.name}:")[1]
+        for name in kind.names():
+            assert f"-o {name}" in section
+    assert "Options of --" not in run("compress", "--help").stdout
+
+
+def test_help_alone_tells_how_to_list_options_and_hides_those_of_1_0():
+    text = " ".join(run("compress", "--help").stdout.split())
+    assert "--method METHOD --mesh KIND --help" in text
+    assert "[halves|zerotree|rqt|none]" in text
+    for former in ("--faithful", "--border-rings", "--rate", "--psnr", "zerotree-", "rqt-"):
+        assert former not in text
+
+
+def test_stored_meshes_take_options_of_their_kind(tmp_path, dem):
+    terrainwave.compress(dem, tmp_path / "a.twz", max_error=1, block=32, mesh="none")
+    terrainwave.store_meshes(
+        tmp_path / "a.twz", tmp_path / "b.twz", mesh=terrainwave.Zerotree(labels="layer")
+    )
+    options = "--store --mesh zerotree -o labels=layer"
+    done = run("mesh", tmp_path / "a.twz", tmp_path / "c.twz", *options.split())
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "c.twz").read_bytes() == (tmp_path / "b.twz").read_bytes()
+    text = run("mesh", "--mesh", "zerotree", "--help").stdout
+    assert "-o labels=plain|layer|coded" in text.split("Options of --mesh zerotree:")[1]
