@@ -87,7 +87,7 @@ class Terrain(TerrainFile):
 
         Raises
         ------
-        InvalidHeightsError
+        InvalidArgumentError
             If an argument is out of range, the area is less than 2 x 2 samples, or `max_error` is
             less than the file's own error.
         CorruptStreamError

@@ -62,6 +62,25 @@ def asked(monkeypatch):
     return asked
 
 
+@pytest.mark.large
+@pytest.mark.parametrize("goal", [{"max_error": 3}, {"max_triangles": 700}, {}])
+def test_the_command_and_python_make_the_same_mesh(tmp_path, goal):
+    path = tmp_path / "dem.twz"
+    terrainwave.compress(terrain_like(70, 90), path, max_error=1, block=32)
+    words = [
+        word for name, value in goal.items() for word in (f"--{name}".replace("_", "-"), value)
+    ]
+    saved = json.loads(run("mesh", path, tmp_path / "a.ply", "--json", *words).stdout)
+    with terrainwave.open(path) as terrain:
+        plain, swept, default = (terrain.mesh(optimise=n, **goal) for n in (0, 1, None))
+        loose = terrain.mesh(guarantee=False)
+    assert saved["n_triangles"] == default.n_triangles == swept.n_triangles
+    assert (default.points == swept.points).all()
+    assert loose.error > 0
+    if "max_triangles" not in goal:
+        assert default.n_triangles < 0.8 * plain.n_triangles
+
+
 def test_mesh_prints_what_was_written(tmp_path, twz, asked):
     target = tmp_path / "area.ply"
     result = run("mesh", twz, target)

@@ -185,7 +185,7 @@ def prepare(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
 
     Raises
     ------
-    InvalidHeightsError, TerrainwaveError, StorageError
+    InvalidArgumentError, TerrainwaveError, StorageError
         If the extension is unknown, its package missing, or the file exists and is to be kept.
     """
     extension = check_extension(path)

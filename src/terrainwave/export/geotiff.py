@@ -92,8 +92,10 @@ def decompress(
 
     Raises
     ------
+    InvalidArgumentError
+        If an option does not fit the kind of file.
     InvalidHeightsError
-        If an option does not fit the kind of file, or heights cannot be converted.
+        If heights cannot be converted.
     CorruptStreamError
         If a block is damaged; `dst` is untouched.
     StorageError

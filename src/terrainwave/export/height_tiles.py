@@ -89,7 +89,7 @@ def write_height_tile(
 
     Raises
     ------
-    InvalidHeightsError, LimitExceededError
+    InvalidArgumentError, LimitExceededError
         If the size or the window does not fit.
     StorageError
         If a file cannot be written.

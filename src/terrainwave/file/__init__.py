@@ -175,7 +175,7 @@ class TerrainFile(DescribedFile):
 
         Raises
         ------
-        InvalidHeightsError
+        InvalidArgumentError
             If an argument is out of range or the window misses the level.
         LimitExceededError
             If the result would be larger than `max_bytes`.
@@ -261,7 +261,7 @@ class TerrainFile(DescribedFile):
 
         Raises
         ------
-        InvalidHeightsError
+        InvalidArgumentError
             If the file is not of method cdf53, whose streams alone can be read in part, or
             `quality` is out of range.
         """

@@ -271,7 +271,7 @@ def place_of(
 
     Raises
     ------
-    InvalidHeightsError
+    InvalidArgumentError
         If `radius` is not positive, or is given for coordinates that are not degrees.
     TerrainwaveError
         If there is a CRS and pyproj is missing.

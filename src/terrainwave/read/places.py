@@ -80,7 +80,7 @@ def region_of_window(window: Any, shape: tuple[int, int]) -> Region:
 
     Raises
     ------
-    InvalidHeightsError
+    InvalidArgumentError
         If it is none of them, or not in whole samples.
     """
     if hasattr(window, "row_off"):  # rasterio.windows.Window
@@ -122,7 +122,7 @@ def region_of_bounds(bounds: Sequence[float], transform: Transform) -> Region:
 
     Raises
     ------
-    InvalidHeightsError
+    InvalidArgumentError
         If the bounds are empty, or the transform cannot place them.
     """
     left, bottom, right, top = checked_numbers("bounds", bounds, "left, bottom, right, top")

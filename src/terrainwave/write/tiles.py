@@ -231,7 +231,7 @@ class EmbeddedSource:
 
         Raises
         ------
-        InvalidHeightsError
+        InvalidArgumentError
             If the heads alone take more.
         """
         coarsest = float(self._coarsest)
