@@ -20,7 +20,7 @@ COMPILED := $(PYTEST) --dist loadfile --no-loadscope-reorder
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo qgis conformance test test-all system system-full system-native native native-gcc native-clang native-agrees native-compared native-sanitized native-fuzz native-driver native-deb lint test-compiled test-full test-bounds test-python coverage docs bench fuzz release-check clean
+.PHONY: help demo qgis conformance test test-all system system-full system-native system-arm native native-arm native-aarch64 native-arm32 native-gcc native-clang native-agrees native-compared native-sanitized native-fuzz native-driver native-deb lint test-compiled test-full test-bounds test-python coverage docs bench fuzz release-check clean
 
 help:
 	@echo "make demo            compress a real terrain, check and draw it, into demo/"
@@ -33,6 +33,7 @@ help:
 	@echo "make fuzz SECONDS=60 fuzz each target that long, ONLY='rapid opening' these alone: docs/reliability.md"
 	@echo "make native          the native library, its command \`twz\` and GDAL's driver, built and tested with gcc"
 	@echo "                     and clang, installed to PREFIX (build/native/prefix)"
+	@echo "make native-arm      the same library for ARM of 64 and 32 bits, tested by an emulator: five minutes"
 	@echo "make native-deb      the driver as a .deb for this system's GDAL, into dist/"
 	@echo "make native-compared FILES=100  files of any kind, read by the native library and the package"
 	@echo "make native-fuzz SECONDS=60  fuzz its files and its units, each half that long"
@@ -86,6 +87,9 @@ system-full:
 
 system-native:
 	@sh tools/install_system.sh native
+
+system-arm:
+	@sh tools/install_system.sh arm
 
 # The lock file would name a registry: versions are exact in package.json instead.
 tests/ext/node_modules/.installed: tests/ext/package.json
@@ -153,6 +157,15 @@ native: native-gcc native-clang native-driver
 
 native-gcc native-clang: native-%: system-native
 	@$(call built_natively,$*,$*) && $(call tested_natively,$*)
+
+# ARM of 64 and of 32 bits. No part of test-all: emulators take their time.
+native-arm: native-aarch64 native-arm32
+
+native-aarch64: system-arm
+	@$(call built_natively,aarch64,aarch64-linux-gnu-gcc,-DCMAKE_TOOLCHAIN_FILE=cmake/aarch64.cmake) && $(call tested_natively,aarch64)
+
+native-arm32: system-arm
+	@$(call built_natively,arm32,arm-linux-gnueabihf-gcc,-DCMAKE_TOOLCHAIN_FILE=cmake/arm.cmake) && $(call tested_natively,arm32)
 
 # By clang, whose kernels are faster. The tests are those of tests/gdal_driver.
 native-driver: system-native

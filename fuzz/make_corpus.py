@@ -28,7 +28,8 @@ from terrainwave.codec.cdf53.refiner import encode_tile
 from terrainwave.codec.cdf53.tiles import TileLayout
 from terrainwave.codec.corrections import encode_corrections
 from terrainwave.codec.masks import encode_mask
-from terrainwave.codec.own_masks import Validity, encode_validity
+from terrainwave.codec.own_masks import encode_validity
+from terrainwave.codec.refiner import ALL_VALID, Validity, as_array
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.remainders import encode_remainders
 from terrainwave.coding.deflate import inflate
@@ -94,9 +95,7 @@ def _tile(layout: TileLayout, rng: np.random.Generator) -> bytes:
     """Return the payload of a layout's root tile."""
     spec = layout.spec(Block(-1, 0, 0))
     heights = rng.integers(0, 4, spec.region.shape).astype(np.int32)
-    whole = [np.ones(region.shape, dtype=np.bool_) for region in spec.regions]
-    levels = [Validity(mask, mask) for mask in whole]
-    return encode_tile(spec, heights, levels, None).payload()
+    return encode_tile(spec, heights, [ALL_VALID] * len(spec.regions), None).payload()
 
 
 def _of_parts() -> Iterator[tuple[str, bytes]]:
@@ -127,8 +126,9 @@ def _of_parts() -> Iterator[tuple[str, bytes]]:
             part = found[row::2, col::2]
             first = (region.row + row) // 2 - above.region.row
             left = (region.col + col) // 2 - above.region.col
-            part[...] = above.own[first:, left:][: part.shape[0], : part.shape[1]]
-        near = Validity(found if kind & 8 else ~implied, found)
+            by_itself = as_array(above.own, above.region.shape)
+            part[...] = by_itself[first:, left:][: part.shape[0], : part.shape[1]]
+        near = Validity.of(found if kind & 8 else ~implied, found)
         coded = encode_validity(near, implied, region, above, is_finest=bool(kind & 8))
         length = b"" if kind & 8 else coded.own
         yield "own", bytes([kind, len(length)]) + length + coded.mask

@@ -47,8 +47,9 @@ PLANTED = (
     ),
     Planted(
         "range decoder: no byte beyond the stream", "masks", "python",
-        "coding/rangecoder.py", "np.int64(data[pos]) if pos < data.shape[0] else np.int64(0)",
-        "np.int64(data[pos])",
+        "coding/rangecoder.py",
+        "np.int64(stream[np.uint64(pos - 1)]) if pos <= stream.shape[0] else np.int64(0)",
+        "np.int64(stream[np.uint64(pos - 1)])",
     ),
     Planted(
         "tables of rapid: families that exist", "parameters", "python",

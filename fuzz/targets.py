@@ -24,6 +24,7 @@ from terrainwave.codec.corrections import decode_corrections
 from terrainwave.codec.group import decode_unit, voids_below
 from terrainwave.codec.masks import decode_mask
 from terrainwave.codec.own_masks import Above, Sections, decode_validity
+from terrainwave.codec.refiner import Validity, as_array
 from terrainwave.codec.remainders import decode_remainders
 from terrainwave.coding.deflate import deflate
 from terrainwave.container.dictionary import DICTIONARY
@@ -192,7 +193,7 @@ def _outer(kind: int, region) -> cdf53.LevelHeights:
     if kind == 0:
         heights[:] = 5
     mask = rng.random(region.shape) < (0.8 if kind == 2 else 2)
-    return cdf53.LevelHeights(region, heights, mask)
+    return cdf53.LevelHeights(region, heights, Validity.of(mask))
 
 
 def tiles(data: bytes) -> None:
@@ -214,7 +215,8 @@ def tiles(data: bytes) -> None:
     levels = cdf53.decode_tile(spec, outer, data[2:], is_prefix=bool(data[0] & 1))
     assert len(levels) == len(spec.regions)
     for level, region in zip(levels, spec.regions):
-        assert level.heights.shape == level.mask.shape == region.shape
+        assert level.heights.shape == as_array(level.validity.mask, region.shape).shape
+        assert level.heights.shape == region.shape
 
 
 @cache
@@ -245,9 +247,10 @@ def own(data: bytes) -> None:
     if is_finest:
         sections = Sections(data[2:], b"")
     found = decode_validity(sections, implied, region, above, is_finest=is_finest)
-    assert found.mask.shape == found.own.shape == region.shape
-    assert not (found.own & ~found.mask).any()
-    assert not (found.mask & implied).any()
+    mask, by_itself = (as_array(part, region.shape) for part in (found.mask, found.own_mask))
+    assert mask.shape == by_itself.shape == region.shape
+    assert not (by_itself & ~mask).any()
+    assert not (mask & implied).any()
 
 
 @cache

@@ -7,13 +7,20 @@ from typing import NamedTuple
 import numpy as np
 
 from terrainwave.codec.group import encode_unit, implied_voids
-from terrainwave.codec.refiner import FREE, Decoded, GroupSpec, Refiner, Sides
+from terrainwave.codec.refiner import (
+    FREE,
+    NOT_SHARED,
+    Decoded,
+    GroupSpec,
+    Refiner,
+    Sides,
+    Validity,
+)
 from terrainwave.codec.units import unit_spec
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
 
 _BIG = 1 << 30
-_ALONE = Sides(False, False, False, False)
 _SHARED = Sides(True, True, True, True)
 
 
@@ -21,11 +28,8 @@ def _group(shape, sides, step, **options):
     """Return the spec of a unit that begins at its level's first sample."""
     core = Region(0, 0, *shape)
     above = Region(0, 0, (shape[0] + 1) // 2, (shape[1] + 1) // 2)
-    limits = {"z_min": -_BIG, "z_max": _BIG, "forbidden": (1, 0)} | options
-    return GroupSpec(
-        1, core, core, above, sides, step,
-        limits["z_min"], limits["z_max"], limits["forbidden"], 1, 1,
-    )  # fmt: skip
+    limits = {"z_min": -_BIG, "z_max": _BIG} | options
+    return GroupSpec.alone(core, step, parent_region=above, shared=sides, effort=1, **limits)
 
 
 def _in_grid(key, step, rings):
@@ -33,14 +37,14 @@ def _in_grid(key, step, rings):
     return unit_spec(Grid(70, 69, 32), parameters, key)
 
 
-_GROUP = _group((9, 11), _ALONE, 3, z_min=-50, z_max=50, forbidden=(2, 2))
+_GROUP = _group((9, 11), NOT_SHARED, 3, z_min=-50, z_max=50, forbidden=(2, 2))
 SPECS: tuple[GroupSpec, ...] = (
     _GROUP,
     replace(_GROUP, parent_region=None),
     _group((9, 11), _SHARED, 1),
-    _group((1, 6), _ALONE, 5),
+    _group((1, 6), NOT_SHARED, 5),
     _group((17, 13), _SHARED, (1 << 30) + 1),
-    replace(_group((9, 9), _ALONE, 1), remainder_bytes=8),
+    replace(_group((9, 9), NOT_SHARED, 1), remainder_bytes=8),
     replace(_group((9, 9), _SHARED, 3), is_faithful=True, has_coarse_residuals=True),
     _in_grid(Block(1, 0, 0), 1, 3),
     _in_grid(Block(-1, 0, 0), 3, 1),
@@ -99,7 +103,7 @@ def parent_of(number: int, kind: int) -> Decoded | None:
             mask = rng.random(shape) < 0.8
     heights = np.ascontiguousarray(heights, dtype=np.int32)
     heights.flags.writeable = mask.flags.writeable = False
-    return Decoded(heights, mask, None)
+    return Decoded(heights, Validity.of(mask))
 
 
 def payload_of(refiner: Refiner, number: int, kind: int) -> bytes:

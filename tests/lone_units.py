@@ -2,13 +2,12 @@
 
 import numpy as np
 
-from terrainwave.codec.refiner import GroupSpec, Sides
+from terrainwave.codec.refiner import NOT_SHARED, GroupSpec, Sides
 from terrainwave.codec.units import unit_spec
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Region
 
-NOT_SHARED = Sides(False, False, False, False)
 ALL_SHARED = Sides(True, True, True, True)
 BIG = 1 << 30
 
@@ -17,7 +16,7 @@ def lone_spec(shape, step=3, effort=1, shared=NOT_SHARED, parent=True):
     """Return the spec of a unit of this shape that begins at its level's first sample."""
     core = Region(0, 0, *shape)
     above = Region(0, 0, (shape[0] + 1) // 2, (shape[1] + 1) // 2) if parent else None
-    return GroupSpec(1, core, core, above, shared, step, -BIG, BIG, (1, 0), 1, effort)
+    return GroupSpec.alone(core, step, -BIG, BIG, parent_region=above, shared=shared, effort=effort)
 
 
 def check_refiner(refiner, spec, parent, target, mask=None):

@@ -40,7 +40,7 @@ MAY_IMPORT = {
     "read": GRID | {"codec", "container"},
     "file": GRID | {"codec", "container", "raster_io", "place", "read"},
     "mesh": GRID | {"codec", "tri", "container", "raster_io", "read", "file"},
-    "export": GRID | {"tri", "container", "raster_io", "place", "read", "file"},
+    "export": GRID | {"tri", "container", "raster_io", "place", "read", "file", "mesh"},
     "write": GRID | {"codec", "tri", "container", "raster_io", "place", "read", "file", "mesh"},
     "globe": GRID | {"tri", "container", "raster_io", "place", "read", "file", "mesh", "export"},
     "render": GRID | {"tri", "container", "raster_io", "place", "read", "file", "mesh", "export"},

@@ -13,7 +13,7 @@ from strategies import terrain_like, write_geotiff
 
 from terrainwave.cli import main
 from terrainwave.codec import group
-from terrainwave.codec.refiner import Decoded
+from terrainwave.codec.refiner import Validity
 from terrainwave.container.spool import SegmentSpool, cannot_write
 from terrainwave.errors import (
     BoundViolationError,
@@ -298,13 +298,13 @@ def wrong_by(monkeypatch, change):
 def higher(unit):
     heights = unit.heights.copy()
     heights[-1, -1] += 3
-    return Decoded(heights, unit.mask, unit.labels)
+    return unit._replace(heights=heights)
 
 
 def holed(unit):
     mask = unit.mask.copy()
     mask[2, 3] = False
-    return Decoded(unit.heights, mask, unit.labels)
+    return unit._replace(validity=Validity(mask))
 
 
 def test_a_wrong_height_is_found_and_the_target_is_as_it_was(

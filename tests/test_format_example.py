@@ -11,7 +11,7 @@ import pytest
 from reference_decoder import cdf97 as reference_cdf97
 from reference_decoder import predictive, range_coder, rapid
 from reference_decoder.basics import inflate
-from reference_decoder.files import DICTIONARY, NAMES, read_file
+from reference_decoder.files import DICTIONARY, NAMES, block_codes, read_file
 from reference_decoder.payloads import decode_mask
 from reference_decoder.units import decode, decode_units
 from twz import twz_bytes
@@ -261,3 +261,47 @@ def test_predictions_and_details_of_rapid_are_the_stated_ones():
     for (stride, plane, cells), row in zip(stated, coded, strict=True):
         cells = cells.replace("−", "-").replace(" |", ",").split(",")
         assert [stride, plane, [int(cell) for cell in cells]] == row
+
+
+def whole_file():
+    """Return the second example of §9.7: its file, heights and the rows of its page's columns."""
+    text = re.search(r"^#### A whole file .*?(?=^## )", DOCUMENT, re.M | re.S)[0]
+    file_text, _, page_text = text.partition("| 192 |")
+    last, _, page_text = page_text.partition("\n")
+    data = hexdump(f"{file_text}| 192 |{last}\n")
+    return data, grid("two-levels"), rows(re.sub("^ +", "", page_text, flags=re.M)), text
+
+
+def test_the_whole_file_of_two_levels_is_read_by_library_and_reference_and_is_what_we_write():
+    data, heights, _, _ = whole_file()
+    with terrainwave.open(data) as terrain:
+        assert list(terrain.check()) == []
+        np.testing.assert_array_equal(terrain.read(), heights)
+    np.testing.assert_array_equal(decode(data)[0], heights)
+    expected = read_file(data)
+    found = read_file(twz_bytes(heights.astype("uint8"), max_error=0, method="store", mesh="none"))
+    assert found.payloads == expected.payloads
+    assert found.codes == expected.codes
+    assert expected.metadata == {"software": "terrainwave 0.1.0"}
+
+
+def test_the_whole_file_has_the_stated_page_boxes_and_indices():
+    data, _, columns, text = whole_file()
+    assert page_of(data) == (bytes(8), b"".join(cells for cells, _ in columns))
+    boxes = {block: [low, high] for block, (low, high, _) in block_codes(data).items()}
+    stated = re.findall(r"block \((\d, \d, \d)\) has \[.*?\] = \[(−?\d+), (−?\d+)\]", text, re.I)
+    assert len(stated) == 2
+    for block, *box in stated:
+        found = boxes[tuple(map(int, block.split(", ")))]
+        assert found == [int(number.replace("−", "-")) for number in box]
+    assert boxes[0, 0, 0] == [-14, 14]
+    payloads = read_file(data).payloads
+    root, first_row, second_row = (
+        [int(number) for number in numbers.split()]
+        for numbers in re.findall(r": ((?:\d+ ){16,}\d+)\.", text)
+    )
+    for key, indices in ((ROOT_KEY, root), ((0, 0, 0), first_row + second_row)):
+        bits = "".join(f"{byte:08b}" for byte in payloads[key][6:])
+        assert payloads[key][:6] == bytes([0, 0, 0, 0, 0, 5])
+        assert [int(bits[5 * i : 5 * i + 5], 2) for i in range(len(indices))] == indices
+        assert len(bits) - 5 * len(indices) in (3, 1)

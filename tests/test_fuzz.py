@@ -1,8 +1,12 @@
 """The targets of the fuzzer (fuzz/) on their corpus, without the fuzzer."""
 
+from pathlib import Path
+
 import pytest
 
+import terrainwave
 from fuzz import checksums
+from fuzz.planted import PLANTED
 from fuzz.targets import TARGETS, call, seeds
 
 pytestmark = [pytest.mark.large, pytest.mark.filterwarnings("ignore")]
@@ -18,6 +22,12 @@ def ignored():
 
 def test_each_target_has_a_corpus():
     assert all(seeds(name) for name in TARGETS)
+
+
+@pytest.mark.parametrize("planted", PLANTED, ids=lambda planted: planted.path)
+def test_checks_that_are_taken_out_to_try_the_fuzzer_are_there_once(planted):
+    text = (Path(terrainwave.__file__).parent / planted.path).read_text(encoding="utf-8")
+    assert text.count(planted.before) == 1
 
 
 @pytest.mark.usefixtures("ignored")

@@ -24,7 +24,7 @@ from reference_decoder.files import (
     read_file,
     segment_layout,
 )
-from reference_decoder.payloads import decode_mask, decode_payload, implied_void
+from reference_decoder.payloads import MASK_STARTS, decode_mask, decode_payload, implied_void
 from reference_decoder.range_coder import THRESHOLDS, Models, RangeDecoder, RangeEncoder, bin_of
 from reference_decoder.spiht import Spiht
 from reference_decoder.units import decode, decode_units, decode_with_own
@@ -32,6 +32,7 @@ from twz import twz_bytes
 
 import terrainwave
 from terrainwave.codec.cdf97 import trained as tables97
+from terrainwave.codec.masks import encode_mask
 from terrainwave.codec.predictive import trained as tables
 from terrainwave.codec.predictive.file_tables import all_tables, parse_parameters
 from terrainwave.coding.deflate import deflate
@@ -398,6 +399,26 @@ def test_the_range_coder_makes_the_bytes_of_format_6_4_and_reads_them():
         decoder, models = RangeDecoder(stream), Models(1)
         assert [decoder.bit(models, 0) for _ in bits] == bits
         decoder.end()
+
+
+def test_masks_are_coded_with_the_models_of_the_figure_of_format_5_2():
+    text = re.search(r"^```neighbours\n(.*?)^```", section("5.2"), re.M | re.S)[1]
+    cells = np.array([line.split() for line in text.splitlines()])
+    assert cells.shape == (5, 5)
+    assert cells[2, 2] == "x"
+    rng = np.random.default_rng(9)
+    implied = rng.random((30, 40)) < 0.2
+    mask = (rng.random((30, 40)) < 0.6) & ~implied
+    encoder, models = RangeEncoder(), Models(576)
+    models.probability = [start << 14 for start in MASK_STARTS]
+    models.count = [2] * 576
+    valid, void = np.pad(mask, 2), np.pad(implied, 2)
+    for row, col in zip(*np.nonzero(~implied), strict=True):
+        around = np.s_[row : row + 5, col : col + 5]
+        c = sum(int(n) for n in cells[valid[around]] if n.isdigit())
+        a, b = (int((cells[void[around]] == name).sum()) for name in "ab")
+        encoder.bit(models, (c * 3 + a) * 3 + min(b, 2), int(mask[row, col]))
+    assert encoder.end() == encode_mask(mask, implied)
 
 
 def test_a_stream_of_no_symbols_is_the_byte_of_format_6_3():

@@ -13,7 +13,7 @@ import yaml
 from packaging.version import Version
 
 from terrainwave import __version__
-from tools.set_version import PLACES, set_version, spelled
+from tools.set_version import PLACES, set_version
 
 ROOT = Path(__file__).parent.parent
 
@@ -26,32 +26,57 @@ def stated_versions(root):
     """Return the version by each file that states it, as its own users' programs read it."""
     plugin = configparser.ConfigParser(interpolation=None)
     plugin.read_string((root / "qgis/terrainwave_plugin/metadata.txt").read_text())
-    recipe = yaml.safe_load((root / "conda/recipe.yaml").read_text())
-    return {
-        "src/terrainwave/_version.py": runpy.run_path(root / "src/terrainwave/_version.py")[
-            "__version__"
-        ],
+    defined = re.findall(
+        r"^#define (TWZ_VERSION\w*) (.+)$",
+        (root / "native/include/terrainwave.h").read_text(),
+        re.M,
+    )
+    project = re.search(
+        r"^project\(terrainwave VERSION (\S+) ", (root / "native/CMakeLists.txt").read_text(), re.M
+    )
+    stated = {
         "js/package.json": json.loads((root / "js/package.json").read_text())["version"],
         "qgis/terrainwave_plugin/metadata.txt": plugin["general"]["version"],
-        "conda/recipe.yaml": recipe["context"]["version"],
         "CITATION.cff": yaml.safe_load((root / "CITATION.cff").read_text())["version"],
+        "native/CMakeLists.txt": project[1],
+        "native/include/terrainwave.h": dict(defined),
+    }
+    for name in ("src/terrainwave", "native/python/src/terrainwave_native"):
+        name += "/_version.py" if name.startswith("src") else "/__init__.py"
+        stated[name] = runpy.run_path(root / name)["__version__"]
+    for name in ("conda/recipe.yaml", "conda/gdal/recipe.yaml"):
+        stated[name] = yaml.safe_load((root / name).read_text())["context"]["version"]
+    return stated
+
+
+def expected_versions(version, npm, numbers):
+    """Return what all files state, the version being spelled in each of these ways."""
+    names = ("TWZ_VERSION_MAJOR", "TWZ_VERSION_MINOR", "TWZ_VERSION_PATCH")
+    return dict.fromkeys({place[0] for place in PLACES}, version) | {
+        "js/package.json": npm,
+        "native/CMakeLists.txt": ".".join(numbers),
+        "native/include/terrainwave.h": {
+            "TWZ_VERSION": f'"{version}"',
+            **dict(zip(names, numbers, strict=True)),
+        },
     }
 
 
 def test_the_version_is_the_same_everywhere():
-    stated = stated_versions(ROOT)
-    assert stated == {name: spelled(__version__, name) for name in stated}
+    npm = __version__.replace(".dev", "-dev.")
+    numbers = __version__.split(".")[:3]
+    assert stated_versions(ROOT) == expected_versions(__version__, npm, numbers)
 
 
-@pytest.mark.parametrize("version", ["7.8.9", "7.8.9.dev3"])
-def test_the_version_is_set_everywhere(tmp_path, version):
-    for name in PLACES:
+@pytest.mark.parametrize(
+    ("version", "npm"), [("7.8.19", "7.8.19"), ("7.8.19.dev3", "7.8.19-dev.3")]
+)
+def test_the_version_is_set_everywhere(tmp_path, version, npm):
+    for name, *_ in PLACES:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, tmp_path / name)
     set_version(version, tmp_path)
-    stated = stated_versions(tmp_path)
-    assert stated == {name: spelled(version, name) for name in PLACES}
-    assert spelled("7.8.9.dev3", "js/package.json") == "7.8.9-dev.3"
+    assert stated_versions(tmp_path) == expected_versions(version, npm, ["7", "8", "19"])
 
 
 def test_builds_between_releases_do_not_call_themselves_a_release():

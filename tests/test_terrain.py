@@ -10,9 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import rasterio.transform
 from containers import open_container
 from rasterio.transform import Affine
-from rasterio.windows import Window
+from rasterio.windows import Window, from_bounds
 from strategies import terrain_like, write_geotiff
 from twz import twz_bytes
 
@@ -149,7 +150,7 @@ def test_a_window_of_rasterio_in_parts_of_samples_is_refused_but_for_rounding(te
 
 @pytest.mark.parametrize("window", [Window(3, 2, 5, 4), np.s_[2:6, 3:8]])
 def test_the_transform_of_a_window_takes_what_read_takes(terrain, window):
-    assert terrain.transform(window=window) == terrain.transform(window=(2, 3, 4, 5))
+    assert terrain.transform_of(window=window) == terrain.transform_of(window=(2, 3, 4, 5))
 
 
 @pytest.mark.parametrize("raster", [HEIGHTS, WITH_VOIDS])
@@ -223,7 +224,7 @@ FLAT_261 = np.arange(261, dtype="int16")[:, None]
 )
 def test_levels_have_the_same_first_centre_and_larger_pixels(tmp_path, transform, level, expected):
     with georeferenced(tmp_path, FLAT_261, transform) as terrain:
-        assert terrain.transform(level) == expected
+        assert terrain.transform_of(level)[:6] == expected
 
 
 @pytest.mark.parametrize(
@@ -235,7 +236,7 @@ def test_levels_have_the_same_first_centre_and_larger_pixels(tmp_path, transform
 )
 def test_the_transform_of_a_window_begins_at_its_corner(tmp_path, level, expected):
     with georeferenced(tmp_path, FLAT_261, NORTH_UP) as terrain:
-        assert terrain.transform(level, window=(2, 3, 4, 5)) == expected
+        assert terrain.transform_of(level, window=(2, 3, 4, 5))[:6] == expected
 
 
 @pytest.mark.parametrize("transform", [NORTH_UP, SOUTH_UP, ROTATED])
@@ -243,8 +244,45 @@ def test_samples_of_levels_lie_on_those_of_the_full_grid(tmp_path, transform):
     with georeferenced(tmp_path, FLAT_261, transform) as terrain:
         for level, stride in ((-2, 2), (-3, 4)):
             for row, col in ((0, 0), (5, 3)):
-                here = centre(terrain.transform(level), row, col)
+                here = centre(terrain.transform_of(level)[:6], row, col)
                 assert here == pytest.approx(centre(transform, stride * row, stride * col))
+
+
+@pytest.mark.parametrize("transform", [NORTH_UP, SOUTH_UP, ROTATED])
+def test_the_transform_is_the_one_that_rasterio_has(tmp_path, transform):
+    with georeferenced(tmp_path, FLAT_261, transform) as terrain:
+        found, expected = terrain.transform, Affine(*transform)
+        assert isinstance(found, Affine)
+        assert (found, hash(found)) == (expected, hash(expected))
+        assert expected == found
+        assert found != Affine.identity()
+        assert found != transform[:5]
+        assert rasterio.transform.xy(found, 3, 5) == rasterio.transform.xy(expected, 3, 5)
+        assert ~found == ~expected
+        copied = pickle.loads(pickle.dumps(found))
+        assert (type(copied), copied) == (Affine, expected)
+
+
+def test_windows_from_bounds_take_the_transforms_of_levels(tmp_path):
+    with georeferenced(tmp_path, HEIGHTS, NORTH_UP) as terrain:
+        for level, stride in ((-1, 1), (-2, 2)):
+            # 20 columns and 10 rows of the level, from (row 4, column 6).
+            left, top = centre(NORTH_UP, 4 * stride, 6 * stride)
+            left, top = left - 5 * stride, top + 5 * stride
+            bottom, right = top - 100 * stride, left + 200 * stride
+            window = from_bounds(left, bottom, right, top, terrain.transform_of(level))
+            assert terrain.region(window, level=level) == (4, 6, 10, 20)
+
+
+def test_a_called_transform_is_what_the_method_gave_and_says_what_to_call(tmp_path):
+    with georeferenced(tmp_path, FLAT_261, ROTATED) as terrain:
+        with pytest.warns(DeprecationWarning, match=r"transform_of\(level, window\)"):
+            whole = terrain.transform()
+        assert whole == ROTATED
+        with pytest.warns(DeprecationWarning, match="2.0") as told:
+            part = terrain.transform(-2, window=(2, 3, 4, 5))
+        assert part == tuple(terrain.transform_of(-2, (2, 3, 4, 5)))[:6]
+        assert told[0].filename == __file__
 
 
 # Bounds
@@ -368,7 +406,7 @@ def test_averaging_to_one_sample_does_not_hold_the_window():
         assert sizes[-1] <= 5 << 20
         rows = np.arange(region.row, region.row + region.n_rows, dtype="int32")
         heights = np.repeat(rows[:, None], region.n_cols, axis=1)
-        return heights, heights % 2 == 0
+        return heights, heights % 2 == 1
 
     grid, region = Grid(16_000, 1000, 32), Region(0, 0, 16_000, 1000)
     heights, _ = resample(read, region, (2, 1), "average", grid.k_max, grid, 1 << 30)
@@ -517,7 +555,7 @@ def test_the_cache_stays_within_its_limit(store_data):
         for _ in range(2):
             terrain.read()
         cache = terrain.decoder._cache
-        kept = sum(u.heights.nbytes + u.mask.nbytes for u in cache._values.values())
+        kept = sum(unit.nbytes for unit in cache._values.values())
         assert 0 < kept <= 50_000
 
 

@@ -4,7 +4,8 @@
 # with its driver, npm; with the argument `qgis` also QGIS without its window, and its Python, for the
 # tests of the plugin, and what builds and tests GDAL's driver; with the argument `native` instead of
 # all these what builds and tests the native library, and that driver: cmake, gcc, clang with its
-# sanitizers and libFuzzer, GDAL. Installed where this is Debian or Ubuntu and apt-get may run;
+# sanitizers and libFuzzer, GDAL; with `arm` what builds the library for ARM of 64 and 32 bits, and
+# runs it: Debian's cross compilers and qemu. Installed where this is Debian or Ubuntu and apt-get may run;
 # elsewhere one line says what is missing, and the tests that need it fail.
 set -eu
 
@@ -24,6 +25,11 @@ native)
     packages="cmake make gcc libc6-dev clang libclang-rt-dev llvm $gdal"
     needs="the native library needs compilers, its driver GDAL"
     elsewhere="cmake, make, gcc, clang with sanitizers and libFuzzer, GDAL with its headers and Python"
+    ;;
+arm)
+    packages="cmake make qemu-user gcc-aarch64-linux-gnu libc6-dev-arm64-cross gcc-arm-linux-gnueabihf libc6-dev-armhf-cross"
+    needs="the native library for ARM needs cross compilers and an emulator"
+    elsewhere="cmake, make, gcc and C libraries for aarch64-linux-gnu and arm-linux-gnueabihf, qemu-user"
     ;;
 esac
 
@@ -60,12 +66,20 @@ has_gdal() {
         [ -e /usr/lib/python3/dist-packages/osgeo ] && [ -e /usr/lib/python3/dist-packages/rasterio ]
 }
 
+has_arm() {
+    command -v cmake >/dev/null && command -v make >/dev/null &&
+        for machine in aarch64-linux-gnu:aarch64 arm-linux-gnueabihf:arm; do
+            command -v "${machine%:*}-gcc" >/dev/null && command -v "qemu-${machine#*:}" >/dev/null &&
+                [ -e "/usr/${machine%:*}/lib/libc.so" ] || return 1
+        done
+}
+
 [ "$(uname -s)" = Linux ] || exit 0
-if [ "${1:-}" = native ]; then
-    has_compilers && has_gdal && exit 0
-elif is_complete; then
-    exit 0
-fi
+case "${1:-}" in
+native) has_compilers && has_gdal && exit 0 ;;
+arm) has_arm && exit 0 ;;
+*) is_complete && exit 0 ;;
+esac
 
 if [ "$(id -u)" -eq 0 ]; then
     as_root=

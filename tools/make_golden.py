@@ -379,16 +379,17 @@ def write_patch(raster, heights, valid, number, nodata, profile):
 
 
 def renew_example():
-    """Put the header's checksum into the worked example of FORMAT.md."""
+    """Put the headers' checksums into the whole files of FORMAT.md (§9.2, §9.7)."""
     path = ROOT / "docs" / "FORMAT.md"
     text = path.read_text(encoding="utf-8")
-    start = text.index("### 9.2 ")
-    rows = re.findall(r"^\| \d+ \| ([0-9a-f]{2}(?: [0-9a-f]{2})*) \|", text[start:], re.M)
-    crc = zlib.crc32(b"".join(map(bytes.fromhex, rows))[:124])
-    row = f"| 124 | {crc.to_bytes(4, 'little').hex(' ')} | header_crc 0x{crc:08X} |"
-    path.write_text(
-        re.sub(r"^\| 124 \| [0-9a-f ]+ \| header_crc .*$", row, text, flags=re.M), encoding="utf-8"
-    )
+    for heading in ("### 9.2 ", "#### A whole file "):
+        start = text.index(heading)
+        rows = re.findall(r"^\| \d+ \| ([0-9a-f]{2}(?: [0-9a-f]{2})*) \|", text[start:], re.M)
+        crc = zlib.crc32(b"".join(map(bytes.fromhex, rows))[:124])
+        row = f"| 124 | {crc.to_bytes(4, 'little').hex(' ')} | header_crc 0x{crc:08X} |"
+        pattern = r"^\| 124 \| [0-9a-f ]+ \| header_crc .*$"
+        text = text[:start] + re.sub(pattern, row, text[start:], count=1, flags=re.M)
+    path.write_text(text, encoding="utf-8")
 
 
 def write_manifest(path, manifest):

@@ -97,7 +97,7 @@ def draw_errors(axes, terrain: terrainwave.Terrain, heights: np.ndarray) -> None
     row, col, n_rows, n_cols = WINDOW
     mesh = terrain.mesh(WINDOW, max_error=MAP_ERROR, optimise=1)
     rows, cols = np.mgrid[row : row + n_rows, col : col + n_cols]
-    a, b, c, d, e, f = terrain.transform()[:6]
+    a, b, c, d, e, f = terrain.transform[:6]
     x = a * (cols + 0.5) + b * (rows + 0.5) + c - mesh.origin[0]
     y = d * (cols + 0.5) + e * (rows + 0.5) + f - mesh.origin[1]
     surface = Triangulation(*mesh.vertices[:, :2].T, mesh.triangles)

@@ -36,7 +36,7 @@ from terrainwave.codec.cdf97.residual import (
     WEIGHT_BITS,
 )
 from terrainwave.codec.cdf97.zerotree import N_TREE_MODELS
-from terrainwave.codec.refiner import Decoded
+from terrainwave.codec.refiner import Decoded, Validity
 from terrainwave.codec.shared_lines import N_BORDER_MODELS
 from terrainwave.codec.units import block_of_unit, unit_spec
 from terrainwave.coding.filters import lowpass_analysis
@@ -152,7 +152,7 @@ def encode(heights, mask, step, block):
             spec, parent, np.ascontiguousarray(levels[back][at]), valid
         )
         total += len(payload)
-        unit = Decoded(decoded, valid, None)
+        unit = Decoded(decoded, Validity.of(valid))
         if spec.level < grid.k_max:
             for block in grid.key_blocks(key):
                 pending.append((block, block_of_unit(grid, spec, unit, block).heights))

@@ -27,7 +27,7 @@ from terrainwave.codec.predictive import passes as nested
 from terrainwave.codec.predictive import refiner as predictive
 from terrainwave.codec.predictive import trained as tables
 from terrainwave.codec.predictive.fit import features_of
-from terrainwave.codec.refiner import Decoded
+from terrainwave.codec.refiner import Decoded, Validity
 from terrainwave.codec.shared_lines import N_BORDER_MODELS
 from terrainwave.codec.units import (
     CodecParameters,
@@ -191,14 +191,13 @@ class Recorder:
 
     def code_pass(self, *args):
         """Stand in for `nested.code_pass`."""
-        kinds, own, geometry = args[1], args[6], args[7]
+        _, kinds, arrays, geometry, tables, heights = args[:6]
         _REAL_PASS(*args)
         if self.keep_passes and kinds.size > 256:
-            planes, errors, activity, bends = args[2:6]
-            features, details = features_of(
-                kinds, planes, errors, activity, bends, geometry, args[8], args[10], args[11]
+            features, details = features_of(kinds, arrays, geometry, tables, heights.step)
+            self.passes.append(
+                (geometry.plane, features.astype(np.float32), details.astype(np.float32))
             )
-            self.passes.append((own, features.astype(np.float32), details.astype(np.float32)))
 
     def new_unit(self, *args):
         """Stand in for `predictive._new_unit`."""
@@ -226,7 +225,7 @@ class Recorder:
             target = np.ascontiguousarray(heights[at])
             payload, back, _ = refiner.encode(spec, parent, target, np.ascontiguousarray(mask[at]))
             total += len(payload)
-            decoded = Decoded(back, mask[at], None)
+            decoded = Decoded(back, Validity.of(mask[at]))
             if spec.level < grid.k_max:
                 for block in grid.key_blocks(key):
                     pending.append((block, block_of_unit(grid, spec, decoded, block).heights))

@@ -78,7 +78,7 @@ static int read_window(const char *text, twz_box *box) {
     if (comma) *comma = 0;
     if (!read_number(at, 0, UINT32_MAX, &number)) return 0;
     *fields[i] = (uint32_t)number;
-    at = comma + 1;
+    if (comma) at = comma + 1;
   }
   return 1;
 }
@@ -374,8 +374,7 @@ int main(int n, char **arguments) {
     return 0;
   }
   if (n == 2 && strcmp(arguments[1], "--version") == 0) {
-    int v = twz_version();
-    printf("twz %d.%d.%d\n", v / 10000, v / 100 % 100, v % 100);
+    puts("twz " TWZ_VERSION);
     return 0;
   }
   options o;

@@ -91,24 +91,31 @@ struct Request {
 
 class Dataset;
 
-/* Validity of samples, 255 or 0. */
-class MaskBand final : public GDALRasterBand {
+/* What bands of heights and of validity share. */
+template <class Base>
+class ReadingBand : public Base {
  public:
-  explicit MaskBand(Dataset *dataset);
+  ReadingBand(Dataset *dataset, GDALDataType type);
   CPLErr IReadBlock(int col, int row, void *data) override;
   CPLErr IRasterIO(GDALRWFlag, int, int, int, int, void *, int, int, GDALDataType, GSpacing, GSpacing,
                    GDALRasterIOExtraArg *) override;
+
+ protected:
+  Dataset &Of() const { return *static_cast<Dataset *>(this->poDS); }
+};
+
+/* Validity of samples, 255 or 0. */
+class MaskBand final : public ReadingBand<GDALRasterBand> {
+ public:
+  explicit MaskBand(Dataset *dataset) : ReadingBand(dataset, GDT_Byte) {}
   int GetOverviewCount() override;
   GDALRasterBand *GetOverview(int i) override;
   bool IsMaskBand() const override { return true; }
 };
 
-class Band final : public GDALPamRasterBand {
+class Band final : public ReadingBand<GDALPamRasterBand> {
  public:
   explicit Band(Dataset *dataset);
-  CPLErr IReadBlock(int col, int row, void *data) override;
-  CPLErr IRasterIO(GDALRWFlag, int, int, int, int, void *, int, int, GDALDataType, GSpacing, GSpacing,
-                   GDALRasterIOExtraArg *) override;
   int GetOverviewCount() override;
   GDALRasterBand *GetOverview(int i) override;
   GDALRasterBand *GetMaskBand() override;
@@ -127,7 +134,6 @@ class Band final : public GDALPamRasterBand {
 
  private:
   double Extreme(bool is_least, int *is_known);
-  Dataset &Of() const;
   const twz_info &Info() const;
 };
 
@@ -378,62 +384,44 @@ CPLErr Dataset::Read(GDALRasterBand &band, const Request &request, bool *is_done
 
 /* ---- Bands ---- */
 
-MaskBand::MaskBand(Dataset *dataset) {
-  poDS = dataset;
-  nRasterXSize = dataset->GetRasterXSize();
-  nRasterYSize = dataset->GetRasterYSize();
-  eDataType = GDT_Byte;
-  nBlockXSize = std::min(dataset->BlockSize(), nRasterXSize);
-  nBlockYSize = std::min(dataset->BlockSize(), nRasterYSize);
+template <class Base>
+ReadingBand<Base>::ReadingBand(Dataset *dataset, GDALDataType type) {
+  this->poDS = dataset;
+  this->nRasterXSize = dataset->GetRasterXSize();
+  this->nRasterYSize = dataset->GetRasterYSize();
+  this->eDataType = type;
+  this->nBlockXSize = std::min(dataset->BlockSize(), this->nRasterXSize);
+  this->nBlockYSize = std::min(dataset->BlockSize(), this->nRasterYSize);
 }
 
-CPLErr MaskBand::IReadBlock(int col, int row, void *data) {
-  return static_cast<Dataset *>(poDS)->ReadBlock(*this, col, row, data);
+template <class Base>
+CPLErr ReadingBand<Base>::IReadBlock(int col, int row, void *data) {
+  return Of().ReadBlock(*this, col, row, data);
 }
 
-CPLErr MaskBand::IRasterIO(GDALRWFlag flag, int x, int y, int n_cols, int n_rows, void *data, int buffer_cols,
-                           int buffer_rows, GDALDataType type, GSpacing pixel_space, GSpacing line_space,
-                           GDALRasterIOExtraArg *extra) {
-  bool is_done = false;
-  const Request request = {x,           y,    n_cols,      n_rows,     data, buffer_cols,
-                           buffer_rows, type, pixel_space, line_space, extra};
-  const CPLErr result = flag == GF_Read ? static_cast<Dataset *>(poDS)->Read(*this, request, &is_done) : CE_None;
-  if (is_done || result != CE_None) return result;
-  return GDALRasterBand::IRasterIO(flag, x, y, n_cols, n_rows, data, buffer_cols, buffer_rows, type, pixel_space,
-                                   line_space, extra);
-}
-
-int MaskBand::GetOverviewCount() { return static_cast<Dataset *>(poDS)->CountOverviews(); }
-
-GDALRasterBand *MaskBand::GetOverview(int i) {
-  Dataset *overview = static_cast<Dataset *>(poDS)->Overview(i);
-  return overview ? overview->Mask() : nullptr;
-}
-
-Band::Band(Dataset *dataset) {
-  poDS = dataset;
-  nBand = 1;
-  eDataType = TypeOf(dataset->Info().dtype);
-  nBlockXSize = std::min(dataset->BlockSize(), dataset->GetRasterXSize());
-  nBlockYSize = std::min(dataset->BlockSize(), dataset->GetRasterYSize());
-}
-
-Dataset &Band::Of() const { return *static_cast<Dataset *>(poDS); }
-const twz_info &Band::Info() const { return Of().Info(); }
-
-CPLErr Band::IReadBlock(int col, int row, void *data) { return Of().ReadBlock(*this, col, row, data); }
-
-CPLErr Band::IRasterIO(GDALRWFlag flag, int x, int y, int n_cols, int n_rows, void *data, int buffer_cols,
-                       int buffer_rows, GDALDataType type, GSpacing pixel_space, GSpacing line_space,
-                       GDALRasterIOExtraArg *extra) {
+template <class Base>
+CPLErr ReadingBand<Base>::IRasterIO(GDALRWFlag flag, int x, int y, int n_cols, int n_rows, void *data, int buffer_cols,
+                                    int buffer_rows, GDALDataType type, GSpacing pixel_space, GSpacing line_space,
+                                    GDALRasterIOExtraArg *extra) {
   bool is_done = false;
   const Request request = {x,           y,    n_cols,      n_rows,     data, buffer_cols,
                            buffer_rows, type, pixel_space, line_space, extra};
   const CPLErr result = flag == GF_Read ? Of().Read(*this, request, &is_done) : CE_None;
   if (is_done || result != CE_None) return result;
-  return GDALPamRasterBand::IRasterIO(flag, x, y, n_cols, n_rows, data, buffer_cols, buffer_rows, type, pixel_space,
-                                      line_space, extra);
+  return Base::IRasterIO(flag, x, y, n_cols, n_rows, data, buffer_cols, buffer_rows, type, pixel_space, line_space,
+                         extra);
 }
+
+int MaskBand::GetOverviewCount() { return Of().CountOverviews(); }
+
+GDALRasterBand *MaskBand::GetOverview(int i) {
+  Dataset *overview = Of().Overview(i);
+  return overview ? overview->Mask() : nullptr;
+}
+
+Band::Band(Dataset *dataset) : ReadingBand(dataset, TypeOf(dataset->Info().dtype)) { nBand = 1; }
+
+const twz_info &Band::Info() const { return Of().Info(); }
 
 int Band::GetOverviewCount() {
   const int n = Of().CountOverviews();

@@ -9,6 +9,10 @@
 #include <tuple>
 #include <vector>
 
+#if defined(__linux__)
+#include <sys/mman.h>
+#endif
+
 #include "cpl_conv.h"
 #include "cpl_error.h"
 #include "cpl_multiproc.h"
@@ -89,7 +93,7 @@ class Recycler {
         return head + 1;
       }
     }
-    Head *head = static_cast<Head *>(malloc(sizeof(Head) + size));
+    Head *head = static_cast<Head *>(Fresh(sizeof(Head) + size));
     if (!head) return nullptr;
     head->size = size;
     return head + 1;
@@ -114,6 +118,19 @@ class Recycler {
     size_t size;
   };
   static constexpr size_t LEAST = 32 << 10, MOST_KEPT = 32 << 20;
+
+  /* Much memory lies in large pages, where the system has them; what is left at the end stays of small ones. */
+  static void *Fresh(size_t n) {
+#if defined(__linux__) && defined(MADV_HUGEPAGE)
+    const size_t page = size_t{1} << 21;
+    if (n >= page && n < SIZE_MAX - page) {
+      void *memory = aligned_alloc(page, (n + page - 1) / page * page);
+      if (memory) madvise(memory, n / page * page, MADV_HUGEPAGE);
+      return memory;
+    }
+#endif
+    return malloc(n);
+  }
 
   /* Sizes in steps of an eighth: pieces of nearly the same size stand for each other. */
   static size_t SizeFor(size_t n) {

@@ -58,7 +58,9 @@ extern "C" {
 #define TWZ_API
 #endif
 
-#define TWZ_VERSION_MAJOR 0
+/* Between releases the next one's, with .dev0 behind the numbers. */
+#define TWZ_VERSION "1.1.0.dev0"
+#define TWZ_VERSION_MAJOR 1
 #define TWZ_VERSION_MINOR 1
 #define TWZ_VERSION_PATCH 0
 
@@ -113,7 +115,8 @@ typedef struct twz_options {
   size_t size;             /* sizeof(twz_options) */
   twz_allocator allocator;
   twz_locks locks;
-  uint64_t cache_bytes;    /* decoded units that are kept for later windows; 0: none */
+  uint64_t cache_bytes;    /* most memory of decoded units that are kept for later windows; 0: none. Units that
+                              windows use are kept besides, until these are freed */
   uint64_t max_bytes;      /* most memory of one window, decoded units and payloads; 0: no limit */
   twz_kernels kernels;     /* TWZ_BAD_ARGUMENT if this processor or this build has them not */
 } twz_options;

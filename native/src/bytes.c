@@ -131,6 +131,19 @@ twz_status read_varint(reader *r, uint64_t *value, twz_error *error) {
   return twz_fail(error, TWZ_CORRUPT, "a varint of more than five bytes");
 }
 
+twz_status read_signed_varint(reader *r, int64_t *value, twz_error *error) {
+  uint64_t z;
+  TRY(read_varint(r, &z, error));
+  *value = z % 2 ? -(int64_t)((z + 1) / 2) : (int64_t)(z / 2);
+  return TWZ_OK;
+}
+
+twz_status read_byte(reader *r, int *byte, twz_error *error) {
+  REQUIRE(r->at < r->n, error, "a payload is cut");
+  *byte = r->bytes[r->at++];
+  return TWZ_OK;
+}
+
 twz_status read_section(reader *r, reader *section, const char *name, twz_error *error) {
   uint64_t n;
   TRY(read_varint(r, &n, error));

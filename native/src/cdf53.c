@@ -32,8 +32,7 @@ static twz_status read_head(const twz_file *f, const unit *u, reader *r, head *h
   TRY(read_section(r, &h->borders, "borders", error));
   REQUIRE((h->borders.n > 0) == is_held, error, "borders of %llu bytes of a tile %s shared sides",
           (unsigned long long)h->borders.n, is_held ? "with" : "without");
-  TRY(read_varint(r, &z, error));
-  h->low = z % 2 ? -(int64_t)((z + 1) / 2) : (int64_t)(z / 2);
+  TRY(read_signed_varint(r, &h->low, error));
   REQUIRE(abs_i64(h->low) < (int64_t)1 << 31, error, "low is 2^31 or more");
   REQUIRE(is_root || h->low == 0, error, "low of a tile that is not the root one");
   TRY(read_varint(r, &n_planes, error));

@@ -1,13 +1,11 @@
 /* Method cdf97 (FORMAT §7). */
 #include "border.h"
-#include "range.h"
 #include "steps.h"
 #include "tables.h"
 
 enum {
   N_RESIDUAL_MODELS = 1527,
   N_COEFFICIENT_MODELS = 4124,
-  N_BORDER_MODELS = 2860,
   N_MODELS = N_RESIDUAL_MODELS + N_COEFFICIENT_MODELS + N_BORDER_MODELS,
   COEFFICIENTS = 1, RESIDUALS = 2, RAW = 4, /* flags */
   N_SETS = 16, N_TERMS = 19,
@@ -18,27 +16,14 @@ enum { HL, LH, HH, N_BANDS };
 static const int64_t MOST = (int64_t)1 << 30;
 
 typedef struct cdf97_tables {
-  model residuals[N_RESIDUAL_MODELS], coefficients[N_COEFFICIENT_MODELS], border[N_BORDER_MODELS];
+  model models[N_MODELS]; /* of residuals, coefficients, the border */
   eighths eighths;
 } cdf97_tables;
 
 twz_status cdf97_tables_new(twz_file *f, twz_error *error) {
-  uint8_t starts[2 * N_MODELS];
   cdf97_tables *t = f->cdf97 = twz_allocate(&f->allocator, sizeof *t);
   if (!t) return twz_no_memory(error, sizeof *t);
-  size_t n;
-  TRY(inflate_zlib(twz_cdf97_starts, twz_cdf97_starts_size, starts, sizeof starts, &n, "a table of this library", error));
-  for (int i = 0; i < N_MODELS; i++) {
-    model m = started(load_u16(starts + 2 * i));
-    int k = i - N_RESIDUAL_MODELS;
-    if (k < 0) {
-      t->residuals[i] = m;
-    } else if (k < N_COEFFICIENT_MODELS) {
-      t->coefficients[k] = m;
-    } else {
-      t->border[k - N_COEFFICIENT_MODELS] = m;
-    }
-  }
+  TRY(read_starts(f, twz_cdf97_starts, twz_cdf97_starts_size, t->models, N_MODELS, error));
   fill_eighths(&t->eighths);
   return TWZ_OK;
 }
@@ -50,15 +35,14 @@ typedef struct decoding {
   layer *out;
   coder coder;
   const eighths *eighths;
-  model *residuals, *coefficients, *border;
+  model *residuals, *coefficients;
+  border border;
   int32_t n;
   step_scale scale;
   size_t pitch;
   int32_t n_rows, n_cols; /* of the core */
   int32_t *predicted;     /* H, of the region; NULL in a root: 0 */
-  uint8_t *known;
   int64_t *rows;          /* parent rows, extended and synthesised across */
-  int64_t *line, *result, *across; /* of a shared line */
   /* Coefficients, then details of the core: interleaved, values of transform t at multiples of 2^t. */
   int64_t *details;
   uint8_t *magnitudes[2][N_BANDS], *labels[2]; /* of the nodes of a transform, and of the one above */
@@ -69,11 +53,6 @@ typedef struct decoding {
   int offset, is_along[2];
   int is_finer; /* §7.9: a coarse unit of a faithful file */
 } decoding;
-
-static int is_valid(const decoding *d, size_t at) { return !d->out->valid || d->out->valid[at]; }
-static size_t place_of(const decoding *d, int32_t row, int32_t col) {
-  return (size_t)(d->out->rows.core + row) * d->pitch + (size_t)(d->out->cols.core + col);
-}
 
 /* ---- Low-pass synthesis (§7.2) ---- */
 
@@ -104,7 +83,7 @@ static void predict_region(decoding *d) {
   ptrdiff_t pitch = cols->n;
   int64_t *first = d->rows + 2 * pitch; /* the rows above and below are extensions */
   for (int32_t r = 0; r < p->n_rows; r++) {
-    int64_t *x = d->line + EDGE;
+    int64_t *x = d->border.sums;
     for (int32_t c = 0; c < p->n_cols; c++) x[c] = parent_height(p, r, c);
     extend(x, 1, p->n_cols);
     for (int i = 0; i < 4; i++) {
@@ -124,59 +103,9 @@ static void predict_region(decoding *d) {
 
 /* ---- Border (§7.3) ---- */
 
-static int64_t border_symbol(decoding *d, int pass, int64_t s) {
-  int at = 36 * pass + bin_of(min_i64(s, 4095));
-  if (!adaptive_bit(&d->coder, d->border + at)) return 0;
-  int64_t size = 1 + magnitude(&d->coder, d->border + 180 + 14 * at, d->border + 2700 + 32 * pass, 0);
-  return raw_bits(&d->coder, 1) ? -size : size;
-}
-
-static void rebuild(decoding *d, size_t at, int64_t h, int64_t q) {
-  int64_t most = ((int64_t)1 << 32) / d->n + 1;
-  d->out->heights[at] = (int32_t)clamp_i64(h + clamp_i64(q, -most, most) * d->n, -MOST, MOST);
-  d->known[at] = 1;
-}
-
-static void decode_corner(void *decoding_, int32_t r, int32_t c) {
-  decoding *d = decoding_;
-  size_t at = (size_t)r * d->pitch + (size_t)c;
-  if (d->known[at]) return;
-  int64_t predicted = corner_above(&d->job->parent, d->out->rows.first + (uint32_t)r, d->out->cols.first + (uint32_t)c);
-  rebuild(d, at, predicted, is_valid(d, at) ? border_symbol(d, 0, 16) : 0);
-}
-
-/* Samples f ... g - 1 of a line from `start` on, every step-th; its predictions are in d->result. */
-static void decode_line(decoding *d, size_t start, size_t step, int32_t length, int32_t f, int32_t g) {
-  const int64_t *p = d->result;
-  const int32_t *heights = d->out->heights;
-  for (int phase = 0; phase < 2; phase++) {
-    int64_t last = 0, before = 0;
-    for (int32_t i = f + ((f ^ phase) & 1); i < g; i += 2) {
-      size_t at = start + (size_t)i * step;
-      int64_t kappa = 0, t = last + before;
-      if (phase) {
-        int32_t j = i + 1 < length ? i + 1 : i - 1;
-        int64_t a = heights[at - step] - p[i - 1], b = heights[start + (size_t)j * step] - p[j];
-        kappa = shift_right(a + b, 1);
-        t = (2 * abs_i64(a - kappa) + 2 * abs_i64(b - kappa)) / d->n + last;
-      }
-      int64_t bend = i > 0 && i < length - 1 ? abs_i64(p[i - 1] - 2 * p[i] + p[i + 1]) : 0;
-      int64_t v = is_valid(d, at) ? border_symbol(d, phase, 4 * t + min_i64(8 * bend / d->n, 1024)) : 0;
-      rebuild(d, at, p[i] + kappa, v);
-      before = last;
-      last = min_i64(abs_i64(v), 255);
-    }
-  }
-}
-
-static void decode_border_line(void *decoding_, const border_line *l) {
-  decoding *d = decoding_;
-  int32_t rings = d->job->file->grid.rings, length = l->along->n_core;
-  int32_t f = l->along->shared[0] ? rings + 1 : 0, g = l->along->shared[1] ? length - rings - 1 : length;
-  if (f >= g) return;
-  extend(d->line + EDGE, 1, l->n_sums);
-  for (int32_t i = 0; i < length; i++) d->result[i] = shift_right(synthesised(d->line + EDGE, 1, i) + (1 << 14), 15);
-  decode_line(d, l->start, l->step, length, f, g);
+static void predict_line(int64_t *sums, int32_t length, int64_t *predicted) {
+  extend(sums, 1, (length + 1) >> 1);
+  for (int32_t i = 0; i < length; i++) predicted[i] = shift_right(synthesised(sums, 1, i) + (1 << 14), 15);
 }
 
 /* ---- Raw heights (§7.4) ---- */
@@ -185,9 +114,9 @@ static void decode_raw(decoding *d, int n_bits, int64_t base) {
   int64_t most = ((int64_t)1 << 31) / d->n + 1;
   for (int32_t r = 0; r < d->n_rows; r++) {
     for (int32_t c = 0; c < d->n_cols; c++) {
-      size_t at = place_of(d, r, c);
-      if (d->known[at]) continue;
-      if (is_valid(d, at)) {
+      size_t at = core_at(d->out, r, c);
+      if (d->border.known[at]) continue;
+      if (is_valid_at(d->out, at)) {
         int64_t i = min_i64((int64_t)raw_bits(&d->coder, n_bits), most);
         d->out->heights[at] = (int32_t)min_i64(base + i * d->n, MOST);
       } else {
@@ -372,16 +301,17 @@ static void invert_transforms(decoding *d) {
   }
 }
 
-static ptrdiff_t core_at(const decoding *d, int32_t r, int32_t c) {
+static ptrdiff_t edged_at(const decoding *d, int32_t r, int32_t c) {
   return (r + EDGE) * (ptrdiff_t)(d->n_cols + 2 * EDGE) + c + EDGE;
 }
 
 static void fill_base(decoding *d, int has_details) {
   for (int32_t r = 0; r < d->n_rows; r++) {
-    for (int32_t c = 0; c < d->n_cols; c++) {
-      int64_t h = d->predicted ? d->predicted[place_of(d, r, c)] : 0;
+    size_t place = core_at(d->out, r, 0);
+    for (int32_t c = 0; c < d->n_cols; c++, place++) {
+      int64_t h = d->predicted ? d->predicted[place] : 0;
       int64_t x = has_details ? clamp_i64(d->details[(ptrdiff_t)r * d->n_cols + c], -256 * MOST, 256 * MOST) : 0;
-      d->base[core_at(d, r, c)] = clamp_i64(64 * h + x, -64 * MOST, 64 * MOST);
+      d->base[edged_at(d, r, c)] = clamp_i64(64 * h + x, -64 * MOST, 64 * MOST);
     }
   }
 }
@@ -453,17 +383,17 @@ static int64_t decode_residual(decoding *d, ptrdiff_t at, int phase, int64_t h, 
 
 static void decode_residuals(decoding *d, int set) {
   ptrdiff_t up = d->n_cols + 2 * EDGE;
-  for (int32_t r = 0; r < d->n_rows; r++) extend_base(d->base + core_at(d, r, 0), 1, d->n_cols);
-  for (int32_t c = -EDGE; c < d->n_cols + EDGE; c++) extend_base(d->base + core_at(d, 0, c), up, d->n_rows);
+  for (int32_t r = 0; r < d->n_rows; r++) extend_base(d->base + edged_at(d, r, 0), 1, d->n_cols);
+  for (int32_t c = -EDGE; c < d->n_cols + EDGE; c++) extend_base(d->base + edged_at(d, 0, c), up, d->n_rows);
   size_t n = (size_t)((d->n_rows + 2 * EDGE) * up);
   memset(d->errors, 0, n * sizeof *d->errors);
   memset(d->mu, 0, n * sizeof *d->mu);
   memset(d->signs, 0, n);
   for (int32_t r = 0; r < d->n_rows; r++) {
-    for (int32_t c = 0; c < d->n_cols; c++) {
-      ptrdiff_t at = core_at(d, r, c);
-      size_t place = place_of(d, r, c);
-      int phase = 2 * (r & 1) + (c & 1), known = d->known[place], valid = is_valid(d, place);
+    ptrdiff_t at = edged_at(d, r, 0);
+    size_t place = core_at(d->out, r, 0);
+    for (int32_t c = 0; c < d->n_cols; c++, at++, place++) {
+      int phase = 2 * (r & 1) + (c & 1), known = d->border.known[place], valid = is_valid_at(d->out, place);
       int64_t p = predict_sample(d, twz_cdf97_terms[set][phase], at), h = shift_right(p + 32, 6), height = h;
       if (known) {
         height = d->out->heights[place];
@@ -485,33 +415,28 @@ typedef struct fields {
 } fields;
 
 static twz_status read_fields(decoding *d, reader *r, fields *f, twz_error *error) {
-  REQUIRE(r->n > 0, error, "a payload without a byte of method cdf97");
-  f->flags = r->bytes[r->at++];
+  TRY(read_byte(r, &f->flags, error));
   REQUIRE(f->flags <= RAW, error, "flags %d of method cdf97", f->flags);
   if (f->flags == RAW) {
-    uint64_t z;
-    REQUIRE(r->at < r->n, error, "a payload of method cdf97 is cut");
-    f->n_bits = r->bytes[r->at++];
+    TRY(read_byte(r, &f->n_bits, error));
     REQUIRE(f->n_bits <= 32, error, "%d bits of a raw height, more than 32", f->n_bits);
-    TRY(read_varint(r, &z, error));
-    f->base = z % 2 ? -(int64_t)((z + 1) / 2) : (int64_t)(z / 2);
+    TRY(read_signed_varint(r, &f->base, error));
     REQUIRE(abs_i64(f->base) <= MOST, error, "a base of raw heights beyond 2^30");
   }
   if (f->flags & COEFFICIENTS) {
     uint64_t s;
+    int byte;
     TRY(read_varint(r, &s, error));
     REQUIRE(s >= 1 && s <= (uint64_t)1 << 32, error, "step code %llu, not 1 to 2^32", (unsigned long long)s);
     d->step_code = (int64_t)s;
-    REQUIRE(r->at < r->n, error, "a payload of method cdf97 is cut");
-    int byte = r->bytes[r->at++];
+    TRY(read_byte(r, &byte, error));
     REQUIRE(byte < 64, error, "%d as the byte of offset and direction, 64 or more", byte);
     d->offset = byte & 15;
     d->is_along[HL] = byte >> 4 & 1;
     d->is_along[LH] = byte >> 5 & 1;
   }
   if (f->flags & RESIDUALS) {
-    REQUIRE(r->at < r->n, error, "a payload of method cdf97 is cut");
-    f->set = r->bytes[r->at++];
+    TRY(read_byte(r, &f->set, error));
     REQUIRE(f->set < N_SETS, error, "set %d of weights does not exist", f->set);
   }
   return TWZ_OK;
@@ -523,14 +448,11 @@ static twz_status take_memory(decoding *d, scratch *s, twz_error *error) {
   size_t n_edged = (size_t)(d->n_rows + 2 * EDGE) * (size_t)(d->n_cols + 2 * EDGE);
   size_t n_nodes = (size_t)(d->n_rows / 2 + 1 + 2 * EDGE) * (size_t)(d->n_cols / 2 + 1 + 2 * EDGE);
   size_t n_rows = p->layer ? (size_t)(p->n_rows + 2 * EDGE) * d->pitch : 0;
-  size_t n_line = (size_t)max_i32(max_i32(d->out->rows.n, d->out->cols.n), max_i32(p->n_rows, p->n_cols)) + 2 * EDGE;
-  size_t n_bytes = n_region * 5 + n_rows * 8 + n_line * 16 + n_core * 8 + n_edged * 21 + n_nodes * 8 + N_MODELS * sizeof(model);
-  TRY(scratch_reserve(s, n_bytes + 24 * SCRATCH_ALIGN, error));
+  size_t n_models = N_RESIDUAL_MODELS + N_COEFFICIENT_MODELS;
+  size_t n_bytes = n_region * 4 + n_rows * 8 + n_core * 8 + n_edged * 21 + n_nodes * 8 + n_models * sizeof(model);
+  TRY(scratch_reserve(s, n_bytes + 16 * SCRATCH_ALIGN + border_bytes(d->job), error));
   d->predicted = p->layer ? scratch_take(s, n_region * 4) : NULL;
-  d->known = scratch_take(s, n_region);
   d->rows = scratch_take(s, n_rows * 8);
-  d->line = scratch_take(s, n_line * 8);
-  d->result = scratch_take(s, n_line * 8);
   d->details = scratch_take(s, n_core * 8);
   d->base = scratch_take(s, n_edged * 8);
   d->errors = scratch_take(s, n_edged * 8);
@@ -540,14 +462,11 @@ static twz_status take_memory(decoding *d, scratch *s, twz_error *error) {
     for (int band = 0; band < N_BANDS; band++) d->magnitudes[i][band] = scratch_take(s, n_nodes);
     d->labels[i] = scratch_take(s, n_nodes);
   }
-  d->residuals = scratch_take(s, N_MODELS * sizeof(model));
+  const model *starts = d->job->file->cdf97->models;
+  d->residuals = scratch_take(s, n_models * sizeof(model));
   d->coefficients = d->residuals + N_RESIDUAL_MODELS;
-  d->border = d->coefficients + N_COEFFICIENT_MODELS;
-  const cdf97_tables *t = d->job->file->cdf97;
-  memcpy(d->residuals, t->residuals, sizeof t->residuals);
-  memcpy(d->coefficients, t->coefficients, sizeof t->coefficients);
-  memcpy(d->border, t->border, sizeof t->border);
-  memset(d->known, 0, n_region);
+  memcpy(d->residuals, starts, n_models * sizeof(model));
+  border_start(&d->border, starts + n_models, s);
   memset(d->details, 0, n_core * 8);
   return TWZ_OK;
 }
@@ -568,11 +487,13 @@ twz_status decode_cdf97(const job *j, const reader *bytes, scratch *s, twz_error
   d.n_cols = d.out->cols.n_core;
   d.eighths = &f->cdf97->eighths;
   d.is_finer = (f->header.features & FAITHFUL) && j->level < f->grid.k_max && d.n > 1;
+  const border shared = {.job = j, .coder = &d.coder, .step = d.n, .are_inherited_coded = 1, .predict = predict_line};
+  d.border = shared;
   TRY(take_memory(&d, s, error));
   coder_start(&d.coder, r.bytes + r.at, r.n - r.at, f->rates);
   if (j->parent.layer) {
     predict_region(&d);
-    walk_shared(d.out, &d.job->parent, d.job->file->grid.rings, d.line + EDGE, decode_corner, decode_border_line, &d);
+    decode_border(&d.border);
   }
   if (given.flags == RAW) {
     decode_raw(&d, given.n_bits, given.base);
@@ -588,8 +509,8 @@ twz_status decode_cdf97(const job *j, const reader *bytes, scratch *s, twz_error
   } else {
     for (int32_t row = 0; row < d.n_rows; row++) {
       for (int32_t col = 0; col < d.n_cols; col++) {
-        size_t at = place_of(&d, row, col);
-        if (!d.known[at]) d.out->heights[at] = (int32_t)shift_right(d.base[core_at(&d, row, col)] + 32, 6);
+        size_t at = core_at(d.out, row, col);
+        if (!d.border.known[at]) d.out->heights[at] = (int32_t)shift_right(d.base[edged_at(&d, row, col)] + 32, 6);
       }
     }
   }

@@ -256,15 +256,35 @@ static void link_newest(twz_file *f, unit *u) {
   f->newest = u;
 }
 
+/* Count a unit's bytes, as long as the cache holds them: heights of a heap until its last unit leaves. */
+static void count_in(twz_file *f, unit *u) {
+  f->cached_bytes += u->n_bytes;
+  if (u->heap && u->heap->n_cached++ == 0) f->cached_bytes += u->heap->n_out;
+}
+
+static void count_out(twz_file *f, unit *u) {
+  f->cached_bytes -= u->n_bytes;
+  if (!u->heap) return;
+  const layer *l = &u->layers[0];
+  uint64_t n_bytes = sizeof *l->heights * (uint64_t)l->rows.n * (uint64_t)l->cols.n;
+  f->cached_bytes += n_bytes;
+  u->heap->n_out += n_bytes;
+  if (--u->heap->n_cached == 0) f->cached_bytes -= u->heap->n_out;
+}
+
+static void take_out(twz_file *f, unit *u) {
+  unlink_unit(f, u);
+  table_remove(&f->units, &u->entry);
+  count_out(f, u);
+}
+
 /* Take the oldest units that nobody uses out, until what is kept fits; returns them, to be released without the lock. */
 static unit *trim(twz_file *f) {
   unit *u = f->oldest, *out = NULL;
   while (u && f->cached_bytes > f->cache_bytes) {
     unit *next = u->newer;
     if (u->n_users == 0) {
-      unlink_unit(f, u);
-      table_remove(&f->units, &u->entry);
-      f->cached_bytes -= u->n_bytes;
+      take_out(f, u);
       u->older = out;
       out = u;
     }
@@ -281,9 +301,13 @@ static void free_units(twz_file *f, unit *u) {
   }
 }
 
-unit *cache_take(twz_file *f, place key) {
+unit *cache_take(twz_file *f, place key, int32_t *n_rows) {
   file_lock(f);
   unit *u = (unit *)table_find(&f->units, key);
+  if (u && !has_rows(u, *n_rows)) {
+    *n_rows = ALL_ROWS;
+    u = NULL;
+  }
   if (u) {
     u->n_users++;
     unlink_unit(f, u);
@@ -296,17 +320,24 @@ unit *cache_take(twz_file *f, place key) {
 /* Give a decoded unit, with one user; returns the one to use, as another thread may have been first. */
 unit *cache_give(twz_file *f, unit *u) {
   file_lock(f);
-  unit *out = NULL, *found = (unit *)table_find(&f->units, u->entry.at);
+  unit *out = NULL, *less = NULL, *found = (unit *)table_find(&f->units, u->entry.at);
+  if (found && !has_rows(found, u->layers[0].n_ready ? u->layers[0].n_ready : ALL_ROWS)) {
+    take_out(f, found);
+    found->is_cached = 0;
+    if (found->n_users == 0) less = found;
+    found = NULL;
+  }
   if (found) {
     found->n_users++;
   } else if (table_insert(&f->units, &f->allocator, &u->entry)) {
     u->is_cached = 1;
     link_newest(f, u);
-    f->cached_bytes += u->n_bytes;
+    count_in(f, u);
     out = trim(f);
   }
   file_unlock(f);
   free_units(f, out);
+  if (less) unit_free(f, less);
   if (!found) return u;
   unit_free(f, u);
   return found;

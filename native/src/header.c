@@ -1,31 +1,21 @@
 /* The header (FORMAT §4.1) and the grid of blocks that follows from it (§2). */
-#include <float.h>
+#include <math.h>
 
 #include "internal.h"
 
 static const uint8_t MAGIC[8] = {0x89, 0x54, 0x57, 0x5A, 0x0D, 0x0A, 0x1A, 0x0A};
 
 size_t dtype_size(int dtype) {
-  switch (dtype) {
-    case TWZ_UINT8: return 1;
-    case TWZ_UINT16:
-    case TWZ_INT16: return 2;
-    case TWZ_INT32:
-    case TWZ_FLOAT32: return 4;
-    case TWZ_FLOAT64: return 8;
-    default: return 0;
-  }
+  static const uint8_t SIZES[] = {[TWZ_UINT8] = 1, [TWZ_UINT16] = 2, [TWZ_INT16] = 2, [TWZ_INT32] = 4, [TWZ_FLOAT32] = 4, [TWZ_FLOAT64] = 8};
+  return dtype <= TWZ_FLOAT64 ? SIZES[dtype] : 0;
 }
 
 int dtype_is_float(int dtype) { return dtype == TWZ_FLOAT32 || dtype == TWZ_FLOAT64; }
 
 void dtype_range(int dtype, int64_t *low, int64_t *high) {
-  *low = dtype == TWZ_INT16 ? INT16_MIN : dtype == TWZ_INT32 ? INT32_MIN : 0;
-  *high = dtype == TWZ_UINT8    ? UINT8_MAX
-          : dtype == TWZ_UINT16 ? UINT16_MAX
-          : dtype == TWZ_INT16  ? INT16_MAX
-          : dtype == TWZ_INT32  ? INT32_MAX
-                                : 0;
+  int64_t n = dtype_is_float(dtype) ? 1 : (int64_t)1 << 8 * dtype_size(dtype); /* of its numbers */
+  *low = dtype == TWZ_INT16 || dtype == TWZ_INT32 ? -n / 2 : 0;
+  *high = *low + n - 1;
 }
 
 static uint64_t gcd(uint64_t a, uint64_t b) {
@@ -43,8 +33,6 @@ static double load_double(const uint8_t *p) {
   memcpy(&x, &bits, 8);
   return x;
 }
-
-static int is_finite(double x) { return x >= -DBL_MAX && x <= DBL_MAX; }
 
 static twz_status read_start(const uint8_t *bytes, const crc_tables *crc, twz_error *error) {
   REQUIRE(memcmp(bytes, MAGIC, 8) == 0, error, "this is no .twz file: it does not begin with the magic bytes");
@@ -107,10 +95,10 @@ static twz_status check_numbers(const header *h, uint32_t step, uint32_t mesh_to
   int has_heights = -(1 << 30) <= h->z_min && h->z_min <= h->z_max && h->z_max <= 1 << 30 &&
                     h->z_max - h->z_min < 1 << 30;
   REQUIRE(has_heights || (h->z_min == 0 && h->z_max == -1), error, "z_min %d and z_max %d", h->z_min, h->z_max);
-  REQUIRE(is_finite(h->max_error) && h->max_error >= 0, error, "max_error is not finite and at least 0");
+  REQUIRE(isfinite(h->max_error) && h->max_error >= 0, error, "max_error is not finite and at least 0");
   REQUIRE(h->effective_bound >= 0 && h->effective_bound <= h->max_error, error,
           "effective_bound is not 0 to max_error");
-  REQUIRE(is_finite(h->rho) && h->rho >= 0, error, "rho is not finite and at least 0");
+  REQUIRE(isfinite(h->rho) && h->rho >= 0, error, "rho is not finite and at least 0");
   return TWZ_OK;
 }
 

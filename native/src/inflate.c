@@ -46,37 +46,28 @@ static uint32_t take(inflater *s, int n) {
 
 /* Returns 0 where the lengths are no code. Only a code of one symbol may leave codes unused, if it is no code of lengths. */
 static int make(huffman *h, const uint8_t *lengths, int n, int may_be_incomplete) {
-  uint16_t next[MOST_BITS + 2] = {0};
+  uint16_t next[MOST_BITS + 1]; /* by length: of symbols, and the code of the next one */
+  uint32_t codes[MOST_BITS + 1], code = 0;
   memset(h, 0, sizeof *h);
   for (int i = 0; i < n; i++) h->counts[lengths[i]]++;
-  int n_unused = h->counts[0];
   h->counts[0] = 0;
-  int left = 1;
+  int left = 1, n_used = 0;
   for (int length = 1; length <= MOST_BITS; length++) {
     left = left * 2 - h->counts[length];
     if (left < 0) return 0;
-    next[length + 1] = (uint16_t)(next[length] + h->counts[length]);
+    next[length] = (uint16_t)n_used;
+    n_used += h->counts[length];
+    codes[length] = code = (code + h->counts[length - 1]) << 1;
   }
-  if (left > 0 && !(may_be_incomplete && n - n_unused <= 1 && h->counts[1] == n - n_unused)) return 0;
-  uint32_t code = 0;
-  uint16_t first[MOST_BITS + 1];
-  uint32_t codes[MOST_BITS + 1];
-  for (int length = 1; length <= MOST_BITS; length++) {
-    code = (code + h->counts[length - 1]) << 1;
-    codes[length] = code;
-    first[length] = next[length];
-  }
+  if (left > 0 && !(may_be_incomplete && n_used <= 1 && h->counts[1] == n_used)) return 0;
   for (int i = 0; i < n; i++) {
     int length = lengths[i];
     if (length == 0) continue;
-    uint32_t own = codes[length] + next[length] - first[length];
     h->symbols[next[length]++] = (uint16_t)i;
+    uint32_t own = codes[length]++, reversed = 0;
     if (length > FAST_BITS) continue;
-    uint32_t reversed = 0;
     for (int k = 0; k < length; k++) reversed |= (own >> k & 1) << (length - 1 - k);
-    for (; reversed < 1 << FAST_BITS; reversed += 1u << length) {
-      h->fast[reversed] = (uint16_t)(i * 16 + length);
-    }
+    for (; reversed < 1 << FAST_BITS; reversed += 1u << length) h->fast[reversed] = (uint16_t)(i * 16 + length);
   }
   return 1;
 }
@@ -102,12 +93,6 @@ static int decode(inflater *s, const huffman *h) {
   return -1;
 }
 
-static int put(inflater *s, uint8_t byte) {
-  if (s->n_out >= s->limit) return 0;
-  s->out[s->n_out++] = byte;
-  return 1;
-}
-
 static const char TOO_LONG[] = "%s inflates to more than %llu bytes";
 static const char DAMAGED[] = "%s is no deflated stream: %s";
 
@@ -116,9 +101,7 @@ static twz_status stored(inflater *s, const char *name, twz_error *error) {
   uint32_t n = take(s, 16), inverse = take(s, 16);
   REQUIRE(n == (~inverse & 0xFFFF) && !is_beyond(s), error, DAMAGED, name, "length of a stored block");
   REQUIRE(n <= s->limit - s->n_out, error, TOO_LONG, name, (unsigned long long)s->limit);
-  for (uint32_t i = 0; i < n; i++) {
-    s->out[s->n_out++] = (uint8_t)take(s, 8);
-  }
+  for (; n > 0; n--) s->out[s->n_out++] = (uint8_t)take(s, 8);
   REQUIRE(!is_beyond(s), error, DAMAGED, name, "it ends early");
   return TWZ_OK;
 }
@@ -160,14 +143,11 @@ static void fixed_codes(inflater *s) {
 
 static int copy_match(inflater *s, size_t length, size_t distance) {
   if (length > s->limit - s->n_out) return 0;
-  while (length && distance > s->n_out) { /* from the dictionary */
-    put(s, s->dictionary[s->n_dictionary - (distance - s->n_out)]);
-    length--;
+  for (; length && distance > s->n_out; length--, s->n_out++) {
+    s->out[s->n_out] = s->dictionary[s->n_dictionary - (distance - s->n_out)];
   }
-  if (length == 0) return 1;
   uint8_t *to = s->out + s->n_out;
-  const uint8_t *from = to - distance;
-  for (size_t i = 0; i < length; i++) to[i] = from[i];
+  for (size_t i = 0; i < length; i++) to[i] = *(to + i - distance);
   s->n_out += length;
   return 1;
 }
@@ -184,7 +164,8 @@ static twz_status block(inflater *s, const char *name, twz_error *error) {
     int symbol = decode(s, &s->lengths);
     REQUIRE(symbol >= 0 && !is_beyond(s), error, DAMAGED, name, "it ends early or has no such code");
     if (symbol < 256) {
-      REQUIRE(put(s, (uint8_t)symbol), error, TOO_LONG, name, (unsigned long long)s->limit);
+      REQUIRE(s->n_out < s->limit, error, TOO_LONG, name, (unsigned long long)s->limit);
+      s->out[s->n_out++] = (uint8_t)symbol;
       continue;
     }
     if (symbol == 256) return TWZ_OK;

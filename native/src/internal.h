@@ -54,7 +54,7 @@ static inline uint64_t load_u64(const uint8_t *p) {
   return load_u32(p) | (uint64_t)load_u32(p + 4) << 32;
 }
 
-/* ---- Errors (error.c) ----------------------------------------------------------------------- */
+/* ---- Errors (bytes.c) ----------------------------------------------------------------------- */
 
 /* Fill `error` (may be NULL) and return the status. */
 twz_status twz_fail(twz_error *error, twz_status status, const char *format, ...) TWZ_PRINTF(3, 4);
@@ -124,6 +124,8 @@ typedef struct reader {
 
 /* Read a varint (§1.4). */
 twz_status read_varint(reader *r, uint64_t *value, twz_error *error);
+twz_status read_signed_varint(reader *r, int64_t *value, twz_error *error);
+twz_status read_byte(reader *r, int *byte, twz_error *error);
 /* Read a varint n and take n bytes as a section of its own. */
 twz_status read_section(reader *r, reader *section, const char *name, twz_error *error);
 
@@ -161,7 +163,7 @@ twz_status json_parse(json_document *document, const char *text, size_t n, twz_e
 void json_free(json_document *document);
 const json_value *json_member(const json_value *object, const char *key); /* NULL: none or null */
 
-/* ---- Header and grid (header.c, grid.c) ----------------------------------------------------- */
+/* ---- Header and grid (header.c) ------------------------------------------------------------- */
 
 enum {
   HEADER_SIZE = 128,
@@ -312,6 +314,7 @@ twz_status write_raw(const heights *h, void *out, const int32_t *quanta, const u
 typedef struct layer {
   axis rows, cols;
   int32_t *heights;     /* quanta (cdf53: steps) */
+  int32_t n_ready;      /* rows that heights are wanted of, or there, from the first on; 0: all */
   uint8_t *valid;       /* NULL: all are valid */
   uint8_t *own;         /* with feature bit 4; NULL: as valid */
   int64_t *remainders;  /* NULL: all are 0 */
@@ -321,7 +324,8 @@ enum { MOST_LAYERS = 10 };
 
 /* Memory that units share: those that are decoded together. */
 typedef struct heap {
-  size_t n_users;
+  size_t n_users, n_cached;
+  uint64_t n_out; /* bytes of those that left the cache, where the others keep them */
   int32_t *heights;
 } heap;
 
@@ -336,8 +340,19 @@ typedef struct unit {
   layer layers[MOST_LAYERS];
 } unit;
 
+/* A unit whose first rows served a window is decoded as a whole when more are wanted: at most twice. */
+enum { ALL_ROWS = INT32_MAX };
+static inline int has_rows(const unit *u, int32_t n_rows) {
+  return u->layers[0].n_ready == 0 || u->layers[0].n_ready >= n_rows;
+}
+
 static inline layer *layer_of(unit *u, int level) { return &u->layers[level - u->first_level]; }
 
+static inline int is_valid_at(const layer *l, size_t at) { return !l->valid || l->valid[at]; }
+/* The place of a sample of the core in the region. */
+static inline size_t core_at(const layer *l, int32_t row, int32_t col) {
+  return (size_t)(l->rows.core + row) * (size_t)l->cols.n + (size_t)(l->cols.core + col);
+}
 /* ---- Methods -------------------------------------------------------------------------------- */
 
 struct rapid_tables;
@@ -447,10 +462,16 @@ twz_status load_all(const twz_allocator *a, need_function need, feed_function fe
                     void *source, twz_error *error);
 
 /* The cache: units that are taken or given stay until they are left. */
-unit *cache_take(twz_file *f, place key); /* NULL: not there */
+unit *cache_take(twz_file *f, place key, int32_t *n_rows); /* NULL: it or some of so many rows are not there */
 unit *cache_give(twz_file *f, unit *u);
 void cache_leave(twz_file *f, unit *u);
 void unit_free(twz_file *f, unit *u); /* takes the lock */
+
+/* The parent's line at or before (after) a line of the level, counted from the first parent height. */
+static inline int32_t line_above(uint32_t line, int is_after, uint32_t first, int32_t n) {
+  int64_t at = (int64_t)(((uint64_t)line + (is_after ? 1u : 0u)) >> 1) - first;
+  return (int32_t)clamp_i64(at, 0, n - 1);
+}
 
 /* What the parent heights of a key are (§2.4), out of the unit that holds its block. */
 parent parent_of(const twz_file *f, place key, const unit *above);
@@ -458,11 +479,6 @@ parent parent_of(const twz_file *f, place key, const unit *above);
 static inline int32_t parent_height(const parent *p, int32_t row, int32_t col) {
   if (p->is_void) return 0;
   return p->layer->heights[(size_t)(p->row + row) * (size_t)p->layer->cols.n + (size_t)(p->col + col)];
-}
-static inline int parent_valid(const parent *p, int32_t row, int32_t col) {
-  if (p->is_void) return 0;
-  const uint8_t *valid = p->layer->valid;
-  return !valid || valid[(size_t)(p->row + row) * (size_t)p->layer->cols.n + (size_t)(p->col + col)];
 }
 
 #endif

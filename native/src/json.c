@@ -64,120 +64,60 @@ static int peek(parser *p) {
 
 /* ---- Numbers ---- */
 
-/* A natural number in digits of 32 bits, the lowest first. */
-enum { MOST_DIGITS = 800, BIG = 160 };
-typedef struct big {
-  uint32_t digit[BIG];
-  int n;
-} big;
+/* 0.d1 d2 d3 ... * 10^point. Of a number of MOST_DIGITS digits, halving it makes no more than DECIMAL: one for each bit. */
+enum { MOST_DIGITS = 800, DECIMAL = 2048, MOST_SHIFT = 56, ROOM = 20 };
+typedef struct decimal {
+  uint8_t digit[DECIMAL];
+  int n, point;
+} decimal;
 
-static void big_multiply_add(big *b, uint32_t factor, uint32_t sum) {
-  uint64_t carry = sum;
-  for (int i = 0; i < b->n; i++) {
-    carry += (uint64_t)b->digit[i] * factor;
-    b->digit[i] = (uint32_t)carry;
-    carry >>= 32;
+/* Multiply what is not 0 by 2^shift, |shift| <= MOST_SHIFT. */
+static void decimal_shift(decimal *d, int shift) {
+  uint8_t result[ROOM + DECIMAL]; /* room for digits in front */
+  int first = ROOM, end = ROOM;
+  if (shift >= 0) {
+    uint64_t carry = 0;
+    end += d->n;
+    for (int i = d->n - 1; i >= 0 || carry; i--, carry /= 10) {
+      if (i >= 0) carry += (uint64_t)d->digit[i] << shift;
+      first = ROOM + i;
+      result[first] = (uint8_t)(carry % 10);
+    }
+  } else {
+    uint64_t rest = 0;
+    for (int i = 0; end < ROOM + DECIMAL && (i < d->n || rest); i++) {
+      rest = rest * 10 + (i < d->n ? d->digit[i] : 0);
+      result[end++] = (uint8_t)(rest >> -shift);
+      rest &= ((uint64_t)1 << -shift) - 1;
+    }
   }
-  if (carry && b->n < BIG) b->digit[b->n++] = (uint32_t)carry;
+  while (first < end && result[first] == 0) first++;
+  while (end > first && result[end - 1] == 0) end--;
+  d->n = end - first;
+  d->point += ROOM - first;
+  memcpy(d->digit, result + first, (size_t)d->n);
 }
 
-static int big_bits(const big *b) { return b->n ? 32 * (b->n - 1) + bit_length(b->digit[b->n - 1]) : 0; }
-
-static void big_shift(big *b, int n) {
-  int words = n / 32, bits = n % 32;
-  if (!b->n || b->n + words + 1 > BIG) return;
-  for (int i = b->n; i >= 0; i--) {
-    uint64_t high = i < b->n ? b->digit[i] : 0, low = i > 0 ? b->digit[i - 1] : 0;
-    b->digit[i + words] = (uint32_t)((high << 32 | low) << bits >> 32);
+/* The double nearest to a number, which is changed; ties to even; infinite where it is too large. No strtod: it reads
+ * the point of the locale. */
+static double nearest_double(decimal *d) {
+  if (d->n == 0 || d->point < -330) return 0;
+  if (d->point > 310) return HUGE_VAL;
+  int exponent = 0; /* to 1/2 <= d < 1, times 2^exponent; a digit is more than 3 bits */
+  while (d->point != 0 || d->digit[0] < 5) {
+    int shift = d->point > 0 ? -max_i32(3 * (d->point - 1), 1) : max_i32(-3 * d->point, 1);
+    shift = max_i32(min_i32(shift, MOST_SHIFT), -MOST_SHIFT);
+    decimal_shift(d, shift);
+    exponent -= shift;
   }
-  memset(b->digit, 0, sizeof(uint32_t) * (size_t)words);
-  b->n += words + 1;
-  while (b->n && !b->digit[b->n - 1]) b->n--;
-}
-
-static int big_compare(const big *a, const big *b) {
-  if (a->n != b->n) return a->n < b->n ? -1 : 1;
-  for (int i = a->n - 1; i >= 0; i--) {
-    if (a->digit[i] != b->digit[i]) return a->digit[i] < b->digit[i] ? -1 : 1;
-  }
-  return 0;
-}
-
-static void big_subtract(big *a, const big *b) { /* a >= b */
-  int64_t borrow = 0;
-  for (int i = 0; i < a->n; i++) {
-    int64_t d = (int64_t)a->digit[i] - (i < b->n ? b->digit[i] : 0) + borrow;
-    a->digit[i] = (uint32_t)d;
-    borrow = d < 0 ? -1 : 0;
-  }
-  while (a->n && !a->digit[a->n - 1]) a->n--;
-}
-
-/* mantissa * 2^exponent, where that is a double. */
-static double scaled_by_2(uint64_t mantissa, int exponent) {
-  double x = (double)mantissa;
-  while (exponent != 0) {
-    int n = exponent > 1000 ? 1000 : exponent < -1000 ? -1000 : exponent;
-    uint64_t bits = (uint64_t)(1023 + n) << 52;
-    double factor;
-    memcpy(&factor, &bits, 8);
-    x *= factor;
-    exponent -= n;
-  }
-  return x;
-}
-
-/*
- * The double nearest to 0.d1 d2 d3 ... * 10^point, ties to even; infinite where it is too large.
- * is_cut: other digits follow that are not all 0. No strtod: it reads the point of the locale.
- */
-static double nearest_double(const char *digits, int n_digits, int is_cut, int64_t point) {
-  if (n_digits == 0 || point < -330) return 0;
-  if (point > 310) return HUGE_VAL;
-  int exponent = (int)point - n_digits;
-  if (n_digits <= 15 && exponent >= -22 && exponent <= 22) { /* both are exact: one rounding */
-    static const double POWERS[23] = {1e0,  1e1,  1e2,  1e3,  1e4,  1e5,  1e6,  1e7,
-                                      1e8,  1e9,  1e10, 1e11, 1e12, 1e13, 1e14, 1e15,
-                                      1e16, 1e17, 1e18, 1e19, 1e20, 1e21, 1e22};
-    int64_t whole = 0;
-    for (int i = 0; i < n_digits; i++) whole = whole * 10 + (digits[i] - '0');
-    return exponent < 0 ? (double)whole / POWERS[-exponent] : (double)whole * POWERS[exponent];
-  }
-  big a = {{0}, 0}, b = {{1}, 1};
-  for (int i = 0; i < n_digits; i++) big_multiply_add(&a, 10, (uint32_t)(digits[i] - '0'));
-  if (is_cut) {
-    big_multiply_add(&a, 10, 1);
-    exponent--;
-  }
-  for (; exponent > 0; exponent--) big_multiply_add(&a, 10, 0);
-  for (; exponent < 0; exponent++) big_multiply_add(&b, 10, 0);
-  /* a 2^shift / b has 64 bits; long division gives them, the first one a 1. */
-  int shift = 64 - (big_bits(&a) - big_bits(&b));
-  big_shift(shift > 0 ? &a : &b, shift > 0 ? shift : -shift);
-  big c = b;
-  big_shift(&c, 64);
-  if (big_compare(&a, &c) >= 0) {
-    big_shift(&b, 1);
-    shift--;
-  }
-  big_shift(&b, 63);
-  uint64_t quotient = 0;
-  for (int k = 0; k < 64; k++) {
-    int bit = big_compare(&a, &b) >= 0;
-    if (bit) big_subtract(&a, &b);
-    quotient = quotient << 1 | (uint64_t)bit;
-    big_shift(&a, 1);
-  }
-  /* A double has 53 bits, and fewer below 2^-1022. */
-  int high = 63 - shift;
-  int drop = high < -1022 ? 11 + (-1022 - high) : 11;
-  if (drop > 64) return 0;
-  if (high > 1023) return HUGE_VAL;
-  uint64_t kept = drop == 64 ? 0 : quotient >> drop;
-  uint64_t rest = drop == 64 ? quotient : quotient & (((uint64_t)1 << drop) - 1);
-  uint64_t half = (uint64_t)1 << (drop - 1);
-  if (rest > half || (rest == half && (a.n || (kept & 1)))) kept++;
-  return scaled_by_2(kept, drop - shift); /* 2^1024 becomes infinite */
+  int n_bits = min_i32(53, 53 + 1021 + exponent); /* fewer below 2^-1022 */
+  if (n_bits < 0) return 0;
+  decimal_shift(d, n_bits);
+  uint64_t whole = 0;
+  for (int i = 0; i < d->point; i++) whole = whole * 10 + (i < d->n ? d->digit[i] : 0);
+  int next = d->point < d->n ? d->digit[d->point] : 0;
+  if (next > 5 || (next == 5 && (d->n > d->point + 1 || whole % 2))) whole++;
+  return ldexp((double)whole, exponent - n_bits);
 }
 
 static int is_digit(const parser *p) {
@@ -185,9 +125,9 @@ static int is_digit(const parser *p) {
 }
 
 static twz_status read_number(parser *p, json_value *value) {
-  char digits[MOST_DIGITS];
-  int n_digits = 0, is_cut = 0, is_negative = 0;
-  int64_t point = 0; /* the value is 0.digits * 10^point */
+  decimal d = {{0}, 0, 0};
+  int64_t point = 0; /* d's, which exponents may take anywhere */
+  int is_cut = 0, is_negative = 0;
   if (p->text[p->at] == '-') {
     is_negative = 1;
     p->at++;
@@ -206,14 +146,15 @@ static twz_status read_number(parser *p, json_value *value) {
     char digit = p->text[p->at];
     n_whole += !is_fraction && n_whole < 2;
     if (starts_with_0 && n_whole > 1) return BAD(p, "a number begins with 0");
-    if (n_digits == 0 && digit == '0') { /* a leading 0 */
+    if (d.n == 0 && digit == '0') { /* a leading 0 */
       point -= is_fraction;
-    } else if (n_digits < MOST_DIGITS) {
-      digits[n_digits++] = digit;
-      point += !is_fraction;
+      continue;
+    }
+    point += !is_fraction;
+    if (d.n < MOST_DIGITS) {
+      d.digit[d.n++] = (uint8_t)(digit - '0');
     } else {
       is_cut |= digit != '0';
-      point += !is_fraction;
     }
   }
   if (p->at < p->n && (p->text[p->at] == 'e' || p->text[p->at] == 'E')) {
@@ -228,53 +169,40 @@ static twz_status read_number(parser *p, json_value *value) {
     }
     point += is_down ? -exponent : exponent;
   }
-  while (n_digits > 0 && !is_cut && digits[n_digits - 1] == '0') n_digits--;
-  double x = nearest_double(digits, n_digits, is_cut, point);
+  if (is_cut) d.digit[d.n++] = 1; /* more than nothing */
+  while (d.n > 0 && d.digit[d.n - 1] == 0) d.n--;
+  d.point = (int)clamp_i64(point, -1000, 1000);
+  /* 2^64, by digits, as the double of 2^64 + 1 is 2^64. */
+  static const uint8_t MOST[20] = {1, 8, 4, 4, 6, 7, 4, 4, 0, 7, 3, 7, 0, 9, 5, 5, 1, 6, 1, 6};
+  int order = memcmp(d.digit, MOST, sizeof MOST);
+  value->is_beyond_u64 = value->is_integer && (d.point > 20 || (d.point == 20 && (order > 0 || (order == 0 && d.n > 20))));
+  double x = nearest_double(&d);
   if (x > DBL_MAX) return BAD(p, "a number without finite binary64 value");
   value->kind = JSON_NUMBER;
   value->number = is_negative ? -x : x;
-  /* 2^64 = 18446744073709551616: by digits, as the double of 2^64 + 1 is 2^64. */
-  static const char MOST[] = "18446744073709551616";
-  if (value->is_integer && point >= 20 && n_digits > 0) {
-    int n = n_digits < 20 ? n_digits : 20, order = memcmp(digits, MOST, (size_t)n);
-    value->is_beyond_u64 = point > 20 || order > 0 || (order == 0 && n_digits > 20);
-  }
   return TWZ_OK;
 }
 
 /* ---- Strings ---- */
 
 static int hex4(const parser *p, size_t at, uint32_t *code) {
+  static const char DIGITS[] = "0123456789abcdefABCDEF";
   *code = 0;
   if (p->n - at < 4) return 0;
   for (size_t i = at; i < at + 4; i++) {
-    char c = p->text[i];
-    uint32_t digit = c >= '0' && c <= '9'   ? (uint32_t)(c - '0')
-                     : c >= 'a' && c <= 'f' ? (uint32_t)(c - 'a' + 10)
-                     : c >= 'A' && c <= 'F' ? (uint32_t)(c - 'A' + 10)
-                                            : 16;
-    if (digit == 16) return 0;
-    *code = *code * 16 + digit;
+    const char *found = p->text[i] ? strchr(DIGITS, p->text[i]) : NULL;
+    if (!found) return 0;
+    uint32_t digit = (uint32_t)(found - DIGITS);
+    *code = *code * 16 + (digit < 16 ? digit : digit - 6);
   }
   return 1;
 }
 
 static char *put_utf8(char *to, uint32_t code) {
-  if (code < 0x80) {
-    *to++ = (char)code;
-  } else if (code < 0x800) {
-    *to++ = (char)(0xC0 | code >> 6);
-    *to++ = (char)(0x80 | (code & 63));
-  } else if (code < 0x10000) {
-    *to++ = (char)(0xE0 | code >> 12);
-    *to++ = (char)(0x80 | (code >> 6 & 63));
-    *to++ = (char)(0x80 | (code & 63));
-  } else {
-    *to++ = (char)(0xF0 | code >> 18);
-    *to++ = (char)(0x80 | (code >> 12 & 63));
-    *to++ = (char)(0x80 | (code >> 6 & 63));
-    *to++ = (char)(0x80 | (code & 63));
-  }
+  static const uint8_t FIRST[4] = {0, 0xC0, 0xE0, 0xF0}; /* by bytes that follow */
+  int n_more = (code >= 0x80) + (code >= 0x800) + (code >= 0x10000);
+  *to++ = (char)(FIRST[n_more] | code >> (6 * n_more));
+  while (n_more-- > 0) *to++ = (char)(0x80 | (code >> (6 * n_more) & 63));
   return to;
 }
 

@@ -25,12 +25,6 @@ static field take_field(scratch *s, const layer *out) {
   return f;
 }
 
-/* The parent's line at or before (after) line i of a region, counted from the first parent height. */
-static int32_t parent_line(uint32_t line, int is_after, uint32_t first, int32_t n) {
-  int64_t at = (int64_t)(((uint64_t)line + (is_after ? 1u : 0u)) >> 1) - first;
-  return (int32_t)clamp_i64(at, 0, n - 1);
-}
-
 static void imply_voids(const layer *out, const parent *p, field implied) {
   if (!p->layer || (!p->is_void && !p->layer->valid)) return;
   uint8_t both[MOST];
@@ -44,15 +38,15 @@ static void imply_voids(const layer *out, const parent *p, field implied) {
     uint32_t line = out->rows.first + (uint32_t)r;
     const uint8_t *valid = p->layer->valid + p->col;
     size_t pitch = (size_t)p->layer->cols.n;
-    const uint8_t *above = valid + pitch * (size_t)(p->row + parent_line(line, 0, p->first_row, p->n_rows));
-    const uint8_t *below = valid + pitch * (size_t)(p->row + parent_line(line, 1, p->first_row, p->n_rows));
+    const uint8_t *above = valid + pitch * (size_t)(p->row + line_above(line, 0, p->first_row, p->n_rows));
+    const uint8_t *below = valid + pitch * (size_t)(p->row + line_above(line, 1, p->first_row, p->n_rows));
     int32_t n_pairs = (n - odd) / 2;
     for (int32_t k = 0; k < n_pairs + 2; k++) {
-      int32_t at = parent_line(out->cols.first + (uint32_t)(odd + 2 * k), 0, p->first_col, p->n_cols);
+      int32_t at = line_above(out->cols.first + (uint32_t)(odd + 2 * k), 0, p->first_col, p->n_cols);
       both[k] = above[at] & below[at];
     }
     if (odd) {
-      int32_t left = parent_line(out->cols.first, 0, p->first_col, p->n_cols);
+      int32_t left = line_above(out->cols.first, 0, p->first_col, p->n_cols);
       row[0] = !(above[left] & below[left] & both[0]);
     }
     uint8_t *RESTRICT to = row + odd;
@@ -126,14 +120,14 @@ static void know_own(const layer *out, const parent *p, field implied, field kno
   const int32_t n = out->cols.n, odd = (int32_t)(out->cols.first % 2);
   int16_t places[MOST]; /* parent's columns */
   for (int32_t c = odd; p->layer && c < n; c += 2) {
-    places[c] = (int16_t)parent_line(out->cols.first + (uint32_t)c, 0, p->first_col, p->n_cols);
+    places[c] = (int16_t)line_above(out->cols.first + (uint32_t)c, 0, p->first_col, p->n_cols);
   }
   for (int32_t r = 0; r < out->rows.n; r++) {
     uint8_t *k = known.at + (size_t)r * known.stride;
     memcpy(k, implied.at + (size_t)r * implied.stride, (size_t)out->cols.n);
     uint32_t row = out->rows.first + (uint32_t)r;
     if (!p->layer || row % 2) continue;
-    int32_t above = parent_line(row, 0, p->first_row, p->n_rows);
+    int32_t above = line_above(row, 0, p->first_row, p->n_rows);
     const uint8_t *own = p->is_void ? NULL : p->layer->own ? p->layer->own : p->layer->valid;
     if (own) own += (size_t)(p->row + above) * (size_t)p->layer->cols.n + (size_t)p->col;
     int is_own = !p->is_void;

@@ -1,13 +1,11 @@
 /* Method predictive (docs/format-predictive.md, P.n). */
 #include "border.h"
-#include "range.h"
 #include "steps.h"
 #include "tables.h"
 
 enum {
   HH, HL, LH,
   N_DETAIL_MODELS = 22931,
-  N_BORDER_MODELS = 2860,
   N_MIXERS = 22,
   N_FEATURES = 18,
   MOST_SETS = 16,
@@ -23,7 +21,7 @@ typedef struct predictive_tables {
   int n_sets[3], n_classes[3];
   int16_t stencils[3][MOST_SETS][MOST_TAPS];
   int16_t weights[3][4][N_FEATURES];
-  model details[N_DETAIL_MODELS], border[N_BORDER_MODELS];
+  model models[N_DETAIL_MODELS + N_BORDER_MODELS]; /* of details, then of the border */
   eighths eighths;
 } predictive_tables;
 
@@ -61,22 +59,9 @@ static twz_status read_parameters(const twz_file *f, predictive_tables *t, const
 }
 
 twz_status predictive_tables_new(twz_file *f, const uint8_t *parameters, size_t n, twz_error *error) {
-  enum { N_BYTES = 2 * (N_DETAIL_MODELS + N_BORDER_MODELS) };
   predictive_tables *t = f->predictive = twz_allocate_zeros(&f->allocator, sizeof *t);
-  uint8_t *starts = twz_allocate(&f->allocator, N_BYTES);
-  if (!t || !starts) {
-    twz_release(&f->allocator, starts);
-    return twz_no_memory(error, sizeof *t);
-  }
-  size_t n_starts;
-  twz_status status = inflate_zlib(twz_predictive_starts, twz_predictive_starts_size, starts, N_BYTES, &n_starts,
-                                   "a table of this library", error);
-  for (int i = 0; status == TWZ_OK && i < N_DETAIL_MODELS + N_BORDER_MODELS; i++) {
-    model m = started(load_u16(starts + 2 * i));
-    if (i < N_DETAIL_MODELS) t->details[i] = m; else t->border[i - N_DETAIL_MODELS] = m;
-  }
-  twz_release(&f->allocator, starts);
-  TRY(status);
+  if (!t) return twz_no_memory(error, sizeof *t);
+  TRY(read_starts(f, twz_predictive_starts, twz_predictive_starts_size, t->models, N_DETAIL_MODELS + N_BORDER_MODELS, error));
   fill_eighths(&t->eighths);
   for (int plane = HH; plane <= LH; plane++) {
     t->n_sets[plane] = PREDICTIVE_SETS;
@@ -98,12 +83,9 @@ typedef struct decoding {
   int32_t n; /* the step */
   int32_t z_min, z_max;
   step_scale scale;
-  model *details, *border;
+  model *details;
+  border border;
   int64_t mixers[N_MIXERS][2];
-  uint8_t *known; /* of the region */
-  size_t pitch;   /* of the region */
-  int64_t *line, *predicted; /* of a shared line */
-  uint8_t *is_coded;
   /* A lattice, with margins: heights, errors, activities, curvatures. */
   int32_t n_rows, n_cols, stride;
   ptrdiff_t lattice_pitch;
@@ -132,35 +114,9 @@ static ALWAYS_INLINE int mixed_bit(decoding *d, int b, int h, int mixer) {
   return bit;
 }
 
-/* ---- Shared lines and corners of a root (P.3, P.4) ---- */
+/* ---- Shared lines and what a unit begins with (P.2 ... P.4) ---- */
 
-static int64_t border_symbol(decoding *d, int pass, int64_t s) {
-  int at = 36 * pass + bin_of(min_i64(s, 4095));
-  if (!adaptive_bit(&d->coder, d->border + at)) return 0;
-  int64_t size = 1 + magnitude(&d->coder, d->border + 180 + 14 * at, d->border + 2700 + 32 * pass, 0);
-  return raw_bits(&d->coder, 1) ? -size : size;
-}
-
-static int is_valid(const decoding *d, size_t at) { return !d->out->valid || d->out->valid[at]; }
-
-static void put(decoding *d, size_t at, int64_t prediction, int64_t q) {
-  int64_t most = 4 * MOST / d->n + 1;
-  int64_t height = clamp_i64(prediction + clamp_i64(q, -most, most) * d->n, -MOST, MOST);
-  d->out->heights[at] = (int32_t)corrected(d->job, at, height, -MOST, MOST);
-  d->known[at] = 1;
-}
-
-static void decode_corner(void *decoding_, int32_t r, int32_t c) {
-  decoding *d = decoding_;
-  size_t at = (size_t)r * d->pitch + (size_t)c;
-  if (d->known[at]) return;
-  uint32_t row = d->out->rows.first + (uint32_t)r, col = d->out->cols.first + (uint32_t)c;
-  int64_t q = is_valid(d, at) && (row | col) % 2 ? border_symbol(d, 0, 16) : 0;
-  put(d, at, corner_above(&d->job->parent, row, col), q);
-}
-
-/* The predictions of a line from the sums v of its parent's lines. */
-static void predict_line(const int64_t *v, int32_t length, int64_t *predicted) {
+static void predict_line(int64_t *v, int32_t length, int64_t *predicted) {
   int32_t m = (length + 1) >> 1;
   for (int32_t i = 0; i < length; i++) {
     int32_t k = i >> 1;
@@ -175,43 +131,6 @@ static void predict_line(const int64_t *v, int32_t length, int64_t *predicted) {
   }
 }
 
-/* A line from `start` on, every step-th sample, whose prediction is made. */
-static void decode_line(decoding *d, size_t start, size_t step, int32_t length, int is_odd) {
-  const int64_t *p = d->predicted;
-  const int32_t *heights = d->out->heights;
-  for (int32_t i = 0; i < length; i++) d->is_coded[i] = !d->known[start + (size_t)i * step];
-  for (int parity = 0; parity < 2; parity++) {
-    int64_t last = 0, before = 0;
-    for (int32_t i = parity; i < length; i += 2) {
-      size_t at = start + (size_t)i * step;
-      if (!d->is_coded[i]) continue;
-      int64_t correction = 0, near = last + before;
-      if (parity) {
-        int64_t left = heights[at - step] - p[i - 1];
-        int64_t right = i + 1 < length ? heights[at + step] - p[i + 1] : left;
-        correction = shift_right(left + right, 1);
-        near = (2 * abs_i64(left - correction) + 2 * abs_i64(right - correction)) / d->n + last;
-      }
-      int64_t bend = i > 0 && i < length - 1 ? abs_i64(p[i - 1] - 2 * p[i] + p[i + 1]) : 0;
-      int64_t q = 0;
-      if (is_valid(d, at) && (is_odd || parity)) q = border_symbol(d, parity, 4 * near + min_i64(8 * bend / d->n, 1024));
-      put(d, at, p[i] + correction, q);
-      before = last;
-      last = min_i64(abs_i64(q), 255);
-    }
-  }
-}
-
-static void decode_border_line(void *decoding_, const border_line *l) {
-  decoding *d = decoding_;
-  predict_line(d->line, l->along->n_core, d->predicted);
-  decode_line(d, l->start, l->step, l->along->n_core, l->number & 1);
-}
-
-static size_t place_of(const decoding *d, int32_t row, int32_t col) {
-  return (size_t)(d->out->rows.core + row) * d->pitch + (size_t)(d->out->cols.core + col);
-}
-
 /* Samples of even row and column are the parent's (P.2). */
 static void take_parents(decoding *d) {
   const parent *p = &d->job->parent;
@@ -219,7 +138,7 @@ static void take_parents(decoding *d) {
   int32_t left = line_above(d->out->cols.core_first, 0, p->first_col, p->n_cols);
   for (int32_t r = 0; r < d->out->rows.n_core; r += 2) {
     for (int32_t c = 0; c < d->out->cols.n_core; c += 2) {
-      d->out->heights[place_of(d, r, c)] = parent_height(p, top + r / 2, left + c / 2);
+      d->out->heights[core_at(d->out, r, c)] = parent_height(p, top + r / 2, left + c / 2);
     }
   }
 }
@@ -230,8 +149,8 @@ static int32_t decode_root_corners(decoding *d) {
   while (stride < max_i32(n_rows, n_cols) - 1) stride *= 2;
   for (int32_t r = 0; r < n_rows; r += stride) {
     for (int32_t c = 0; c < n_cols; c += stride) {
-      size_t at = place_of(d, r, c);
-      put(d, at, d->n >> 1, is_valid(d, at) ? border_symbol(d, 2, 16) : 0);
+      size_t at = core_at(d->out, r, c);
+      border_put(&d->border, at, d->n >> 1, is_valid_at(d->out, at) ? border_symbol(&d->border, 2, 16) : 0);
     }
   }
   return stride;
@@ -308,7 +227,7 @@ static void load_lattice(decoding *d, int32_t stride) {
   memset(d->bends, 0, n);
   for (int32_t r = 0; r < d->n_rows; r += 2) {
     for (int32_t c = 0; c < d->n_cols; c += 2) {
-      d->values[lattice_at(d, r, c)] = d->out->heights[place_of(d, r * stride, c * stride)];
+      d->values[lattice_at(d, r, c)] = d->out->heights[core_at(d->out, r * stride, c * stride)];
     }
   }
   mirror(d, d->values, 0, 0);
@@ -483,7 +402,7 @@ static ALWAYS_INLINE void decode_row(decoding *d, const plane *p, int which, int
     if (d->is_clamped) z.p = clamp_i64(z.p, 64 * z.six[0], 64 * z.six[3]);
     z.p = clamp_i64(z.p, 64 * (int64_t)d->z_min, 64 * (int64_t)d->z_max);
     z.w = shift_right(z.p + 32, 6);
-    int known = d->known[place], valid = is_valid(d, place);
+    int known = d->border.known[place], valid = is_valid_at(d->out, place);
     int64_t height = z.w;
     if (known) {
       height = heights[place];
@@ -528,7 +447,7 @@ static ALWAYS_INLINE void decode_rows(decoding *d, const plane *p, int which, in
     own[-1] = own[-2] = i > 0 ? own[-n] : 0;
     d->values[first - 2] = (int32_t)core_mean(d, p, first);
     d->values[last + 2] = (int32_t)core_mean(d, p, last);
-    decode_row(d, p, which, i, first, place_of(d, (2 * i + down) * d->stride, right * d->stride));
+    decode_row(d, p, which, i, first, core_at(d->out, (2 * i + down) * d->stride, right * d->stride));
     own[p->n_cols] = own[p->n_cols - 1];
     fill_activity(d, p, i, first);
   }
@@ -595,32 +514,26 @@ twz_status decode_predictive(const job *j, const reader *bytes, scratch *s, twz_
   d.z_min = h->z_min;
   d.z_max = h->z_max;
   d.scale = step_scale_of(d.n);
-  d.pitch = (size_t)d.out->cols.n;
   for (int i = 0; i < N_MIXERS; i++) d.mixers[i][0] = d.mixers[i][1] = 32768;
   coder_start(&d.coder, bytes->bytes + 1, bytes->n - 1, j->file->rates);
 
   size_t n_rows = (size_t)d.out->rows.n_core + 2 * OUTSIDE, n_cols = (size_t)d.out->cols.n_core + 2 * OUTSIDE;
-  size_t n_region = (size_t)d.out->rows.n * d.pitch, n_line = n_rows > n_cols ? n_rows : n_cols;
-  size_t n_models = N_DETAIL_MODELS + N_BORDER_MODELS;
-  TRY(scratch_reserve(s, 5 * n_rows * n_cols * 4 + n_region + n_line * 17 + n_models * sizeof(model) + 12 * SCRATCH_ALIGN, error));
+  size_t n_bytes = 5 * n_rows * n_cols * 4 + N_DETAIL_MODELS * sizeof(model) + 6 * SCRATCH_ALIGN;
+  TRY(scratch_reserve(s, n_bytes + border_bytes(j), error));
   d.values = scratch_take(s, n_rows * n_cols * 4);
   d.errors = scratch_take(s, n_rows * n_cols * 4);
   d.activity = scratch_take(s, n_rows * n_cols * 4);
   d.bends = scratch_take(s, n_rows * n_cols * 4);
   d.own_errors = scratch_take(s, n_rows * n_cols * 4);
-  d.known = scratch_take(s, n_region);
-  d.line = scratch_take(s, n_line * 8);
-  d.predicted = scratch_take(s, n_line * 8);
-  d.is_coded = scratch_take(s, n_line);
-  d.details = scratch_take(s, n_models * sizeof(model));
-  d.border = d.details + N_DETAIL_MODELS;
-  memcpy(d.details, d.tables->details, sizeof d.tables->details);
-  memcpy(d.border, d.tables->border, sizeof d.tables->border);
-  memset(d.known, 0, n_region);
+  d.details = scratch_take(s, N_DETAIL_MODELS * sizeof(model));
+  memcpy(d.details, d.tables->models, N_DETAIL_MODELS * sizeof(model));
+  const border shared = {.job = j, .coder = &d.coder, .step = d.n, .predict = predict_line};
+  d.border = shared;
+  border_start(&d.border, d.tables->models + N_DETAIL_MODELS, s);
 
   int32_t stride = 2;
   if (j->parent.layer) {
-    walk_shared(d.out, &d.job->parent, d.job->file->grid.rings, d.line, decode_corner, decode_border_line, &d);
+    decode_border(&d.border);
     take_parents(&d);
   } else {
     stride = decode_root_corners(&d);

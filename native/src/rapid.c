@@ -227,7 +227,12 @@ static twz_status open_streams(rapid_streams *z, const reader *bytes, twz_error 
   return TWZ_OK;
 }
 
-static twz_status close_streams(const rapid_streams *z, twz_error *error) {
+static twz_status close_streams(const rapid_unit *u, twz_error *error) {
+  const rapid_streams *z = &u->streams;
+  if (u->job->out->n_ready) { /* what follows is not known */
+    REQUIRE(z->n_words_used <= z->n_words && z->n_bits <= 8 * z->n_raw, error, "streams of method rapid are cut");
+    return TWZ_OK;
+  }
   REQUIRE(z->n_words_used == z->n_words, error, "%llu words of method rapid, %llu are there",
           (unsigned long long)z->n_words_used, (unsigned long long)z->n_words);
   for (uint32_t i = 0; i < z->n_states; i++) REQUIRE(z->states[i] == 65536, error, "a state of method rapid ends elsewhere");
@@ -302,6 +307,13 @@ static twz_status open_unit(rapid_unit *u, const job *j, const reader *bytes, sc
   /* Sums of details times steps must fit 32 bits, too, or 64 are used: the heights are the same. */
   u->is_wide = is_wide || max_i64(c->most_detail, ZERO_SYMBOL) * n >= (int64_t)1 << 30;
   if (!u->is_wide && j->file->kernels->decode_rapid_groups) find_short(u);
+  /* Row 2 i of the lattice is stored in turn i + 1, the one below it in the next. */
+  const layer *l = j->out;
+  u->n_turns = ((l->rows.n_core + 1) >> 1) + 2;
+  if (l->n_ready) {
+    int32_t last = max_i32(l->n_ready - 1 - l->rows.core, 0);
+    u->n_turns = min_i32(u->n_turns, (last >> 1) + 2 + (last & 1));
+  }
   return TWZ_OK;
 }
 
@@ -309,7 +321,7 @@ twz_status decode_rapid(const job *j, const reader *bytes, scratch *s, twz_error
   rapid_unit u;
   TRY(open_unit(&u, j, bytes, s, error));
   TRY(j->file->kernels->decode_rapid(&u, error));
-  return close_streams(&u.streams, error);
+  return close_streams(&u, error);
 }
 
 /* Groups of one size, of eight states each, whose sums fit 32 bits. */
@@ -331,6 +343,6 @@ twz_status decode_rapid_units(const job *const *jobs, const reader *bytes, int n
       TRY(kernels->decode_rapid_groups(&units[k], stop - k, error));
     }
   }
-  for (int k = 0; k < n; k++) TRY(close_streams(&units[k].streams, error));
+  for (int k = 0; k < n; k++) TRY(close_streams(&units[k], error));
   return TWZ_OK;
 }

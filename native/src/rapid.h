@@ -51,6 +51,7 @@ typedef struct rapid_unit {
   rapid_scale scale;
   rapid_streams streams;
   scratch *scratch;
+  int32_t n_turns; /* of the lattice of a group: until all rows that are wanted are there */
   int is_wide;  /* sums need 64 bits */
   int is_short; /* heights less the origin fit 16 bits; of groups only */
 } rapid_unit;

@@ -214,19 +214,21 @@ typedef struct NAMED(span) {
 
 #ifdef READ_VECTORS
 #include "rapid_vectors.h"
+#define READ_RAW ISA(read_raw_vectors)
+#else
+#define READ_RAW NAMED(read_raw)
 #endif
 
 /* Details first ... stop - 1 of a row; `valid` is at every step-th place, NULL: all are. */
 static NAMED(span) NAMED(begin_span)(const NAMED(row) * row, int32_t first, int32_t stop, const uint8_t *valid, size_t step,
                                      rapid_streams *z) {
   NAMED(span) s = {row->details + first, row->contexts + first, stop - first, z, 0};
-  if (!valid) return s;
+  if (!valid || ISA(count_valid)(valid + (size_t)first * step, s.n, step) == s.n) return s;
   int32_t n = 0;
   for (int32_t j = first; j < stop; j++) {
     row->packed_contexts[n] = row->contexts[j];
     n += valid[(size_t)j * step];
   }
-  if (n == s.n) return s;
   s.details = row->packed_details;
   s.contexts = row->packed_contexts;
   s.n = n;
@@ -235,7 +237,7 @@ static NAMED(span) NAMED(begin_span)(const NAMED(row) * row, int32_t first, int3
 
 static void NAMED(end_span)(const NAMED(row) * row, int32_t first, int32_t stop, const uint8_t *valid, size_t step,
                             int64_t most, const NAMED(span) * s) {
-  if (s->has_raw) NAMED(read_raw)(s->contexts, s->details, s->n, most, s->streams);
+  if (s->has_raw) READ_RAW(s->contexts, s->details, s->n, most, s->streams);
   if (s->details == row->details + first) return;
   int32_t n = 0;
   row->packed_details[s->n] = 0;
@@ -626,9 +628,9 @@ static void NAMED(begin_lattice)(NAMED(work) * w, const NAMED(source) * a, NAMED
   NAMED(begin_planes)(w);
 }
 
-static void NAMED(decode_lattice)(NAMED(work) * w, const NAMED(source) * a, NAMED(part) * p) {
+static void NAMED(decode_lattice)(NAMED(work) * w, const NAMED(source) * a, NAMED(part) * p, int32_t n_turns) {
   NAMED(begin_lattice)(w, a, p);
-  for (int32_t t = 0; t < ((p->n_rows + 1) >> 1) + 2; t++) {
+  for (int32_t t = 0; t < n_turns; t++) {
     NAMED(advance)(w, p, t);
     for (int plane = HH; plane <= LH; plane++) {
       int32_t i = t - plane;
@@ -843,7 +845,7 @@ static void NAMED(decode_root)(NAMED(work) * w) {
     stride /= 2;
     NAMED(part) p = {stride, (l->rows.n_core - 1) / stride + 1, (l->cols.n_core - 1) / stride + 1, {0, 0}, {0, 0}, 0};
     NAMED(take_class)(w, log2 - 1);
-    NAMED(decode_lattice)(w, &a, &p);
+    NAMED(decode_lattice)(w, &a, &p, ((p.n_rows + 1) >> 1) + 2);
   }
 }
 
@@ -891,7 +893,7 @@ static twz_status NAMED(decode)(rapid_unit *u, twz_error *error) {
     NAMED(source) a;
     NAMED(part) p;
     NAMED(begin_group)(&w, &a, &p);
-    NAMED(decode_lattice)(&w, &a, &p);
+    NAMED(decode_lattice)(&w, &a, &p, u->n_turns);
   } else {
     NAMED(decode_root)(&w);
   }
@@ -909,7 +911,9 @@ static twz_status NAMED(decode_groups)(rapid_unit *units, int n_units, twz_error
     NAMED(begin_group)(&works[k], &a, &parts[k]);
     NAMED(begin_lattice)(&works[k], &a, &parts[k]);
   }
-  for (int32_t t = 0; t < ((parts[0].n_rows + 1) >> 1) + 2; t++) {
+  for (int32_t t = 0;; t++) {
+    while (n_units > 0 && t >= units[n_units - 1].n_turns) n_units--;
+    if (n_units == 0) break;
     for (int k = 0; k < n_units; k++) NAMED(advance)(&works[k], &parts[k], t);
     for (int plane = HH; plane <= LH; plane++) {
       int32_t i = t - plane, n = works[0].sizes[plane][1];
@@ -932,3 +936,4 @@ static twz_status NAMED(decode_groups)(rapid_unit *units, int n_units, twz_error
   return TWZ_OK;
 }
 #endif
+#undef READ_RAW

@@ -42,6 +42,17 @@ static ALWAYS_INLINE uint64_t ISA(take_raw)(rapid_streams *z, int n) {
   return held & (((uint64_t)1 << n) - 1);
 }
 
+/* How many of n samples, each step-th one, are valid: without voids or with nothing else there is less to do. */
+static int32_t ISA(count_valid)(const uint8_t *valid, int32_t n, size_t step) {
+  int32_t n_valid = 0;
+  if (step == 2) {
+    for (int32_t j = 0; j < n; j++) n_valid += valid[2 * j];
+  } else {
+    for (int32_t j = 0; j < n; j++) n_valid += valid[(size_t)j * step];
+  }
+  return n_valid;
+}
+
 #define NUMBER int64_t
 #define NAMED(name) ISA(wide_##name)
 #include "rapid_rows.h"

@@ -97,6 +97,39 @@ static void ISA(read_vectors)(NAMED(span) * s, int n, const uint32_t *slots) {
   }
 }
 
+/* R.9, as read_raw: eight details at once, unless one is an escape. */
+static void ISA(read_raw_vectors)(const int32_t *contexts, int32_t *details, int32_t n, int64_t most, rapid_streams *z) {
+  const __m256i none = _mm256_setzero_si256(), high = _mm256_set1_epi32((int)most), low = _mm256_sub_epi32(none, high);
+  int32_t j = 0;
+  for (; j + 8 <= n; j += 8) {
+    __m256i detail = _mm256_loadu_si256((const __m256i *)(details + j));
+    __m256i escapes = _mm256_cmpeq_epi32(detail, _mm256_set1_epi32(-ZERO_SYMBOL));
+    if (!_mm256_testz_si256(escapes, escapes)) {
+      NAMED(read_raw)(contexts + j, details + j, 8, most, z);
+      continue;
+    }
+    __m256i context = _mm256_and_si256(_mm256_loadu_si256((const __m256i *)(contexts + j)), _mm256_set1_epi32(DOWN - 1));
+    __m256i n_bits = _mm256_max_epi32(_mm256_sub_epi32(_mm256_srli_epi32(context, 3), _mm256_set1_epi32(8)), none);
+    if (_mm256_testz_si256(n_bits, n_bits)) continue;
+    /* Sums of numbers of bits, up to and with each lane; at most 13 bits a lane. */
+    __m256i sums = _mm256_add_epi32(n_bits, _mm256_slli_si256(n_bits, 4));
+    sums = _mm256_add_epi32(sums, _mm256_slli_si256(sums, 8));
+    __m256i half = _mm256_shuffle_epi32(_mm256_permute2x128_si256(sums, sums, 8), 255);
+    sums = _mm256_add_epi32(sums, half);
+    __m256i from = _mm256_add_epi32(_mm256_sub_epi32(sums, n_bits), _mm256_set1_epi32((int)(z->n_bits & 7)));
+    const uint8_t *at = z->raw + min_size(z->n_bits >> 3, z->n_raw); /* PAYLOAD_SLACK is behind it */
+    __m256i held = _mm256_i32gather_epi32((const int *)(const void *)at, _mm256_srli_epi32(from, 3), 1);
+    held = _mm256_srlv_epi32(held, _mm256_and_si256(from, _mm256_set1_epi32(7)));
+    __m256i above = _mm256_sllv_epi32(_mm256_set1_epi32(-1), n_bits);
+    __m256i whole = _mm256_or_si256(_mm256_sllv_epi32(detail, n_bits), _mm256_andnot_si256(above, held));
+    whole = _mm256_max_epi32(_mm256_min_epi32(whole, high), low);
+    detail = _mm256_blendv_epi8(whole, detail, _mm256_cmpeq_epi32(n_bits, none));
+    _mm256_storeu_si256((__m256i *)(details + j), detail);
+    z->n_bits += (size_t)_mm256_extract_epi32(sums, 7);
+  }
+  NAMED(read_raw)(contexts + j, details + j, n - j, most, z);
+}
+
 /* Two taps side by side: where the row of pairs begins, and their weights. */
 typedef struct ISA(pair_of_taps) {
   const int32_t *at;

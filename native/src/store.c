@@ -11,8 +11,7 @@ twz_status decode_store(const job *j, const reader *bytes, twz_error *error) {
   size_t n_cols = (size_t)l->cols.n, n_stored = 0;
   for (int32_t r = 0; r < l->rows.n; r++) {
     for (int32_t c = 0; c < l->cols.n; c++) {
-      int is_valid = !l->valid || l->valid[(size_t)r * n_cols + (size_t)c];
-      n_stored += is_valid && !is_inherited(l, &j->parent, r, c);
+      n_stored += is_valid_at(l, (size_t)r * n_cols + (size_t)c) && !is_inherited(l, &j->parent, r, c);
     }
   }
   REQUIRE(bytes->n >= 5, error, "a payload of store of %llu bytes", (unsigned long long)bytes->n);
@@ -32,7 +31,7 @@ twz_status decode_store(const job *j, const reader *bytes, twz_error *error) {
         int32_t row = (int32_t)((l->rows.first + (uint32_t)r) / 2 - j->parent.first_row);
         int32_t col = (int32_t)((l->cols.first + (uint32_t)c) / 2 - j->parent.first_col);
         l->heights[i] = parent_height(&j->parent, row, col);
-      } else if (l->valid && !l->valid[i]) {
+      } else if (!is_valid_at(l, i)) {
         l->heights[i] = 0;
       } else {
         while (n_held < n_bits) {

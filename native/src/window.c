@@ -12,6 +12,7 @@ typedef struct slot {
   section_place place;
   uint8_t *payload;
   unit *unit;
+  int32_t n_rows; /* that are wanted, from the first of the region on */
 } slot;
 
 /* The units of one level of keys, a rectangle of them; the finest stage is the first. */
@@ -134,17 +135,47 @@ void twz_window_free(twz_window *w) {
 
 /* ---- What is needed ---- */
 
+/* How many rows of the region of a unit it takes to have `last` of a level. */
+static int32_t rows_up_to(const grid *g, place key, int level, uint32_t last) {
+  axis rows, cols;
+  unit_axes(g, key, level, &rows, &cols);
+  int32_t n = (int32_t)(min_u32(last, rows.first + (uint32_t)rows.n - 1) - rows.first + 1);
+  return 4 * (int64_t)n > 3 * (int64_t)rows.n ? ALL_ROWS : n; /* little is gained */
+}
+
+/* The last line of the parent heights of a key (§2.4). */
+static uint32_t last_above(const grid *g, place key) {
+  return min_u32(((key.row + 1) << g->block_log2) + (uint32_t)g->rings, level_size(g, g->n_rows, key.level) - 1);
+}
+
+/*
+ * Rows of a unit of rapid follow from those above them (R.5). The first ones do where a window wants no more, unless
+ * samples are moved from nodata, which are counted. A window of whole units is of a reader that goes on: it gets all.
+ */
+static int can_end_early(const twz_window *w) {
+  const twz_file *f = w->file;
+  const stage *s = &w->stages[0];
+  if (f->header.method != TWZ_RAPID || f->heights.first <= f->heights.last || s->level < 0) return 0;
+  place key = {s->level, s->row + s->n_rows - 1, s->col};
+  return rows_up_to(&f->grid, key, w->level, w->box.row + w->box.n_rows - 1) != ALL_ROWS;
+}
+
 /* Find which units must be decoded: those that the cache lacks, and what they follow from. */
 static twz_status plan_units(twz_window *w, twz_error *error) {
   twz_file *f = w->file;
+  int is_partial = can_end_early(w);
   for (int i = 0; i < w->n_stages; i++) {
     stage *s = &w->stages[i];
     for (size_t k = 0; k < n_slots(s); k++) {
       slot *one = &s->slots[k];
-      if (i == 0) one->state = WANTED;
-      if (one->state != WANTED) continue;
       place key = key_at(s, k);
-      one->unit = cache_take(f, key);
+      if (i == 0) {
+        one->state = WANTED;
+        one->n_rows = rows_up_to(&f->grid, key, w->level, w->box.row + w->box.n_rows - 1);
+      }
+      if (one->state != WANTED) continue;
+      if (!is_partial || key.level < 0) one->n_rows = ALL_ROWS;
+      one->unit = cache_take(f, key, &one->n_rows);
       if (one->unit) {
         one->state = DECODED;
         continue;
@@ -155,8 +186,10 @@ static twz_status plan_units(twz_window *w, twz_error *error) {
                         (unsigned long long)f->max_bytes);
       }
       if (i + 1 < w->n_stages) {
-        slot *above = slot_at(s + 1, parent_unit(&f->grid, key));
-        if (above->state == UNUSED) above->state = WANTED;
+        place parent = parent_unit(&f->grid, key);
+        slot *above = slot_at(s + 1, parent);
+        above->state = WANTED;
+        above->n_rows = max_i32(above->n_rows, rows_up_to(&f->grid, parent, key.level, last_above(&f->grid, key)));
       }
     }
   }
@@ -444,6 +477,7 @@ static void decode_some(void *argument, size_t index, size_t worker) {
       break;
     }
     o->unit->entry.at = key;
+    o->unit->layers[0].n_ready = slots[k]->n_rows == ALL_ROWS || o->n == 0 ? 0 : slots[k]->n_rows;
     o->unit->n_users = 1;
   }
   if (status == TWZ_OK) status = decode_units(f, orders, (int)n, d->scratches + MOST_TOGETHER * worker, error);

@@ -2,6 +2,7 @@
  * Tests of the library with the files it is given: test_library FILE ... What files decode to is held against the
  * conformance set elsewhere (CMakeLists.txt); here ways to the same heights are compared, and what must fail fails.
  */
+#include <float.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -105,8 +106,16 @@ static uint32_t below(uint32_t n) { /* a number below n */
   return (uint32_t)(((uint64_t)random_state * n) >> 32);
 }
 
+static size_t n_early; /* units of which only the first rows were decoded */
+
+static void count_early(const twz_file *file) {
+  for (size_t i = 0; i < file->units.n_slots; i++) {
+    for (entry *e = file->units.slots[i]; e; e = e->next) n_early += ((unit *)e)->layers[0].n_ready != 0;
+  }
+}
+
 static void windows_are_parts_of_the_whole(memory *m) {
-  twz_file *file = open_memory(m, NULL);
+  twz_file *file = open_memory(m, NULL), *other = NULL;
   size_t width = twz_file_info(file)->dtype_bytes;
   for (int level = 0; level < twz_file_info(file)->n_levels; level++) {
     raster whole, part;
@@ -114,12 +123,17 @@ static void windows_are_parts_of_the_whole(memory *m) {
     CHECK(twz_file_level(file, level, &size, NULL) == TWZ_OK);
     CHECK(read_raster(file, m, level, NULL, NULL, &whole, NULL) == TWZ_OK);
     for (int i = 0; i < 20; i++) {
+      if (i % 4 == 0) { /* of a file just opened, and of one that has some units or some rows of them */
+        twz_file_free(other);
+        other = open_memory(m, NULL);
+      }
       twz_box b;
       b.row = below(size.n_rows);
       b.col = below(size.n_cols);
       b.n_rows = 1 + below(size.n_rows - b.row);
       b.n_cols = 1 + below(size.n_cols - b.col);
-      CHECK(read_raster(file, m, level - twz_file_info(file)->n_levels, &b, NULL, &part, NULL) == TWZ_OK);
+      CHECK(read_raster(other, m, level - twz_file_info(file)->n_levels, &b, NULL, &part, NULL) == TWZ_OK);
+      count_early(other);
       int same = 1;
       for (uint32_t row = 0; row < b.n_rows; row++) {
         size_t from = (size_t)(b.row + row) * size.n_cols + b.col, to = (size_t)row * b.n_cols;
@@ -132,6 +146,7 @@ static void windows_are_parts_of_the_whole(memory *m) {
     free_raster(&whole);
   }
   twz_file_free(file);
+  twz_file_free(other);
 }
 
 /* Each kind of kernels, caches of several sizes and several threads decode to the same. */
@@ -248,6 +263,51 @@ static void a_window_in_the_cache_needs_no_bytes(memory *m) {
   free_raster(&a);
   free_raster(&b);
   twz_file_free(file);
+}
+
+/* What the cache counts is what it holds: all of it comes back when it is emptied. */
+static size_t n_sized; /* bytes that are held */
+
+static void *sized_allocate(void *context, size_t n) {
+  max_align_t *memory = malloc(sizeof(max_align_t) + n);
+  (void)context;
+  if (!memory) return NULL;
+  *(size_t *)(void *)memory = n;
+  n_sized += n;
+  return memory + 1;
+}
+
+static void sized_release(void *context, void *memory) {
+  max_align_t *start = (max_align_t *)memory - 1;
+  (void)context;
+  n_sized -= *(size_t *)(void *)start;
+  free(start);
+}
+
+static void the_cache_counts_what_it_holds(memory *m) {
+  twz_options options = TWZ_OPTIONS;
+  options.allocator.allocate = sized_allocate;
+  options.allocator.release = sized_release;
+  options.cache_bytes = 40000;
+  twz_file *file = open_memory(m, &options);
+  twz_level size;
+  CHECK(twz_file_level(file, -1, &size, NULL) == TWZ_OK);
+  for (int i = 0; i < 20; i++) {
+    raster part;
+    twz_box b = {below(size.n_rows), below(size.n_cols), 1, 1};
+    b.n_rows += below(min_u32(size.n_rows - b.row, 60));
+    b.n_cols += below(min_u32(size.n_cols - b.col, 60));
+    CHECK(read_raster(file, m, -1, &b, NULL, &part, NULL) == TWZ_OK);
+    free_raster(&part);
+    CHECK(file->cached_bytes <= file->cache_bytes);
+  }
+  size_t before = n_sized, counted = (size_t)file->cached_bytes, n_units = file->units.n;
+  file->cache_bytes = 0;
+  while (file->units.n > 0) cache_leave(file, cache_take(file, file->newest->entry.at, &(int32_t){1}));
+  size_t given_back = before - n_sized, heaps = n_units * sizeof(heap);
+  CHECK(counted <= given_back && given_back <= counted + heaps && file->cached_bytes == 0);
+  twz_file_free(file);
+  CHECK(n_sized == 0);
 }
 
 /* ---- What must fail ---- */
@@ -389,13 +449,14 @@ static void numbers_are_the_nearest_ones(void) {
                                      "0.50000000000000011102230246251565404236316680908203125", "8.98846567431158e307"};
   for (size_t i = 0; i < sizeof HARD / sizeof *HARD; i++) CHECK(number_of(HARD[i]) == strtod(HARD[i], NULL));
   for (int i = 0; i < 30000; i++) { /* whatever digits and exponents */
-    char text[80];
+    char text[1100];
     int n = 0;
+    uint32_t most = i % 16 ? 25 : 1000; /* digits after the point: at times more than are kept */
     if (below(2)) text[n++] = '-';
     n += snprintf(text + n, sizeof text - (size_t)n, "%u", 1 + below(9));
     for (uint32_t k = below(25); k > 0; k--) text[n++] = (char)('0' + below(10));
     text[n++] = '.';
-    for (uint32_t k = 1 + below(25); k > 0; k--) text[n++] = (char)('0' + below(10));
+    for (uint32_t k = 1 + below(most); k > 0; k--) text[n++] = (char)('0' + below(10));
     snprintf(text + n, sizeof text - (size_t)n, "e%d", (int)below(620) - 330);
     double x = strtod(text, NULL), y = number_of(text);
     if (isinf(x) ? !isnan(y) : x != y) {
@@ -403,6 +464,13 @@ static void numbers_are_the_nearest_ones(void) {
       n_failed++;
     }
   }
+  /* Half way between 1 and the next double, and hardly more, by digits that are not kept. */
+  char half[1100] = "1.00000000000000011102230246251565404236316680908203125";
+  size_t n_half = strlen(half);
+  memset(half + n_half, '0', 1000);
+  CHECK(number_of(half) == 1);
+  half[n_half + 999] = '1';
+  CHECK(number_of(half) == 1 + DBL_EPSILON);
   char long_one[1900] = "0.";
   memset(long_one + 2, '0', 1800);
   strcpy(long_one + 1802, "5e1800");
@@ -411,6 +479,16 @@ static void numbers_are_the_nearest_ones(void) {
   CHECK(number_of(long_one) == strtod(long_one, NULL) || isinf(strtod(long_one, NULL)));
   static const char *const WRONG[] = {"01", "1.", ".5", "-", "+1", "1e", "1e400", "-1e999999999999999999999", "NaN", "Infinity", "0x1", "1 1"};
   for (size_t i = 0; i < sizeof WRONG / sizeof *WRONG; i++) CHECK(isnan(number_of(WRONG[i])));
+}
+
+static void escapes_are_the_characters_they_name(void) {
+  static const char TEXT[] = "{\"a\": \"\\u0041\\u00e9\\u20AC\\ud83d\\uDE00\\u007f\\u0080\\u07ff\\u0800\\n\\\\\"}";
+  twz_allocator plain = {0, 0, 0};
+  json_document d = {&plain, NULL, NULL};
+  CHECK(json_parse(&d, TEXT, strlen(TEXT), NULL) == TWZ_OK);
+  CHECK(strcmp(json_member(d.root, "a")->string,
+               "A\xc3\xa9\xe2\x82\xac\xf0\x9f\x98\x80\x7f\xc2\x80\xdf\xbf\xe0\xa0\x80\n\\") == 0);
+  json_free(&d);
 }
 
 static void texts_are_checked(void) {
@@ -436,8 +514,12 @@ int main(int n, char **files) {
   twz_pool *pool;
   CHECK(twz_pool_new(3, &pool, NULL) == TWZ_OK);
   CHECK(twz_version() == TWZ_VERSION_MAJOR * 10000 + TWZ_VERSION_MINOR * 100 + TWZ_VERSION_PATCH);
+  char numbers[40];
+  snprintf(numbers, sizeof numbers, "%d.%d.%d", TWZ_VERSION_MAJOR, TWZ_VERSION_MINOR, TWZ_VERSION_PATCH);
+  CHECK(strncmp(TWZ_VERSION, numbers, strlen(numbers)) == 0);
   checksums_are_those_of_the_format();
   numbers_are_the_nearest_ones();
+  escapes_are_the_characters_they_name();
   texts_are_checked();
   for (int i = 1; i < n; i++) {
     path = files[i];
@@ -449,11 +531,13 @@ int main(int n, char **files) {
     threads_may_share_a_file(&m, pool);
 #endif
     a_window_in_the_cache_needs_no_bytes(&m);
+    the_cache_counts_what_it_holds(&m);
     no_memory_is_an_error(&m);
     calls_that_are_wrong_say_so(&m);
     damage_is_noticed(&m);
     free(m.bytes);
   }
+  CHECK(n == 1 || n_early > 100);
   twz_pool_free(pool);
   if (n_failed) fprintf(stderr, "%d checks failed\n", n_failed);
   return n_failed != 0;

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from terrainwave.codec.store import Store
     from terrainwave.export.geotiff import decompress
     from terrainwave.export.mesh import Mesh
-    from terrainwave.file import Info
+    from terrainwave.file.info import Info
     from terrainwave.progress import Progress
     from terrainwave.terrain import Terrain
     from terrainwave.tri.rqt import Rqt
@@ -97,7 +97,7 @@ _LAZY = {
     "PatchResult": "write.patch",
     "patch": "write.patch",
     "Progress": "progress",
-    "Info": "file",
+    "Info": "file.info",
     "Terrain": "terrain",
     "Mesh": "export.mesh",
     "VerifyReport": "verification.heights",
@@ -120,8 +120,10 @@ def __dir__() -> list[str]:
     return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
 
 
-def open(source: Any, **options: Any) -> "Terrain":
+def open(
+    source: Any, *, cache_bytes: int = 256 << 20, threads: int | None = None, native: bool = True
+) -> "Terrain":
     """Open a .twz file by path, URL, bytes or file object; see `Terrain` for the options."""
     from terrainwave.terrain import Terrain
 
-    return Terrain(source, **options)
+    return Terrain(source, cache_bytes=cache_bytes, threads=threads, native=native)

@@ -87,7 +87,7 @@ class Terrain(TerrainFile):
 
         Raises
         ------
-        InvalidHeightsError
+        InvalidArgumentError
             If an argument is out of range, the area is less than 2 x 2 samples, or `max_error` is
             less than the file's own error.
         CorruptStreamError
@@ -99,11 +99,10 @@ class Terrain(TerrainFile):
         check_flags(guarantee=guarantee)
         if optimise is None:
             optimise = int(guarantee)  # zero trees alone are not to be changed
-        placed = mesh_area(
-            self, window, bounds=bounds, level=level, max_error=max_error,
+        return mesh_area(
+            self, Mesh, window, bounds=bounds, level=level, max_error=max_error,
             max_triangles=max_triangles, optimise=optimise, guarantee=guarantee, progress=progress,
         )  # fmt: skip
-        return Mesh(*placed)
 
     def block_mesh(self, block: Block) -> "BlockMesh":
         """Return the mesh of a block as `mesh_error` measures it, in samples and quanta.

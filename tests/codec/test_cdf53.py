@@ -9,7 +9,7 @@ from twz import twz_bytes
 from terrainwave.codec.cdf53 import tiles
 from terrainwave.codec.cdf53.refiner import PIECE, decode_tile, encode_tile, plane_cut, unpack_head
 from terrainwave.codec.cdf53.tiles import TileLayout
-from terrainwave.codec.own_masks import Validity
+from terrainwave.codec.refiner import ALL_VALID
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TruncatedStreamError
 from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.terrain import Terrain
@@ -36,8 +36,7 @@ def root_tile(heights):
     """Return spec, coded tile and validity of a raster that is one tile."""
     grid = Grid(*heights.shape, 32)
     spec = TileLayout(grid).spec(Block(-1, 0, 0))
-    masks = [np.ones(region.shape, dtype=bool) for region in spec.regions]
-    levels = [Validity(mask, mask) for mask in masks]
+    levels = [ALL_VALID] * len(spec.regions)
     return spec, encode_tile(spec, heights.astype(np.int32), levels, None)
 
 

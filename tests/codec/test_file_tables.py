@@ -25,7 +25,7 @@ from terrainwave.codec.predictive.fit import fit_non_negative, fit_tables, fit_w
 from terrainwave.codec.predictive.passes import N_FEATURES
 from terrainwave.codec.predictive.refiner import Predictive
 from terrainwave.codec.predictive.trained import E_WEIGHTS, STENCILS
-from terrainwave.codec.refiner import GroupSpec, Sides
+from terrainwave.codec.refiner import GroupSpec
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
 from terrainwave.grid.quadtree import Grid, Region
@@ -165,8 +165,7 @@ def fitted_to(heights, step):
 def unit(shape, step):
     core = Region(0, 0, *shape)
     above = Region(0, 0, (shape[0] + 1) // 2, (shape[1] + 1) // 2)
-    alone = Sides(False, False, False, False)
-    return GroupSpec(1, core, core, above, alone, step, -5000, 5000, (1, 0), 1, 1)
+    return GroupSpec.alone(core, step, -5000, 5000, parent_region=above, effort=1)
 
 
 @pytest.mark.large

@@ -11,7 +11,7 @@ from strategies import valid_masks
 
 from terrainwave.codec import group
 from terrainwave.codec.group import decode_unit, encode_unit, implied_voids, voids_below
-from terrainwave.codec.refiner import Decoded
+from terrainwave.codec.refiner import Decoded, Validity
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.units import block_of_unit, unit_spec
 from terrainwave.errors import CorruptStreamError
@@ -114,7 +114,7 @@ def test_implied_voids_are_void(shape, rings):
         spec = unit_spec(grid, parameters(rings=rings), key)
         coarse, fine = masks[key.level], masks[key.level + 1]
         above = coarse[spec.parent_region.slices_in(Region(0, 0, *coarse.shape))]
-        parent = Decoded(np.zeros(above.shape, dtype=np.int32), above, None)
+        parent = Decoded(np.zeros(above.shape, dtype=np.int32), Validity.of(above))
         implied = implied_voids(spec, parent)
         mask = fine[spec.region.slices_in(Region(0, 0, *fine.shape))]
         assert not (mask & implied).any()
@@ -125,7 +125,9 @@ def test_below_a_void_sample_everything_it_touches_is_implied():
     spec = unit_spec(grid, parameters(), Block(0, 0, 0))
     above = np.ones(spec.parent_region.shape, dtype=bool)
     above[5, 0] = False
-    implied = implied_voids(spec, Decoded(np.zeros(above.shape, dtype=np.int32), above, None))
+    implied = implied_voids(
+        spec, Decoded(np.zeros(above.shape, dtype=np.int32), Validity.of(above))
+    )
     assert np.argwhere(implied).tolist() == [[r, c] for r in (9, 10, 11) for c in (0, 1)]
 
 
@@ -156,7 +158,7 @@ def test_implied_voids_cost_no_mask():
     spec = unit_spec(grid, parameters(), Block(0, 0, 0))
     above = np.ones(spec.parent_region.shape, dtype=bool)
     above[5:9] = False
-    parent = Decoded(np.zeros(above.shape, dtype=np.int32), above, None)
+    parent = Decoded(np.zeros(above.shape, dtype=np.int32), Validity.of(above))
     mask = ~implied_voids(spec, parent)
     payload, _ = round_trip(spec, np.zeros(mask.shape), mask, parent)
     assert len(payload) == 1 + 5
@@ -302,7 +304,7 @@ def test_any_bytes_below_a_parent_with_voids_do_too(method, rest, flags):
     rng = np.random.default_rng(6)
     shape = spec.parent_region.shape
     heights = rng.integers(-50, 51, shape).astype(np.int32)
-    parent = Decoded(heights, rng.random(shape) < 0.6, None)
+    parent = Decoded(heights, Validity.of(rng.random(shape) < 0.6))
     try:
         decoded = decode_unit(refiner_by_name(method), spec, parent, bytes([flags]) + rest)
     except CorruptStreamError:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import valid_masks
 
-from terrainwave.codec.masks import all_valid, decode_mask, encode_mask, is_whole, start_models
+from terrainwave.codec.masks import decode_mask, encode_mask, start_models
 from terrainwave.errors import CorruptStreamError
 
 shapes = st.tuples(st.integers(1, 12), st.integers(1, 12))
@@ -102,22 +102,3 @@ def test_start_values_are_those_of_the_format():
     assert [(model >> 24, model & 0xFFFFFF) for model in start_models().tolist()] == [
         (int(number), 2) for number in numbers
     ]
-
-
-def test_masks_without_voids_are_whole_and_so_are_their_parts():
-    mask = all_valid((7, 9))
-    assert mask.shape == (7, 9)
-    assert mask.all()
-    assert is_whole(mask)
-    assert is_whole(mask[2:, 3:5])
-    with pytest.raises(ValueError, match="read-only"):
-        mask[0, 0] = False
-
-
-def test_other_masks_are_looked_at_and_so_is_one_older_than_a_larger():
-    small = all_valid((3, 3))
-    larger = all_valid((2000, 1000))
-    assert is_whole(small)
-    assert is_whole(larger)
-    assert is_whole(np.ones((3, 3), dtype=np.bool_))
-    assert not is_whole(np.array([[True, False]]))

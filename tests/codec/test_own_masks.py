@@ -13,10 +13,10 @@ from terrainwave.codec.masks import encode_mask
 from terrainwave.codec.own_masks import (
     Above,
     Sections,
-    Validity,
     decode_validity,
     encode_validity,
 )
+from terrainwave.codec.refiner import Validity, as_array
 from terrainwave.coding.rangecoder import (
     SETTLED_ON_ONES,
     code_step,
@@ -33,19 +33,24 @@ class Levels:
 
     def __init__(self, valid, n_levels):
         self.levels = [
-            Validity(reference.level_mask(valid, shift), valid[:: 1 << shift, :: 1 << shift])
+            Validity.of(reference.level_mask(valid, shift), valid[:: 1 << shift, :: 1 << shift])
+            for shift in range(n_levels - 1, -1, -1)
+        ]
+        self.regions = [
+            Region(0, 0, *valid[:: 1 << shift, :: 1 << shift].shape)
             for shift in range(n_levels - 1, -1, -1)
         ]
 
     def place(self, index):
         """Return region, implied voids and what is above of a level, and whether it is finest."""
-        region = whole(self.levels[index])
+        region = self.regions[index]
         is_finest = index == len(self.levels) - 1
         if index == 0:
             return np.zeros(region.shape, dtype=bool), region, None, is_finest
         above = self.levels[index - 1]
-        implied = voids_below(region, whole(above), above.mask)
-        return implied, region, Above(whole(above), above.own), is_finest
+        outer = self.regions[index - 1]
+        implied = voids_below(region, outer, above.mask)
+        return implied, region, Above(outer, above.own_mask), is_finest
 
     def coded(self, index):
         implied, region, above, is_finest = self.place(index)
@@ -56,8 +61,9 @@ class Levels:
         return decode_validity(sections, implied, region, above, is_finest=is_finest)
 
 
-def whole(validity):
-    return Region(0, 0, *validity.mask.shape)
+def arrays(validity, region):
+    """Return which samples are valid, and which by themselves."""
+    return as_array(validity.mask, region.shape), as_array(validity.own_mask, region.shape)
 
 
 def specks(n_rows, n_cols):
@@ -75,11 +81,12 @@ def test_validity_comes_back_on_each_level(data, shape):
     for index, expected in enumerate(levels.levels):
         sections = levels.coded(index)
         found = levels.decoded(index, sections)
-        np.testing.assert_array_equal(found.mask, expected.mask)
-        np.testing.assert_array_equal(found.own, expected.own)
+        region = levels.regions[index]
+        np.testing.assert_array_equal(arrays(found, region), arrays(expected, region))
+        assert [part is None for part in found] == [part is None for part in expected]
         if index == len(levels.levels) - 1:
             assert sections.own == b""
-            assert found.own is found.mask
+            assert found.own is None
 
 
 def test_what_follows_from_the_level_above_takes_no_bytes():
@@ -93,7 +100,8 @@ def test_both_take_hardly_more_than_masks_alone():
     own = alone = 0
     for index, validity in enumerate(levels.levels):
         own += sum(map(len, levels.coded(index)))
-        alone += len(encode_mask(validity.mask, levels.place(index)[0]))
+        mask, _ = arrays(validity, levels.regions[index])
+        alone += len(encode_mask(mask, levels.place(index)[0]))
     assert own < 1.1 * alone
 
 
@@ -116,8 +124,9 @@ def test_damage_is_found_or_gives_some_validity_whose_own_samples_are_valid(inde
             except CorruptStreamError:
                 n_found += 1
             else:
-                assert not (found.own & ~found.mask).any()
-                assert not (found.mask & levels.place(index)[0]).any()
+                valid, by_itself = arrays(found, levels.regions[index])
+                assert not (by_itself & ~valid).any()
+                assert not (valid & levels.place(index)[0]).any()
     assert n_found
 
 
@@ -126,7 +135,8 @@ def test_any_bytes_are_decoded_or_refused(mask, own, valid, is_finest):
     # `above` need not fit the voids that are implied: only own samples of the parent are not void.
     outer = Region(3, 2, 7, 6)
     region = Region(6, 4, 13, 11)
-    above = Above(outer, valid[:7, :6])
+    own_above = valid[:7, :6]
+    above = Above(outer, None if own_above.all() else own_above)
     implied = voids_below(region, outer, valid[:7, :6] | valid[6:, 6:])
     try:
         found = decode_validity(
@@ -134,8 +144,9 @@ def test_any_bytes_are_decoded_or_refused(mask, own, valid, is_finest):
         )
     except CorruptStreamError:
         return
-    assert found.mask.shape == found.own.shape == region.shape
-    assert not (found.own & ~found.mask).any()
+    found_mask, found_own = arrays(found, region)
+    assert found_mask.shape == found_own.shape == region.shape
+    assert not (found_own & ~found_mask).any()
 
 
 def test_runs_of_settled_models_are_coded_as_sample_by_sample():

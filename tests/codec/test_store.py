@@ -5,12 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terrainwave.codec.refiner import GroupSpec, Sides
+from terrainwave.codec.refiner import GroupSpec
 from terrainwave.codec.store.refiner import Store
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.grid.quadtree import Region
-
-NOT_SHARED = Sides(False, False, False, False)
 
 
 def spec_of(shape, step=1, z_min=-1000, z_max=1000, parent=False, first=(0, 0)):
@@ -21,7 +19,7 @@ def spec_of(shape, step=1, z_min=-1000, z_max=1000, parent=False, first=(0, 0)):
         row, col = first[0] >> 1, first[1] >> 1
         last_row, last_col = first[0] + shape[0] - 1, first[1] + shape[1] - 1
         above = Region(row, col, (last_row + 1 >> 1) - row + 1, (last_col + 1 >> 1) - col + 1)
-    return GroupSpec(1, region, region, above, NOT_SHARED, step, z_min, z_max, (0, -1), 1, 0)
+    return GroupSpec.alone(region, step, z_min, z_max, parent_region=above)
 
 
 def valid_everywhere(target):

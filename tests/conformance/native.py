@@ -1,6 +1,7 @@
-"""Answer the conformance set by the native library: python native.py TWZ [OPTIONS].
+"""Answer the conformance set by the native library: python native.py TWZ [--OPTIONS].
 
-TWZ is the command `twz`; options go to it. Nothing but Python's own library is needed.
+TWZ is the command `twz`, which may stand behind an emulator and what that is told; options go to
+`twz`. Nothing but Python's own library is needed.
 """
 
 import hashlib
@@ -25,8 +26,10 @@ class Refused(Exception):
 
 
 def run(command, *arguments):
-    """Return what `twz` writes; options of the command stand behind its arguments."""
-    done = subprocess.run([command[0], *arguments, *command[1:]], capture_output=True, check=False)
+    """Return what `twz` writes; its arguments stand before the options of the command."""
+    n_words = next((i for i, word in enumerate(command) if word.startswith("--")), len(command))
+    whole = [*command[:n_words], *arguments, *command[n_words:]]
+    done = subprocess.run(whole, capture_output=True, check=False)
     if done.returncode == 0:
         return done.stdout
     message = done.stderr.decode(errors="replace").strip()

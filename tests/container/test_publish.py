@@ -12,6 +12,7 @@ from container.toys import toy_header, toy_spools
 from containers import open_container
 
 from terrainwave.container import publish as publish_module
+from terrainwave.container import unfinished
 from terrainwave.container.publish import publish, remove_stale_parts, scratch_directory
 from terrainwave.container.writer import assemble
 from terrainwave.errors import StorageError
@@ -75,7 +76,7 @@ def test_ctrl_c_while_the_part_is_locked_leaves_nothing(tmp_path, monkeypatch):
     def interrupted(file):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("terrainwave.container.publish._try_lock", interrupted)
+    monkeypatch.setattr("terrainwave.container.unfinished._try_lock", interrupted)
     with pytest.raises(KeyboardInterrupt), publish(tmp_path / "a.twz"):
         pytest.fail("the block must not run")
     assert list(tmp_path.iterdir()) == []
@@ -211,7 +212,7 @@ def test_a_part_whose_lock_is_held_or_cannot_be_tried_stays(target, monkeypatch,
     def fail(*_):
         raise OSError(error, os.strerror(error))
 
-    monkeypatch.setattr(publish_module.fcntl, "flock", fail)
+    monkeypatch.setattr(unfinished.fcntl, "flock", fail)
     assert remove_stale_parts(target) == []
     assert others(target) == [part.name]
 
@@ -220,15 +221,15 @@ def test_a_file_system_without_locks_can_be_written(target, monkeypatch):
     def fail(*_):
         raise OSError(errno.ENOLCK, "no locks")
 
-    monkeypatch.setattr(publish_module.fcntl, "flock", fail)
+    monkeypatch.setattr(unfinished.fcntl, "flock", fail)
     with publish(target, overwrite=True) as part:
         part.file.write(b"new")
     assert target.read_bytes() == b"new"
 
 
 def test_a_system_without_fcntl_and_msvcrt_can_write(target, monkeypatch):
-    monkeypatch.setattr(publish_module, "fcntl", None)
-    monkeypatch.setattr(publish_module, "msvcrt", None)
+    monkeypatch.setattr(unfinished, "fcntl", None)
+    monkeypatch.setattr(unfinished, "msvcrt", None)
     with publish(target, overwrite=True) as part:
         part.file.write(b"new")
     assert target.read_bytes() == b"new"
@@ -256,8 +257,8 @@ class FakeMsvcrt:
 
 def test_windows_locks_lie_far_behind_the_content(target, monkeypatch):
     fake = FakeMsvcrt()
-    monkeypatch.setattr(publish_module, "fcntl", None)
-    monkeypatch.setattr(publish_module, "msvcrt", fake)
+    monkeypatch.setattr(unfinished, "fcntl", None)
+    monkeypatch.setattr(unfinished, "msvcrt", fake)
     with publish(target, overwrite=True) as part:
         part.file.write(b"new")
         assert {position for _, position in fake.locked} == {2**40}
@@ -344,7 +345,7 @@ def test_files_of_other_targets_are_left_alone(tmp_path):
 
 def test_a_part_taken_away_before_its_lock_is_made_again(target, monkeypatch):
     taken = []
-    try_lock = publish_module._try_lock
+    try_lock = unfinished._try_lock
 
     def lock_too_late(file):
         (part,) = (path for path in target.parent.iterdir() if path != target)
@@ -353,7 +354,7 @@ def test_a_part_taken_away_before_its_lock_is_made_again(target, monkeypatch):
         taken.append(part)
         return try_lock(file)
 
-    monkeypatch.setattr(publish_module, "_try_lock", lock_too_late)
+    monkeypatch.setattr(unfinished, "_try_lock", lock_too_late)
     with publish(target, overwrite=True) as part:
         part.file.write(b"new")
     assert len(taken) == 2

@@ -31,6 +31,7 @@ from terrainwave.ext.serve.catalog import origin_of
 from terrainwave.globe import cesium as tile_pyramid
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
+from terrainwave.globe.tile_scheme import MAX_ZOOM
 
 BOUNDS = (8.0, 46.0, 8.5, 46.4)
 
@@ -174,14 +175,14 @@ def test_mesh_tiles_are_served_down_to_the_last_zoom_there_is(tmp_path):
     path = write_twz(tmp_path, hills(33, 33), (west, south, west + side, south + side), max_error=2)
     with client_of(path) as client:
         layer = client.get("/hills/mesh/layer.json").json()
-        assert layer["maxzoom"] == tile_pyramid.MAX_ZOOM > tiling.MAX_ZOOM
-        for zoom in (tile_pyramid.MAX_ZOOM - 1, tile_pyramid.MAX_ZOOM):
+        assert layer["maxzoom"] == MAX_ZOOM > tiling.MAX_ZOOM
+        for zoom in (MAX_ZOOM - 1, MAX_ZOOM):
             first = layer["available"][zoom][0]
             address = f"/hills/mesh/{zoom}/{first['startX']}/{first['startY']}.terrain"
             assert client.get(address).status_code == 200
-        beyond = client.get(f"/hills/mesh/{tile_pyramid.MAX_ZOOM + 1}/0/0.terrain")
+        beyond = client.get(f"/hills/mesh/{MAX_ZOOM + 1}/0/0.terrain")
         assert beyond.status_code == 404
-        assert f"expected 0 … {tile_pyramid.MAX_ZOOM}" in beyond.json()["detail"]
+        assert f"expected 0 … {MAX_ZOOM}" in beyond.json()["detail"]
 
 
 def test_tiles_off_the_terrain_are_empty(hilly):

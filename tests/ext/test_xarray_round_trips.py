@@ -162,7 +162,7 @@ def test_real_raster_minus_its_file_loses_no_sample(tmp_path, tif):
             terrainwave.decompress(tmp_path / "a.twz", part, level=level, overwrite=True)
             expected = opened(part)
             with rasterio.open(part) as dataset:
-                is_exact = dataset.transform == Affine(*terrain.transform(level))
+                is_exact = dataset.transform == Affine(*terrain.transform_of(level)[:6])
             # GDAL keeps the middle of the first pixel where pixels are points, and rounds.
             assert is_exact or terrain.raster_info.area_or_point == "Point"
             if is_exact:

@@ -121,7 +121,7 @@ def test_gdallocationinfo_tells_the_height_of_a_place(pair):
     path, _ = pair
     with terrainwave.open(path) as terrain:
         height = terrain.read((510, 511, 1, 1))[0, 0]
-        x, y = centre(terrain.transform(), 510, 511)
+        x, y = centre(terrain.transform[:6], 510, 511)
     assert good("gdallocationinfo", "-valonly", path, "511", "510") == f"{height}\n"
     assert good("gdallocationinfo", "-valonly", "-geoloc", path, x, y) == f"{height}\n"
 

@@ -124,7 +124,7 @@ def test_tiles_agree_across_the_antimeridian_and_on_poles(tmp_path):
         mean = heights[0].mean()
         found = {height for top in tops for height in top.values()}
         assert len(found) == 1
-        assert found.pop() == pytest.approx(mean, abs=pyramid._edge_step(zoom) / 256)
+        assert found.pop() == pytest.approx(mean, abs=pyramid._heights.edge_step(zoom) / 256)
 
 
 def test_longitudes_may_count_from_0_or_from_minus_180(tmp_path):
@@ -187,7 +187,7 @@ def test_coarse_tiles_add_what_their_level_is_from_the_originals(tmp_path):
             for place in found.tiles()
             if (tile := pyramid.tile(zoom, *place)).error is not None
         )
-        level = pyramid.globe.level_for(pyramid._cell_size(zoom))
+        level = pyramid.globe.level_for(pyramid.cell_size(zoom))
         assert level < terrain.n_levels - 1
         errors = [terrain.block_error(block) for block in terrain.grid.blocks(level)]
         assert (tile.error - tile.surface_error) == pytest.approx(max(errors))
@@ -259,7 +259,7 @@ def test_raster_over_a_pole_goes_around_it(tmp_path):
         found = {height for top in tops for height in top.values()}
         middle = heights[15:17, 15:17].mean()
         assert len(found) == 1
-        assert found.pop() == pytest.approx(middle, abs=pyramid._edge_step(zoom) / 256)
+        assert found.pop() == pytest.approx(middle, abs=pyramid._heights.edge_step(zoom) / 256)
         assert_edges_agree(pyramid, zoom, [((n_x - 1, y), (0, y), "east", "west")])
 
 

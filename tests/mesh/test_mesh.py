@@ -32,6 +32,9 @@ from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.mesh import area as extraction
+from terrainwave.mesh import cut
+from terrainwave.mesh.fitted import BlockFitter
+from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.tri.halves.borders import beside_void
 from terrainwave.tri.halves.halves import Lines, triangulate
 from terrainwave.tri.halves.simplify import simplify
@@ -121,7 +124,7 @@ def test_meshes_of_many_levels_meet_without_gaps(void, share, tmp_path, monkeypa
         return assemble_all(extractor, built)
 
     monkeypatch.setattr(extraction._Extractor, "_assemble", spy)
-    monkeypatch.setattr(extraction, "_COARSE_SHARE", share)
+    monkeypatch.setattr(cut, "_COARSE_SHARE", share)
     for seed, shape in ((2, (300, 400)), (5, (385, 289)), (7, (513, 170))):
         case = make_case(
             "graded", void, shape, seed, dtype="int32", amplitude=1e6, block=32, max_error=3,
@@ -145,12 +148,12 @@ def test_coarse_blocks_reach_the_rasters_edge(shape, is_beside_finer, tmp_path, 
     assemble_all = extraction._Extractor._assemble
 
     def spy(extractor, built):
-        grid = extractor._grid
+        grid, beside = extractor._grid, cut.Cut(extractor._area, built)
         for block in built:
             reach = grid.block * grid.stride(block.level)
             on_edge = (block.col + 1) * reach >= grid.n_cols - 1
             if block.level < grid.k_max and on_edge:
-                sides = {side for side, _ in extractor._finer(built, block)}
+                sides = {side for side, _ in beside.finer(block)}
                 found.append(bool(sides & {"top", "bottom"}))
         return assemble_all(extractor, built)
 
@@ -300,19 +303,20 @@ def test_a_try_beyond_the_budget_ends_early(tmp_path, monkeypatch):
     case = make_case("noise", "none", (130, 130), 1, max_error=1, block=32)
     made = []
 
-    def counted(self, cut, block):
-        meshed = build(self, cut, block)
+    def counted(self, whole, block):
+        meshed = build(self, whole, block)
         made.append(len(meshed.mesh.triangles))
         return meshed
 
-    build = extraction._Extractor._build
-    monkeypatch.setattr(extraction._Extractor, "_build", counted)
+    build = BlockFitter.build
+    monkeypatch.setattr(BlockFitter, "build", counted)
     with terrainwave.open(write_case(case, tmp_path), threads=1) as terrain:
+        area = cut.Area(terrain.grid, Region(0, 0, 130, 130), terrain.grid.k_max)
+        extractor = extraction._Extractor(
+            terrain, area, MeshData, Inline(), extraction.Reporter(None)
+        )
         with pytest.raises(extraction._TooManyTrianglesError):
-            extraction._Extractor(
-                terrain, extraction._Area(Region(0, 0, 130, 130), terrain.grid.k_max), Inline(),
-                extraction.Reporter(None),
-            )._mesh_within(Fraction(2), 3000)  # fmt: skip
+            extractor._mesh_within(Fraction(2), 3000)
     assert 3000 < sum(made) < 6000
 
 

@@ -66,7 +66,7 @@ def hills(scale=1.0):
 def places(path):
     """Return longitudes and latitudes of the samples, by pyproj."""
     with terrainwave.open(path) as terrain:
-        a, b, c, d, e, f = terrain.transform()
+        a, b, c, d, e, f = terrain.transform[:6]
         crs = terrain.crs
     cols, rows = np.meshgrid(np.arange(N) + 0.5, np.arange(N) + 0.5)
     flat = pyproj.CRS.from_user_input(crs).sub_crs_list[0]

@@ -43,14 +43,15 @@ def test_they_are_the_numbers_that_the_file_holds(
 
     monkeypatch.setattr(cdf53, "inverse_transform", seen)
     with compressed(rough, tmp_path / "a.twz", method="cdf53", max_error=max_error) as terrain:
-        decoder, layout = terrain.decoder, terrain.decoder._layout
+        tiles = with_coefficients(terrain.decoder)
+        layout = tiles._layout
         step = terrain.header.step
         assert (step > 1) == (max_error > 0)
-        found = decoder.coefficients(terrain.n_levels - 1, Region(0, 0, *SHAPE))
+        found = tiles.coefficients(terrain.n_levels - 1, Region(0, 0, *SHAPE))
         n_checked = 0
         for key in layout.keys():
             decoded.clear()
-            decoder._decode_tile(key)
+            tiles._decode_tile(key)
             (field, n_transforms), spec = decoded[-1], layout.spec(key)
             stride = terrain.grid.stride(spec.last)
             here = found[::stride, ::stride][spec.region.slices_in(Region(0, 0, *SHAPE))]
@@ -73,13 +74,15 @@ def test_they_are_the_numbers_that_the_file_holds(
 
 def test_a_sample_has_one_coefficient_on_all_levels_and_in_all_windows(rough, many_tiles, tmp_path):
     with compressed(rough, tmp_path / "a.twz", method="cdf53", max_error=0) as terrain:
-        found = terrain.decoder.coefficients(terrain.n_levels - 1, Region(0, 0, *SHAPE))
+        found = with_coefficients(terrain.decoder).coefficients(
+            terrain.n_levels - 1, Region(0, 0, *SHAPE)
+        )
         for level in range(terrain.n_levels):
             stride = terrain.grid.stride(level)
             for block in terrain.grid.blocks(level):
                 region = terrain.grid.block_region(block)
                 part = found[::stride, ::stride][region.slices_in(Region(0, 0, *SHAPE))]
-                own = terrain.decoder.coefficients(level, region)
+                own = with_coefficients(terrain.decoder).coefficients(level, region)
                 np.testing.assert_array_equal(own, part)
 
 

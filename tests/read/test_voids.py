@@ -18,6 +18,7 @@ from twz import twz_bytes
 
 import terrainwave
 from terrainwave.cli import main
+from terrainwave.codec import group
 from terrainwave.codec.registry import newer_layout
 from terrainwave.errors import (
     CorruptStreamError,
@@ -142,7 +143,7 @@ def test_samples_beside_voids_are_told_from_fills():
             filled = terrain.read_with_mask(level=level, voids="any")[1]
             exact = own(terrain, level)
             rows, cols = np.nonzero(filled & ~exact)
-            a, _, c, _, e, f = terrain.transform(level)
+            a, _, c, _, e, f = terrain.transform_of(level)[:6]
             places = np.stack([c + a * (cols + 0.5), f + e * (rows + 0.5)], axis=1)
             assert np.isnan(terrain.sample(places, level=level, voids="exact")).all()
             assert np.isfinite(terrain.sample(places, level=level, voids="any")).all()
@@ -173,12 +174,11 @@ def test_an_older_files_finest_payloads_are_read_for_their_masks_alone(monkeypat
     with terrainwave.open(data, threads=1) as terrain:
         heights, _ = terrain.read_with_mask(level=-2, voids="any")
         expected = own(terrain, -2)
-        decoder = type(terrain.decoder._refiner)
 
         def refuse(*_):
             raise AssertionError("heights were decoded")
 
-        monkeypatch.setattr(decoder, "decode_into", refuse)
+        monkeypatch.setattr(group, "decode_unit", refuse)
         # What the first read has decoded is at hand.
         found, valid = terrain.read_with_mask(level=-2, voids="exact")
         np.testing.assert_array_equal(valid, expected)
@@ -261,7 +261,7 @@ def test_geotiffs_of_levels_are_void_where_the_raster_is(tmp_path, kind):
                 if kind == "nan":
                     found = np.isfinite(dataset.read(1))
             np.testing.assert_array_equal(found, expected)
-    with pytest.raises(InvalidArgumentError, match="voids lowest is for height tiles"):
+    with pytest.raises(InvalidArgumentError, match="voids 'lowest', which is for height tiles"):
         terrainwave.decompress(file, tmp_path / "other.tif", level=-2, voids="lowest")
 
 

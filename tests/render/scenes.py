@@ -6,7 +6,7 @@ import numpy as np
 from twz import twz_bytes
 
 from terrainwave.render.scene.camera import Camera, project
-from terrainwave.render.scene.kernels import SKIRT_FLAG
+from terrainwave.render.scene.patch_kernels import SKIRT_FLAG
 from terrainwave.terrain import Terrain
 
 # The background where gaps are looked for.

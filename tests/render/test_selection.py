@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from terrainwave.render.gpu.arena import Arena
 from terrainwave.render.scene.camera import Camera, Viewport, focal_length, project
 from terrainwave.render.scene.frustum import frustum_planes, may_see
-from terrainwave.render.scene.kernels import oriented_distance, pixels_per_metre
+from terrainwave.render.scene.select_kernels import oriented_distance, pixels_per_metre
 from terrainwave.render.scene.selection import ErrorGovernor, NodeInfo, NodeTable, Piece, View
 
 VIEWPORT = Viewport(640, 480)

@@ -352,7 +352,7 @@ def test_the_surface_between_samples_counts_half_way_to_those_around():
     for is_surface, expected in ((False, 0.0), (True, 6.0)):
         bound = np.zeros(3)
         _measure(
-            1, 1, 2, 2, is_surface, np.array([[0, 4, 4]]), z.ravel(), 0.0, np.empty((0, 3)), 0,
+            (1, 1, 2, 2), is_surface, np.array([[0, 4, 4]]), z.ravel(), 0.0, np.empty((0, 3)), 0,
             bound,
         )  # fmt: skip
         assert bound.tolist() == [expected, 0.0, expected]

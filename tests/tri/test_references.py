@@ -119,8 +119,8 @@ def test_fit_triangle(triangle, seed, tolerance, base):
     low, high = base - 3 * reach - 40, base + 3 * reach + 40
     (r0, c0), (r1, c1), (r2, c2) = triangle
     found = fit_triangle(
-        heights.ravel(), 0, side, r0, c0, r1, c1, float(z_1), r2, c2, float(z_2), float(tolerance),
-        float(low), float(high),
+        heights.ravel(), 0, side, (r0, c0), (r1, c1, float(z_1)), (r2, c2, float(z_2)),
+        float(tolerance), float(low), float(high),
     )  # fmt: skip
     area = sum(weights(triangle, r0, c0))
     first, last = Fraction(low), Fraction(high)

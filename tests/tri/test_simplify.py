@@ -4,7 +4,9 @@ import numpy as np
 
 from terrainwave.tri.halves.simplify import simplify
 from terrainwave.tri.mesh import BlockMesh
-from terrainwave.verification.checks import WHOLE, Surface, deviation, problems_of
+from terrainwave.verification.checks import problems_of
+from terrainwave.verification.pieces import WHOLE
+from terrainwave.verification.surface import Surface, deviation
 
 
 def fan(n_spokes):

@@ -8,22 +8,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from terrainwave.verification.checks import (
+from terrainwave.verification.checks import problems_of
+from terrainwave.verification.on_grid import border_line, line_problems
+from terrainwave.verification.pieces import (
     ABC,
     ABD,
     ACD,
     BCD,
     NOTHING,
     WHOLE,
-    Surface,
-    _characteristic,
+    characteristic,
     coverage,
-    deviation,
     pieces_of_mask,
-    problems_of,
     refined_pieces,
 )
-from terrainwave.verification.meshes import border_line, line_problems
+from terrainwave.verification.surface import Surface, deviation
 
 CORNERS = {ABC: "abc", ACD: "acd", ABD: "abd", BCD: "bcd"}
 
@@ -66,7 +65,7 @@ def test_the_full_grid_is_fine(mask):
 
 
 @given(masks)
-def test_characteristic_is_parts_less_holes(mask):
+def testcharacteristic_is_parts_less_holes(mask):
     """Beside scipy's labels of an image of all corners, edges and faces."""
     pieces = pieces_of_mask(mask)
     n_rows, n_cols = mask.shape
@@ -83,7 +82,7 @@ def test_characteristic_is_parts_less_holes(mask):
                 part[tuple((np.array(at[one]) + at[other]) // 2)] = True
     _, n_parts = ndimage.label(image)
     _, n_outside = ndimage.label(~image, structure=np.ones((3, 3)))
-    assert _characteristic(pieces) == (n_parts - (n_outside - 1), n_parts)
+    assert characteristic(pieces) == (n_parts - (n_outside - 1), n_parts)
 
 
 @given(masks, st.sampled_from([1, 2, 3, 8]))

@@ -18,8 +18,9 @@ from terrainwave.cli import main
 from terrainwave.errors import BoundViolationError, InvalidHeightsError, StorageError
 from terrainwave.grid.quadtree import Region
 from terrainwave.terrain import Terrain
-from terrainwave.write import patch as patching
-from terrainwave.write.patch import _PatchEncoder, patch
+from terrainwave.write.patch import patch
+from terrainwave.write.patching import index
+from terrainwave.write.patching.encoder import PatchEncoder
 
 NODATA = -32768
 HEIGHTS = terrain_like(140, 100, seed=11)
@@ -237,13 +238,13 @@ def test_what_heights_had_moved_before_stays_until_the_original_is_given(moved, 
 @pytest.mark.large
 def test_errors_of_meshes_contain_what_heights_had_moved_before(moved, tmp_path, monkeypatch):
     """What stored heights stand in for is half a step and all earlier moves away from them."""
-    measure, added = patching.measure_meshes, []
+    measure, added = index.measure_meshes, []
 
     def noted(*arguments):
         added.append(arguments[5])
         return measure(*arguments)
 
-    monkeypatch.setattr(patching, "measure_meshes", noted)
+    monkeypatch.setattr(index, "measure_meshes", noted)
     part_of(changed(HEIGHTS, 100, 40), tmp_path / "new.tif", 100, 40, 9, 9)
     patch(moved, tmp_path / "new.tif")
     assert added == [0, 4]
@@ -379,7 +380,7 @@ def test_a_height_that_moves_is_found_by_the_proof(placed, tmp_path, monkeypatch
     path = placed(2)
     before = path.read_bytes()
     part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
-    monkeypatch.setattr(_PatchEncoder, "kept", lambda *arguments: None)
+    monkeypatch.setattr(PatchEncoder, "kept", lambda *arguments: None)
     with pytest.raises(BoundViolationError, match="which the new raster does not cover, has moved"):
         patch(path, tmp_path / "new.tif")
     assert path.read_bytes() == before

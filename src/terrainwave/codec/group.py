@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.corrections import decode_corrections, encode_corrections
-from terrainwave.codec.masks import all_valid, decode_mask, encode_mask, is_whole
+from terrainwave.codec.masks import decode_mask, encode_mask
 from terrainwave.codec.memory import new_heights
-from terrainwave.codec.own_masks import Above, Sections, Validity, decode_validity, encode_validity
+from terrainwave.codec.own_masks import Above, Sections, decode_validity, encode_validity
 from terrainwave.codec.refiner import (
+    ALL_VALID,
     FREE,
     NO_CORRECTIONS,
     CorrectingRefiner,
@@ -26,6 +27,8 @@ from terrainwave.codec.refiner import (
     Heights,
     Mask,
     Refiner,
+    Validity,
+    as_array,
 )
 from terrainwave.codec.remainders import decode_remainders, encode_remainders
 from terrainwave.codec.varint import decode_varint, encode_varint
@@ -67,30 +70,30 @@ def encode_unit(
         any height within the bound of `target` will do.
     """
     flags, sections = MASK_ALL_VALID, b""
-    is_apart = own is not None and not np.array_equal(own, mask)
-    valid = Validity(mask, own if own is not None and is_apart else mask)
-    if not is_whole(valid.own):  # else the parent implies no void
+    validity = Validity.of(mask, own)
+    own_section = b""
+    if validity.own_mask is not None:  # else the parent implies no void
         if not mask.any():
             return b"", _all_void(spec)
-        coded = _encode_valid(spec, parent, valid)
+        coded = _encode_validity(spec, parent, validity)
         if coded.mask:
             flags |= MASK_CODED
             sections += encode_varint(len(coded.mask)) + coded.mask
         own_section = coded.own
-    else:
-        own_section = b""
     parent_heights = None if parent is None else parent.heights
     corrections = NO_CORRECTIONS
     if kept is None:
-        body, heights, labels = refiner.encode(spec, parent_heights, target, mask)
+        body, heights, labels = refiner.encode(spec, parent_heights, target, validity.mask)
     else:
         target = np.where(kept == FREE, target, kept)
         corrections = Corrections(np.ascontiguousarray(kept), np.zeros_like(kept))
         correcting = cast(CorrectingRefiner, refiner)
-        body, heights, labels = correcting.encode(spec, parent_heights, target, mask, corrections)
+        body, heights, labels = correcting.encode(
+            spec, parent_heights, target, validity.mask, corrections
+        )
     if _as_direct(refiner) is None:
         np.clip(heights, spec.z_min, spec.z_max, out=heights)
-    collides = None if spec.forbidden[0] > spec.forbidden[1] else _collisions(spec, heights, mask)
+    collides = _collisions(spec, heights, validity.mask)
     if collides is not None and collides.any():
         # A height that is forbidden itself (rounding made it so) goes up where there is room.
         goes_down = (target[collides] < spec.forbidden[0]) | (spec.forbidden[1] >= spec.z_max)
@@ -99,7 +102,7 @@ def encode_unit(
             exceptions = np.packbits(goes_down).tobytes()
             sections += encode_varint(len(exceptions)) + exceptions
         _resolve_collisions(spec, heights, collides, goes_down)
-    decoded = Decoded(heights, mask, labels, own=_apart(valid))
+    decoded = Decoded(heights, validity, labels)
     if remainders is not None:
         rest = remainders(heights)
         coded_rest = encode_remainders(rest)
@@ -133,7 +136,7 @@ def decode_unit(
     if not payload:
         return _all_void(spec)
     head = read_head(spec, parent, payload)
-    mask = head.valid.mask
+    mask = head.validity.mask
     remainders = None
     if head.remainders:
         remainders = decode_remainders(head.remainders, spec.region.shape, spec.remainder_bytes)
@@ -153,19 +156,18 @@ def decode_unit(
         else:
             heights, labels = refiner.decode(spec, parent_heights, mask, body)
         np.clip(heights, spec.z_min, spec.z_max, out=heights)
-    if spec.forbidden[0] > spec.forbidden[1]:
-        _decode_exceptions(head.exceptions, 0)  # raises if there are some
-        return Decoded(heights, mask, labels, remainders, _apart(head.valid))
     collides = _collisions(spec, heights, mask)
-    goes_down = _decode_exceptions(head.exceptions, int(np.count_nonzero(collides)))
-    _resolve_collisions(spec, heights, collides, goes_down)
-    return Decoded(heights, mask, labels, remainders, _apart(head.valid))
+    n_collisions = 0 if collides is None else int(np.count_nonzero(collides))
+    goes_down = _decode_exceptions(head.exceptions, n_collisions)  # raises if there are too many
+    if collides is not None:
+        _resolve_collisions(spec, heights, collides, goes_down)
+    return Decoded(heights, head.validity, labels, remainders)
 
 
 class Head(NamedTuple):
     """What stands before a unit's heights: which samples are valid, other sections, its length."""
 
-    valid: Validity
+    validity: Validity
     exceptions: bytes
     remainders: bytes
     corrections: bytes
@@ -196,11 +198,11 @@ def read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Head:
         sections[flag] = b""
         if flags & flag:
             sections[flag], byte_pos = _read_section(payload, byte_pos)
-    valid = _decode_valid(spec, parent, Sections(sections[MASK_CODED], sections[_HAS_OWN]))
-    if not is_whole(valid.mask) and not valid.mask.any():
+    validity = _decode_validity(spec, parent, Sections(sections[MASK_CODED], sections[_HAS_OWN]))
+    if validity.mask is not None and not validity.mask.any():
         raise CorruptStreamError("a unit without a valid sample has a payload")
     return Head(
-        valid,
+        validity,
         sections[_HAS_EXCEPTIONS],
         sections[_HAS_REMAINDERS],
         sections[HAS_CORRECTIONS],
@@ -208,54 +210,46 @@ def read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Head:
     )
 
 
-def _encode_valid(spec: GroupSpec, parent: Decoded | None, valid: Validity) -> Sections:
+def _encode_validity(spec: GroupSpec, parent: Decoded | None, validity: Validity) -> Sections:
     implied = implied_voids(spec, parent)
     if spec.has_fills:
         above = _above(spec, parent)
-        return encode_validity(valid, implied, spec.region, above, is_finest=spec.is_finest)
-    if np.array_equal(valid.mask, ~implied):
-        return Sections(b"", b"")
-    return Sections(encode_mask(valid.mask, implied), b"")
+        return encode_validity(validity, implied, spec.region, above, is_finest=spec.is_finest)
+    mask = as_array(validity.mask, spec.region.shape)
+    return Sections(b"" if np.array_equal(mask, ~implied) else encode_mask(mask, implied), b"")
 
 
-def _decode_valid(spec: GroupSpec, parent: Decoded | None, sections: Sections) -> Validity:
-    shape = spec.region.shape
-    if not any(sections) and (parent is None or is_whole(parent.own_mask)):
-        whole = all_valid(shape)
-        return Validity(whole, whole)
+def _decode_validity(spec: GroupSpec, parent: Decoded | None, sections: Sections) -> Validity:
+    if not any(sections) and (parent is None or parent.validity.own_mask is None):
+        return ALL_VALID
     implied = implied_voids(spec, parent)
     if spec.has_fills:
         above = _above(spec, parent)
         return decode_validity(sections, implied, spec.region, above, is_finest=spec.is_finest)
-    mask = decode_mask(sections.mask, implied) if sections.mask else ~implied
-    return Validity(mask, mask)
+    return Validity.of(decode_mask(sections.mask, implied) if sections.mask else ~implied)
 
 
 def _above(spec: GroupSpec, parent: Decoded | None) -> Above | None:
     if parent is None or spec.parent_region is None:
         return None
-    return Above(spec.parent_region, parent.own_mask)
-
-
-def _apart(valid: Validity) -> Mask | None:
-    """Return the own samples of a unit where some valid ones are not."""
-    return None if valid.own is valid.mask else valid.own
+    return Above(spec.parent_region, parent.validity.own_mask)
 
 
 def implied_voids(spec: GroupSpec, parent: Decoded | None) -> Mask:
     """Return which samples of the unit are void because a parent sample touching them is."""
     if parent is None or spec.parent_region is None:
         return np.zeros(spec.region.shape, dtype=np.bool_)
-    return voids_below(spec.region, spec.parent_region, parent.mask)
+    return voids_below(spec.region, spec.parent_region, parent.validity.mask)
 
 
-def voids_below(region: Region, outer: Region, outer_mask: Mask) -> Mask:
+def voids_below(region: Region, outer: Region, outer_mask: Mask | None) -> Mask:
     """Return which samples of `region` are void because of voids of `outer`, one level above.
 
+    `outer_mask` is None where it has none.
     A coarse sample is valid iff any full-grid sample of the cells touching it is, so below a void
     sample everything within one sample of this level is void as well.
     """
-    if is_whole(outer_mask):
+    if outer_mask is None:
         return np.zeros(region.shape, dtype=np.bool_)
     # By columns while there are half as many rows.
     n_pairs = (region.col + region.n_cols + 1 >> 1) - (region.col >> 1)
@@ -294,18 +288,17 @@ def _as_direct(refiner: Refiner) -> DirectRefiner | None:
 
 
 def _all_void(spec: GroupSpec) -> Decoded:
-    return Decoded(
-        np.zeros(spec.region.shape, dtype=np.int32),
-        np.zeros(spec.region.shape, dtype=np.bool_),
-        None,
-    )
+    shape = spec.region.shape
+    return Decoded(np.zeros(shape, dtype=np.int32), Validity(np.zeros(shape, dtype=np.bool_)))
 
 
-def _collisions(spec: GroupSpec, heights: Heights, mask: Mask) -> Mask:
-    """Return the valid samples whose height would read as the nodata value."""
+def _collisions(spec: GroupSpec, heights: Heights, mask: Mask | None) -> Mask | None:
+    """Return the valid samples whose height would read as the nodata value; None if none can."""
     low, high = spec.forbidden
-    collides: Mask = mask & (heights >= low) & (heights <= high)
-    return collides
+    if low > high:
+        return None
+    collides: Mask = (heights >= low) & (heights <= high)
+    return collides if mask is None else mask & collides
 
 
 def _resolve_collisions(

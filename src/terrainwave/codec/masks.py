@@ -3,13 +3,10 @@
 One adaptive bit per sample that the parent does not already imply to be void, in raster order. The
 context is six causal neighbours, and how many of two near and of four farther samples to come are
 already known to be void: along an outline these say where it goes.
-
-Most units have no voids, and each is asked about several times on its way to a reader: their masks
-are views of one memory, so that nobody needs to look at each sample (`all_valid`, `is_whole`).
 """
 
 import base64
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -191,35 +188,3 @@ def _code_mask(mask, coder, ahead, contexts, padded):
         if mask is None and at[2] > stream.shape[0] + 4:
             break  # `finish_decoder` says so
     put_back(at, state)
-
-
-# Units without voids ---------------------------------------------------------------------------
-
-_ROOM = 1 << 19  # as many as a unit of 512 samples a side has, and more
-
-
-def _valid_samples(n: int) -> Mask:
-    valid = np.ones(n, dtype=np.bool_)
-    valid.flags.writeable = False
-    return valid
-
-
-_valid = _valid_samples(0)
-
-
-def all_valid(shape: tuple[int, int]) -> Mask:
-    """Return the mask of a unit without voids; it is shared, and nobody's to write to."""
-    global _valid
-    size = shape[0] * shape[1]
-    valid = _valid
-    if valid.size < size:
-        valid = _valid = _valid_samples(max(size, _ROOM))
-    return valid[:size].reshape(shape)
-
-
-def is_whole(mask: Mask) -> bool:
-    """Say whether all samples of a mask are valid, at once of what `all_valid` made and its views.
-
-    (Masks made before a larger unit came are looked at.)
-    """
-    return mask.base is _valid or cast(bool, mask.all())

@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.masks import all_valid, is_whole
-from terrainwave.codec.refiner import Mask
+from terrainwave.codec.refiner import ALL_VALID, Mask, Validity, as_array
 from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
 from terrainwave.coding.rangecoder import (
@@ -47,16 +46,6 @@ _BYTES_PER_SAMPLE = 2
 Knowledge = NDArray[np.uint8]
 
 
-class Validity(NamedTuple):
-    """Which samples of a region are valid, and which by themselves; one array if there is no fill.
-
-    Neither is to be written to.
-    """
-
-    mask: Mask
-    own: Mask
-
-
 class Sections(NamedTuple):
     """The coded validity of a unit; empty where it follows from what is known."""
 
@@ -65,10 +54,10 @@ class Sections(NamedTuple):
 
 
 class Above(NamedTuple):
-    """Validity by itself of the level above, around a unit."""
+    """Validity by itself of the level above, around a unit; None where all are valid."""
 
     region: Region
-    own: Mask
+    own: Mask | None
 
 
 def encode_validity(
@@ -79,17 +68,19 @@ def encode_validity(
     Parameters
     ----------
     validity : Validity
-        ``own`` is ``mask`` on the finest level, and the parent's at the parent's samples.
+        All valid samples are so by themselves on the finest level; those at the parent's samples
+        where these are.
     implied : ndarray of bool, shape ``region.shape``
         Samples that are void because of voids of the parent.
     above : Above or None
         None for a root block.
     """
     known = _known_of_own(implied, region, above)
+    mask = as_array(validity.mask, region.shape)
     if is_finest:
-        return Sections(_encoded(validity.mask, known), b"")
-    own = _encoded(validity.own, known)
-    return Sections(_encoded(validity.mask, _known_of_mask(implied, validity.own)), own)
+        return Sections(_encoded(mask, known), b"")
+    own = as_array(validity.own_mask, region.shape)
+    return Sections(_encoded(mask, _known_of_mask(implied, own)), _encoded(own, known))
 
 
 def decode_validity(
@@ -102,16 +93,13 @@ def decode_validity(
     CorruptStreamError
         If a section is not exactly what it should be.
     """
-    if not any(sections) and not implied.any() and (above is None or is_whole(above.own)):
-        whole = all_valid(region.shape)
-        return Validity(whole, whole)
+    if not any(sections) and (above is None or above.own is None) and not implied.any():
+        return ALL_VALID
     known = _known_of_own(implied, region, above)
     if is_finest:
-        mask = _decoded(sections.mask, known)
-        return Validity(mask, mask)
+        return Validity.of(_decoded(sections.mask, known))
     own = _decoded(sections.own, known)
-    mask = _decoded(sections.mask, _known_of_mask(implied, own))
-    return Validity(mask, mask if np.array_equal(mask, own) else own)
+    return Validity.of(_decoded(sections.mask, _known_of_mask(implied, own)), own)
 
 
 def _known_of_own(implied: Mask, region: Region, above: Above | None) -> Knowledge:
@@ -123,7 +111,7 @@ def _known_of_own(implied: Mask, region: Region, above: Above | None) -> Knowled
         first_row, first_col = region.row + row >> 1, region.col + col >> 1
         n_rows, n_cols = inherited.shape
         outer = Region(first_row, first_col, n_rows, n_cols).slices_in(above.region)
-        inherited[...] = np.where(above.own[outer], VALID, VOID)
+        inherited[...] = VALID if above.own is None else np.where(above.own[outer], VALID, VOID)
     return known
 
 

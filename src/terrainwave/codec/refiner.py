@@ -7,7 +7,7 @@ neighbour. That is what makes every group decodable from its ancestors alone, in
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,9 @@ class Sides(NamedTuple):
     left: bool
     bottom: bool
     right: bool
+
+
+NOT_SHARED = Sides(False, False, False, False)
 
 
 @dataclass(frozen=True)
@@ -65,10 +68,85 @@ class GroupSpec:
     # Whether payloads may put heights back in the loop (FORMAT.md §5.5).
     has_corrections: bool = False
 
+    @classmethod
+    def alone(
+        cls,
+        core: Region,
+        step: int,
+        z_min: int,
+        z_max: int,
+        *,
+        region: Region | None = None,
+        parent_region: Region | None = None,
+        shared: Sides = NOT_SHARED,
+        forbidden: tuple[int, int] = (1, 0),
+        effort: int = 0,
+    ) -> Self:
+        """Return the spec of a unit that is part of no file, by default one without neighbours.
+
+        `codec.units.unit_spec` returns those of a file's units.
+        """
+        return cls(
+            level=1,
+            core=core,
+            region=region or core,
+            parent_region=parent_region,
+            shared=shared,
+            step=step,
+            z_min=z_min,
+            z_max=z_max,
+            forbidden=forbidden,
+            rings=1,
+            effort=effort,
+        )
+
     @property
     def half(self) -> int:
         """Return the largest error of a decoded sample, in quanta: ``(step - 1) / 2``."""
         return self.step >> 1
+
+
+class Validity(NamedTuple):
+    """Which samples of a region are valid, and which by themselves; not to be written to.
+
+    `mask`: None where all are valid, as in most units. `own`: None where all valid samples are
+    valid by themselves, in the full grid, and not only beside valid ones (`codec.own_masks`).
+    """
+
+    mask: Mask | None
+    own: Mask | None = None
+
+    @classmethod
+    def of(cls, mask: Mask, own: Mask | None = None) -> Self:
+        """Return the validity that arrays stand for: each is looked through here, and only here."""
+        is_apart = own is not None and not np.array_equal(own, mask)
+        return cls(None if mask.all() else mask, own if is_apart else None)
+
+    @property
+    def own_mask(self) -> Mask | None:
+        """Return which samples are valid by themselves; None where all are."""
+        return self.mask if self.own is None else self.own
+
+    @property
+    def nbytes(self) -> int:
+        """Return the bytes of the arrays."""
+        return sum(part.nbytes for part in self if part is not None)
+
+    def part(self, at: tuple[slice, slice]) -> "Validity":
+        """Return that of some samples; views."""
+        return Validity(*(None if part is None else part[at] for part in self))
+
+    def copy(self) -> "Validity":
+        """Return it in arrays of its own."""
+        return Validity(*(None if part is None else part.copy() for part in self))
+
+
+ALL_VALID = Validity(None)
+
+
+def as_array(mask: Mask | None, shape: tuple[int, ...]) -> Mask:
+    """Return a mask as an array, which None stands for where all samples are valid."""
+    return np.ones(shape, dtype=np.bool_) if mask is None else mask
 
 
 class Decoded(NamedTuple):
@@ -78,20 +156,35 @@ class Decoded(NamedTuple):
     a group these are the samples of the parent block inside the raster, without apron. None where
     the method has no details (`store`, raw units) or nothing is valid: nothing is known then.
     `remainders`: what makes the heights exact (`grid.remainders`); None where all are 0.
-    `own`: which samples are valid by themselves, in the full grid, and not only beside valid ones
-    (`codec.own_masks`); None where these are all valid ones, or the file does not tell.
     """
 
     heights: Heights
-    mask: Mask
-    labels: Labels | None
+    validity: Validity
+    labels: Labels | None = None
     remainders: Remainders | None = None
-    own: Mask | None = None
+
+    @property
+    def mask(self) -> Mask:
+        """Return which samples are valid, as an array."""
+        return as_array(self.validity.mask, self.heights.shape)
 
     @property
     def own_mask(self) -> Mask:
-        """Return which samples are valid by themselves."""
-        return self.mask if self.own is None else self.own
+        """Return which samples are valid by themselves, or all valid ones if a file does not tell.
+
+        An array.
+        """
+        return as_array(self.validity.own_mask, self.heights.shape)
+
+    @property
+    def nbytes(self) -> int:
+        """Return the bytes of the arrays."""
+        return sum(part.nbytes for part in self if part is not None)
+
+    def part(self, at: tuple[slice, slice]) -> "Decoded":
+        """Return some of the samples, without the zero trees; views."""
+        rest = None if self.remainders is None else self.remainders[at]
+        return Decoded(self.heights[at], self.validity.part(at), None, rest)
 
 
 class Refiner(Protocol):
@@ -100,17 +193,17 @@ class Refiner(Protocol):
     name: str
 
     def encode(
-        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
+        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask | None
     ) -> tuple[bytes, Heights, Labels | None]:
         """Return the payload and exactly what `decode` makes of it.
 
-        Every sample with ``mask`` set must come back within ``spec.half`` of `target`, which stays
-        as it is: the caller still needs it.
+        `mask` is None where all samples are valid. Every valid one must come back within
+        ``spec.half`` of `target`, which stays as it is: the caller still needs it.
         """
         ...
 
     def decode(
-        self, spec: GroupSpec, parent: Heights | None, mask: Mask, payload: bytes
+        self, spec: GroupSpec, parent: Heights | None, mask: Mask | None, payload: bytes
     ) -> tuple[Heights, Labels | None]:
         """Rebuild the heights of ``spec.region``; raise `CorruptStreamError` for bad bytes."""
         ...
@@ -141,7 +234,7 @@ class CorrectingRefiner(Protocol):
         spec: GroupSpec,
         parent: Heights | None,
         target: Heights,
-        mask: Mask,
+        mask: Mask | None,
         corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[bytes, Heights, Labels | None]:
         """Do as `Refiner.encode`, and give back what is to be kept."""
@@ -151,7 +244,7 @@ class CorrectingRefiner(Protocol):
         self,
         spec: GroupSpec,
         parent: Heights | None,
-        mask: Mask,
+        mask: Mask | None,
         payload: bytes,
         corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[Heights, Labels | None]:
@@ -166,7 +259,7 @@ class DirectRefiner(CorrectingRefiner, Protocol):
         self,
         spec: GroupSpec,
         parent: Heights | None,
-        mask: Mask,
+        mask: Mask | None,
         payload: bytes,
         out: Heights,
         corrections: Corrections = NO_CORRECTIONS,

@@ -213,7 +213,7 @@ def lowpass_window(
     """
     out = np.empty(out_shape, dtype=np.int32)
     rows = np.empty((heights.shape[0], out_shape[1]), dtype=np.int64)
-    _lowpass_window(heights, *first, *level_shape, *out_first, tile_cells, *n_tiles, rows, out)
+    _lowpass_window(heights, first, level_shape, out_first, tile_cells, n_tiles, rows, out)
     return out
 
 
@@ -242,20 +242,9 @@ def _is_border(at, tile_cells, n_tiles):
 
 
 @kernel
-def _lowpass_window(
-    heights,
-    first_row,
-    first_col,
-    n_rows,
-    n_cols,
-    out_row,
-    out_col,
-    tile_cells,
-    n_tile_rows,
-    n_tile_cols,
-    rows,
-    out,
-):
+def _lowpass_window(heights, first, level_shape, out_first, tile_cells, n_tiles, rows, out):
+    (first_row, first_col), (n_rows, n_cols) = first, level_shape
+    (out_row, out_col), (n_tile_rows, n_tile_cols) = out_first, n_tiles
     for row in range(heights.shape[0]):
         for col in range(out.shape[1]):
             at = 2 * (out_col + col)

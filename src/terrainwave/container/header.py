@@ -411,6 +411,13 @@ class _Violation:
 
 def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
     """Yield what is outside the limits of FORMAT.md §4.1 and §10, in the order of the fields."""
+    yield from _violations_of_grid(header)
+    yield from _violations_of_features(header)
+    yield from _violations_of_sizes(header, extents)
+
+
+def _violations_of_grid(header: Header) -> Iterator[_Violation]:
+    """Yield what is wrong with samples, method, quantum and bounds; features that are unknown."""
     unknown = header.features & ~KNOWN_FEATURES
     if not METHODS[header.method].has_reach:  # kept for whatever such methods may need
         unknown |= header.features & HAS_WEIGHTS
@@ -450,6 +457,10 @@ def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
         yield _Violation("an error bound is negative or not finite")
     if header.effective_bound > header.max_error:
         yield _Violation(f"effective bound {header.effective_bound} exceeds {header.max_error}")
+
+
+def _violations_of_features(header: Header) -> Iterator[_Violation]:
+    """Yield features that do not go together, or not with the method."""
     if header.features & HAS_REACH and header.features & HAS_WEIGHTS:
         yield _Violation("two layouts of the tables: contexts by reach and weights")
     if header.features & HAS_REACH and not METHODS[header.method].has_reach:
@@ -470,6 +481,10 @@ def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
             yield _Violation("remainders beside a step or a bound that is not 0")
     elif header.rho > header.max_error:
         yield _Violation(f"rounding loss {header.rho} exceeds max_error {header.max_error}")
+
+
+def _violations_of_sizes(header: Header, extents: Extents) -> Iterator[_Violation]:
+    """Yield what is wrong with the tolerance of meshes and the sizes of sections."""
     if not 0 <= header.mesh_tolerance <= MAX_MESH_TOLERANCE:
         yield _Violation(f"mesh tolerance {header.mesh_tolerance} does not fit 32 bits")
     if header.mesh == "none" and header.mesh_tolerance:

@@ -4,53 +4,35 @@ What a killed run leaves behind is removed by the next one, once its lock is fre
 """
 
 import os
-import re
-import secrets
 import shutil
 import stat
 import tempfile
 import time
-import zlib
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass
-from enum import Enum
 from pathlib import Path
 from typing import BinaryIO
 
 from terrainwave.arguments import check_flags, check_local
 from terrainwave.container.spool import storage_errors
+from terrainwave.container.unfinished import (
+    RETRIES,
+    Part,
+    can_rename_open_files,
+    create_locked,
+    dispose,
+    leftovers,
+    listed,
+    taken,
+)
 from terrainwave.errors import StorageError
-
-try:
-    import fcntl
-except ImportError:
-    fcntl = None  # type: ignore[assignment]
-try:
-    import msvcrt
-except ImportError:
-    msvcrt = None  # type: ignore[assignment]
 
 SUFFIX = ".twz-part"
 SCRATCH_SUFFIX = ".twz-scratch"
 LOCK_SUFFIX = ".twz-lock"
 
 _ON_WINDOWS = os.name == "nt"
-_RETRIES = 10
 _FIRST_DELAY = 0.05  # seconds; doubles. Virus scanners hold a new file for a moment on Windows
-_LOCKED_BYTE = 2**40  # msvcrt locks forbid reading what they cover: far behind any content
-# Bytes of a name's beginning in those of temporary files: systems take 255, of which the rest, and
-# what GDAL adds for overviews, take 60.
-_LONGEST_NAME = 180
-_RANDOM_PART = re.compile("[0-9a-f]{16}")
-
-
-@dataclass(frozen=True)
-class Part:
-    """The unfinished file: write to `file`, read it back by `path` after a flush."""
-
-    path: Path
-    file: BinaryIO
 
 
 @contextmanager
@@ -96,28 +78,13 @@ def publish(target: str | os.PathLike[str], overwrite: bool = False) -> Iterator
             os.fsync(part.file.fileno())
             _copy_permissions(final, part.path)
         _check_target(final, overwrite)
-        if fcntl is None:
-            part.file.close()  # Windows does not rename an open file
+        if not can_rename_open_files():
+            part.file.close()
         _replace(part.path, final)
         is_published = True
         _sync_directory(final.parent)
     finally:
-        _dispose(part, [] if is_published else created)
-
-
-def _dispose(part: Part | None, paths: list[Path]) -> None:
-    """Close the part and remove the files of `paths`."""
-    # Before the lock goes with the closed file, so that nobody else can take the name; where an
-    # open file cannot be removed, after it.
-    for path in paths:
-        with suppress(OSError):
-            os.unlink(path)
-    if part is not None:
-        with suppress(OSError):
-            part.file.close()
-    for path in paths:
-        with suppress(OSError):
-            os.unlink(path)
+        dispose(part, [] if is_published else created)
 
 
 def check_target(target: str | os.PathLike[str], overwrite: bool = False) -> None:
@@ -171,7 +138,7 @@ def scratch(target: str | os.PathLike[str]) -> Iterator[Part]:
         part = _create_part(Path(os.path.realpath(target)), created)
         yield part
     finally:
-        _dispose(part, created)
+        dispose(part, created)
 
 
 @contextmanager
@@ -188,22 +155,22 @@ def scratch_directory(parent: str | os.PathLike[str], name: str) -> Iterator[Pat
         If `parent` is missing or not writable.
     """
     parent = Path(parent)
-    for stale in _leftovers(parent, name, LOCK_SUFFIX):
-        with _taken(stale) as file:
+    for stale in leftovers(parent, name, LOCK_SUFFIX):
+        with taken(stale) as file:
             if file is not None:
                 _remove_scratch(stale, file)
     created: list[Path] = []
     lock = None
     try:
         action = f"cannot make a temporary directory in {parent}"
-        lock = _create_locked(parent / name, LOCK_SUFFIX, created, action)
+        lock = create_locked(parent / name, LOCK_SUFFIX, created, action)
         path = lock.path.with_suffix(SCRATCH_SUFFIX)
         with storage_errors(action):
             path.mkdir(mode=0o700)
         yield path
     finally:
         if lock is None:
-            _dispose(None, created)
+            dispose(None, created)
         else:
             _remove_scratch(lock.path, lock.file)
 
@@ -217,7 +184,7 @@ def _remove_scratch(lock_path: Path, lock: BinaryIO) -> None:
     """Remove a scratch directory, then its lock; what cannot be removed keeps its lock's file."""
     directory = lock_path.with_suffix(SCRATCH_SUFFIX)
     shutil.rmtree(directory, ignore_errors=True)
-    _dispose(Part(lock_path, lock), [] if directory.exists() else [lock_path])
+    dispose(Part(lock_path, lock), [] if directory.exists() else [lock_path])
 
 
 @contextmanager
@@ -284,32 +251,6 @@ def _check_directory(final: Path, marker: str, overwrite: bool) -> None:
         raise StorageError(f"{final} already exists and is left as it is; `overwrite` replaces it")
 
 
-def _leftovers(directory: Path, name: str, suffix: str) -> Iterator[Path]:
-    """Yield the paths in `directory` that look like ``.name.random`` and the suffix."""
-    prefix = f".{_short(name)}."
-    for entry in _listed(directory):
-        if entry.startswith(prefix) and entry.endswith(suffix):
-            if _RANDOM_PART.fullmatch(entry[len(prefix) : -len(suffix)]):
-                yield directory / entry
-
-
-def _short(name: str) -> str:
-    """Return a name to which a suffix can be added; of a long one its beginning and a checksum."""
-    encoded = os.fsencode(name)
-    if len(encoded) <= _LONGEST_NAME:
-        return name
-    # Cut between characters: some systems refuse names that are no text.
-    kept = encoded[:_LONGEST_NAME].decode(errors="ignore")
-    return f"{kept}~{zlib.crc32(encoded):08x}"
-
-
-def _listed(directory: Path) -> list[str]:
-    try:
-        return sorted(os.listdir(directory))
-    except OSError:
-        return []
-
-
 def _check_target(final: Path, overwrite: bool) -> None:
     with storage_errors(f"cannot write {final}"):
         try:
@@ -332,12 +273,12 @@ def remove_stale_parts(final: Path) -> list[Path]:
     A part whose lock is held, or cannot be tried on this system, stays.
     """
     removed: list[Path] = []
-    for path in _leftovers(final.parent, final.name, SUFFIX):
-        with _taken(path) as file:
+    for path in leftovers(final.parent, final.name, SUFFIX):
+        with taken(path) as file:
             if file is not None:
                 # What GDAL made beside it goes first: nothing would lead there later.
                 paths = [*beside(path), path]
-                _dispose(Part(path, file), paths)
+                dispose(Part(path, file), paths)
                 removed += paths
     return removed
 
@@ -345,83 +286,11 @@ def remove_stale_parts(final: Path) -> list[Path]:
 def beside(part: Path) -> list[Path]:
     """Return the files that GDAL made beside an unfinished one, such as overviews of a COG."""
     prefix = f"{part.name}."
-    return [part.with_name(name) for name in _listed(part.parent) if name.startswith(prefix)]
-
-
-@contextmanager
-def _taken(path: Path) -> Iterator[BinaryIO | None]:
-    """Give a left-over file, locked; None if it is gone or not for us to take."""
-    try:
-        file = open(path, "r+b")
-    except OSError:
-        yield None
-        return
-    with file:
-        is_ours = _try_lock(file) is _Lock.TAKEN and _is_still_there(path, file)
-        yield file if is_ours else None
+    return [part.with_name(name) for name in listed(part.parent) if name.startswith(prefix)]
 
 
 def _create_part(final: Path, created: list[Path]) -> Part:
-    return _create_locked(final, SUFFIX, created, f"cannot write {final}")
-
-
-def _create_locked(final: Path, suffix: str, created: list[Path], action: str) -> Part:
-    """Create and lock a new file beside `final`, as mkstemp does but with the umask's mode.
-
-    Its name is in `created` before the file exists: an interruption at any moment leaves nothing.
-    Errors begin with `action`.
-    """
-    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
-    flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
-    for _ in range(_RETRIES):
-        path = final.parent / f".{_short(final.name)}.{secrets.token_hex(8)}{suffix}"
-        created.append(path)
-        with storage_errors(action):
-            file = os.fdopen(os.open(path, flags, 0o666), "w+b")
-        try:
-            # Another run may have taken it for a left-over before it was locked.
-            if _try_lock(file) is not _Lock.HELD_BY_OTHER and _is_still_there(path, file):
-                return Part(path, file)
-        except BaseException:
-            file.close()
-            raise
-        file.close()
-        with suppress(OSError):
-            os.unlink(path)
-    raise StorageError(f"{action}: its unfinished file cannot be locked")
-
-
-def _is_still_there(path: Path, file: BinaryIO) -> bool:
-    try:
-        return os.path.samestat(os.stat(path), os.fstat(file.fileno()))
-    except FileNotFoundError:
-        return False
-
-
-class _Lock(Enum):
-    TAKEN = 0
-    HELD_BY_OTHER = 1
-    NOT_POSSIBLE = 2  # no such call, or a file system without locks
-
-
-def _try_lock(file: BinaryIO) -> _Lock:
-    """Try to take the lock on `file` without waiting."""
-    try:
-        if fcntl is not None:
-            fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return _Lock.TAKEN
-        if msvcrt is not None:
-            file.seek(_LOCKED_BYTE)
-            try:
-                msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-            finally:
-                file.seek(0)
-            return _Lock.TAKEN
-    except (BlockingIOError, PermissionError):
-        return _Lock.HELD_BY_OTHER
-    except OSError:
-        pass
-    return _Lock.NOT_POSSIBLE
+    return create_locked(final, SUFFIX, created, f"cannot write {final}")
 
 
 def _copy_permissions(final: Path, part: Path) -> None:
@@ -432,7 +301,7 @@ def _copy_permissions(final: Path, part: Path) -> None:
 def _replace(part: Path, final: Path) -> None:
     delay = _FIRST_DELAY
     with storage_errors(f"cannot write {final}"):
-        for _ in range(_RETRIES - 1):
+        for _ in range(RETRIES - 1):
             try:
                 return os.replace(part, final)
             except PermissionError:

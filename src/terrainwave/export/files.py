@@ -19,9 +19,10 @@ from terrainwave.container.publish import check_target, publish, scratch
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
 from terrainwave.export.frames import areas, find_place, longest_edge, steepest, to_frame
-from terrainwave.export.mesh_data import MeshData, SavedMesh
+from terrainwave.export.saved import SavedMesh
 from terrainwave.export.solid import solidify
 from terrainwave.extras import need
+from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.place.position import Place
 from terrainwave.place.units import height_unit
 
@@ -184,7 +185,7 @@ def prepare(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
 
     Raises
     ------
-    InvalidHeightsError, TerrainwaveError, StorageError
+    InvalidArgumentError, TerrainwaveError, StorageError
         If the extension is unknown, its package missing, or the file exists and is to be kept.
     """
     extension = check_extension(path)

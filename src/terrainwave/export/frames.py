@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from terrainwave.arguments import AS_IS, check_choice, checked_number
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
-from terrainwave.export.mesh_data import MeshData
+from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.place.position import LocalAxes, Place, place_of
 from terrainwave.place.units import height_unit
 from terrainwave.place.vertical import (

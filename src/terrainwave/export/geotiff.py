@@ -2,10 +2,14 @@
 
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from terrainwave.arguments import (
     AS_IS,
@@ -21,16 +25,20 @@ from terrainwave.arguments import (
 )
 from terrainwave.container.publish import refuse_own_source
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
-from terrainwave.export.ellipsoidal import above_ellipsoid
+from terrainwave.export.ellipsoidal import AboveEllipsoid, above_ellipsoid
 from terrainwave.export.georeference import info_to_write, keep_place
 from terrainwave.export.height_tiles import write_height_tile
 from terrainwave.file import TerrainFile
+from terrainwave.grid.quadtree import Region
 from terrainwave.place.vertical import check_vertical
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.geotiff.sink import RasterSink
 
 # Samples of one window: whole rows of groups where they fit, 32 MiB of float64.
 _WINDOW_SAMPLES = 4 << 20
+
+# Heights and validity.
+Part = tuple[NDArray[Any], NDArray[np.bool_]]
 
 
 def decompress(
@@ -84,8 +92,10 @@ def decompress(
 
     Raises
     ------
+    InvalidArgumentError
+        If an option does not fit the kind of file.
     InvalidHeightsError
-        If an option does not fit the kind of file, or heights cannot be converted.
+        If heights cannot be converted.
     CorruptStreamError
         If a block is damaged; `dst` is untouched.
     StorageError
@@ -96,28 +106,13 @@ def decompress(
     n_threads = 1 if threads is None else checked_threads(threads)
     check_ending(dst, (*GEOTIFF_ENDINGS, *HEIGHT_TILE_ENDINGS))
     is_tile = Path(dst).suffix.lower() in HEIGHT_TILE_ENDINGS
-    if is_tile and cog:
-        raise InvalidArgumentError(f"{os.fspath(dst)}: a height tile cannot be a COG")
-    if is_tile and quality is not None:
-        raise InvalidArgumentError(f"{os.fspath(dst)}: a height tile cannot be read in part")
     if quality is not None:
         quality = checked_number("quality", quality, above=0)
-    if not is_tile and not (voids is None or (isinstance(voids, str) and voids in VOIDS)):
-        raise InvalidArgumentError(
-            f"{os.fspath(dst)}: found `voids` {shown(voids)}, which is for height tiles, expected"
-            f" {one_of(VOIDS)}, or a name ending in {one_of(HEIGHT_TILE_ENDINGS)}"
-        )
-    if size is not None and not is_tile:
-        raise InvalidArgumentError(
-            f"{os.fspath(dst)}: `size` is for height tiles, expected a name ending in"
-            f" {one_of(HEIGHT_TILE_ENDINGS)}"
-        )
     is_converted = check_vertical(vertical)
-    if is_tile and is_converted:
-        raise InvalidArgumentError(
-            f"{os.fspath(dst)}: found `vertical` {vertical} for a height tile, which keeps the"
-            " file's datum; expected a GeoTIFF"
-        )
+    if is_tile:
+        _check_height_tile(dst, cog=cog, quality=quality, is_converted=is_converted)
+    else:
+        _check_geotiff(dst, voids, size)
     refuse_own_source(src, dst)
     with TerrainFile(src, threads=threads) as terrain:
         region = terrain.region(window, bounds=bounds, level=level)
@@ -138,31 +133,76 @@ def decompress(
             info_to_write(terrain),
             n_rows=region.n_rows,
             n_cols=region.n_cols,
-            transform=terrain.transform(level, region),
+            transform=terrain.transform_of(level, region)[:6],
         )
-        converted = None
+        wanted = None if voids is None else str(voids)
+
+        def read(part: Region) -> Part:
+            if quality is None:
+                return terrain.read_with_mask(part, level=level, voids=wanted)
+            return terrain.read_early(part, level=level, quality=quality, voids=wanted)[:2]
+
         if is_converted:
             converted = above_ellipsoid(terrain, info, level)
-            info = converted.info
-        total = region.n_rows * region.n_cols
-        wanted = None if voids is None else str(voids)
-        done = 0
+            info, read = converted.info, partial(_converted, converted, read, region)
         with RasterSink(dst, info, cog=cog, overwrite=overwrite, n_threads=n_threads) as sink:
-            side = 2 * terrain.grid.block
-            n_rows = max(side, _WINDOW_SAMPLES // max(region.n_cols, 1) // side * side)
-            n_cols = max(side, _WINDOW_SAMPLES // n_rows // side * side)
-            # Along the borders of groups, so that each is decoded once.
-            for part in region.tiles(n_rows, n_cols, is_aligned=True):
-                if quality is None:
-                    heights, valid = terrain.read_with_mask(part, level=level, voids=wanted)
-                else:
-                    heights, valid, _ = terrain.read_early(
-                        part, level=level, quality=quality, voids=wanted
-                    )
-                if converted is not None:
-                    heights = converted.heights(part, region, heights, valid)
-                sink.write(part.row - region.row, part.col - region.col, heights, valid)
-                done += part.n_rows * part.n_cols
-                reporter.report("decoding", done, total, done * heights.dtype.itemsize)
+            _write(sink, read, region, 2 * terrain.grid.block, reporter)
         keep_place(dst, info)
     return os.fspath(dst)
+
+
+def _check_height_tile(
+    dst: str | os.PathLike[str], *, cog: bool, quality: float | None, is_converted: bool
+) -> None:
+    """Raise `InvalidArgumentError` if an option is for GeoTIFFs."""
+    if cog:
+        raise InvalidArgumentError(f"{os.fspath(dst)}: a height tile cannot be a COG")
+    if quality is not None:
+        raise InvalidArgumentError(f"{os.fspath(dst)}: a height tile cannot be read in part")
+    if is_converted:
+        raise InvalidArgumentError(
+            f"{os.fspath(dst)}: found `vertical` ellipsoid for a height tile, which keeps the"
+            " file's datum; expected a GeoTIFF"
+        )
+
+
+def _check_geotiff(
+    dst: str | os.PathLike[str], voids: str | float | None, size: int | str | None
+) -> None:
+    """Raise `InvalidArgumentError` if an option is for height tiles."""
+    if not (voids is None or (isinstance(voids, str) and voids in VOIDS)):
+        raise InvalidArgumentError(
+            f"{os.fspath(dst)}: found `voids` {shown(voids)}, which is for height tiles, expected"
+            f" {one_of(VOIDS)}, or a name ending in {one_of(HEIGHT_TILE_ENDINGS)}"
+        )
+    if size is not None:
+        raise InvalidArgumentError(
+            f"{os.fspath(dst)}: `size` is for height tiles, expected a name ending in"
+            f" {one_of(HEIGHT_TILE_ENDINGS)}"
+        )
+
+
+def _converted(
+    converted: AboveEllipsoid, read: Callable[[Region], Part], region: Region, part: Region
+) -> Part:
+    """Return a part of a region above the ellipsoid."""
+    heights, valid = read(part)
+    return converted.heights(part, region, heights, valid), valid
+
+
+def _write(
+    sink: RasterSink,
+    read: Callable[[Region], Part],
+    region: Region,
+    side: int,
+    reporter: Reporter,
+) -> None:
+    """Write a region in parts along the borders of groups, so that each is decoded once."""
+    n_rows = max(side, _WINDOW_SAMPLES // max(region.n_cols, 1) // side * side)
+    n_cols = max(side, _WINDOW_SAMPLES // n_rows // side * side)
+    total, done = region.n_rows * region.n_cols, 0
+    for part in region.tiles(n_rows, n_cols, is_aligned=True):
+        heights, valid = read(part)
+        sink.write(part.row - region.row, part.col - region.col, heights, valid)
+        done += part.n_rows * part.n_cols
+        reporter.report("decoding", done, total, done * heights.dtype.itemsize)

@@ -89,7 +89,7 @@ def write_height_tile(
 
     Raises
     ------
-    InvalidHeightsError, LimitExceededError
+    InvalidArgumentError, LimitExceededError
         If the size or the window does not fit.
     StorageError
         If a file cannot be written.
@@ -202,7 +202,7 @@ def _describe(
     is_resampled = shape != region.shape
     is_full = terrain.level_index(level) == terrain.n_levels - 1
     bound = terrain.effective_error if is_full else None
-    transform = _tile_transform(terrain.transform(level, region), region, shape)
+    transform = _tile_transform(terrain.transform_of(level, region)[:6], region, shape)
     return {
         "rows": shape[0],
         "columns": shape[1],
@@ -257,7 +257,7 @@ def _warn_of_aspect(
     by_row, by_col = (region.n_rows - 1) / (shape[0] - 1), (region.n_cols - 1) / (shape[1] - 1)
     if abs(by_row / by_col - 1) <= _LARGEST_STRETCH:
         return
-    width, height = pixel_size(terrain.transform(level, region))
+    width, height = pixel_size(terrain.transform_of(level, region)[:6])
     warnings.warn(
         f"the window of {region.n_rows} x {region.n_cols} samples is stretched to {shape[0]} x"
         f" {shape[1]}: cells are {width * by_col:.6g} wide and {height * by_row:.6g} high, and were"

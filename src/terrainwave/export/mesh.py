@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from terrainwave.arguments import AS_IS
-from terrainwave.export.mesh_data import MeshData, SavedMesh
+from terrainwave.export.saved import SavedMesh
+from terrainwave.mesh.mesh_data import MeshData
 
 
 @dataclass(frozen=True, repr=False)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.export.frames import areas, find_place
-from terrainwave.export.mesh_data import MeshData
 from terrainwave.extras import need
+from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.place.position import axis_labels
 from terrainwave.place.units import height_unit, unit_text
 

@@ -27,8 +27,9 @@ from terrainwave.export.frames import (
     on_ellipsoid,
     steepest,
 )
-from terrainwave.export.mesh_data import MeshData, SavedMesh
+from terrainwave.export.saved import SavedMesh
 from terrainwave.extras import need
+from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.place.ellipsoid import Ellipsoid
 from terrainwave.place.units import height_unit
 

@@ -10,7 +10,7 @@ from terrainwave.errors import (
     InvalidArgumentError,
     InvalidHeightsError,
 )
-from terrainwave.export.mesh_data import MeshData
+from terrainwave.mesh.mesh_data import MeshData
 
 # How far a vertex that joins two corners is moved into each of them, as a share of the way to the
 # middle of a triangle there; halved while a triangle would turn over.

@@ -4,9 +4,9 @@ from typing import Any
 
 from terrainwave.export.files import to_pyvista
 from terrainwave.export.frames import to_frame
-from terrainwave.export.mesh_data import MeshData
 from terrainwave.file import TerrainFile
 from terrainwave.mesh.area import mesh_area
+from terrainwave.mesh.mesh_data import MeshData
 
 
 def read_twz(
@@ -50,11 +50,10 @@ def read_twz(
     with TerrainFile(path) as terrain:
         if max_error is None and max_triangles is None and terrain.mesh_kind == "none":
             max_error = terrain.quanta_error + terrain.info().quantum
-        area_mesh = mesh_area(
-            terrain, window, bounds=bounds, level=level, max_error=max_error,
+        mesh = mesh_area(
+            terrain, MeshData, window, bounds=bounds, level=level, max_error=max_error,
             max_triangles=max_triangles, optimise=optimise,
         )  # fmt: skip
-        mesh = MeshData(*area_mesh)
         placed = to_frame(mesh, frame, z_scale=z_scale)
         surface = to_pyvista(placed)
         surface.point_data["heights"] = mesh.points[:, 2]

@@ -13,7 +13,8 @@ from xarray.core import indexing
 
 from terrainwave.arguments import is_twz_name
 from terrainwave.errors import TerrainwaveWarning
-from terrainwave.file import DEFAULT_CACHE_BYTES, TerrainFile
+from terrainwave.file import TerrainFile
+from terrainwave.file.described import DEFAULT_CACHE_BYTES
 from terrainwave.place.position import axis_attributes
 from terrainwave.raster_io.info import stored_nodata
 
@@ -216,7 +217,7 @@ def _fill_value(terrain: TerrainFile) -> np.generic | None:
 
 
 def _coordinates(terrain: TerrainFile, level: int) -> dict[str, xr.Variable]:
-    a, b, c, d, e, f = terrain.transform(level)
+    a, b, c, d, e, f = terrain.transform_of(level)[:6]
     crs = terrain.raster_info.rasterio_crs()
     reference: dict[str, Any] = {"GeoTransform": " ".join(map(repr, (c, a, b, f, d, e)))}
     if crs is not None:

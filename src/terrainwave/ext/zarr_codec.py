@@ -207,9 +207,9 @@ class TerrainwaveCodec(ArrayBytesCodec):
                 heights = terrain.read(max_bytes=math.prod(shape) * dtype.itemsize)
         except TerrainwaveError as error:
             raise type(error)(f"a chunk of the codec {CODEC_NAME} is damaged: {error}") from error
-        heights = heights.astype(dtype, copy=False).reshape(chunk_spec.shape)
+        decoded = heights.astype(dtype, copy=False).reshape(chunk_spec.shape)
         prototype: Any = chunk_spec.prototype  # its protocol of arrays is narrower than numpy's
-        return prototype.nd_buffer.from_ndarray_like(heights)
+        return prototype.nd_buffer.from_ndarray_like(decoded)
 
     def compute_encoded_size(self, input_byte_length: int, chunk_spec: ArraySpec) -> int:
         """Refuse: sizes depend on the heights."""

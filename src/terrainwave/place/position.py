@@ -30,6 +30,8 @@ _EAST_NORTH = (1.0, 0.0), (0.0, 1.0)
 _BEYOND_THE_POLE = 2.0
 # Degrees: where a degree of longitude has next to no length.
 _NEAR_THE_POLE = 89.99
+# Columns by which a raster may miss the whole turn.
+_SAME_COLUMN = 0.01
 
 
 class LocalAxes(NamedTuple):
@@ -269,7 +271,7 @@ def place_of(
 
     Raises
     ------
-    InvalidHeightsError
+    InvalidArgumentError
         If `radius` is not positive, or is given for coordinates that are not degrees.
     TerrainwaveError
         If there is a CRS and pyproj is missing.
@@ -351,6 +353,25 @@ class Turn(NamedTuple):
 
     axis: int
     length: float
+
+    def is_whole(self, transform: tuple[float, ...], n_cols: int) -> bool:
+        """Say whether rows are parallels and go around the whole globe, to `_SAME_COLUMN`."""
+        a, b, _, d, _, _ = transform
+        if self.axis != 0 or not b == d == 0:
+            return False
+        return abs(self.length / abs(a) - n_cols) < _SAME_COLUMN
+
+    def near(
+        self, places: NDArray[np.float64], bounds: tuple[float, float, float, float]
+    ) -> NDArray[np.float64]:
+        """Return places whose longitudes lie within half a turn of the bounds' middle; copies."""
+        middle = (bounds[self.axis] + bounds[self.axis + 2]) / 2
+        moved = places.copy()
+        with np.errstate(invalid="ignore"):
+            turns = np.rint((places[:, self.axis] - middle) / self.length)
+            is_far = np.abs(places[:, self.axis] - middle) > self.length / 2
+            moved[is_far, self.axis] -= turns[is_far] * self.length
+        return moved
 
 
 def longitude_turn(crs_text: str | None) -> Turn | None:

@@ -1,12 +1,13 @@
 """Decode units on demand, each from its ancestors alone, through a bounded cache."""
 
 from collections.abc import Callable, Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
-from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner
+from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner, Validity
 from terrainwave.codec.units import block_of_unit, unit_spec
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.parameters import CodecParameters
@@ -19,34 +20,90 @@ _MAX_SPECS = 1024
 _AT_A_TIME = 64
 
 
-def _n_bytes(unit: Decoded) -> int:
-    return sum(part.nbytes for part in unit if part is not None)
+class UnitSource(Protocol):
+    """Where a `TreeDecoder` has units from.
+
+    `are_apart` says that one unit can be decoded, and forgotten, without work for others.
+    """
+
+    are_apart: bool
+
+    def prefetch(self, units: "TreeDecoder", keys: Sequence[Block]) -> list[Block]:
+        """Do as `TreeDecoder.prefetch`."""
+        ...
+
+    def decode(self, units: "TreeDecoder", key: Block) -> Decoded:
+        """Decode a unit; `units` has those above it."""
+        ...
 
 
-class TreeDecoder:
-    """Decoded units of a file, by key.
+class Groups:
+    """Units that have a payload each, to be decoded with the block above them.
 
     Parameters
     ----------
-    refiner : Refiner or None
-        None where a subclass decodes without one.
     payloads : callable
         Returns the checked payloads of several units, near ones in one request.
+    decode : callable
+        Decodes a payload: of the unit of a spec, below a block, None for a root block.
     """
+
+    are_apart = True
 
     def __init__(
         self,
-        grid: Grid,
-        refiner: Refiner | None,
-        parameters: CodecParameters,
         payloads: Callable[[Sequence[Block]], list[bytes]],
-        cache_bytes: int,
+        decode: Callable[[GroupSpec, Decoded | None, bytes], Decoded],
+    ) -> None:
+        self._fetched = FetchedPayloads(payloads)
+        self._decode = decode
+
+    def prefetch(self, units: "TreeDecoder", keys: Sequence[Block]) -> list[Block]:
+        """Fetch the payloads of units that are not at hand (`TreeDecoder.prefetch`)."""
+        missing: dict[Block, None] = {}
+        for key in keys:
+            chain = []
+            while key not in missing and units.is_wanting(key):
+                chain.append(key)
+                if key.is_root_key:
+                    break
+                key = unit_key(key)
+            missing.update(dict.fromkeys(reversed(chain)))
+        self._fetched.fetch_several(list(missing))
+        return list(missing)
+
+    def decode(self, units: "TreeDecoder", key: Block) -> Decoded:
+        """Decode a unit."""
+        parent = None if key.is_root_key else units.block(key)
+        spec = units.spec(key)
+        payload = self._fetched.take(key)
+        try:
+            return self._decode(spec, parent, payload)
+        except CorruptStreamError as exc:
+            raise type(exc)(f"{unit_name(key)} is damaged: {exc}") from exc
+
+
+def groups_by(refiner: Refiner, payloads: Callable[[Sequence[Block]], list[bytes]]) -> Groups:
+    """Return the units that a refiner decodes."""
+
+    def decode(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Decoded:
+        from terrainwave.codec.group import decode_unit  # numba, which not every reader needs
+
+        return decode_unit(refiner, spec, parent, payload)
+
+    return Groups(payloads, decode)
+
+
+class TreeDecoder:
+    """Decoded units of a file, by key, kept as far as a cache has room."""
+
+    def __init__(
+        self, grid: Grid, parameters: CodecParameters, source: UnitSource, cache_bytes: int
     ) -> None:
         self.grid = grid
-        self._refiner = refiner
+        self.source = source
         self._parameters = parameters
-        self._fetched = FetchedPayloads(payloads)
-        self._cache: Cache[Block, Decoded] = Cache(cache_bytes, size_of=_n_bytes)
+        self._cache: Cache[Block, Decoded] = Cache(cache_bytes, size_of=lambda unit: unit.nbytes)
         self._specs: Cache[Block, GroupSpec] = Cache(_MAX_SPECS)
 
     def prefetch(self, keys: Sequence[Block]) -> list[Block]:
@@ -55,24 +112,11 @@ class TreeDecoder:
         Returns the units that are not at hand, of the keys and all above them, each after those
         above it. A damaged payload is left for `unit` to report, so that it costs no other unit.
         """
-        missing: dict[Block, None] = {}
-        for key in keys:
-            chain = []
-            while key not in missing and self._cache.get(key) is None:
-                if self._cache.is_coming(key):  # another thread has its payload already
-                    break
-                chain.append(key)
-                if key.is_root_key:
-                    break
-                key = unit_key(key)
-            missing.update(dict.fromkeys(reversed(chain)))
-        self._fetch(list(missing))
-        return list(missing)
+        return self.source.prefetch(self, keys)
 
-    def _fetch(self, keys: list[Block]) -> None:
-        """Fetch payloads ahead of decoding, if there are several."""
-        if len(keys) > 1:
-            self._fetched.fetch(keys)
+    def is_wanting(self, key: Block) -> bool:
+        """Say whether a unit is neither here nor being decoded by another thread."""
+        return self._cache.get(key) is None and not self._cache.is_coming(key)
 
     def unit(self, key: Block) -> Decoded:
         """Return the decoded unit `key`; its ancestors are decoded as needed.
@@ -83,30 +127,14 @@ class TreeDecoder:
             If its payload or one above it is damaged; the message names the unit.
         """
         # Ancestors never wait for descendants.
-        return self._cache.get_or_make(key, lambda: self._decode(key))
+        return self._cache.get_or_make(key, lambda: self.source.decode(self, key))
 
     def put(self, key: Block, unit: Decoded) -> None:
         """Keep what a unit decodes to, known before, as if it had been decoded."""
         self._cache.put(key, unit)
 
-    def _payload(self, key: Block) -> bytes:
-        """Return the payload of a unit, fetched now unless it has been."""
-        return self._fetched.take(key)
-
-    def _decode(self, key: Block) -> Decoded:
-        """Decode a unit."""
-        from terrainwave.codec.group import decode_unit  # numba, which not every reader needs
-
-        assert self._refiner is not None
-        parent = None if key.is_root_key else self.block(key)
-        spec = self._spec(key)
-        payload = self._payload(key)
-        try:
-            return decode_unit(self._refiner, spec, parent, payload)
-        except CorruptStreamError as exc:
-            raise type(exc)(f"{unit_name(key)} is damaged: {exc}") from exc
-
-    def _spec(self, key: Block) -> GroupSpec:
+    def spec(self, key: Block) -> GroupSpec:
+        """Return the spec of a unit."""
         return self._specs.get_or_make(key, lambda: unit_spec(self.grid, self._parameters, key))
 
     def keys(self, level: int, region: Region) -> list[Block]:
@@ -118,21 +146,16 @@ class TreeDecoder:
 
         The arrays are views.
         """
-        spec = self._spec(key)
+        spec = self.spec(key)
         return _part(self.unit(key), spec, spec.core.intersect(region), region)
 
     def shared(self, key: Block, other: Block) -> Decoded:
         """Return a copy of what a unit holds of the samples that another one holds as well."""
-        here = self._spec(key).region
-        common = here.intersect(self._spec(other).region)
-        heights, mask, _, rest, own = _cut(self.unit(key), common.slices_in(here))
-        return Decoded(
-            heights.copy(),
-            mask.copy(),
-            None,
-            None if rest is None else rest.copy(),
-            None if own is None else own.copy(),
-        )
+        here = self.spec(key).region
+        common = here.intersect(self.spec(other).region)
+        heights, validity, _, rest = self.unit(key).part(common.slices_in(here))
+        rest = None if rest is None else rest.copy()
+        return Decoded(heights.copy(), validity.copy(), None, rest)
 
     def part_once(self, key: Block, region: Region) -> tuple[tuple[slice, slice], Decoded]:
         """Return `part`, for a reader of a whole region.
@@ -140,13 +163,13 @@ class TreeDecoder:
         A unit of the full grid that is not at hand and lies in the region as a whole is not kept.
         Its last row and column may be missing: whoever reads on beside it needs the next unit's.
         """
-        spec = self._spec(key)
+        spec = self.spec(key)
         here = spec.core.intersect(region)
         n_rows, n_cols = spec.core.shape
-        is_whole = here.n_rows >= n_rows - 1 and here.n_cols >= n_cols - 1 and spec.is_finest
-        if not is_whole or self._refiner is None or self._cache.get(key) is not None:
+        is_all = here.n_rows >= n_rows - 1 and here.n_cols >= n_cols - 1 and spec.is_finest
+        if not is_all or not self.source.are_apart or self._cache.get(key) is not None:
             return self.part(key, region)
-        return _part(self._decode(key), spec, here, region)
+        return _part(self.source.decode(self, key), spec, here, region)
 
     def window(self, level: int, region: Region) -> tuple[Heights, Mask]:
         """Return decoded heights and validity of any region inside a level."""
@@ -156,7 +179,8 @@ class TreeDecoder:
         self.prefetch(keys)
         for key in keys:
             there, unit = self.part(key, region)
-            heights[there], mask[there] = unit.heights, unit.mask
+            heights[there] = unit.heights
+            mask[there] = True if unit.validity.mask is None else unit.validity.mask
         return heights, mask
 
     def samples(self, level: int, rows: NDArray[np.int64], cols: NDArray[np.int64]) -> Decoded:
@@ -178,7 +202,7 @@ class TreeDecoder:
                 near = places[number : number + _AT_A_TIME]
                 self.prefetch([Block(level - 1, *place) for place in near])
             key = Block(level - 1, row, col)
-            spec, unit = self._spec(key), self.unit(key)
+            spec, unit = self.spec(key), self.unit(key)
             here = (unit_rows == row) & (unit_cols == col)
             at = rows[here] - spec.region.row, cols[here] - spec.region.col
             heights[0, here], mask[0, here] = unit.heights[at], unit.mask[at]
@@ -186,12 +210,12 @@ class TreeDecoder:
             if unit.remainders is not None:
                 rest = np.zeros(shape, unit.remainders.dtype) if rest is None else rest
                 rest[0, here] = unit.remainders[at]
-        return Decoded(heights, mask, None, rest, own)
+        return Decoded(heights, Validity.of(mask, own), None, rest)
 
     def block(self, block: Block) -> Decoded:
         """Return the decoded heights of a block, with its apron if the file has one."""
         key = unit_key(block)
-        spec = self._spec(key)
+        spec = self.spec(key)
         return block_of_unit(self.grid, spec, self.unit(key), block)
 
 
@@ -199,14 +223,7 @@ def _part(
     unit: Decoded, spec: GroupSpec, common: Region, region: Region
 ) -> tuple[tuple[slice, slice], Decoded]:
     """Return where the part `common` of a unit lies in a region, and views of it."""
-    return common.slices_in(region), _cut(unit, common.slices_in(spec.region))
-
-
-def _cut(unit: Decoded, at: tuple[slice, slice]) -> Decoded:
-    """Return a part of a unit without its labels; views."""
-    rest = None if unit.remainders is None else unit.remainders[at]
-    own = None if unit.own is None else unit.own[at]
-    return Decoded(unit.heights[at], unit.mask[at], None, rest, own)
+    return common.slices_in(region), unit.part(common.slices_in(spec.region))
 
 
 def units_of(grid: Grid, level: int, region: Region) -> list[Block]:

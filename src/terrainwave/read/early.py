@@ -14,8 +14,9 @@ from terrainwave.codec.cdf53.refiner import (
 from terrainwave.codec.cdf53.tiles import TileLayout
 from terrainwave.container.reader import Container
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
-from terrainwave.grid.quadtree import Block
-from terrainwave.read.decoder import unit_name
+from terrainwave.grid.quadtree import Block, Region
+from terrainwave.read.decoder import TreeDecoder, unit_name, units_of
+from terrainwave.read.tiles import make_decoder
 
 # Bytes of each payload that are read to see its head; more where that is longer.
 _FIRST_READ = 512
@@ -34,6 +35,15 @@ class _Part:
         """Return the bytes of the payload to be read for a position (`plane_cut`)."""
         kept = plane_cut(self.head.ends, self.head.n_stream, position - self.n_below)
         return max(len(self.start), self.n_head + prefix_length(kept, self.head.n_stream))
+
+
+def early_decoder(
+    container: Container, level: int, region: Region, quality: float, *, cache_bytes: int
+) -> tuple[TreeDecoder, "EarlyPayloads"]:
+    """Return what decodes a region of so many bits per sample, and the payloads it takes."""
+    max_bytes = int(quality * region.n_rows * region.n_cols / 8)
+    payloads = EarlyPayloads(container, units_of(container.grid, level, region), max_bytes)
+    return make_decoder(container.header, payloads, cache_bytes, are_prefixes=True), payloads
 
 
 class EarlyPayloads:

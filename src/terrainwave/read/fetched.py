@@ -33,6 +33,11 @@ class FetchedPayloads:
         self._n_bytes = 0
         self._on_the_way: dict[Block, threading.Event] = {}
 
+    def fetch_several(self, keys: Sequence[Block]) -> None:
+        """Do as `fetch`, if there are several: one can be fetched by `take` as well."""
+        if len(keys) > 1:
+            self.fetch(keys)
+
     def fetch(self, keys: Sequence[Block]) -> None:
         """Fetch, in one call, those that are neither here nor on their way to another thread.
 

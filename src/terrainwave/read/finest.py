@@ -10,56 +10,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.cdf53.refiner import LevelHeights, decode_masks, unpack_head
+from terrainwave.codec.cdf53.tiles import TileSpec
 from terrainwave.codec.group import read_head
-from terrainwave.codec.refiner import Decoded, Heights, Mask
+from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Validity
 from terrainwave.container.header import Header
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.names import METHODS
-from terrainwave.read.decoder import TreeDecoder, unit_name
-from terrainwave.read.tiles import Tile, TileDecoder
+from terrainwave.read.decoder import Groups, TreeDecoder, UnitSource
+from terrainwave.read.tiles import Tile, Tiles
 
 # Payloads fetched ahead of decoding, in one coalesced request.
 _BATCH = 64
 _CACHE_BYTES = 32 << 20
 
 
-class _MaskDecoder(TreeDecoder):
-    """Units whose heights are all 0, and whose masks are right."""
-
-    def _decode(self, key: Block) -> Decoded:
-        spec, payload = self._spec(key), self._payload(key)
-        heights = _no_heights(spec.region)
-        if not payload:
-            return Decoded(heights, np.zeros(spec.region.shape, dtype=np.bool_), None)
-        try:
-            head = read_head(spec, None if key.is_root_key else self.block(key), payload)
-        except CorruptStreamError as exc:
-            raise type(exc)(f"{unit_name(key)} is damaged: {exc}") from exc
-        return Decoded(heights, head.valid.mask, None)
+def _unit_mask(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Decoded:
+    """Decode the mask of a unit; heights are all 0."""
+    heights = _no_heights(spec.region)
+    if not payload:
+        return Decoded(heights, _all_void(spec.region))
+    return Decoded(heights, read_head(spec, parent, payload).validity)
 
 
-class _TileMaskDecoder(TileDecoder):
-    """The same of files whose units are gathered in tiles."""
-
-    def _decode_tile(self, key: Block) -> Tile:
-        spec, payload = self._layout.spec(key), self._payload(key)
-        if not payload:
-            masks = [np.zeros(region.shape, dtype=np.bool_) for region in spec.regions]
-        else:
-            above = self._layout.above(key)
-            outer = None
-            if above is not None and spec.outer is not None:
-                outer = self._tile(above)[-1].part(spec.outer).validity
-            try:
-                head, _ = unpack_head(spec, payload)
-                masks = [valid.mask for valid in decode_masks(spec, head, outer)]
-            except CorruptStreamError as exc:
-                raise type(exc)(f"the tile of {unit_name(key)} is damaged: {exc}") from exc
-        return [
-            LevelHeights(region, _no_heights(region), mask)
-            for region, mask in zip(spec.regions, masks, strict=True)
-        ]
+def _tile_masks(spec: TileSpec, outer: LevelHeights | None, payload: bytes) -> Tile:
+    """Do the same for a tile."""
+    if payload:
+        head, _ = unpack_head(spec, payload)
+        levels = decode_masks(spec, head, None if outer is None else outer.validity)
+    else:
+        levels = [_all_void(region) for region in spec.regions]
+    return [
+        LevelHeights(region, _no_heights(region), validity)
+        for region, validity in zip(spec.regions, levels, strict=True)
+    ]
 
 
 class FinestMasks:
@@ -78,11 +62,10 @@ class FinestMasks:
     def __init__(self, header: Header, payloads: Callable[[Sequence[Block]], list[bytes]]) -> None:
         grid, parameters = header.grid, header.codec_parameters
         self._grid = grid
-        self._decoder: TreeDecoder
+        source: UnitSource = Groups(payloads, _unit_mask)
         if METHODS[header.method].is_tiled:
-            self._decoder = _TileMaskDecoder(grid, parameters, payloads, _CACHE_BYTES)
-        else:
-            self._decoder = _MaskDecoder(grid, None, parameters, payloads, _CACHE_BYTES)
+            source = Tiles(grid, parameters, payloads, _CACHE_BYTES // 2, _tile_masks)
+        self._decoder = TreeDecoder(grid, parameters, source, _CACHE_BYTES // 2)
 
     def own(self, level: int, region: Region, mask: Mask, on_error: str = "raise") -> Mask:
         """Return which samples of a region of a level are valid by themselves.
@@ -152,3 +135,7 @@ def _samples_in(core: Region, region: Region, stride: int) -> tuple[Region, tupl
 def _no_heights(region: Region) -> Heights:
     """Return heights that take no memory."""
     return np.broadcast_to(np.int32(0), region.shape)
+
+
+def _all_void(region: Region) -> Validity:
+    return Validity(np.zeros(region.shape, dtype=np.bool_))

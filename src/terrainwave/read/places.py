@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,59 @@ from terrainwave.grid.quadtree import Region
 _FORGIVEN = 0.001
 
 
+class LevelPlace(NamedTuple):
+    """A level whose parts windows and bounds name; `own` are the raster's bounds."""
+
+    shape: tuple[int, int]
+    transform: Transform
+    own: tuple[float, float, float, float]
+
+    def asked(self, window: Any, bounds: Sequence[float] | None) -> Region:
+        """Return the part that a window or bounds name, not clipped; all by default."""
+        if bounds is None:
+            whole = Region(0, 0, *self.shape)
+            return whole if window is None else region_of_window(window, self.shape)
+        if window is not None:
+            raise InvalidArgumentError("found both `window` and `bounds`, expected one of them")
+        return region_of_bounds(bounds, self.transform)
+
+    def region(self, window: Any, bounds: Sequence[float] | None) -> Region:
+        """Return the part that a window or bounds name, clipped to the level."""
+        asked = self.asked(window, bounds)
+        region = asked.intersect(Region(0, 0, *self.shape))
+        if region.n_rows > 0 and region.n_cols > 0:
+            return region
+        if bounds is not None:
+            raise InvalidArgumentError(
+                f"the `bounds` {_in_words(bounds)} do not meet the raster's, {_in_words(self.own)}"
+                " (left, bottom, right, top)"
+            )
+        raise InvalidArgumentError(
+            f"the `window` (row {asked.row}, column {asked.col}, {asked.n_rows} x {asked.n_cols})"
+            f" does not meet the level's {self.shape[0]} x {self.shape[1]} samples"
+        )
+
+    def note_on_cut(self, window: Any, bounds: Sequence[float] | None, slack: float) -> str | None:
+        """Say that a window or bounds reach beyond the level, and what is left; None if not.
+
+        `slack` is by how much bounds may.
+        """
+        region = self.region(window, bounds)
+        left = (
+            f"what lies inside it is taken, {region.n_rows} x {region.n_cols} samples from row"
+            f" {region.row}, column {region.col} on"
+        )
+        if bounds is not None:
+            beyond = np.subtract(self.own, bounds) * (1, 1, -1, -1)
+            if (beyond <= slack).all():
+                return None
+            return f"the `bounds` reach beyond the raster's, {_in_words(self.own)}: {left}"
+        if self.asked(window, None) == region:
+            return None
+        size = f"{self.shape[0]} x {self.shape[1]}"
+        return f"the `window` reaches beyond the level's {size} samples: {left}"
+
+
 def region_of_window(window: Any, shape: tuple[int, int]) -> Region:
     """Return the region that a window of a level of `shape` names, not clipped.
 
@@ -27,7 +80,7 @@ def region_of_window(window: Any, shape: tuple[int, int]) -> Region:
 
     Raises
     ------
-    InvalidHeightsError
+    InvalidArgumentError
         If it is none of them, or not in whole samples.
     """
     if hasattr(window, "row_off"):  # rasterio.windows.Window
@@ -69,7 +122,7 @@ def region_of_bounds(bounds: Sequence[float], transform: Transform) -> Region:
 
     Raises
     ------
-    InvalidHeightsError
+    InvalidArgumentError
         If the bounds are empty, or the transform cannot place them.
     """
     left, bottom, right, top = checked_numbers("bounds", bounds, "left, bottom, right, top")
@@ -134,3 +187,7 @@ def places_of(points: Any) -> NDArray[np.float64]:
             f"found `points` {shown(points)}, expected pairs of numbers (x, y)"
         )
     return places
+
+
+def _in_words(box: Sequence[float]) -> str:
+    return ", ".join(f"{float(value):.10g}" for value in box)

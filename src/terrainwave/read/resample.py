@@ -15,8 +15,10 @@ RESAMPLING = ("nearest", "bilinear", "average")
 # Samples that averaging holds at a time: 32 MiB of float64, several times over.
 _BAND_SAMPLES = 4 << 20
 
-# Returns heights and validity of a region of the level `shift` steps coarser than the one asked.
-ReadLevel = Callable[[int, Region], tuple[NDArray[Any], NDArray[np.bool_]]]
+# Heights, and what is void; None where nothing is.
+_Heights = tuple[NDArray[Any], NDArray[np.bool_] | None]
+# Returns a region of the level `shift` steps coarser than the one asked.
+ReadLevel = Callable[[int, Region], _Heights]
 
 
 def resample(
@@ -27,8 +29,8 @@ def resample(
     level: int,
     grid: Grid,
     max_bytes: int,
-) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """Return heights and validity of `region` of `level`, resampled to `out_shape`.
+) -> _Heights:
+    """Return heights of `region` of `level`, resampled to `out_shape`, and what is void.
 
     Output pixel i covers the samples from ``i * scale`` to ``(i + 1) * scale``, as in rasterio.
     ``nearest`` and ``bilinear`` take samples of the coarsest level that is not coarser than the
@@ -62,13 +64,17 @@ def _nearest(
     rows: NDArray[np.float64],
     cols: NDArray[np.float64],
     shape: tuple[int, int],
-) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+) -> _Heights:
     at_rows = np.clip(np.floor(rows + 0.5), 0, shape[0] - 1).astype(np.int64)
     at_cols = np.clip(np.floor(cols + 0.5), 0, shape[1] - 1).astype(np.int64)
     window = _window(at_rows, at_cols)
-    heights, valid = read(shift, window)
+    heights, void = read(shift, window)
     at = np.ix_(at_rows - window.row, at_cols - window.col)
-    return heights[at], valid[at]
+    return heights[at], None if void is None else _or_none(void[at])
+
+
+def _or_none(void: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+    return void if void.any() else None
 
 
 def _bilinear(
@@ -77,12 +83,13 @@ def _bilinear(
     rows: NDArray[np.float64],
     cols: NDArray[np.float64],
     shape: tuple[int, int],
-) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+) -> _Heights:
     rows, cols = np.clip(rows, 0, shape[0] - 1), np.clip(cols, 0, shape[1] - 1)
     top, left = np.floor(rows).astype(np.int64), np.floor(cols).astype(np.int64)
     below, right = np.minimum(top + 1, shape[0] - 1), np.minimum(left + 1, shape[1] - 1)
     window = _window(np.concatenate([top, below]), np.concatenate([left, right]))
-    heights, valid = read(shift, window)
+    heights, void = read(shift, window)
+    valid = np.ones(heights.shape, dtype=np.bool_) if void is None else ~void
     total, weights = bilinear_sums(heights, valid, rows - window.row, cols - window.col)
     return _weighted(total, weights, heights.dtype)
 
@@ -114,7 +121,7 @@ def bilinear_sums(
 
 def _average(
     read: ReadLevel, region: Region, out_shape: tuple[int, int], max_bytes: int
-) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+) -> _Heights:
     """Average in bands of input rows, so that the window is never held whole."""
     n_rows, n_cols = out_shape
     row_edges = np.linspace(0, region.n_rows, n_rows + 1)
@@ -127,17 +134,17 @@ def _average(
     total, weights = np.zeros(out_shape), np.zeros(out_shape)
     for start in range(0, region.n_rows, rows_per_band):
         stop = min(start + rows_per_band, region.n_rows)
-        heights, valid = read(
-            0, Region(region.row + start, region.col, stop - start, region.n_cols)
-        )
+        heights, void = read(0, Region(region.row + start, region.col, stop - start, region.n_cols))
         # The output rows that the band meets, each with its part of the band.
         first = int(np.searchsorted(row_edges, start, side="right")) - 1
         last = int(np.searchsorted(row_edges, stop, side="left"))
         edges = np.clip(row_edges[first : last + 1], start, stop) - start
-        known = np.where(valid, heights, 0).astype(np.float64)
+        valid = np.ones(heights.shape)
+        if void is not None:
+            heights[void] = valid[void] = 0
+        known = heights.astype(np.float64)
         total[first:last] += _integrate(edges, _integrate(col_edges, known.T).T)
-        known = valid.astype(np.float64)
-        weights[first:last] += _integrate(edges, _integrate(col_edges, known.T).T)
+        weights[first:last] += _integrate(edges, _integrate(col_edges, valid.T).T)
     return _weighted(total, weights, heights.dtype)
 
 
@@ -164,6 +171,7 @@ def weighted_means(
 
 def _weighted(
     total: NDArray[np.float64], weights: NDArray[np.float64], dtype: np.dtype[Any]
-) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+) -> _Heights:
     means, valid = weighted_means(total, weights)
-    return (np.rint(means) if dtype.kind in "iu" else means).astype(dtype), valid
+    means = np.rint(means) if dtype.kind in "iu" else means
+    return means.astype(dtype), _or_none(~valid)

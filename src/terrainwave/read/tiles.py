@@ -1,36 +1,43 @@
 """Decode files whose units are gathered in tiles (method cdf53), on demand, through a cache."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
 from terrainwave.codec.cdf53.refiner import LevelHeights, decode_tile
-from terrainwave.codec.cdf53.tiles import TileLayout
-from terrainwave.codec.refiner import Decoded, Heights
+from terrainwave.codec.cdf53.tiles import TileLayout, TileSpec
+from terrainwave.codec.refiner import Decoded, as_array
 from terrainwave.codec.registry import refiner_by_name
-from terrainwave.codec.units import unit_spec
 from terrainwave.coding.lifting53 import forward_transform, places_of
 from terrainwave.container.header import Header
 from terrainwave.errors import CorruptStreamError, InvalidArgumentError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.names import METHODS, methods_that
-from terrainwave.read.decoder import TreeDecoder, unit_key, unit_name
+from terrainwave.read.decoder import TreeDecoder, groups_by, unit_key, unit_name
+from terrainwave.read.fetched import FetchedPayloads
 
 Tile = list[LevelHeights]
 Coefficients = NDArray[np.int64]
 
 
-class TileDecoder(TreeDecoder):
-    """Decoded units of a file of tiles, by key; a `TreeDecoder` to those who use it.
+class Tiles:
+    """Units of a file of tiles, a `UnitSource`: each is cut from its tile.
 
     Parameters
     ----------
-    are_prefixes : bool
-        Whether `payloads` returns payloads that may end early (`Terrain.read` with a quality).
+    payloads : callable
+        Returns the checked payloads of several tiles, near ones in one request.
+    cache_bytes : int
+        What decoded tiles may take; coefficients, which few ask for, as much again.
+    decode : callable
+        Decodes the payload of a tile, below its head's block.
     """
+
+    are_apart = False
 
     def __init__(
         self,
@@ -38,19 +45,19 @@ class TileDecoder(TreeDecoder):
         parameters: CodecParameters,
         payloads: Callable[[Sequence[Block]], list[bytes]],
         cache_bytes: int,
-        *,
-        are_prefixes: bool = False,
+        decode: Callable[[TileSpec, LevelHeights | None, bytes], Tile] = decode_tile,
     ) -> None:
-        # Half for units, half for tiles; coefficients, which few ask for, come on top.
-        super().__init__(grid, None, parameters, payloads, cache_bytes // 2)
+        self._grid = grid
+        self._parameters = parameters
         self._layout = TileLayout(grid, parameters.has_fills)
-        self._are_prefixes = are_prefixes
-        self._tiles: Cache[Block, Tile] = Cache(cache_bytes // 2, size_of=_n_bytes)
+        self._fetched = FetchedPayloads(payloads)
+        self._decode = decode
+        self._tiles: Cache[Block, Tile] = Cache(cache_bytes, size_of=_n_bytes)
         self._coefficients: Cache[Block, Coefficients] = Cache(
-            cache_bytes // 2, size_of=lambda found: found.nbytes
+            cache_bytes, size_of=lambda found: found.nbytes
         )
 
-    def prefetch(self, keys: Sequence[Block]) -> list[Block]:
+    def prefetch(self, units: TreeDecoder, keys: Sequence[Block]) -> list[Block]:
         """Fetch the payloads of the tiles that decoding `keys` will need, in one call.
 
         Returns none: a unit needs tiles and no other unit.
@@ -61,19 +68,19 @@ class TileDecoder(TreeDecoder):
             while tile is not None and tile not in needed and self._tiles.get(tile) is None:
                 needed[tile] = None
                 tile = self._layout.above(tile)
-        self._fetch(list(needed))
+        self._fetched.fetch_several(list(needed))
         return []
 
-    def _decode(self, key: Block, out: Heights | None = None) -> Decoded:
+    def decode(self, units: TreeDecoder, key: Block) -> Decoded:
+        """Return a unit, cut from its tile."""
         tile_key = self._layout.key_of(key)
-        if key != tile_key and self._payload(key):
+        if key != tile_key and self._fetched.take(key):
             raise CorruptStreamError(
                 f"{unit_name(key)} is damaged: it has a payload, which is its tile's to hold"
             )
-        region = unit_spec(self.grid, self._parameters, key).region
         tile = self._tile(tile_key)
         level = tile[key.level + 1 - max(tile_key.level + 1, 0)]
-        return final_heights(level.part(region), self._parameters)
+        return final_heights(level.part(units.spec(key).region), self._parameters)
 
     def coefficients(self, level: int, region: Region) -> Coefficients:
         """Return the magnitude of the wavelet coefficient at each sample of a level, in quanta.
@@ -87,12 +94,12 @@ class TileDecoder(TreeDecoder):
             Inside the level.
         """
         found = np.empty(region.shape, dtype=np.int64)
-        side = self.grid.block
+        side = self._grid.block
         # One block of those that share a line is enough.
         for row in _blocks_along(region.row, region.n_rows, side):
             for col in _blocks_along(region.col, region.n_cols, side):
                 block = Block(level, row, col)
-                here = self.grid.block_region(block).intersect(region)
+                here = self._grid.block_region(block).intersect(region)
                 found[here.slices_in(region)] = self._coefficients_in(block, here)
         return found
 
@@ -138,35 +145,46 @@ class TileDecoder(TreeDecoder):
         if above is not None and spec.outer is not None:
             outer = self._tile(above)[-1].part(spec.outer)
         try:
-            return decode_tile(spec, outer, self._payload(key), is_prefix=self._are_prefixes)
+            return self._decode(spec, outer, self._fetched.take(key))
         except CorruptStreamError as exc:
             raise type(exc)(f"the tile of {unit_name(key)} is damaged: {exc}") from exc
 
 
 def make_decoder(
-    header: Header, payloads: Callable[[Sequence[Block]], list[bytes]], cache_bytes: int
+    header: Header,
+    payloads: Callable[[Sequence[Block]], list[bytes]],
+    cache_bytes: int,
+    *,
+    are_prefixes: bool = False,
 ) -> TreeDecoder:
-    """Return the decoder of a file that has this header."""
-    if METHODS[header.method].is_tiled:
-        return TileDecoder(header.grid, header.codec_parameters, payloads, cache_bytes)
-    refiner = refiner_by_name(header.method, header.parameters)
-    return TreeDecoder(header.grid, refiner, header.codec_parameters, payloads, cache_bytes)
+    """Return the decoder of a file that has this header.
+
+    `are_prefixes` says whether payloads may end early (`Terrain.read_early`).
+    """
+    grid, parameters = header.grid, header.codec_parameters
+    if not METHODS[header.method].is_tiled:
+        refiner = refiner_by_name(header.method, header.parameters)
+        return TreeDecoder(grid, parameters, groups_by(refiner, payloads), cache_bytes)
+    # Half for units, half for tiles.
+    decode = partial(decode_tile, is_prefix=are_prefixes)
+    tiles = Tiles(grid, parameters, payloads, cache_bytes // 2, decode)
+    return TreeDecoder(grid, parameters, tiles, cache_bytes // 2)
 
 
-def with_coefficients(decoder: TreeDecoder) -> TileDecoder:
-    """Return a decoder that has wavelet coefficients.
+def with_coefficients(decoder: TreeDecoder) -> Tiles:
+    """Return the tiles of a decoder, which have wavelet coefficients.
 
     Raises
     ------
     InvalidArgumentError
-        If this one has none.
+        If it has none.
     """
-    if not isinstance(decoder, TileDecoder):
+    if not isinstance(decoder.source, Tiles):
         raise InvalidArgumentError(
             "the file has no coefficients of a 5/3 wavelet; those of method"
             f" {methods_that(lambda method: method.is_tiled)} have"
         )
-    return decoder
+    return decoder.source
 
 
 def _blocks_along(first: int, n: int, side: int) -> range:
@@ -176,8 +194,7 @@ def _blocks_along(first: int, n: int, side: int) -> range:
 
 
 def _n_bytes(tile: Tile) -> int:
-    arrays = [part for level in tile for part in level[1:] if part is not None]
-    return sum(array.nbytes for array in arrays)
+    return sum(level.heights.nbytes + level.validity.nbytes for level in tile)
 
 
 def final_heights(level: LevelHeights, parameters: CodecParameters) -> Decoded:
@@ -190,7 +207,7 @@ def final_heights(level: LevelHeights, parameters: CodecParameters) -> Decoded:
     heights = np.clip(wide, parameters.z_min, parameters.z_max).astype(np.int32)
     low, high = parameters.forbidden
     if low <= high:
-        collides = level.mask & (heights >= low) & (heights <= high)
+        collides = as_array(level.validity.mask, heights.shape)
+        collides = collides & (heights >= low) & (heights <= high)
         heights[collides] = low - 1 if high >= parameters.z_max else high + 1
-    own = None if level.own is None else level.own.copy()
-    return Decoded(heights, level.mask.copy(), None, own=own)
+    return Decoded(heights, level.validity.copy())

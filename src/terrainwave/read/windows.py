@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.masks import is_whole
 from terrainwave.codec.refiner import Decoded
 from terrainwave.errors import CorruptStreamError, StorageError
 from terrainwave.forks import renew_after_fork
@@ -73,7 +72,7 @@ class WindowReader:
             try:
                 there, unit = decoder.part_once(key, region)
                 self._fill(unit, heights[there])
-                voids.note(there, unit.own_mask if is_own else unit.mask)
+                voids.note(there, unit.validity.own_mask if is_own else unit.validity.mask)
             except CorruptStreamError:
                 if on_error == "raise":
                     raise
@@ -173,15 +172,15 @@ class _Voids:
         self._shape = region.shape
         self._lock = threading.Lock()
 
-    def note(self, there: tuple[slice, slice], valid: NDArray[np.bool_]) -> None:
-        """Note which samples of a part of the region are valid."""
+    def note(self, there: tuple[slice, slice], valid: NDArray[np.bool_] | None) -> None:
+        """Note which samples of a part of the region are valid; None: all are."""
         if self.marked is None:
-            if is_whole(valid):
+            if valid is None:
                 return
             with self._lock:
                 if self.marked is None:
                     self.marked = np.zeros(self._shape, dtype=np.bool_)
-        np.logical_not(valid, out=self.marked[there])
+        self.marked[there] = False if valid is None else ~valid
 
 
 def _fill_or_decode(

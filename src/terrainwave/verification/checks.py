@@ -4,278 +4,29 @@ A mesh covers its area once, without folds, cracks and T-junctions, if all its t
 same way and the edges that only one triangle has are exactly the area's boundary, each once. Both
 are checked, and beside it what is covered around each sample is counted.
 
-Places are in half samples; heights and errors in 1/16 quanta. Given integers, all of it is exact;
-given floats (meshes cut along a window), what is nearer than 1e-6 to an edge counts as on it.
+Places are in half samples; heights and errors in 1/16 quanta (`surface`).
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.coding.jit import kernel
+from terrainwave.verification.pieces import (
+    ABC,
+    ABD,
+    ACD,
+    BCD,
+    NOTHING,
+    WHOLE,
+    boundary_of_pieces,
+    characteristic,
+    coverage,
+    n_unions,
+)
+from terrainwave.verification.surface import FLOAT_TOLERANCE, Surface
 
-# What a mesh covers of a quad a b (upper), d c (lower), seen from a downwards and to the right,
-# and from c upwards and to the left. All of it, or one of four triangles.
-_A_DOWN, _A_RIGHT, _C_UP, _C_LEFT = 1, 2, 4, 8
-NOTHING, WHOLE = 0, 15
-ABC, ACD, ABD, BCD = _A_RIGHT | _C_UP, _A_DOWN | _C_LEFT, _A_DOWN | _A_RIGHT, _C_UP | _C_LEFT
-
-_FLOAT_TOLERANCE = 1e-6
-# What float64 may lose of heights below 2^40 sixteenths, in 1/16 quanta.
-_FLOAT_LOSS = 2.0**-8
-_MAX_PRODUCT = 1 << 61
 _MAX_LISTED = 5
-
-
-class Surface(NamedTuple):
-    """A mesh as it is checked.
-
-    Parameters
-    ----------
-    rows, cols : ndarray of int64 or float64, shape (n_vertices,)
-        In half samples of the grid that it is checked on.
-    heights : ndarray of int64 or float64, shape (n_vertices,)
-        In 1/16 quanta.
-    triangles : ndarray of int, shape (n_triangles, 3)
-        Clockwise with columns to the right and rows downwards.
-    """
-
-    rows: NDArray[Any]
-    cols: NDArray[Any]
-    heights: NDArray[Any]
-    triangles: NDArray[np.integer]
-
-    def on_grid(self, stride: int) -> "Surface":
-        """Return the same surface in half samples of a grid `stride` times finer."""
-        return self._replace(rows=self.rows * stride, cols=self.cols * stride)
-
-    @property
-    def is_exact(self) -> bool:
-        """Say whether places and heights are integers, small enough for exact products."""
-        if any(v.dtype.kind == "f" for v in (self.rows, self.cols, self.heights)):
-            return False
-        if not len(self.rows):
-            return True
-        corners = self.rows[self.triangles], self.cols[self.triangles]
-        longest = [int((c.max(axis=1) - c.min(axis=1)).max(initial=0)) for c in corners]
-        reach = int(np.abs(self.heights).max()) + (1 << 36)
-        return 2 * (longest[0] + 1) * (longest[1] + 1) * reach < _MAX_PRODUCT
-
-
-@dataclass(frozen=True)
-class Deviation:
-    """How far samples are from a mesh; `worst` in 1/16 quanta, rounded up, at (`row`, `col`)."""
-
-    worst: int
-    row: int
-    col: int
-    n_beyond: int
-    is_covered: NDArray[np.bool_]
-
-
-def deviation(
-    surface: Surface,
-    samples: NDArray[np.int64],
-    valid: NDArray[np.bool_],
-    limit: float,
-    place: tuple[int, int] = (0, 0),
-) -> Deviation:
-    """Return the largest vertical distance of valid samples from a surface.
-
-    Exact, rounded up, where `Surface.is_exact`; else it may be up to 2^-8 less than it is.
-
-    Parameters
-    ----------
-    samples : ndarray of int64, shape (n_rows, n_cols)
-        Heights in 1/16 quanta.
-    limit : float
-        Samples further away than this are counted.
-    place : tuple of int
-        Row and column of the first sample.
-    """
-    kind = np.int64 if surface.is_exact else np.float64
-    loss = 0 if surface.is_exact else _FLOAT_LOSS
-    covered = np.zeros(samples.shape, dtype=np.bool_)
-    beyond = np.zeros(samples.shape, dtype=np.bool_)
-    worst, row, col = _deviation(
-        surface.rows.astype(kind), surface.cols.astype(kind), surface.heights.astype(kind),
-        np.ascontiguousarray(surface.triangles), samples, np.ascontiguousarray(valid),
-        float(limit), kind(place[0]), kind(place[1]),
-        kind(0) if surface.is_exact else _FLOAT_TOLERANCE, kind(loss), covered, beyond,
-    )  # fmt: skip
-    return Deviation(int(worst), int(row), int(col), int(np.count_nonzero(beyond)), covered)
-
-
-@kernel
-def _deviation(
-    rows, cols, heights, triangles, samples, valid, limit, first_row, first_col, tolerance, loss,
-    covered, beyond,
-):  # fmt: skip
-    n_rows, n_cols = samples.shape
-    worst, worst_row, worst_col = np.float64(0), -1, -1
-    for t in range(triangles.shape[0]):
-        p, q, s = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        r_0, r_1, r_2 = rows[p] - 2 * first_row, rows[q] - 2 * first_row, rows[s] - 2 * first_row
-        top = max(int(np.ceil(min(r_0, r_1, r_2) / 2)), 0)
-        bottom = min(int(np.floor(max(r_0, r_1, r_2) / 2)), n_rows - 1)
-        if top > bottom:
-            continue
-        c_0, c_1, c_2 = cols[p] - 2 * first_col, cols[q] - 2 * first_col, cols[s] - 2 * first_col
-        left = max(int(np.ceil(min(c_0, c_1, c_2) / 2)), 0)
-        right = min(int(np.floor(max(c_0, c_1, c_2) / 2)), n_cols - 1)
-        area = (c_1 - c_0) * (r_2 - r_0) - (c_2 - c_0) * (r_1 - r_0)
-        if area <= 0:
-            continue
-        for row in range(top, bottom + 1):
-            for col in range(left, right + 1):
-                # Twice the areas of the triangles that the sample makes with each edge.
-                w_0 = (c_1 - 2 * col) * (r_2 - 2 * row) - (c_2 - 2 * col) * (r_1 - 2 * row)
-                w_1 = (c_2 - 2 * col) * (r_0 - 2 * row) - (c_0 - 2 * col) * (r_2 - 2 * row)
-                w_2 = area - w_0 - w_1
-                if w_0 < -tolerance or w_1 < -tolerance or w_2 < -tolerance:
-                    continue
-                if not valid[row, col]:
-                    continue
-                covered[row, col] = True
-                sample = samples[row, col]
-                apart = abs(
-                    w_0 * (heights[p] - sample) + w_1 * (heights[q] - sample)
-                    + w_2 * (heights[s] - sample)
-                ) - loss * area  # fmt: skip
-                # Integers: exact, as limit is one; floats: with what they lose taken off.
-                up = -(-apart // area)
-                if up > worst:
-                    worst, worst_row, worst_col = np.float64(up), row, col
-                if up > limit:
-                    beyond[row, col] = True
-    return worst, worst_row, worst_col
-
-
-def coverage(
-    surface: Surface, shape: tuple[int, int]
-) -> tuple[NDArray[np.uint8], int, tuple[int, int] | None]:
-    """Measure how much of each quad is covered, and how many places around samples are twice.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Numbers of rows and columns of samples; the first sample lies at (0, 0).
-
-    Returns
-    -------
-    pieces : ndarray of uint8, shape (n_rows - 1, n_cols - 1)
-        `WHOLE`, `NOTHING`, `ABC` …, or another number where that cannot be.
-    n_twice : int
-        Places covered more than once.
-    place : tuple of int or None
-        The row and column of the sample beside one of them.
-    """
-    is_exact = all(v.dtype.kind != "f" for v in (surface.rows, surface.cols))
-    kind = np.int64 if is_exact else np.float64
-    pieces = np.zeros((shape[0] - 1, shape[1] - 1), dtype=np.uint8)
-    n_twice, row, col = _coverage(
-        surface.rows.astype(kind), surface.cols.astype(kind),
-        np.ascontiguousarray(surface.triangles), kind(0) if is_exact else _FLOAT_TOLERANCE, pieces,
-    )  # fmt: skip
-    return pieces, int(n_twice), (int(row), int(col)) if n_twice else None
-
-
-@kernel
-def _sign(value, first, second, tolerance):
-    """Return the sign of value + e * first + e^2 * second for a tiny e > 0."""
-    if abs(value) > tolerance:
-        return 1 if value > 0 else -1
-    if abs(first) > tolerance:
-        return 1 if first > 0 else -1
-    return 1 if second > 0 else -1
-
-
-@kernel
-def _coverage(rows, cols, triangles, tolerance, pieces):
-    n_rows, n_cols = pieces.shape
-    n_twice, twice_row, twice_col = 0, -1, -1
-    for t in range(triangles.shape[0]):
-        p, q, s = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        r_0, r_1, r_2 = rows[p], rows[q], rows[s]
-        c_0, c_1, c_2 = cols[p], cols[q], cols[s]
-        if (c_1 - c_0) * (r_2 - r_0) - (c_2 - c_0) * (r_1 - r_0) <= 0:
-            continue
-        top = max(int(np.ceil((min(r_0, r_1, r_2) - tolerance) / 2)), 0)
-        bottom = min(int(np.floor((max(r_0, r_1, r_2) + tolerance) / 2)), n_rows)
-        left = max(int(np.ceil((min(c_0, c_1, c_2) - tolerance) / 2)), 0)
-        right = min(int(np.floor((max(c_0, c_1, c_2) + tolerance) / 2)), n_cols)
-        for row in range(top, bottom + 1):
-            for col in range(left, right + 1):
-                w_0 = (c_1 - 2 * col) * (r_2 - 2 * row) - (c_2 - 2 * col) * (r_1 - 2 * row)
-                w_1 = (c_2 - 2 * col) * (r_0 - 2 * row) - (c_0 - 2 * col) * (r_2 - 2 * row)
-                w_2 = (c_0 - 2 * col) * (r_1 - 2 * row) - (c_1 - 2 * col) * (r_0 - 2 * row)
-                if w_0 < -tolerance or w_1 < -tolerance or w_2 < -tolerance:
-                    continue
-                for k in range(4):
-                    # From the quad's corner a down, right; from its corner c up, left.
-                    at_row, at_col = (row, col) if k < 2 else (row - 1, col - 1)
-                    if not (0 <= at_row < n_rows and 0 <= at_col < n_cols):
-                        continue
-                    way = 1 if k < 2 else -1
-                    inside = True
-                    for edge in range(3):
-                        if edge == 0:
-                            w, g_r, g_c = w_0, c_2 - c_1, r_1 - r_2
-                        elif edge == 1:
-                            w, g_r, g_c = w_1, c_0 - c_2, r_2 - r_0
-                        else:
-                            w, g_r, g_c = w_2, c_1 - c_0, r_0 - r_1
-                        if k == 0 or k == 2:
-                            inside &= _sign(w, way * g_r, way * g_c, tolerance) > 0
-                        else:
-                            inside &= _sign(w, way * g_c, way * g_r, tolerance) > 0
-                    if not inside:
-                        continue
-                    if pieces[at_row, at_col] & (1 << k):
-                        n_twice += 1
-                        twice_row, twice_col = row, col
-                    pieces[at_row, at_col] |= np.uint8(1 << k)
-    return n_twice, twice_row, twice_col
-
-
-def pieces_of_mask(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return the cover of a mesh of all samples: quads of four valid samples, triangles of three.
-
-    Parameters
-    ----------
-    mask : ndarray of bool, shape (n_rows, n_cols)
-        Valid samples.
-
-    Returns
-    -------
-    ndarray of uint8, shape (n_rows - 1, n_cols - 1)
-    """
-    a, b, d, c = mask[:-1, :-1], mask[:-1, 1:], mask[1:, :-1], mask[1:, 1:]
-    pieces = np.zeros(a.shape, dtype=np.uint8)
-    pieces[a & b & c & d] = WHOLE
-    for piece, out, others in (
-        (BCD, a, (b, c, d)), (ACD, b, (a, c, d)), (ABD, c, (a, b, d)), (ABC, d, (a, b, c)),
-    ):  # fmt: skip
-        pieces[~out & others[0] & others[1] & others[2]] = piece
-    return pieces
-
-
-def refined_pieces(pieces: NDArray[np.uint8], stride: int) -> NDArray[np.uint8]:
-    """Spread areas covered over the quads of a grid `stride` times finer."""
-    row, col = np.indices((stride, stride))
-    table = np.zeros((16, stride, stride), dtype=np.uint8)
-    table[WHOLE] = WHOLE
-    for piece, depth, on in (
-        (ABC, col - row, ABC), (ACD, row - col, ACD),
-        (ABD, stride - 1 - row - col, ABD), (BCD, row + col - stride + 1, BCD),
-    ):  # fmt: skip
-        table[piece] = np.where(depth > 0, WHOLE, np.where(depth == 0, on, NOTHING))
-    n_rows, n_cols = pieces.shape
-    fine = table[pieces].transpose(0, 2, 1, 3)
-    return fine.reshape(n_rows * stride, n_cols * stride)
 
 
 def problems_of(
@@ -328,7 +79,7 @@ def problems_of(
             yield f"{np.count_nonzero(less)} quads are not covered, one at {_first(less)}"
     n_whole = int(np.count_nonzero(pieces == WHOLE))
     wanted = 4 * (n_whole + int(np.count_nonzero(pieces)))
-    allowed = _FLOAT_TOLERANCE * wanted if area.dtype.kind == "f" else 0
+    allowed = FLOAT_TOLERANCE * wanted if area.dtype.kind == "f" else 0
     if whole.all() and abs(float(area.sum()) - wanted) > allowed:
         yield f"the triangles' areas sum to {area.sum() / 8:g} quads, not {wanted / 8:g}"
     yield from _edge_problems(surface, pieces)
@@ -359,8 +110,8 @@ def _vertex_problems(surface: Surface, shape: tuple[int, int]) -> Iterator[str]:
     ):
         yield "vertices lie outside the area"
     order = np.lexsort((cols, rows))
-    near = (np.abs(np.diff(rows[order])) <= _FLOAT_TOLERANCE) & (
-        np.abs(np.diff(cols[order])) <= _FLOAT_TOLERANCE
+    near = (np.abs(np.diff(rows[order])) <= FLOAT_TOLERANCE) & (
+        np.abs(np.diff(cols[order])) <= FLOAT_TOLERANCE
     )
     if near.any():
         at = order[int(np.argmax(near))]
@@ -406,8 +157,8 @@ def _edge_problems(surface: Surface, pieces: NDArray[np.uint8]) -> Iterator[str]
             f" {place[0] / 2:g}, column {place[1] / 2:g}"
         )
         return
-    wanted, _, _ = _runs(*_boundary_of_pieces(pieces))
-    if len(runs) != len(wanted) or not np.allclose(runs, wanted, rtol=0, atol=_FLOAT_TOLERANCE):
+    wanted, _, _ = _runs(*boundary_of_pieces(pieces))
+    if len(runs) != len(wanted) or not np.allclose(runs, wanted, rtol=0, atol=FLOAT_TOLERANCE):
         yield (
             "the edges with a triangle on one side only are not the area's boundary:"
             f" {_difference(runs, wanted)}"
@@ -443,7 +194,7 @@ def _runs(
     step_row, step_col = down / longest, right / longest
     slanted = np.zeros(len(longest), dtype=np.bool_)
     for step in (step_row, step_col):
-        slanted |= np.abs(step - np.rint(step)) * longest > _FLOAT_TOLERANCE
+        slanted |= np.abs(step - np.rint(step)) * longest > FLOAT_TOLERANCE
     step_row, step_col = np.rint(step_row), np.rint(step_col)
     line = np.where(step_row == 0, rows[:, 0], step_row * cols[:, 0] - step_col * rows[:, 0])
     line = np.rint(line * 1e6) / 1e6
@@ -451,44 +202,13 @@ def _runs(
     start, stop = along.min(axis=1), along.max(axis=1)
     order = np.lexsort((start, line, step_col, step_row))
     parts = np.stack([step_row, step_col, line, start, stop], axis=1)[order]
-    goes_on = np.abs(parts[1:, 3] - parts[:-1, 4]) <= _FLOAT_TOLERANCE
+    goes_on = np.abs(parts[1:, 3] - parts[:-1, 4]) <= FLOAT_TOLERANCE
     goes_on &= (parts[1:, :3] == parts[:-1, :3]).all(axis=1)
     first = np.concatenate([[True], ~goes_on])
     last = np.concatenate([~goes_on, [True]])
     runs = np.concatenate([parts[first, :4], parts[last, 4:]], axis=1)
     at = int(np.argmax(slanted))
     return runs, int(np.count_nonzero(slanted)), (float(rows[at, 0]), float(cols[at, 0]))
-
-
-def _unit_edges(pieces: NDArray[np.uint8]) -> list[tuple[NDArray[np.bool_], tuple[int, ...]]]:
-    """Return, for each kind of edge of a quad, where a piece has it, and its two corners."""
-    corners = {"a": (0, 0), "b": (0, 1), "c": (1, 1), "d": (1, 0)}
-    kinds = (
-        ("ab", (WHOLE, ABC, ABD)), ("bc", (WHOLE, ABC, BCD)), ("cd", (WHOLE, ACD, BCD)),
-        ("da", (WHOLE, ACD, ABD)), ("ca", (ABC,)), ("ac", (ACD,)), ("bd", (ABD,)), ("db", (BCD,)),
-    )  # fmt: skip
-    return [
-        (np.isin(pieces, having), corners[ends[0]] + corners[ends[1]]) for ends, having in kinds
-    ]
-
-
-def _boundary_of_pieces(
-    pieces: NDArray[np.uint8],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (rows, cols) of both ends of the boundary's edges, in half samples, clockwise."""
-    edges = []
-    has = _unit_edges(pieces)
-    (above, _), (right, _), (below, _), (left, _) = has[:4]
-    lonely = [above.copy(), right.copy(), below.copy(), left.copy()]
-    lonely[0][1:] &= ~below[:-1]
-    lonely[2][:-1] &= ~above[1:]
-    lonely[3][:, 1:] &= ~right[:, :-1]
-    lonely[1][:, :-1] &= ~left[:, 1:]
-    for k, (where, (r_0, c_0, r_1, c_1)) in enumerate(has):
-        at = np.argwhere(lonely[k] if k < 4 else where)
-        edges.append(at[:, [0, 1, 0, 1]] + np.array([r_0, c_0, r_1, c_1]))
-    both = 2.0 * np.concatenate(edges)
-    return both[:, [0, 2]], both[:, [1, 3]]
 
 
 def _shape_problems(surface: Surface, pieces: NDArray[np.uint8]) -> Iterator[str]:
@@ -498,57 +218,11 @@ def _shape_problems(surface: Surface, pieces: NDArray[np.uint8]) -> Iterator[str
     there, back = edges // max(n_vertices, 1), edges % max(n_vertices, 1)
     n_edges = _n_distinct(np.minimum(there, back) * n_vertices + np.maximum(there, back))
     n_used = _n_distinct(triangles)
-    characteristic = n_used - n_edges + len(triangles)
-    wanted, n_parts = _characteristic(pieces)
-    if characteristic != wanted:
-        yield f"the Euler characteristic is {characteristic}, the area's is {wanted}"
+    found = n_used - n_edges + len(triangles)
+    wanted, n_parts = characteristic(pieces)
+    if found != wanted:
+        yield f"the Euler characteristic is {found}, the area's is {wanted}"
     parts = np.arange(n_vertices)
-    n_found = n_used - int(_unite(triangles.astype(np.int64), parts))
+    n_found = n_used - int(n_unions(triangles.astype(np.int64), parts))
     if n_found != n_parts:
         yield f"the mesh has {n_found} parts, the area {n_parts}"
-
-
-@kernel
-def _unite(triangles, parent):
-    """Return how many unions of vertices were needed to join those of each triangle."""
-    n_joined = 0
-    for t in range(triangles.shape[0]):
-        for k in range(2):
-            a, b = triangles[t, k], triangles[t, k + 1]
-            while parent[a] != a:
-                parent[a] = parent[parent[a]]
-                a = parent[a]
-            while parent[b] != b:
-                parent[b] = parent[parent[b]]
-                b = parent[b]
-            if a != b:
-                parent[max(a, b)] = min(a, b)
-                n_joined += 1
-    return n_joined
-
-
-def _characteristic(pieces: NDArray[np.uint8]) -> tuple[int, int]:
-    """Return Euler's characteristic and the number of parts of an area."""
-    n_rows, n_cols = pieces.shape
-    samples = np.zeros((n_rows + 1, n_cols + 1), dtype=np.bool_)
-    lines = np.zeros((n_rows + 1, n_cols), dtype=np.bool_)
-    columns = np.zeros((n_rows, n_cols + 1), dtype=np.bool_)
-    joined = []
-    for where, (r_0, c_0, r_1, c_1) in _unit_edges(pieces):
-        if r_0 == r_1:
-            lines[r_0 : n_rows + r_0] |= where
-        elif c_0 == c_1:
-            columns[:, c_0 : n_cols + c_0] |= where
-        for r, c in ((r_0, c_0), (r_1, c_1)):
-            samples[r : n_rows + r, c : n_cols + c] |= where
-        at = np.argwhere(where)
-        ends = at[:, [0, 0]] + [r_0, r_1], at[:, [1, 1]] + [c_0, c_1]
-        joined.append(ends[0] * (n_cols + 1) + ends[1])
-    n_whole = np.count_nonzero(pieces == WHOLE)
-    n_single = np.count_nonzero(pieces != NOTHING) - n_whole
-    n_edges = np.count_nonzero(lines) + np.count_nonzero(columns) + n_whole + n_single
-    n_samples = int(np.count_nonzero(samples))
-    pairs = np.concatenate(joined)
-    pairs = np.concatenate([pairs, pairs[:, 1:]], axis=1)
-    n_joined = int(_unite(pairs, np.arange(samples.size)))
-    return int(n_samples - n_edges + 2 * n_whole + n_single), n_samples - n_joined

@@ -1,24 +1,17 @@
 """Check independently that every decoded height is within the bound of the original.
 
-Shares nothing with the encoder: the original is read by rasterio alone (not `raster_io`), the
-decoded heights come from an ordinary `Terrain`, and what is valid is decided here anew. Memory
-holds a few windows.
+Shares nothing with the encoder: the original is read by rasterio alone (`original`, not
+`raster_io`), the decoded heights come from an ordinary `Terrain`. Memory holds a few windows.
 """
 
 import math
 import os
-import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import rasterio
-from rasterio.crs import CRS
-from rasterio.enums import MaskFlags
-from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
-from rasterio.windows import Window
 
 from terrainwave.arguments import (
     check_callback,
@@ -29,29 +22,15 @@ from terrainwave.arguments import (
     number_of,
     shown,
 )
-from terrainwave.errors import (
-    InvalidArgumentError,
-    StorageError,
-    TerrainwaveError,
-)
-from terrainwave.grid.quadtree import Region
+from terrainwave.errors import InvalidArgumentError, TerrainwaveError
 from terrainwave.names import METHODS
-from terrainwave.place.crs import format_crs, parse_crs
-from terrainwave.place.units import height_unit
 from terrainwave.progress import Progress, ProgressCallback
-from terrainwave.raster_io.dataset import is_placed
+from terrainwave.verification.metadata import metadata_problems
 from terrainwave.verification.metrics import ErrorReport, ErrorSum
+from terrainwave.verification.original import Original, open_original, place_text
 
 if TYPE_CHECKING:
     from terrainwave.verification.meshes import MeshReport
-
-# Samples per window, and its height where the original is striped: windows of few rows would make
-# the decoder run the same blocks again and again.
-_WINDOW_SAMPLES = 4 * 2**20
-_WINDOW_SIDE = 2048
-_WINDOW_ROWS = 256
-
-_GDAL_CACHE_BYTES = 64 * 2**20
 
 # Problems of one kind are listed up to this number, then counted.
 _MAX_LISTED = 10
@@ -180,16 +159,16 @@ def verify(
             bound = _bound(terrain, max_error)
             report = _report(terrain, twz, None, bound, None, problems)
             return _with_meshes(report, terrain, None, progress) if mesh else report
-        with _open_original(original) as dataset:
+        with open_original(original) as dataset:
             if not 1 <= band <= dataset.count:
                 raise InvalidArgumentError(
                     f"`band` {band} does not exist, {original} has {dataset.count}"
                 )
-            comparison = _Comparison(terrain, dataset, band, nodata, max_error)
-            report = comparison.run(twz, original, progress)
+            raster = Original(dataset, band, nodata)
+            report = _Comparison(terrain, raster, max_error).run(twz, original, progress)
             if not mesh or report.errors is None:  # of another size or type
                 return report
-            return _with_meshes(report, terrain, comparison.read_original, progress)
+            return _with_meshes(report, terrain, raster.read, progress)
 
 
 def _with_meshes(
@@ -232,52 +211,20 @@ def _report(
     )
 
 
-def _open_original(path: str | os.PathLike[str]) -> Any:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            return rasterio.open(path)
-    except UnicodeEncodeError as error:
-        raise StorageError(
-            f"{path}: the name is not UTF-8, which GDAL expects; rename the file"
-        ) from error
-    except RasterioIOError as error:
-        if "://" not in os.fspath(path) and not os.path.exists(path):
-            raise StorageError(f"{path}: no such file") from error
-        raise StorageError(f"{path} is not a raster that GDAL can read: {error}") from error
-
-
 class _Comparison:
     """A decoded file beside its original."""
 
-    def __init__(
-        self,
-        terrain: Any,
-        dataset: Any,
-        band: int,
-        nodata: float | None,
-        max_error: float | None,
-    ) -> None:
-        self._terrain = terrain
-        self._dataset = dataset
-        self._band = band
-        self._dtype = np.dtype(dataset.dtypes[band - 1])
-        declared = dataset.nodatavals[band - 1]
-        self._nodata = declared if nodata is None else nodata
-        self._scale = float(dataset.scales[band - 1])
+    def __init__(self, terrain: Any, original: Original, max_error: float | None) -> None:
+        self._terrain, self._original = terrain, original
+        self._dtype, self._scale = original.dtype, original.scale
         self._bound = _bound(terrain, max_error)
         self._strict_bound = float(terrain.max_error if max_error is None else max_error)
-        flags = dataset.mask_flag_enums[band - 1]
-        self._has_mask = MaskFlags.all_valid not in flags and flags != [MaskFlags.nodata]
-        colors = enumerate(dataset.colorinterp, 1)
-        self._alphas = [n for n, color in colors if color.name == "alpha" and n != band]
 
     def run(self, twz: Any, original: Any, progress: ProgressCallback | None) -> VerifyReport:
         terrain = self._terrain
-        problems = list(self._compare_metadata())
+        problems = list(metadata_problems(terrain, self._original))
         errors, is_strict = None, None
-        shape = self._dataset.height, self._dataset.width
-        if tuple(terrain.shape) == shape and np.dtype(terrain.dtype) == self._dtype:
+        if tuple(terrain.shape) == self._original.shape and np.dtype(terrain.dtype) == self._dtype:
             measured, height_problems = self._compare_heights(progress)
             problems += height_problems
             errors = measured.report()
@@ -285,64 +232,28 @@ class _Comparison:
             is_strict = measured.is_within(bound, self._dtype)
         return _report(terrain, twz, original, self._bound, errors, tuple(problems), is_strict)
 
-    def _compare_metadata(self) -> Iterator[str]:
-        terrain, dataset, index = self._terrain, self._dataset, self._band - 1
-        info = terrain.info()
-        if terrain.effective_error > terrain.max_error * (1 + 1e-12):
-            yield (
-                f"the file states an effective error of {terrain.effective_error}, above the"
-                f" {terrain.max_error} it was asked for"
-            )
-        pairs = [
-            ("size", tuple(terrain.shape), (dataset.height, dataset.width)),
-            ("type", np.dtype(terrain.dtype).name, self._dtype.name),
-            ("units", info.units or None, self._unit()),
-            ("scale", float(info.scale), self._scale),
-            ("offset", float(info.offset), float(dataset.offsets[index])),
-            ("description", info.description or None, dataset.descriptions[index] or None),
-            # Area is GDAL's default, and not kept by a GeoTIFF that lies nowhere.
-            ("AREA_OR_POINT", info.area_or_point or "Area", self._area_or_point()),
-        ]
-        for name, found, expected in pairs:
-            if found != expected:
-                yield f"{name} is {found!r}, the original's is {expected!r}"
-        if not _same_nodata(terrain.nodata, self._nodata, self._dtype):
-            yield f"nodata is {terrain.nodata!r}, the original's is {self._nodata!r}"
-        found, expected = tuple(terrain.transform())[:6], tuple(dataset.transform)[:6]
-        if found != expected:
-            yield f"the transform is {found}, the original's is {expected}"
-        # Of samples that lie nowhere a file keeps no CRS.
-        if terrain.crs or is_placed(dataset):
-            yield from _compare_crs(terrain.crs, dataset.crs)
-
-    def _unit(self) -> str | None:
-        """Return the original's unit: its band's, else its CRS's, as a file says it."""
-        dataset = self._dataset
-        return height_unit(dataset.units[self._band - 1], format_crs(dataset.crs)).name
-
-    def _area_or_point(self) -> str:
-        return str(self._dataset.tags().get("AREA_OR_POINT", "Area"))
-
     def _compare_heights(self, progress: ProgressCallback | None) -> tuple[ErrorSum, list[str]]:
         errors = ErrorSum(self._scale)
         beyond = _Worst()
         signs = _Signs(self._keeps_signs())
         unreadable: list[str] = []
         n_taken = n_done = 0
-        total = self._dataset.height * self._dataset.width
-        for row, col, n_rows, n_cols in self._windows():
-            original, valid = self.read_original(row, col, n_rows, n_cols)
+        total = math.prod(self._original.shape)
+        for row, col, n_rows, n_cols in self._original.windows():
+            original, valid = self._original.read(row, col, n_rows, n_cols)
             try:
                 decoded = self._terrain.read(window=(row, col, n_rows, n_cols), masked=True)
             except TerrainwaveError as error:
-                unreadable.append(f"{_place(row, col, n_rows, n_cols)} cannot be decoded: {error}")
+                unreadable.append(
+                    f"{place_text(row, col, n_rows, n_cols)} cannot be decoded: {error}"
+                )
                 continue
             heights, decoded_valid = np.ma.getdata(decoded), ~np.ma.getmaskarray(decoded)
             differences = errors.add(row, col, original, heights, valid, decoded_valid)
             allowed = self._allowed(original, heights, valid & decoded_valid)
             beyond.add(row, col, differences, allowed)
             signs.add(row, col, original, heights, valid & decoded_valid)
-            n_taken += int(np.count_nonzero(self._is_nodata(heights) & decoded_valid))
+            n_taken += int(np.count_nonzero(self._original.is_nodata(heights) & decoded_valid))
             n_done += n_rows * n_cols
             if progress is not None:
                 progress(Progress("verify", n_done, total, n_done * self._dtype.itemsize))
@@ -367,7 +278,7 @@ class _Comparison:
                 " other"
             )
         if n_taken:
-            yield f"{n_taken} valid samples decode to the nodata value {self._nodata!r}"
+            yield f"{n_taken} valid samples decode to the nodata value {self._original.nodata!r}"
 
     def _allowed(self, original: np.ndarray, decoded: np.ndarray, both: np.ndarray) -> Any:
         """Return the largest allowed unscaled difference, a number or one per sample."""
@@ -387,47 +298,6 @@ class _Comparison:
             np.abs(np.where(both, original, zeros)), np.abs(np.where(both, decoded, zeros))
         )
         return allowed + np.spacing(largest).astype(np.float64)
-
-    def read_original(
-        self, row: int, col: int, n_rows: int, n_cols: int
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return raw heights and validity of a window of the original."""
-        window = Window(col, row, n_cols, n_rows)
-        try:
-            with rasterio.Env(GDAL_CACHEMAX=_GDAL_CACHE_BYTES):
-                heights = self._dataset.read(self._band, window=window)
-                valid = ~self._is_nodata(heights)
-                if self._has_mask:
-                    valid &= self._dataset.read_masks(self._band, window=window) > 0
-                for alpha in self._alphas:
-                    valid &= self._dataset.read(alpha, window=window) > 0
-        except RasterioError as error:
-            raise StorageError(
-                f"the original cannot be read: {_place(row, col, n_rows, n_cols)}"
-            ) from error
-        if self._dtype.kind == "f":
-            valid &= ~np.isnan(heights)
-        return heights, valid
-
-    def _is_nodata(self, heights: np.ndarray) -> np.ndarray:
-        if self._nodata is None or math.isnan(self._nodata):
-            return np.zeros(heights.shape, dtype=bool)
-        if self._dtype.kind == "f":
-            return heights == _as_stored(self._nodata, self._dtype)
-        # Compared as float64, which holds every sample of our integer types: a nodata value out of
-        # the type's range equals none of them.
-        return heights.astype(np.float64) == float(self._nodata)
-
-    def _windows(self) -> Iterator[Region]:
-        """Yield windows that suit both sides: squares for tiles, wide strips for strips."""
-        n_rows, n_cols = self._dataset.height, self._dataset.width
-        block_cols = self._dataset.block_shapes[self._band - 1][1]
-        if block_cols >= n_cols:
-            cols = min(n_cols, _WINDOW_SAMPLES // _WINDOW_ROWS)
-            rows = max(_WINDOW_SAMPLES // cols // _WINDOW_ROWS, 1) * _WINDOW_ROWS
-        else:
-            rows = cols = _WINDOW_SIDE
-        yield from Region(0, 0, n_rows, n_cols).tiles(rows, cols)
 
 
 class _Signs:
@@ -492,45 +362,7 @@ class _Worst:
             )
 
 
-def _place(row: int, col: int, n_rows: int, n_cols: int) -> str:
-    return f"rows {row} to {row + n_rows - 1}, columns {col} to {col + n_cols - 1}"
-
-
 def _shortened(problems: list[str]) -> list[str]:
     if len(problems) <= _MAX_LISTED:
         return problems
     return [*problems[:_MAX_LISTED], f"… and {len(problems) - _MAX_LISTED} more windows like these"]
-
-
-def _as_stored(nodata: float, dtype: np.dtype[Any]) -> Any:
-    """Return the float that a file of `dtype` holds where it means `nodata`."""
-    with np.errstate(over="ignore", under="ignore"):
-        return np.float64(nodata).astype(dtype)
-
-
-def _same_nodata(nodata: Any, expected: Any, dtype: np.dtype[Any]) -> bool:
-    if expected is not None and dtype.kind != "f":
-        limits = np.iinfo(dtype)
-        # No sample can equal such a value; the file rightly has none.
-        if not (math.isfinite(expected) and limits.min <= expected <= limits.max):
-            expected = None
-        elif expected != int(expected):
-            expected = None
-    if nodata is None or expected is None:
-        return nodata is None and expected is None
-    if math.isnan(nodata) or math.isnan(expected):
-        return math.isnan(nodata) and math.isnan(expected)
-    return bool(_as_stored(nodata, dtype) == _as_stored(expected, dtype))
-
-
-def _compare_crs(crs: Any, expected: CRS | None) -> Iterator[str]:
-    if not crs or not expected:
-        if bool(crs) != bool(expected):
-            yield f"the CRS is {crs or 'missing'}, the original's is {expected or 'missing'}"
-        return
-    # Equal by WKT: rasterio's == calls systems the same whose ellipsoids differ in late digits.
-    # A string is from the file, hence parse_crs: rasterio would follow a URL in it.
-    crs = parse_crs(crs) if isinstance(crs, str) else crs
-    if crs is None or crs.to_wkt() != expected.to_wkt():
-        crs_text = "not understood" if crs is None else crs.to_wkt()
-        yield f"the CRS is {crs_text}, the original's is {expected.to_wkt()}"

@@ -4,32 +4,32 @@ Walks the blocks of all levels depth first and holds a chain of ancestors, one w
 and the border lines of blocks whose neighbours have not come yet.
 """
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import CorruptStreamError, TerrainwaveError
-from terrainwave.grid.affine import determinant, places_to_pixels, places_to_samples, without_shift
+from terrainwave.grid.affine import determinant
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.progress import Progress, ProgressCallback
-from terrainwave.verification.checks import (
-    NOTHING,
-    Deviation,
-    Surface,
-    boundary_edges,
-    deviation,
-    pieces_of_mask,
-    problems_of,
-    refined_pieces,
+from terrainwave.verification.on_grid import (
+    Line,
+    Ruler,
+    block_mask,
+    block_problems,
+    block_surface,
+    border_line,
+    line_problems,
+    mesh_problems,
+    must_be_covered,
+    surface_of_mesh,
 )
+from terrainwave.verification.surface import Deviation, Surface, deviation
 
-_SIXTEENTHS = 16
 # Meshes of areas are checked in windows of this many samples a side.
 _WINDOW_SIDE = 2048
 # Factors of the smallest error at which meshes of areas are checked.
@@ -105,223 +105,6 @@ class Checks:
         if not self.n_left_out:
             return self.problems
         return [*self.problems, f"… and {self.n_left_out} more problems of meshes"]
-
-
-class Ruler:
-    """Heights of a file in 1/16 quanta, by the numbers of its header alone."""
-
-    def __init__(self, terrain: Any) -> None:
-        header, info = terrain.header, terrain.info()
-        self._numerator, self._denominator = header.quantum.numerator, header.quantum.denominator
-        self._base = int(header.base)
-        self._is_grid = header.rho == 0
-        self._is_integer = np.dtype(terrain.dtype).kind in "iu"
-        self._scale, self._offset = float(info.scale), float(info.offset)
-        # One quantum in physical units.
-        self.quantum = float(info.quantum)
-        # Heights off the grid are rounded to 1/16 quanta here.
-        self.slack = 0 if self._is_grid else 1
-        self.decoded_slack = 0 if self._is_grid else 1 + self._of_decoded(header)
-        self.coded = math.ceil(terrain.quanta_error / self.quantum * _SIXTEENTHS * (1 - _SLACK))
-
-    def _of_decoded(self, header: Any) -> int:
-        """Return how far decoded heights off the grid are from their quanta, at most.
-
-        By half a float's spacing, which is what `rho` is more than half a quantum; with remainders
-        by all of `rho`.
-        """
-        rounded = Fraction(header.rho) / header.quantum
-        if not header.has_remainders:
-            rounded -= Fraction(1, 2)
-        return max(math.ceil(rounded * _SIXTEENTHS), 0)
-
-    def sixteenths(self, raw: NDArray[np.generic], valid: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Return raw heights in 1/16 quanta: exact on a true grid, else the nearest."""
-        heights = np.zeros(raw.shape, dtype=np.int64)
-        if self._is_integer and self._is_grid and self._denominator == 1:
-            whole = raw[valid].astype(np.int64) // self._numerator
-            heights[valid] = (whole - self._base) * _SIXTEENTHS
-            return heights
-        quanta = raw[valid].astype(np.float64) * self._denominator / self._numerator
-        if self._is_grid:
-            heights[valid] = (np.rint(quanta).astype(np.int64) - self._base) * _SIXTEENTHS
-        else:
-            heights[valid] = np.rint((quanta - self._base) * _SIXTEENTHS).astype(np.int64)
-        return heights
-
-    def of_physical(self, heights: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return physical heights, scale and offset applied, in 1/16 quanta; not rounded."""
-        raw = (heights - self._offset) / self._scale
-        return (raw * self._denominator / self._numerator - self._base) * _SIXTEENTHS
-
-    def in_sixteenths(self, error: float) -> float:
-        """Return a physical error in 1/16 quanta, whole where it is nearly so."""
-        exact = error / self.quantum * _SIXTEENTHS
-        near = round(exact)
-        return float(near) if abs(exact - near) <= _SLACK * max(near, 1) else exact
-
-    def physical(self, sixteenths: float) -> float:
-        """Return an error of 1/16 quanta in physical units."""
-        return sixteenths / _SIXTEENTHS * self.quantum
-
-
-# One block
-
-
-def block_surface(terrain: Any, block: Block) -> Surface:
-    """Return a block's stored mesh in half samples of its level, from the block's first sample."""
-    mesh = terrain.block_mesh(block)
-    return Surface(
-        mesh.rows.astype(np.int64), mesh.cols.astype(np.int64), mesh.heights, mesh.triangles
-    )
-
-
-def block_mask(terrain: Any, block: Block) -> NDArray[np.bool_]:
-    """Return the validity of a block's samples, with those past the raster's edge.
-
-    Samples of coarse levels may lie there; they are valid where the last ones inside are.
-    """
-    grid = terrain.grid
-    region = grid.block_region(block)
-    _, mask = terrain.read_with_mask(tuple(region), level=block.level, voids="any")
-    stride = grid.stride(block.level)
-    full = grid.full_region(block)
-    n_rows, n_cols = (-(-(n - 1) // stride) + 1 for n in (full.n_rows, full.n_cols))
-    return np.pad(mask, ((0, n_rows - region.n_rows), (0, n_cols - region.n_cols)), mode="edge")
-
-
-def block_problems(terrain: Any, block: Block, surface: Surface) -> Iterator[str]:
-    """Check that a block's mesh covers once what its samples span."""
-    mask = block_mask(terrain, block)
-    if min(mask.shape) < 2:
-        if len(surface.triangles):
-            yield "there are triangles over a single row or column of samples"
-        return
-    yield from problems_of(surface, mask.shape, pieces_of_mask(mask))
-
-
-class Line(NamedTuple):
-    """What a mesh has on a border line: vertices, and edges as pairs of places along it."""
-
-    places: NDArray[np.int64]
-    heights: NDArray[np.int64]
-    edges: NDArray[np.int64]
-
-
-def border_line(surface: Surface, axis: int, at: int) -> Line:
-    """Return the line at row (`axis` 0) or column (1) `at`, in half samples."""
-    across, along = (surface.rows, surface.cols) if axis == 0 else (surface.cols, surface.rows)
-    on = np.flatnonzero(across == at)
-    order = on[np.argsort(along[on], kind="stable")]
-    edges = boundary_edges(surface.triangles, len(surface.rows))
-    edges = edges[(across[edges] == at).all(axis=1)]
-    return Line(along[order], surface.heights[order], np.sort(along[edges], axis=1))
-
-
-def line_problems(one: Line, other: Line) -> Iterator[str]:
-    """Check that two meshes leave no gap along the line they share.
-
-    Vertices at one place have one height, and none lies inside an edge of the other mesh. Where a
-    void touches the line, only one of the two may have vertices.
-    """
-    _, here, there = np.intersect1d(one.places, other.places, return_indices=True)
-    n_apart = np.count_nonzero(one.heights[here] != other.heights[there])
-    if n_apart:
-        yield f"{n_apart} vertices of a shared border have two heights"
-    n_inside = 0
-    for places, edges in ((one.places, other.edges), (other.places, one.edges)):
-        if len(edges):
-            order = np.argsort(edges[:, 0])
-            starts, stops = edges[order, 0], edges[order, 1]
-            at = np.searchsorted(starts, places, side="left") - 1
-            n_inside += int(np.count_nonzero((at >= 0) & (places < stops[np.maximum(at, 0)])))
-    if n_inside:
-        yield f"{n_inside} vertices of a shared border lie inside an edge of the neighbour"
-
-
-# A mesh of an area
-
-
-def surface_of_mesh(terrain: Any, mesh: Any, region: Region) -> Surface:
-    """Return a `Mesh` in half samples of the full grid, from the first sample of `region`.
-
-    Integers where all vertices lie on half samples, else floats: where it was cut.
-    """
-    transform = terrain.raster_info.transform
-    # The place of the origin's pixel centre, first: vertices are near it, so nothing is lost.
-    centre_row, centre_col = places_to_samples(transform, *mesh.origin[:2])
-    down, right = places_to_pixels(without_shift(transform), *mesh.vertices[:, :2].T)
-    cols = 2 * (right + round(centre_col) - region.col)
-    rows = 2 * (down + round(centre_row) - region.row)
-    heights = Ruler(terrain).of_physical(mesh.vertices[:, 2] + mesh.origin[2])
-    triangles = mesh.triangles if determinant(transform) > 0 else mesh.triangles[:, ::-1]
-    surface = Surface(_snapped(rows), _snapped(cols), _snapped(heights), triangles)
-    if not all((values == np.rint(values)).all() for values in surface[:3]):
-        return surface
-    whole = [values.astype(np.int64) for values in surface[:3]]
-    return Surface(whole[0], whole[1], whole[2], triangles)
-
-
-def _snapped(values: NDArray[np.float64]) -> NDArray[Any]:
-    """Return numbers within 1e-6 of integers, or of what float64 holds there, as these."""
-    whole = np.rint(values)
-    return np.where(np.abs(values - whole) <= 1e-6 + 1e-14 * np.abs(values), whole, values)
-
-
-def area_pieces(terrain: Any, region: Region, level: int) -> NDArray[np.uint8]:
-    """Count the full grid's quads in `region` that samples of a level span."""
-    grid = terrain.grid
-    stride = grid.stride(level)
-    n_rows, n_cols = grid.level_shape(level)
-    first_row, first_col = region.row // stride, region.col // stride
-    last_row = -(-(region.row + region.n_rows - 1) // stride)
-    last_col = -(-(region.col + region.n_cols - 1) // stride)
-    inside = Region(
-        first_row,
-        first_col,
-        min(last_row, n_rows - 1) - first_row + 1,
-        min(last_col, n_cols - 1) - first_col + 1,
-    )
-    _, mask = terrain.read_with_mask(tuple(inside), level=level, voids="any")
-    beyond = max(last_row - n_rows + 1, 0), max(last_col - n_cols + 1, 0)
-    mask = np.pad(mask, ((0, beyond[0]), (0, beyond[1])), mode="edge")
-    pieces = refined_pieces(pieces_of_mask(mask), stride)
-    row, col = region.row - first_row * stride, region.col - first_col * stride
-    return pieces[row : row + region.n_rows - 1, col : col + region.n_cols - 1]
-
-
-def mesh_problems(terrain: Any, mesh: Any, region: Region, level: int | None) -> Iterator[str]:
-    """Check a `Mesh` over `region` of the full grid as a surface.
-
-    `level` is that of all its blocks; None if they may be of several: it then covers at least what
-    the full grid's samples span, and coarser blocks may cover more.
-    """
-    surface = surface_of_mesh(terrain, mesh, region)
-    shape = region.n_rows, region.n_cols
-    if level is not None:
-        yield from problems_of(surface, shape, area_pieces(terrain, region, level))
-    else:
-        finest = area_pieces(terrain, region, terrain.n_levels - 1)
-        if (finest != NOTHING).all() and (finest == finest.max()).all():
-            yield from problems_of(surface, shape, finest)
-        else:
-            yield from problems_of(surface, shape, at_least=finest)
-
-
-def must_be_covered(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the samples that are corners of what `pieces_of_mask` gives."""
-    covered = np.zeros(valid.shape, dtype=np.bool_)
-    if min(valid.shape) < 2:
-        return covered
-    has = pieces_of_mask(valid) != NOTHING
-    for rows in (slice(0, -1), slice(1, None)):
-        for cols in (slice(0, -1), slice(1, None)):
-            covered[rows, cols] |= has
-    covered &= valid
-    return covered
-
-
-# A file
 
 
 class MeshVerification:

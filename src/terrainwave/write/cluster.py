@@ -32,7 +32,7 @@ from terrainwave.mesh.sections import make_sections
 from terrainwave.progress import Reporter
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
-from terrainwave.read.decoder import TreeDecoder
+from terrainwave.read.decoder import TreeDecoder, groups_by
 from terrainwave.tri.stored import STORED_KINDS
 from terrainwave.write.boxes import Box, enclosing_boxes, error_codes, set_codes
 from terrainwave.write.encoder import Stats, TreeEncoder, fitted_refiner
@@ -335,7 +335,8 @@ class DistributedPasses:
         job, grid, sink = site.job, site.grid, codes.sink
         # Meshes of the tasks' own blocks may follow the groups that tasks have coded.
         with site.segments(CODED, ABOVE) as stored:
-            decoder = TreeDecoder(grid, refiner, job.parameters, stored.payloads, _CACHE_BYTES)
+            source = groups_by(refiner, stored.payloads)
+            decoder = TreeDecoder(grid, job.parameters, source, _CACHE_BYTES)
             mesher = mesher_of(site, decoder, lambda block: codes.errors.get(block, 0))
             sections = make_sections(
                 grid, mesher, self.executor, lambda n_samples: None, range(site.level + 1)

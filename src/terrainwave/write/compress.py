@@ -183,8 +183,10 @@ def compress(
 
     Raises
     ------
+    InvalidArgumentError
+        If an option cannot be used.
     InvalidHeightsError
-        If the heights or an option cannot be used, or the bound cannot be kept.
+        If the heights cannot be used, or the bound cannot be kept.
     BoundViolationError
         If the proof fails; `dst` is untouched.
     StorageError

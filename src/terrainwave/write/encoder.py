@@ -6,10 +6,11 @@ machines. Nothing here depends on the order.
 """
 
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from concurrent.futures import Executor
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from terrainwave.codec.group import encode_unit
 from terrainwave.codec.refiner import (
@@ -89,13 +90,11 @@ def distance_of(
     return measure_block(ancestor.heights, stride, originals, mask, row, col, limits)
 
 
-class TreeEncoder:
+class UnitEncoder(ABC):
     """Encode all units of a raster, or those above a level, or those of a subtree.
 
     Parameters
     ----------
-    refiner : Refiner or None
-        None where a subclass codes without one.
     on_samples : callable
         Called with the number of full-grid samples whose unit is finished, from any thread.
     last_level : int, optional
@@ -107,7 +106,6 @@ class TreeEncoder:
     def __init__(
         self,
         grid: Grid,
-        refiner: Refiner | None,
         parameters: CodecParameters,
         pyramid: Pyramid,
         sink: PayloadSink,
@@ -116,7 +114,6 @@ class TreeEncoder:
         on_unit: Callable[[Block, Decoded], None] | None = None,
     ) -> None:
         self._grid = grid
-        self._refiner = refiner
         self._parameters = parameters
         self._pyramid = pyramid
         self._sink = sink
@@ -192,24 +189,11 @@ class TreeEncoder:
             for block, part in zip(blocks, parts, strict=True)
         ]
 
+    @abstractmethod
     def code_unit(
         self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
     ) -> tuple[bytes, Decoded]:
         """Return the payload of a unit and what it decodes to."""
-        assert self._refiner is not None
-        rest = partial(self._pyramid.remainders, spec.region) if spec.remainder_bytes else None
-        kept = self.kept(key, spec, target, mask)
-        return encode_unit(self._refiner, spec, parent, target, mask, rest, self.own(spec), kept)
-
-    def kept(self, key: Block, spec: GroupSpec, target: Heights, mask: Mask) -> Heights | None:
-        """Return which heights of a unit must come back as they are (`encode_unit`)."""
-        return None
-
-    def own(self, spec: GroupSpec) -> Mask | None:
-        """Return which samples of a unit are valid by themselves, if its payload tells."""
-        if not spec.has_fills or spec.is_finest:
-            return None
-        return self._pyramid.own(spec.level, spec.region)
 
     def measured(self, region: Region, mask: Mask) -> Mask:
         """Return which samples of a region of the full grid are originals: all valid ones."""
@@ -257,3 +241,28 @@ class TreeEncoder:
         with self._lock:
             for block, stats in by_block.items():
                 self._stats.setdefault(block, BlockStats()).merge(stats)
+
+
+class TreeEncoder(UnitEncoder):
+    """Encode units by a refiner; the other arguments are those of `UnitEncoder`."""
+
+    def __init__(
+        self, grid: Grid, refiner: Refiner, parameters: CodecParameters, *rest: Any, **options: Any
+    ) -> None:
+        super().__init__(grid, parameters, *rest, **options)
+        self._refiner = refiner
+
+    def code_unit(
+        self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
+    ) -> tuple[bytes, Decoded]:
+        """Return the payload of a unit and what it decodes to."""
+        rest = partial(self._pyramid.remainders, spec.region) if spec.remainder_bytes else None
+        own = None
+        if spec.has_fills and not spec.is_finest:
+            own = self._pyramid.own(spec.level, spec.region)
+        kept = self.kept(key, spec, target, mask)
+        return encode_unit(self._refiner, spec, parent, target, mask, rest, own, kept)
+
+    def kept(self, key: Block, spec: GroupSpec, target: Heights, mask: Mask) -> Heights | None:
+        """Return which heights of a unit must come back as they are (`encode_unit`)."""
+        return None

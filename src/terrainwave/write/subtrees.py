@@ -38,7 +38,7 @@ from terrainwave.mesh.sections import parts_of_blocks, sections_of_parts
 from terrainwave.mesh.trees import tree_source
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
-from terrainwave.read.decoder import TreeDecoder
+from terrainwave.read.decoder import TreeDecoder, groups_by
 from terrainwave.tri.stored import STORED_KINDS
 from terrainwave.write.boxes import (
     Box,
@@ -263,7 +263,8 @@ def encode_subtree(site: Site, head: Block) -> EncodedSubtree:
         _built_pyramid(site, head) as (pyramid, bench),
         site.segments(CODED, ABOVE) as above,
     ):
-        decoder = TreeDecoder(grid, refiner, job.parameters, above.payloads, _CACHE_BYTES)
+        source = groups_by(refiner, above.payloads)
+        decoder = TreeDecoder(grid, job.parameters, source, _CACHE_BYTES)
         sink = SpoolSink(grid, heads, bench.directory)
         encoder = TreeEncoder(grid, refiner, job.parameters, pyramid, sink, lambda n_samples: None)
         stats = encoder.run_subtree(head, decoder.block)
@@ -319,9 +320,8 @@ def _stored_mesher(
 ) -> Iterator[tuple[BlockMesher, StoredSegments]]:
     """Give a mesher over the segments that tasks have coded."""
     with site.segments(CODED, TOP) as stored:
-        decoder = TreeDecoder(
-            site.grid, site.refiner(), site.job.parameters, stored.payloads, _CACHE_BYTES
-        )
+        source = groups_by(site.refiner(), stored.payloads)
+        decoder = TreeDecoder(site.grid, site.job.parameters, source, _CACHE_BYTES)
         parts = None if part is None else part(stored)
         yield mesher_of(site, decoder, lambda block: stored.codes(block)[2], parts), stored
 

@@ -20,8 +20,7 @@ from terrainwave.codec.cdf53.refiner import (
     unpack_tile,
 )
 from terrainwave.codec.cdf53.tiles import TileLayout, TileSpec
-from terrainwave.codec.own_masks import Validity
-from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask
+from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Validity
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.errors import (
     InvalidArgumentError,
@@ -29,7 +28,7 @@ from terrainwave.errors import (
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.read.tiles import final_heights
-from terrainwave.write.encoder import PayloadSink, Stats, TreeEncoder
+from terrainwave.write.encoder import PayloadSink, Stats, UnitEncoder
 from terrainwave.write.job import Job
 from terrainwave.write.pyramid import Pyramid
 
@@ -81,8 +80,8 @@ class TileSource(Protocol):
         ...
 
 
-class TileEncoder(TreeEncoder):
-    """Encode all tiles of a raster; a `TreeEncoder` to those who use it."""
+class TileEncoder(UnitEncoder):
+    """Encode all tiles of a raster."""
 
     def __init__(
         self,
@@ -93,7 +92,7 @@ class TileEncoder(TreeEncoder):
         sink: PayloadSink,
         on_samples: Callable[[int], None],
     ) -> None:
-        super().__init__(grid, None, parameters, pyramid, sink, on_samples)
+        super().__init__(grid, parameters, pyramid, sink, on_samples)
         self._layout = TileLayout(grid, parameters.has_fills)
         self._source = source
         # Decoded tiles with units to come, and how many; the heads of tiles to come.
@@ -152,7 +151,7 @@ class TileCoder:
         return encode_tile(spec, self._pyramid.steps(spec.last, spec.region), valid, outer)
 
     def _validity(self, level: int, region: Region) -> Validity:
-        return Validity(self._pyramid.mask(level, region), self._pyramid.own(level, region))
+        return Validity.of(self._pyramid.mask(level, region), self._pyramid.own(level, region))
 
     def target(self, spec: TileSpec) -> tuple[Heights, Mask]:
         """Return the heights, in quanta, and validity of a tile of full-grid samples."""
@@ -232,7 +231,7 @@ class EmbeddedSource:
 
         Raises
         ------
-        InvalidHeightsError
+        InvalidArgumentError
             If the heads alone take more.
         """
         coarsest = float(self._coarsest)

@@ -17,8 +17,8 @@ from terrainwave.codec.cdf53.tile_border import decode_borders, encode_borders
 from terrainwave.codec.cdf53.tiles import TileSpec
 from terrainwave.codec.group import voids_below
 from terrainwave.codec.masks import decode_mask, encode_mask
-from terrainwave.codec.own_masks import Above, Sections, Validity, decode_validity, encode_validity
-from terrainwave.codec.refiner import Heights, Mask
+from terrainwave.codec.own_masks import Above, Sections, decode_validity, encode_validity
+from terrainwave.codec.refiner import Heights, Mask, Validity, as_array
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.coding.lifting53 import forward_transform, inverse_transform
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
@@ -38,25 +38,16 @@ class LevelHeights(NamedTuple):
 
     region: Region
     heights: Heights
-    mask: Mask
-    # Which samples are valid by themselves (`Decoded.own`).
-    own: Mask | None = None
+    validity: Validity
 
     def part(self, region: Region) -> "LevelHeights":
         """Return a part of it; views."""
         at = region.slices_in(self.region)
-        own = None if self.own is None else self.own[at]
-        return LevelHeights(region, self.heights[at], self.mask[at], own)
+        return LevelHeights(region, self.heights[at], self.validity.part(at))
 
     def copy(self) -> "LevelHeights":
         """Return it in arrays of its own."""
-        own = None if self.own is None else self.own.copy()
-        return LevelHeights(self.region, self.heights.copy(), self.mask.copy(), own)
-
-    @property
-    def validity(self) -> Validity:
-        """Return which samples are valid."""
-        return Validity(self.mask, self.mask if self.own is None else self.own)
+        return LevelHeights(self.region, self.heights.copy(), self.validity.copy())
 
 
 @dataclass(frozen=True)
@@ -117,7 +108,7 @@ def encode_tile(
     CodedTile or None
         None if nothing is valid.
     """
-    if not levels[0].mask.any():
+    if _is_void(levels[0]):
         return None
     sections = [
         _encode_masks(spec, index, level, outer if index == 0 else levels[index - 1])
@@ -145,8 +136,8 @@ def _encode_masks(spec: TileSpec, index: int, level: Validity, above: Validity |
     if spec.has_fills:
         is_finest = not spec.tells_fills(index)
         return encode_validity(level, implied, spec.regions[index], outer, is_finest=is_finest)
-    is_implied = np.array_equal(level.mask, ~implied)
-    return Sections(b"" if is_implied else encode_mask(level.mask, implied), b"")
+    mask = as_array(level.mask, implied.shape)
+    return Sections(b"" if np.array_equal(mask, ~implied) else encode_mask(mask, implied), b"")
 
 
 def _implied(spec: TileSpec, index: int, above: Validity | None) -> tuple[Mask, Above | None]:
@@ -156,7 +147,11 @@ def _implied(spec: TileSpec, index: int, above: Validity | None) -> tuple[Mask, 
         return np.zeros(region.shape, dtype=np.bool_), None
     outer = spec.outer if index == 0 else spec.regions[index - 1]
     assert outer is not None
-    return voids_below(region, outer, above.mask), Above(outer, above.own)
+    return voids_below(region, outer, above.mask), Above(outer, above.own_mask)
+
+
+def _is_void(level: Validity) -> bool:
+    return level.mask is not None and not level.mask.any()
 
 
 # Bytes
@@ -305,7 +300,7 @@ def decode_tile(
             LevelHeights(
                 region,
                 np.zeros(region.shape, dtype=np.int32),
-                np.zeros(region.shape, dtype=np.bool_),
+                Validity(np.zeros(region.shape, dtype=np.bool_)),
             )
             for region in spec.regions
         ]
@@ -332,13 +327,8 @@ def decode_tile(
         field[:n_rows, :n_cols] = outer.heights
     levels = inverse_transform(field, spec.n_transforms, spec.held)[-len(spec.regions) :]
     return [
-        LevelHeights(
-            region,
-            np.clip(heights, -_MAX_HEIGHT, _MAX_HEIGHT).astype(np.int32),
-            mask,
-            None if own is mask else own,
-        )
-        for region, heights, (mask, own) in zip(spec.regions, levels, valid, strict=True)
+        LevelHeights(region, np.clip(heights, -_MAX_HEIGHT, _MAX_HEIGHT).astype(np.int32), validity)
+        for region, heights, validity in zip(spec.regions, levels, valid, strict=True)
     ]
 
 
@@ -357,10 +347,9 @@ def decode_masks(spec: TileSpec, head: TileHead, outer: Validity | None) -> list
                 is_finest=not spec.tells_fills(index),
             )
         else:
-            mask = decode_mask(sections.mask, implied) if sections.mask else ~implied
-            above = Validity(mask, mask)
+            above = Validity.of(decode_mask(sections.mask, implied) if sections.mask else ~implied)
         levels.append(above)
-    if not levels[0].mask.any():
+    if _is_void(levels[0]):
         raise CorruptStreamError("a tile without a valid sample has a payload")
     return levels
 

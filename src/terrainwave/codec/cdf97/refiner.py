@@ -38,7 +38,7 @@ from terrainwave.codec.cdf97.zerotree import (
     measure_roughness,
     node_offsets,
 )
-from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
+from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask, as_array
 from terrainwave.codec.shared_lines import code_border
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.coding.filters import (
@@ -136,13 +136,13 @@ class Cdf97:
     name = "cdf97"
 
     def encode(
-        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
+        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask | None
     ) -> tuple[bytes, Heights, Labels | None]:
         """Return the payload, the heights `decode` makes of it, and the zero trees of the core."""
         return _Encoder(spec, parent, target, mask).run()
 
     def decode(
-        self, spec: GroupSpec, parent: Heights | None, mask: Mask, payload: bytes
+        self, spec: GroupSpec, parent: Heights | None, mask: Mask | None, payload: bytes
     ) -> tuple[Heights, Labels | None]:
         """Rebuild the heights of ``spec.region`` and the zero trees of its core.
 
@@ -153,6 +153,7 @@ class Cdf97:
         """
         coding, start = _read_header(payload)
         border = new_decoder(payload[start:], trained.start_border_models())
+        mask = as_array(mask, spec.region.shape)
         heights, is_known = _predict(spec, parent)
         core = spec.core.slices_in(spec.region)
         prediction = heights[core].copy()  # as it is before shared lines are written
@@ -195,9 +196,10 @@ class _Encoder:
     """One encoding: what all candidates share, and the best of them so far."""
 
     def __init__(
-        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
+        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask | None
     ) -> None:
         self.spec = spec
+        mask = as_array(mask, spec.region.shape)
         self.heights, is_known = _predict(spec, parent)
         self.core = core = spec.core.slices_in(spec.region)
         self.prediction = self.heights[core].copy()  # as it is before shared lines are written

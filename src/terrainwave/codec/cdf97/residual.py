@@ -23,7 +23,7 @@ from terrainwave.codec.magnitudes import (
 )
 from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.filters import MAX_HEIGHT
-from terrainwave.coding.jit import kernel
+from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
 from terrainwave.coding.rangecoder import (
     N_PREFIX,
     N_UNARY,
@@ -230,6 +230,38 @@ def _sign_context(signs, above_signs, col, side):
     return _SIGN_MODELS + (west * 5 + north) * _N_SIDES + side
 
 
+@kernel_part
+def _start(scratch, weights):
+    """Clear the rows of errors, magnitudes and signs; spread the weights of even and odd rows."""
+    scratch.errors[:] = 0
+    scratch.mags[:] = 0
+    scratch.signs[:] = 0
+    for parity in range(2):
+        _spread_weights(weights, parity, scratch.wide[parity])
+
+
+@inlined_kernel
+def _index_of(goal, height, width, bias):
+    """Return the magnitude of the index that brings a prediction to its goal, and its sign."""
+    error = np.int64(goal) - height
+    return (abs(error) + bias) // width, np.int64(-1 if error < 0 else 1)
+
+
+@inlined_kernel
+def _error_of(height, value, scale_shift, inverse):
+    """Return how far a height is from its prediction, in 1/32 step."""
+    distance = abs((height << BASE_BITS) - value)
+    return min(in_steps(distance, scale_shift, inverse, _ERROR_BITS - BASE_BITS), _MAX_ERROR)
+
+
+@inlined_kernel
+def _side(fraction, scale_shift, inverse):
+    """Return to which side of a whole number a prediction lies, and how far: 0 ... 6."""
+    sixth = in_steps(6 * abs(fraction), scale_shift, inverse, 1 - BASE_BITS)
+    sixth = min((sixth + 1) >> 1, 3)
+    return 3 + sixth if fraction > 0 else 3 - sixth
+
+
 @kernel
 def code_residuals(
     target, heights, kinds, base, step, rounding, weights, e_weights, scratch, coder
@@ -243,11 +275,7 @@ def code_residuals(
     curves, wide = scratch.curves, scratch.wide
     errors, mags, signs = scratch.errors, scratch.mags, scratch.signs
     predicted, expected = scratch.predicted, scratch.expected
-    errors[:] = 0
-    mags[:] = 0
-    signs[:] = 0
-    for parity in range(2):
-        _spread_weights(weights, parity, wide[parity])
+    _start(scratch, weights)
     scale_shift, inverse = step_scale(step)
     width, bias, shift, octaves = rounding
     most = 2 * MAX_HEIGHT // width + 1
@@ -291,41 +319,32 @@ def code_residuals(
                 zero += bin_of_fraction[np.uint64(abs(fraction))]
                 residual = np.int64(0)
                 if target is not None:
-                    error = np.int64(target[row, j]) - height
-                    residual = (abs(error) + bias) // width
-                    sign = np.int64(-1 if error < 0 else 1)
+                    residual, sign = _index_of(target[row, j], height, width, bias)
                 bit = np.int64(residual != 0)
                 bit, at = code_step(at, state, stream, models, is_encoder, zero, bit)
                 if bit:
-                    sixth = in_steps(6 * abs(fraction), scale_shift, inverse, 1 - BASE_BITS)
-                    sixth = min((sixth + 1) >> 1, 3)
-                    side = 3 + sixth if fraction > 0 else 3 - sixth
-                    index = _sign_context(here_signs, above_signs, j, side)
+                    side = _side(fraction, scale_shift, inverse)
+                    model = _sign_context(here_signs, above_signs, j, side)
                     bit = np.int64(sign < 0)
-                    bit, at = code_step(at, state, stream, models, is_encoder, index, bit)
+                    bit, at = code_step(at, state, stream, models, is_encoder, model, bit)
                     sign = np.int64(1 - 2 * bit)
                     # Two bins an octave.
                     mag_bin = min(e_bin + 2 * octaves, N_E_BINS - 1)
-                    first = _MAG_MODELS + mag_bin * N_UNARY
                     residual, at = code_magnitude_step(
-                        at, state, stream, models, is_encoder, first, np.int64(_PREFIX_MODELS),
-                        SHIFT_OF_E[mag_bin], residual - 1,
+                        at, state, stream, models, is_encoder, _MAG_MODELS + mag_bin * N_UNARY,
+                        np.int64(_PREFIX_MODELS), SHIFT_OF_E[mag_bin], residual - 1,
                     )  # fmt: skip
                     residual = min(residual + 1, most)
                     height += sign * (residual * width + shift)
                     height = min(max(height, -MAX_HEIGHT), MAX_HEIGHT)
-                    distance = abs((height << BASE_BITS) - value)
-                    mag = in_steps(distance, scale_shift, inverse, _ERROR_BITS - BASE_BITS)
-                    mag = min(mag, _MAX_ERROR)
+                    mag = _error_of(height, value, scale_shift, inverse)
                 else:
                     sign = np.int64(0)
                     mag = error_of_fraction[np.uint64(abs(fraction))]
                 row_heights[j] = height
             elif kind == KNOWN:
                 height = np.int64(row_heights[j])
-                distance = abs((height << BASE_BITS) - value)
-                mag = in_steps(distance, scale_shift, inverse, _ERROR_BITS - BASE_BITS)
-                mag = min(mag, _MAX_ERROR)
+                mag = _error_of(height, value, scale_shift, inverse)
             else:
                 row_heights[j] = height
             mag_west2, mag_west = mag_west, mag

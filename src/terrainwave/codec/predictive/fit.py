@@ -44,6 +44,8 @@ from terrainwave.codec.predictive.passes import (
     F_W,
     F_WW,
     N_FEATURES,
+    Arrays,
+    PassTables,
 )
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.coding.jit import kernel
@@ -339,15 +341,7 @@ def stencil_cost(taps, goals, weights, noise):
 
 
 def features_of(
-    kinds: NDArray[np.uint8],
-    planes: NDArray[np.int32],
-    errors: NDArray[np.int32],
-    activity: NDArray[np.int32],
-    bends: NDArray[np.int32],
-    geometry: Pass,
-    weights: NDArray[np.int64],
-    clamp: bool,
-    step: int,
+    kinds: NDArray[np.uint8], arrays: Arrays, geometry: Pass, tables: PassTables, step: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return (features, |detail|) in steps of a coded plane's samples away from its rim.
 
@@ -355,13 +349,14 @@ def features_of(
     """
     n_rows, n_cols = kinds.shape
     own = geometry.plane
+    planes, errors, activity, bends = arrays
 
     def shifted(array: NDArray[Any], row: int, col: int) -> NDArray[np.float64]:
         at = np.s_[PAD + row : PAD + row + n_rows, PAD + col : PAD + col + n_cols]
         return array[at].astype(np.float64)
 
     value = np.zeros(kinds.shape)
-    for weight, (p, r, c) in zip(weights, geometry.taps, strict=True):
+    for weight, (p, r, c) in zip(tables.weights, geometry.taps, strict=True):
         value += weight * shifted(planes[p], r, c) / (1 << WEIGHT_BITS)
     a, b, c, d = (shifted(planes[p], r, q) for p, r, q in geometry.core)
     core = np.sort(np.stack([a, b, c, d]), 0)
@@ -372,7 +367,7 @@ def features_of(
         for p, r, q in places:
             features[index] += shifted(errors[p], r, q) / 32
     features[F_MEAN] = np.abs(value - (a + b + c + d) / 4) / step
-    if clamp:
+    if tables.clamp:
         value = np.minimum(np.maximum(value, core[0]), core[3])
     for _, r, q in geometry.bends:
         features[F_BEND] += shifted(bends, r, q) / step

@@ -5,6 +5,7 @@ does (the western tap and two errors) is added sample by sample while coding.
 """
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,7 @@ from terrainwave.codec.planes import PAD, WEIGHT_BITS
 from terrainwave.codec.refiner import FREE
 from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.filters import MAX_HEIGHT
-from terrainwave.coding.jit import kernel
+from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
 from terrainwave.coding.rangecoder import (
     code_mean_step,
     code_step,
@@ -61,6 +62,7 @@ E_WEIGHT_BITS = 9
 # Rows of the row buffer.
 (_ACC, _LOWEST, _LOWER, _UPPER, _HIGHEST, _ERRORS, _SPREAD, _FLOOR, _CEILING, _WIDTH) = range(10)
 N_ROW_BUFFERS = 10
+_N_FRACTIONS = (1 << (P_BITS - 1)) + 1
 
 
 @kernel
@@ -230,91 +232,276 @@ def _update_activity(errors, before, n_cols, after):
     after[PAD + n_cols] = after[PAD + n_cols - 1]
 
 
+class Arrays(NamedTuple):
+    """The arrays of a lattice, by plane: heights, errors of prediction and activity; bends of A."""
+
+    planes: NDArray[np.int32]
+    errors: NDArray[np.int32]
+    activity: NDArray[np.int32]
+    bends: NDArray[np.int32]
+
+
+class PassTables(NamedTuple):
+    """What a plane is coded with.
+
+    `clamp`: predictions stay within the core. `limits` are `magnitudes.cell_limits`, or None where
+    each decision has one model only.
+    """
+
+    weights: NDArray[np.int64]
+    e_weights: NDArray[np.int64]
+    clamp: bool
+    limits: NDArray[np.int64] | None
+
+
+class Range(NamedTuple):
+    """The quantiser's step, and the range of heights, in quanta."""
+
+    step: int
+    z_min: int
+    z_max: int
+
+
+class _Scale(NamedTuple):
+    """What follows from the step and the range of heights."""
+
+    shift: int
+    inverse: int
+    half: int
+    p_low: int
+    p_high: int
+
+
+class _Sample(NamedTuple):
+    """A sample to code: its sorted core, neighbours, and prediction, in 2**-P_BITS and rounded."""
+
+    bottom: int
+    lower: int
+    upper: int
+    top: int
+    west: int
+    north: int
+    value: int
+    whole: int
+
+
+class _Contexts(NamedTuple):
+    """What is expected of a detail, and how many of its neighbours lie above and below."""
+
+    expected: int
+    e_bin: int
+    log_range: int
+    n_up: int
+    n_down: int
+
+
+@kernel_part
+def _scale_of(heights):
+    """Return the scale of a `Range`."""
+    shift, inverse = step_scale(heights.step)
+    p_low, p_high = np.int64(heights.z_min) << P_BITS, np.int64(heights.z_max) << P_BITS
+    return _Scale(shift, inverse, heights.step >> 1, p_low, p_high)
+
+
+@kernel
+def _fill_fractions(scale, bins, errors):
+    """Fill in what follows from a prediction's distance to the nearest integer, at most 32."""
+    for k in range(bins.shape[0]):
+        bins[k] = min(in_steps(np.int64(k), scale.shift, scale.inverse, 3 - P_BITS), 3)
+        errors[k] = in_steps(np.int64(k), scale.shift, scale.inverse, 5 - P_BITS)
+
+
+@kernel_part
+def _prepare_row(arrays, geometry, tables, scale, rows, row, n_cols):
+    """Fill the row buffers with what does not depend on the row itself."""
+    p_low, p_high = scale.p_low, scale.p_high
+    own, core, e_weights = geometry.plane, geometry.core, tables.e_weights
+    planes, errors, activity, bends = arrays
+    lowest, highest = rows[_LOWEST], rows[_HIGHEST]
+    floors, ceilings, widths = rows[_FLOOR], rows[_CEILING], rows[_WIDTH]
+    _add_taps(rows[_ACC], planes, geometry.taps, tables.weights, row, n_cols)
+    _sort_core(planes, core, row, n_cols, lowest, rows[_LOWER], rows[_UPPER], highest)
+    _add_spread(
+        rows[_SPREAD], planes, bends, core, geometry.bends, geometry.lines, row, n_cols, own == 1,
+        e_weights, lowest, highest,
+    )  # fmt: skip
+    _add_errors(
+        rows[_ERRORS], errors, activity, own, geometry.near, geometry.far, row, n_cols, e_weights
+    )
+    for j in range(n_cols):
+        bound = np.int64(lowest[j]) << P_BITS if tables.clamp else p_low
+        floors[j] = min(max(bound, p_low), p_high)
+    for j in range(n_cols):
+        bound = np.int64(highest[j]) << P_BITS if tables.clamp else p_high
+        ceilings[j] = min(max(bound, p_low), p_high)
+    for j in range(n_cols):
+        width = np.int64(highest[j]) - lowest[j]
+        widths[j] = in_steps(width, scale.shift, scale.inverse, E_BITS)
+
+
+@inlined_kernel
+def _distances(sample, unclamped, w_median, w_middle, w_mean):
+    """Return the weighted distances of the core's means to a prediction, which is in 2**-P_BITS."""
+    bottom, lower, upper, top = sample.bottom, sample.lower, sample.upper, sample.top
+    distances = np.int64(0)
+    if w_median != 0:
+        median = (lower + upper) << (P_BITS - 1)
+        distances += w_median * abs(median - sample.value)
+    if w_middle != 0:
+        middle = (bottom + top) << (P_BITS - 1)
+        distances += w_middle * abs(middle - sample.value)
+    if w_mean != 0:
+        mean = (bottom + lower + upper + top) << (P_BITS - 2)
+        distances += w_mean * abs(unclamped - mean)
+    return distances
+
+
+@inlined_kernel
+def _sides(sample, half):
+    """Return how many of core and neighbours are more than half a step above, and below."""
+    bottom, lower, upper, top, west, north, _, whole = sample
+    n_up = n_down = np.int64(0)
+    is_quiet = (
+        max(max(top, west), north) - whole <= half and whole - min(min(bottom, west), north) <= half
+    )
+    if not is_quiet:
+        ceiling, floor = whole + half, whole - half
+        n_up = (
+            np.int64(bottom > ceiling)
+            + (lower > ceiling)
+            + (upper > ceiling)
+            + (top > ceiling)
+            + (west > ceiling)
+            + (north > ceiling)
+        )
+        n_down = (
+            np.int64(bottom < floor)
+            + (lower < floor)
+            + (upper < floor)
+            + (top < floor)
+            + (west < floor)
+            + (north < floor)
+        )
+    return n_up, n_down
+
+
+@inlined_kernel
+def _detail_of(goal, whole, step, half):
+    """Return the steps from a prediction, rounded to quanta, to a height."""
+    off = np.int64(goal) - whole
+    if abs(off) <= half:
+        return np.int64(0)
+    detail = (abs(off) + half) // step
+    return -detail if off < 0 else detail
+
+
+@inlined_kernel
+def _contexts_of_other(sample, contexts, scale):
+    """Return what `code_detail` takes of a detail that is not 0: from its models of signs on."""
+    bottom, lower, upper, top, west, north, value, whole = sample
+    expected, e_bin, _, n_up, n_down = contexts
+    shift, inverse = scale.shift, scale.inverse
+    from_median = ((lower + upper) << (P_BITS - 1)) - value
+    from_middle = ((bottom + top) << (P_BITS - 1)) - value
+    e_floor = max(expected, 128)
+    log_floor = log8(e_floor)
+    size = in_steps(abs(from_median), shift, inverse, E_BITS - P_BITS)
+    median_bin = middle_bin(size if from_median > 0 else -size, e_floor, log_floor)
+    size = in_steps(abs(from_middle), shift, inverse, E_BITS - P_BITS)
+    middle = middle_bin(size if from_middle > 0 else -size, e_floor, log_floor)
+    fraction = value - (whole << P_BITS)
+    sixth = in_steps(6 * abs(fraction), shift, inverse, 1 - P_BITS)
+    sixth = min((sixth + 1) >> 1, 3)
+    sixth = 3 + sixth if fraction > 0 else 3 - sixth
+    sign_b = SIGN_B + ((SIGN_E_OF_BIN[e_bin] * 7 + sixth) * 9 + median_bin) * 9 + middle
+    sign_h = SIGN_H + ((e_bin >> 2) * 8 + n_up) * 8 + n_down
+    above, below = max((top << P_BITS) - value, 0), max(value - (bottom << P_BITS), 0)
+    reach_b = in_steps(above, shift, inverse, E_BITS - P_BITS)
+    reach_a = in_steps(below, shift, inverse, E_BITS - P_BITS)
+    around = (
+        bottom - whole, lower - whole, upper - whole, top - whole, west - whole, north - whole,
+    )  # fmt: skip
+    return sign_b, sign_h, reach_b, reach_a, around
+
+
+@inlined_kernel
+def _error_of(height, value, scale):
+    """Return how far a height is from its prediction, in 1/32 step."""
+    distance = abs((height << P_BITS) - value)
+    return min(in_steps(distance, scale.shift, scale.inverse, 5 - P_BITS), MAX_ERROR)
+
+
 @kernel
 def code_pass(
-    target, kinds, planes, errors, activity, bends, own, geometry, weights, e_weights, clamp,
-    step, z_min, z_max, rows, limits, coder, mixers, kept, added,
+    target, kinds, arrays, geometry, tables, heights, rows, coder, mixers, corrections
 ):  # fmt: skip
-    """Encode a plane of `target`, or decode it where that is None, into ``planes[own]``.
+    """Encode a plane of `target`, or decode it where that is None, into its `planes`.
 
     `kinds` (VOID, CODED, KNOWN) and `target` have the plane's size without padding; known samples
-    are in place. Fills ``errors[own]`` and ``activity[own]`` as well, whose padding must be 0.
-    `rows` may be int32 where `fits_narrow` says so, for the same result in half the time. `limits`
-    are `magnitudes.cell_limits`, or None where each decision has one model only. `coder` and
-    `mixers` adapt. `kept` and `added` are `Corrections` of the plane, flat, or empty.
+    are in place. Fills the plane's `errors` and `activity` as well, whose padding must be 0.
+
+    Parameters
+    ----------
+    arrays : Arrays
+    geometry : planes.Pass
+        Of which the plane is.
+    tables : PassTables
+    heights : Range
+    rows : ndarray
+        Row buffers; may be int32 where `fits_narrow` says so, for the same result in half the time.
+    coder : Coder
+    mixers : ndarray of int64
+        Adapt, as the models do.
+    corrections : Corrections
+        Of the plane, flat, or empty.
     """
-    goal, kinds, planes, errors = borrowed((target, kinds, planes, errors))
-    activity, bends, geometry, rows = borrowed((activity, bends, geometry, rows))
-    weights, e_weights, lent_limits = borrowed((weights, e_weights, limits))
-    coder, mixers = borrowed((coder, mixers))
-    kept, added = borrowed((kept, added))
+    goal, kinds, arrays, geometry = borrowed((target, kinds, arrays, geometry))
+    tables, rows, coder, mixers = borrowed((tables, rows, coder, mixers))
+    kept, added = borrowed(corrections)
     n_rows, n_cols = kinds.shape
-    plane, own_errors = planes[own], errors[own]
-    taps, core = geometry.taps, geometry.core
-    is_diagonal = own == 1
+    own, core_taps = geometry.plane, geometry.core
+    planes, activity = arrays.planes, arrays.activity
+    plane, own_errors = planes[own], arrays.errors[own]
     acc, lowest, lower = rows[_ACC], rows[_LOWEST], rows[_LOWER]
     upper, highest = rows[_UPPER], rows[_HIGHEST]
     sums, spread = rows[_ERRORS], rows[_SPREAD]
     floors, ceilings, widths = rows[_FLOOR], rows[_CEILING], rows[_WIDTH]
-    scale_shift, inverse = step_scale(step)
-    half = step >> 1
+    step, z_min, z_max = heights
+    scale = _scale_of(heights)
     most = 2 * MAX_HEIGHT // step + 2
-    w_west = np.int64(weights[0])
+    e_weights, limits = tables.e_weights, tables.limits
+    w_west = np.int64(tables.weights[0])
     w_e_west, w_e_west2 = e_weights[F_W], e_weights[F_WW]
     w_median, w_middle, w_mean = e_weights[F_MEDIAN], e_weights[F_MIDDLE], e_weights[F_MEAN]
     has_corrections = added.shape[0] > 0
     z_range = np.int64(z_min), np.int64(z_max)
-    p_low, p_high = np.int64(z_min) << P_BITS, np.int64(z_max) << P_BITS
-    # What follows from a prediction's distance to the nearest integer, at most 32.
-    n_fractions = (1 << (P_BITS - 1)) + 1
-    bin_of_fraction = np.empty(n_fractions, dtype=np.int64)
-    error_of_fraction = np.empty(n_fractions, dtype=np.int64)
-    for k in range(n_fractions):
-        bin_of_fraction[k] = min(in_steps(np.int64(k), scale_shift, inverse, 3 - P_BITS), 3)
-        error_of_fraction[k] = in_steps(np.int64(k), scale_shift, inverse, 5 - P_BITS)
+    bin_of_fraction = np.empty(_N_FRACTIONS, dtype=np.int64)
+    error_of_fraction = np.empty(_N_FRACTIONS, dtype=np.int64)
+    _fill_fractions(scale, bin_of_fraction, error_of_fraction)
     state, stream, models, is_encoder = coder
     at = take_out(state)
-    _frame_own(plane, core, planes, -1, n_cols)
+    _frame_own(plane, core_taps, planes, -1, n_cols)
     for row in range(n_rows):
-        _frame_own(plane, core, planes, row, n_cols)
+        _frame_own(plane, core_taps, planes, row, n_cols)
         here, here_errors = plane[row + PAD], own_errors[row + PAD]
         above = plane[row + PAD - 1]
         here_errors[PAD - 1] = own_errors[row + PAD - 1, PAD]
         here_errors[PAD - 2] = own_errors[row + PAD - 1, PAD]
-        _add_taps(acc, planes, taps, weights, row, n_cols)
-        _sort_core(planes, core, row, n_cols, lowest, lower, upper, highest)
-        _add_spread(
-            spread, planes, bends, core, geometry.bends, geometry.lines, row, n_cols, is_diagonal,
-            e_weights, lowest, highest,
-        )  # fmt: skip
-        _add_errors(
-            sums, errors, activity, own, geometry.near, geometry.far, row, n_cols, e_weights
-        )
-        for j in range(n_cols):
-            bound = np.int64(lowest[j]) << P_BITS if clamp else p_low
-            floors[j] = min(max(bound, p_low), p_high)
-        for j in range(n_cols):
-            bound = np.int64(highest[j]) << P_BITS if clamp else p_high
-            ceilings[j] = min(max(bound, p_low), p_high)
-        for j in range(n_cols):
-            width = np.int64(highest[j]) - lowest[j]
-            widths[j] = in_steps(width, scale_shift, inverse, E_BITS)
+        _prepare_row(arrays, geometry, tables, scale, rows, row, n_cols)
         west = np.int64(here[PAD - 1])
         error_west, error_west2 = np.int64(here_errors[PAD - 1]), np.int64(here_errors[PAD - 2])
         samples, sample_errors, northern = here[PAD:], here_errors[PAD:], above[PAD:]
         own_kinds = kinds[row]
         for j in range(n_cols):
-            value = (np.int64(acc[j]) + w_west * west) >> (WEIGHT_BITS - P_BITS)
-            unclamped = value
-            value = min(max(value, np.int64(floors[j])), np.int64(ceilings[j]))
+            unclamped = (np.int64(acc[j]) + w_west * west) >> (WEIGHT_BITS - P_BITS)
+            value = min(max(unclamped, np.int64(floors[j])), np.int64(ceilings[j]))
             whole = (value + (1 << (P_BITS - 1))) >> P_BITS
             kind = own_kinds[j]
             if kind != CODED:
                 error = np.int64(0)
                 if kind == KNOWN:
                     west = np.int64(samples[j])
-                    distance = abs((west << P_BITS) - value)
-                    error = min(in_steps(distance, scale_shift, inverse, 5 - P_BITS), MAX_ERROR)
+                    error = _error_of(west, value, scale)
                 else:
                     west = whole
                     if has_corrections:
@@ -324,117 +511,55 @@ def code_pass(
                 sample_errors[j] = error
                 error_west2, error_west = error_west, error
                 continue
-            bottom, top = np.int64(lowest[j]), np.int64(highest[j])
+            sample = _Sample(
+                np.int64(lowest[j]), np.int64(lower[j]), np.int64(upper[j]), np.int64(highest[j]),
+                west, np.int64(northern[j]), value, whole,
+            )  # fmt: skip
             distances = np.int64(spread[j]) << P_BITS
-            if w_median != 0:
-                median = (np.int64(lower[j]) + upper[j]) << (P_BITS - 1)
-                distances += w_median * abs(median - value)
-            if w_middle != 0:
-                distances += w_middle * abs(((bottom + top) << (P_BITS - 1)) - value)
-            if w_mean != 0:
-                mean = (bottom + lower[j] + upper[j] + top) << (P_BITS - 2)
-                distances += w_mean * abs(unclamped - mean)
+            distances += _distances(sample, unclamped, w_median, w_middle, w_mean)
             # In 1/16384 step.
             expected = (
                 sums[j]
                 + w_e_west * error_west
                 + w_e_west2 * error_west2
-                + in_steps(distances, scale_shift, inverse, 5 - P_BITS)
+                + in_steps(distances, scale.shift, scale.inverse, 5 - P_BITS)
             )
             expected = min(expected >> 6, MAX_E)
-            e_range = expected + E_OFFSET
             e_bin, log_range = contexts_of(expected)
-            range_bin = range_bin_of(np.int64(widths[j]), e_range, log_range)
-            fraction = value - (whole << P_BITS)
-            zero_b = (
-                ZERO_B
-                + (e_bin * N_RANGE_BINS + range_bin) * 4
-                + bin_of_fraction[np.uint64(abs(fraction))]
-            )
-            zero_h = np.int64(0)
-            n_up = n_down = np.int64(0)
-            if limits is not None:
-                north = np.int64(northern[j])
-                is_quiet = (
-                    max(max(top, west), north) - whole <= half
-                    and whole - min(min(bottom, west), north) <= half
-                )
-                if is_quiet:
-                    zero_h = ZERO_H + (e_bin * 7 + 6) * 4
-                else:
-                    ceiling, floor = whole + half, whole - half
-                    n_up = (
-                        np.int64(bottom > ceiling)
-                        + (lower[j] > ceiling)
-                        + (upper[j] > ceiling)
-                        + (top > ceiling)
-                        + (west > ceiling)
-                        + (north > ceiling)
-                    )
-                    n_down = (
-                        np.int64(bottom < floor)
-                        + (lower[j] < floor)
-                        + (upper[j] < floor)
-                        + (top < floor)
-                        + (west < floor)
-                        + (north < floor)
-                    )
-                    n_same = 6 - n_up - n_down
-                    zero_h = ZERO_H + (e_bin * 7 + n_same) * 4 + min(min(n_up, n_down), 3)
+            range_bin = range_bin_of(np.int64(widths[j]), expected + E_OFFSET, log_range)
+            fraction = np.uint64(abs(value - (whole << P_BITS)))
+            zero_b = ZERO_B + (e_bin * N_RANGE_BINS + range_bin) * 4 + bin_of_fraction[fraction]
             detail = np.int64(0)
             if target is not None:
-                off = np.int64(goal[row, j]) - whole
-                if abs(off) > half:
-                    detail = (abs(off) + half) // step
-                    if off < 0:
-                        detail = -detail
+                detail = _detail_of(goal[row, j], whole, step, scale.half)
             bit = np.int64(detail != 0)
+            n_up = n_down = np.int64(0)
             if limits is not None:
+                n_up, n_down = _sides(sample, scale.half)
+                zero_h = ZERO_H + (e_bin * 7 + 6 - n_up - n_down) * 4 + min(min(n_up, n_down), 3)
                 bit, at = code_mean_step(at, state, stream, models, is_encoder, zero_b, zero_h, bit)
             else:
                 bit, at = code_step(at, state, stream, models, is_encoder, zero_b, bit)
             if not bit:
                 west = whole
-                error = error_of_fraction[np.uint64(abs(fraction))]
+                error = error_of_fraction[fraction]
             else:
-                median = (np.int64(lower[j]) + upper[j]) << (P_BITS - 1)
-                from_median = median - value
-                from_middle = ((bottom + top) << (P_BITS - 1)) - value
-                e_floor = max(expected, 128)
-                log_floor = log8(e_floor)
-                size = in_steps(abs(from_median), scale_shift, inverse, E_BITS - P_BITS)
-                median_bin = middle_bin(size if from_median > 0 else -size, e_floor, log_floor)
-                size = in_steps(abs(from_middle), scale_shift, inverse, E_BITS - P_BITS)
-                middle = middle_bin(size if from_middle > 0 else -size, e_floor, log_floor)
-                sixth = in_steps(6 * abs(fraction), scale_shift, inverse, 1 - P_BITS)
-                sixth = min((sixth + 1) >> 1, 3)
-                sixth = 3 + sixth if fraction > 0 else 3 - sixth
-                sign_b = SIGN_B + ((SIGN_E_OF_BIN[e_bin] * 7 + sixth) * 9 + median_bin) * 9 + middle
-                sign_h = SIGN_H + ((e_bin >> 2) * 8 + n_up) * 8 + n_down
-                reach_b = in_steps(
-                    max((top << P_BITS) - value, 0), scale_shift, inverse, E_BITS - P_BITS
+                contexts = _Contexts(expected, e_bin, log_range, n_up, n_down)
+                sign_b, sign_h, reach_b, reach_a, around = _contexts_of_other(
+                    sample, contexts, scale
                 )
-                reach_a = in_steps(
-                    max(value - (bottom << P_BITS), 0), scale_shift, inverse, E_BITS - P_BITS
-                )
-                around = (
-                    bottom - whole, lower[j] - whole, upper[j] - whole, top - whole, west - whole,
-                    northern[j] - whole,
-                )  # fmt: skip
                 detail, at = code_detail(
                     at, state, stream, models, is_encoder, mixers, e_bin, sign_b, sign_h, reach_b,
-                    reach_a, e_range, log_range, around, lent_limits, detail,
+                    reach_a, expected + E_OFFSET, log_range, around, limits, detail,
                 )  # fmt: skip
                 detail = min(max(detail, -most), most)
                 west = min(max(whole + detail * step, z_min), z_max)
-                distance = abs((west << P_BITS) - value)
-                error = min(in_steps(distance, scale_shift, inverse, 5 - P_BITS), MAX_ERROR)
+                error = _error_of(west, value, scale)
             if has_corrections:
                 height = corrected(west, kept, added, row * n_cols + j, z_range, z_range)
                 if height != west:
                     west = height
-                    distance = abs((west << P_BITS) - value)
-                    error = min(in_steps(distance, scale_shift, inverse, 5 - P_BITS), MAX_ERROR)
+                    error = _error_of(west, value, scale)
             samples[j] = west
             sample_errors[j] = error
             error_west2, error_west = error_west, error

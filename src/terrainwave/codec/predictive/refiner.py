@@ -43,6 +43,9 @@ from terrainwave.codec.predictive.passes import (
     KNOWN,
     N_ROW_BUFFERS,
     VOID,
+    Arrays,
+    PassTables,
+    Range,
     code_pass,
     fill_noisy,
     fits_narrow,
@@ -56,7 +59,7 @@ from terrainwave.codec.refiner import (
     Heights,
     Labels,
     Mask,
-    Sides,
+    as_array,
 )
 from terrainwave.codec.shared_lines import N_BORDER_MODELS, code_border, code_root_sample, put_back
 from terrainwave.coding.jit import kernel
@@ -134,12 +137,9 @@ class _Rows(NamedTuple):
 
 
 class _Scratch(NamedTuple):
-    """The arrays of a lattice."""
+    """The memory of a lattice."""
 
-    planes: NDArray[np.int32]
-    errors: NDArray[np.int32]
-    activity: NDArray[np.int32]
-    bends: NDArray[np.int32]
+    arrays: Arrays
     rows: _Rows
 
 
@@ -168,7 +168,7 @@ class _Workspace(threading.local):
             np.zeros((N_ROW_BUFFERS, n_cols), dtype=np.int32),
             np.zeros((N_ROW_BUFFERS, n_cols), dtype=np.int64),
         )
-        return _Scratch(planes, errors, activity, bends, rows)
+        return _Scratch(Arrays(planes, errors, activity, bends), rows)
 
 
 _WORKSPACE = _Workspace()
@@ -179,9 +179,10 @@ class Predictive:
 
     name = "predictive"
 
-    def __init__(self, parameters: bytes = b"") -> None:
+    def __init__(self, parameters: bytes = b"", added: FileTables | None = None) -> None:
+        """Take a file's tables from their bytes, unless they are known (`added`)."""
         self.parameters = parameters
-        self._tables = all_tables(parse_parameters(parameters))
+        self._tables = all_tables(parse_parameters(parameters) if added is None else added)
 
     def fitted(
         self,
@@ -199,14 +200,15 @@ class Predictive:
         added = fit_tables(grid, step, heights, mask)
         windows = windows_of(grid, 0, heights, mask, _WINDOW)
         e_weights = _fit_e_weights(added, windows, step, grid.n_rows * grid.n_cols)
-        return Predictive(pack_parameters(added._replace(e_weights=e_weights)))
+        added = added._replace(e_weights=e_weights)
+        return Predictive(pack_parameters(added), added)
 
     def encode(
         self,
         spec: GroupSpec,
         parent: Heights | None,
         target: Heights,
-        mask: Mask,
+        mask: Mask | None,
         corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[bytes, Heights, Labels | None]:
         """Return the payload and the heights `decode` makes of it."""
@@ -222,7 +224,7 @@ class Predictive:
         self,
         spec: GroupSpec,
         parent: Heights | None,
-        mask: Mask,
+        mask: Mask | None,
         payload: bytes,
         corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[Heights, Labels | None]:
@@ -282,9 +284,7 @@ def _code_window(
     """Return the bits of a window coded alone, its even samples given; append to `seen`."""
     low, high = int(target.min()), int(target.max())
     region = Region(0, 0, *target.shape)
-    spec = GroupSpec(
-        1, region, region, None, Sides(False, False, False, False), step, low, high, (1, 0), 1, 0
-    )
+    spec = GroupSpec.alone(region, step, low, high)
     out = np.empty(6 * target.size + 1024, dtype=np.uint8)
     coder = new_encoder(out, trained.start_models(N_DETAIL_MODELS))
     unit = _new_unit(coder, _CLAMP | _MIXED, all_sets, seen)
@@ -307,7 +307,7 @@ def _code_unit(
     spec: GroupSpec,
     parent: Heights | None,
     target: Heights | None,
-    mask: Mask,
+    mask: Mask | None,
     unit: _Unit,
     corrections: Corrections,
 ) -> tuple[Heights, Labels | None]:
@@ -317,6 +317,7 @@ def _code_unit(
     """
     heights = np.zeros(spec.region.shape, dtype=np.int32)
     is_known = np.zeros(spec.region.shape, dtype=np.bool_)
+    mask = as_array(mask, spec.region.shape)
     core = spec.core.slices_in(spec.region)
     code_border(
         spec, parent, target, mask, unit.border, heights, is_known, is_nested=True,
@@ -394,7 +395,7 @@ def _code_lattice(
     most = max(abs(spec.z_min), abs(spec.z_max)) + spec.step
     most = max(most, -int(heights.min()), int(heights.max()))
     scratch = _WORKSPACE.scratch(shape, most)
-    planes, errors, activity, bends = scratch[:4]
+    planes, errors, activity, bends = scratch.arrays
     if goal is not None:
         planes.fill(0)  # rims of planes that `_choose` looks at before they are coded
     split(heights, planes)
@@ -481,19 +482,14 @@ def _run_pass(
     weights = unit.tables.stencils[own][choice.stencil_set]
     e_weights = unit.tables.e_weights[own][choice.e_class]
     limits = cell_limits(spec.step) if unit.flags & _MIXED else None
+    tables = PassTables(weights, e_weights, bool(unit.flags & _CLAMP), limits)
     code_pass(
-        goal, kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, own, geometry,
-        weights, e_weights, bool(unit.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
-        scratch.rows.of(weights, e_weights), limits, unit.coder, unit.mixers,
-        corrections.kept.ravel(), corrections.added.ravel(),
+        goal, kinds, scratch.arrays, geometry, tables, Range(spec.step, spec.z_min, spec.z_max),
+        scratch.rows.of(weights, e_weights), unit.coder, unit.mixers,
+        Corrections(corrections.kept.ravel(), corrections.added.ravel()),
     )  # fmt: skip
     if unit.seen is not None:
-        unit.seen[own].append(
-            features_of(
-                kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, geometry,
-                weights, bool(unit.flags & _CLAMP), spec.step,
-            )
-        )  # fmt: skip
+        unit.seen[own].append(features_of(kinds, scratch.arrays, geometry, tables, spec.step))
 
 
 def _choose(
@@ -511,7 +507,7 @@ def _choose(
     heights must stay, the set that they were coded with is: by another one, each would take a
     correction.
     """
-    own, planes = geometry.plane, scratch.planes
+    own, planes = geometry.plane, scratch.arrays.planes
     saved = planes[own].copy()
     fill_noisy(goal, planes[own], spec.step)
     every = 8 if goal.size > 16384 else 2
@@ -550,15 +546,16 @@ def _set_of_kept(
 ) -> int | None:
     """Return the stencil set that reaches most heights that must stay; None if it reaches none.
 
-    ``scratch.planes`` of the pass are overwritten.
+    The plane of the pass is overwritten.
     """
     if not kept.size:
         return None
     own, n_rows, n_cols = geometry.plane, *goal.shape
-    scratch.planes[own, PAD : PAD + n_rows, PAD : PAD + n_cols] = goal
+    planes = scratch.arrays.planes
+    planes[own, PAD : PAD + n_rows, PAD : PAD + n_cols] = goal
     reached = [
         n_reached(
-            goal, kinds, kept.ravel(), scratch.planes, own, geometry, weights,
+            goal, kinds, kept.ravel(), planes, own, geometry, weights,
             bool(unit.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
             scratch.rows.of(weights, unit.tables.e_weights[own][0]),
         )
@@ -583,20 +580,21 @@ def _encode_smallest(
     The likeliest is tried last, as what the last trial left needs no copying back.
     """
     own = geometry.plane
+    planes, errors, activity, _ = scratch.arrays
     # Bytes before this one are final.
     first = max(int(unit.coder.state[OUT_POS]), 0)
     arrays = [
         unit.coder.state, unit.coder.models, unit.mixers, unit.coder.stream[first:],
-        scratch.planes[own], scratch.errors[own], scratch.activity[own], corrections.added,
+        planes[own], errors[own], activity[own], corrections.added,
     ]  # fmt: skip
     start = [array.copy() for array in arrays[:3]] if len(choices) > 1 else []
-    known = scratch.planes[own].copy() if len(choices) > 1 else scratch.planes[own]
+    known = planes[own].copy() if len(choices) > 1 else planes[own]
     kept: list[NDArray[np.generic]] = []
     smallest = 1 << 62
     for n_left, choice in reversed(list(enumerate(choices))):
         if start and n_left < len(choices) - 1:
             unit.coder.state[:], unit.coder.models[:], unit.mixers[:] = start
-            scratch.planes[own] = known
+            planes[own] = known
         code = choice.stencil_set * 4 + choice.e_class
         code_raw(unit.coder, _SET_BITS + 2, code)
         _run_pass(goal, kinds, geometry, choice, spec, scratch, unit, corrections)

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.corrections import correct
-from terrainwave.codec.masks import is_whole
 from terrainwave.codec.memory import Spares, new_heights
 from terrainwave.codec.rapid.file_tables import Tables
 from terrainwave.codec.rapid.layout import (
@@ -33,8 +32,8 @@ from terrainwave.codec.rapid.symbols import (
     Streams,
 )
 from terrainwave.codec.rapid.wavefront import (
-    Grid2,
     Known,
+    Lattice,
     code_rows,
 )
 from terrainwave.codec.refiner import (
@@ -144,7 +143,7 @@ class UnitCoder:
         spec: GroupSpec,
         parent: Heights | None,
         target: Heights,
-        mask: Mask,
+        mask: Mask | None,
         corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[bytes, Heights, Labels | None]:
         """Return the payload and the heights `decode` makes of it."""
@@ -176,7 +175,7 @@ class UnitCoder:
         self,
         spec: GroupSpec,
         target: Heights,
-        mask: Mask,
+        mask: Mask | None,
         counts: NDArray[np.int64],
         *,
         is_inner: bool = False,
@@ -206,14 +205,16 @@ class UnitCoder:
             memory.put_back(logs, streams)
         return heights
 
-    def _flags(self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask) -> int:
-        is_wide = self._is_wide(spec, parent, target if is_whole(mask) else target[mask])
+    def _flags(
+        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask | None
+    ) -> int:
+        is_wide = self._is_wide(spec, parent, target if mask is None else target[mask])
         return (_WIDE if is_wide else 0) | (_SINGLE if target.size < _MANY_SAMPLES else 0)
 
     def _encode(
-        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask, flags: int,
-        freqs: NDArray[np.uint32], memory: _Memory, logs: _Logs, known: Known = _NONE_KNOWN,
-        corrections: Corrections = NO_CORRECTIONS,
+        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask | None,
+        flags: int, freqs: NDArray[np.uint32], memory: _Memory, logs: _Logs,
+        known: Known = _NONE_KNOWN, corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[Heights, Streams]:  # fmt: skip
         """Return decoded heights, and the logs of what is to be written."""
         streams = Streams(
@@ -240,7 +241,7 @@ class UnitCoder:
         self,
         spec: GroupSpec,
         parent: Heights | None,
-        mask: Mask,
+        mask: Mask | None,
         payload: bytes,
         corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[Heights, Labels | None]:
@@ -259,7 +260,7 @@ class UnitCoder:
         self,
         spec: GroupSpec,
         parent: Heights | None,
-        mask: Mask,
+        mask: Mask | None,
         payload: bytes,
         out: Heights,
         corrections: Corrections = NO_CORRECTIONS,
@@ -310,26 +311,26 @@ class UnitCoder:
         """Return whether a unit needs 64 bits: it has heights far from its origin."""
         if spec.step >= _MOST_NARROW_STEP:
             return True
-        limit, origin = _LIMIT32 // self._widest, self._origin(spec, parent, True)
+        limit, origin = _LIMIT32 // self._widest, self._origin(spec, parent)
         seen = [heights] if parent is None else [heights, parent]
         low = min((int(part.min()) for part in seen if part.size), default=origin)
         high = max((int(part.max()) for part in seen if part.size), default=origin)
         return max(low, spec.z_min) < origin - limit or min(high, spec.z_max) > origin + limit
 
-    def _origin(self, spec: GroupSpec, parent: Heights | None, is_wide: bool) -> int:
+    def _origin(self, spec: GroupSpec, parent: Heights | None) -> int:
         """Return the height that a narrow unit's are less: 0 where the header's range fits."""
         if parent is None or max(-spec.z_min, spec.z_max) * self._widest <= _LIMIT32:
             return 0
         return (int(parent.min()) + int(parent.max())) >> 1
 
     def _code(
-        self, spec: GroupSpec, parent: Heights | None, target: Heights | None, mask: Mask,
+        self, spec: GroupSpec, parent: Heights | None, target: Heights | None, mask: Mask | None,
         flags: int, streams: Streams, out: Heights, memory: _Memory, corrections: Corrections,
         known: Known = _NONE_KNOWN,
     ) -> None:  # fmt: skip
         """Encode `target`, or decode where it is None; fill `out` with the region's heights."""
         is_wide = bool(flags & _WIDE)
-        origin = self._origin(spec, parent, is_wide)
+        origin = self._origin(spec, parent)
         low, high = spec.z_min - origin, spec.z_max - origin
         if not is_wide:
             limit = _LIMIT32 // self._widest
@@ -340,13 +341,12 @@ class UnitCoder:
                 )
         if spec.region != spec.core:
             out[:] = 0  # a lattice fills all but the apron, whose lines may not meet
-        has_void = not is_whole(mask)
         unit = _Unit(
             spec=spec,
             is_encoding=target is not None,
             goal=_NO_GOAL if target is None else target.ravel(),
-            valid=mask.ravel() if has_void else _NO_MASK,
-            has_void=has_void,
+            valid=_NO_MASK if mask is None else mask.ravel(),
+            has_void=mask is not None,
             out=out.ravel(),
             origin=origin,
             scale=scale_of(spec.step, low, high, self._tables.is_by_reach),
@@ -369,7 +369,7 @@ class UnitCoder:
         row = (spec.core.row >> 1) - spec.parent_region.row
         col = (spec.core.col >> 1) - spec.parent_region.col
         source, pitch = _flat(parent)
-        coarse = Grid2(row * pitch + col, pitch, 1)
+        coarse = Lattice(row * pitch + col, pitch, 1)
         rings = 1 + (spec.rings >> 1)
         known = Known(*(rings if is_shared else 0 for is_shared in spec.shared))
         self._code_rows(unit, 1, source, coarse, known, plan_lines(spec, pitch))
@@ -386,7 +386,7 @@ class UnitCoder:
             for col in range(0, n_cols, stride):
                 _code_corner(unit, first + row * pitch + col)
         if stride > 1:
-            coarse = Grid2(first, 2 * pitch, 2)
+            coarse = Lattice(first, 2 * pitch, 2)
             self._code_rows(unit, stride >> 1, unit.out, coarse, known, _NONE_SHARED)
 
     def _weights_from(self, level: int, stride: int, scale: Scale) -> NDArray[np.int64]:
@@ -413,7 +413,7 @@ class UnitCoder:
         return arranged[key]
 
     def _code_rows(
-        self, unit: _Unit, stride: int, source: Heights, coarse: Grid2, known: Known,
+        self, unit: _Unit, stride: int, source: Heights, coarse: Lattice, known: Known,
         shared: tuple[NDArray[np.int64], NDArray[np.int64]],
     ) -> None:  # fmt: skip
         """Code the lattice of every `stride`-th sample, those of half the stride, … all samples.
@@ -424,7 +424,7 @@ class UnitCoder:
         assert spec.core.n_cols <= 2 * MAX_COLS
         code_rows(
             unit.is_encoding, unit.has_void, unit.goal, unit.valid, unit.out, source, *shared,
-            Grid2(_first(spec), spec.region.shape[1], 1), coarse, spec.core.shape, stride,
+            Lattice(_first(spec), spec.region.shape[1], 1), coarse, spec.core.shape, stride,
             self._weights_from(spec.level, stride, unit.scale), known, unit.origin, unit.workspace,
             unit.scale, unit.streams, unit.kept, unit.added,
         )  # fmt: skip

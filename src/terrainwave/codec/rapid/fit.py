@@ -6,6 +6,7 @@ symbols counted. All in whole numbers: the same raster gives the same tables eve
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
@@ -31,7 +32,7 @@ from terrainwave.codec.rapid.fit_weights import fit_magnitude, weights_bits
 from terrainwave.codec.rapid.magnitude import N_CONTEXTS
 from terrainwave.codec.rapid.symbols import ESCAPE, ESCAPE_BITS, N_SYMBOLS, low_bits
 from terrainwave.codec.rapid.trained import N_STEPS, family_of
-from terrainwave.codec.refiner import GroupSpec, Heights, Mask, Sides
+from terrainwave.codec.refiner import GroupSpec, Heights, Mask
 from terrainwave.coding.rans import N_SLOTS, SYMBOL_BITS
 from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.windows import spread_windows
@@ -52,7 +53,6 @@ _PRIOR = 120
 _RAREST = N_SLOTS * ESCAPE_BITS * 2 // 3
 _SAVED_BY_REACH = 1 / 256
 _SAVED_BY_WEIGHTS = 1 / 1024
-_NOT_SHARED = Sides(False, False, False, False)
 
 
 def fit_tables(
@@ -211,8 +211,8 @@ def _count_window(
     """Code a window as a root block; count its symbols and return the decoded heights."""
     region = Region(0, 0, *target.shape)
     low, high = int(target.min()), int(target.max())
-    spec = GroupSpec(level, region, region, None, _NOT_SHARED, step, low, high, (1, 0), 1, 0)
-    return coder.count(spec, target, mask, counts, is_inner=is_inner)
+    spec = replace(GroupSpec.alone(region, step, low, high), level=level)
+    return coder.count(spec, target, None if mask.all() else mask, counts, is_inner=is_inner)
 
 
 @cache

@@ -4,7 +4,12 @@ from collections.abc import Callable
 from functools import lru_cache
 
 from terrainwave.codec.rapid.coder import UnitCoder
-from terrainwave.codec.rapid.file_tables import Tables, pack_parameters, parse_parameters
+from terrainwave.codec.rapid.file_tables import (
+    FileTables,
+    Tables,
+    pack_parameters,
+    parse_parameters,
+)
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.grid.quadtree import Grid, Region
 
@@ -14,8 +19,9 @@ class Rapid(UnitCoder):
 
     name = "rapid"
 
-    def __init__(self, parameters: bytes = b"") -> None:
-        super().__init__(_tables_of(parameters))
+    def __init__(self, parameters: bytes = b"", tables: FileTables | None = None) -> None:
+        """Take a file's tables from their bytes, unless they are known."""
+        super().__init__(_tables_of(parameters) if tables is None else Tables(tables))
         self.parameters = parameters
 
     def fitted(
@@ -34,7 +40,7 @@ class Rapid(UnitCoder):
         from terrainwave.codec.rapid.fit import fit_tables
 
         tables = fit_tables(grid, step, heights, mask, may_have_reach=may_have_reach)
-        return Rapid(pack_parameters(tables))
+        return Rapid(pack_parameters(tables), tables)
 
 
 @lru_cache(maxsize=8)

@@ -4,6 +4,7 @@ As `codec.shared_lines` does for the other methods, but by rows like everything 
 sample waits for the one before it.
 """
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -66,7 +67,8 @@ def _plan(
     pitch: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     region = Region(0, 0, *shape)
-    spec = GroupSpec(1, Region(*core), region, None, shared, 1, 0, 0, (1, 0), rings, 0)
+    spec = GroupSpec.alone(Region(*core), 1, 0, 0, region=region, shared=shared)
+    spec = replace(spec, rings=rings)
     plan = plan_border(spec)
     last = parent_shape[0] - 1, parent_shape[1] - 1
     corners = []

@@ -49,7 +49,7 @@ _FIRST_LOADED = -3  # row of plane A that the first rows read
 _TURNS_BEFORE, _TURNS_AFTER = 6, 3
 
 
-class Grid2(NamedTuple):
+class Lattice(NamedTuple):
     """Where the samples of a lattice lie in a flat array."""
 
     start: int
@@ -181,7 +181,7 @@ def code_rows(
 @kernel_part
 def _each(grid, stride):
     """Return where each `stride`-th sample of a lattice lies."""
-    return Grid2(grid.start, grid.row_step * stride, grid.col_step * stride)
+    return Lattice(grid.start, grid.row_step * stride, grid.col_step * stride)
 
 
 @kernel

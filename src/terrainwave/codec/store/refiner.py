@@ -22,7 +22,7 @@ class Store:
     name = "store"
 
     def encode(
-        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
+        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask | None
     ) -> tuple[bytes, Heights, Labels | None]:
         """Return the payload and the heights `decode` makes of it (`Refiner.encode`)."""
         stored = _stored(spec, parent, mask)
@@ -34,7 +34,7 @@ class Store:
         return payload, heights, labels
 
     def decode(
-        self, spec: GroupSpec, parent: Heights | None, mask: Mask, payload: bytes
+        self, spec: GroupSpec, parent: Heights | None, mask: Mask | None, payload: bytes
     ) -> tuple[Heights, Labels | None]:
         """Rebuild the heights (`Refiner.decode`)."""
         if len(payload) < _HEAD.size:
@@ -63,8 +63,8 @@ def _inherited(spec: GroupSpec, parent: Heights | None) -> Heights:
     return heights
 
 
-def _stored(spec: GroupSpec, parent: Heights | None, mask: Mask) -> NDArray[np.bool_]:
-    stored = mask.copy()
+def _stored(spec: GroupSpec, parent: Heights | None, mask: Mask | None) -> NDArray[np.bool_]:
+    stored = np.ones(spec.region.shape, dtype=np.bool_) if mask is None else mask.copy()
     if parent is not None:
         rows, cols, _ = _even_positions(spec)
         stored[rows, cols] = False

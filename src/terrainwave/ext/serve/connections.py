@@ -19,7 +19,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from terrainwave.arguments import in_one_line
 from terrainwave.errors import TerrainwaveError
-from terrainwave.ext.serve.app import MAX_REQUEST_BYTES
+from terrainwave.ext.serve.guards import MAX_REQUEST_BYTES
 
 try:
     import resource

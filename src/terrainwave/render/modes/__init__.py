@@ -49,7 +49,7 @@ def mode_class(name: str) -> "type[Mode]":
 
     Raises
     ------
-    InvalidHeightsError
+    InvalidArgumentError
         If there is none of this name.
     """
     if name not in _CLASSES:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from terrainwave.grid.quadtree import Region
 from terrainwave.progress import ProgressCallback
-from terrainwave.read.tiles import TileDecoder, with_coefficients
+from terrainwave.read.tiles import Tiles, with_coefficients
 from terrainwave.render.modes.front import Drawn, FrontMode, FrontPatch, PatchFrame, Sides
 from terrainwave.render.modes.mode import ERRORS
 from terrainwave.render.scene.frame import Frame
@@ -40,9 +40,9 @@ class Rqt(FrontMode):
         progress: ProgressCallback | None = None,
     ) -> None:
         super().__init__(terrain, frame, error=error)
-        self._tile_decoder: TileDecoder | None = None
+        self._tiles: Tiles | None = None
         if error == "coefficient":
-            self._tile_decoder = with_coefficients(terrain.decoder)
+            self._tiles = with_coefficients(terrain.decoder)
 
     def make_mesh(
         self,
@@ -67,9 +67,9 @@ class Rqt(FrontMode):
 
     def _coefficients(self, level: int, region: Region) -> NDArray[np.float64] | None:
         """Return the magnitudes of the file's coefficients in metres; None without `error`."""
-        if self._tile_decoder is None:
+        if self._tiles is None:
             return None
-        quanta = self._tile_decoder.coefficients(level, region)
+        quanta = self._tiles.coefficients(level, region)
         return np.multiply(quanta, abs(self._scale.per_quantum), dtype=np.float64)
 
     def frame_of(self, patch: FrontPatch, eye: Eye, followed: Followed) -> PatchFrame:

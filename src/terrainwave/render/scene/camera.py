@@ -191,7 +191,7 @@ def parse_camera(line: str, frame: Frame) -> Camera:
 
     Raises
     ------
-    InvalidHeightsError
+    InvalidArgumentError
         If it is not five or six finite numbers (the opening may be left out) within their ranges.
     """
     try:

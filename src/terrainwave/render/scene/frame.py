@@ -168,7 +168,7 @@ class Frame:
 
         Raises
         ------
-        InvalidHeightsError
+        InvalidArgumentError
             If it is not a number > 0.
         """
         if not (math.isfinite(factor) and factor > 0):

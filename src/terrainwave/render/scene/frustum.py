@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.render.scene.camera import Camera, Viewport
-from terrainwave.render.scene.kernels import N_PLANES, is_outside
+from terrainwave.render.scene.select_kernels import N_PLANES, is_outside
 
 
 def frustum_planes(camera: Camera, viewport: Viewport) -> NDArray[np.float64]:

@@ -20,7 +20,7 @@ from terrainwave.mesh.loose import LooseMesher
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.render.scene.frame import Frame
-from terrainwave.render.scene.kernels import (
+from terrainwave.render.scene.patch_kernels import (
     SKIRT_FLAG,
     bilinear_at,
     border_edges,

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.render.scene.frame import Frame
-from terrainwave.render.scene.kernels import fill_texels
+from terrainwave.render.scene.patch_kernels import fill_texels
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from terrainwave.grid.quadtree import Block
 from terrainwave.render.scene.camera import Camera, Viewport, focal_length, gamma_guaranteed, slant
 from terrainwave.render.scene.frustum import frustum_planes
-from terrainwave.render.scene.kernels import (
+from terrainwave.render.scene.select_kernels import (
+    Nodes,
+    Sight,
     bounded_errors,
     fine_nodes,
     node_scales,
@@ -98,7 +100,7 @@ class View:
     is_oriented : bool
         Errors, being vertical, count less the steeper they are looked down at.
     is_exact : bool
-        Errors count as each block's place in the picture has it (`kernels.node_scale`), not by one
+        Errors count as each block's place in the picture has it (`node_scale`), not by one
         γ for all of it.
     flatness : float
         What is less than this many times τ is let be where a piece has a sample for each pixel
@@ -123,7 +125,7 @@ class View:
     def least_gamma(self) -> float:
         """Return the γ with which errors of blocks count at least, in pixels · distance / error.
 
-        In `kernels.pixels_per_metre` K counts as 1 or more, and depths are at most distances.
+        In `pixels_per_metre` K counts as 1 or more, and depths are at most distances.
         Oriented, K / p_D is h / (p_D² r), h the horizontal distance and r that of a line through
         the picture, at most its corners': distance is then (h² + v²) / h.
         """
@@ -134,7 +136,7 @@ class View:
 
     @cached_property
     def lens(self) -> NDArray[np.float64]:
-        """Return what `kernels.pixels_per_metre` takes: see there."""
+        """Return what `select_kernels.pixels_per_metre` takes: see there."""
         forward = self.camera.forward
         if not self.is_exact:
             return np.array([self.gamma, 1.0, 1.0, *forward])
@@ -145,10 +147,17 @@ class View:
         return np.array([scale, slant(self.camera, self.viewport) ** 2, step, *forward])
 
     def tolerance(self, tau: float | None = None) -> NDArray[np.float64]:
-        """Return what `kernels.is_fine` takes, of another τ than the view's."""
+        """Return what `select_kernels.is_fine` takes, of another τ than the view's."""
         tau = self.max_pixel_error if tau is None else tau
         length = focal_length(self.camera, self.viewport)
         return np.array([tau, tau * self.flatness, length])
+
+    def sight(self, tau: float | None = None) -> Sight:
+        """Return what kernels take, of another τ than the view's."""
+        return Sight(
+            self.planes, self.camera.eye, self.exaggeration, self.lens, self.is_oriented,
+            self.tolerance(tau),
+        )  # fmt: skip
 
     @cached_property
     def planes(self) -> NDArray[np.float64]:
@@ -240,6 +249,9 @@ class NodeTable:
         self.errors[node], self.n_triangles[node] = built.error, built.n_triangles
         self.bases[node], self.morphs[node] = built.base, built.morph
 
+    def _arrays(self) -> Nodes:
+        return Nodes(self.low, self.high, self.errors, self.spacings, self.children, self.is_known)
+
     def boxes(
         self, nodes: NDArray[np.int32], exaggeration: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -250,8 +262,7 @@ class NodeTable:
     def scales(self, view: View, nodes: NDArray[np.int32]) -> NDArray[np.float64]:
         """Return pixels on screen per metre of nodes' errors; inf where the eye is in their box."""
         scales = np.empty(len(nodes))
-        eye, z_scale = view.camera.eye, view.exaggeration
-        node_scales(nodes, self.low, self.high, z_scale, eye, view.lens, view.is_oriented, scales)
+        node_scales(nodes, self._arrays(), view.sight(), scales)
         return scales
 
     def on_screen(
@@ -267,10 +278,7 @@ class NodeTable:
     def are_fine(self, view: View, nodes: NDArray[np.int32], tau: float) -> NDArray[np.bool_]:
         """Say of nodes whether they need not be split in a view."""
         out = np.empty(len(nodes), dtype=np.bool_)
-        fine_nodes(
-            nodes, self.low, self.high, self.errors, self.spacings, view.exaggeration,
-            view.camera.eye, view.lens, view.is_oriented, view.tolerance(tau), out,
-        )  # fmt: skip
+        fine_nodes(nodes, self._arrays(), view.sight(tau), out)
         return out
 
     def bounded_errors(
@@ -283,10 +291,8 @@ class NodeTable:
         the promise exactly: between vertices both surfaces are linear.
         """
         out = np.empty((len(nodes), 3))
-        bounded_errors(
-            nodes, self.low, self.high, self.errors, self.morphs, self.parents, view.exaggeration,
-            view.camera.eye, view.lens, view.is_oriented, start, end, out,
-        )  # fmt: skip
+        sight = view.sight()
+        bounded_errors(nodes, self._arrays(), self.morphs, self.parents, sight, start, end, out)
         return out[:, 0], out[:, 1], out[:, 2]
 
     def select(self, view: View, tau: float | None = None) -> Selection:
@@ -297,25 +303,9 @@ class NodeTable:
         if len(self._stack) < len(self.errors):
             raise AssertionError("the stack holds every node")
         n_out, n_triangles = select_nodes(
-            self.roots,
-            self.low,
-            self.high,
-            self.errors,
-            self.spacings,
-            self.children,
-            self.is_known,
-            self.is_resident,
-            self.n_triangles,
-            view.planes,
-            view.camera.eye,
-            view.exaggeration,
-            view.lens,
-            view.is_oriented,
-            view.tolerance(tau),
-            self._stack,
-            self._nodes,
-            self._distances,
-        )
+            self.roots, self._arrays(), self.is_resident, self.n_triangles, view.sight(tau),
+            self._stack, self._nodes, self._distances,
+        )  # fmt: skip
         return Selection(
             self._nodes[:n_out].copy(), self._distances[:n_out].copy(), int(n_triangles)
         )
@@ -340,22 +330,7 @@ class NodeTable:
             middle = (self.low[roots] + self.high[roots]) / 2
             away = np.linalg.norm(middle - view.camera.eye, axis=1)
             roots = roots[np.argsort(away, kind="stable")]
-        n_out = wanted_nodes(
-            roots,
-            self.low,
-            self.high,
-            self.errors,
-            self.spacings,
-            self.children,
-            self.is_known,
-            view.planes,
-            view.camera.eye,
-            view.exaggeration,
-            view.lens,
-            view.is_oriented,
-            view.tolerance(tau),
-            out,
-        )
+        n_out = wanted_nodes(roots, self._arrays(), view.sight(tau), out)
         return out[:n_out]
 
     def coarse_nodes(self, most: int) -> NDArray[np.int32]:
@@ -378,8 +353,7 @@ class NodeTable:
         inner[parents[parents >= 0]] = True
         nodes = np.flatnonzero(self.is_resident[:n] & ~keep & ~inner).astype(np.int32)
         ranks = np.empty(len(nodes))
-        camera = view.camera
-        priorities(nodes, self.low, self.high, view.exaggeration, camera.eye, camera.forward, ranks)
+        priorities(nodes, self._arrays(), view.sight(), view.camera.forward, ranks)
         return nodes[np.argsort(ranks, kind="stable")]
 
 

@@ -46,7 +46,7 @@ def choose_camera(
 
     Raises
     ------
-    InvalidHeightsError
+    InvalidArgumentError
         If the line is none, both are given, or the bounds are empty.
     """
     if camera is not None:

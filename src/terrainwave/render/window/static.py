@@ -87,7 +87,7 @@ def plot(terrain: "TerrainFile", ax: Any, *, cmap: str | None, shade: float, bou
     physical: Any = heights.astype(np.float64) * raster.scale + raster.offset
     if ax is None:
         _, ax = pyplot.subplots()
-    a, _, c, _, e, f = terrain.transform(level, region)
+    a, _, c, _, e, f = terrain.transform_of(level, region)[:6]
     x, y = c + a * region.n_cols, f + e * region.n_rows
     low, high = (physical.min(), physical.max()) if physical.count() else (0.0, 1.0)
     norm = colors.Normalize(low, high if high > low else low + 1)

@@ -359,8 +359,8 @@ class DynamicMesh:
             nodes = self._scratch.take("nodes", (capacity, 3), np.int32)
             vertices = self._scratch.take("vertices", (capacity, 3), np.float64)
             n_vertices, n_voids = place_vertices(
-                tree.layout, tree.z, tree.bounds, self.marks, self._view(eye), eye.planes,
-                followed.threshold, followed.tau, self._stack, self._places, vertex_of, nodes,
+                tree.layout, tree.z, tree.bounds, self.marks, (self._view(eye), eye.planes),
+                (followed.threshold, followed.tau), (self._stack, self._places), vertex_of, nodes,
                 vertices,
             )  # fmt: skip
             if n_vertices + n_voids <= capacity:
@@ -663,16 +663,16 @@ def largest_error_in_view(
 
 
 @kernel
-def place_vertices(
-    layout, z, bounds, marks, view, planes, start, end, stack, places, vertex_of, nodes, vertices
-):
+def place_vertices(layout, z, bounds, marks, sight, morph, scratch, vertex_of, nodes, vertices):
     """Fill places and nodes of all roots; return how many have vertices, and how many are void.
 
     A node whose parent P has the error ε on screen is drawn at α of its own place and 1 - α of
-    where P is drawn, α = (ε - start) / (end - start) within 0 … 1 (§3.6). Void roots come last in
-    `nodes`, from its end backwards. Where both together are more than it holds, they are not all
-    written.
+    where P is drawn, α = (ε - start) / (end - start) within 0 … 1 (§3.6). `sight` is the view and
+    the planes, `morph` start and end, `scratch` the stack and places that wait on it. Void roots
+    come last in `nodes`, from its end backwards. Where both together are more than it holds, they
+    are not all written.
     """
+    (view, planes), (start, end), (stack, places) = sight, morph, scratch
     count, n_voids, limit = 0, 0, nodes.shape[0]
     z_scale = view[_Z_SCALE]
     for patch in range(layout[-1, N_ROWS] * layout[-1, N_COLS]):
@@ -751,13 +751,13 @@ def _add(a, b, c, vertex_of, is_mirrored, triangles, count):
 
 
 @kernel
-def _add_side(
-    root, side, height, row, col, layout, marks, z, vertex_of, is_mirrored, stack, triangles, count
-):
+def _add_side(root, beside, layout, marks, z, vertex_of, is_mirrored, stack, triangles, count):
     """Append the triangles of a root with the nodes along a divided neighbour's facing border.
 
-    `row` and `col` are the neighbour's. Return how many triangles there are then.
+    `beside` is the side, and the neighbour's height, row and column. Return how many triangles
+    there are then.
     """
+    side, height, row, col = beside
     before = -1
     stack[0, 0], stack[0, 1], stack[0, 2] = height, row, col
     depth = 1
@@ -829,8 +829,8 @@ def draw_fans(
                 r, c = row + _DOWN[side], col + _ACROSS[side]
                 if 0 <= r < n_rows and 0 <= c < n_cols and marks[first + r * n_cols + c] == INNER:
                     count = _add_side(
-                        root, side, height, r, c, layout, marks, z, vertex_of, is_mirrored, stack,
-                        triangles, count,
+                        root, (side, height, r, c), layout, marks, z, vertex_of, is_mirrored,
+                        stack, triangles, count,
                     )  # fmt: skip
         ne = _root_beside(height, row, col + 1, 1, 0, layout, marks)
         if ne < 0:

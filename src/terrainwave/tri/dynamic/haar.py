@@ -283,9 +283,8 @@ def _measure_windows(height, row, col, is_surface, layout, z, corners, bound):
     middle = np.float64(z[layout[height, FIRST] + row * layout[height, N_COLS] + col])
     side, half, fourth = 1 << height, 1 << (height - 1), max((1 << height) // 4, 1)
     mid_row, mid_col = row * side + half, col * side + half
-    _measure(
-        mid_row - half, mid_col - half, side, side, is_surface, layout, z, middle, corners, 0, bound
-    )  # fmt: skip
+    window = mid_row - half, mid_col - half, side, side
+    _measure(window, is_surface, layout, z, middle, corners, 0, bound)
     for k in range(4):
         down, right = k >> 1, k & 1
         n = _add_node(height, row, col, layout, z, corners, 0)
@@ -293,7 +292,7 @@ def _measure_windows(height, row, col, is_surface, layout, z, corners, bound):
         n = _add_node(height, row, col + 2 * right - 1, layout, z, corners, n)
         n = _add_node(height, row + 2 * down - 1, col + 2 * right - 1, layout, z, corners, n)
         r, c = mid_row - side * (1 - down), mid_col - side * (1 - right)
-        _measure(r, c, side, side, is_surface, layout, z, middle, corners, n, bound)
+        _measure((r, c, side, side), is_surface, layout, z, middle, corners, n, bound)
     for k in range(4):
         away, is_across = 2 * (k >> 1) - 1, k & 1
         beside_row, beside_col = (row, col + away) if is_across else (row + away, col)
@@ -311,7 +310,7 @@ def _measure_windows(height, row, col, is_surface, layout, z, corners, bound):
             r, c, n_r, n_c = mid_row - fourth, mid_col + start, 2 * fourth, side
         else:
             r, c, n_r, n_c = mid_row + start, mid_col - fourth, side, 2 * fourth
-        _measure(r, c, n_r, n_c, is_surface, layout, z, middle, corners, n, bound)
+        _measure((r, c, n_r, n_c), is_surface, layout, z, middle, corners, n, bound)
 
 
 @kernel
@@ -334,8 +333,8 @@ def _measure_all(height, row, col, is_surface, layout, z, corners, bound):
     first_row, first_col = max(row * side - half, 0), max(col * side - half, 0)
     end_row = min((row + 1) * side + half, layout[0, N_ROWS])
     end_col = min((col + 1) * side + half, layout[0, N_COLS])
-    n_r, n_c = end_row - first_row, end_col - first_col
-    _measure(first_row, first_col, n_r, n_c, is_surface, layout, z, middle, corners, n, bound)
+    window = first_row, first_col, end_row - first_row, end_col - first_col
+    _measure(window, is_surface, layout, z, middle, corners, n, bound)
 
 
 @kernel
@@ -369,14 +368,13 @@ def _place_around(k, first_row, first_col, end_row, end_col):
 
 
 @kernel
-def _measure(
-    first_row, first_col, n_rows, n_cols, is_surface, layout, z, middle, corners, n_corners, bound
-):
-    """Widen an error and heights by those of one window, whose first samples are given.
+def _measure(window, is_surface, layout, z, middle, corners, n_corners, bound):
+    """Widen an error and heights by those of a window (row, col, n_rows, n_cols).
 
     `middle` is a height near the window's. With `is_surface` the bilinear surface counts as far as
     half way to the samples around.
     """
+    first_row, first_col, n_rows, n_cols = window
     width = layout[0, N_COLS]
     mid_row, mid_col = first_row + (n_rows - 1) / 2, first_col + (n_cols - 1) / 2
     n = 0

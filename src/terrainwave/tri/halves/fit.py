@@ -63,19 +63,20 @@ def scaled_heights(
 
 
 @inlined_kernel
-def fit_triangle(
-    heights, start, pitch, row_0, col_0, row_1, col_1, z_1, row_2, col_2, z_2, tolerance, low, high
-):
-    """Narrow the interval of the height at vertex 0 to what the samples of a triangle allow.
+def fit_triangle(heights, start, pitch, place, second, third, tolerance, low, high):
+    """Narrow the interval of the height at a vertex to what the samples of a triangle allow.
 
-    Heights are flat: sample (row, col) is number ``start + row * pitch + col``. Places are doubled.
-    The interval is one of whole numbers; low > high, any two, if nothing is left. Samples on the
-    edge opposite to vertex 0 don't depend on its height: they are those of a triangle beyond the
-    edge too, or of a border.
+    Heights are flat: sample (row, col) is number ``start + row * pitch + col``. Places are doubled:
+    `place` is vertex 0's (row, col), the others are (row, col, height). The interval is one of
+    whole numbers; low > high, any two, if nothing is left. Samples on the edge opposite to vertex 0
+    don't depend on its height: they are those of a triangle beyond the edge too, or of a border.
 
     Quotients of integers n / d, |n| < 2^53, round to the right floor and ceiling: they are 1 / d or
     more from any integer that they don't equal, and rounding moves them by less.
     """
+    row_0, col_0 = place
+    row_1, col_1, z_1 = second
+    row_2, col_2, z_2 = third
     area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
     scale = float(area)
     slack = tolerance * scale
@@ -107,8 +108,8 @@ def fit_triangle(
             weight_2 += skip * step_2
         fixed = float(weight_1) * z_1 + float(weight_2) * z_2
         if is_wide and not _narrows(
-            heights, at + skip, most - skip + 1, scale, slack, fixed, rise, float(weight_0),
-            float(step_0), low, high,
+            heights, at + skip, most - skip + 1, scale, slack, (fixed, rise),
+            (float(weight_0), float(step_0)), low, high,
         ):  # fmt: skip
             most = -1
         for col in range(at + skip, at + most + 1):
@@ -132,11 +133,14 @@ def fit_triangle(
 
 
 @inlined_kernel
-def _narrows(heights, at, count, scale, slack, fixed, rise, share, step, low, high):
+def _narrows(heights, at, count, scale, slack, fixed_line, share_line, low, high):
     """Say whether any sample of a row of a triangle narrows the interval; a loop that vectorises.
 
+    Lines are the number at the first sample and what it grows by from one to the next.
     All of it is exact, as in `fit_triangle`: so are weights times heights and their differences.
     """
+    fixed, rise = fixed_line
+    share, step = share_line
     n_beyond = 0
     for k in range(count):
         place = float(np.int32(k))

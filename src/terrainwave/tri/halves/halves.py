@@ -99,8 +99,8 @@ def triangulate(
     has_table = max(-scale.lowest, scale.highest, scale.tolerance) <= MAX_PROGRAM_HEIGHT
     if n_rows > 2 and n_cols > 2:  # else border lines alone
         _merge_cells(
-            space.work, space.floats, space.plane, space.pitch, n_rows, n_cols, *offset, has_table,
-            scale.tolerance, scale.lowest, scale.highest,
+            space.work, space.floats, space.plane, space.pitch, (n_rows, n_cols), offset, has_table,
+            scale.tolerance, (scale.lowest, scale.highest),
         )  # fmt: skip
     base, shift = scale.base << FRACTION_BITS, FRACTION_BITS - scale.bits
     has_voids = n_valid < n_rows * n_cols
@@ -224,11 +224,12 @@ def _is_free_quad(work, plane, pitch, at):
 
 
 @inlined_kernel
-def _is_as_before(work, plane, pitch, top, bottom, left, right, before):
+def _is_as_before(work, plane, pitch, cell, before):
     """Say whether nothing around a cell has merged since sweep `before` tried it.
 
     In that sweep the cells above and to the left came before it, the others after it.
     """
+    top, bottom, left, right = cell
     above = PLANES + SWEEP * plane + (top - 1) * pitch
     below = PLANES + SWEEP * plane + (bottom + 1) * pitch
     last_before = last_after = np.int32(0)
@@ -241,13 +242,27 @@ def _is_as_before(work, plane, pitch, top, bottom, left, right, before):
     return last_before <= before and last_after < before
 
 
+@kernel_part
+def _mark(work, levels, pitch, cell, other, level, is_whole):
+    """Set the level of a merged cell: at all samples, or of its halves at their first ones."""
+    top, bottom, left, right = cell
+    if is_whole:
+        for row in range(top, bottom + 1):
+            for col in range(left, right + 1):
+                work[np.uint64(levels + row * pitch + col)] = level
+    else:
+        work[np.uint64(levels + top * pitch + left)] = level
+        work[np.uint64(levels + other)] = level
+
+
 @inlined_kernel
-def _move(work, plane, pitch, top, bottom, left, right, place, height, sweep):
+def _move(work, plane, pitch, cell, place, height, sweep):
     """Let the samples of a cell share a vertex.
 
     Those inside a wide one are left as they are: no ring meets them, and `read_mesh` passes over
     them.
     """
+    top, bottom, left, right = cell
     vertices, sweeps = PLANES + VERTEX * plane, PLANES + SWEEP * plane
     for row in range(top, bottom + 1):
         step = right - left if top < row < bottom and right - left >= WIDE else 1
@@ -258,11 +273,12 @@ def _move(work, plane, pitch, top, bottom, left, right, place, height, sweep):
 
 
 @kernel
-def _merge_cells(
-    work, floats, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, tolerance, lowest, highest
-):
-    """Sweep over the cells of all levels: whole squares, then halves in passes, finest first."""
-    reach = max(n_rows + row_0, n_cols + col_0) - 2
+def _merge_cells(work, floats, plane, pitch, shape, offset, has_table, tolerance, limits):
+    """Sweep over the cells of all levels: whole squares, then halves in passes, finest first.
+
+    `limits` are the lowest and the highest height that a vertex may have.
+    """
+    reach = max(shape[0] + offset[0], shape[1] + offset[1]) - 2
     n_levels = 0
     while reach >> n_levels:
         n_levels += 1
@@ -277,24 +293,23 @@ def _merge_cells(
             if sweep - 2 * n_levels > n_whole:
                 before = sweep - 2 * n_levels
         n_merged = _sweep_cells(
-            work, floats, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, level, sweep,
-            before, tolerance, lowest, highest,
+            work, floats, plane, pitch, shape, offset, has_table, (level, sweep, before),
+            tolerance, limits,
         )  # fmt: skip
         if n_merged:
             found |= 1 << level
 
 
 @kernel_part
-def _sweep_cells(
-    work, floats, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, level, sweep, before,
-    tolerance, lowest, highest,
-):  # fmt: skip
+def _sweep_cells(work, floats, plane, pitch, shape, offset, has_table, number, tolerance, limits):
     """Try to merge every cell of a level of the binary tree, of two halves or of single samples.
 
-    A sample's sweep is the one in which its cell last grew; `before`, the sweep that tried this
-    level last: a cell that failed there, and has all around it as it was, would fail again. Returns
-    how many have merged.
+    `number` is the level, the sweep, and the one before that tried this level last: a cell that
+    failed there, and has all around it as it was, would fail again. A sample's sweep is the one in
+    which its cell last grew. Returns how many have merged.
     """
+    (n_rows, n_cols), (row_0, col_0), (level, sweep, before) = shape, offset, number
+    lowest, highest = limits
     n_merged = 0
     is_whole = sweep <= len(_WHOLE_LEVELS)
     whole_tolerance = np.int64(tolerance)
@@ -308,6 +323,7 @@ def _sweep_cells(
             if not is_whole and work[np.uint64(levels + at)] != level - 1:
                 continue
             right = min(cell_col + width - 1 - col_0, n_cols - 2)
+            cell = top, bottom, left, right
             other = at
             is_quad = is_whole and level == 2 and bottom > top and right > left
             if is_quad:
@@ -339,7 +355,7 @@ def _sweep_cells(
                 if (
                     work[np.uint64(sweeps + at)] < before
                     and work[np.uint64(sweeps + other)] < before
-                    and _is_as_before(work, plane, pitch, top, bottom, left, right, before)
+                    and _is_as_before(work, plane, pitch, cell, before)
                 ):
                     continue
             verdict, low, high = 0, lowest, highest
@@ -354,14 +370,14 @@ def _sweep_cells(
             if verdict == 0:
                 floats[LOW], floats[HIGH] = low, high
                 test = test_of(level, sweep)
-                n_others, low_pair, high_pair = fit_star(
-                    work, floats, plane, pitch, has_table, top, bottom, left, right,
-                    level == 1 or is_quad, tolerance, test,
-                )  # fmt: skip
-                if n_others and floats[LOW] <= floats[HIGH]:
+                is_known = level == 1 or is_quad
+                listed = fit_star(
+                    work, floats, plane, pitch, has_table, cell, is_known, tolerance, test
+                )
+                if listed[0] and floats[LOW] <= floats[HIGH]:
                     fit_rest(
-                        work, floats, plane, pitch, has_table, top, bottom, left, right,
-                        level == 1 or is_quad, tolerance, test, n_others, low_pair, high_pair,
+                        work, floats, plane, pitch, has_table, cell, is_known, tolerance, test,
+                        listed,
                     )  # fmt: skip
                 low, high = floats[LOW], floats[HIGH]
             if low > high:
@@ -370,15 +386,7 @@ def _sweep_cells(
             if vertex > _MAX_INT32:
                 continue  # of a range of 2^31 quanta, and a tolerance of a half of it
             n_merged += 1
-            if is_whole:
-                for row in range(top, bottom + 1):
-                    for col in range(left, right + 1):
-                        work[np.uint64(levels + row * pitch + col)] = level
-            else:
-                work[np.uint64(levels + at)] = level
-                work[np.uint64(levels + other)] = level
-            _move(
-                work, plane, pitch, top, bottom, left, right,
-                np.int32((top + bottom) << ROW_BITS | left + right), np.int32(vertex), sweep,
-            )  # fmt: skip
+            _mark(work, levels, pitch, cell, other, level, is_whole)
+            place = np.int32((top + bottom) << ROW_BITS | left + right)
+            _move(work, plane, pitch, cell, place, np.int32(vertex), sweep)
     return n_merged

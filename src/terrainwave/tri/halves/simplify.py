@@ -50,8 +50,8 @@ def simplify(
     z = scale.of_mesh(mesh.heights)
     triangles = mesh.triangles.copy()
     is_alive = _sweep(
-        values.ravel(), *values.shape, mesh.rows, mesh.cols, z, triangles, scale.tolerance,
-        scale.lowest, scale.highest, n_sweeps, min_thickness,
+        values.ravel(), values.shape, (mesh.rows, mesh.cols, z, triangles), scale.tolerance,
+        (scale.lowest, scale.highest), n_sweeps, min_thickness,
     )  # fmt: skip
     triangles = triangles[is_alive]
     is_used = np.zeros(len(z), dtype=np.bool_)
@@ -122,19 +122,19 @@ def _is_thick(rows, cols, triangles, star, n, v, u, least):
 
 
 @kernel
-def _fit_star(
-    values, n_cols, rows, cols, z, triangles, star, n, centre, u, without, tolerance, low, high
-):
+def _fit_star(values, n_cols, mesh, star, n, centre, u, without, tolerance, limits):
     """Narrow the interval of u's height by the star of `centre`, moved onto u."""
+    (rows, cols, z, triangles), (low, high) = mesh, limits
     row_0, col_0 = np.int64(rows[u]), np.int64(cols[u])
     for i in range(n):
         if _has(triangles, star[i], without):
             continue
         a, b = _others(triangles, star[i], centre)
+        second = np.int64(rows[a]), np.int64(cols[a]), z[a]
+        third = np.int64(rows[b]), np.int64(cols[b]), z[b]
         low, high = fit_triangle(
-            values, 0, n_cols, row_0, col_0, np.int64(rows[a]), np.int64(cols[a]), z[a],
-            np.int64(rows[b]), np.int64(cols[b]), z[b], tolerance, low, high,
-        )  # fmt: skip
+            values, 0, n_cols, (row_0, col_0), second, third, tolerance, low, high
+        )
         if low > high:
             break
     return low, high
@@ -218,21 +218,9 @@ def _is_between(rows, cols, v, before, after):
 
 
 @kernel
-def _sweep(
-    values,
-    n_rows,
-    n_cols,
-    rows,
-    cols,
-    z,
-    triangles,
-    tolerance,
-    lowest,
-    highest,
-    n_sweeps,
-    min_thickness,
-):
+def _sweep(values, shape, mesh, tolerance, limits, n_sweeps, min_thickness):
     """Collapse in place; return which triangles are left."""
+    (n_rows, n_cols), (rows, cols, _, triangles) = shape, mesh
     n_vertices = rows.shape[0]
     last_row, last_col = 2 * (n_rows - 1), 2 * (n_cols - 1)
     # While v's triangles are handed to u, the two that vanish may still be in u's list.
@@ -258,9 +246,8 @@ def _sweep(
                 continue
             is_waiting[v] = False
             u = _collapse_target(
-                values, n_cols, rows, cols, z, triangles, stars, degrees, kinds, v, tolerance,
-                lowest, highest, min_thickness,
-            )  # fmt: skip
+                values, n_cols, mesh, stars, degrees, kinds, v, tolerance, limits, min_thickness
+            )
             if u < 0:
                 continue
             n_done += 1
@@ -288,13 +275,13 @@ def _sweep(
 
 @kernel
 def _collapse_target(
-    values, n_cols, rows, cols, z, triangles, stars, degrees, kinds, v, tolerance, lowest,
-    highest, min_thickness,
-):  # fmt: skip
+    values, n_cols, mesh, stars, degrees, kinds, v, tolerance, limits, min_thickness
+):
     """Return the first neighbour that v can move onto, its height set; -1 if there is none.
 
     Of a vertex on an outline these are the two beside it there, if it lies between them.
     """
+    rows, cols, z, triangles = mesh
     before, after, n_vanish = np.int64(-1), np.int64(-1), 2
     if kinds[v] == _OUTLINE:
         before, after, _ = _outline_neighbours(triangles, stars, degrees, v)
@@ -314,20 +301,18 @@ def _collapse_target(
             continue
         if _n_common(triangles, stars, degrees, v, u) != n_vanish:
             continue
-        low, high = lowest, highest
+        low, high = limits
         if kinds[u] != _FREE:
             low, high = z[u], z[u]
         low, high = _fit_star(
-            values, n_cols, rows, cols, z, triangles, stars[v], degrees[v], v, u, u, tolerance, low,
-            high,
-        )  # fmt: skip
+            values, n_cols, mesh, stars[v], degrees[v], v, u, u, tolerance, (low, high)
+        )
         if low > high:
             continue
         if kinds[u] == _FREE:
             low, high = _fit_star(
-                values, n_cols, rows, cols, z, triangles, stars[u], degrees[u], u, u, v, tolerance,
-                low, high,
-            )  # fmt: skip
+                values, n_cols, mesh, stars[u], degrees[u], u, u, v, tolerance, (low, high)
+            )
             if low > high:
                 continue
             z[u] = np.floor((low + high) * 0.5)

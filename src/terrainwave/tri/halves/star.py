@@ -6,7 +6,7 @@ ratios of weights: its program. Triangles without one take divisions at every sa
 
 import numpy as np
 
-from terrainwave.coding.jit import inlined_kernel, kernel
+from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
 from terrainwave.tri.halves.certificates import NO_TEST, ring_pair, write_refusal
 from terrainwave.tri.halves.fit import fit_triangle
 from terrainwave.tri.halves.workspace import (
@@ -51,12 +51,10 @@ _MARGIN = 2.0**-13
 
 
 @inlined_kernel
-def fit_star(
-    work, floats, plane, pitch, has_table, top, bottom, left, right, are_unmoved_known, tolerance,
-    test,
-):  # fmt: skip
+def fit_star(work, floats, plane, pitch, has_table, cell, are_unmoved_known, tolerance, test):
     """Narrow the interval of heights of a vertex whose cell is this rectangle of samples.
 
+    `cell` is its first and last row, first and last column.
     Its triangles are those between the centre and two neighbours on the ring of samples around the
     cell; two corners of the ring touch no triangle of the cell. Triangles of two samples that have
     not moved are left out where the interval is what they allow: `are_unmoved_known`.
@@ -69,6 +67,7 @@ def fit_star(
     are, and the two places. Arrays are used last outside of branches, and no kernel is called that
     is not inlined, as either would cost reference counts at every star.
     """
+    top, bottom, left, right = cell
     row_0, col_0 = top + bottom, left + right
     width, height = right - left + 1, bottom - top + 1
     vertices, levels = PLANES + VERTEX * plane, PLANES + LEVEL * plane
@@ -86,15 +85,7 @@ def fit_star(
     low_pair = high_pair = ring_pair(home, at, at)
     n_others = 0
     for side in range(4):
-        # To the right, down, to the left, up; then past the corner that is left out.
-        step, count, at_next = 1, width, at
-        if side == 1:
-            step, count, at_next = pitch, height + 1, at + 1
-        elif side == 2:
-            step = -1
-        elif side == 3:
-            step, count, at_next = -pitch, height + 1, at - 1
-        at = at_next
+        step, count, at = _side_of(side, at, pitch, width, height)
         for _ in range(count):
             at += step
             other = np.int64(work[np.uint64(vertices + 2 * at)])
@@ -120,17 +111,9 @@ def fit_star(
                     work[np.uint64(others + 2 * n_others + 1)] = at
                     n_others += 1
                 else:
-                    first = program >> _COUNT_BITS
-                    for k in range(first, first + (program & _MAX_STEPS)):
-                        offset = np.int64(work[np.uint64(OFFSETS + k)])
-                        ratio = floats[np.uint64(RATIOS + 3 * k)]
-                        middle = float(work[np.uint64(centre + offset)]) * ratio
-                        middle -= floats[np.uint64(RATIOS + 3 * k + 1)] * z_1
-                        middle -= floats[np.uint64(RATIOS + 3 * k + 2)] * z_2
-                        slack = tolerance * ratio + _MARGIN
-                        least, most = middle - slack, middle + slack
-                        new_low = least if least > new_low else new_low
-                        new_high = most if most < new_high else new_high
+                    new_low, new_high = _by_program(
+                        work, floats, centre, program, z_1, z_2, tolerance, low, high
+                    )
                 if new_low > low:
                     low, low_pair = new_low, ring_pair(home, start, at)
                 if new_high < high:
@@ -149,12 +132,45 @@ def fit_star(
     return n_others, low_pair, high_pair
 
 
+@kernel_part
+def _by_program(work, floats, centre, program, z_1, z_2, tolerance, low, high):
+    """Narrow an interval by the samples of a triangle that has a program."""
+    first = program >> _COUNT_BITS
+    for k in range(first, first + (program & _MAX_STEPS)):
+        offset = np.int64(work[np.uint64(OFFSETS + k)])
+        ratio = floats[np.uint64(RATIOS + 3 * k)]
+        middle = float(work[np.uint64(centre + offset)]) * ratio
+        middle -= floats[np.uint64(RATIOS + 3 * k + 1)] * z_1
+        middle -= floats[np.uint64(RATIOS + 3 * k + 2)] * z_2
+        slack = tolerance * ratio + _MARGIN
+        least, most = middle - slack, middle + slack
+        low = least if least > low else low
+        high = most if most < high else high
+    return low, high
+
+
+@inlined_kernel
+def _side_of(side, at, pitch, width, height):
+    """Return the step along a side of the ring, how many, and the place before the first one.
+
+    To the right, down, to the left, up; past the corner that is left out.
+    """
+    if side == 0:
+        return 1, width, at
+    if side == 1:
+        return pitch, height + 1, at + 1
+    if side == 2:
+        return -1, width, at
+    return -pitch, height + 1, at - 1
+
+
 @kernel
 def fit_rest(
-    work, floats, plane, pitch, has_table, top, bottom, left, right, are_unmoved_known, tolerance,
-    test, n_others, low_pair, high_pair,
-):  # fmt: skip
-    """Narrow an interval by the triangles that `fit_star` has listed, and write their programs."""
+    work, floats, plane, pitch, has_table, cell, are_unmoved_known, tolerance, test, listed
+):
+    """Narrow an interval by the triangles that `fit_star` has `listed`; write their programs."""
+    n_others, low_pair, high_pair = listed
+    top, bottom, left, right = cell
     row_0, col_0 = top + bottom, left + right
     vertices, others = PLANES + VERTEX * plane, PLANES + OTHERS * plane
     home = top * pitch + left
@@ -172,12 +188,12 @@ def fit_rest(
             slot = _slot_of(key)
             if work[np.uint64(slot)] == 0:
                 _write_program(
-                    work, floats, pitch, slot, key, row_0, col_0, row_1, col_1, row_2, col_2
+                    work, floats, pitch, slot, key, (row_0, col_0), (row_1, col_1), (row_2, col_2)
                 )
         new_low, new_high = fit_triangle(
-            work, PLANES + HEIGHT * plane, pitch, row_0, col_0,
-            row_1, col_1, float(work[np.uint64(vertices + 2 * start + 1)]),
-            row_2, col_2, float(work[np.uint64(vertices + 2 * at + 1)]),
+            work, PLANES + HEIGHT * plane, pitch, (row_0, col_0),
+            (row_1, col_1, float(work[np.uint64(vertices + 2 * start + 1)])),
+            (row_2, col_2, float(work[np.uint64(vertices + 2 * at + 1)])),
             tolerance, low, high,
         )  # fmt: skip
         if new_low > low:
@@ -213,11 +229,14 @@ def _slot_of(key):
 
 
 @kernel
-def _write_program(work, floats, pitch, slot, key, row_0, col_0, row_1, col_1, row_2, col_2):
+def _write_program(work, floats, pitch, slot, key, place, second, third):
     """Write the steps of a triangle into the table: a sample and three ratios of weights each.
 
     Samples on the edge to the triangle's last vertex are left to the next triangle of the star.
     """
+    row_0, col_0 = place
+    row_1, col_1 = second
+    row_2, col_2 = third
     area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
     first = np.int64(work[N_USED])
     count = 0

@@ -155,7 +155,7 @@ def fill_workspace(heights, mask, locked, lines, base, bits, work, plane, pitch)
 
 
 @kernel
-def read_mesh(work, plane, pitch, n_rows, n_cols, base, shift, rows, cols, heights, triangles):
+def read_mesh(work, plane, pitch, shape, base, shift, mesh):
     """Write the mesh of a workspace; return the numbers of vertices and triangles.
 
     Vertices in the order of their first samples, triangles in that of their quads. A sample's
@@ -163,6 +163,7 @@ def read_mesh(work, plane, pitch, n_rows, n_cols, base, shift, rows, cols, heigh
     and border lines share the vertex before them. Vertices' heights in 1/16 quanta:
     ``(height << shift) + base``.
     """
+    (n_rows, n_cols), (rows, cols, heights, triangles) = shape, mesh
     vertices, numbers = PLANES + VERTEX * plane, PLANES + REFUSAL * plane
     n_vertices = 0
     n_triangles = 0
@@ -270,7 +271,7 @@ def finished_mesh(
     """Return the mesh of a workspace, copied; `base` and `shift` as for `read_mesh`."""
     arrays = space.rows, space.cols, space.heights, space.triangles
     n_vertices, n_triangles = read_mesh(
-        space.work, space.plane, space.pitch, *shape, base, shift, *arrays
+        space.work, space.plane, space.pitch, shape, base, shift, arrays
     )
     if has_voids:
         n_vertices = drop_unused(n_vertices, n_triangles, *arrays, space.work[PLANES:])

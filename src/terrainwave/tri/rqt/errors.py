@@ -79,7 +79,7 @@ def _measure_vertex(
     r0, r1, r2, r3 = r0 - first_row, r1 - first_row, r2 - first_row, r3 - first_row
     c0, c1, c2, c3 = c0 - first_col, c1 - first_col, c2 - first_col, c3 - first_col
     if not is_bound:
-        detail = _detail(row, col, r0, c0, r1, c1, r2, c2, r3, c3, z)
+        detail = _detail(row, col, ((r0, c0), (r1, c1), (r2, c2), (r3, c3)), z)
         if coefficients.shape[0] > 0 and not np.isnan(z[row, col]):
             own = np.float64(coefficients[row, col])
             detail = own if detail >= 0 else -own - _TINY
@@ -128,10 +128,11 @@ def widen(errors, row, col, error):
 
 
 @kernel
-def _detail(row, col, r0, c0, r1, c1, r2, c2, r3, c3, z):
-    """Return |h - mean of its neighbours|; a negative number beside a void."""
+def _detail(row, col, around, z):
+    """Return |h - mean of its four neighbours|; a negative number beside a void."""
+    (r0, c0), (r1, c1) = around[:2]
     total, count = 0.0, 0
-    for r, c in ((r0, c0), (r1, c1), (r2, c2), (r3, c3)):
+    for r, c in around:
         if 0 <= r < z.shape[0] and 0 <= c < z.shape[1]:
             total += z[r, c]
             count += 1

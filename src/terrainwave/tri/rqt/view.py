@@ -307,7 +307,8 @@ class RestrictedMesh:
                 self._reserve()
             done, self._n_active, touched, changed = split_vertices(
                 self._errors, self.tile, self._is_active, self._n_children, self._active,
-                self._on_screen, done, self._n_active, limit, view, planes, threshold, self._stack,
+                self._on_screen, (done, self._n_active), (limit, threshold), (view, planes),
+                self._stack,
             )  # fmt: skip
             n_touched, n_changed = n_touched + touched, n_changed + changed
         return n_touched, n_changed
@@ -543,14 +544,15 @@ def merge_vertices(
 
 @kernel
 def split_vertices(
-    errors, tile, is_active, n_children, active, on_screen, done, n_active, limit, view, planes,
-    tau, stack,
-):  # fmt: skip
+    errors, tile, is_active, n_children, active, on_screen, reached, limits, sight, stack
+):
     """Split what depends on active vertices where its error is above `tau`, and all it needs.
 
-    Goes on from the vertex number `done` while there is room in `active` and no more than `limit`
-    are active. Return the next vertex, how many are active, how many were touched and split.
+    `reached` is the vertex number to go on from and how many are active, `limits` how many may be
+    and `tau`, `sight` the view and its planes. Goes on while there is room in `active`. Return the
+    next vertex, how many are active, how many were touched and split.
     """
+    (done, n_active), (limit, tau), (view, planes) = reached, limits, sight
     n_touched = n_changed = 0
     n_rows, n_cols = is_active.shape
     while done < n_active <= limit and n_active + _ROOM <= active.shape[0]:
@@ -645,22 +647,24 @@ def draw_triangles(heights, tile, is_active, is_mirrored, vertex_of, stack, tria
                     stack[depth + 1, 4], stack[depth + 1, 5] = r, c
                     depth += 2
                 elif is_whole:
-                    count = _add(r0, c0, r1, c1, r2, c2, is_mirrored, vertex_of, triangles, count)
+                    corners = (r0, c0), (r1, c1), (r2, c2)
+                    count = _add(corners, is_mirrored, vertex_of, triangles, count)
                 else:
                     r, c = min(r0, r1, r2), min(c0, c1, c2)
                     valid = 0
                     for k in range(4):
                         valid |= (not np.isnan(heights[r + (k >> 1), c + (k & 1)])) << k
+                    corners = (r0, c0), (r1, c1), (r2, c2)
                     count = _add_in_quad(
-                        r0, c0, r1, c1, r2, c2, valid, is_mirrored, is_active, vertex_of,
-                        triangles, count,
-                    )  # fmt: skip
+                        corners, valid, is_mirrored, is_active, vertex_of, triangles, count
+                    )
     return count
 
 
 @kernel
-def _add(r0, c0, r1, c1, r2, c2, is_mirrored, vertex_of, triangles, count):
+def _add(corners, is_mirrored, vertex_of, triangles, count):
     """Append a triangle without void corners; return how many there are then."""
+    (r0, c0), (r1, c1), (r2, c2) = corners
     if vertex_of[r0, c0] < 0 or vertex_of[r1, c1] < 0 or vertex_of[r2, c2] < 0:
         return count
     if (area_of(r0, c0, r1, c1, r2, c2) > 0) == is_mirrored:
@@ -671,15 +675,14 @@ def _add(r0, c0, r1, c1, r2, c2, is_mirrored, vertex_of, triangles, count):
 
 
 @kernel
-def _add_in_quad(
-    r0, c0, r1, c1, r2, c2, valid, is_mirrored, is_active, vertex_of, triangles, count
-):
+def _add_in_quad(corners, valid, is_mirrored, is_active, vertex_of, triangles, count):
     """Append one half of a quad of samples; the triangle of three that are valid with its first.
 
     `valid` has a bit for each corner, row by row, that is not void.
     """
     if valid == 15:
-        return _add(r0, c0, r1, c1, r2, c2, is_mirrored, vertex_of, triangles, count)
+        return _add(corners, is_mirrored, vertex_of, triangles, count)
+    (r0, c0), (r1, c1), (r2, c2) = corners
     top, left = min(r0, r1, r2), min(c0, c1, c2)
     is_nw, is_ne, is_sw, is_se = valid & 1, valid & 2, valid & 4, valid & 8
     n_valid = int(is_nw != 0) + int(is_ne != 0) + int(is_sw != 0) + int(is_se != 0)
@@ -690,7 +693,7 @@ def _add_in_quad(
     r0, c0 = (top, left) if is_nw else (top + 1, left + 1)
     r1, c1 = (top, left + 1) if is_ne else (top + 1, left)
     r2, c2 = (top + 1, left) if is_sw and is_ne else (top + 1, left + 1)
-    return _add(r0, c0, r1, c1, r2, c2, is_mirrored, vertex_of, triangles, count)
+    return _add(((r0, c0), (r1, c1), (r2, c2)), is_mirrored, vertex_of, triangles, count)
 
 
 # Borders
@@ -704,28 +707,31 @@ def follow_borders(
 
     Without the factor of heights.
     """
-    count, largest = 0, 0.0
+    found = 0, 0.0
     for side in range(4):
         if open_sides[side]:
-            count, largest = _follow_border(
-                side, shape, heights, is_active, vertex_of, vertices, z_scale, matrix, planes,
-                edges, count, largest,
-            )  # fmt: skip
-    return count, largest / z_scale
+            place = 0 if side < 2 else shape[side - 2] - 1
+            line = place, side & 1, shape[0] if side & 1 else shape[1]
+            found = _follow_border(
+                line, heights, is_active, vertex_of, vertices, z_scale, matrix, planes, edges, found
+            )
+    return found[0], found[1] / z_scale
 
 
 @kernel
 def _follow_border(
-    side, shape, heights, is_active, vertex_of, vertices, z_scale, matrix, planes, edges, count,
-    largest,
-):  # fmt: skip
-    """Append the edges along one side; return how many there are then, and the largest distance."""
-    before, start = -1, 0
-    place = 0 if side < 2 else shape[side - 2] - 1
-    down, right = side & 1, 1 - (side & 1)
+    line, heights, is_active, vertex_of, vertices, z_scale, matrix, planes, edges, found
+):
+    """Append the edges along one side; return how many there are then, and the largest distance.
+
+    `line` is its row or column, whether it goes down, and how many samples it has; `found` what
+    was returned of the sides before.
+    """
+    (place, down, n_samples), (count, largest) = line, found
+    before, start, right = -1, 0, 1 - down
     first_row, first_col = (0, place) if down else (place, 0)
     ends = np.empty((4, 3))
-    for at in range(shape[0] if down else shape[1]):
+    for at in range(n_samples):
         row, col = first_row + at * down, first_col + at * right
         if np.isnan(heights[row, col]):
             before = -1

@@ -1,0 +1,258 @@
+"""The answers to requests: what is asked, checked, goes to the tiles and files of `layers`."""
+
+from collections.abc import Callable
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any
+from urllib.parse import urlencode
+
+import numpy as np
+from fastapi import APIRouter, HTTPException, Query, Request, Response
+from fastapi.responses import FileResponse, JSONResponse, StreamingResponse
+from fastapi.routing import APIRoute
+
+from terrainwave.container.header import MEDIA_TYPE
+from terrainwave.ext.serve.catalog import describe
+from terrainwave.ext.serve.layers import Layer, Raster, Shelf, named
+from terrainwave.ext.serve.ranges import asked_span, is_same
+from terrainwave.ext.serve.sending import PART, Ahead, Desk, begun, parts
+from terrainwave.globe import terrain_rgb as tiling
+from terrainwave.globe.terrain_rgb import Look
+from terrainwave.globe.tile_scheme import MAX_ZOOM as LAST_MESH_ZOOM
+
+STATIC = Path(__file__).parent / "static"
+
+Rim = Annotated[int, Query(ge=0, le=tiling.MAX_RIM)]
+
+AskedEncoding = Annotated[str | None, Query(alias="encoding", pattern="^(mapbox|terrarium)$")]
+AskedVoids = Annotated[str | None, Query(alias="voids", pattern="^(height|transparent)$")]
+
+
+def asked_look(look: Look, encoding: str | None, voids: str | None) -> Look:
+    """Return the look that a request asks for, `look` where it does not say."""
+    is_clear = look.transparent_voids if voids is None else voids == "transparent"
+    return Look(encoding or look.encoding, is_clear)
+
+
+class _Route(APIRoute):
+    """A route that answers HEAD wherever it answers GET (RFC 9110, 9.1); the server cuts bodies."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        methods: set[str] = self.methods or set()
+        if "GET" in methods:
+            self.methods = methods | {"HEAD"}
+
+
+class Answers:
+    """What is answered, from the files of a shelf; a method for each address.
+
+    `look` is that of tiles where a request asks for none.
+    """
+
+    def __init__(
+        self,
+        layers: dict[str, Layer],
+        shelf: Shelf,
+        desk: Desk,
+        look: Look,
+        sea_level: str | float,
+    ) -> None:
+        self._layers, self._shelf, self._desk = layers, shelf, desk
+        self._look, self._sea_level = look, sea_level
+
+    def router(self) -> APIRouter:
+        """Return the router of all addresses."""
+        answers: dict[str, Callable[..., Any]] = {
+            "/": self._page,
+            "/terrains.json": self._terrains,
+            "/{name}/tiles.json": self._tiles,
+            "/{name}/rgb/{z}/{x}/{y}.png": self._rgb,
+            "/{name}/voids/{z}/{x}/{y}.png": self._voids,
+            "/{name}/mesh/layer.json": self._layer_json,
+            "/{name}/mesh/{z}/{x}/{y}.terrain": self._mesh,
+            "/{name}.tif": self._geotiff,
+            "/{name}.twz": self._file,
+            "/{name}/height": self._height,
+        }
+        router = APIRouter(route_class=_Route)
+        for path, answer in answers.items():
+            router.add_api_route(path, answer, methods=["GET"])
+        return router
+
+    def _find(self, name: str) -> Layer:
+        return named(name, self._layers)
+
+    def _tagged(self, request: Request, layer: Raster, of: Look | None = None) -> dict[str, str]:
+        """Return the headers of a tile, of a look if it has one; 304 if the client has it."""
+        # A server that begins anew may give another look to the same address.
+        kind = "" if of in (None, tiling.PLAIN) else f"-{'-'.join(map(str, of))}"
+        tag = f'"{layer.tag[:16]}{kind}"'
+        headers = {"ETag": tag, "Cache-Control": "max-age=3600"}
+        if is_same(request.headers.get("if-none-match", ""), tag):
+            raise HTTPException(304, headers=headers)
+        return headers
+
+    @cached_property
+    def _described(self) -> bytes:
+        encoding, sea_level = self._look.encoding, self._sea_level
+        layers = self._layers.values()
+        found = [describe(layer.name, layer.globe, encoding, sea_level) for layer in layers]
+        return bytes(JSONResponse(found).body)
+
+    async def _page(self) -> FileResponse:
+        return FileResponse(STATIC / "index.html")
+
+    async def _terrains(self) -> Response:
+        return Response(self._described, media_type="application/json")
+
+    async def _tiles(
+        self,
+        request: Request,
+        name: str,
+        rim: Rim = 0,
+        asked_encoding: AskedEncoding = None,
+        voids: AskedVoids = None,
+    ) -> dict[str, object]:
+        layer = self._find(name)
+        url = f"{request.base_url}{name}/rgb/{{z}}/{{x}}/{{y}}.png"
+        asked = {"rim": rim or None, "encoding": asked_encoding, "voids": voids}
+        query = urlencode({key: value for key, value in asked.items() if value is not None})
+        shown = asked_look(self._look, asked_encoding, voids)
+        return tiling.tile_json(
+            layer.globe, f"{url}?{query}" if query else url, name, shown.encoding
+        )
+
+    async def _rgb(
+        self,
+        request: Request,
+        name: str,
+        z: int,
+        x: int,
+        y: int,
+        rim: Rim = 0,
+        asked_encoding: AskedEncoding = None,
+        voids: AskedVoids = None,
+    ) -> Response:
+        layer, shown = self._find(name), asked_look(self._look, asked_encoding, voids)
+        check_tile(z, x, y, tiling.MAX_ZOOM)
+        headers = self._tagged(request, layer, shown)
+        tile = await self._desk.do(layer.rgb_tile, z, x, y, rim, shown)
+        if tile is None and rim:
+            png = tiling.void_tile(layer.globe, shown)
+            return Response(png, media_type="image/png", headers=headers)
+        if tile is None:
+            return Response(status_code=204, headers=headers)
+        headers["X-Tile-Error"] = f"{tile.error:.3f}"
+        headers["X-Terrain-Error"] = f"{tile.terrain_error:.3f}"
+        return Response(tile.png, media_type="image/png", headers=headers)
+
+    async def _voids(
+        self,
+        request: Request,
+        name: str,
+        z: int,
+        x: int,
+        y: int,
+        color: Annotated[str, Query(pattern="^[0-9A-Fa-f]{6}$")],
+        rim: Rim = 0,
+    ) -> Response:
+        layer = self._find(name)
+        check_tile(z, x, y, tiling.MAX_ZOOM)
+        headers = self._tagged(request, layer)
+        png = await self._desk.do(layer.covering, z, x, y, rim, color, Look(self._look.encoding))
+        if png is None:
+            return Response(status_code=204, headers=headers)
+        return Response(png, media_type="image/png", headers=headers)
+
+    async def _layer_json(self, name: str) -> dict[str, Any]:
+        return await self._desk.do(self._find(name).tiles.layer)
+
+    async def _mesh(self, request: Request, name: str, z: int, x: int, y: int) -> Response:
+        layer = self._find(name)
+        check_tile(z, x, y, LAST_MESH_ZOOM, n_first=2)
+        headers = self._tagged(request, layer)
+        tile = await self._desk.do(layer.tiles.tile, z, x, y)
+        if tile is None:
+            raise HTTPException(404, f"no tile {z}/{x}/{y}: there is no terrain", headers)
+        if tile.error is not None:
+            headers["X-Tile-Error"] = f"{tile.surface_error:.3f}"
+            headers["X-Terrain-Error"] = f"{tile.error - tile.surface_error:.3f}"
+        return Response(tile.data, media_type="application/vnd.quantized-mesh", headers=headers)
+
+    async def _geotiff(self, request: Request, name: str) -> Response:
+        raster = self._shelf.find(name)
+        size = await self._desk.do(lambda: raster.geotiff.size)
+        headers = self._tagged(request, raster)
+        read = raster.geotiff.read_at
+        return await self._send(request, headers, "image/tiff", size, read, raster.ahead)
+
+    async def _file(self, request: Request, name: str) -> Response:
+        raster = self._shelf.find(name)
+        source = raster.terrain.container.source
+        return await self._send(
+            request, self._tagged(request, raster), MEDIA_TYPE, source.size, source.read
+        )
+
+    async def _send(
+        self,
+        request: Request,
+        headers: dict[str, str],
+        media_type: str,
+        size: int,
+        read: Callable[[int, int], bytes],
+        ahead: Ahead | None = None,
+    ) -> Response:
+        """Return the bytes that are asked for of a resource, or what HEAD wants to know."""
+        span = asked_span(request.headers, size, headers["ETag"])
+        if span is None:
+            return Response(status_code=416, headers=headers | {"Content-Range": f"bytes */{size}"})
+        headers |= span.headers
+        status = 206 if span.is_part else 200
+        if request.method == "HEAD":
+            return Response(status_code=status, headers=headers, media_type=media_type)
+        if span.stop - span.start <= PART:
+            body = await self._desk.do(read, span.start, span.stop - span.start)
+            return Response(body, status, headers, media_type)
+        made = await begun(parts(self._desk, read, span, ahead))
+        return StreamingResponse(made, status, headers, media_type)
+
+    async def _height(
+        self,
+        name: str,
+        lon: Annotated[float, Query(ge=-720, le=720)],
+        lat: Annotated[float, Query(ge=-90, le=90)],
+    ) -> dict[str, float | None]:
+        layer = self._find(name)
+        return await self._desk.do(height_at, layer, lon, lat)
+
+
+def check_tile(z: int, x: int, y: int, last_zoom: int, n_first: int = 1) -> None:
+    """Refuse an address outside a tile pyramid with `n_first` tiles, side by side, on zoom 0.
+
+    Raises
+    ------
+    HTTPException
+        404, with one line that says what is expected.
+    """
+    if not 0 <= z <= last_zoom:
+        raise HTTPException(404, f"found zoom {z}, expected 0 … {last_zoom}")
+    n_columns, n_rows = n_first << z, 1 << z
+    if not (0 <= x < n_columns and 0 <= y < n_rows):
+        raise HTTPException(
+            404, f"found tile {x}/{y}, expected 0 … {n_columns - 1} / 0 … {n_rows - 1} at zoom {z}"
+        )
+
+
+def height_at(layer: Layer, longitude: float, latitude: float) -> dict[str, float | None]:
+    """Return the height in metres at a place, null where there is none, and the file's bound."""
+    globe = layer.globe
+    rows, cols = globe.to_samples(np.array([longitude]), np.array([latitude]))
+    heights, _ = globe.heights_at(rows, cols, globe.terrain.grid.k_max)
+    height = float(heights[0])
+    return {
+        "lon": longitude,
+        "lat": latitude,
+        "height": None if np.isnan(height) else height,
+        "max_error": globe.effective_error,
+    }

@@ -1,0 +1,375 @@
+"""`TerrainFile`: an open .twz file and its heights. Reading starts here."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.arguments import (
+    VOIDS,
+    check_choice,
+    check_flags,
+    checked_number,
+    checked_numbers,
+    checked_whole,
+    shown,
+)
+from terrainwave.errors import InvalidArgumentError, LimitExceededError
+from terrainwave.file.described import DescribedFile
+from terrainwave.file.info import Info, info_of
+from terrainwave.names import METHODS, methods_that
+from terrainwave.place.position import longitude_turn
+from terrainwave.read.places import places_of, to_samples
+from terrainwave.read.resample import RESAMPLING, resample
+
+if TYPE_CHECKING:
+    from terrainwave.read.decoder import TreeDecoder
+    from terrainwave.read.levels import LevelReader
+    from terrainwave.read.native import NativeFile
+
+DEFAULT_MAX_BYTES = 4 << 30
+# What becomes of damaged blocks.
+ON_ERROR = ("raise", "mask")
+# Heights in the dtype of the raster.
+RasterHeights = NDArray[np.integer[Any] | np.floating[Any]]
+
+
+class EarlyHeights(NamedTuple):
+    """Heights and validity of a window, and the bytes of payloads that were read for them."""
+
+    heights: NDArray[Any]
+    valid: NDArray[np.bool_]
+    n_bytes: int
+
+
+class TerrainFile(DescribedFile):
+    """An open .twz file: windows of heights at any level, decoded on demand.
+
+    Parameters
+    ----------
+    source : path, URL, bytes or binary file object
+        What to read. Opening reads the header and the first index page only.
+    cache_bytes : int
+        Decoded heights kept in memory, least recently used dropped first.
+    threads : int, optional
+        Threads that decode; the number of processors by default.
+    native : bool
+        Read heights by the native library where the package terrainwave-native is installed; the
+        heights are the same. ``TERRAINWAVE_NATIVE=0`` in the environment is False for all files.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If `threads` is below 1.
+    CorruptStreamError, UnsupportedVersionError
+        If the bytes are not a .twz file this version reads.
+    StorageError
+        If the file or URL cannot be read.
+
+    Notes
+    -----
+    Thread-safe. Picklable if opened by path or URL. A context manager.
+    """
+
+    def close(self) -> None:
+        """Close the file and stop the threads."""
+        if "_levels" in self.__dict__:
+            self._levels.close()
+        super().close()
+
+    @cached_property
+    def decoder(self) -> "TreeDecoder":
+        """Return the decoder of the file's units, with its cache; heights are in quanta."""
+        # Imported when heights are first read: opening a file and `info` need no numba.
+        from terrainwave.read.tiles import make_decoder
+
+        return make_decoder(self.header, self.container.payloads, self._cache_bytes)
+
+    @cached_property
+    def _levels(self) -> "LevelReader":
+        from terrainwave.read.levels import LevelReader
+
+        return LevelReader(
+            str(self.name),
+            self.header,
+            self.n_threads,
+            self.container.payloads,
+            lambda: self.decoder,
+            self._native(),
+            may_have_voids=self._raster.mask_kind != "none",
+        )
+
+    def _native(self) -> "NativeFile | None":
+        """Return what reads the file by the native library; None where that is not to be used."""
+        from terrainwave.read import native
+
+        library = native.installed() if self.is_native and native.is_wanted() else None
+        if library is None:
+            return None
+        return native.NativeFile(
+            library, self.container, cache_bytes=self._cache_bytes, n_threads=self.n_threads
+        )
+
+    def info(self) -> Info:
+        """Return a summary of the file, from its header alone."""
+        return info_of(self)
+
+    def read(
+        self,
+        window: Any = None,
+        *,
+        bounds: Sequence[float] | None = None,
+        level: int = -1,
+        out_shape: tuple[int, int] | None = None,
+        resampling: str = "nearest",
+        masked: bool = False,
+        on_error: str = "raise",
+        voids: str | None = None,
+        max_bytes: int = DEFAULT_MAX_BYTES,
+    ) -> RasterHeights:
+        """Read heights in the file's dtype, the void value in voids.
+
+        Heights are as stored in the raster: ``scale * stored + offset`` of `info` makes them
+        physical, where the band has them.
+
+        Parameters
+        ----------
+        window : optional
+            Part of the level to read, in samples of that level; clipped to it. One of:
+
+            - ``(first_row, first_col, n_rows, n_cols)``: rows before columns, then how many of
+              each. ``(100, 50, 20, 30)`` is rows 100 … 119 of columns 50 … 79.
+            - a rasterio ``Window``, in whole samples;
+            - ``numpy.s_[100:120, 50:80]``: a slice of rows and one of columns, without steps.
+        bounds : (left, bottom, right, top), optional
+            Instead of `window`: the pixels that touch this rectangle, in the CRS.
+        level : int
+            Resolution level: -1 the full grid, -2 half, …; 0 the coarsest.
+        out_shape : tuple of int, optional
+            Resample the window to this shape.
+        resampling : str
+            ``"nearest"``, ``"bilinear"`` or ``"average"``; used with `out_shape`.
+        masked : bool
+            Return a masked array, as rasterio does.
+        on_error : str
+            ``"raise"``, or ``"mask"``: a damaged block reads as void and the rest is returned.
+        voids : str, optional
+            Which samples of a coarse level are void. ``"exact"``: those where the full grid is
+            void, sample by sample. ``"any"``: those alone around which nothing is valid; the others
+            have a height that is a fill, as meshes need it. By default exact, if the file tells
+            (format 1.1); else any, with one warning. To find exact voids of an older file, the
+            finest payloads of the window are read, too.
+        max_bytes : int
+            Refuse a larger result.
+
+        Returns
+        -------
+        heights : ndarray of the raster's dtype (`dtype`), shape (n_rows, n_cols)
+            A copy; a `numpy.ma.MaskedArray` if `masked`. The dtype is that of the raster, on every
+            level: uint8, int16, uint16, int32, float32 or float64. On the full grid every valid
+            sample is within `effective_error` of the original; of floats on a decimal grid (0.1,
+            0.01 …) this holds for the decimal numbers, and the floats nearest to two of them may
+            differ by one float spacing more (`Info.float_error`; `compress` with `strict`).
+
+        Raises
+        ------
+        InvalidArgumentError
+            If an argument is out of range or the window misses the level.
+        LimitExceededError
+            If the result would be larger than `max_bytes`.
+        CorruptStreamError
+            If a block is damaged and `on_error` is ``"raise"``; the message names it.
+        """
+        check_choice("on_error", on_error, ON_ERROR)
+        check_choice("resampling", resampling, RESAMPLING)
+        check_flags(masked=masked)
+        max_bytes = checked_whole("max_bytes", max_bytes, least=0)
+        if out_shape is not None:
+            out_shape = checked_numbers("out_shape", out_shape, "n_rows, n_cols", is_whole=True)
+            if min(out_shape) < 1:
+                raise InvalidArgumentError(
+                    f"found `out_shape` {shown(out_shape)}, expected at least (1, 1)"
+                )
+        index = self.level_index(level)
+        region = self.region(window, bounds=bounds, level=level)
+        self._check_size(out_shape or region.shape, max_bytes)
+        if out_shape is None:
+            heights, void = self._levels.read(index, region, on_error, voids)
+        else:
+            heights, void = resample(
+                lambda shift, part: self._levels.read(index - shift, part, on_error, voids),
+                region,
+                out_shape,
+                resampling,
+                index,
+                self.grid,
+                max_bytes,
+            )
+        if void is not None:
+            heights[void] = self._raster.void_value
+        if masked:
+            fill = None if self._raster.nodata is None else self.dtype.type(self._raster.nodata)
+            mask = np.zeros(heights.shape, dtype=np.bool_) if void is None else void
+            return np.ma.MaskedArray(heights, mask=mask, fill_value=fill)
+        return heights
+
+    def read_with_mask(
+        self,
+        window: Any = None,
+        *,
+        level: int = -1,
+        on_error: str = "raise",
+        voids: str | None = None,
+    ) -> tuple[RasterHeights, NDArray[np.bool_]]:
+        """Return heights and validity of a window of a level; arguments as in `read`.
+
+        What `read` cannot tell: a raster with a mask of its own may hold any value in its voids.
+        """
+        check_choice("on_error", on_error, ON_ERROR)
+        region = self.region(window, level=level)
+        index = self.level_index(level)
+        return self._filled(*self._levels.read(index, region, on_error, voids))
+
+    def _filled(
+        self, heights: NDArray[Any], void: NDArray[np.bool_] | None
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Return heights with the void value in voids, and validity."""
+        if void is not None:
+            heights[void] = self._raster.void_value
+        return _with_valid(heights, void)
+
+    def read_early(
+        self,
+        window: Any = None,
+        *,
+        quality: float,
+        level: int = -1,
+        on_error: str = "raise",
+        voids: str | None = None,
+    ) -> EarlyHeights:
+        """Return the best heights of a window that so many bits per sample give.
+
+        Parameters
+        ----------
+        window, level, on_error, voids
+            As in `read`.
+        quality : float
+            Bits per sample of the window to read of payloads; > 0. The heads of all tiles needed
+            are read in any case.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If the file is not of method cdf53, whose streams alone can be read in part, or
+            `quality` is out of range.
+        """
+        check_choice("on_error", on_error, ON_ERROR)
+        quality = checked_number("quality", quality, above=0)
+        method, index = self.header.method, self.level_index(level)
+        region = self.region(window, level=level)
+        if not METHODS[method].is_cuttable:
+            fit = methods_that(lambda method: method.is_cuttable)
+            raise InvalidArgumentError(
+                f"found `quality` and a file of method {method}, expected one of method"
+                f" {fit}: other streams cannot be read in part"
+            )
+        from terrainwave.read.early import early_decoder
+
+        decoder, payloads = early_decoder(
+            self.container, index, region, quality, cache_bytes=self._cache_bytes
+        )
+        found = self._filled(*self._levels.read(index, region, on_error, voids, decoder))
+        return EarlyHeights(*found, payloads.n_bytes)
+
+    def sample(
+        self,
+        points: Iterable[tuple[float, float]] | NDArray[np.float64],
+        *,
+        level: int = -1,
+        voids: str | None = None,
+    ) -> NDArray[np.float64]:
+        """Return bilinear heights at world coordinates, in physical units.
+
+        Parameters
+        ----------
+        points : sequence of (x, y), or array of shape (n_points, 2)
+            Places in the file's CRS. Longitudes may be of any turn: -170 and 190 are the same, and
+            a raster around the whole globe goes on from its last column to its first.
+        level, voids
+            As in `read`.
+
+        Returns
+        -------
+        heights : ndarray of float64, shape (n_points,)
+            NaN outside the outermost samples and where a sample needed is void. The error bound
+            holds at samples, not between them.
+        """
+        places = places_of(points)
+        if voids is not None:
+            check_choice("voids", voids, VOIDS)
+        index, turn = self.level_index(level), longitude_turn(self.crs)
+        if turn is not None:
+            places = turn.near(places, self.bounds)
+        rows, cols = to_samples(places, self.level_place(index).transform)
+        heights = self._heights_at(index, rows, cols, voids)
+        last = self.grid.level_shape(index)[1] - 1
+        beyond = np.isfinite(cols) & ((cols < 0) | (cols > last))
+        if (
+            turn is not None
+            and beyond.any()
+            and turn.is_whole(self._raster.transform, self.shape[1])
+        ):
+            # Between the last column and the first one of the next turn.
+            n_around = self.shape[1] / self.grid.stride(index)
+            across = np.mod(cols[beyond] - last, n_around) / (n_around - last)
+            ends = [
+                self._heights_at(index, rows[beyond], np.full(across.shape, column), voids)
+                for column in (float(last), 0.0)
+            ]
+            heights[beyond] = ends[0] * (1 - across) + ends[1] * across
+        return heights
+
+    def _heights_at(
+        self, level: int, rows: NDArray[np.float64], cols: NDArray[np.float64], voids: str | None
+    ) -> NDArray[np.float64]:
+        """Return bilinear heights at fractional samples; NaN outside the outermost and in voids."""
+        n_rows, n_cols = self.grid.level_shape(level)
+        inside = (rows >= 0) & (rows <= n_rows - 1) & (cols >= 0) & (cols <= n_cols - 1)
+        heights = np.full(len(rows), np.nan)
+        if inside.any():
+            raw, is_void = self._levels.bilinear(level, rows[inside], cols[inside], voids)
+            physical = raw * self._raster.scale + self._raster.offset
+            heights[inside] = np.where(is_void, np.nan, physical)
+        return heights
+
+    def count_voids(self) -> int:
+        """Return the number of void samples of the full grid; decodes all of it, band by band."""
+        n_rows, n_cols = self.shape
+        n_voids = 0
+        for row in range(0, n_rows, self.grid.block):
+            _, valid = self.read_with_mask((row, 0, self.grid.block, n_cols))
+            n_voids += int(valid.size - np.count_nonzero(valid))
+        return n_voids
+
+    def check(self) -> Iterator[str]:
+        """Check all checksums and decode every unit; yield what is wrong, in plain words."""
+        from terrainwave.read.check import check_units
+
+        return check_units(self.container, self.decoder)
+
+    def _check_size(self, shape: tuple[int, int], max_bytes: int) -> None:
+        n_bytes = int(shape[0]) * int(shape[1]) * self.dtype.itemsize
+        if n_bytes > max_bytes:
+            raise LimitExceededError(
+                f"the window holds {shape[0]} x {shape[1]} samples, {n_bytes:,} bytes; more than"
+                f" max_bytes = {max_bytes:,}: read a smaller window or a coarser level"
+            )
+
+
+def _with_valid(
+    heights: NDArray[Any], void: NDArray[np.bool_] | None
+) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Return heights and validity, of heights and what is void."""
+    return heights, np.ones(heights.shape, dtype=np.bool_) if void is None else ~void

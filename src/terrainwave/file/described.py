@@ -1,0 +1,360 @@
+"""`DescribedFile`: an open .twz file and what its header and its index say; no heights."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property, partial
+from typing import Any, Self
+
+import numpy as np
+from affine import Affine
+from numpy.typing import NDArray
+
+from terrainwave.arguments import check_flags, checked_threads, checked_whole, in_one_line
+from terrainwave.codec.registry import check_layout, check_parameters
+from terrainwave.container.codes import decode_error, decode_range
+from terrainwave.container.header import LAYOUT_FEATURES, Header
+from terrainwave.container.parts import Parts, parts_of
+from terrainwave.container.reader import Container
+from terrainwave.container.sources.addresses import display_name
+from terrainwave.container.sources.opening import open_source
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.file.callable_transform import CallableTransform
+from terrainwave.grid.affine import EVEN, bounds, coordinates, is_turned, of_level, pixel_size
+from terrainwave.grid.quadtree import Block, Region
+from terrainwave.grid.quantum import Quantizer
+from terrainwave.names import METHODS
+from terrainwave.place.units import HeightUnit
+from terrainwave.place.units import height_unit as unit_of
+from terrainwave.raster_io.info import RasterInfo
+from terrainwave.read.places import LevelPlace, region_of_window
+
+DEFAULT_CACHE_BYTES = 256 << 20
+
+
+class DescribedFile:
+    """An open .twz file: its grid, its place, its bounds on errors. Opening needs no numba."""
+
+    def __init__(
+        self,
+        source: Any,
+        *,
+        cache_bytes: int = DEFAULT_CACHE_BYTES,
+        threads: int | None = None,
+        native: bool = True,
+    ) -> None:
+        check_flags(native=native)
+        self.n_threads = checked_threads(threads)
+        cache_bytes = checked_whole("cache_bytes", cache_bytes, least=0)
+        self._arguments = (source, cache_bytes, threads, native)
+        self.is_native = native
+        self._source = open_source(source)
+        try:
+            self.container = Container(self._source)
+            header = self.container.header
+            bits = LAYOUT_FEATURES.items()
+            told = sum(layout for layout, bit in bits if header.features & bit)
+            check_parameters(header.method, header.parameters)
+            check_layout(header.method, header.parameters, told)
+            # Null means the same as a key that is missing (FORMAT.md §4.2).
+            known = {name: value for name, value in header.metadata.items() if value is not None}
+            known |= {"n_rows": header.n_rows, "n_cols": header.n_cols, "dtype": header.dtype}
+            self._raster = RasterInfo.from_metadata(known)
+        except BaseException:
+            self._source.close()
+            raise
+        self.name = source if isinstance(source, str | os.PathLike) else "<bytes>"
+        if isinstance(source, str):
+            self.name = display_name(source)
+        self.grid = header.grid
+        self._cache_bytes = cache_bytes
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        n_rows, n_cols = self.shape
+        return in_one_line(
+            f"<{type(self).__name__} {self.name}: {n_rows} x {n_cols} {self.dtype},"
+            f" within {self.effective_error:.6g} {self.units or '(unit unknown)'},"
+            f" {self._raster.crs_name}>"
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        source, cache_bytes, threads, native = self._arguments
+        if not isinstance(source, str | os.PathLike):
+            raise TypeError("only what was opened by path or URL can be pickled")
+        made = partial(type(self), cache_bytes=cache_bytes, threads=threads, native=native)
+        return made, (source,)
+
+    def close(self) -> None:
+        """Close the file."""
+        self.container.close()
+
+    @property
+    def pyramid(self) -> str:
+        """Return of what heights coarse levels are made (`names.Method.pyramid`)."""
+        return METHODS[self.header.method].pyramid
+
+    @property
+    def quantizer(self) -> Quantizer:
+        """Return the quantizer of the file's heights."""
+        return self.header.quantizer
+
+    @property
+    def header(self) -> Header:
+        """Return the file's header (FORMAT.md §4), in raw units."""
+        return self.container.header
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Return the numbers of rows and columns of the full grid."""
+        return self.grid.n_rows, self.grid.n_cols
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Return the type of the heights as stored in the source raster."""
+        return np.dtype(self._raster.dtype)
+
+    @property
+    def raster_info(self) -> RasterInfo:
+        """Return the source raster's description: size, type, nodata, place, units."""
+        return self._raster
+
+    @property
+    def nodata(self) -> int | float | None:
+        """Return the source's nodata value, if it declared one."""
+        return self._raster.nodata
+
+    @property
+    def units(self) -> str | None:
+        """Return the unit of heights: the band's, else that of the CRS's vertical axis."""
+        return self.height_unit.name
+
+    @cached_property
+    def height_unit(self) -> HeightUnit:
+        """Return the unit of heights, and who names it."""
+        return unit_of(self._raster.units, self._raster.crs)
+
+    @property
+    def res(self) -> tuple[float, float]:
+        """Return width and height of a pixel of the full grid, in units of the CRS; both > 0."""
+        return pixel_size(self._raster.transform)
+
+    @property
+    def crs(self) -> str | None:
+        """Return the coordinate reference system as ``AUTH:CODE`` or WKT2."""
+        return self._raster.crs
+
+    @property
+    def n_levels(self) -> int:
+        """Return the number of resolution levels; level 0 is the coarsest, -1 the full grid."""
+        return self.grid.k_max + 1
+
+    @property
+    def max_error(self) -> float:
+        """Return the bound that was asked for, in physical units (after scale and offset).
+
+        Patches add to it how far they have moved heights that they knew no original of, and heights
+        that came out of a lossy file the bound of that one.
+        """
+        return self.header.max_error * abs(self._raster.scale)
+
+    @property
+    def effective_error(self) -> float:
+        """Return the bound that holds, in physical units; at most `max_error`."""
+        return self.header.effective_error * abs(self._raster.scale)
+
+    @property
+    def quanta_error(self) -> float:
+        """Return the bound of the heights that meshes are made of, in physical units.
+
+        `effective_error`, but in exact files of heights on no grid, whose meshes are made of
+        heights rounded to the vertical quantum.
+        """
+        return self.header.quanta_error * abs(self._raster.scale)
+
+    def level_index(self, level: int) -> int:
+        """Return `level` counted from 0; negative levels count from the full grid, as Python does.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If there is no such level.
+        """
+        last = self.n_levels - 1
+        expected = f"0 … {last} or -1 (full) … -{self.n_levels}"
+        if last == 0:
+            expected = "0 or -1: the file has one level, the full grid"
+        found = checked_whole("level", level, least=-self.n_levels, most=last, expected=expected)
+        return found + self.n_levels if found < 0 else found
+
+    def level_shape(self, level: int = -1) -> tuple[int, int]:
+        """Return the numbers of rows and columns of a level."""
+        return self.grid.level_shape(self.level_index(level))
+
+    @property
+    def transform(self) -> Affine:
+        """Return the affine transform of the full grid, as rasterio's datasets have it.
+
+        x = a col + b row + c and y = d col + e row + f at pixel corners. `transform_of` gives that
+        of levels and windows. ``transform(level, window)`` still works until 2.0, with a
+        DeprecationWarning.
+        """
+        return CallableTransform.made(self._raster.transform, self.transform_of)
+
+    def transform_of(self, level: int = -1, window: Any = None) -> Affine:
+        """Return the affine transform of a level, or of a window of it.
+
+        Levels are samples at positions: the centre of the first pixel is the same on every level,
+        the pixel grows by 2^j.
+
+        Parameters
+        ----------
+        level : int
+            Resolution level, as in `read`.
+        window : optional
+            A window as in `read`, but not clipped.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If there is no such level, or `window` is no window.
+        """
+        row, col, _, _ = self.level_place(level).asked(window, None)
+        a, b, c, d, e, f = self.level_place(level, row, col).transform
+        return Affine(a, b, c, d, e, f)
+
+    def level_place(self, level: int = -1, row: int = 0, col: int = 0) -> LevelPlace:
+        """Return a level's shape and place, from one of its samples on, and the raster's bounds."""
+        index = self.level_index(level)
+        transform = of_level(self._raster.transform, self.grid.stride(index), row, col)
+        return LevelPlace(self.grid.level_shape(index), transform, self.bounds)
+
+    def is_turned(self, level: int = -1) -> bool:
+        """Say whether a place along a row or a column of a level needs both, x and y."""
+        return is_turned(self.level_place(level).transform, self.level_shape(level))
+
+    def coordinates(
+        self, level: int = -1, window: Any = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return x and y of samples' places, to the last bit as rioxarray has them.
+
+        Parameters
+        ----------
+        level : int
+            Resolution level, as in `read`.
+        window : optional
+            A window as in `read`, whose samples are all told: where the level `is_turned`. By
+            default x of columns and y of rows.
+
+        Returns
+        -------
+        x, y : ndarray of float64
+            Of shape (n_cols,) and (n_rows,), or that of the window.
+        """
+        transform = self.level_place(level).transform
+        if window is not None:
+            row, col, n_rows, n_cols = region_of_window(window, self.level_shape(level))
+            rows, cols = np.mgrid[row : row + n_rows, col : col + n_cols].astype(np.float64)
+            return coordinates(transform, rows, cols)
+        rows, cols = (np.arange(size, dtype=np.float64) for size in self.level_shape(level))
+        x, _ = coordinates(transform, np.zeros_like(cols), cols)
+        _, y = coordinates(transform, rows, np.zeros_like(rows))
+        return x, y
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Return (left, bottom, right, top) of the raster's pixels in its CRS."""
+        return bounds(self._raster.transform, self.shape)
+
+    def parts(self) -> Parts:
+        """Return the bytes of each part of the file; reads the whole index."""
+        parts = parts_of(self.container)
+        if METHODS[self.header.method].is_tiled:  # of several levels together
+            return replace(parts, heights=(sum(parts.heights),))
+        return parts
+
+    def block_error(self, block: Block) -> float:
+        """Return the stored error of a block's bilinear surface, in physical units.
+
+        No valid original under the block is further from the bilinear interpolation of its
+        decoded samples. It has been measured; that of a faithful file is an upper bound.
+        """
+        code = self.container.codes(block)[2]
+        return decode_error(code) * self.quantizer.quantum * abs(self._raster.scale)
+
+    def block_box(self, block: Block) -> tuple[float, float]:
+        """Return lowest and highest height of a block and all below it, in physical units.
+
+        Every original under the block lies between, and so does the bilinear surface of each block
+        at or below it. A block without valid samples has the box of its parent.
+        """
+        header, scale = self.header, self._raster.scale
+        low, high = self.box_quanta(block)
+        unit = header.quantum.numerator / header.quantum.denominator * scale
+        ends = [(quanta + header.base) * unit + self._raster.offset for quanta in (low, high)]
+        return min(ends), max(ends)
+
+    def box_quanta(self, block: Block) -> tuple[int, int]:
+        """Return a block's lowest and highest height as the index states them, in quanta."""
+        header, key = self.header, block.parent
+        # Inside the box of the key if the segment of the key lists that block, else the raster's.
+        is_first = block.level == 0 or self.grid.segment_head(key) == key
+        outer = (header.z_min, header.z_max) if is_first else self.box_quanta(key)
+        below, above = self.container.codes(block)[:2]
+        return decode_range(below, above, *outer)
+
+    @property
+    def mesh_kind(self) -> str:
+        """Return the kind of the file's meshes, ``"none"`` if it has none."""
+        return self.header.mesh
+
+    def mesh_error(self, block: Block) -> float:
+        """Return the stored error of a block's mesh, an upper bound, in physical units.
+
+        No valid original that the mesh covers is further from it.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If the file has no meshes.
+        """
+        if self.mesh_kind == "none":
+            raise InvalidHeightsError("the file has no meshes: add them with terrainwave mesh")
+        code = self.container.codes(block)[3]
+        return decode_error(code) * self.quantizer.quantum * abs(self._raster.scale)
+
+    def level_errors(self) -> list[float]:
+        """Return the largest stored error of the blocks of each level, the coarsest level first."""
+        codes = [0] * self.n_levels
+        for segment in self.container.present_segments():
+            for block, row in segment.block_rows.items():
+                codes[block.level] = max(codes[block.level], int(segment.page.codes[row, 2]))
+        unit = self.quantizer.quantum * abs(self._raster.scale)
+        return [decode_error(code) * unit for code in codes]
+
+    def region(
+        self, window: Any = None, *, bounds: Sequence[float] | None = None, level: int = -1
+    ) -> Region:
+        """Return the part of a level that a window or bounds name, clipped to the level.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If both are given, one is malformed, or they miss the level.
+        """
+        return self.level_place(level).region(window, bounds)
+
+    def note_on_cut(
+        self, window: Any = None, *, bounds: Sequence[float] | None = None, level: int = -1
+    ) -> str | None:
+        """Say that a window or bounds reach beyond a level, and what is left of it; None if not.
+
+        `region` cuts them without a word, as `read` tells; who writes a file passes this on.
+        """
+        slack = EVEN * min(self.res)  # what rounding of coordinates in text leaves out
+        return self.level_place(level).note_on_cut(window, bounds, slack)

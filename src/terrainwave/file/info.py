@@ -1,0 +1,140 @@
+"""What a file says about itself in one record: `Info`."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from terrainwave.codec.registry import newer_layout
+from terrainwave.container.header import Header
+from terrainwave.file.described import DescribedFile
+from terrainwave.names import EFFORTS, FORMATS
+
+
+@dataclass(frozen=True)
+class Info:
+    """What a .twz file says about itself; errors are in physical units.
+
+    `format` is the first version of the format whose readers know all that the file uses.
+    `faithful`: the file follows the paper of its method to the letter.
+    `float_error` is how much further apart than `max_error` stored floats may be: one spacing,
+    where they name decimal numbers and the file is not strict.
+    `moved_error` is the share of `effective_error` that patches, or a file before, have added.
+    `units` is the unit of heights and `units_from` who names it: the ``"band"`` or the ``"CRS"``;
+    `units_of_crs` is what the CRS's vertical axis says where the band says something else.
+    `voids` is how voids are told: ``"none"``, by their ``"nodata"`` value, as ``"nan"``, or by a
+    ``"mask"``; it is the way of the source, which may have no void at all.
+    """
+
+    path: str
+    n_bytes: int
+    n_rows: int
+    n_cols: int
+    dtype: str
+    bits_per_sample: float
+    ratio: float
+    max_error: float
+    effective_error: float
+    quantum: float
+    rounding_error: float
+    float_error: float
+    moved_error: float
+    units: str | None
+    units_from: str | None
+    units_of_crs: str | None
+    method: str
+    effort: str
+    format: str
+    faithful: bool
+    block: int
+    border_rings: int
+    mesh: str
+    mesh_tolerance: float
+    n_levels: int
+    level_shapes: tuple[tuple[int, int], ...]
+    crs: str | None
+    transform: tuple[float, ...]
+    bounds: tuple[float, float, float, float]
+    nodata: float | int | None
+    scale: float
+    offset: float
+    area_or_point: str | None
+    description: str | None
+    minimum: float | None
+    maximum: float | None
+    voids: str
+    tags: dict[str, str]
+    band_tags: dict[str, str]
+    color_interpretation: str | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values; what JSON cannot say becomes a string."""
+        fields = asdict(self)
+        if isinstance(self.nodata, float) and not np.isfinite(self.nodata):
+            fields["nodata"] = str(self.nodata)
+        return fields
+
+
+def info_of(terrain: DescribedFile) -> Info:
+    """Return a summary of the file, from its header alone."""
+    header, raster = terrain.header, terrain.raster_info
+    n_samples = header.n_rows * header.n_cols
+    quantum = terrain.quantizer.quantum * abs(raster.scale)
+    is_strict = terrain.quantizer.is_strict(header.max_error, header.effective_bound)
+    float_error = 0.0 if is_strict else terrain.quantizer.float_error
+    has_heights = header.z_min <= header.z_max
+    physical = [
+        terrain.quantizer.height_of(quantum) * raster.scale + raster.offset
+        for quantum in (header.z_min, header.z_max)
+    ]
+    return Info(
+        path=str(terrain.name),
+        n_bytes=terrain.container.source.size,
+        n_rows=header.n_rows,
+        n_cols=header.n_cols,
+        dtype=header.dtype,
+        bits_per_sample=8 * terrain.container.source.size / n_samples,
+        ratio=n_samples * terrain.dtype.itemsize / terrain.container.source.size,
+        max_error=terrain.max_error,
+        effective_error=terrain.effective_error,
+        quantum=quantum,
+        rounding_error=terrain.quantizer.rho * abs(raster.scale),
+        float_error=float_error * abs(raster.scale),
+        moved_error=header.moved * quantum,
+        units=terrain.units,
+        units_from=terrain.height_unit.source,
+        units_of_crs=terrain.height_unit.of_crs,
+        method=header.method,
+        effort=EFFORTS[min(header.effort, len(EFFORTS) - 1)],
+        format=format_of(header),
+        faithful=header.is_faithful,
+        block=header.block,
+        border_rings=header.border_rings,
+        mesh=header.mesh,
+        mesh_tolerance=header.mesh_tolerance / 16 * quantum,
+        n_levels=terrain.n_levels,
+        level_shapes=tuple(terrain.grid.level_shape(level) for level in range(terrain.n_levels)),
+        crs=raster.crs,
+        transform=tuple(raster.transform),
+        bounds=terrain.bounds,
+        nodata=raster.nodata,
+        scale=raster.scale,
+        offset=raster.offset,
+        area_or_point=raster.area_or_point,
+        description=raster.description,
+        minimum=min(physical) if has_heights else None,
+        maximum=max(physical) if has_heights else None,
+        voids=raster.mask_kind,
+        tags=dict(raster.tags),
+        band_tags=dict(raster.band_tags),
+        color_interpretation=raster.color_interpretation,
+    )
+
+
+def format_of(header: Header) -> str:
+    """Return the first version of the format whose readers know all that a file uses.
+
+    Tables by reach are older than their feature bit.
+    """
+    is_newer = newer_layout(header.method, header.parameters) > 0
+    return FORMATS[-1] if is_newer else header.format

@@ -1,0 +1,181 @@
+"""The mesh of a tile: made of its heights, counted in the steps of its file, and measured."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.export.quantized_mesh import STEPS, tile_bytes
+from terrainwave.globe.tile_heights import UNIT, TileHeights, TileSamples
+from terrainwave.globe.tile_scheme import TileScheme
+from terrainwave.mesh.blocks import BlockSamples, SideTolerances, border_lines
+from terrainwave.tri.halves.borders import beside_void
+from terrainwave.tri.halves.halves import triangulate
+from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
+from terrainwave.tri.surface import deviation_at_points
+
+_SMALLEST_STEP = 1.0 / (1 << FRACTION_BITS)
+
+
+class TileMesh(NamedTuple):
+    """A tile and what is known of it.
+
+    Parameters
+    ----------
+    data : bytes
+        The .terrain file.
+    n_vertices, n_triangles : int
+    surface_error : float or None
+        Metres. No sample of the level read, and no bilinear height at the tile's cells, is further
+        from the tile's surface; None where no triangle has valid heights at all its corners.
+    error : float or None
+        The same, and what originals can be from the level's bilinear surface.
+    """
+
+    data: bytes
+    n_vertices: int
+    n_triangles: int
+    surface_error: float | None
+    error: float | None
+
+
+class TileMesher:
+    """Meshes of the tiles of a scheme, within the tolerance of their heights."""
+
+    def __init__(self, scheme: TileScheme, heights: TileHeights) -> None:
+        self._scheme, self._heights = scheme, heights
+
+    def _mesh(self, samples: TileSamples, zoom: int) -> BlockMesh:
+        """Return the mesh of a tile's heights, places in half cells from its north-west corner."""
+        inner = slice(1, -1)
+        heights = np.ascontiguousarray(samples.heights[inner, inner])
+        # Vertices stay on both sides of a void's edge, so that it is as steep as the cells allow.
+        locked = np.where(
+            samples.valid[inner, inner],
+            beside_void(samples.valid | ~samples.exists),
+            beside_void(~samples.valid | ~samples.exists),
+        )
+        spacing = self._scheme.lattice(zoom)
+        locked[::spacing, ::spacing] = True
+        tolerance = math.floor(self._heights.tolerance(zoom) / UNIT * (1 << FRACTION_BITS))
+        lines = border_lines(
+            BlockSamples(heights, samples.valid[inner, inner], locked),
+            SideTolerances(tolerance, tolerance, tolerance, tolerance),
+            self._scheme.cells,
+        )
+        everywhere = np.ones_like(locked)
+        mesh = triangulate(heights, everywhere, locked, lines, tolerance)
+        if (_areas(_rounded(mesh, self._scheme.cells)) <= 0).any():
+            # Rounding has turned a sliver over: then all cells.
+            mesh = triangulate(heights, everywhere, everywhere, lines, tolerance)
+        return mesh
+
+    def tile(self, zoom: int, x: int, y: int) -> TileMesh:
+        """Return a tile."""
+        samples = self._heights.samples(zoom, x, y)
+        mesh = _in_order_of_use(self._mesh(samples, zoom))
+        size = 180 / (1 << zoom)
+        west, south = -180 + x * size, -90 + y * size
+        low, step = self._height_steps(mesh, zoom)
+        steps = np.rint((mesh.heights / (1 << FRACTION_BITS) - low) / step)
+        whole = np.rint((low + steps * step) * (1 << FRACTION_BITS)).astype(np.int64)
+        mesh = _rounded(mesh, self._scheme.cells)._replace(heights=whole)
+        u = mesh.cols / (2 * self._scheme.cells) * STEPS
+        v = STEPS - mesh.rows / (2 * self._scheme.cells) * STEPS
+        quantized = np.rint(np.stack([u, v, steps], axis=1)).astype(np.int16)
+        points = np.stack(
+            [
+                west + quantized[:, 0] / STEPS * size,
+                south + quantized[:, 1] / STEPS * size,
+                (low + steps * step) * UNIT,
+            ],
+            axis=1,
+        )
+        surface_error, error = self._errors(mesh, samples, zoom, x, y)
+        heights = low * UNIT, (low + STEPS * step) * UNIT
+        about: dict[str, Any] = {
+            "bounds": [west, south, west + size, south + size],
+            "geometricerror": error,
+            "surfaceerror": surface_error,
+        }
+        if zoom == 0:
+            about["available"] = self._scheme.availability(1)
+        triangles = mesh.triangles[:, ::-1].astype(np.int64)
+        ellipsoid = self._scheme.globe.ellipsoid
+        data = tile_bytes(points, quantized, triangles, heights, ellipsoid, about)
+        return TileMesh(data, len(points), len(triangles), surface_error, error)
+
+    def _height_steps(self, mesh: BlockMesh, zoom: int) -> tuple[int, float]:
+        """Return the lowest height and the step that a tile counts in, in units.
+
+        The step is the edges' or that halved as often as the tile's range, and float32, allow.
+        """
+        edge_step = self._heights.edge_step(zoom)
+        low = math.floor(int(mesh.heights.min()) / (edge_step << FRACTION_BITS)) * edge_step
+        highest = int(mesh.heights.max()) / (1 << FRACTION_BITS)
+        step = float(edge_step)
+        while (
+            step > _SMALLEST_STEP
+            and highest - low <= STEPS * step / 2
+            and np.float32((low + STEPS * step / 2) * UNIT) == (low + STEPS * step / 2) * UNIT
+        ):
+            step /= 2
+        return low, step
+
+    def _errors(
+        self, mesh: BlockMesh, samples: TileSamples, zoom: int, x: int, y: int
+    ) -> tuple[float | None, float | None]:
+        """Return `TileMesh.surface_error` and `TileMesh.error` of a mesh as it is written."""
+        if samples.window is None:
+            return None, None
+        inner = slice(1, -1)
+        rows, cols = np.nonzero(samples.valid[inner, inner])
+        at_cells = rows.astype(np.float64), cols.astype(np.float64)
+        at_samples, heights = self._heights.samples_in_tile(samples.window, zoom, x, y)
+        rows_, cols_ = (np.concatenate(pair) for pair in zip(at_cells, at_samples, strict=True))
+        there = np.concatenate([samples.exact[inner, inner][rows, cols], heights])
+        # A vertex of a merged cell stands for valid heights only, or for voids only.
+        places = (
+            np.rint(mesh.rows).astype(np.int64) >> 1,
+            np.rint(mesh.cols).astype(np.int64) >> 1,
+        )
+        is_valid = samples.valid[inner, inner][places]
+        worst, n_points = deviation_at_points(
+            mesh,
+            is_valid[mesh.triangles].all(axis=1),
+            rows_,
+            cols_,
+            there / UNIT * (1 << FRACTION_BITS),
+            self._scheme.cells,
+        )
+        if not n_points:
+            return None, None
+        error = worst / (1 << FRACTION_BITS) * UNIT
+        return error, error + self._scheme.globe.heights_error(samples.window)
+
+
+def _rounded(mesh: BlockMesh, cells: int) -> BlockMesh:
+    """Return a mesh at the places that a tile can tell."""
+    scale = STEPS / (2 * cells)
+    rows = (STEPS - np.rint(STEPS - mesh.rows * scale)) / scale
+    return mesh._replace(rows=rows, cols=np.rint(mesh.cols * scale) / scale)
+
+
+def _areas(mesh: BlockMesh) -> NDArray[np.float64]:
+    r, c = mesh.rows[mesh.triangles], mesh.cols[mesh.triangles]
+    areas: NDArray[np.float64] = (c[:, 1] - c[:, 0]) * (r[:, 2] - r[:, 0])
+    areas -= (c[:, 2] - c[:, 0]) * (r[:, 1] - r[:, 0])
+    return areas
+
+
+def _in_order_of_use(mesh: BlockMesh) -> BlockMesh:
+    """Return a mesh whose vertices come as triangles, turned over, first use them."""
+    turned = mesh.triangles[:, ::-1]
+    used, first, places = np.unique(turned.ravel(), return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty(len(order), dtype=np.int32)
+    rank[order] = np.arange(len(order), dtype=np.int32)
+    triangles = rank[places.reshape(-1, 3)][:, ::-1]
+    at = used[order]
+    return BlockMesh(mesh.rows[at], mesh.cols[at], mesh.heights[at], triangles)

@@ -1,0 +1,60 @@
+"""`MeshData`: the numbers of a mesh in world coordinates."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.arguments import count_of, crs_name, in_one_line
+
+
+@dataclass(frozen=True, repr=False)
+class MeshData:
+    """A triangulated surface in world coordinates: the fields of `export.mesh.Mesh`, told there.
+
+    `attributes` are passed on with the mesh: ``is_placed`` tells whether its x and y are places.
+    """
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    origin: tuple[float, float, float]
+    error: float
+    crs: str | None = None
+    units: str | None = None
+    attributes: dict[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return in_one_line(
+            f"<Mesh: {count_of(self.n_triangles, 'triangle')}, {self.n_vertices:,} vertices,"
+            f" within {self.error:.6g} {self.units or '(unit unknown)'}, {crs_name(self.crs)}>"
+        )
+
+    @property
+    def n_vertices(self) -> int:
+        """Return the number of vertices."""
+        return len(self.vertices)
+
+    @property
+    def n_triangles(self) -> int:
+        """Return the number of triangles."""
+        return len(self.triangles)
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """Return the vertices in the CRS, `origin` added."""
+        return self.vertices + np.asarray(self.origin)
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Return (left, bottom, right, top) of the vertices in the CRS.
+
+        Raises
+        ------
+        ValueError
+            If the mesh has no vertex.
+        """
+        if not self.n_vertices:
+            raise ValueError("the mesh is empty: it has no bounds")
+        low, high = self.points.min(axis=0), self.points.max(axis=0)
+        return float(low[0]), float(low[1]), float(high[0]), float(high[1])

@@ -1,0 +1,238 @@
+"""What the names and attributes of xarray's objects say: which dimension is x, where samples lie.
+
+By names alone, as xarray is no dependency: `array` is whatever has dims, coords and attrs. What is
+said is taken as the CF conventions and rioxarray mean it; what is not said is refused or noted,
+never guessed.
+"""
+
+import contextlib
+import re
+from typing import Any, NamedTuple
+
+from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
+from terrainwave.grid.affine import IDENTITY, Transform
+from terrainwave.place.crs import format_crs
+from terrainwave.raster_io.labelled.place import crs_of, stored_transform, transform_of
+from terrainwave.raster_io.labelled.signs import (
+    by_axis,
+    by_name,
+    by_standard_name,
+    by_units,
+    coords_along,
+    mapping_name,
+    places_of,
+    sizes_of,
+    title,
+)
+
+_DEPTHS = (
+    "{} says that its numbers are depths (positive: down); they are taken as they are, so terrain"
+    " made of them is upside down: give the array negated, without that attribute"
+)
+
+
+class Layer(NamedTuple):
+    """Rows and columns of one array, and what its coordinates, attributes and accessor say."""
+
+    array: Any  # rows, then columns
+    transform: Transform
+    crs: str | None
+    notes: list[str]
+
+
+def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> Layer:
+    """Return the one layer of heights that a DataArray holds; `source` is what it was taken from.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If there are several layers, or nothing says which dimension is x, or where samples lie.
+    InvalidArgumentError
+        If there is no such band.
+    """
+    crs, notes = crs_of(array, source)
+    goes_down = str(array.attrs.get("positive", "")).lower() == "down"
+    depth_notes = [_DEPTHS.format(title(array))] * goes_down
+    roles = _roles(array, source)
+    if len(roles) < 2:
+        roles = _unnamed(array, roles, may_guess=not georeference or crs is None)
+    layer, band_notes = _only_layer(array, roles, band)
+    if tuple(layer.dims) != (roles["y"], roles["x"]):
+        layer = layer.transpose(roles["y"], roles["x"])
+    if 0 in layer.shape:
+        raise InvalidHeightsError(
+            f"{title(array)} has the dimensions {sizes_of(array)}; expected at least one sample"
+            " along each: choose another part"
+        )
+    if not georeference:
+        return Layer(layer, IDENTITY, None, [*band_notes, *depth_notes])
+    transform = transform_of(layer, crs)
+    notes = [*band_notes, *depth_notes, *notes]
+    if transform is None:
+        if crs is not None:
+            notes.append(
+                f"no transform says where the samples of {title(array)} lie, so its CRS is"
+                " dropped: give it coordinates, or a transform by array.rio.write_transform"
+            )
+        return Layer(layer, IDENTITY, None, notes)
+    return Layer(layer, transform, format_crs(crs), notes)
+
+
+# Which variable.
+
+
+def variable_of(source: Any) -> Any:
+    """Return the DataArray of heights: `source` itself, or the only such variable that it has.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If a Dataset or a node of a DataTree has several or none.
+    """
+    if hasattr(source, "to_dataset") and hasattr(source, "children"):
+        kind, groups = "DataTree", list(map(str, source.children))
+        source = source.to_dataset()
+    else:
+        kind, groups = "Dataset", []
+    if not hasattr(source, "data_vars"):
+        return source
+    described = _describing(source)
+    found = [
+        name
+        for name, variable in source.data_vars.items()
+        if variable.ndim >= 2 and variable.dtype.kind in "iufb" and name not in described
+    ]
+    if len(found) == 1:
+        array = source[found[0]]
+        mapping = mapping_name(array)
+        # As opened without decode_coords="all": the CRS lies beside the heights.
+        if mapping in source.variables and mapping not in array.coords:
+            array = array.assign_coords({mapping: source[mapping].variable})
+        return array
+    if found:
+        names = ", ".join(map(str, found))
+        raise InvalidHeightsError(
+            f"the {kind} has the variables {names}; expected one: choose it, for example"
+            f" dataset[{str(found[0])!r}]"
+        )
+    if groups:
+        raise InvalidHeightsError(
+            f"the {kind}'s root has no variable of rows and columns, its groups are"
+            f" {', '.join(groups)}; expected one: choose it, for example tree[{groups[-1]!r}]"
+        )
+    others = ", ".join(map(str, source.data_vars)) or "none"
+    raise InvalidHeightsError(
+        f"the {kind} has no variable of rows and columns; found {others}; expected one of heights"
+    )
+
+
+def _describing(dataset: Any) -> set[str]:
+    """Return the names of variables that only describe others: grid mappings, bounds of cells."""
+    names = set()
+    for variable in dataset.variables.values():
+        for fields in (variable.attrs, variable.encoding):
+            for key in ("grid_mapping", "bounds", "climatology"):
+                names |= set(re.split(r"[\s:]+", str(fields.get(key, "")))) - {""}
+    return names
+
+
+# Which dimension.
+
+
+def _roles(array: Any, source: Any) -> dict[str, Any]:
+    """Return the dimensions that are x and y, as far as anything says so, by the strongest sign."""
+    roles = _by_accessor(array, source)
+    for sign in (by_axis, by_standard_name, by_units, None, by_name):
+        found: dict[str, list[Any]] = {"x": [], "y": []}
+        for dim in array.dims:
+            if sign is None:  # the dimension's own name, before those of coordinates along it
+                said = set(by_name(dim, None))
+            else:
+                said = {role for coord in coords_along(array, dim) for role in sign(*coord)}
+            for role in said - set(roles):
+                if dim not in roles.values():
+                    found[role].append(dim)
+        for role, dims in found.items():
+            if len(dims) > 1:
+                raise InvalidHeightsError(
+                    f"{title(array)}: the dimensions {' and '.join(map(str, dims))} both say that"
+                    f" they are {role}; expected one: {_how_to_tell(array)}"
+                )
+            if dims and dims[0] not in roles.values():
+                roles[role] = dims[0]
+    return roles
+
+
+def _by_accessor(array: Any, source: Any) -> dict[str, Any]:
+    """Return what rioxarray was told, or finds."""
+    roles: dict[str, Any] = {}
+    for owner in (array, source):
+        accessor = getattr(owner, "rio", None)
+        for role in ("x", "y"):
+            # A RuntimeError of rioxarray's own, where it knows of none.
+            with contextlib.suppress(AttributeError, RuntimeError):
+                dim = getattr(accessor, f"{role}_dim")
+                if dim in array.dims:
+                    roles.setdefault(role, dim)
+    return roles
+
+
+def _unnamed(array: Any, roles: dict[str, Any], *, may_guess: bool) -> dict[str, Any]:
+    """Return the roles of dimensions that nothing names: by places of samples, or their order."""
+    dims = tuple(dim for dim in array.dims if dim != "band")
+    places = places_of(array)
+    if places is not None:
+        dims = tuple(dim for dim in array.dims if dim in places[0].dims)
+    elif not may_guess or any(coords_along(array, dim) for dim in dims) or stored_transform(array):
+        raise InvalidHeightsError(
+            f"{title(array)} has the dimensions {sizes_of(array)}, and nothing says which of them"
+            f" are x and y; expected rows and columns: {_how_to_tell(array)}"
+        )
+    long = [dim for dim, size in zip(array.dims, array.shape) if size > 1 and dim in dims]
+    if len(dims) != 2 and len(long) == 2:
+        dims = tuple(long)
+    if len(dims) < 2:
+        raise InvalidHeightsError(
+            f"{title(array)} has the dimensions {sizes_of(array)}; expected rows and columns"
+        )
+    row, col = dims[-2:]
+    if roles.get("x") == row or roles.get("y") == col:
+        row, col = col, row
+    return {"y": row, "x": col}
+
+
+def _how_to_tell(array: Any) -> str:
+    y, x = map(str, (*array.dims, "y", "x")[:2])
+    return (
+        'name them y and x, or give their coordinates the attribute axis, "Y" and "X", or'
+        f" array.rio.set_spatial_dims(x_dim={x!r}, y_dim={y!r})"
+    )
+
+
+def _only_layer(array: Any, roles: dict[str, Any], band: int) -> tuple[Any, list[str]]:
+    """Return the array without dimensions besides x and y: the band asked for, or the only one."""
+    key: list[Any] = []
+    notes: list[str] = []
+    has_bands = False
+    for dim, size in zip(array.dims, array.shape):
+        if dim in roles.values():
+            key.append(slice(None))
+        elif dim == "band":
+            if not 1 <= band <= size:
+                raise InvalidArgumentError(
+                    f"`band` {band} does not exist, {title(array)} has {size}"
+                )
+            if size > 1 and band == 1:
+                notes.append(f"{title(array)} has {size} bands; using band 1 (choose with `band`)")
+            key.append(band - 1)
+            has_bands = True
+        elif size == 1:
+            key.append(0)
+        else:
+            raise InvalidHeightsError(
+                f"{title(array)} has the dimensions {sizes_of(array)}; expected rows and columns:"
+                f" choose one layer of {dim}, for example array.isel({dim}=0)"
+            )
+    if band != 1 and not has_bands:
+        raise InvalidArgumentError(f"`band` {band} does not exist, {title(array)} has 1")
+    return (array if len(key) == 2 else array[tuple(key)]), notes

@@ -1,0 +1,122 @@
+"""Which values of an array mark voids, by its attributes, encoding and accessor."""
+
+import contextlib
+import math
+import re
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.raster_io.labelled.signs import title
+
+
+class Voids(NamedTuple):
+    """The values that mark voids, in stored units, and the range of all others."""
+
+    values: list[int | float]
+    valid_range: tuple[float, float] | None
+    notes: list[str]
+
+
+def voids_of(array: Any, band: int) -> Voids:
+    """Return what the accessor, attributes and encoding of a DataArray declare to be void.
+
+    As the CF conventions allow, several values may. `array` is the very object that was given: what
+    its accessor was told, no part of it knows.
+    """
+    attrs, encoding = array.attrs, getattr(array, "encoding", {})
+    declared: list[Any] = []
+    # rioxarray converts to the array's type, which may not hold it.
+    with contextlib.suppress(AttributeError, OverflowError, RuntimeError, TypeError, ValueError):
+        if array.rio.nodata == array.rio.nodata:  # NaN stands for one of the encoding
+            declared.append(array.rio.nodata)
+    # Those of an encoding with a scale count in packed numbers: none of these is left.
+    is_packed = bool({"scale_factor", "add_offset"} & set(encoding)) or _is_unsigned(encoding)
+    if _is_unsigned(attrs) and array.dtype.kind == "i":
+        raise InvalidHeightsError(
+            f"{title(array)}: the attribute _Unsigned says that its numbers of type {array.dtype}"
+            " have no sign; expected them as they are meant: open the file with"
+            f" mask_and_scale=True, or array.astype('u{array.dtype}') without that attribute"
+        )
+    for fields in (attrs, {} if is_packed else encoding):
+        declared += [fields.get(name) for name in _FILL_NAMES]
+        per_band = np.atleast_1d(np.asarray(fields.get("nodatavals", ()), dtype=object))
+        declared += list(per_band[band - 1 : band] if per_band.size > 1 else per_band)
+    values: dict[Any, int | float] = {}
+    for value in declared:
+        for number in _numbers(value):
+            values.setdefault("nan" if number != number else number, number)
+    return Voids(list(values.values()), *_valid_range(attrs, encoding, array.dtype))
+
+
+def _is_unsigned(fields: Any) -> bool:
+    """Tell whether the convention of netCDF-3, which has no types without sign, is followed."""
+    return str(fields.get("_Unsigned", "")).lower() == "true"
+
+
+_FILL_NAMES = ("_FillValue", "missing_value", "fill_value", "nodata")
+
+
+def _numbers(value: Any) -> list[int | float]:
+    """Return the numbers of an attribute, which may be one or several, or text."""
+    if value is None or isinstance(value, bool):
+        return []
+    with contextlib.suppress(TypeError, ValueError):
+        words = re.split(r"[\s,;]+", value.strip("[](){} ")) if isinstance(value, str) else value
+        numbers = np.atleast_1d(np.asarray(words))
+        if numbers.dtype.kind not in "iuf":
+            numbers = numbers.astype(np.float64)
+        return [number.item() for number in numbers.ravel()]
+    return []
+
+
+def number_of(fields: Any, name: str, default: float) -> float:
+    """Return the one number that an attribute has.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If it has another value.
+    """
+    if name not in fields:
+        return default
+    numbers = _numbers(fields[name])
+    if len(numbers) != 1:
+        raise InvalidHeightsError(
+            f"the attribute {name} is {str(fields[name])[:40]!r}; expected a number: correct it"
+        )
+    return float(numbers[0])
+
+
+def _valid_range(
+    attrs: Any, encoding: Any, dtype: np.dtype[Any]
+) -> tuple[tuple[float, float] | None, list[str]]:
+    """Return the range of valid values, in the numbers that the array holds, and a note.
+
+    The range is of packed numbers, unless it is of a wider type than these (CF 1.11, 2.5.1).
+    """
+    ends = _numbers(attrs.get("valid_range"))
+    if len(ends) != 2:
+        low, high = (_numbers(attrs.get(name)) for name in ("valid_min", "valid_max"))
+        ends = [low[0] if len(low) == 1 else -math.inf, high[0] if len(high) == 1 else math.inf]
+    if ends == [-math.inf, math.inf] or any(end != end for end in ends):
+        return None, []
+    is_decoded = bool({"scale_factor", "add_offset"} & set(encoding)) or _is_unsigned(encoding)
+    packing = encoding if is_decoded else attrs
+    packed_type = np.dtype(encoding.get("dtype", dtype)) if is_decoded else dtype
+    stated = [end for end in ends if math.isfinite(end)]
+    is_wide = packed_type.kind in "iu" and any(isinstance(end, float) for end in stated)
+    if is_decoded and _is_unsigned(encoding) and packed_type.kind in "iu" and not is_wide:
+        ends = [end % (1 << 8 * packed_type.itemsize) if end in stated else end for end in ends]
+    scale = number_of(packing, "scale_factor", 1.0)
+    offset = number_of(packing, "add_offset", 0.0)
+    if is_decoded and not is_wide:
+        ends = [end * scale + offset for end in ends]
+    elif not is_decoded and is_wide and math.isfinite(scale) and scale != 0:
+        ends = [(end - offset) / scale for end in ends]
+    low_end, high_end = sorted(map(float, ends))
+    return (low_end, high_end), [
+        f"samples outside the valid range that the attributes state, {low_end:g} to {high_end:g},"
+        " are voids"
+    ]

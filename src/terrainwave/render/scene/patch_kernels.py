@@ -1,0 +1,209 @@
+"""Kernels of building patches: heights at places of meshes, texels, edges on borders."""
+
+import numpy as np
+
+from terrainwave.coding.jit import inlined_kernel, kernel
+
+SKIRT_FLAG = 1 << 15
+
+
+@kernel
+def surface_at(rows, cols, heights, triangles, factor, first_row, first_col, numbers, out):
+    """Fill `out`, float64, with a mesh's heights at points of a grid; others stay as they are.
+
+    `numbers`, int32, has the points: place (r, c), which is (first_row + r, first_col + c) in units
+    of which a vertex's row and column count `factor` each, is point `numbers[r, c]`, or none where
+    that is < 0.
+    """
+    n_rows, n_cols = numbers.shape
+    for t in range(triangles.shape[0]):
+        p_0, p_1, p_2 = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        row_0 = np.int64(rows[p_0]) * factor - first_row
+        row_1 = np.int64(rows[p_1]) * factor - first_row
+        row_2 = np.int64(rows[p_2]) * factor - first_row
+        top, bottom = max(min(row_0, row_1, row_2), 0), min(max(row_0, row_1, row_2), n_rows - 1)
+        if top > bottom:
+            continue
+        col_0 = np.int64(cols[p_0]) * factor - first_col
+        col_1 = np.int64(cols[p_1]) * factor - first_col
+        col_2 = np.int64(cols[p_2]) * factor - first_col
+        left, right = max(min(col_0, col_1, col_2), 0), min(max(col_0, col_1, col_2), n_cols - 1)
+        area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
+        if left > right or area <= 0:
+            continue
+        z_0 = float(heights[p_0])
+        rise_1, rise_2 = float(heights[p_1]) - z_0, float(heights[p_2]) - z_0
+        step_1, step_2 = row_2 - row_0, row_0 - row_1
+        for row in range(top, bottom + 1):
+            weight_1 = (left - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row - row_0)
+            weight_2 = (col_1 - col_0) * (row - row_0) - (left - col_0) * (row_1 - row_0)
+            for col in range(left, right + 1):
+                # All three weights are >= 0.
+                if (weight_1 | weight_2 | (area - weight_1 - weight_2)) >= 0:
+                    number = numbers[row, col]
+                    if number >= 0:
+                        out[number] = z_0 + (weight_1 * rise_1 + weight_2 * rise_2) / area
+                weight_1 += step_1
+                weight_2 += step_2
+
+
+@kernel
+def bilinear_at(rows, cols, heights, mask, first_row, first_col, fallback, out):
+    """Fill `out`, float64, with heights of a coarser level at vertices, between its samples.
+
+    Parameters
+    ----------
+    rows, cols : ndarray of int32, shape (n,)
+        Of vertices, in half samples of their level from their block's first.
+    heights, mask : ndarray, 2-D
+        Samples of the level above it, from the sample at that place on. Past their sides the last
+        two go on linearly.
+    first_row, first_col : int
+        Half samples from there to the block's first.
+    fallback : ndarray of float64, shape (n,)
+        What is taken beside voids.
+    """
+    last_row, last_col = max(heights.shape[0] - 2, 0), max(heights.shape[1] - 2, 0)
+    step_row, step_col = min(heights.shape[0] - 1, 1), min(heights.shape[1] - 1, 1)
+    for k in range(rows.shape[0]):
+        at_row, at_col = rows[k] + first_row, cols[k] + first_col
+        row, col = min(at_row >> 2, last_row), min(at_col >> 2, last_col)
+        down, right = (at_row - 4 * row) / 4, (at_col - 4 * col) / 4
+        below, beside = row + step_row, col + step_col
+        if mask[row, col] and mask[row, beside] and mask[below, col] and mask[below, beside]:
+            upper = heights[row, col] * (1 - right) + heights[row, beside] * right
+            lower = heights[below, col] * (1 - right) + heights[below, beside] * right
+            out[k] = upper * (1 - down) + lower * down
+        else:
+            out[k] = fallback[k]
+
+
+@kernel
+def fill_texels(heights, mask, first_row, first_col, n_rows, n_cols, slopes_of, colors_of, out):
+    """Fill `out` with slopes to the east and north and heights to colour by, as float16.
+
+    Parameters
+    ----------
+    heights, mask : ndarray, 2-D
+        Samples around a block.
+    first_row, first_col, n_rows, n_cols : int
+        The part of them that `out` begins with may reach past all sides of it: place (r, c) is
+        sample (first_row + r, first_col + c), or the nearest one of the `n_rows` x `n_cols` from
+        (max(first_row, 0), max(first_col, 0)) on.
+    slopes_of : ndarray of float64, shape (5,)
+        Slopes are ``(a c + b r, d c + e r)`` of differences per column c and row r, 0 below the
+        fifth.
+    colors_of : ndarray of float64, shape (3,)
+        Of heights: factor, shift, and what is the most.
+    out : ndarray of uint16, shape (m, 3 n)
+        Bits of float16; what is below 2⁻¹⁴ is 0.
+    """
+    texels = np.empty(out.shape[1], dtype=np.float32)
+    bits = texels.view(np.uint32)
+    is_valid = mask.all()
+    a, b, d, e, least = slopes_of
+    factor, shift, most = colors_of
+    low_row, low_col = max(first_row, 0), max(first_col, 0)
+    last_row, last_col = heights.shape[0] - 1, heights.shape[1] - 1
+    for r in range(out.shape[0]):
+        row = min(max(first_row + r, low_row), low_row + n_rows - 1)
+        above, below = max(row - 1, 0), min(row + 1, last_row)
+        for c in range(out.shape[1] // 3):
+            col = min(max(first_col + c, low_col), low_col + n_cols - 1)
+            left, right = max(col - 1, 0), min(col + 1, last_col)
+            across, down = 0.0, 0.0
+            if is_valid:
+                height = float(heights[row, col]) * factor + shift
+                if right > left:
+                    across = (float(heights[row, right]) - float(heights[row, left])) / (
+                        right - left
+                    )
+                if below > above:
+                    down = (float(heights[below, col]) - float(heights[above, col])) / (
+                        below - above
+                    )
+            elif mask[row, col]:
+                height = float(heights[row, col]) * factor + shift
+                across = _difference(heights, mask, row, left, row, col, row, right)
+                down = _difference(heights, mask, above, col, row, col, below, col)
+            else:
+                height = _mean_around(heights, mask, row, col, factor, shift)
+            east, north = a * across + b * down, d * across + e * down
+            texels[3 * c] = min(max(east, -most), most) if abs(east) >= least else 0.0
+            texels[3 * c + 1] = min(max(north, -most), most) if abs(north) >= least else 0.0
+            texels[3 * c + 2] = min(max(height, -most), most)
+        for k in range(out.shape[1]):
+            out[r, k] = _half(bits[k])
+
+
+@inlined_kernel
+def _half(bits):
+    """Return the bits of a float16, rounded to even, of a float32's; below 2⁻¹⁴ that is 0."""
+    whole = np.int64(bits)
+    magnitude = whole & 0x7FFFFFFF
+    if magnitude < 0x38800000:
+        return np.uint16(0)
+    rounded = (magnitude + 0x0FFF + ((magnitude >> 13) & 1)) >> 13
+    return np.uint16((rounded - 0x1C000) | ((whole >> 16) & 0x8000))
+
+
+@kernel
+def _difference(heights, mask, row_0, col_0, row, col, row_1, col_1):
+    """Return the difference per sample over a valid one: central, one-sided, or 0."""
+    low = high = float(heights[row, col])
+    n = 0
+    if (row_0 != row or col_0 != col) and mask[row_0, col_0]:
+        low = float(heights[row_0, col_0])
+        n += 1
+    if (row_1 != row or col_1 != col) and mask[row_1, col_1]:
+        high = float(heights[row_1, col_1])
+        n += 1
+    return (high - low) / n if n else 0.0
+
+
+@kernel
+def _mean_around(heights, mask, row, col, factor, shift):
+    """Return the mean of valid samples around a void one, so that colours don't change beside it.
+
+    Samples past the side count as those at it; 0 where none is valid.
+    """
+    total, n = 0.0, 0
+    for r in range(row - 1, row + 2):
+        for c in range(col - 1, col + 2):
+            at = min(max(r, 0), heights.shape[0] - 1), min(max(c, 0), heights.shape[1] - 1)
+            if mask[at]:
+                total += float(heights[at]) * factor + shift
+                n += 1
+    return total / n if n else 0.0
+
+
+@kernel
+def border_edges(rows, cols, triangles, last_row, last_col, lower, edges):
+    """Fill the edges of triangles on the border of a block; return their number and ends'.
+
+    `last_row` and `last_col` are those of the block in half samples. `edges` is int32 (n, 2),
+    `lower`, of each vertex, is filled with its number among the ends of edges, -1 elsewhere.
+    """
+    n_edges, n_ends = 0, 0
+    for v in range(rows.shape[0]):
+        is_border = rows[v] == 0 or rows[v] == last_row or cols[v] == 0 or cols[v] == last_col
+        lower[v] = -1 if is_border else -2
+    for t in range(triangles.shape[0]):
+        for k in range(3):
+            a = triangles[t, k]
+            if lower[a] == -2:
+                continue
+            b = triangles[t, (k + 1) % 3]
+            if lower[b] == -2:
+                continue
+            same_row = rows[a] == rows[b] and (rows[a] == 0 or rows[a] == last_row)
+            same_col = cols[a] == cols[b] and (cols[a] == 0 or cols[a] == last_col)
+            if (same_row or same_col) and n_edges < edges.shape[0]:
+                edges[n_edges, 0] = a
+                edges[n_edges, 1] = b
+                n_edges += 1
+                for end in (a, b):
+                    if lower[end] == -1:
+                        lower[end] = n_ends
+                        n_ends += 1
+    return n_edges, n_ends

@@ -1,0 +1,118 @@
+"""The original raster, read by rasterio alone; what is valid is decided here anew."""
+
+import math
+import os
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import rasterio
+from rasterio.enums import MaskFlags
+from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
+from rasterio.windows import Window
+
+from terrainwave.errors import StorageError
+from terrainwave.grid.quadtree import Region
+from terrainwave.place.crs import format_crs
+from terrainwave.place.units import height_unit
+
+# Samples per window, and its height where the original is striped: windows of few rows would make
+# the decoder run the same blocks again and again.
+_WINDOW_SAMPLES = 4 * 2**20
+_WINDOW_SIDE = 2048
+_WINDOW_ROWS = 256
+
+_GDAL_CACHE_BYTES = 64 * 2**20
+
+
+def open_original(path: str | os.PathLike[str]) -> Any:
+    """Return the dataset of a raster."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            return rasterio.open(path)
+    except UnicodeEncodeError as error:
+        raise StorageError(
+            f"{path}: the name is not UTF-8, which GDAL expects; rename the file"
+        ) from error
+    except RasterioIOError as error:
+        if "://" not in os.fspath(path) and not os.path.exists(path):
+            raise StorageError(f"{path}: no such file") from error
+        raise StorageError(f"{path} is not a raster that GDAL can read: {error}") from error
+
+
+class Original:
+    """A band of a dataset of rasterio; `nodata` replaces the value that it declares."""
+
+    def __init__(self, dataset: Any, band: int, nodata: float | None) -> None:
+        self.dataset, self.band = dataset, band
+        self.shape = dataset.height, dataset.width
+        self.dtype = np.dtype(dataset.dtypes[band - 1])
+        declared = dataset.nodatavals[band - 1]
+        self.nodata = declared if nodata is None else nodata
+        self.scale = float(dataset.scales[band - 1])
+        flags = dataset.mask_flag_enums[band - 1]
+        self._has_mask = MaskFlags.all_valid not in flags and flags != [MaskFlags.nodata]
+        colors = enumerate(dataset.colorinterp, 1)
+        self._alphas = [n for n, color in colors if color.name == "alpha" and n != band]
+
+    def unit(self) -> str | None:
+        """Return the original's unit: its band's, else its CRS's, as a file says it."""
+        units = self.dataset.units[self.band - 1]
+        return height_unit(units, format_crs(self.dataset.crs)).name
+
+    def area_or_point(self) -> str:
+        """Return GDAL's tag; Area is its default."""
+        return str(self.dataset.tags().get("AREA_OR_POINT", "Area"))
+
+    def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return raw heights and validity of a window of the original."""
+        window = Window(col, row, n_cols, n_rows)
+        try:
+            with rasterio.Env(GDAL_CACHEMAX=_GDAL_CACHE_BYTES):
+                heights = self.dataset.read(self.band, window=window)
+                valid = ~self.is_nodata(heights)
+                if self._has_mask:
+                    valid &= self.dataset.read_masks(self.band, window=window) > 0
+                for alpha in self._alphas:
+                    valid &= self.dataset.read(alpha, window=window) > 0
+        except RasterioError as error:
+            raise StorageError(
+                f"the original cannot be read: {place_text(row, col, n_rows, n_cols)}"
+            ) from error
+        if self.dtype.kind == "f":
+            valid &= ~np.isnan(heights)
+        return heights, valid
+
+    def is_nodata(self, heights: np.ndarray) -> np.ndarray:
+        """Return which heights are the nodata value."""
+        if self.nodata is None or math.isnan(self.nodata):
+            return np.zeros(heights.shape, dtype=bool)
+        if self.dtype.kind == "f":
+            return heights == as_stored(self.nodata, self.dtype)
+        # Compared as float64, which holds every sample of our integer types: a nodata value out of
+        # the type's range equals none of them.
+        return heights.astype(np.float64) == float(self.nodata)
+
+    def windows(self) -> Iterator[Region]:
+        """Yield windows that suit both sides: squares for tiles, wide strips for strips."""
+        n_rows, n_cols = self.dataset.height, self.dataset.width
+        block_cols = self.dataset.block_shapes[self.band - 1][1]
+        if block_cols >= n_cols:
+            cols = min(n_cols, _WINDOW_SAMPLES // _WINDOW_ROWS)
+            rows = max(_WINDOW_SAMPLES // cols // _WINDOW_ROWS, 1) * _WINDOW_ROWS
+        else:
+            rows = cols = _WINDOW_SIDE
+        yield from Region(0, 0, n_rows, n_cols).tiles(rows, cols)
+
+
+def place_text(row: int, col: int, n_rows: int, n_cols: int) -> str:
+    """Name a window."""
+    return f"rows {row} to {row + n_rows - 1}, columns {col} to {col + n_cols - 1}"
+
+
+def as_stored(nodata: float, dtype: np.dtype[Any]) -> Any:
+    """Return the float that a file of `dtype` holds where it means `nodata`."""
+    with np.errstate(over="ignore", under="ignore"):
+        return np.float64(nodata).astype(dtype)

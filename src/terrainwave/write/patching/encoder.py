@@ -1,0 +1,135 @@
+"""Coding those units of a file again that no longer hold; all others are copied."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from terrainwave.codec.group import HAS_CORRECTIONS
+from terrainwave.codec.refiner import FREE, Decoded, GroupSpec, Heights, Mask
+from terrainwave.codec.registry import refiner_by_name
+from terrainwave.codec.shared_lines import shared_samples
+from terrainwave.codec.units import block_of_unit
+from terrainwave.file import TerrainFile
+from terrainwave.grid.quadtree import Block, Region
+from terrainwave.grid.remainders import Remainders
+from terrainwave.write.encoder import Ancestor, TreeEncoder, distance_of
+from terrainwave.write.patching.merged import Merged
+
+
+class PatchEncoder(TreeEncoder):
+    """Walks a file's units, and codes those again that no longer hold."""
+
+    def __init__(self, terrain: TerrainFile, merged: Merged, *rest: Any) -> None:
+        self._terrain = terrain
+        self._merged = merged
+        # Largest change of each block's decoded heights, in quanta, where anything changed.
+        self.changes: dict[Block, int] = {}
+        self.recoded: set[Block] = set()
+        # Of changed coarse blocks, how far finest heights, decoded where nothing else is known, are
+        # from their surfaces, in quanta.
+        self.apart: dict[Block, int] = {}
+        header = terrain.header
+        refiner = refiner_by_name(header.method, header.parameters)
+        # With the original all heights are known, and none needs to be put back; but corrections of
+        # earlier patches are heights that neighbours have as well.
+        self._corrects = header.step > 1 and (header.has_corrections or merged.is_open)
+        # Whether any unit has corrections.
+        self.has_corrections = False
+        parameters = replace(header.codec_parameters, has_corrections=self._corrects)
+        super().__init__(terrain.grid, refiner, parameters, *rest)
+
+    def code_unit(
+        self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
+    ) -> tuple[bytes, Decoded]:
+        """Return the unit's old payload, or a new one where that no longer holds."""
+        old = self._terrain.decoder.unit(key)
+        stored = self._terrain.container.payload(key)
+        payload, decoded = stored, old
+        if key in self.changes or not self._holds(spec, old, target, mask):
+            payload, decoded = super().code_unit(key, spec, parent, target, mask)
+        self.has_corrections |= bool(payload and payload[0] & HAS_CORRECTIONS)
+        if payload == stored and key not in self.changes:
+            return stored, old
+        self.recoded.add(key)
+        for block in self._grid.key_blocks(key):
+            before, after = (
+                block_of_unit(self._grid, spec, unit, block) for unit in (old, decoded)
+            )
+            changes = np.abs(after.heights.astype(np.int64) - before.heights)
+            change = int(changes.max())
+            if change or not _are_alike(before, after):
+                self.changes[block] = change
+        return payload, decoded
+
+    def kept(self, key: Block, spec: GroupSpec, target: Heights, mask: Mask) -> Heights | None:
+        """Return the heights of a unit that must come back, `FREE` elsewhere.
+
+        Those that the new raster does not cover, void or not as before. Of samples that neighbours
+        share, which may be copied, all that hold: each of them must find the same heights. There
+        voids have what is predicted, as a neighbour without a valid sample knows no other.
+        """
+        if not self._corrects:
+            return None
+        old = self._terrain.decoder.unit(key)
+        stays = self._merged.beyond(spec.region, self._grid.stride(spec.level))
+        shared = shared_samples(spec)
+        holds = np.abs(target.astype(np.int64) - old.heights) <= spec.half
+        stays |= shared & (holds | ~self._pyramid.own(spec.level, spec.region))
+        stays &= old.mask == mask
+        stays &= mask | ~shared
+        if not old.mask.any():
+            stays &= mask
+        return np.where(stays, old.heights, FREE)
+
+    def _holds(self, spec: GroupSpec, old: Decoded, target: Heights, mask: Mask) -> bool:
+        """Say whether a unit decodes to within the bound of the targets."""
+        if not np.array_equal(old.mask, mask):
+            return False
+        own = self._pyramid.own(spec.level, spec.region)
+        if spec.has_fills and not np.array_equal(old.own_mask, own):
+            return False
+        if spec.remainder_bytes:
+            rest = self._pyramid.remainders(spec.region, old.heights)
+            if not _are_same(rest, old.remainders):
+                return False
+        own = own & mask
+        if (np.abs(target.astype(np.int64) - old.heights) > spec.half)[own].any():
+            return False
+        # Of a height that was clipped the old multiple of the step is not known.
+        clipped = (old.heights == spec.z_min) | (old.heights == spec.z_max)
+        return spec.step == 1 or not (clipped & own & (target != old.heights)).any()
+
+    def _measure(
+        self,
+        spec: GroupSpec,
+        blocks: list[Block],
+        chain: list[Ancestor],
+        originals: Heights,
+        mask: Mask,
+        decoded: Decoded,
+    ) -> None:
+        super()._measure(spec, blocks, chain, originals, mask, decoded)
+        valid = decoded.mask[spec.core.slices_in(spec.region)]
+        if np.array_equal(mask, valid):
+            return
+        for ancestor in chain:
+            if ancestor.block in self.changes:
+                apart = distance_of(ancestor, spec.core, originals, valid, self._grid)
+                with self._lock:
+                    self.apart[ancestor.block] = max(apart, self.apart.get(ancestor.block, 0))
+
+    def measured(self, region: Region, mask: Mask) -> Mask:
+        """Return which samples of a region are known originals."""
+        return self._merged.known(region, mask)
+
+
+def _are_alike(before: Decoded, after: Decoded) -> bool:
+    """Say whether two units have the same valid samples, by themselves too."""
+    return np.array_equal(before.mask, after.mask) and np.array_equal(
+        before.own_mask, after.own_mask
+    )
+
+
+def _are_same(rest: Remainders, stored: Remainders | None) -> bool:
+    return bool((rest == (0 if stored is None else stored)).all())

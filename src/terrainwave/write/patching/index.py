@@ -1,0 +1,209 @@
+"""What the index of a patched file says of its blocks: errors, boxes, meshes and their errors.
+
+Where originals are known they are measured; elsewhere what the file said holds as well.
+"""
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
+from fractions import Fraction
+
+from terrainwave.codec.refiner import Heights, Mask
+from terrainwave.container.codes import decode_error, decode_range, encode_error, encode_range
+from terrainwave.container.header import Header
+from terrainwave.container.sink import SpoolSink
+from terrainwave.file import TerrainFile
+from terrainwave.grid.quadtree import Block, Region
+from terrainwave.mesh.blocks import measure_meshes, mesh_codes
+from terrainwave.mesh.sections import make_meshes
+from terrainwave.mesh.trees import tree_source
+from terrainwave.read.decoder import unit_key
+from terrainwave.read.tiles import make_decoder
+from terrainwave.write.boxes import Box, enclosing_boxes
+from terrainwave.write.encoder import Stats
+from terrainwave.write.patching.encoder import PatchEncoder
+from terrainwave.write.patching.merged import Merged
+from terrainwave.write.pyramid import Pyramid
+
+_CACHE_BYTES = 128 << 20
+# Beyond the raster's edge two rows or columns are continued, in both directions: 3 x 3 times what a
+# sample changes.
+_CONTINUED = 9
+
+
+class PatchedIndex:
+    """The codes of a patched file's blocks; `sink` has its payloads, and takes them.
+
+    Parameters
+    ----------
+    header : Header
+        Of the patched file.
+    counter : callable
+        Returns what counts the samples of a stage, of its name.
+    """
+
+    def __init__(
+        self,
+        terrain: TerrainFile,
+        header: Header,
+        merged: Merged,
+        pyramid: Pyramid,
+        sink: SpoolSink,
+        executor: Executor,
+        counter: Callable[[str], Callable[[int], None]],
+    ) -> None:
+        self._terrain, self._container, self._grid = terrain, terrain.container, terrain.grid
+        self._header, self._merged, self._pyramid, self._sink = header, merged, pyramid, sink
+        self._executor, self._counter = executor, counter
+        quantizer = terrain.quantizer
+        self._whole = quantizer.z_min, quantizer.z_max
+        self._lost = quantizer.lost
+
+    def update(self, stats: Stats, encoder: PatchEncoder) -> tuple[bool, float]:
+        """Set all codes; tell of any new one, and the error stated of unknown originals."""
+        errors, boxes = self._codes(stats, encoder)
+        mesh_errors = self._mesh(encoder.changes, errors)
+        return self._set_codes(errors, boxes, mesh_errors), self._stated_error(errors)
+
+    def _codes(
+        self, stats: Stats, encoder: PatchEncoder
+    ) -> tuple[dict[Block, int], dict[Block, Box]]:
+        """Return error codes and boxes; where originals are not known, the old ones hold as well.
+
+        A surface is nowhere further from originals than it was, and by how much it has moved; nor
+        than it is from the stored heights, and these are from originals.
+        """
+        between = self._terrain.header.coded_error + self._lost
+        errors: dict[Block, int] = {}
+        below: dict[Block, Box] = {}
+        for block, own in stats.items():
+            old = self._container.codes(block)
+            errors[block] = 0 if own.is_empty else encode_error(own.error + self._lost)
+            if self._merged.covers(self._grid.full_region(block)):
+                continue
+            moved = self._moved_surface(block, encoder.changes)
+            stated = decode_error(old[2]) + moved
+            if moved and block in encoder.apart:
+                stated = min(stated, encoder.apart[block] + between)
+            errors[block] = max(errors[block], encode_error(stated))
+            if any(old[:3]) or moved or not own.is_empty:
+                # Every original and its error lie in the box: it grows as the error does.
+                low, high = self._terrain.box_quanta(block)
+                grown = max(decode_error(errors[block]) - decode_error(old[2]), 0)
+                low, high = max(low - grown, self._whole[0]), min(high + grown, self._whole[1])
+                below[block] = low, high
+        return errors, enclosing_boxes(stats, errors, self._whole, below)
+
+    def _stated_error(self, errors: Mapping[Block, int]) -> float:
+        """Return the largest error stated of a block that holds an unknown original, raw units."""
+        grid = self._grid
+        codes = (
+            code
+            for block, code in errors.items()
+            if block.level == grid.k_max and not self._merged.covers(grid.full_region(block))
+        )
+        stated = decode_error(max(codes, default=0)) * self._terrain.quantizer.quantum
+        return min(float(stated), self._header.effective_bound)
+
+    def _moved_surface(self, block: Block, changes: Mapping[Block, int]) -> int:
+        """Return how far a block's surface has moved at unknown originals, in quanta."""
+        grid = self._grid
+        if block.level == grid.k_max:
+            return 0
+        reach = grid.stride(block.level) * grid.block
+        ends = (block.row + 1) * reach < grid.n_rows and (block.col + 1) * reach < grid.n_cols
+        return changes.get(block, 0) * (1 if ends else _CONTINUED)
+
+    def _mesh(self, changes: Mapping[Block, int], errors: Mapping[Block, int]) -> dict[Block, int]:
+        """Make all meshes again and measure them; return the codes of their errors."""
+        header, grid = self._header, self._grid
+        if header.mesh == "none":
+            return {}
+        decoder = make_decoder(header, self._sink.payloads, _CACHE_BYTES)
+        mesher, sections = make_meshes(
+            grid,
+            decoder,
+            lambda block: errors.get(block, 0),
+            header.mesh_tolerance,
+            has_voids=self._terrain.raster_info.mask_kind != "none",
+            kind=header.mesh,
+            executor=self._executor,
+            on_samples=self._counter("making meshes"),
+        )
+        self._sink.set_meshes(sections)
+
+        def known(region: Region) -> tuple[Heights, Mask]:
+            heights, mask = self._pyramid.originals(region)
+            return heights, self._merged.known(region, mask)
+
+        count = self._counter("measuring meshes")
+        lost = Fraction(self._lost)
+        codes = mesh_codes(measure_meshes(grid, mesher, known, self._executor, count, lost), lost)
+        moved = self._moved_meshes(changes, errors, sections)
+        open_blocks = {
+            block for block in errors if not self._merged.covers(grid.full_region(block))
+        }
+        for block in open_blocks - moved:
+            codes[block] = max(codes.get(block, 0), self._container.codes(block)[3])
+        if moved & open_blocks:
+            # Decoded heights stand in for originals that are not known.
+            lost += header.coded_error
+            measured = measure_meshes(
+                grid, mesher, self._pyramid.originals, self._executor, lambda n_samples: None, lost
+            )
+            away = mesh_codes(measured, lost)
+            for block in moved & open_blocks & set(away):
+                codes[block] = max(codes.get(block, 0), away[block])
+        return codes
+
+    def _moved_meshes(
+        self,
+        changes: Mapping[Block, int],
+        errors: Mapping[Block, int],
+        sections: Mapping[Block, bytes],
+    ) -> set[Block]:
+        """Return the blocks whose mesh may be another one than it was."""
+        grid = self._grid
+        causes = set(changes)
+        causes |= {block for block in errors if errors[block] != self._container.codes(block)[2]}
+        if tree_source(self._container.header.mesh, self._terrain.decoder) is not None:
+            # The group below a block changes its zero trees.
+            causes |= {block.parent for block in changes if block.level > 0}
+        moved = {
+            Block(level, row + down, col + right)
+            for level, row, col in causes
+            for down in (-1, 0, 1)
+            for right in (-1, 0, 1)
+        }
+        for block in errors:
+            key = unit_key(block)
+            if sections.get(key, b"") != self._container.mesh(key):
+                moved.add(block)
+        return {block for block in moved if grid.contains(block)}
+
+    def _set_codes(
+        self,
+        errors: Mapping[Block, int],
+        boxes: Mapping[Block, Box],
+        mesh_errors: Mapping[Block, int],
+    ) -> bool:
+        """Give every block its codes, the old ones where they say the same; tell of any new one."""
+        is_any_new = False
+        for spool in self._sink.spools.values():
+            before: dict[Block, Box] = {}
+            after: dict[Block, Box] = {}
+            for key in sorted(spool.keys()):
+                was_outer, outer = before.get(key, self._whole), after.get(key, self._whole)
+                codes = bytearray()
+                for block in self._grid.key_blocks(key):
+                    old = self._container.codes(block)
+                    before[block] = decode_range(old[0], old[1], *was_outer)
+                    box = boxes.get(block)
+                    # Coding a box that has been coded may widen it.
+                    is_same = outer == was_outer and box == before[block]
+                    ends = old[:2] if is_same else encode_range(*(box or outer), *outer)
+                    after[block] = decode_range(*ends, *outer)
+                    new = (*ends, errors.get(block, 0), mesh_errors.get(block, 0))
+                    is_any_new |= new != old
+                    codes += bytes(new)
+                spool.set_codes(key, bytes(codes))
+        return is_any_new
