@@ -14,7 +14,7 @@ with tempfile.TemporaryDirectory() as directory:
     path = Path(directory) / "jacksboro.twz"
     tw.compress(heights, path, max_error=1, block=32)
     with tw.open(path) as terrain:
-        mesh = terrain.mesh(max_error=30, optimise=1)
+        mesh = terrain.mesh(max_error=30)
         print(f"{mesh.n_triangles} triangles, no height further than {mesh.error:g} from it")
         small = terrain.mesh(max_triangles=2000)
         print(f"{small.n_triangles} triangles do for {small.error:g}")

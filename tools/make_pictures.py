@@ -118,7 +118,7 @@ def draw_meshes(data: Path, folder: Path, out: Path) -> None:
         for axes, error in zip(figures["mesh_errors"][1], ERRORS, strict=True):
             draw_mesh(axes, terrain, terrain.mesh(WINDOW, max_error=error, optimise=1))
         figures["mesh_levels"] = plt.subplots(figsize=(12, 7), layout="constrained")
-        levels = terrain.mesh(max_error=LEVELS_ERROR)
+        levels = terrain.mesh(max_error=LEVELS_ERROR, optimise=0)
         draw_mesh(figures["mesh_levels"][1], terrain, levels, ", several levels")
         figures["mesh_error_map"] = plt.subplots(figsize=(9, 5), layout="constrained")
         heights = load_raster(source).heights.astype(np.float64)

@@ -398,7 +398,7 @@ def test_window_as_size_keeps_the_window(tmp_path, twz):
         ("t.tif", "--voids fill", "--voids fill is for height tiles"),
         ("t.tif", "--voids -9999", "--voids -9999 is for height tiles"),
         ("t.tif", "--voids up", "found --voids up, expected exact or any, or a name ending in"),
-        ("t.r16", "--voids up", "found --voids up, expected lowest, fill or a height"),
+        ("t.r16", "--voids up", "found --voids 'up', expected lowest, fill or a height"),
     ],
 )
 def test_wrong_options_of_a_tile_are_one_line(tmp_path, twz, target, options, words):

@@ -56,7 +56,7 @@ def render(
     """Draw FILE (.twz) to the picture TARGET (.png; - is stdout), without a screen."""
     if flight is not None and target == STREAM:
         raise click.UsageError(
-            "found - as TARGET and --flight, expected a name: a flight has many pictures"
+            "found - as TARGET and --flight, expected a name: there are several pictures"
         )
     announce_compiling(quiet=quiet)
     if not quiet:
