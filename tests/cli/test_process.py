@@ -387,10 +387,10 @@ LAYERS = {
         "grid.quantum.HeightScan.quantizer",
         "write.pyramid.Pyramid.build",
         "write.encoder.TreeEncoder.run",
-        "write.local.measure_meshes",
+        "write.passes.coding.measure_meshes",
         "container.sink.SpoolSink.__init__",
         "write.compress.assemble",
-        "write.local.compare_window",
+        "write.passes.proof.compare_window",
         "container.reader.Container.__init__",
     ],
     "decompress": [

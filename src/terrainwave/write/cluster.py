@@ -37,8 +37,8 @@ from terrainwave.tri.stored import STORED_KINDS
 from terrainwave.write.boxes import Box, enclosing_boxes, error_codes, set_codes
 from terrainwave.write.encoder import Stats, TreeEncoder, fitted_refiner
 from terrainwave.write.job import Job
-from terrainwave.write.local import Coded
-from terrainwave.write.proof import measured_error
+from terrainwave.write.passes.coding import Coded
+from terrainwave.write.passes.proof import measured_error
 from terrainwave.write.pyramid import Base, Part, Pyramid
 from terrainwave.write.subtrees import (
     ABOVE,

@@ -48,8 +48,9 @@ from terrainwave.write.cluster import (
 )
 from terrainwave.write.earlier import earlier_error
 from terrainwave.write.job import fixed_steps, settled
-from terrainwave.write.local import LocalPasses, smaller
+from terrainwave.write.local import LocalPasses
 from terrainwave.write.options import Options, taking_former
+from terrainwave.write.passes.coding import smaller
 from terrainwave.write.subtrees import RasterPlace
 
 

@@ -10,8 +10,8 @@ from terrainwave.file import TerrainFile
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.write.job import metadata_of, origin_of
-from terrainwave.write.local import Window, scan_windows
 from terrainwave.write.options import Options
+from terrainwave.write.passes.windows import Window, scan_windows
 
 
 def difference(

@@ -34,16 +34,16 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS, methods_that
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.source import RasterSource
-from terrainwave.write.patching.encoder import PatchEncoder
-from terrainwave.write.patching.index import PatchedIndex
-from terrainwave.write.patching.merged import Merged
-from terrainwave.write.proof import (
+from terrainwave.write.passes.proof import (
     OUR_FAULT,
     allowed_error,
     compare_window,
     measured_error,
     proof_shares,
 )
+from terrainwave.write.patching.encoder import PatchEncoder
+from terrainwave.write.patching.index import PatchedIndex
+from terrainwave.write.patching.merged import Merged
 from terrainwave.write.pyramid import Pyramid
 
 

@@ -49,7 +49,7 @@ from terrainwave.write.boxes import (
 )
 from terrainwave.write.encoder import Stats, TreeEncoder
 from terrainwave.write.job import Job
-from terrainwave.write.proof import allowed_error, compare_window, proof_windows
+from terrainwave.write.passes.proof import allowed_error, compare_window, proof_windows
 from terrainwave.write.pyramid import Part, Pyramid
 
 _CACHE_BYTES = 64 << 20

@@ -1,5 +1,8 @@
 """Pass C: a finished file, decoded from disk, against the raster it was made of."""
 
+import os
+from concurrent.futures import Executor
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -8,6 +11,8 @@ from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.grid.shares import shares_of
+from terrainwave.progress import Reporter
+from terrainwave.write.job import Job
 from terrainwave.write.pyramid import SourceWindows
 
 OUR_FAULT = (
@@ -16,6 +21,7 @@ OUR_FAULT = (
 )
 # Samples per side of the windows that are compared, where groups are smaller than that.
 _PROOF_SIDE = 512
+_CACHE_BYTES = 64 << 20
 
 
 def proof_windows(grid: Grid, within: Region | None = None) -> list[Region]:
@@ -114,3 +120,35 @@ def measured_error(largest: float, quantizer: Quantizer) -> float:
         # On a decimal grid the heights are multiples of p; floats name them with a spacing's error.
         return round(largest / quantizer.quantum) * quantizer.quantum
     return largest
+
+
+def prove(
+    path: str | os.PathLike[str] | bytes,
+    job: Job,
+    source: SourceWindows,
+    executor: Executor,
+    reporter: Reporter,
+) -> float:
+    """Decode the file from disk and compare every sample and the mask; return the largest error.
+
+    Raises
+    ------
+    BoundViolationError
+        If a sample is further than the bound from the original, or valid where that is void.
+    """
+    grid = job.grid
+    shares = proof_shares(grid)
+    allowed = allowed_error(job.quantizer, job.raw_bound, job.effective_error)
+    largest = 0.0
+    with TerrainFile(path, threads=1, cache_bytes=_CACHE_BYTES, native=False) as terrain:
+
+        def compare(share: list[Region]) -> float:
+            return max(compare_window(terrain, source, region, allowed) for region in share)
+
+        done = 0
+        for share, error in zip(shares, executor.map(compare, shares), strict=True):
+            largest = max(largest, error)
+            done += sum(region.n_rows * region.n_cols for region in share)
+            n_bytes = done * np.dtype(job.info.dtype).itemsize
+            reporter.report("proving", done, grid.n_rows * grid.n_cols, n_bytes)
+    return measured_error(largest, job.quantizer)

@@ -1,0 +1,1 @@
+"""The passes of `compress` over a raster: its windows, its units coded, the proof."""

@@ -1,0 +1,187 @@
+"""Pass B: all units coded into one spool per segment, with their meshes and what was measured."""
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from terrainwave.codec.refiner import Decoded
+from terrainwave.container.depot import StoredSegment
+from terrainwave.container.sink import SpoolSink
+from terrainwave.container.spool import SegmentSpool
+from terrainwave.grid.quadtree import Block
+from terrainwave.mesh.blocks import measure_meshes
+from terrainwave.mesh.sections import make_meshes
+from terrainwave.progress import Reporter
+from terrainwave.read.tiles import make_decoder
+from terrainwave.write.boxes import enclosing_boxes, error_codes, set_codes
+from terrainwave.write.encoder import Stats, TreeEncoder, fitted_refiner
+from terrainwave.write.job import Job
+from terrainwave.write.pyramid import Pyramid, SourceWindows
+
+_MESH_CACHE_BYTES = 64 << 20
+
+
+@dataclass
+class Coded:
+    """What coding a raster has made: tables, segments, bytes of payloads and tables.
+
+    `job` is the one that was coded; that of an embedded file has got its measured error.
+    """
+
+    file_tables: bytes
+    segments: dict[Block | None, SegmentSpool | StoredSegment]
+    n_bytes: int
+    job: Job
+
+    def close(self) -> None:
+        """Delete the spools."""
+        for segment in self.segments.values():
+            if isinstance(segment, SegmentSpool):
+                segment.close()
+
+
+def smaller(first: Coded, second: Coded) -> Coded:
+    """Return the smaller one; the other is closed."""
+    kept, dropped = (first, second) if first.n_bytes <= second.n_bytes else (second, first)
+    dropped.close()
+    return kept
+
+
+def encode(
+    job: Job,
+    source: SourceWindows,
+    directory: Path,
+    executor: Executor,
+    reporter: Reporter,
+) -> Coded:
+    """Code all units into one spool per segment."""
+    pyramid = Pyramid(
+        source,
+        job.quantizer,
+        job.grid,
+        kind=job.options.named_method.pyramid,
+        has_voids=job.has_voids,
+        directory=directory,
+        executor=executor,
+    )
+    try:
+        itemsize = np.dtype(job.info.dtype).itemsize
+        pyramid.build(
+            lambda done, total: reporter.report("making levels", done, total, done * itemsize)
+        )
+        sink = SpoolSink(job.grid, job.grid.segment_heads(), directory)
+        total = job.grid.n_rows * job.grid.n_cols
+        n_units = job.grid.n_units()
+        done = 0
+        lock = threading.Lock()
+
+        def on_samples(n_samples: int) -> None:
+            nonlocal done
+            with lock:
+                done = min(done + n_samples, total)
+                reporter.report(
+                    "encoding",
+                    done,
+                    total,
+                    done * itemsize,
+                    n_bytes_out=sink.n_bytes,
+                    n_units=sink.n_units,
+                    n_units_total=n_units,
+                    n_levels=job.grid.k_max + 1,
+                )
+
+        file_tables = b""
+        units: dict[Block, Decoded] = {}
+        if job.options.named_method.is_tiled:
+            # Imported here: compiling costs seconds that other methods need not pay.
+            from terrainwave.write.tiles import encode_tiles
+
+            stats = encode_tiles(job, pyramid, sink, directory, on_samples, executor)
+        else:
+            file_tables, stats, units = _encode_units(job, pyramid, sink, on_samples, executor)
+        if job.options.is_embedded:
+            job = job.with_measured(_finest_error(job, stats))
+        errors = error_codes(stats, job.lost, job.recursion_bound)
+        mesh_errors = _mesh_errors(
+            job, file_tables, pyramid, sink, units, errors, executor, reporter
+        )
+    finally:
+        pyramid.close()
+    whole = job.quantizer.z_min, job.quantizer.z_max
+    boxes = enclosing_boxes(stats, errors, whole, {})
+    set_codes(job.grid, sink.spools, whole, boxes, errors, mesh_errors)
+    return Coded(file_tables, {**sink.spools}, sink.n_bytes + len(file_tables), job)
+
+
+def _encode_units(
+    job: Job,
+    pyramid: Pyramid,
+    sink: SpoolSink,
+    on_samples: Callable[[int], None],
+    executor: Executor,
+) -> tuple[bytes, Stats, dict[Block, Decoded]]:
+    """Code every unit; return the tables of the file and what was measured.
+
+    And what the units decode to, where meshes are to be made of it and all of it fits in memory.
+    """
+    refiner, file_tables = fitted_refiner(job, pyramid.heights, pyramid.mask)
+    units: dict[Block, Decoded] = {}
+    # Heights and masks of all levels: four thirds of five bytes for each sample.
+    is_kept = 20 * job.grid.n_rows * job.grid.n_cols <= 3 * _MESH_CACHE_BYTES
+    encoder = TreeEncoder(
+        job.grid, refiner, job.parameters, pyramid, sink, on_samples,
+        on_unit=units.__setitem__ if is_kept and job.options.mesh != "none" else None,
+    )  # fmt: skip
+    return file_tables, encoder.run(executor), units
+
+
+def _finest_error(job: Job, stats: Stats) -> int:
+    """Return the largest error of the finest blocks, in quanta."""
+    k_max = job.grid.k_max
+    return max(
+        (own.error for block, own in stats.items() if block.level == k_max),
+        default=0,
+    )
+
+
+def _mesh_errors(
+    job: Job,
+    file_tables: bytes,
+    pyramid: Pyramid,
+    sink: SpoolSink,
+    units: dict[Block, Decoded],
+    errors: dict[Block, int],
+    executor: Executor,
+    reporter: Reporter,
+) -> dict[Block, int]:
+    """Return the error code of every block's mesh against the originals.
+
+    `units` are not decoded again, and taken out.
+    """
+    if job.options.mesh == "none":
+        return {}
+    grid = job.grid
+    decoder = make_decoder(job.header(file_tables), sink.payloads, _MESH_CACHE_BYTES)
+    while units:
+        decoder.put(*units.popitem())
+    size = grid.n_rows * grid.n_cols, np.dtype(job.info.dtype).itemsize
+    mesher, sections = make_meshes(
+        grid,
+        decoder,
+        lambda block: errors.get(block, 0),
+        job.mesh_tolerance,
+        has_voids=job.has_voids,
+        kind=job.options.mesh_kind,
+        executor=executor,
+        on_samples=reporter.counter("making meshes", *size),
+    )
+    sink.set_meshes(sections)
+    count = reporter.counter("measuring meshes", *size)
+    lost = Fraction(job.lost)
+    found = measure_meshes(grid, mesher, pyramid.originals, executor, count, lost)
+    return mesher.error_codes(found, lost, by_recursion=job.options.faithful)
