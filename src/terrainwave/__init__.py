@@ -123,7 +123,7 @@ def __dir__() -> list[str]:
 def open(
     source: Any, *, cache_bytes: int = 256 << 20, threads: int | None = None, native: bool = True
 ) -> "Terrain":
-    """Open a .twz file by path, URL, bytes or file object; see `Terrain` for the options."""
+    """Open a .twz file: a path, URL, bytes or file object. Options are those of `Terrain`."""
     from terrainwave.terrain import Terrain
 
     return Terrain(source, cache_bytes=cache_bytes, threads=threads, native=native)

@@ -41,19 +41,19 @@ class TerrainwaveError(_NamesArguments):
 
 
 class InvalidHeightsError(TerrainwaveError, ValueError):
-    """The input or an option cannot be encoded as asked."""
+    """The heights or an option cannot be used for what was asked."""
 
 
 class InvalidArgumentError(InvalidHeightsError):
-    """An argument, or two of them together, cannot be; the heights have not been looked at."""
+    """An argument is invalid, or two do not go together; no heights have been read."""
 
 
 class CorruptStreamError(TerrainwaveError):
-    """The stream contradicts docs/FORMAT.md."""
+    """The file is damaged: its bytes contradict docs/FORMAT.md."""
 
 
 class TruncatedStreamError(CorruptStreamError):
-    """The stream ends before the data it announces."""
+    """The file is damaged: it ends before its data are complete."""
 
 
 class BoundViolationError(TerrainwaveError):
@@ -76,11 +76,11 @@ class StorageError(TerrainwaveError, OSError):
 
 
 class SourceUnavailableError(StorageError):
-    """A server cannot be reached, is busy or has hung up, more than once; it may answer later."""
+    """A server could not be reached, was busy or closed the connection; it may answer later."""
 
 
 class ClusterError(TerrainwaveError):
-    """The cluster that was to do the work cannot be reached, or has lost it; nothing is written."""
+    """The cluster cannot be reached, or lost its work; nothing is written."""
 
 
 class TerrainwaveWarning(_NamesArguments, UserWarning):

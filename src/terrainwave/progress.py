@@ -13,10 +13,10 @@ _INTERVAL = 0.1
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a stage has come: samples done of all, bytes of heights and of the file so far.
+    """Progress of a stage: samples `done` of `total`, bytes of heights read and of file written.
 
-    `n_units` coded units (groups and root blocks) of `n_units_total`, on `n_levels` levels, are
-    given where units are coded.
+    Stages that code units (groups and root blocks) also have `n_units` of `n_units_total` done, on
+    `n_levels` levels.
     """
 
     stage: str

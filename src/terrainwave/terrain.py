@@ -49,41 +49,42 @@ class Terrain(TerrainFile):
         guarantee: bool = True,
         progress: ProgressCallback | None = None,
     ) -> "Mesh":
-        """Return one connected mesh of an area, without cracks.
+        """Return one crack-free mesh of an area.
 
         Parameters
         ----------
         window, bounds : optional
             The area as in `read`, here between the centres of its outermost pixels.
         level : int
-            The finest level to use, as in `read`. A coarse level's mesh ends at its last sample: up
-            to 2^j - 1 rows and columns of the full grid lie beyond it.
+            The finest level to use, as in `read`. The mesh of a coarse level ends at its last
+            sample, up to 2^j - 1 rows and columns before the end of the full grid.
         max_error : float, optional
-            Largest vertical distance from any valid original sample, in physical units. Blocks of
-            several levels are mixed to reach it with few triangles; whatever the file's kind of
-            meshes, they are made anew as `halves`, of the decoded heights. By default the
+            Largest vertical distance from any valid original sample, in physical units. The mesh
+            mixes blocks of several levels to need few triangles. Their meshes are computed as
+            `halves` from the decoded heights, whatever kind of meshes the file has. By default the
             tolerance is that of the stored meshes of `level`.
         max_triangles : int, optional
-            Find the smallest error, up to 2 %, whose mesh has at most as many triangles; not
-            beyond `max_error`, if that is given too. Where outlines of voids have more than one
-            edge on four triangles, those of a coarser level are taken: all valid samples are
-            covered, and voids smaller than that level's cells.
+            Find the mesh with the smallest error, up to 2 %, that has at most this number of
+            triangles, within `max_error` if that is given too. If outlines of voids have more than
+            one edge for four triangles, the outlines of a coarser level are used: the mesh then
+            covers all valid samples, and voids smaller than that level's cells.
         optimise : int, optional
-            Sweeps of half-edge collapses over blocks of the full grid, by default 1: it nearly
-            halves the triangles, as the command ``mesh`` does. Meshes are made anew as `halves` for
-            it; 0 without `max_error` and `max_triangles` takes the stored meshes as they are.
+            Number of sweeps of half-edge collapses over blocks of the full grid. The default, 1, is
+            that of the command ``mesh`` and nearly halves the triangles. The meshes are computed as
+            `halves`. With 0, and without `max_error` and `max_triangles`, the stored meshes are
+            returned.
         guarantee : bool
-            False gives the triangulation of the zero trees alone (Yusov & Turlapov 2010, §2.4),
-            without any of the three arguments above: its `error` is what it turns out to be.
-            `level` -1 stands for -2 then, the finest one with zero trees.
+            False returns the triangulation of the zero trees alone (Yusov & Turlapov 2010, §2.4),
+            without any of the three arguments above. Its `error` is measured. `level` -1 then means
+            -2, the finest level with zero trees.
         progress : callable, optional
-            Called with a `Progress`; a mesh that needs several tries begins anew with each.
+            Called with a `Progress`, which starts again with each attempt.
 
         Returns
         -------
         Mesh
-            Its `error` holds at every valid sample it covers. It covers the quads of four valid
-            samples and the triangles of three; with a budget, parts of voids too.
+            Every valid sample that it covers is within its `error`. It covers all quads of four
+            valid samples and triangles of three; with `max_triangles` also parts of voids.
 
         Raises
         ------
@@ -105,9 +106,9 @@ class Terrain(TerrainFile):
         )  # fmt: skip
 
     def block_mesh(self, block: Block) -> "BlockMesh":
-        """Return the mesh of a block as `mesh_error` measures it, in samples and quanta.
+        """Return the stored mesh of a block, in samples and quanta.
 
-        Places count from the block's first sample; the mesh may reach past the raster's edge.
+        Rows and columns count from the block's first sample. The mesh may extend past the raster.
         """
         if self.mesh_kind == "none":
             raise InvalidHeightsError("the file has no meshes: add them with terrainwave mesh")
@@ -120,7 +121,7 @@ class Terrain(TerrainFile):
     # To other libraries.
 
     def to_xarray(self, *, level: int = -1, mask_and_scale: bool = True) -> "xr.DataArray":
-        """Return a level as a DataArray that reads windows of it when they are computed.
+        """Return a level as a lazy DataArray: windows are read when they are computed.
 
         It has the coordinates of `xarray.open_dataset` and lives as long as this Terrain is open.
 
@@ -129,7 +130,7 @@ class Terrain(TerrainFile):
         level : int
             Resolution level, as in `read`.
         mask_and_scale : bool
-            Voids become NaN, scale and offset are applied; else values as stored.
+            Set voids to NaN and apply scale and offset. False returns values as stored.
 
         Raises
         ------
@@ -145,10 +146,10 @@ class Terrain(TerrainFile):
         return terrain_dataset(self, level, mask_and_scale=mask_and_scale)["heights"]
 
     def geotiff(self) -> "GeoTIFFStream":
-        """Return a binary file object that is a GeoTIFF of the terrain, made when it is read.
+        """Return a GeoTIFF of the terrain as a file object that is made while it is read.
 
-        ``rasterio.open(terrain.geotiff())`` and all that is built on it see a raster; nothing is
-        written, and windows are decoded as they are asked for. What takes a path takes
+        ``rasterio.open(terrain.geotiff())`` opens it as a raster. No file is written, and windows
+        are decoded when they are read. For functions that take a path and an opener, use
         ``terrain.geotiff().opener``. Heights of the full grid are those of `read`; overviews are
         averages, without a bound. The terrain must stay open.
         """
@@ -185,8 +186,8 @@ class Terrain(TerrainFile):
         bounds : (left, bottom, right, top), optional
             What to show, in the CRS; by default all. A level fit for the figure is read.
         cmap : str, optional
-            matplotlib's name of the colours of heights; by default those of land, and on the Earth
-            those of the sea below 0 where there are heights below -450 m.
+            matplotlib's name of a colour map. By default colours of land; on the Earth, heights
+            below 0 get colours of the sea if there are heights below -450 m.
         shade : float
             Share of the hillshade, 0 … 1.
 
@@ -219,7 +220,7 @@ class Terrain(TerrainFile):
         camera : str, optional
             ``x,y,z,heading,pitch,fov`` as `terrainwave view` prints it; by default all is shown.
         max_pixel_error : float
-            τ: largest distance on screen from the full terrain, pixels.
+            τ: largest distance of the picture from the original heights, in pixels.
         style : terrainwave.render.look.style.Style, optional
             Colours, light and haze.
         options
@@ -235,7 +236,8 @@ class Terrain(TerrainFile):
         Raises
         ------
         TerrainwaveError
-            If there is neither a window nor OpenGL without one; the line says what to install.
+            If neither a window nor OpenGL without a window is available; the message says what to
+            install.
         """
         from terrainwave.render.look.style import Style
         from terrainwave.render.window.static import view

@@ -253,7 +253,7 @@ def test_unknown_unit_is_said(tmp_path):
     path = write_geotiff(tmp_path / "a.tif", terrain_like(40, 40))
     target = tmp_path / "a.twz"
     done = run("compress", path, target, "--method", "store")
-    assert done.output.count("does not name its vertical unit") == 1
+    assert done.output.count("names no vertical unit") == 1
     assert "unit unknown" not in done.output
     assert [line.split() for line in run("info", target).stdout.splitlines()].count(
         ["unit", "unknown"]
@@ -292,7 +292,7 @@ def test_info_says_how_voids_are_told_and_counts_them(tmp_path):
     path = write_geotiff(tmp_path / "a.tif", heights, nodata=-9)
     target = tmp_path / "a.twz"
     run("compress", path, target, "--method", "store", "--block", "32")
-    assert "where heights are -9" in run("info", target).stdout
+    assert "marked by the value -9" in run("info", target).stdout
     assert "20 samples, 0.007143 of all" in run("info", target, "--voids").stdout
     assert json.loads(run("info", target, "--json", "--voids").stdout)["n_voids"] == 20
 
@@ -572,11 +572,11 @@ def test_wrong_window_is_wrong_usage(tmp_path, twz, option, value):
     ("option", "value", "expected"),
     [
         ("--level", "99", "found --level 99, expected 0 … 3 or -1 (full) … -4"),
-        ("--window", "500,0,1,1", "does not meet the level's"),
+        ("--window", "500,0,1,1", "lies outside the level's"),
         (
             "--bounds",
             "1e6,1e6,2e6,2e6",
-            "the --bounds 1000000, 1000000, 2000000, 2000000 do not meet the raster's,"
+            "the --bounds 1000000, 1000000, 2000000, 2000000 lie outside the raster's,"
             " 400000, 3995500, 404200, 4000000 (left, bottom, right, top)",
         ),
     ],
@@ -628,7 +628,7 @@ def test_functions_speak_of_arguments(twz):
     with terrainwave.open(twz) as terrain:
         with pytest.raises(InvalidArgumentError, match=r"^found level 99, expected"):
             terrain.read(level=99)
-        with pytest.raises(InvalidArgumentError, match=r"^the bounds 1, 1, 2, 2 do not meet"):
+        with pytest.raises(InvalidArgumentError, match=r"^the bounds 1, 1, 2, 2 lie outside"):
             terrain.read(bounds=(1, 1, 2, 2))
 
 

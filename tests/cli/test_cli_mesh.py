@@ -175,7 +175,7 @@ def test_the_note_on_degrees_names_options_that_there_are(tmp_path, asked, name,
 def test_curvature_of_a_geocentric_mesh_is_a_note(tmp_path, twz, asked):
     result = run("mesh", twz, tmp_path / "a.ply", "--frame", "ecef")
     (note,) = result.stderr.splitlines()
-    assert "below the curved body" in note
+    assert "below the curved surface" in note
 
 
 # Wrong usage

@@ -190,7 +190,7 @@ def test_a_picture_of_voids_is_one_line(tmp_path, mode):
 
 def test_a_picture_beside_the_raster_is_one_line(tmp_path):
     status, line = refused(tmp_path, np.ones((40, 40)), "--bounds", "900,900,999,999")
-    assert (status, "--bounds 900, 900, 999, 999 do not meet" in line) == (2, True)
+    assert (status, "--bounds 900, 900, 999, 999 lie outside" in line) == (2, True)
     status, line = refused(tmp_path, np.ones((40, 40)), "--camera", "20,20,90,0,80,40")
     assert (status, "--camera looks elsewhere" in line) == (1, True)
 

@@ -224,4 +224,4 @@ def test_stdin_is_read_once(tmp_path, dems):
 
 @pytest.mark.parametrize("args", [["serve", "-"], ["patch", "-", "b.tif"]])
 def test_commands_that_need_a_name_refuse_a_stream(args):
-    assert "expected the name of a file" in one_line(run(*args), 2)
+    assert "expected a file name" in one_line(run(*args), 2)

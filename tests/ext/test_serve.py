@@ -520,7 +520,7 @@ def test_whose_the_data_are_is_told_in_short_lines():
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C there is no signal to send")
-def test_ctrl_c_says_goodbye(hilly):
+def test_ctrl_c_says_stopped(hilly):
     server = start("serve", hilly, "--port", "0")
     try:
         address = re.search(r"http://\S+", server.stdout.readline())[0]
@@ -531,13 +531,13 @@ def test_ctrl_c_says_goodbye(hilly):
     finally:
         server.kill()
     assert server.returncode == 0
-    assert said.strip() == "goodbye"
+    assert said.strip() == "stopped"
     assert "Traceback" not in complaint
     assert "target" not in complaint
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGTERM there ends a process at once")
-def test_a_signal_says_goodbye_and_nothing_of_targets(hilly):
+def test_a_signal_says_stopped_and_nothing_of_targets(hilly):
     server = start("serve", hilly, "--port", "0")
     try:
         server.stdout.readline()
@@ -546,7 +546,7 @@ def test_a_signal_says_goodbye_and_nothing_of_targets(hilly):
     finally:
         server.kill()
     assert server.returncode == 128 + signal.SIGTERM
-    assert said.strip() == "goodbye"
+    assert said.strip() == "stopped"
     assert complaint == ""
 
 

@@ -127,8 +127,8 @@ def suggest_exaggeration(frame: Any) -> None:
     factor = frame.suggested_exaggeration
     if factor is not None:
         print_note(
-            f"the heights are too small beside the raster's extent to be seen: --exaggeration"
-            f" {factor:g} shows them"
+            f"the heights are too small to be seen at the raster's extent: add --exaggeration"
+            f" {factor:g} to see them"
         )
 
 
@@ -140,8 +140,8 @@ def note_dry_land(scene: Any, style: Any) -> None:
         return
     if lowest * frame.metres[2] <= _SEEN_DEPTH and not scene.water.cells.any():
         print_note(
-            f"heights from {lowest:g} to 0 are drawn as dry land, as none is level at 0 or below"
-            " -450 m: --sea-level 0 draws water there"
+            f"heights from {lowest:g} to 0 are drawn as land, because none is level at 0 or below"
+            " -450 m: add --sea-level 0 to draw water there"
         )
 
 

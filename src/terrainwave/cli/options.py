@@ -121,7 +121,7 @@ class NamedInput(Input):
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
         """Return the path."""
         if value == STREAM:
-            self.fail("found -, expected the name of a file: this is not for streams", param, ctx)
+            self.fail("found -, expected a file name: this command cannot use streams", param, ctx)
         return self.named(value, param, ctx)
 
 

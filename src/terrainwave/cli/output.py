@@ -381,7 +381,7 @@ def unit_behind(units: str | None) -> str:
 def note_unit(units: str | None) -> None:
     """Say that errors have no unit, where the raster names none."""
     if not units:
-        print_note("the raster does not name its vertical unit: errors are in that of its heights")
+        print_note("the raster names no vertical unit: errors are in the unit of its heights")
 
 
 def vertical_in_words(about: dict[str, Any]) -> str:

@@ -64,27 +64,28 @@ def decompress(
     src : path, URL, bytes or binary file object
         The .twz file.
     dst : path
-        The file to make. It appears complete or not at all. A name ending in ``.tif`` or
+        The file to make. It appears complete or not at all. A name that ends in ``.tif`` or
         ``.tiff`` makes a GeoTIFF; ``.r16`` or ``.png`` a 16-bit height tile for game engines, with
-        a ``.json`` beside it that tells scale and place. No other name is taken.
+        a ``.json`` beside it that has its scale and georeference. Other names are refused.
     window, bounds, level
-        Part and resolution to write, as in `Terrain.read`. A level is samples at positions.
+        Part and resolution to write, as in `Terrain.read`. Levels are samples, not averages.
     cog : bool
         Make a cloud-optimised GeoTIFF; its overviews are averages of the decoded grid.
     size : int or "window", optional
-        Of a height tile: samples on a side, 2ⁿ + 1; the window is resampled bilinearly to that
+        For height tiles: samples on a side, 2ⁿ + 1. The window is resampled bilinearly to that
         square. ``"window"`` writes the window's own samples. By default the largest 2ⁿ + 1 that
-        is not larger than the window.
+        fits into the window.
     voids : {"exact", "any", "lowest", "fill"} or float, optional
-        Of a GeoTIFF, ``"exact"`` or ``"any"``: which samples of a coarse level are void, as in
-        `Terrain.read`. Of a height tile: what voids become: the tile's lowest height (the default),
-        what is around them, or a height in physical units.
+        For a GeoTIFF, ``"exact"`` or ``"any"``: which samples of a coarse level are void, as in
+        `Terrain.read`. For a height tile, the height that voids get: the tile's lowest (default),
+        one from around them (``"fill"``), or a height in physical units.
     quality : float, optional
-        Of a file of method cdf53: read only so many bits per sample, as in `Terrain.read_early`.
+        For files of method cdf53: read only this number of bits per sample, as in
+        `Terrain.read_early`.
     vertical : {"as-is", "ellipsoid"}
-        ``"ellipsoid"`` writes metres above the ellipsoid of the CRS, as float32 or float64,
-        converted from the CRS's vertical datum by PROJ's grid, and the CRS with ellipsoidal
-        heights. The tag TERRAINWAVE_VERTICAL says how, TERRAINWAVE_MAX_ERROR the bound that holds.
+        ``"ellipsoid"`` converts heights from the CRS's vertical datum with PROJ's grid. It writes
+        metres above the ellipsoid, as float32 or float64, and the CRS with ellipsoidal heights.
+        The tag TERRAINWAVE_VERTICAL names the conversion, TERRAINWAVE_MAX_ERROR the bound.
     threads : int, optional
         Threads that decode; the number of processors by default.
     overwrite : bool

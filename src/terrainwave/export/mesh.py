@@ -46,9 +46,9 @@ class Mesh(MeshData):
         Parameters
         ----------
         path : path
-            Its extension tells the format: .ply, .obj, .stl, .glb, .gltf, .vtu, .vtk or .terrain.
+            The extension selects the format: .ply, .obj, .stl, .glb, .gltf, .vtu, .vtk, .terrain.
         frame : {"local", "native", "ecef"}, optional
-            Local metres (the default for degrees), the CRS (the default else), or geocentric.
+            Metres from the middle (default for degrees), the CRS (otherwise), or geocentric.
         z_scale : float
             Heights are multiplied by it; > 0.
         solid : float, optional
@@ -56,8 +56,8 @@ class Mesh(MeshData):
         radius : float, optional
             Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
         vertical : {"as-is", "ellipsoid"}
-            Of geocentric coordinates and .terrain: take heights as above the ellipsoid, or convert
-            them from the CRS's vertical datum by PROJ's grid.
+            For geocentric coordinates and .terrain: use heights as if they were above the
+            ellipsoid, or convert them from the CRS's vertical datum with PROJ's grid.
         overwrite : bool
             Replace an existing file.
 
@@ -102,8 +102,8 @@ class Mesh(MeshData):
         wireframe : bool
             Draw the edges too.
         cmap : str, optional
-            matplotlib's name of the colours of heights; by default those of land, and on the Earth
-            those of the sea below 0 where there are heights below -450 m.
+            matplotlib's name of a colour map. By default colours of land; on the Earth, heights
+            below 0 get colours of the sea if there are heights below -450 m.
 
         Returns
         -------

@@ -37,7 +37,7 @@ RasterHeights = NDArray[np.integer[Any] | np.floating[Any]]
 
 
 class EarlyHeights(NamedTuple):
-    """Heights and validity of a window, and the bytes of payloads that were read for them."""
+    """Heights and validity of a window, and the number of payload bytes read for them."""
 
     heights: NDArray[Any]
     valid: NDArray[np.bool_]
@@ -50,14 +50,14 @@ class TerrainFile(DescribedFile):
     Parameters
     ----------
     source : path, URL, bytes or binary file object
-        What to read. Opening reads the header and the first index page only.
+        The .twz file. Opening it reads the header and the first index page only.
     cache_bytes : int
-        Decoded heights kept in memory, least recently used dropped first.
+        Memory for decoded heights; the least recently used are dropped first.
     threads : int, optional
         Threads that decode; the number of processors by default.
     native : bool
-        Read heights by the native library where the package terrainwave-native is installed; the
-        heights are the same. ``TERRAINWAVE_NATIVE=0`` in the environment is False for all files.
+        Read heights with the native library if the package terrainwave-native is installed. The
+        heights are the same. ``TERRAINWAVE_NATIVE=0`` in the environment turns it off everywhere.
 
     Raises
     ------
@@ -129,10 +129,10 @@ class TerrainFile(DescribedFile):
         voids: str | None = None,
         max_bytes: int = DEFAULT_MAX_BYTES,
     ) -> RasterHeights:
-        """Read heights in the file's dtype, the void value in voids.
+        """Read heights in the file's dtype; voids have the nodata value, NaN or 0.
 
-        Heights are as stored in the raster: ``scale * stored + offset`` of `info` makes them
-        physical, where the band has them.
+        Heights are as stored in the raster. If the band has a scale and offset (`info`), physical
+        heights are ``scale * stored + offset``.
 
         Parameters
         ----------
@@ -144,7 +144,7 @@ class TerrainFile(DescribedFile):
             - a rasterio ``Window``, in whole samples;
             - ``numpy.s_[100:120, 50:80]``: a slice of rows and one of columns, without steps.
         bounds : (left, bottom, right, top), optional
-            Instead of `window`: the pixels that touch this rectangle, in the CRS.
+            Instead of `window`: read the pixels that touch this rectangle, in the CRS.
         level : int
             Resolution level: -1 the full grid, -2 half, …; 0 the coarsest.
         out_shape : tuple of int, optional
@@ -154,13 +154,13 @@ class TerrainFile(DescribedFile):
         masked : bool
             Return a masked array, as rasterio does.
         on_error : str
-            ``"raise"``, or ``"mask"``: a damaged block reads as void and the rest is returned.
+            ``"raise"``, or ``"mask"``: damaged blocks are void, and the rest is returned.
         voids : str, optional
             Which samples of a coarse level are void. ``"exact"``: those where the full grid is
-            void, sample by sample. ``"any"``: those alone around which nothing is valid; the others
-            have a height that is a fill, as meshes need it. By default exact, if the file tells
-            (format 1.1); else any, with one warning. To find exact voids of an older file, the
-            finest payloads of the window are read, too.
+            void. ``"any"``: only those with nothing valid around them; others have a fill, a height
+            from around them, as meshes need it. Default: exact for files of format 1.1, otherwise
+            any, with one warning. For exact voids of an older file, the finest masks of the window
+            are read, too.
         max_bytes : int
             Refuse a larger result.
 
@@ -169,9 +169,9 @@ class TerrainFile(DescribedFile):
         heights : ndarray of the raster's dtype (`dtype`), shape (n_rows, n_cols)
             A copy; a `numpy.ma.MaskedArray` if `masked`. The dtype is that of the raster, on every
             level: uint8, int16, uint16, int32, float32 or float64. On the full grid every valid
-            sample is within `effective_error` of the original; of floats on a decimal grid (0.1,
-            0.01 …) this holds for the decimal numbers, and the floats nearest to two of them may
-            differ by one float spacing more (`Info.float_error`; `compress` with `strict`).
+            sample is within `effective_error` of the original. For floats on a decimal grid (0.1,
+            0.01 …) this holds for the decimal numbers; the floats nearest to them may differ by one
+            float spacing more (`Info.float_error`), unless the file was made with `strict`.
 
         Raises
         ------
@@ -225,7 +225,7 @@ class TerrainFile(DescribedFile):
     ) -> tuple[RasterHeights, NDArray[np.bool_]]:
         """Return heights and validity of a window of a level; arguments as in `read`.
 
-        What `read` cannot tell: a raster with a mask of its own may hold any value in its voids.
+        For rasters whose voids are marked by a mask: their heights alone do not show voids.
         """
         check_choice("on_error", on_error, ON_ERROR)
         region = self.region(window, level=level)
@@ -249,21 +249,21 @@ class TerrainFile(DescribedFile):
         on_error: str = "raise",
         voids: str | None = None,
     ) -> EarlyHeights:
-        """Return the best heights of a window that so many bits per sample give.
+        """Return the best heights of a window for a number of bits per sample.
 
         Parameters
         ----------
         window, level, on_error, voids
             As in `read`.
         quality : float
-            Bits per sample of the window to read of payloads; > 0. The heads of all tiles needed
-            are read in any case.
+            Bits per sample of the window to read from payloads; > 0. The heads of all tiles in the
+            window are always read.
 
         Raises
         ------
         InvalidArgumentError
-            If the file is not of method cdf53, whose streams alone can be read in part, or
-            `quality` is out of range.
+            If the file is not of method cdf53, the only one whose streams can be read in part, or
+            if `quality` is out of range.
         """
         check_choice("on_error", on_error, ON_ERROR)
         quality = checked_number("quality", quality, above=0)

@@ -96,7 +96,7 @@ class DescribedFile:
 
     @property
     def pyramid(self) -> str:
-        """Return of what heights coarse levels are made (`names.Method.pyramid`)."""
+        """Return how coarse levels are made (`names.Method.pyramid`)."""
         return METHODS[self.header.method].pyramid
 
     @property
@@ -158,8 +158,8 @@ class DescribedFile:
     def max_error(self) -> float:
         """Return the bound that was asked for, in physical units (after scale and offset).
 
-        Patches add to it how far they have moved heights that they knew no original of, and heights
-        that came out of a lossy file the bound of that one.
+        It includes how far patches of version 1.0 may have moved heights, and the bound of an
+        earlier lossy file that the heights came from.
         """
         return self.header.max_error * abs(self._raster.scale)
 
@@ -186,7 +186,7 @@ class DescribedFile:
             If there is no such level.
         """
         last = self.n_levels - 1
-        expected = f"0 … {last} or -1 (full) … -{self.n_levels}"
+        expected = f"0 (coarsest) to {last}, or -1 (full grid) to -{self.n_levels}"
         if last == 0:
             expected = "0 or -1: the file has one level, the full grid"
         found = checked_whole("level", level, least=-self.n_levels, most=last, expected=expected)
@@ -235,21 +235,21 @@ class DescribedFile:
         return LevelPlace(self.grid.level_shape(index), transform, self.bounds)
 
     def is_turned(self, level: int = -1) -> bool:
-        """Say whether a place along a row or a column of a level needs both, x and y."""
+        """Say whether x or y changes along both the rows and the columns of a level."""
         return is_turned(self.level_place(level).transform, self.level_shape(level))
 
     def coordinates(
         self, level: int = -1, window: Any = None
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return x and y of samples' places, to the last bit as rioxarray has them.
+        """Return x and y of samples, equal to rioxarray's to the last bit.
 
         Parameters
         ----------
         level : int
             Resolution level, as in `read`.
         window : optional
-            A window as in `read`, whose samples are all told: where the level `is_turned`. By
-            default x of columns and y of rows.
+            A window as in `read`. Returns x and y of each of its samples, as needed if the level
+            `is_turned`. By default x of columns and y of rows.
 
         Returns
         -------
@@ -282,7 +282,7 @@ class DescribedFile:
         """Return the stored error of a block's bilinear surface, in physical units.
 
         No valid original under the block is further from the bilinear interpolation of its
-        decoded samples. It has been measured; that of a faithful file is an upper bound.
+        decoded samples. It was measured; in a faithful file it is an upper bound.
         """
         code = self.container.codes(block)[2]
         return decode_error(code) * self.quantizer.quantum * abs(self._raster.scale)

@@ -13,17 +13,17 @@ from terrainwave.names import EFFORTS, FORMATS
 
 @dataclass(frozen=True)
 class Info:
-    """What a .twz file says about itself; errors are in physical units.
+    """Summary of a .twz file; errors are in physical units.
 
-    `format` is the first version of the format whose readers know all that the file uses.
-    `faithful`: the file follows the paper of its method to the letter.
-    `float_error` is how much further apart than `max_error` stored floats may be: one spacing,
-    where they name decimal numbers and the file is not strict.
-    `moved_error` is the share of `effective_error` that patches, or a file before, have added.
-    `units` is the unit of heights and `units_from` who names it: the ``"band"`` or the ``"CRS"``;
-    `units_of_crs` is what the CRS's vertical axis says where the band says something else.
-    `voids` is how voids are told: ``"none"``, by their ``"nodata"`` value, as ``"nan"``, or by a
-    ``"mask"``; it is the way of the source, which may have no void at all.
+    `format` is the first version of the format whose readers can read the file.
+    `faithful` says whether the file follows the paper of its method to the letter.
+    `float_error` is how much more than `max_error` stored floats may differ: one float spacing if
+    they stand for decimal numbers and the file is not strict, otherwise 0.
+    `moved_error` is the part of `effective_error` that comes from patches or an earlier file.
+    `units` is the unit of heights, and `units_from` its origin: the ``"band"`` or the ``"CRS"``.
+    `units_of_crs` is the unit of the CRS's vertical axis, if the band names another one.
+    `voids` is how the source marks voids: ``"none"``, a ``"nodata"`` value, ``"nan"`` or a
+    ``"mask"``. The source may mark voids and have none.
     """
 
     path: str

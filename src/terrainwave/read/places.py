@@ -43,12 +43,12 @@ class LevelPlace(NamedTuple):
             return region
         if bounds is not None:
             raise InvalidArgumentError(
-                f"the `bounds` {_in_words(bounds)} do not meet the raster's, {_in_words(self.own)}"
+                f"the `bounds` {_in_words(bounds)} lie outside the raster's, {_in_words(self.own)}"
                 " (left, bottom, right, top)"
             )
         raise InvalidArgumentError(
             f"the `window` (row {asked.row}, column {asked.col}, {asked.n_rows} x {asked.n_cols})"
-            f" does not meet the level's {self.shape[0]} x {self.shape[1]} samples"
+            f" lies outside the level, which has {self.shape[0]} x {self.shape[1]} samples"
         )
 
     def note_on_cut(self, window: Any, bounds: Sequence[float] | None, slack: float) -> str | None:

@@ -48,18 +48,18 @@ class VerifyReport:
     path, original : str or None
         The files compared; `original` is None if the file was only checked by itself.
     bound : float
-        The bound that every sample was held to, in physical units.
+        The bound that every sample was compared with, in physical units.
     max_error, effective_error : float
-        The bound asked for at compression, and the one the file states to hold.
+        The bound asked for at compression, and the bound that the file states.
     errors : ErrorReport or None
         What was measured; None without an original.
     problems : tuple of str
         One sentence each; empty if all is well.
     is_strict : bool or None
-        Whether ``abs(decoded - original) <= bound`` holds of all stored values, exactly and as
-        numpy computes it in their type; `bound` here is `max_error`, or the one given. Without
-        problems False means that it holds of the numbers that floats stand for: 0.01, 0.02 …
-        None without an original.
+        Whether ``abs(decoded - original) <= bound`` holds for all stored values, exactly and as
+        numpy computes it in their type; `bound` here is `max_error`, or the one given. False
+        without problems means that it holds for the decimal numbers that floats stand for: 0.01,
+        0.02 … None without an original.
     mesh : MeshReport or None
         What was checked of the meshes, if that was asked for.
     """
@@ -108,14 +108,14 @@ def verify(
     original : path, optional
         The raster it was made of.
     max_error : float, optional
-        Hold the file to this bound, in physical units, instead of its own.
+        Check this bound, in physical units, instead of the file's own.
     band : int
         The band of `original` that was compressed.
     nodata : float, optional
         The nodata value given at compression, where it differs from the raster's own.
     mesh : bool
-        Check all meshes too: that each covers its area once without gaps, folds and T-junctions,
-        that neighbours fit, and that no sample is further from a mesh than it states.
+        Check all meshes too: each covers its area once, without gaps, folds and T-junctions;
+        neighbours fit; and no sample is further from a mesh than the mesh states.
     threads : int, optional
         Threads that decode; the number of processors by default.
     progress : callable, optional

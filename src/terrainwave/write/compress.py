@@ -58,9 +58,9 @@ from terrainwave.write.subtrees import RasterPlace
 class CompressResult:
     """What `compress` made; errors in physical units.
 
-    `measured_error`, from the raster given, is None where the proof was skipped. The other two
-    are what the file states: with the bound that the raster had itself, if it came out of a .twz
-    file. `notes` say what a user should know.
+    `measured_error`, compared with the given raster, is None if the proof was skipped. The file
+    states the other two errors. If the raster came out of a .twz file, they include the bound of
+    that file. `notes` say what a user should know.
     """
 
     path: str
@@ -107,67 +107,66 @@ def compress(
     Parameters
     ----------
     src : path, rasterio dataset, list of these, ndarray, xarray DataArray or Dataset
-        One band of heights: uint8, int16, uint16, int32, float32 or float64. A list is a mosaic:
-        rasters of one CRS and grid, void where none is; the last counts where they overlap. A
-        Dataset has one variable of heights (docs/integrations.md has what is read from labels).
+        One band of heights: uint8, int16, uint16, int32, float32 or float64. A list of rasters
+        with the same CRS and grid makes a mosaic. Where they overlap, the last counts; where there
+        is none, the mosaic is void. A Dataset has one variable of heights (docs/integrations.md
+        lists what is read from labels).
     dst : path
-        The file to make, whose name ends in ``.twz``; never an existing raster. It appears
-        complete or not at all.
+        The file to make. Its name ends in ``.twz``. It appears complete or not at all, and never
+        replaces a raster.
     max_error : float, optional
-        Largest allowed error in physical units (after scale and offset); >= 0, closed. 0 is
-        lossless, bit by bit. By default 0 where the heights have a vertical quantum and 0.01 where
-        they don't.
+        Largest allowed error (<=) in physical units, after scale and offset; >= 0. 0 keeps every
+        bit. By default lossless if the heights are in whole steps (metres, centimetres, feet),
+        otherwise 0.01.
     method : str, Rapid, Predictive, Cdf97, Cdf53 or Store
-        ``"rapid"``, ``"predictive"``, ``"cdf97"``, ``"cdf53"``, ``"store"`` or ``"auto"``, which is
-        rapid whatever the raster; or a method with options of its own, as
-        ``tw.Cdf97(faithful=True)``. Files of predictive, for archives, are smaller and read several
-        times more slowly.
+        ``"rapid"``, ``"predictive"``, ``"cdf97"``, ``"cdf53"``, ``"store"`` or ``"auto"``, which
+        means rapid; or a method with its options, such as ``tw.Cdf97(faithful=True)``. Files of
+        predictive are smaller, and several times slower to read.
     block : int
         Cells per side of a block: 32, 64, … 1024.
     effort : str
         ``"fast"``, ``"default"`` or ``"best"``: how many ways of coding methods predictive and
-        cdf97 try. Without a method, best is predictive. The others have one way.
+        cdf97 try. Without a method, best selects predictive. Other methods ignore it.
     nodata : float, optional
-        Replaces the raster's own nodata value.
+        Nodata value to use instead of the raster's own.
     band : int, optional
-        Band to take, from 1.
+        Band to compress, from 1.
     georeference : bool
-        False takes the heights without place and CRS: of samples that follow no even grid, as
-        curvilinear ones, which are refused otherwise.
+        False compresses the heights without georeference and CRS, for example those of a
+        curvilinear grid, which are refused otherwise.
     mesh : str, Zerotree or Rqt
-        Triangulation of every block: ``"halves"`` or ``"auto"`` (halves), which is made again when
-        it is read and stores only its measured error; ``"zerotree"``, the guaranteed triangulation
-        of Yusov & Turlapov 2010, stored as labels, with method cdf97 driven by zero trees;
-        ``"rqt"``, a restricted quadtree, which stores some vertices of borders; or ``"none"``. The
-        second and third take options, as ``tw.Zerotree(labels="layer")``. To make them takes memory
-        that grows with the raster (`mesh.sections.make_sections`).
+        Triangulation of every block. ``"halves"`` (``"auto"``) is computed when it is read; the
+        file stores only its measured error. ``"zerotree"`` is the guaranteed triangulation of
+        Yusov & Turlapov 2010, stored as labels; with method cdf97 it follows zero trees. ``"rqt"``
+        is a restricted quadtree, which stores some vertices of borders. ``"none"`` makes no meshes.
+        zerotree and rqt have options, such as ``tw.Zerotree(labels="layer")``, and making them
+        takes memory that grows with the raster (`mesh.sections.make_sections`).
     mesh_error : float, optional
-        Largest vertical distance of the finest meshes from the decoded heights, in physical units;
-        by default what `max_error` guarantees, or the vertical quantum if that is more (0.01 for
-        exact heights on no grid).
+        Largest vertical distance of the finest meshes from the decoded heights, in physical units.
+        By default the guaranteed error, or the vertical quantum if that is larger (0.01 for
+        lossless heights that are on no vertical grid).
     strict : bool
-        Of floats on a decimal grid (0.1, 0.01 …) keep the bound for what is stored:
+        For floats on a decimal grid (0.1, 0.01 …), keep the bound for the stored floats:
         ``abs(decoded - original) <= max_error``, exactly and as numpy computes it in their type. By
-        default it holds for the decimal numbers, and the floats nearest to two of these may differ
-        by one float spacing more. Where the bound leaves no room for that, heights are decoded off
-        the grid, and files become larger (docs/reliability.md). Other rasters' files change at
-        most in the last digit of a bound.
+        default the bound holds for the decimal numbers, and floats may differ by one float spacing
+        more. With `strict`, decoded heights may be off the grid, and files become larger
+        (docs/reliability.md). Files of other rasters change at most in the last digit of a bound.
     stable : bool
-        Round heights to fixed steps first, which follow from `max_error`, type, scale and nodata
-        value alone, and code these exactly: whoever compresses what was decompressed, whole or in
-        parts, with the same bound gets the same heights again. The bound holds as `strict` has it.
-        Files become larger (docs/integrations.md). Not with method cdf53, nor with
+        Round heights to fixed steps, which depend only on `max_error`, type, scale and nodata
+        value, and store these exactly. If you decompress the file and compress the heights again,
+        whole or in parts, with the same bound, they do not change. The bound holds as with
+        `strict`. Files become larger (docs/integrations.md). Not with method cdf53, nor with
         ``Cdf97(faithful=True)``.
     format : str
-        ``"1.1"``, or ``"1.0"``: what the first readers read, too. A file is of format 1.1 only if
-        it uses what is new there: where voids are, it tells which heights of coarse levels are
-        fills; on rough ground, rapid has other contexts, which make it some per cent smaller.
+        ``"1.1"``, or ``"1.0"`` for files that version 1.0.0 can read. A file has format 1.1 only
+        if it uses its additions: in files with voids, marks of fills on coarse levels; in files of
+        rapid, other contexts and weights, which make them some per cent smaller.
     keep_origin : bool
-        Keep in the metadata a digest of the heights, and these options: what
-        ``compress --skip-existing`` knows the file again by. The batches of the command do.
+        Store a digest of the heights and these options in the metadata, by which
+        ``compress --skip-existing`` recognises the file. ``compress --to`` always does.
     temp_dir : path, optional
-        Where large temporary data go; by default beside `dst`. With `client` a path or a URL that
-        fsspec can write to, seen by all workers.
+        Directory for large temporary data; by default beside `dst`. With `client`, a path or a URL
+        that fsspec can write to and that all workers can use.
     verify : bool
         Decode the file and compare every sample before it replaces `dst`.
     threads : int, optional
@@ -175,12 +174,12 @@ def compress(
     overwrite : bool
         Replace an existing `dst`.
     client : dask.distributed.Client or concurrent.futures.Executor, optional
-        Shares the work out: to the workers of a cluster, which must be able to read the path `src`
-        and `dst`. The bytes are the same. Not with method cdf53.
+        Compress on the workers of a cluster, which must be able to read the paths `src` and `dst`.
+        The bytes are the same. Not with method cdf53.
     task_samples : int, optional
-        With `client`: samples that a task has at least, by default 4096 x 4096.
+        With `client`: the smallest number of samples of a task, by default 4096 x 4096.
     progress : callable, optional
-        Called with a `Progress` now and then, from one thread at a time.
+        Called with a `Progress` at most ten times a second, from one thread at a time.
 
     Raises
     ------
@@ -281,8 +280,8 @@ def compress_to_bytes(
 ) -> bytes:
     """Compress to bytes instead of a file; `Terrain` opens them as it opens a file.
 
-    For arrays that fit memory: chunks of a store, cells of a database. The options, the bound and
-    the errors are those of `compress`, but that no meshes are made unless they are asked for.
+    For arrays that fit into memory: chunks of a store, cells of a database. Options, bound and
+    errors are those of `compress`, except that `mesh` is ``"none"`` by default.
     """
     options = Options(
         max_error=max_error,

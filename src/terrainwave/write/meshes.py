@@ -66,9 +66,9 @@ def store_meshes(
     mesh_error : float, optional
         As in `compress`.
     original : path, dataset or array, optional
-        The raster the file was made of: errors of meshes are then measured against it. Without,
-        they are those against the decoded heights plus the file's own bound: true as well, and a
-        little larger.
+        The raster that the file was made from. Errors of meshes are then measured against it.
+        Without it they are measured against the decoded heights, plus the file's bound, which is a
+        little larger and holds as well.
     threads : int, optional
         All processors by default; the bytes don't depend on it.
     overwrite : bool

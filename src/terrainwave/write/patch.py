@@ -52,11 +52,11 @@ class PatchResult:
     """What `patch` did; errors in physical units, of the whole file.
 
     `effective_error` is the bound that the file now states. No height is further than
-    `measured_error` from its original: it is the largest error measured where originals are known
-    (the new raster, and `original`), and of what the file states of its other blocks.
-    `moved_error`, how far heights that the new raster does not cover have moved, is 0: patches of
-    format 1.0 moved them. `format` is the first version of the format whose readers know all that
-    the file uses now. `notes` say what a user should know.
+    `measured_error` from its original. It is measured where originals are known (the new raster,
+    and `original`); for other blocks it is the error that the file states. `moved_error`, how far
+    heights outside the new raster have moved, is always 0 (patches of version 1.0 moved them).
+    `format` is the first version of the format whose readers can read the file now. `notes` say
+    what a user should know.
     """
 
     path: str
@@ -82,26 +82,28 @@ def patch(
     threads: int | None = None,
     progress: ProgressCallback | None = None,
 ) -> PatchResult:
-    """Code the groups of a .twz file again whose heights differ in `src`; copy all others.
+    """Update a .twz file from a newer raster of all or part of its area.
+
+    Groups whose heights differ in `src` are coded again; all others are copied.
 
     Parameters
     ----------
     path : path
-        A file of method rapid or predictive. It is replaced at the end; whoever has it open keeps
-        the old one. It stays as it is if nothing differs.
+        A file of method rapid or predictive. It is replaced at the end; programs that have it open
+        keep the old contents. If nothing differs, it stays as it is.
     src : path, rasterio dataset, ndarray or xarray DataArray
         The new heights: all or part of the file's area, on its grid and in its CRS and type. An
-        array without a place covers all. Its voids become voids of the file.
+        array without a georeference covers the whole file. Its voids become voids of the file.
     band, nodata, temp_dir, threads, progress
         As in `compress`.
     original : path, rasterio dataset, ndarray or xarray DataArray, optional
-        The raster that the file was made of, with all earlier patches, band 1: heights that `src`
-        does not cover.
+        The raster that the file was made from, with all earlier patches (band 1). Heights that
+        `src` does not cover then stay within the bound of it. Without it they stay as they are.
 
     Returns
     -------
     PatchResult
-        With the numbers of coded units (groups and the root block) coded again and copied.
+        Its `n_recoded` and `n_copied` count units: groups and the root block.
 
     Raises
     ------

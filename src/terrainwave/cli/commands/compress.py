@@ -56,7 +56,7 @@ from terrainwave.progress import ProgressCallback
     "--max-error",
     type=Bound(),
     help="Largest allowed error, in the raster's vertical unit; 0 is lossless."
-    " Default: lossless where the heights have a vertical step, else 0.01.",
+    " Default: lossless for heights in whole steps (metres, centimetres, feet), otherwise 0.01.",
 )
 @click.option(
     "--method",
@@ -253,7 +253,7 @@ def _sources_and_target(paths: tuple[str, ...]) -> tuple[list[str], str]:
     except click.BadParameter as error:
         raise click.UsageError(
             f"TARGET is the last name: {error.message}; to compress each raster to a file of its"
-            " own add --to DIR"
+            " own, add --to DIR"
         ) from error
     return [Input().convert(path, None, ctx) for path in paths[:-1]], target
 

@@ -74,7 +74,7 @@ from terrainwave.progress import ProgressCallback
 @batched
 @writing
 def decompress(paths: tuple[str, ...], to: str | None, skip_existing: bool, **options: Any) -> None:
-    """Write the file SOURCE (.twz) to the GeoTIFF TARGET (.tif), or to stdout if that is -.
+    """Decompress SOURCE (.twz) to the GeoTIFF TARGET (.tif; - is stdout).
 
     If TARGET ends in .r16 or .png, the command writes a 16-bit height tile for game engines
     instead, and TARGET.json with its scale and place. With --to DIR there is no TARGET: each SOURCE
@@ -99,7 +99,7 @@ def _decompress(source: str, target: str, *, quiet: bool, **options: Any) -> Non
         terrainwave.decompress(source, path, progress=bar, **options)
         n_bytes = Path(path).stat().st_size
         if target == STREAM and Path(f"{path}.aux.xml").exists():
-            print_note("stdout has no .aux.xml beside it: write to a file to keep the CRS")
+            print_note("the GeoTIFF alone cannot hold the CRS: write to a file instead of stdout")
     if not quiet:
         with printing_beside(target):
             click.echo(f"{plain(target)}: {n_bytes:,} bytes")
@@ -133,7 +133,7 @@ def _source_and_target(paths: tuple[str, ...]) -> tuple[str, str]:
         raise click.UsageError(f"Missing argument '{'TARGET' if paths else 'SOURCE'}'.")
     if len(paths) > 2:
         raise click.UsageError(
-            f"found {len(paths)} names, expected SOURCE and TARGET; to make a GeoTIFF of each add"
+            f"found {len(paths)} names, expected SOURCE and TARGET; to decompress each file, add"
             " --to DIR"
         )
     ctx = click.get_current_context()

@@ -102,9 +102,9 @@ def _voids_in_words(info: Any, n_voids: int | None) -> str:
         return "all samples"
     kind = {
         "none": "none",
-        "nodata": f"where heights are {info.nodata}",
-        "nan": "where heights are NaN",
-        "mask": "by a mask",
+        "nodata": f"marked by the value {info.nodata}",
+        "nan": "marked by NaN",
+        "mask": "marked by a mask",
     }[info.voids]
     if n_voids is None:
         return kind
@@ -172,7 +172,7 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
         ),
         (
             "moved",
-            f"{info.moved_error:.6g}{unit} of it by patches, or in a file before"
+            f"{info.moved_error:.6g}{unit} of it from patches or an earlier file"
             if info.moved_error
             else "",
         ),

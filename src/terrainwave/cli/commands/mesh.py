@@ -52,7 +52,7 @@ _GOALS = {"max_error", "max_triangles", "optimise"}
     "--max-error",
     type=Bound(),
     help="Largest allowed vertical distance of the mesh from the original heights, in the file's"
-    " unit. Default: that of the stored meshes.",
+    " unit. Default: use the stored meshes and their error.",
 )
 @click.option("--max-triangles", type=click.IntRange(min=1), metavar="N",
               help="Make the mesh of smallest error with at most N triangles.")  # fmt: skip
@@ -97,7 +97,7 @@ _GOALS = {"max_error", "max_triangles", "optimise"}
 )
 @click.option("--mesh-error", type=Bound(), help="With --store: as for compress.")
 @click.option(
-    "--original", type=Input(), help="With --store: the raster, to measure errors against."
+    "--original", type=Input(), help="With --store: the raster to measure the errors against."
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @writing
@@ -249,8 +249,8 @@ def _mesh_for(
         except InvalidHeightsError:
             break
     print_note(
-        f"rounding of coordinates in the file adds to the error, which is more than {bound:g};"
-        " .ply, .obj and .vtu keep it"
+        f"rounding of coordinates in the file makes the error larger than {bound:g};"
+        " .ply, .obj and .vtu keep the bound"
     )
     return first
 
@@ -273,6 +273,6 @@ def _print_saved(saved: Any, kind_of_error: str) -> None:
     note_unit(saved.units)
     if saved.curvature:
         print_note(
-            f"flat triangles lie up to {saved.curvature:.3g} m below the curved body between"
-            " their vertices; the error does not count this"
+            f"between their vertices, flat triangles are up to {saved.curvature:.3g} m below the"
+            " curved surface; the error does not include this"
         )

@@ -31,9 +31,9 @@ from terrainwave.names import TILE_ENCODINGS
 def publish(
     files: tuple[str, ...], directory: str, quiet: bool, as_json: bool, **options: Any
 ) -> None:
-    """Write FILES (.twz) and a page that flies over them to DIRECTORY, for any static web server.
+    """Write FILES (.twz) and a page that flies over them to DIRECTORY, for static web hosts.
 
-    The page reads the files by byte ranges and makes its tiles in the browser.
+    The page reads the files by byte ranges and makes map tiles in the browser.
     """
     from terrainwave.ext.publish import publish_site
     from terrainwave.place.system import need_pyproj

@@ -130,7 +130,7 @@ def _saying_goodbye(*, quiet: bool) -> Iterator[None]:
         yield
     except KeyboardInterrupt as ended:
         if not quiet:
-            click.echo("\ngoodbye")
+            click.echo("\nstopped")
         if isinstance(ended, Terminated):
             click.get_current_context().exit(ended.status)
 

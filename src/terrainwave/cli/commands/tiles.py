@@ -38,25 +38,25 @@ from terrainwave.names import TILE_ENCODINGS
     type=click.IntRange(min=0),
     help="Finest zoom. Default: the first one whose cells are no larger than pixels.",
 )
-@click.option("--min-zoom", type=click.IntRange(min=0), help="Of an archive: coarsest zoom.")
+@click.option("--min-zoom", type=click.IntRange(min=0), help="For .pmtiles: coarsest zoom.")
 @click.option(
     "--rim",
     type=click.IntRange(min=0),
-    help="Of an archive: continue heights by so many pixels beyond edges and into voids.",
+    help="For .pmtiles: continue heights by this number of pixels beyond edges and into voids.",
 )
 @click.option(
     "--void-height",
     type=Finite(),
     help="Height of voids and of places that the raster does not cover, in metres above the"
-    " ellipsoid. Default: 0; in an archive 1 m below the lowest height.",
+    " ellipsoid. Default: 0; for .pmtiles 1 m below the lowest height.",
 )
 @click.option(
     "--encoding",
     type=click.Choice(TILE_ENCODINGS),
-    help="Of an archive: how pixels encode heights. mapbox (default) has steps of 0.1 m above"
+    help="For .pmtiles: encoding of heights. mapbox (default) has steps of 0.1 m above"
     " -10000 m, terrarium steps of 1/256 m above -32768 m.",
 )
-@click.option("--transparent-voids", is_flag=True, help="Of an archive: make voids transparent.")
+@click.option("--transparent-voids", is_flag=True, help="For .pmtiles: make voids transparent.")
 @VERTICAL_OPTION
 @click.option("--attribution", default="", help="Owner of the data, for the metadata.")
 @RADIUS_OPTION
@@ -67,10 +67,10 @@ from terrainwave.names import TILE_ENCODINGS
 def tiles(
     file: str, target: str, threads: int | None, quiet: bool, as_json: bool, **options: Any
 ) -> None:
-    """Write FILE (.twz) as tiles: TARGET is a directory for Cesium, or a name in .pmtiles.
+    """Write map tiles of FILE (.twz) to a directory for CesiumJS, or to an archive (.pmtiles).
 
-    A directory gets quantized-mesh tiles and layer.json: serve it over HTTP and give its address
-    to CesiumTerrainProvider.fromUrl. An archive holds terrain-RGB tiles for MapLibre and others.
+    A directory gets quantized-mesh tiles and layer.json: serve it over HTTP and pass its address
+    to CesiumTerrainProvider.fromUrl. An archive gets terrain-RGB tiles for MapLibre and other maps.
     """
     import terrainwave
 

@@ -14,11 +14,11 @@ class Cdf53(MethodOptions):
     Parameters
     ----------
     rate : float, optional
-        Bits per sample that the file may take, > 0, instead of `max_error`. The file's bound is
-        then the error that was measured.
+        Size of the file in bits per sample, > 0, instead of `max_error`. The file's bound is then
+        the measured error.
     psnr : float, optional
-        Decibels of the heights' range over the root mean square error that the file must reach,
-        > 0, instead of `max_error`.
+        Quality that the file must reach, > 0, in decibels of the heights' range over the root mean
+        square error, instead of `max_error`.
     """
 
     name = "cdf53"

@@ -16,9 +16,9 @@ class Cdf97(BlockMethodOptions):
         1, or 3 to share one more ring on both sides of every block border (Yusov & Turlapov 2010,
         §2.3).
     faithful : bool
-        Follow Yusov & Turlapov 2010 to the letter: coefficients of one wavelet step on all levels,
-        the coarse levels' quantiser and the errors of blocks as printed. Files become larger; their
-        zero trees say where the terrain is rough.
+        Follow Yusov & Turlapov 2010 to the letter: coefficients with one wavelet step on all
+        levels, and the quantiser of coarse levels and the errors of blocks as printed. Files become
+        larger. Their zero trees show where the terrain is rough.
     """
 
     name = "cdf97"
