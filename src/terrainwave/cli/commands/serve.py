@@ -83,7 +83,7 @@ def serve(
         raise click.UsageError("Missing argument 'FILES...'.")
     for package in ("uvicorn", "fastapi", "PIL"):
         need(package, extra="serve", purpose="serve")
-    with _saying_goodbye(quiet=quiet):
+    with _saying_that_it_stopped(quiet=quiet):
         announce_compiling(quiet=quiet)
         app = _app(files, host, hosts, **options)
         with _listen(host, port) as listener:
@@ -121,7 +121,7 @@ def _serve(app: Any, n_files: int, listener: socket.socket, address: str | None)
 
 
 @contextmanager
-def _saying_goodbye(*, quiet: bool) -> Iterator[None]:
+def _saying_that_it_stopped(*, quiet: bool) -> Iterator[None]:
     """Let signals end the command without an error: nothing has failed.
 
     The status is 0 after Ctrl-C, and after others what shells expect.
