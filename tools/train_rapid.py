@@ -24,8 +24,6 @@ from terrainwave.codec.rapid import trained_reach as rapid_reach_tables
 from terrainwave.codec.rapid.file_tables import (
     N_CLASSES,
     PLANES,
-    WHOLE,
-    FileStencil,
     FileTables,
     missing_tap,
 )
@@ -33,6 +31,7 @@ from terrainwave.codec.rapid.fit import best_tables, codes_for, count
 from terrainwave.codec.rapid.fit_stencils import COST_UNIT, costs_of, fit_weights, gather, judged
 from terrainwave.codec.rapid.layout import TAPS
 from terrainwave.codec.rapid.magnitude import N_CONTEXTS
+from terrainwave.codec.stencils import WHOLE, FileStencil
 
 # Not those that sizes are measured on.
 RASTERS = (

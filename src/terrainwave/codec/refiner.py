@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.remainders import Remainders
 
@@ -32,8 +33,8 @@ class Sides(NamedTuple):
 NOT_SHARED = Sides(False, False, False, False)
 
 
-@dataclass(frozen=True)
-class GroupSpec:
+@dataclass(frozen=True, kw_only=True)
+class GroupSpec(CodecParameters):
     """Everything a refiner may know about a coded unit besides its parent's heights.
 
     Regions are in sample indices of their own level; sample (r, c) of the parent's level lies on
@@ -47,26 +48,12 @@ class GroupSpec:
     region: Region
     parent_region: Region | None
     shared: Sides
-    step: int
-    z_min: int
-    z_max: int
-    forbidden: tuple[int, int]
-    rings: int
-    effort: int
     # For the choices of encoders, and the sections of a payload: no refiner may decode by it.
     is_finest: bool = True
     # Whether `Decoded.labels` are wanted; without them decoding saves about 1 %.
     wants_labels: bool = True
-    # Bytes per sample of remainders, which make heights exact beyond their quanta; 0 without.
-    remainder_bytes: int = 0
-    # Whether the file follows its method's paper to the letter (FORMAT.md §7.9), and whether
-    # residuals of this level are quantised as the paper prints it for coarse ones.
-    is_faithful: bool = False
+    # Whether residuals of this level are quantised as the paper prints it for coarse ones.
     has_coarse_residuals: bool = False
-    # Whether the file tells which samples of coarse levels are fills (FORMAT.md §5.4).
-    has_fills: bool = False
-    # Whether payloads may put heights back in the loop (FORMAT.md §5.5).
-    has_corrections: bool = False
 
     @classmethod
     def alone(
@@ -87,18 +74,9 @@ class GroupSpec:
         `codec.units.unit_spec` returns those of a file's units.
         """
         return cls(
-            level=1,
-            core=core,
-            region=region or core,
-            parent_region=parent_region,
-            shared=shared,
-            step=step,
-            z_min=z_min,
-            z_max=z_max,
-            forbidden=forbidden,
-            rings=1,
-            effort=effort,
-        )
+            step, z_min, z_max, forbidden, 1, effort, level=1, core=core, region=region or core,
+            parent_region=parent_region, shared=shared,
+        )  # fmt: skip
 
     @property
     def half(self) -> int:
@@ -230,24 +208,16 @@ class CorrectingRefiner(Protocol):
     """A refiner whose loop has corrections (`codec.corrections`)."""
 
     def encode(
-        self,
-        spec: GroupSpec,
-        parent: Heights | None,
-        target: Heights,
-        mask: Mask | None,
+        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask | None,
         corrections: Corrections = NO_CORRECTIONS,
-    ) -> tuple[bytes, Heights, Labels | None]:
+    ) -> tuple[bytes, Heights, Labels | None]:  # fmt: skip
         """Do as `Refiner.encode`, and give back what is to be kept."""
         ...
 
     def decode(
-        self,
-        spec: GroupSpec,
-        parent: Heights | None,
-        mask: Mask | None,
-        payload: bytes,
+        self, spec: GroupSpec, parent: Heights | None, mask: Mask | None, payload: bytes,
         corrections: Corrections = NO_CORRECTIONS,
-    ) -> tuple[Heights, Labels | None]:
+    ) -> tuple[Heights, Labels | None]:  # fmt: skip
         """Do as `Refiner.decode`."""
         ...
 
@@ -256,14 +226,9 @@ class DirectRefiner(CorrectingRefiner, Protocol):
     """One that decodes into memory it is given, heights within the spec's range."""
 
     def decode_into(
-        self,
-        spec: GroupSpec,
-        parent: Heights | None,
-        mask: Mask | None,
-        payload: bytes,
-        out: Heights,
-        corrections: Corrections = NO_CORRECTIONS,
-    ) -> None:
+        self, spec: GroupSpec, parent: Heights | None, mask: Mask | None, payload: bytes,
+        out: Heights, corrections: Corrections = NO_CORRECTIONS,
+    ) -> None:  # fmt: skip
         """Do as `decode`; `out` is contiguous and has the shape of ``spec.region``."""
         ...
 

@@ -33,27 +33,20 @@ def unit_spec(grid: Grid, parameters: CodecParameters, key: Block) -> GroupSpec:
         bottom=(key.row + 1) * blocks_per_unit < n_rows,
         right=(key.col + 1) * blocks_per_unit < n_cols,
     )
+    is_finest = level == grid.k_max
+    rest = parameters.remainder_bytes if is_finest else 0
     return GroupSpec(
+        **(vars(parameters) | {"remainder_bytes": rest}),
         level=level,
         core=unit_core(grid, key),
         region=region,
         parent_region=parent_region,
         shared=shared,
-        step=parameters.step,
-        z_min=parameters.z_min,
-        z_max=parameters.z_max,
-        forbidden=parameters.forbidden,
-        rings=parameters.rings,
-        effort=parameters.effort,
-        is_finest=level == grid.k_max,
+        is_finest=is_finest,
         # Trees of a faithful file say where its meshes are fine; a root block refines none.
         wants_labels=parameters.is_faithful and not key.is_root_key,
-        remainder_bytes=parameters.remainder_bytes if level == grid.k_max else 0,
-        is_faithful=parameters.is_faithful,
         # As printed where the bound is a quantum or more; lossless is lossless on all levels.
-        has_coarse_residuals=parameters.is_faithful and level < grid.k_max and parameters.step > 1,
-        has_fills=parameters.has_fills,
-        has_corrections=parameters.has_corrections,
+        has_coarse_residuals=parameters.is_faithful and not is_finest and parameters.step > 1,
     )
 
 

@@ -8,7 +8,7 @@ from terrainwave.grid.quantum import Quantizer
 
 @dataclass(frozen=True)
 class CodecParameters:
-    """What all units of a file have in common; fields as in `codec.refiner.GroupSpec`."""
+    """What all units of a file have in common."""
 
     step: int
     z_min: int
@@ -16,9 +16,13 @@ class CodecParameters:
     forbidden: tuple[int, int]
     rings: int
     effort: int
+    # Bytes per sample of remainders, which make heights exact beyond their quanta; 0 without.
     remainder_bytes: int = 0
+    # Whether the file follows its method's paper to the letter (FORMAT.md §7.9).
     is_faithful: bool = False
+    # Whether the file tells which samples of coarse levels are fills (FORMAT.md §5.4).
     has_fills: bool = False
+    # Whether payloads may put heights back in the loop (FORMAT.md §5.5).
     has_corrections: bool = False
 
     @classmethod

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from terrainwave.codec.planes import CORES, TAPS
 from terrainwave.codec.predictive import trained
 from terrainwave.codec.predictive.passes import N_FEATURES
+from terrainwave.codec.stencils import MAX_WEIGHT, FileStencil
 from terrainwave.coding.rangecoder import (
     MAGNITUDE_MODELS,
     N_UNARY,
@@ -31,22 +32,9 @@ from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
 PLANES = (1, 2, 3)
 MAX_SETS = 16  # what a plane's header can name
 _LAYOUT = 1
-_MAX_WEIGHT = (1 << 15) - 1
 MAX_FEATURE_WEIGHT = 1 << 12
-_WHOLE = 4096
 # Models of magnitudes: core taps, other taps, feature weights.
 _CORE, _OTHER, _FEATURE = 0, MAGNITUDE_MODELS, 2 * MAGNITUDE_MODELS
-
-
-class FileStencil(NamedTuple):
-    """A stencil as a file stores it: ``base + deltas * 2**shift``, then `missing_tap` filled up.
-
-    `base` is a trained set; the delta of `missing_tap` is 0.
-    """
-
-    base: int
-    shift: int
-    deltas: tuple[int, ...]
 
 
 class FileTables(NamedTuple):
@@ -73,23 +61,8 @@ def missing_tap(plane: int) -> int:
 
 
 def weights_of(plane: int, stencil: FileStencil) -> NDArray[np.int64]:
-    """Return the weights of a file's stencil, whose sum is 4096.
-
-    Raises
-    ------
-    CorruptStreamError
-        If a weight is out of range.
-    """
-    sets = trained.STENCILS[plane]
-    if stencil.base >= len(sets):
-        raise CorruptStreamError(f"a stencil builds on set {stencil.base}, which does not exist")
-    weights = sets[stencil.base] + (np.array(stencil.deltas, dtype=np.int64) << stencil.shift)
-    missing = missing_tap(plane)
-    weights[missing] = 0
-    weights[missing] = _WHOLE - weights.sum()
-    if np.abs(weights).max() > _MAX_WEIGHT:
-        raise CorruptStreamError(f"a stencil of plane {plane} has a weight beyond 2^15")
-    return weights
+    """Return the weights of a file's stencil, checked."""
+    return stencil.weights(trained.STENCILS[plane], missing_tap(plane), plane)
 
 
 def all_tables(added: FileTables) -> Tables:
@@ -192,7 +165,7 @@ def _parse_stencil(coder: Coder, plane: int) -> FileStencil:
         delta = 0
         if tap != missing:
             delta = _code_magnitude(coder, _CORE if is_core else _OTHER)
-            if delta > 2 * _MAX_WEIGHT:
+            if delta > 2 * MAX_WEIGHT:
                 raise CorruptStreamError(f"a stencil of plane {plane} has a weight beyond 2^15")
             if delta and code_raw(coder, 1, 0):
                 delta = -delta

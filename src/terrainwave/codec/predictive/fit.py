@@ -17,7 +17,6 @@ from terrainwave.codec.predictive.file_tables import (
     MAX_FEATURE_WEIGHT,
     MAX_SETS,
     PLANES,
-    FileStencil,
     FileTables,
     missing_tap,
     weights_of,
@@ -48,6 +47,7 @@ from terrainwave.codec.predictive.passes import (
     PassTables,
 )
 from terrainwave.codec.refiner import Heights, Mask
+from terrainwave.codec.stencils import FileStencil
 from terrainwave.coding.jit import kernel
 from terrainwave.grid.quadtree import Grid, Region
 

@@ -4,6 +4,7 @@ Per row, everything that does not depend on the row itself is computed first, ov
 does (the western tap and two errors) is added sample by sample while coding.
 """
 
+from collections import namedtuple
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -262,37 +263,10 @@ class Range(NamedTuple):
     z_max: int
 
 
-class _Scale(NamedTuple):
-    """What follows from the step and the range of heights."""
-
-    shift: int
-    inverse: int
-    half: int
-    p_low: int
-    p_high: int
-
-
-class _Sample(NamedTuple):
-    """A sample to code: its sorted core, neighbours, and prediction, in 2**-P_BITS and rounded."""
-
-    bottom: int
-    lower: int
-    upper: int
-    top: int
-    west: int
-    north: int
-    value: int
-    whole: int
-
-
-class _Contexts(NamedTuple):
-    """What is expected of a detail, and how many of its neighbours lie above and below."""
-
-    expected: int
-    e_bin: int
-    log_range: int
-    n_up: int
-    n_down: int
+# What follows from a `Range`.
+_Scale = namedtuple("_Scale", "shift inverse half p_low p_high")
+# A sample to code: its sorted core, its prediction in 2**-P_BITS and rounded, two neighbours.
+_Sample = namedtuple("_Sample", "bottom lower upper top west north value whole")
 
 
 @kernel_part
@@ -366,22 +340,10 @@ def _sides(sample, half):
     )
     if not is_quiet:
         ceiling, floor = whole + half, whole - half
-        n_up = (
-            np.int64(bottom > ceiling)
-            + (lower > ceiling)
-            + (upper > ceiling)
-            + (top > ceiling)
-            + (west > ceiling)
-            + (north > ceiling)
-        )
-        n_down = (
-            np.int64(bottom < floor)
-            + (lower < floor)
-            + (upper < floor)
-            + (top < floor)
-            + (west < floor)
-            + (north < floor)
-        )
+        n_up = np.int64(bottom > ceiling) + (lower > ceiling) + (upper > ceiling)
+        n_up += np.int64(top > ceiling) + (west > ceiling) + (north > ceiling)
+        n_down = np.int64(bottom < floor) + (lower < floor) + (upper < floor)
+        n_down += np.int64(top < floor) + (west < floor) + (north < floor)
     return n_up, n_down
 
 
@@ -396,10 +358,9 @@ def _detail_of(goal, whole, step, half):
 
 
 @inlined_kernel
-def _contexts_of_other(sample, contexts, scale):
+def _contexts_of_other(sample, expected, e_bin, n_up, n_down, scale):
     """Return what `code_detail` takes of a detail that is not 0: from its models of signs on."""
     bottom, lower, upper, top, west, north, value, whole = sample
-    expected, e_bin, _, n_up, n_down = contexts
     shift, inverse = scale.shift, scale.inverse
     from_median = ((lower + upper) << (P_BITS - 1)) - value
     from_middle = ((bottom + top) << (P_BITS - 1)) - value
@@ -544,9 +505,8 @@ def code_pass(
                 west = whole
                 error = error_of_fraction[fraction]
             else:
-                contexts = _Contexts(expected, e_bin, log_range, n_up, n_down)
                 sign_b, sign_h, reach_b, reach_a, around = _contexts_of_other(
-                    sample, contexts, scale
+                    sample, expected, e_bin, n_up, n_down, scale
                 )
                 detail, at = code_detail(
                     at, state, stream, models, is_encoder, mixers, e_bin, sign_b, sign_h, reach_b,

@@ -24,6 +24,7 @@ from terrainwave.codec.rapid.layout import (
 )
 from terrainwave.codec.rapid.magnitude import N_CONTEXTS
 from terrainwave.codec.rapid.symbols import ESCAPE, N_SYMBOLS
+from terrainwave.codec.stencils import MAX_WEIGHT, FileStencil
 from terrainwave.coding.jit import kernel, rare_kernel
 from terrainwave.coding.rangecoder import (
     MAGNITUDE_MODELS,
@@ -44,8 +45,6 @@ from terrainwave.names import REACH_LAYOUT, WEIGHTS_LAYOUT
 
 N_CLASSES = 4  # levels: the finest, the next two, all coarser ones
 PLANES = (HH, HL, LH)
-WHOLE = 4096
-MAX_WEIGHT = (1 << 15) - 1
 SHIFTS = (0, 2, 3, 4, 5)
 # Families of contexts by the mean, then those of contexts by reach (R.7).
 N_FAMILIES = 2 * trained.N_FAMILIES
@@ -80,17 +79,6 @@ USUAL_WEIGHTS = np.array(
 _MOST_EXPECTED = (1 << 24) - (1 << 15)
 _TIMES_ERROR = 8
 _OF_ERRORS = (F_NORTH, F_DIAGONAL, F_NORTH_2, F_NEAR, F_FAR)
-
-
-class FileStencil(NamedTuple):
-    """A stencil as a file stores it: trained set `base`, plus ``deltas * 2**shift`` if there are.
-
-    The weight of `missing_tap` follows from the others, whose sum with it is 4096.
-    """
-
-    base: int
-    shift: int = 0
-    deltas: tuple[int, ...] = ()
 
 
 class FileTables(NamedTuple):
@@ -185,25 +173,8 @@ def core_taps(plane: int) -> list[bool]:
 
 
 def weights_of(plane: int, stencil: FileStencil) -> NDArray[np.int64]:
-    """Return the weights of a file's stencil.
-
-    Raises
-    ------
-    CorruptStreamError
-        If the set does not exist or a weight is out of range.
-    """
-    sets = trained.STENCILS[plane]
-    if stencil.base >= len(sets):
-        raise CorruptStreamError(f"a stencil builds on set {stencil.base}, which does not exist")
-    weights: NDArray[np.int64] = sets[stencil.base].astype(np.int64)
-    if stencil.deltas:
-        weights += np.array(stencil.deltas, dtype=np.int64) << stencil.shift
-        missing = missing_tap(plane)
-        weights[missing] = 0
-        weights[missing] = WHOLE - weights.sum()
-        if np.abs(weights).max() > MAX_WEIGHT:
-            raise CorruptStreamError(f"a stencil of plane {plane} has a weight beyond 2^15")
-    return weights
+    """Return the weights of a file's stencil, checked."""
+    return stencil.weights(trained.STENCILS[plane], missing_tap(plane), plane)
 
 
 def weights_of_codes(codes: NDArray[np.int64]) -> NDArray[np.int64]:

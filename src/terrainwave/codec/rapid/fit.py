@@ -20,7 +20,6 @@ from terrainwave.codec.rapid.file_tables import (
     FREQ_OF_CODE,
     N_CLASSES,
     PLANES,
-    FileStencil,
     FileTables,
     Tables,
     default_codes,
@@ -33,6 +32,7 @@ from terrainwave.codec.rapid.magnitude import N_CONTEXTS
 from terrainwave.codec.rapid.symbols import ESCAPE, ESCAPE_BITS, N_SYMBOLS, low_bits
 from terrainwave.codec.rapid.trained import N_STEPS, family_of
 from terrainwave.codec.refiner import GroupSpec, Heights, Mask
+from terrainwave.codec.stencils import FileStencil
 from terrainwave.coding.rans import N_SLOTS, SYMBOL_BITS
 from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.windows import spread_windows

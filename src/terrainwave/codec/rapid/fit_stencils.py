@@ -18,13 +18,12 @@ from terrainwave.codec.rapid.file_tables import (
     N_CLASSES,
     PLANES,
     SHIFTS,
-    WHOLE,
-    FileStencil,
     core_taps,
     missing_tap,
 )
 from terrainwave.codec.rapid.layout import MAX_TAPS, TAPS
 from terrainwave.codec.refiner import Heights, Mask
+from terrainwave.codec.stencils import WHOLE, FileStencil
 
 Reals = NDArray[np.float64]
 Stencils = tuple[tuple[FileStencil, ...], ...]
