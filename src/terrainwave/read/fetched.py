@@ -9,18 +9,14 @@ from terrainwave.grid.quadtree import Block
 
 # Left over where what was fetched is not wanted any more: the oldest go.
 _MAX_BYTES = 32 << 20
+# Returns the checked payloads of several units, near ones in one request.
+Payloads = Callable[[Sequence[Block]], list[bytes]]
 
 
 class FetchedPayloads:
-    """Fetches payloads, each for one thread only. Thread-safe.
+    """Fetches payloads, each for one thread only. Thread-safe."""
 
-    Parameters
-    ----------
-    payloads : callable
-        Returns the checked payloads of several units, near ones in one request.
-    """
-
-    def __init__(self, payloads: Callable[[Sequence[Block]], list[bytes]]) -> None:
+    def __init__(self, payloads: Payloads) -> None:
         self._payloads = payloads
         self._here: dict[Block, bytes] = {}  # the oldest first
         self.renew()

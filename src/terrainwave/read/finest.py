@@ -4,8 +4,6 @@ For files that do not tell which samples of coarse levels are fills (FORMAT.md Â
 payloads are read for the masks that stand before their heights.
 """
 
-from collections.abc import Callable, Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,9 +13,10 @@ from terrainwave.codec.group import read_head
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Validity
 from terrainwave.container.header import Header
 from terrainwave.errors import CorruptStreamError
-from terrainwave.grid.quadtree import Block, Region
+from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS
 from terrainwave.read.decoder import Groups, TreeDecoder, UnitSource
+from terrainwave.read.fetched import Payloads
 from terrainwave.read.tiles import Tile, Tiles
 
 # Payloads fetched ahead of decoding, in one coalesced request.
@@ -49,17 +48,12 @@ def _tile_masks(spec: TileSpec, outer: LevelHeights | None, payload: bytes) -> T
 class FinestMasks:
     """The validity of the full grid where samples of a level lie.
 
-    Parameters
-    ----------
-    payloads : callable
-        Returns the checked payloads of several units, near ones in one request.
-
     Notes
     -----
     For levels above the full grid alone.
     """
 
-    def __init__(self, header: Header, payloads: Callable[[Sequence[Block]], list[bytes]]) -> None:
+    def __init__(self, header: Header, payloads: Payloads) -> None:
         grid, parameters = header.grid, header.codec_parameters
         self._grid = grid
         source: UnitSource = Groups(payloads, _unit_mask)

@@ -18,7 +18,7 @@ from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.names import METHODS, methods_that
 from terrainwave.read.decoder import TreeDecoder, groups_by, unit_key, unit_name
-from terrainwave.read.fetched import FetchedPayloads
+from terrainwave.read.fetched import FetchedPayloads, Payloads
 
 Tile = list[LevelHeights]
 Coefficients = NDArray[np.int64]
@@ -29,8 +29,6 @@ class Tiles:
 
     Parameters
     ----------
-    payloads : callable
-        Returns the checked payloads of several tiles, near ones in one request.
     cache_bytes : int
         What decoded tiles may take; coefficients, which few ask for, as much again.
     decode : callable
@@ -43,7 +41,7 @@ class Tiles:
         self,
         grid: Grid,
         parameters: CodecParameters,
-        payloads: Callable[[Sequence[Block]], list[bytes]],
+        payloads: Payloads,
         cache_bytes: int,
         decode: Callable[[TileSpec, LevelHeights | None, bytes], Tile] = decode_tile,
     ) -> None:
@@ -152,7 +150,7 @@ class Tiles:
 
 def make_decoder(
     header: Header,
-    payloads: Callable[[Sequence[Block]], list[bytes]],
+    payloads: Payloads,
     cache_bytes: int,
     *,
     are_prefixes: bool = False,

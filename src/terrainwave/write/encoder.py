@@ -31,6 +31,7 @@ from terrainwave.grid.measure import (
 )
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
+from terrainwave.grid.windows import HeightsOf, MaskOf
 from terrainwave.write.job import Job
 from terrainwave.write.pyramid import Pyramid
 
@@ -48,11 +49,7 @@ class PayloadSink(Protocol):
         ...
 
 
-def fitted_refiner(
-    job: Job,
-    heights: Callable[[int, Region], Heights],
-    mask: Callable[[int, Region], Mask],
-) -> tuple[Refiner, bytes]:
+def fitted_refiner(job: Job, heights: HeightsOf, mask: MaskOf) -> tuple[Refiner, bytes]:
     """Return the refiner of a job's method, and the tables that are fitted to the raster.
 
     `heights` and `mask` return targets and validity of a region of a level. The tables are empty
