@@ -55,7 +55,7 @@ class Tiles:
             cache_bytes, size_of=lambda found: found.nbytes
         )
 
-    def prefetch(self, units: TreeDecoder, keys: Sequence[Block]) -> list[Block]:
+    def prefetch(self, units: TreeDecoder, keys: Sequence[Block]) -> list[Block]:  # noqa: ARG002
         """Fetch the payloads of the tiles that decoding `keys` will need, in one call.
 
         Returns none: a unit needs tiles and no other unit.

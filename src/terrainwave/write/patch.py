@@ -578,7 +578,7 @@ class _Patcher:
 
     def code(self) -> tuple[int, int]:
         """Fill the sink; return how many units were coded again, and how many copied."""
-        self._pyramid.build(lambda done, total: None)
+        self._pyramid.build(lambda *_: None)
         encoder = _PatchEncoder(
             self._terrain, self._merged, self._pyramid, self.sink, self._count("patching")
         )
@@ -708,7 +708,7 @@ class _Patcher:
             # Decoded heights stand in for originals that are not known.
             lost += header.coded_error
             measured = measure_meshes(
-                grid, mesher, self._pyramid.originals, self._executor, lambda n_samples: None, lost
+                grid, mesher, self._pyramid.originals, self._executor, lambda _: None, lost
             )
             away = mesh_codes(measured, lost)
             for block in moved & open_blocks & set(away):

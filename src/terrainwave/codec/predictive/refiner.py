@@ -191,7 +191,7 @@ class Predictive:
         heights: HeightsOf,
         mask: MaskOf,
         *,
-        may_have_reach: bool = True,
+        may_have_reach: bool = True,  # noqa: ARG002, as all readers know these tables
     ) -> "Predictive":
         """Return a refiner with tables fitted to a raster, where they are worth their bytes.
 
