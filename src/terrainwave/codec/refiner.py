@@ -122,6 +122,11 @@ class Validity(NamedTuple):
 ALL_VALID = Validity(None)
 
 
+def all_void(shape: tuple[int, int]) -> Validity:
+    """Return the validity of a region without a valid sample."""
+    return Validity(np.zeros(shape, dtype=np.bool_))
+
+
 def as_array(mask: Mask | None, shape: tuple[int, ...]) -> Mask:
     """Return a mask as an array, which None stands for where all samples are valid."""
     return np.ones(shape, dtype=np.bool_) if mask is None else mask

@@ -67,7 +67,7 @@ class Groups:
                     break
                 key = unit_key(key)
             missing.update(dict.fromkeys(reversed(chain)))
-        self._fetched.fetch_several(list(missing))
+        self._fetched.fetch(list(missing))
         return list(missing)
 
     def decode(self, units: "TreeDecoder", key: Block) -> Decoded:

@@ -29,16 +29,14 @@ class FetchedPayloads:
         self._n_bytes = 0
         self._on_the_way: dict[Block, threading.Event] = {}
 
-    def fetch_several(self, keys: Sequence[Block]) -> None:
-        """Do as `fetch`, if there are several: one can be fetched by `take` as well."""
-        if len(keys) > 1:
-            self.fetch(keys)
-
     def fetch(self, keys: Sequence[Block]) -> None:
         """Fetch, in one call, those that are neither here nor on their way to another thread.
 
-        A damaged payload is left for `take` to report, so that it costs no other unit.
+        A damaged payload is left for `take` to report, so that it costs no other unit; so is a
+        single one to fetch.
         """
+        if len(keys) < 2:
+            return
         done = threading.Event()
         with self._lock:
             own = [key for key in keys if key not in self._here and key not in self._on_the_way]

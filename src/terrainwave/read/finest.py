@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from terrainwave.codec.cdf53.refiner import LevelHeights, decode_masks, unpack_head
 from terrainwave.codec.cdf53.tiles import TileSpec
 from terrainwave.codec.group import read_head
-from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Validity
+from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, all_void
 from terrainwave.container.header import Header
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.quadtree import Region
@@ -28,7 +28,7 @@ def _unit_mask(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Decod
     """Decode the mask of a unit; heights are all 0."""
     heights = _no_heights(spec.region)
     if not payload:
-        return Decoded(heights, _all_void(spec.region))
+        return Decoded(heights, all_void(spec.region.shape))
     return Decoded(heights, read_head(spec, parent, payload).validity)
 
 
@@ -38,7 +38,7 @@ def _tile_masks(spec: TileSpec, outer: LevelHeights | None, payload: bytes) -> T
         head, _ = unpack_head(spec, payload)
         levels = decode_masks(spec, head, None if outer is None else outer.validity)
     else:
-        levels = [_all_void(region) for region in spec.regions]
+        levels = [all_void(region.shape) for region in spec.regions]
     return [
         LevelHeights(region, _no_heights(region), validity)
         for region, validity in zip(spec.regions, levels, strict=True)
@@ -129,7 +129,3 @@ def _samples_in(core: Region, region: Region, stride: int) -> tuple[Region, tupl
 def _no_heights(region: Region) -> Heights:
     """Return heights that take no memory."""
     return np.broadcast_to(np.int32(0), region.shape)
-
-
-def _all_void(region: Region) -> Validity:
-    return Validity(np.zeros(region.shape, dtype=np.bool_))

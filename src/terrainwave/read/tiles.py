@@ -66,7 +66,7 @@ class Tiles:
             while tile is not None and tile not in needed and self._tiles.get(tile) is None:
                 needed[tile] = None
                 tile = self._layout.above(tile)
-        self._fetched.fetch_several(list(needed))
+        self._fetched.fetch(list(needed))
         return []
 
     def decode(self, units: TreeDecoder, key: Block) -> Decoded:

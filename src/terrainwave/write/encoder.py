@@ -13,14 +13,7 @@ from functools import partial
 from typing import Any, NamedTuple, Protocol
 
 from terrainwave.codec.group import encode_unit
-from terrainwave.codec.refiner import (
-    Decoded,
-    FittingRefiner,
-    GroupSpec,
-    Heights,
-    Mask,
-    Refiner,
-)
+from terrainwave.codec.refiner import Decoded, FittingRefiner, GroupSpec, Heights, Mask, Refiner
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.units import block_of_unit, unit_spec
 from terrainwave.grid.measure import (

@@ -41,12 +41,7 @@ from terrainwave.codec.refiner import FREE
 from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.filters import MAX_HEIGHT
 from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
-from terrainwave.coding.rangecoder import (
-    code_mean_step,
-    code_step,
-    put_back,
-    take_out,
-)
+from terrainwave.coding.rangecoder import code_mean_step, code_step, put_back, take_out
 
 # What a sample is: nothing to code, coded in this pass, or known already (on a shared line).
 VOID, CODED, KNOWN = 0, 1, 2
@@ -383,21 +378,9 @@ def code_pass(
 
     `kinds` (VOID, CODED, KNOWN) and `target` have the plane's size without padding; known samples
     are in place. Fills the plane's `errors` and `activity` as well, whose padding must be 0.
-
-    Parameters
-    ----------
-    arrays : Arrays
-    geometry : planes.Pass
-        Of which the plane is.
-    tables : PassTables
-    heights : Range
-    rows : ndarray
-        Row buffers; may be int32 where `fits_narrow` says so, for the same result in half the time.
-    coder : Coder
-    mixers : ndarray of int64
-        Adapt, as the models do.
-    corrections : Corrections
-        Of the plane, flat, or empty.
+    `geometry` is the pass (`planes.Pass`), `tables` are `PassTables`, `heights` a `Range`. `rows`
+    may be int32 where `fits_narrow` says so, for the same result in half the time. `coder` and
+    `mixers` adapt. `corrections` are those of the plane, flat, or empty.
     """
     goal, kinds, arrays, geometry = borrowed((target, kinds, arrays, geometry))
     tables, rows, coder, mixers = borrowed((tables, rows, coder, mixers))

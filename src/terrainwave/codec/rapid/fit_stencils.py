@@ -14,13 +14,7 @@ from numpy.typing import NDArray
 
 from terrainwave.codec.planes import WHOLE, FileStencil, parity
 from terrainwave.codec.rapid import trained
-from terrainwave.codec.rapid.file_tables import (
-    N_CLASSES,
-    PLANES,
-    SHIFTS,
-    core_taps,
-    missing_tap,
-)
+from terrainwave.codec.rapid.file_tables import N_CLASSES, PLANES, SHIFTS, core_taps, missing_tap
 from terrainwave.codec.rapid.layout import MAX_TAPS, TAPS
 from terrainwave.codec.refiner import Heights, Mask
 
