@@ -35,7 +35,7 @@ STAGES = (
     ("fit", "terrainwave.codec.rapid.fit", "fit_tables"),
     ("rows", "terrainwave.codec.rapid.coder", "code_rows encode_symbols"),
     ("unit", "terrainwave.write.encoder", "encode_unit"),
-    ("unit", "terrainwave.read.decoder", "decode_unit"),
+    ("unit", "terrainwave.codec.group", "decode_unit"),
     ("write", "terrainwave.write.compress", "assemble"),
 )
 

@@ -18,6 +18,7 @@ from types import ModuleType
 import numpy as np
 import rasterio
 
+from terrainwave.codec.planes import WHOLE, FileStencil
 from terrainwave.codec.rapid import file_tables as rapid_parameters
 from terrainwave.codec.rapid import trained as rapid_tables
 from terrainwave.codec.rapid import trained_reach as rapid_reach_tables
@@ -31,7 +32,6 @@ from terrainwave.codec.rapid.fit import best_tables, codes_for, count
 from terrainwave.codec.rapid.fit_stencils import COST_UNIT, costs_of, fit_weights, gather, judged
 from terrainwave.codec.rapid.layout import TAPS
 from terrainwave.codec.rapid.magnitude import N_CONTEXTS
-from terrainwave.codec.stencils import WHOLE, FileStencil
 
 # Not those that sizes are measured on.
 RASTERS = (

@@ -28,8 +28,8 @@ class Cache(Generic[Key, Value]):
         self,
         limit: int,
         *,
-        size_of: Callable[[Value], int] = lambda value: 1,
-        drop: Callable[[Value], None] = lambda value: None,
+        size_of: Callable[[Value], int] = lambda _: 1,
+        drop: Callable[[Value], None] = lambda _: None,
     ) -> None:
         self._limit = limit
         self._size_of = size_of

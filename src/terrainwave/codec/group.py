@@ -28,6 +28,7 @@ from terrainwave.codec.refiner import (
     Mask,
     Refiner,
     Validity,
+    all_void,
     as_array,
 )
 from terrainwave.codec.remainders import decode_remainders, encode_remainders
@@ -289,7 +290,7 @@ def _as_direct(refiner: Refiner) -> DirectRefiner | None:
 
 def _all_void(spec: GroupSpec) -> Decoded:
     shape = spec.region.shape
-    return Decoded(np.zeros(shape, dtype=np.int32), Validity(np.zeros(shape, dtype=np.bool_)))
+    return Decoded(np.zeros(shape, dtype=np.int32), all_void(shape))
 
 
 def _collisions(spec: GroupSpec, heights: Heights, mask: Mask | None) -> Mask | None:

@@ -21,6 +21,10 @@ from terrainwave.coding.rangecoder import (
 # Expected magnitudes are in 1/256 step; their logarithm counts eighths of an octave.
 E_BITS = 8
 MAX_E = (1 << 28) - 1
+# Predictions have 6 fraction bits, their errors are in 1/32 step, at most MAX_ERROR.
+P_BITS, ERROR_BITS = 6, 5
+MAX_ERROR = (1 << 15) - 1
+N_FRACTIONS = (1 << (P_BITS - 1)) + 1
 # Added to an expected magnitude before distances are compared with it.
 E_OFFSET = 77
 _LOG_TABLE_BITS = 12
@@ -105,6 +109,29 @@ def step_scale(step):
 def in_steps(distance, shift, inverse, bits):
     """Return a distance >= 0 in quanta as a number of ``2**-bits`` steps, rounded down."""
     return ((min(distance, _MAX_DISTANCE) >> shift) * inverse) >> (INVERSE_BITS - bits)
+
+
+@kernel
+def fill_fractions(shift, inverse, bins, errors):
+    """Fill in what follows from a prediction's distance to the nearest integer, at most 32."""
+    for k in range(N_FRACTIONS):
+        bins[k] = min(in_steps(np.int64(k), shift, inverse, 3 - P_BITS), 3)
+        errors[k] = in_steps(np.int64(k), shift, inverse, ERROR_BITS - P_BITS)
+
+
+@inlined_kernel
+def side_of(fraction, shift, inverse):
+    """Return to which side of a whole number a prediction lies, and how far: 0 … 6."""
+    sixth = in_steps(6 * abs(fraction), shift, inverse, 1 - P_BITS)
+    sixth = min((sixth + 1) >> 1, 3)
+    return 3 + sixth if fraction > 0 else 3 - sixth
+
+
+@inlined_kernel
+def error_of(height, value, shift, inverse):
+    """Return how far a height is from its prediction."""
+    distance = abs((height << P_BITS) - value)
+    return min(in_steps(distance, shift, inverse, ERROR_BITS - P_BITS), MAX_ERROR)
 
 
 @lru_cache(64)

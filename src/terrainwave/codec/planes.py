@@ -13,11 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
+from terrainwave.errors import CorruptStreamError
 
 PAD = 2  # samples around each plane: what the taps reach past its edge
 A, HH, HL, LH = 0, 1, 2, 3
 WEIGHT_BITS = 12
 MAX_BEND = (1 << 31) - 1
+# Weights of a stencil have this sum, and none is more than this.
+WHOLE = 4096
+MAX_WEIGHT = (1 << 15) - 1
 
 # Taps (row, column) in lattice steps from the sample; the first is its western neighbour of the
 # same pass, the next three are the row above in the same pass, the rest are known before the pass.
@@ -98,6 +102,36 @@ class Pass(NamedTuple):
 PASSES = tuple(
     Pass(p, TAPS[p], CORES[p], NEAR[p], FAR[p], BENDS[p], LINES[p]) for p in (HH, HL, LH)
 )
+
+
+class FileStencil(NamedTuple):
+    """A stencil as a file stores it: trained set `base`, plus ``deltas * 2**shift`` if there are.
+
+    The weight of one tap follows from the others, whose sum with it is 4096; its delta is 0.
+    """
+
+    base: int
+    shift: int = 0
+    deltas: tuple[int, ...] = ()
+
+    def weights(self, sets: NDArray[Any], missing: int, plane: int) -> NDArray[np.int64]:
+        """Return the weights of a plane, whose trained `sets` and `missing` tap these are.
+
+        Raises
+        ------
+        CorruptStreamError
+            If the set does not exist or a weight is out of range.
+        """
+        if self.base >= len(sets):
+            raise CorruptStreamError(f"a stencil builds on set {self.base}, which does not exist")
+        weights: NDArray[np.int64] = sets[self.base].astype(np.int64)
+        if self.deltas:
+            weights += np.array(self.deltas, dtype=np.int64) << self.shift
+            weights[missing] = 0
+            weights[missing] = WHOLE - weights.sum()
+            if np.abs(weights).max() > MAX_WEIGHT:
+                raise CorruptStreamError(f"a stencil of plane {plane} has a weight beyond 2^15")
+        return weights
 
 
 def plane_sizes(shape: tuple[int, int]) -> list[tuple[int, int]]:

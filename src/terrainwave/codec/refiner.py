@@ -5,7 +5,6 @@ A coded unit is a root block or a group (the four children of one block). A refi
 neighbour. That is what makes every group decodable from its ancestors alone, in any order.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, Self, runtime_checkable
 
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.remainders import Remainders
+from terrainwave.grid.windows import HeightsOf, MaskOf
 
 Heights = NDArray[np.int32]
 Mask = NDArray[np.bool_]
@@ -120,6 +120,11 @@ class Validity(NamedTuple):
 
 
 ALL_VALID = Validity(None)
+
+
+def all_void(shape: tuple[int, int]) -> Validity:
+    """Return the validity of a region without a valid sample."""
+    return Validity(np.zeros(shape, dtype=np.bool_))
 
 
 def as_array(mask: Mask | None, shape: tuple[int, ...]) -> Mask:
@@ -243,8 +248,8 @@ class FittingRefiner(Refiner, Protocol):
         self,
         grid: Grid,
         step: int,
-        heights: Callable[[int, Region], Heights],
-        mask: Callable[[int, Region], Mask],
+        heights: HeightsOf,
+        mask: MaskOf,
         *,
         may_have_reach: bool = True,
     ) -> "FittingRefiner":

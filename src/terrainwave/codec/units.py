@@ -34,9 +34,8 @@ def unit_spec(grid: Grid, parameters: CodecParameters, key: Block) -> GroupSpec:
         right=(key.col + 1) * blocks_per_unit < n_cols,
     )
     is_finest = level == grid.k_max
-    rest = parameters.remainder_bytes if is_finest else 0
     return GroupSpec(
-        **(vars(parameters) | {"remainder_bytes": rest}),
+        **vars(parameters) | ({} if is_finest else {"remainder_bytes": 0}),
         level=level,
         core=unit_core(grid, key),
         region=region,

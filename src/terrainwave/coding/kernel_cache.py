@@ -51,7 +51,7 @@ class _Locator(_CacheLocator):
         self._py_file = function.__code__.co_filename
         self._line = function.__code__.co_firstlineno
 
-    def from_function(self, py_func: Any, py_file: Any) -> "_Locator":
+    def from_function(self, py_func: Any, py_file: Any) -> "_Locator":  # noqa: ARG002, numba's
         """Return the locator of a function: it is made for one."""
         return self
 

@@ -10,17 +10,16 @@ from terrainwave.grid.quadtree import Grid, Region
 
 Heights: TypeAlias = NDArray[np.int32]
 Mask: TypeAlias = NDArray[np.bool_]
+# Return targets, int32 quanta, and validity of a region of a level.
+HeightsOf: TypeAlias = Callable[[int, Region], Heights]
+MaskOf: TypeAlias = Callable[[int, Region], Mask]
 
 # Places are looked through for windows that are not mostly void.
 _PLACES_PER_WINDOW = 4
 
 
 def spread_windows(
-    grid: Grid,
-    heights: Callable[[int, Region], Heights],
-    mask: Callable[[int, Region], Mask],
-    side: int,
-    n_windows: int,
+    grid: Grid, heights: HeightsOf, mask: MaskOf, side: int, n_windows: int
 ) -> tuple[Heights, Mask]:
     """Return windows of the full grid, spread evenly: heights and validity.
 

@@ -26,7 +26,7 @@ def level_errors(terrain: Any, kind: str) -> list[float]:
 
 
 def recursive_errors(
-    terrain: Any, *, as_printed: bool = False, count: Callable[[int], None] = lambda n_samples: None
+    terrain: Any, *, as_printed: bool = False, count: Callable[[int], None] = lambda _: None
 ) -> list[NDArray[np.float64]]:
     """Follow Y10 equation (2) block by block, from the full grid up: Err_Appr of every block.
 

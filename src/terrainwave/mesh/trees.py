@@ -29,7 +29,7 @@ def layer_source(decoder: TreeDecoder) -> ZeroTrees:
 
 def coded_source(decoder: TreeDecoder) -> ZeroTrees:
     """Return the trees that payloads have coded; there are none in a unit of plain bits."""
-    return lambda block, tolerance: decoder.unit(block).labels
+    return lambda block, _: decoder.unit(block).labels
 
 
 _SOURCES = {"zerotree-layer": layer_source, "zerotree-coded": coded_source}

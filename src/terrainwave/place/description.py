@@ -162,7 +162,7 @@ def read_projjson(told: dict[str, Any]) -> Description:
     kind = _KINDS.get(str(flat.get("type")), OTHER)
     if flat.get("coordinate_system", {}).get("subtype") == "spherical" and len(axes) == 2:
         kind = GEOGRAPHIC  # longitudes and planetocentric latitudes
-    return Description(kind, x, y, _vertical(flat, vertical, axes), _iau_code(told))
+    return Description(kind, x, y, _vertical(vertical, axes), _iau_code(told))
 
 
 def _is_north_first(x: Axis, y: Axis) -> bool:
@@ -197,9 +197,7 @@ def _axis(axis: dict[str, Any]) -> Axis:
     return Axis(str(axis.get("name", "")), direction, name, factor if usable else 1.0)
 
 
-def _vertical(
-    flat: dict[str, Any], vertical: dict[str, Any] | None, axes: list[dict[str, Any]]
-) -> Vertical | None:
+def _vertical(vertical: dict[str, Any] | None, axes: list[dict[str, Any]]) -> Vertical | None:
     if vertical is not None:
         own = vertical.get("coordinate_system", {}).get("axis", [])
         if not own:

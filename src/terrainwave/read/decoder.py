@@ -13,7 +13,7 @@ from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region, morton
 from terrainwave.grid.remainders import Remainders
-from terrainwave.read.fetched import FetchedPayloads
+from terrainwave.read.fetched import FetchedPayloads, Payloads
 
 _MAX_SPECS = 1024
 # Units of scattered samples whose payloads are fetched in one call.
@@ -42,8 +42,6 @@ class Groups:
 
     Parameters
     ----------
-    payloads : callable
-        Returns the checked payloads of several units, near ones in one request.
     decode : callable
         Decodes a payload: of the unit of a spec, below a block, None for a root block.
     """
@@ -52,7 +50,7 @@ class Groups:
 
     def __init__(
         self,
-        payloads: Callable[[Sequence[Block]], list[bytes]],
+        payloads: Payloads,
         decode: Callable[[GroupSpec, Decoded | None, bytes], Decoded],
     ) -> None:
         self._fetched = FetchedPayloads(payloads)
@@ -69,7 +67,7 @@ class Groups:
                     break
                 key = unit_key(key)
             missing.update(dict.fromkeys(reversed(chain)))
-        self._fetched.fetch_several(list(missing))
+        self._fetched.fetch(list(missing))
         return list(missing)
 
     def decode(self, units: "TreeDecoder", key: Block) -> Decoded:
@@ -83,7 +81,7 @@ class Groups:
             raise type(exc)(f"{unit_name(key)} is damaged: {exc}") from exc
 
 
-def groups_by(refiner: Refiner, payloads: Callable[[Sequence[Block]], list[bytes]]) -> Groups:
+def groups_by(refiner: Refiner, payloads: Payloads) -> Groups:
     """Return the units that a refiner decodes."""
 
     def decode(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Decoded:

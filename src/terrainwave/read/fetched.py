@@ -9,18 +9,14 @@ from terrainwave.grid.quadtree import Block
 
 # Left over where what was fetched is not wanted any more: the oldest go.
 _MAX_BYTES = 32 << 20
+# Returns the checked payloads of several units, near ones in one request.
+Payloads = Callable[[Sequence[Block]], list[bytes]]
 
 
 class FetchedPayloads:
-    """Fetches payloads, each for one thread only. Thread-safe.
+    """Fetches payloads, each for one thread only. Thread-safe."""
 
-    Parameters
-    ----------
-    payloads : callable
-        Returns the checked payloads of several units, near ones in one request.
-    """
-
-    def __init__(self, payloads: Callable[[Sequence[Block]], list[bytes]]) -> None:
+    def __init__(self, payloads: Payloads) -> None:
         self._payloads = payloads
         self._here: dict[Block, bytes] = {}  # the oldest first
         self.renew()
@@ -33,16 +29,14 @@ class FetchedPayloads:
         self._n_bytes = 0
         self._on_the_way: dict[Block, threading.Event] = {}
 
-    def fetch_several(self, keys: Sequence[Block]) -> None:
-        """Do as `fetch`, if there are several: one can be fetched by `take` as well."""
-        if len(keys) > 1:
-            self.fetch(keys)
-
     def fetch(self, keys: Sequence[Block]) -> None:
         """Fetch, in one call, those that are neither here nor on their way to another thread.
 
-        A damaged payload is left for `take` to report, so that it costs no other unit.
+        A damaged payload is left for `take` to report, so that it costs no other unit; so is a
+        single one to fetch.
         """
+        if len(keys) < 2:
+            return
         done = threading.Event()
         with self._lock:
             own = [key for key in keys if key not in self._here and key not in self._on_the_way]

@@ -4,20 +4,19 @@ For files that do not tell which samples of coarse levels are fills (FORMAT.md Â
 payloads are read for the masks that stand before their heights.
 """
 
-from collections.abc import Callable, Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.cdf53.refiner import LevelHeights, decode_masks, unpack_head
 from terrainwave.codec.cdf53.tiles import TileSpec
 from terrainwave.codec.group import read_head
-from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Validity
+from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, all_void
 from terrainwave.container.header import Header
 from terrainwave.errors import CorruptStreamError
-from terrainwave.grid.quadtree import Block, Region
+from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS
 from terrainwave.read.decoder import Groups, TreeDecoder, UnitSource
+from terrainwave.read.fetched import Payloads
 from terrainwave.read.tiles import Tile, Tiles
 
 # Payloads fetched ahead of decoding, in one coalesced request.
@@ -29,7 +28,7 @@ def _unit_mask(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Decod
     """Decode the mask of a unit; heights are all 0."""
     heights = _no_heights(spec.region)
     if not payload:
-        return Decoded(heights, _all_void(spec.region))
+        return Decoded(heights, all_void(spec.region.shape))
     return Decoded(heights, read_head(spec, parent, payload).validity)
 
 
@@ -39,7 +38,7 @@ def _tile_masks(spec: TileSpec, outer: LevelHeights | None, payload: bytes) -> T
         head, _ = unpack_head(spec, payload)
         levels = decode_masks(spec, head, None if outer is None else outer.validity)
     else:
-        levels = [_all_void(region) for region in spec.regions]
+        levels = [all_void(region.shape) for region in spec.regions]
     return [
         LevelHeights(region, _no_heights(region), validity)
         for region, validity in zip(spec.regions, levels, strict=True)
@@ -49,17 +48,12 @@ def _tile_masks(spec: TileSpec, outer: LevelHeights | None, payload: bytes) -> T
 class FinestMasks:
     """The validity of the full grid where samples of a level lie.
 
-    Parameters
-    ----------
-    payloads : callable
-        Returns the checked payloads of several units, near ones in one request.
-
     Notes
     -----
     For levels above the full grid alone.
     """
 
-    def __init__(self, header: Header, payloads: Callable[[Sequence[Block]], list[bytes]]) -> None:
+    def __init__(self, header: Header, payloads: Payloads) -> None:
         grid, parameters = header.grid, header.codec_parameters
         self._grid = grid
         source: UnitSource = Groups(payloads, _unit_mask)
@@ -135,7 +129,3 @@ def _samples_in(core: Region, region: Region, stride: int) -> tuple[Region, tupl
 def _no_heights(region: Region) -> Heights:
     """Return heights that take no memory."""
     return np.broadcast_to(np.int32(0), region.shape)
-
-
-def _all_void(region: Region) -> Validity:
-    return Validity(np.zeros(region.shape, dtype=np.bool_))

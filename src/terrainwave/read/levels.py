@@ -6,7 +6,7 @@ and meshes work with: *any*. Where the full-grid sample at its place is void, it
 """
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from terrainwave.arguments import VOIDS, check_choice
 from terrainwave.container.header import Header
 from terrainwave.errors import CorruptStreamError, TerrainwaveWarning
-from terrainwave.grid.quadtree import Block, Region
+from terrainwave.grid.quadtree import Region
 from terrainwave.read.decoder import TreeDecoder
+from terrainwave.read.fetched import Payloads
 from terrainwave.read.native import NativeError, NativeFile
 from terrainwave.read.windows import WindowReader, bilinear
 
@@ -49,8 +50,6 @@ class LevelReader:
         Whether the file has a way to mark voids.
     n_threads : int
         Threads that decode.
-    payloads : callable
-        Returns the checked payloads of several units, near ones in one request.
     """
 
     def __init__(
@@ -58,7 +57,7 @@ class LevelReader:
         name: str,
         header: Header,
         n_threads: int,
-        payloads: Callable[[Sequence[Block]], list[bytes]],
+        payloads: Payloads,
         decoder: Callable[[], TreeDecoder],
         native: NativeFile | None,
         *,

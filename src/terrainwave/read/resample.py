@@ -15,7 +15,7 @@ RESAMPLING = ("nearest", "bilinear", "average")
 # Samples that averaging holds at a time: 32 MiB of float64, several times over.
 _BAND_SAMPLES = 4 << 20
 
-# Heights, and what is void; None where nothing is.
+# Heights, and what is void; None only where nothing is.
 _Heights = tuple[NDArray[Any], NDArray[np.bool_] | None]
 # Returns a region of the level `shift` steps coarser than the one asked.
 ReadLevel = Callable[[int, Region], _Heights]
@@ -70,11 +70,7 @@ def _nearest(
     window = _window(at_rows, at_cols)
     heights, void = read(shift, window)
     at = np.ix_(at_rows - window.row, at_cols - window.col)
-    return heights[at], None if void is None else _or_none(void[at])
-
-
-def _or_none(void: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
-    return void if void.any() else None
+    return heights[at], None if void is None else void[at]
 
 
 def _bilinear(
@@ -174,4 +170,4 @@ def _weighted(
 ) -> _Heights:
     means, valid = weighted_means(total, weights)
     means = np.rint(means) if dtype.kind in "iu" else means
-    return means.astype(dtype), _or_none(~valid)
+    return means.astype(dtype), ~valid

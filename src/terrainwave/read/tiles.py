@@ -18,7 +18,7 @@ from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.names import METHODS, methods_that
 from terrainwave.read.decoder import TreeDecoder, groups_by, unit_key, unit_name
-from terrainwave.read.fetched import FetchedPayloads
+from terrainwave.read.fetched import FetchedPayloads, Payloads
 
 Tile = list[LevelHeights]
 Coefficients = NDArray[np.int64]
@@ -29,8 +29,6 @@ class Tiles:
 
     Parameters
     ----------
-    payloads : callable
-        Returns the checked payloads of several tiles, near ones in one request.
     cache_bytes : int
         What decoded tiles may take; coefficients, which few ask for, as much again.
     decode : callable
@@ -43,7 +41,7 @@ class Tiles:
         self,
         grid: Grid,
         parameters: CodecParameters,
-        payloads: Callable[[Sequence[Block]], list[bytes]],
+        payloads: Payloads,
         cache_bytes: int,
         decode: Callable[[TileSpec, LevelHeights | None, bytes], Tile] = decode_tile,
     ) -> None:
@@ -57,7 +55,7 @@ class Tiles:
             cache_bytes, size_of=lambda found: found.nbytes
         )
 
-    def prefetch(self, units: TreeDecoder, keys: Sequence[Block]) -> list[Block]:
+    def prefetch(self, units: TreeDecoder, keys: Sequence[Block]) -> list[Block]:  # noqa: ARG002
         """Fetch the payloads of the tiles that decoding `keys` will need, in one call.
 
         Returns none: a unit needs tiles and no other unit.
@@ -68,7 +66,7 @@ class Tiles:
             while tile is not None and tile not in needed and self._tiles.get(tile) is None:
                 needed[tile] = None
                 tile = self._layout.above(tile)
-        self._fetched.fetch_several(list(needed))
+        self._fetched.fetch(list(needed))
         return []
 
     def decode(self, units: TreeDecoder, key: Block) -> Decoded:
@@ -152,7 +150,7 @@ class Tiles:
 
 def make_decoder(
     header: Header,
-    payloads: Callable[[Sequence[Block]], list[bytes]],
+    payloads: Payloads,
     cache_bytes: int,
     *,
     are_prefixes: bool = False,

@@ -191,7 +191,7 @@ class DistributedPasses:
             site = replace(site, file_tables=file_tables)
             sink = SpoolSink(job.grid, site.top_heads(), self.directory)
             encoder = TreeEncoder(
-                job.grid, refiner, job.parameters, top, sink, lambda n_samples: None, self.level
+                job.grid, refiner, job.parameters, top, sink, lambda _: None, self.level
             )
             stats = encoder.run(self.executor)
         finally:
@@ -256,7 +256,7 @@ class DistributedPasses:
             arrays = site.depot.load(site.name("heights", head))
             heights.write(site.grid.block_region(head), arrays["heights"])
             count(_n_samples(site, head))
-        top.make_heights(lambda done, total: None)
+        top.make_heights(lambda *_: None)
         return top
 
     def _pushed_base(self, site: Site, heights: Spool) -> Base:
@@ -297,7 +297,7 @@ class DistributedPasses:
                     at, fills = self._fills(site, top, full)
                     part.push()
                     part.pull(spool_of(fills, (at.row, at.col), self.directory))
-                part.make_heights(lambda done, total: None)
+                part.make_heights(lambda *_: None)
                 return part.heights(level, region), part.mask(level, region)
             finally:
                 part.close()
@@ -339,7 +339,7 @@ class DistributedPasses:
             decoder = TreeDecoder(grid, job.parameters, source, _CACHE_BYTES)
             mesher = mesher_of(site, decoder, lambda block: codes.errors.get(block, 0))
             sections = make_sections(
-                grid, mesher, self.executor, lambda n_samples: None, range(site.level + 1)
+                grid, mesher, self.executor, lambda _: None, range(site.level + 1)
             )
         sink.set_meshes(sections)
         self._store_top(site, TOP, sink)

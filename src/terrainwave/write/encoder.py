@@ -13,14 +13,7 @@ from functools import partial
 from typing import Any, NamedTuple, Protocol
 
 from terrainwave.codec.group import encode_unit
-from terrainwave.codec.refiner import (
-    Decoded,
-    FittingRefiner,
-    GroupSpec,
-    Heights,
-    Mask,
-    Refiner,
-)
+from terrainwave.codec.refiner import Decoded, FittingRefiner, GroupSpec, Heights, Mask, Refiner
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.units import block_of_unit, unit_spec
 from terrainwave.grid.measure import (
@@ -31,6 +24,7 @@ from terrainwave.grid.measure import (
 )
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
+from terrainwave.grid.windows import HeightsOf, MaskOf
 from terrainwave.write.job import Job
 from terrainwave.write.pyramid import Pyramid
 
@@ -48,11 +42,7 @@ class PayloadSink(Protocol):
         ...
 
 
-def fitted_refiner(
-    job: Job,
-    heights: Callable[[int, Region], Heights],
-    mask: Callable[[int, Region], Mask],
-) -> tuple[Refiner, bytes]:
+def fitted_refiner(job: Job, heights: HeightsOf, mask: MaskOf) -> tuple[Refiner, bytes]:
     """Return the refiner of a job's method, and the tables that are fitted to the raster.
 
     `heights` and `mask` return targets and validity of a region of a level. The tables are empty

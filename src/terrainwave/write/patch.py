@@ -214,7 +214,7 @@ class _Patcher:
 
     def code(self) -> tuple[int, int]:
         """Fill the sink; return how many units were coded again, and how many copied."""
-        self._pyramid.build(lambda done, total: None)
+        self._pyramid.build(lambda *_: None)
         encoder = PatchEncoder(
             self._terrain, self._merged, self._pyramid, self.sink, self._count("patching")
         )

@@ -229,7 +229,7 @@ def _built_pyramid(site: Site, head: Block) -> Iterator[tuple[Pyramid, _Bench]]:
                 row, col = fills["origin"].tolist()
                 pyramid.push()
                 pyramid.pull(spool_of(fills["heights"], (row, col), bench.directory))
-            pyramid.make_heights(lambda done, total: None)
+            pyramid.make_heights(lambda *_: None)
             yield pyramid, bench
         finally:
             pyramid.close()
@@ -266,7 +266,7 @@ def encode_subtree(site: Site, head: Block) -> EncodedSubtree:
         source = groups_by(refiner, above.payloads)
         decoder = TreeDecoder(grid, job.parameters, source, _CACHE_BYTES)
         sink = SpoolSink(grid, heads, bench.directory)
-        encoder = TreeEncoder(grid, refiner, job.parameters, pyramid, sink, lambda n_samples: None)
+        encoder = TreeEncoder(grid, refiner, job.parameters, pyramid, sink, lambda _: None)
         stats = encoder.run_subtree(head, decoder.block)
         own = {block: of_block for block, of_block in stats.items() if block.level > head.level}
         ancestors = {block: of_block for block, of_block in stats.items() if block not in own}
@@ -387,7 +387,7 @@ def finish_subtree(site: Site, head: Block, last_round: int | None) -> FinishedS
             mesher,
             originals,
             bench.executor,
-            lambda n_samples: None,
+            lambda _: None,
             lost,
             grid.descendants(head, grid.k_max),
         )

@@ -22,9 +22,7 @@ from terrainwave.codec.cdf53.refiner import (
 from terrainwave.codec.cdf53.tiles import TileLayout, TileSpec
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Validity
 from terrainwave.container.spool import SegmentSpool
-from terrainwave.errors import (
-    InvalidArgumentError,
-)
+from terrainwave.errors import InvalidArgumentError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.read.tiles import final_heights

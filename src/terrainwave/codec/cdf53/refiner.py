@@ -18,7 +18,7 @@ from terrainwave.codec.cdf53.tiles import TileSpec
 from terrainwave.codec.group import voids_below
 from terrainwave.codec.masks import decode_mask, encode_mask
 from terrainwave.codec.own_masks import Above, Sections, decode_validity, encode_validity
-from terrainwave.codec.refiner import Heights, Mask, Validity, as_array
+from terrainwave.codec.refiner import Heights, Mask, Validity, all_void, as_array
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.coding.lifting53 import forward_transform, inverse_transform
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
@@ -297,11 +297,7 @@ def decode_tile(
     """
     if not payload:
         return [
-            LevelHeights(
-                region,
-                np.zeros(region.shape, dtype=np.int32),
-                Validity(np.zeros(region.shape, dtype=np.bool_)),
-            )
+            LevelHeights(region, np.zeros(region.shape, dtype=np.int32), all_void(region.shape))
             for region in spec.regions
         ]
     head, start = unpack_head(spec, payload)

@@ -10,13 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.coding.lifting53 import (
-    HELD_BOTTOM,
-    HELD_LEFT,
-    HELD_RIGHT,
-    HELD_TOP,
-    level_shapes,
-)
+from terrainwave.coding.lifting53 import HELD_BOTTOM, HELD_LEFT, HELD_RIGHT, HELD_TOP, level_shapes
 from terrainwave.coding.rangecoder import (
     MAGNITUDE_MODELS,
     N_UNARY,

@@ -13,12 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.magnitudes import (
+    ERROR_BITS,
     MAX_E,
     N_E_BINS,
+    N_FRACTIONS,
+    P_BITS,
     SHIFT_OF_E,
     contexts_of,
+    error_of,
+    fill_fractions,
     in_steps,
     log8,
+    side_of,
     step_scale,
 )
 from terrainwave.coding.borrowed import borrowed
@@ -36,16 +42,14 @@ from terrainwave.coding.rangecoder import (
 # What a sample is: nothing to code, coded here, or known already (on a shared line).
 VOID, CODED, KNOWN = 0, 1, 2
 
-# The base has 6 fraction bits and a frame of two samples; terms are weighted in 1/256.
-BASE_BITS = 6
+# The base has a frame of two samples and fraction bits as predictions; terms are weighted in 1/256.
+BASE_BITS = P_BITS
 FRAME = 2
 WEIGHT_BITS = 8
 # Differences of the base and errors are cut to this: products fit 32 x 32 bits.
 _MAX_DIFFERENCE = 1 << 30
 # Errors of prediction are in 1/32 step, the expected magnitude in 1/256, its weights in 1/128.
-_ERROR_BITS = 5
-_MAX_ERROR = (1 << 15) - 1
-_E_SHIFT = 7 + _ERROR_BITS - 8
+_E_SHIFT = 7 + ERROR_BITS - 8
 
 # Terms of the prediction: differences of the base at these places, each with its mirror images,
 # then errors at places decoded before.
@@ -209,7 +213,7 @@ def _expect_row(above, above_mags, above2_mags, e_weights, shift, inverse, expec
     for j in range(n_cols):
         middle = np.int64(above[j + 2])
         slope = abs(middle - above[j + 1]) + abs(above[j + 3] - middle)
-        expected[j] = in_steps(w_slope * slope, shift, inverse, _ERROR_BITS - BASE_BITS)
+        expected[j] = in_steps(w_slope * slope, shift, inverse, ERROR_BITS - BASE_BITS)
     for j in range(n_cols):
         expected[j] += (
             w_n * above_mags[j + 2]
@@ -247,21 +251,6 @@ def _index_of(goal, height, width, bias):
     return (abs(error) + bias) // width, np.int64(-1 if error < 0 else 1)
 
 
-@inlined_kernel
-def _error_of(height, value, scale_shift, inverse):
-    """Return how far a height is from its prediction, in 1/32 step."""
-    distance = abs((height << BASE_BITS) - value)
-    return min(in_steps(distance, scale_shift, inverse, _ERROR_BITS - BASE_BITS), _MAX_ERROR)
-
-
-@inlined_kernel
-def _side(fraction, scale_shift, inverse):
-    """Return to which side of a whole number a prediction lies, and how far: 0 ... 6."""
-    sixth = in_steps(6 * abs(fraction), scale_shift, inverse, 1 - BASE_BITS)
-    sixth = min((sixth + 1) >> 1, 3)
-    return 3 + sixth if fraction > 0 else 3 - sixth
-
-
 @kernel
 def code_residuals(
     target, heights, kinds, base, step, rounding, weights, e_weights, scratch, coder
@@ -281,13 +270,9 @@ def code_residuals(
     most = 2 * MAX_HEIGHT // width + 1
     highest = np.int64(MAX_HEIGHT) << BASE_BITS
     w_e_west, w_e_west2 = np.int64(e_weights[F_W]), np.int64(e_weights[F_WW])
-    # What follows from a prediction's distance to the nearest integer, at most 32.
-    n_fractions = (1 << (BASE_BITS - 1)) + 1
-    bin_of_fraction = np.empty(n_fractions, dtype=np.int64)
-    error_of_fraction = np.empty(n_fractions, dtype=np.int64)
-    for k in range(n_fractions):
-        bin_of_fraction[k] = min(in_steps(np.int64(k), scale_shift, inverse, 3 - BASE_BITS), 3)
-        error_of_fraction[k] = in_steps(np.int64(k), scale_shift, inverse, _ERROR_BITS - BASE_BITS)
+    bin_of_fraction = np.empty(N_FRACTIONS, dtype=np.int64)
+    error_of_fraction = np.empty(N_FRACTIONS, dtype=np.int64)
+    fill_fractions(scale_shift, inverse, bin_of_fraction, error_of_fraction)
     state, stream, models, is_encoder = borrowed(coder)
     at = take_out(state)
     for row in range(n_rows):
@@ -323,7 +308,7 @@ def code_residuals(
                 bit = np.int64(residual != 0)
                 bit, at = code_step(at, state, stream, models, is_encoder, zero, bit)
                 if bit:
-                    side = _side(fraction, scale_shift, inverse)
+                    side = side_of(fraction, scale_shift, inverse)
                     model = _sign_context(here_signs, above_signs, j, side)
                     bit = np.int64(sign < 0)
                     bit, at = code_step(at, state, stream, models, is_encoder, model, bit)
@@ -337,14 +322,14 @@ def code_residuals(
                     residual = min(residual + 1, most)
                     height += sign * (residual * width + shift)
                     height = min(max(height, -MAX_HEIGHT), MAX_HEIGHT)
-                    mag = _error_of(height, value, scale_shift, inverse)
+                    mag = error_of(height, value, scale_shift, inverse)
                 else:
                     sign = np.int64(0)
                     mag = error_of_fraction[np.uint64(abs(fraction))]
                 row_heights[j] = height
             elif kind == KNOWN:
                 height = np.int64(row_heights[j])
-                mag = _error_of(height, value, scale_shift, inverse)
+                mag = error_of(height, value, scale_shift, inverse)
             else:
                 row_heights[j] = height
             mag_west2, mag_west = mag_west, mag

@@ -10,10 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.planes import CORES, TAPS
+from terrainwave.codec.planes import CORES, MAX_WEIGHT, TAPS, FileStencil
 from terrainwave.codec.predictive import trained
 from terrainwave.codec.predictive.passes import N_FEATURES
-from terrainwave.codec.stencils import MAX_WEIGHT, FileStencil
 from terrainwave.coding.rangecoder import (
     MAGNITUDE_MODELS,
     N_UNARY,

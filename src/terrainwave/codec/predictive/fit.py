@@ -4,14 +4,13 @@ Weighted least squares on samples chosen by position, with the noise that quanti
 taps; float64 in a fixed order, so that the same raster gives the same weights everywhere.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.magnitudes import log8
-from terrainwave.codec.planes import CORES, PAD, TAPS, WEIGHT_BITS, Pass
+from terrainwave.codec.planes import CORES, PAD, TAPS, WEIGHT_BITS, FileStencil, Pass
 from terrainwave.codec.predictive import trained
 from terrainwave.codec.predictive.file_tables import (
     MAX_FEATURE_WEIGHT,
@@ -47,9 +46,9 @@ from terrainwave.codec.predictive.passes import (
     PassTables,
 )
 from terrainwave.codec.refiner import Heights, Mask
-from terrainwave.codec.stencils import FileStencil
 from terrainwave.coding.jit import kernel
 from terrainwave.grid.quadtree import Grid, Region
+from terrainwave.grid.windows import HeightsOf, MaskOf
 
 # Levels below the full grid that share a stencil.
 _CLASSES = ((0,), (1,), (2, 3, 4))
@@ -83,12 +82,7 @@ class _Samples(NamedTuple):
     n_in_file: float
 
 
-def fit_tables(
-    grid: Grid,
-    step: int,
-    heights: Callable[[int, Region], Heights],
-    mask: Callable[[int, Region], Mask],
-) -> FileTables:
+def fit_tables(grid: Grid, step: int, heights: HeightsOf, mask: MaskOf) -> FileTables:
     """Return the stencils worth storing for a raster.
 
     Parameters
@@ -117,11 +111,7 @@ def fit_tables(
 
 
 def windows_of(
-    grid: Grid,
-    depth: int,
-    heights: Callable[[int, Region], Heights],
-    mask: Callable[[int, Region], Mask],
-    window: int = _WINDOW,
+    grid: Grid, depth: int, heights: HeightsOf, mask: MaskOf, window: int = _WINDOW
 ) -> list[tuple[Heights, Mask]]:
     """Return windows spread over the level `depth` below the full grid; neighbours follow in turn.
 

@@ -16,7 +16,10 @@ from terrainwave.codec.magnitudes import (
     E_BITS,
     E_OFFSET,
     MAX_E,
+    MAX_ERROR,
+    N_FRACTIONS,
     N_RANGE_BINS,
+    P_BITS,
     SIGN_B,
     SIGN_E_OF_BIN,
     SIGN_H,
@@ -24,10 +27,13 @@ from terrainwave.codec.magnitudes import (
     ZERO_H,
     code_detail,
     contexts_of,
+    error_of,
+    fill_fractions,
     in_steps,
     log8,
     middle_bin,
     range_bin_of,
+    side_of,
     step_scale,
 )
 from terrainwave.codec.planes import PAD, WEIGHT_BITS
@@ -35,19 +41,10 @@ from terrainwave.codec.refiner import FREE
 from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.filters import MAX_HEIGHT
 from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
-from terrainwave.coding.rangecoder import (
-    code_mean_step,
-    code_step,
-    put_back,
-    take_out,
-)
+from terrainwave.coding.rangecoder import code_mean_step, code_step, put_back, take_out
 
 # What a sample is: nothing to code, coded in this pass, or known already (on a shared line).
 VOID, CODED, KNOWN = 0, 1, 2
-
-# Predictions have 6 fraction bits in contexts, errors are in 1/32 step, at most MAX_ERROR.
-P_BITS = 6
-MAX_ERROR = (1 << 15) - 1
 
 # Features of the expected magnitude, weights in 1/512. Errors of prediction in steps: western
 # neighbours; the row above; sums over near and far known ones of this lattice. Distances in quanta,
@@ -63,7 +60,6 @@ E_WEIGHT_BITS = 9
 # Rows of the row buffer.
 (_ACC, _LOWEST, _LOWER, _UPPER, _HIGHEST, _ERRORS, _SPREAD, _FLOOR, _CEILING, _WIDTH) = range(10)
 N_ROW_BUFFERS = 10
-_N_FRACTIONS = (1 << (P_BITS - 1)) + 1
 
 
 @kernel
@@ -277,14 +273,6 @@ def _scale_of(heights):
     return _Scale(shift, inverse, heights.step >> 1, p_low, p_high)
 
 
-@kernel
-def _fill_fractions(scale, bins, errors):
-    """Fill in what follows from a prediction's distance to the nearest integer, at most 32."""
-    for k in range(bins.shape[0]):
-        bins[k] = min(in_steps(np.int64(k), scale.shift, scale.inverse, 3 - P_BITS), 3)
-        errors[k] = in_steps(np.int64(k), scale.shift, scale.inverse, 5 - P_BITS)
-
-
 @kernel_part
 def _prepare_row(arrays, geometry, tables, scale, rows, row, n_cols):
     """Fill the row buffers with what does not depend on the row itself."""
@@ -370,11 +358,8 @@ def _contexts_of_other(sample, expected, e_bin, n_up, n_down, scale):
     median_bin = middle_bin(size if from_median > 0 else -size, e_floor, log_floor)
     size = in_steps(abs(from_middle), shift, inverse, E_BITS - P_BITS)
     middle = middle_bin(size if from_middle > 0 else -size, e_floor, log_floor)
-    fraction = value - (whole << P_BITS)
-    sixth = in_steps(6 * abs(fraction), shift, inverse, 1 - P_BITS)
-    sixth = min((sixth + 1) >> 1, 3)
-    sixth = 3 + sixth if fraction > 0 else 3 - sixth
-    sign_b = SIGN_B + ((SIGN_E_OF_BIN[e_bin] * 7 + sixth) * 9 + median_bin) * 9 + middle
+    side = side_of(value - (whole << P_BITS), shift, inverse)
+    sign_b = SIGN_B + ((SIGN_E_OF_BIN[e_bin] * 7 + side) * 9 + median_bin) * 9 + middle
     sign_h = SIGN_H + ((e_bin >> 2) * 8 + n_up) * 8 + n_down
     above, below = max((top << P_BITS) - value, 0), max(value - (bottom << P_BITS), 0)
     reach_b = in_steps(above, shift, inverse, E_BITS - P_BITS)
@@ -385,13 +370,6 @@ def _contexts_of_other(sample, expected, e_bin, n_up, n_down, scale):
     return sign_b, sign_h, reach_b, reach_a, around
 
 
-@inlined_kernel
-def _error_of(height, value, scale):
-    """Return how far a height is from its prediction, in 1/32 step."""
-    distance = abs((height << P_BITS) - value)
-    return min(in_steps(distance, scale.shift, scale.inverse, 5 - P_BITS), MAX_ERROR)
-
-
 @kernel
 def code_pass(
     target, kinds, arrays, geometry, tables, heights, rows, coder, mixers, corrections
@@ -400,21 +378,9 @@ def code_pass(
 
     `kinds` (VOID, CODED, KNOWN) and `target` have the plane's size without padding; known samples
     are in place. Fills the plane's `errors` and `activity` as well, whose padding must be 0.
-
-    Parameters
-    ----------
-    arrays : Arrays
-    geometry : planes.Pass
-        Of which the plane is.
-    tables : PassTables
-    heights : Range
-    rows : ndarray
-        Row buffers; may be int32 where `fits_narrow` says so, for the same result in half the time.
-    coder : Coder
-    mixers : ndarray of int64
-        Adapt, as the models do.
-    corrections : Corrections
-        Of the plane, flat, or empty.
+    `geometry` is the pass (`planes.Pass`), `tables` are `PassTables`, `heights` a `Range`. `rows`
+    may be int32 where `fits_narrow` says so, for the same result in half the time. `coder` and
+    `mixers` adapt. `corrections` are those of the plane, flat, or empty.
     """
     goal, kinds, arrays, geometry = borrowed((target, kinds, arrays, geometry))
     tables, rows, coder, mixers = borrowed((tables, rows, coder, mixers))
@@ -436,9 +402,9 @@ def code_pass(
     w_median, w_middle, w_mean = e_weights[F_MEDIAN], e_weights[F_MIDDLE], e_weights[F_MEAN]
     has_corrections = added.shape[0] > 0
     z_range = np.int64(z_min), np.int64(z_max)
-    bin_of_fraction = np.empty(_N_FRACTIONS, dtype=np.int64)
-    error_of_fraction = np.empty(_N_FRACTIONS, dtype=np.int64)
-    _fill_fractions(scale, bin_of_fraction, error_of_fraction)
+    bin_of_fraction = np.empty(N_FRACTIONS, dtype=np.int64)
+    error_of_fraction = np.empty(N_FRACTIONS, dtype=np.int64)
+    fill_fractions(scale.shift, scale.inverse, bin_of_fraction, error_of_fraction)
     state, stream, models, is_encoder = coder
     at = take_out(state)
     _frame_own(plane, core_taps, planes, -1, n_cols)
@@ -462,7 +428,7 @@ def code_pass(
                 error = np.int64(0)
                 if kind == KNOWN:
                     west = np.int64(samples[j])
-                    error = _error_of(west, value, scale)
+                    error = error_of(west, value, scale.shift, scale.inverse)
                 else:
                     west = whole
                     if has_corrections:
@@ -514,12 +480,12 @@ def code_pass(
                 )  # fmt: skip
                 detail = min(max(detail, -most), most)
                 west = min(max(whole + detail * step, z_min), z_max)
-                error = _error_of(west, value, scale)
+                error = error_of(west, value, scale.shift, scale.inverse)
             if has_corrections:
                 height = corrected(west, kept, added, row * n_cols + j, z_range, z_range)
                 if height != west:
                     west = height
-                    error = _error_of(west, value, scale)
+                    error = error_of(west, value, scale.shift, scale.inverse)
             samples[j] = west
             sample_errors[j] = error
             error_west2, error_west = error_west, error

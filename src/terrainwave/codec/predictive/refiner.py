@@ -5,7 +5,6 @@ it comes back within the bound on every level, without a second stage.
 """
 
 import threading
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -79,6 +78,7 @@ from terrainwave.coding.status import raise_for_status
 from terrainwave.coding.zerotrees import grow_zero_trees
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.grid.quadtree import Grid, Region
+from terrainwave.grid.windows import HeightsOf, MaskOf
 
 _MIXED, _CLAMP = 1, 2
 # A prediction's own fraction alone gives up to 16 of 32.
@@ -188,10 +188,10 @@ class Predictive:
         self,
         grid: Grid,
         step: int,
-        heights: Callable[[int, Region], Heights],
-        mask: Callable[[int, Region], Mask],
+        heights: HeightsOf,
+        mask: MaskOf,
         *,
-        may_have_reach: bool = True,
+        may_have_reach: bool = True,  # noqa: ARG002, as all readers know these tables
     ) -> "Predictive":
         """Return a refiner with tables fitted to a raster, where they are worth their bytes.
 

@@ -31,19 +31,8 @@ from terrainwave.codec.rapid.symbols import (
     WORD_POS,
     Streams,
 )
-from terrainwave.codec.rapid.wavefront import (
-    Known,
-    Lattice,
-    code_rows,
-)
-from terrainwave.codec.refiner import (
-    NO_CORRECTIONS,
-    Corrections,
-    GroupSpec,
-    Heights,
-    Labels,
-    Mask,
-)
+from terrainwave.codec.rapid.wavefront import Known, Lattice, code_rows
+from terrainwave.codec.refiner import NO_CORRECTIONS, Corrections, GroupSpec, Heights, Labels, Mask
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.coding.rans import (
     N_STATES,

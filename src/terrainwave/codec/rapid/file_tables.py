@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.planes import HH, HL, LH
+from terrainwave.codec.planes import HH, HL, LH, MAX_WEIGHT, FileStencil
 from terrainwave.codec.rapid import trained, trained_reach
 from terrainwave.codec.rapid.layout import (
     CORES,
@@ -24,7 +24,6 @@ from terrainwave.codec.rapid.layout import (
 )
 from terrainwave.codec.rapid.magnitude import N_CONTEXTS
 from terrainwave.codec.rapid.symbols import ESCAPE, N_SYMBOLS
-from terrainwave.codec.stencils import MAX_WEIGHT, FileStencil
 from terrainwave.coding.jit import kernel, rare_kernel
 from terrainwave.coding.rangecoder import (
     MAGNITUDE_MODELS,

@@ -5,7 +5,6 @@ them open loop (`fit_stencils`); then they are coded as if each were a file of i
 symbols counted. All in whole numbers: the same raster gives the same tables everywhere.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
@@ -13,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.codec.planes import FileStencil
 from terrainwave.codec.rapid import trained
 from terrainwave.codec.rapid.coder import UnitCoder
 from terrainwave.codec.rapid.file_tables import (
@@ -32,10 +32,9 @@ from terrainwave.codec.rapid.magnitude import N_CONTEXTS
 from terrainwave.codec.rapid.symbols import ESCAPE, ESCAPE_BITS, N_SYMBOLS, low_bits
 from terrainwave.codec.rapid.trained import N_STEPS, family_of
 from terrainwave.codec.refiner import GroupSpec, Heights, Mask
-from terrainwave.codec.stencils import FileStencil
 from terrainwave.coding.rans import N_SLOTS, SYMBOL_BITS
 from terrainwave.grid.quadtree import Grid, Region
-from terrainwave.grid.windows import spread_windows
+from terrainwave.grid.windows import HeightsOf, MaskOf, spread_windows
 
 # Samples a side of a window, and samples of the raster for one; from 2 to 36 windows in all.
 _WINDOW = 257
@@ -56,12 +55,7 @@ _SAVED_BY_WEIGHTS = 1 / 1024
 
 
 def fit_tables(
-    grid: Grid,
-    step: int,
-    heights: Callable[[int, Region], Heights],
-    mask: Callable[[int, Region], Mask],
-    *,
-    may_have_reach: bool = True,
+    grid: Grid, step: int, heights: HeightsOf, mask: MaskOf, *, may_have_reach: bool = True
 ) -> FileTables:
     """Return the tables for a raster; `heights` and `mask` return a region of a level."""
     n_windows = min(max(grid.n_rows * grid.n_cols // _SHARE, _LEAST_WINDOWS), _MOST_WINDOWS)

@@ -12,18 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.planes import parity
+from terrainwave.codec.planes import WHOLE, FileStencil, parity
 from terrainwave.codec.rapid import trained
-from terrainwave.codec.rapid.file_tables import (
-    N_CLASSES,
-    PLANES,
-    SHIFTS,
-    core_taps,
-    missing_tap,
-)
+from terrainwave.codec.rapid.file_tables import N_CLASSES, PLANES, SHIFTS, core_taps, missing_tap
 from terrainwave.codec.rapid.layout import MAX_TAPS, TAPS
 from terrainwave.codec.refiner import Heights, Mask
-from terrainwave.codec.stencils import WHOLE, FileStencil
 
 Reals = NDArray[np.float64]
 Stencils = tuple[tuple[FileStencil, ...], ...]

@@ -1,6 +1,5 @@
 """The `rapid` method, with tables of the file (docs/format-rapid.md)."""
 
-from collections.abc import Callable
 from functools import lru_cache
 
 from terrainwave.codec.rapid.coder import UnitCoder
@@ -10,8 +9,8 @@ from terrainwave.codec.rapid.file_tables import (
     pack_file_tables,
     parse_file_tables,
 )
-from terrainwave.codec.refiner import Heights, Mask
-from terrainwave.grid.quadtree import Grid, Region
+from terrainwave.grid.quadtree import Grid
+from terrainwave.grid.windows import HeightsOf, MaskOf
 
 
 class Rapid(UnitCoder):
@@ -28,8 +27,8 @@ class Rapid(UnitCoder):
         self,
         grid: Grid,
         step: int,
-        heights: Callable[[int, Region], Heights],
-        mask: Callable[[int, Region], Mask],
+        heights: HeightsOf,
+        mask: MaskOf,
         *,
         may_have_reach: bool = True,
     ) -> "Rapid":

@@ -38,7 +38,6 @@ _HH, _HL, _LH = place(HH, 0, 0), place(HL, 0, 0), place(LH, 0, 0)
 _U0, _U1, _U2, _U3, _U4 = (np.uint64(k) for k in range(5))
 _U5, _U6, _U7, _U8 = (np.uint64(k) for k in range(5, 9))
 _STRIDE, _STRIDE_2 = np.uint64(STRIDE), np.uint64(2 * STRIDE)
-_PLANE = np.uint64(PLANE)
 TO_ERRORS = np.uint64(ERRORS * PLANE)
 # The row of LH is two behind, and stored one later; its neighbourhood is as high as any.
 _KEPT_ROWS = 2 + ROWS_ABOVE + 1 + ROWS_BELOW

@@ -10,15 +10,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.rapid.layout import (
-    EXPECTED,
-    LEAST,
-    LINE,
-    MOST,
-    PREDICTED,
-    SUM,
-    TWIST,
-)
+from terrainwave.codec.rapid.layout import EXPECTED, LEAST, LINE, MOST, PREDICTED, SUM, TWIST
 from terrainwave.codec.refiner import GroupSpec, Sides
 from terrainwave.codec.shared_lines import plan_border
 from terrainwave.coding.jit import kernel, kernel_part

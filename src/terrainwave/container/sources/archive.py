@@ -86,7 +86,7 @@ def _member(path: str, source: ByteSource) -> ByteSource:
             if info.flag_bits & 1:
                 raise StorageError(f"{name} is encrypted; unpack the archive and open the file")
             if info.compress_type == zipfile.ZIP_STORED:
-                return MemberSource(name, source, *_place(info, source, name))
+                return MemberSource(name, source, *_place(info, source))
             if info.compress_type != zipfile.ZIP_DEFLATED:
                 raise StorageError(
                     f"{name} is compressed by method {info.compress_type} of zip; store it without"
@@ -113,7 +113,7 @@ def _member(path: str, source: ByteSource) -> ByteSource:
     return whole
 
 
-def _place(info: zipfile.ZipInfo, source: ByteSource, name: str) -> tuple[int, int]:
+def _place(info: zipfile.ZipInfo, source: ByteSource) -> tuple[int, int]:
     """Return where the bytes of a stored member begin, and how many they are."""
     head = source.read(info.header_offset, _LOCAL_HEADER)
     lengths = int.from_bytes(head[26:28], "little"), int.from_bytes(head[28:30], "little")

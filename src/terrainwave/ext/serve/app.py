@@ -114,7 +114,7 @@ def make_app(
         return JSONResponse({"detail": "the file cannot be read there"}, 500)
 
     @app.exception_handler(Exception)
-    async def broken(request: Request, error: Exception) -> JSONResponse:
+    async def broken(_request: Request, _error: Exception) -> JSONResponse:
         # The one answer that does not pass through `Guarded`.
         return JSONResponse({"detail": "internal error"}, 500, guards)
 

@@ -70,7 +70,7 @@ class GeoTIFFStream(MemoryFile):  # type: ignore[misc]
         """Say no."""
         return False
 
-    def write(self, data: Any) -> NoReturn:
+    def write(self, data: Any) -> NoReturn:  # noqa: ARG002, as files have it
         """Refuse to write."""
         raise io.UnsupportedOperation("a GeoTIFF that is made when it is read cannot be written")
 

@@ -57,22 +57,22 @@ def coords_along(array: Any, dim: Any) -> list[tuple[Any, Any]]:
     return sorted(found, key=lambda pair: pair[0] != dim)
 
 
-def by_axis(name: Any, coord: Any) -> list[str]:
+def by_axis(_name: Any, coord: Any) -> list[str]:
     """Return the roles that CF's attribute `axis` says."""
     return _said(coord.attrs.get("axis"), _AXIS)
 
 
-def by_standard_name(name: Any, coord: Any) -> list[str]:
+def by_standard_name(_name: Any, coord: Any) -> list[str]:
     """Return the roles that CF's `standard_name` says."""
     return _said(coord.attrs.get("standard_name"), _STANDARD_NAMES)
 
 
-def by_units(name: Any, coord: Any) -> list[str]:
+def by_units(_name: Any, coord: Any) -> list[str]:
     """Return the roles that units of longitudes and latitudes say."""
     return _said(coord.attrs.get("units"), _UNITS)
 
 
-def by_name(name: Any, coord: Any) -> list[str]:
+def by_name(name: Any, _coord: Any) -> list[str]:
     """Take a name as it is, its first word (easting_m), or its end (nav_lat, XLONG, TLAT)."""
     first, last = (re.split(r"[^A-Za-z]", str(name))[at] for at in (0, -1))
     end = _LAST_SYLLABLE.search(last.lower())

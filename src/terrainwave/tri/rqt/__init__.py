@@ -30,7 +30,7 @@ class Rqt(MeshOptions):
         default="error",
     )
 
-    def stored(self, method: Method, *, is_faithful: bool) -> str:
+    def stored(self, method: Method, *, is_faithful: bool) -> str:  # noqa: ARG002
         """Return the kind of meshes that a file of a method holds."""
         if self.select == "error":
             return self.name

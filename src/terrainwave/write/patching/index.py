@@ -148,7 +148,7 @@ class PatchedIndex:
             # Decoded heights stand in for originals that are not known.
             lost += header.coded_error
             measured = measure_meshes(
-                grid, mesher, self._pyramid.originals, self._executor, lambda n_samples: None, lost
+                grid, mesher, self._pyramid.originals, self._executor, lambda _: None, lost
             )
             away = mesh_codes(measured, lost)
             for block in moved & open_blocks & set(away):
