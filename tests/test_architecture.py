@@ -328,3 +328,19 @@ def test_files_are_opened_only_at_the_edge():
 def test_importing_terrainwave_needs_no_heavy_library(library):
     code = f"import sys, terrainwave; sys.exit({library!r} in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import terrainwave as tw; tw.Rapid(), tw.Cdf97(faithful=True), tw.Zerotree(), tw.Rqt()",
+        "from terrainwave.cli import main;"
+        "main(['compress', '--method', 'cdf97', '--mesh', 'rqt', '--help'])",
+    ],
+)
+def test_options_of_methods_and_their_help_need_no_heavy_library(code):
+    heavy = "print(sorted({'numba', 'rasterio', 'numpy', 'pyproj'} & {*sys.modules}))"
+    program = f"import atexit, sys; atexit.register(lambda: {heavy}); {code}"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "[]"

@@ -1,5 +1,8 @@
 """``-o``: options of methods and meshes on the command line."""
 
+import re
+from pathlib import Path
+
 import pytest
 from commands import run
 from strategies import terrain_like, write_geotiff
@@ -149,3 +152,26 @@ def test_stored_meshes_take_options_of_their_kind(tmp_path, dem):
     assert (tmp_path / "c.twz").read_bytes() == (tmp_path / "b.twz").read_bytes()
     text = run("mesh", "--mesh", "zerotree", "--help").stdout
     assert "-o labels=plain|layer|coded" in text.split("Options of --mesh zerotree:")[1]
+
+
+def rows_of_the_page():
+    """Yield the words of the command line and the call in Python of each row of the table."""
+    page = Path(__file__).parents[2] / "docs" / "command-line.md"
+    section = page.read_text(encoding="utf-8").split("## Options of methods and meshes")[1]
+    for row in re.findall(r"^\| `(.*?)` \| `(.*?)` \|", section.split("\n## ")[0], re.MULTILINE):
+        words, call = row
+        yield words.split(), call.partition("=")[2]
+
+
+def test_the_page_has_every_option_with_its_call_in_python():
+    named = set()
+    for words, call in rows_of_the_page():
+        (option,) = (words[i + 1] for i, word in enumerate(words) if word == "-o")
+        name, _, value = option.partition("=")
+        kind = next(kind for kind in SETS if f"tw.{kind.__name__}(" in call)
+        made = kind.from_words({name: value or None}).call()
+        assert made.replace("'", '"').replace(".0)", ")") == call
+        if len(words) > 2:
+            assert words[:2] == [f"--{kind.argument}", kind.name]
+        named.add(name)
+    assert named == {name for kind in SETS for name in kind.names()}

@@ -1,4 +1,4 @@
-"""One watertight mesh over any area of a file, from the meshes of its blocks.
+"""One crack-free mesh over any area of a file, from the meshes of its blocks.
 
 The area is cut into blocks of several levels: coarse ones where the index says that their heights
 take no more than a quarter of the error asked for, blocks of the full grid elsewhere. Each is
