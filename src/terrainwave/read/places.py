@@ -8,10 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.arguments import checked_numbers, shown
-from terrainwave.errors import (
-    InvalidArgumentError,
-    InvalidHeightsError,
-)
+from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.grid.affine import Transform, determinant, places_to_samples
 from terrainwave.grid.quadtree import Region
 

@@ -253,19 +253,6 @@ def _second_half(level, cell, middle_row, middle_col):
 
 
 @kernel_part
-def _fit_few(work, plane, pitch, at, level, is_quad, tolerance, limits):
-    """Return the verdict on two or four samples, 0 on others, and the interval that it leaves."""
-    verdict, low, high = 0, limits[0], limits[1]
-    if level == 1:
-        verdict, first, last = _fit_pair(work, plane, pitch, at, np.int64(tolerance))
-        low, high = max(low, float(first)), min(high, float(last))
-    elif is_quad:
-        verdict, first, last = _fit_quad(work, plane, pitch, at, np.int64(tolerance))
-        low, high = max(low, float(first)), min(high, float(last))
-    return verdict, low, high
-
-
-@kernel_part
 def _mark(work, levels, pitch, cell, other, level, is_whole):
     """Set the level of a merged cell: at all samples, or of its halves at their first ones."""
     top, bottom, left, right = cell
