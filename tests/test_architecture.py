@@ -89,6 +89,20 @@ WITHOUT_GPU = {"captures", "controls", "ground", "session"}
 MOST_SIDE_BY_SIDE = 14
 # Still more: none of them may grow.
 CROWDED: dict[str, int] = {}
+# Functions of more lines, without their docstrings: loops of kernels, which cost time when cut.
+MOST_LINES, MOST_ARGUMENTS = 70, 10
+LONG = {"_sweep_cells", "code_pass", "code_residuals", "code_rows"}
+# Functions of more arguments, and why.
+WIDE = {
+    "options of a user": {
+        "compress", "compress_to_bytes", "decompress", "render", "serve", "write_pmtiles",
+        "write_tiles", "_export_mesh", "Scene.__init__",
+    },
+    "arrays of one unit, and where in them: an array in a tuple counts references in every row": {
+        "_add_spread", "_code", "_code_line", "_code_node", "_code_tables", "_correct", "_encode",
+        "_read_symbols", "code_detail", "code_pass", "code_rows", "gather_window", "n_reached",
+    },
+}  # fmt: skip
 # Entrances: what users start may import all that is above.
 ENTRANCES = {"__init__", "cli", "__main__"}
 MAY_OPEN_FILES = {"raster_io", "container", "cli", "verification", "coding"}
@@ -241,6 +255,38 @@ def test_no_package_is_crowded():
     }
     crowded = {name: n for name, n in counts.items() if n > MOST_SIDE_BY_SIDE}
     assert crowded == CROWDED
+
+
+def functions_of(tree, owner=""):
+    """Yield names, with that of their class, and functions."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.ClassDef):
+            yield from functions_of(node, f"{node.name}.")
+        elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield (f"{owner}{node.name}" if node.name == "__init__" else node.name), node
+            yield from functions_of(node, owner)
+        else:
+            yield from functions_of(node, owner)
+
+
+def n_lines_of(function):
+    body = function.body
+    first = body[1] if ast.get_docstring(function) and len(body) > 1 else body[0]
+    return body[-1].end_lineno - first.lineno + 1
+
+
+def n_arguments_of(function):
+    given = function.args
+    all_of = [*given.posonlyargs, *given.args, *given.kwonlyargs, given.vararg, given.kwarg]
+    return len(all_of) - all_of.count(None)
+
+
+def test_functions_are_short_and_take_few_arguments():
+    functions = [pair for path in modules() for pair in functions_of(tree_of(path))]
+    long = {name for name, function in functions if n_lines_of(function) > MOST_LINES}
+    wide = {name for name, function in functions if n_arguments_of(function) > MOST_ARGUMENTS}
+    assert long <= LONG
+    assert wide <= set().union(*WIDE.values())
 
 
 def test_no_line_leads_back_to_itself():

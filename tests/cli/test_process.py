@@ -400,7 +400,7 @@ LAYERS = {
         "grid.quantum.Quantizer.dequantize",
     ],
     "info": ["container.reader.Container.__init__", "raster_io.info.RasterInfo.from_metadata"],
-    "verify": ["verification.heights._open_original", "read.decoder.TreeDecoder.unit"],
+    "verify": ["verification.heights.open_original", "read.decoder.TreeDecoder.unit"],
     "mesh": ["container.reader.Container.payloads", "export.mesh.Mesh.save"],
 }
 

@@ -60,10 +60,7 @@ LAYOUT_FEATURES = {REACH_LAYOUT: HAS_REACH, WEIGHTS_LAYOUT: HAS_WEIGHTS}
 # What readers of format 1.0 know: all else needs one of 1.1.
 _FIRST_FEATURES = HAS_REMAINDERS | IS_FAITHFUL
 # Bits that format 1.1 keeps for what nobody has coded yet (FORMAT.md §4.7).
-_RESERVED_FEATURES = {
-    32: "weights of features, of method rapid alone",
-    128: "signs of zero",
-}
+_RESERVED_FEATURES = {32: "weights of features, of method rapid alone", 128: "signs of zero"}
 
 MAX_SIDE = 2**31
 MAX_SAMPLES = 2**50
@@ -391,12 +388,7 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
         features=features,
     )
     extents = Extents(
-        file_size,
-        metadata_length,
-        metadata_crc,
-        parameters_length,
-        parameters_crc,
-        top_page_length,
+        file_size, metadata_length, metadata_crc, parameters_length, parameters_crc, top_page_length
     )
     for problem in _violations(header, extents):
         raise problem.error(problem.text)

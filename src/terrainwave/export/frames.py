@@ -11,12 +11,7 @@ from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.place.position import LocalAxes, Place, place_of
 from terrainwave.place.units import height_unit
-from terrainwave.place.vertical import (
-    check_vertical,
-    describe_as_is,
-    note_as_is,
-    onto_wgs84,
-)
+from terrainwave.place.vertical import check_vertical, describe_as_is, note_as_is, onto_wgs84
 
 FRAMES = ("local", "native", "ecef")
 

@@ -192,11 +192,7 @@ def _converted(
 
 
 def _write(
-    sink: RasterSink,
-    read: Callable[[Region], Part],
-    region: Region,
-    side: int,
-    reporter: Reporter,
+    sink: RasterSink, read: Callable[[Region], Part], region: Region, side: int, reporter: Reporter
 ) -> None:
     """Write a region in parts along the borders of groups, so that each is decoded once."""
     n_rows = max(side, _WINDOW_SAMPLES // max(region.n_cols, 1) // side * side)

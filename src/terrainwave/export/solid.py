@@ -6,10 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.arguments import checked_number
-from terrainwave.errors import (
-    InvalidArgumentError,
-    InvalidHeightsError,
-)
+from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.mesh.mesh_data import MeshData
 
 # How far a vertex that joins two corners is moved into each of them, as a share of the way to the

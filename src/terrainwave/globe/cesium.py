@@ -89,12 +89,7 @@ class TilePyramid(TileScheme):
         """Return what heights in tiles are."""
         return self._heights.vertical
 
-    def layer(
-        self,
-        *,
-        version: str = "1.0.0",
-        attribution: str = "",
-    ) -> dict[str, Any]:
+    def layer(self, *, version: str = "1.0.0", attribution: str = "") -> dict[str, Any]:
         """Return the content of ``layer.json``, as plain values.
 
         Cesium takes a metadata extension in tiles for part of what tells which tiles there are:

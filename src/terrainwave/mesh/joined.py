@@ -50,9 +50,7 @@ def joined(
 
 
 def clipped(
-    vertices: NDArray[np.float64],
-    triangles: NDArray[np.int32],
-    limits: tuple[int, int, int, int],
+    vertices: NDArray[np.float64], triangles: NDArray[np.int32], limits: tuple[int, int, int, int]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Return the part of a mesh inside (first row, last row, first column, last column)."""
     whole = triangles

@@ -57,11 +57,6 @@ class System:
         self.ellipsoid = _ellipsoid_of(self.known)
         self.body = body_of(description, self.ellipsoid)
 
-    @property
-    def is_earth_as_sphere(self) -> bool:
-        """Whether the Earth is meant, and counted on a sphere, as weather models do."""
-        return self.body == THE_EARTH and self.ellipsoid.e2 == 0
-
     @cached_property
     def flat(self) -> Any:
         """Return pyproj's CRS of x and y alone."""

@@ -243,10 +243,7 @@ class _Patcher:
         metadata = {key: value for key, value in old.metadata.items() if key != "moved"}
         bound = old.quantizer.effective_error
         return replace(
-            old,
-            metadata=metadata,
-            max_error=max(self._asked_bound(), bound),
-            effective_bound=bound,
+            old, metadata=metadata, max_error=max(self._asked_bound(), bound), effective_bound=bound
         )
 
     def _asked_bound(self) -> float:

@@ -51,12 +51,7 @@ class Answers:
     """
 
     def __init__(
-        self,
-        layers: dict[str, Layer],
-        shelf: Shelf,
-        desk: Desk,
-        look: Look,
-        sea_level: str | float,
+        self, layers: dict[str, Layer], shelf: Shelf, desk: Desk, look: Look, sea_level: str | float
     ) -> None:
         self._layers, self._shelf, self._desk = layers, shelf, desk
         self._look, self._sea_level = look, sea_level

@@ -311,11 +311,7 @@ class NodeTable:
         )
 
     def wanted(
-        self,
-        view: View,
-        max_blocks: int,
-        tau: float | None = None,
-        camera: Camera | None = None,
+        self, view: View, max_blocks: int, tau: float | None = None, camera: Camera | None = None
     ) -> NDArray[np.int32]:
         """Return the nodes that a view needs, ancestors first, at most `max_blocks`.
 

@@ -12,10 +12,7 @@ from numpy.typing import NDArray
 
 from terrainwave.arguments import PICTURE_ENDINGS, check_ending
 from terrainwave.container.publish import publish
-from terrainwave.errors import (
-    TerrainwaveError,
-    TerrainwaveWarning,
-)
+from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.export.plot import add_colour_bar, colours_of_heights, label_axes
 from terrainwave.extras import need
 from terrainwave.grid.affine import IDENTITY

@@ -190,11 +190,12 @@ def _fit_quad(work, plane, pitch, at, tolerance):
 
 
 @inlined_kernel
-def _is_near_plane(work, plane, pitch, top, bottom, left, right, tolerance):
+def _is_near_plane(work, plane, pitch, cell, tolerance):
     """Say whether a cell's corners, and its middle, are as near to a plane as its samples must be.
 
     Most cells of more than 2 x 2 samples that don't fit fail here.
     """
+    top, bottom, left, right = cell
     heights = PLANES + HEIGHT * plane
     a, b = _wide(work, heights + top * pitch + left), _wide(work, heights + top * pitch + right)
     d = _wide(work, heights + bottom * pitch + left)
@@ -205,8 +206,9 @@ def _is_near_plane(work, plane, pitch, top, bottom, left, right, tolerance):
 
 
 @inlined_kernel
-def _is_free(work, plane, pitch, top, bottom, left, right):
+def _is_free(work, plane, pitch, cell):
     """Say whether no sample of a cell has merged or must stay."""
+    top, bottom, left, right = cell
     levels = PLANES + LEVEL * plane
     taken = np.int32(0)
     for row in range(top, bottom + 1):
@@ -240,6 +242,14 @@ def _is_as_before(work, plane, pitch, cell, before):
         last_before = max(last_before, work[np.uint64(beside + left - 1)])
         last_after = max(last_after, work[np.uint64(beside + right + 1)])
     return last_before <= before and last_after < before
+
+
+@kernel_part
+def _second_half(level, cell, middle_row, middle_col):
+    """Return the first row and column of a cell's second half."""
+    if level & 1:
+        return cell[0], max(middle_col, cell[2])
+    return max(middle_row, cell[0]), cell[2]
 
 
 @kernel_part
@@ -309,7 +319,6 @@ def _sweep_cells(work, floats, plane, pitch, shape, offset, has_table, number, t
     which its cell last grew. Returns how many have merged.
     """
     (n_rows, n_cols), (row_0, col_0), (level, sweep, before) = shape, offset, number
-    lowest, highest = limits
     n_merged = 0
     is_whole = sweep <= len(_WHOLE_LEVELS)
     whole_tolerance = np.int64(tolerance)
@@ -330,18 +339,14 @@ def _sweep_cells(work, floats, plane, pitch, shape, offset, has_table, number, t
                 if not _is_free_quad(work, plane, pitch, at):
                     continue
             elif is_whole:
-                if level > 2 and not _is_near_plane(
-                    work, plane, pitch, top, bottom, left, right, whole_tolerance
-                ):
+                if level > 2 and not _is_near_plane(work, plane, pitch, cell, whole_tolerance):
                     continue
-                if not _is_free(work, plane, pitch, top, bottom, left, right):
+                if not _is_free(work, plane, pitch, cell):
                     continue
             else:
-                row_2, col_2 = top, left
-                if level & 1:
-                    col_2 = max(cell_col + (width >> 1) - col_0, left)
-                else:
-                    row_2 = max(cell_row + (height >> 1) - row_0, top)
+                row_2, col_2 = _second_half(
+                    level, cell, cell_row + (height >> 1) - row_0, cell_col + (width >> 1) - col_0
+                )
                 other = row_2 * pitch + col_2
                 if row_2 > bottom or col_2 > right or other == at:
                     # One half lies outside: the other is the whole.
@@ -358,7 +363,7 @@ def _sweep_cells(work, floats, plane, pitch, shape, offset, has_table, number, t
                     and _is_as_before(work, plane, pitch, cell, before)
                 ):
                     continue
-            verdict, low, high = 0, lowest, highest
+            verdict, low, high = 0, limits[0], limits[1]
             if level == 1:
                 verdict, first, last = _fit_pair(work, plane, pitch, at, whole_tolerance)
                 low, high = max(low, float(first)), min(high, float(last))
@@ -380,11 +385,10 @@ def _sweep_cells(work, floats, plane, pitch, shape, offset, has_table, number, t
                         listed,
                     )  # fmt: skip
                 low, high = floats[LOW], floats[HIGH]
-            if low > high:
-                continue
             vertex = np.floor((low + high) * 0.5)
-            if vertex > _MAX_INT32:
-                continue  # of a range of 2^31 quanta, and a tolerance of a half of it
+            # The latter of a range of 2^31 quanta, and a tolerance of a half of it.
+            if low > high or vertex > _MAX_INT32:
+                continue
             n_merged += 1
             _mark(work, levels, pitch, cell, other, level, is_whole)
             place = np.int32((top + bottom) << ROW_BITS | left + right)

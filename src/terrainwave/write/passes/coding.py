@@ -53,11 +53,7 @@ def smaller(first: Coded, second: Coded) -> Coded:
 
 
 def encode(
-    job: Job,
-    source: SourceWindows,
-    directory: Path,
-    executor: Executor,
-    reporter: Reporter,
+    job: Job, source: SourceWindows, directory: Path, executor: Executor, reporter: Reporter
 ) -> Coded:
     """Code all units into one spool per segment."""
     pyramid = Pyramid(
@@ -143,10 +139,7 @@ def _encode_units(
 def _finest_error(job: Job, stats: Stats) -> int:
     """Return the largest error of the finest blocks, in quanta."""
     k_max = job.grid.k_max
-    return max(
-        (own.error for block, own in stats.items() if block.level == k_max),
-        default=0,
-    )
+    return max((own.error for block, own in stats.items() if block.level == k_max), default=0)
 
 
 def _mesh_errors(

@@ -69,10 +69,7 @@ class Merged:
     """
 
     def __init__(
-        self,
-        terrain: TerrainFile,
-        source: RasterSource,
-        original: RasterSource | None = None,
+        self, terrain: TerrainFile, source: RasterSource, original: RasterSource | None = None
     ) -> None:
         self._terrain = terrain
         self._source = source
