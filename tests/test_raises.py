@@ -29,6 +29,7 @@ NOT_SEEN = {
     ("ext.serve.sending", "begun", "TerrainwaveError"),
     ("raster_io.source", "RasterSource.read", "StorageError"),
     ("render.modes.mode", "Mode.build", "CorruptStreamError"),
+    ("tri.mesh_options", "MeshOptions.stored", "InvalidArgumentError"),
     ("tri.stored", "StoredKind.mesh", "CorruptStreamError"),
     ("write.cluster", "run_tasks", "TerrainwaveError"),
 }
