@@ -571,8 +571,8 @@ def test_wrong_window_is_wrong_usage(tmp_path, twz, option, value):
 @pytest.mark.parametrize(
     ("option", "value", "expected"),
     [
-        ("--level", "99", "found --level 99, expected 0 … 3 or -1 (full) … -4"),
-        ("--window", "500,0,1,1", "lies outside the level's"),
+        ("--level", "99", "found --level 99, expected 0 (coarsest) to 3, or -1 (full grid) to -4"),
+        ("--window", "500,0,1,1", "lies outside the level, which has"),
         (
             "--bounds",
             "1e6,1e6,2e6,2e6",

@@ -283,7 +283,7 @@ def test_a_bound_that_rounding_breaks_is_told(tmp_path, twz, monkeypatch):
     with_error(monkeypatch, smallest=2.0)
     result = run("mesh", twz, tmp_path / "a.stl", "--max-error", "2")
     assert result.exit_code == 0
-    assert "note: rounding of coordinates in the file adds" in result.stderr
+    assert "note: rounding of coordinates in the file makes the error larger than" in result.stderr
     assert (tmp_path / "a.stl").exists()
 
 

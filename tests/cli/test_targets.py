@@ -174,7 +174,7 @@ def test_stats_of_a_picture_are_json(tmp_path, twz):
 def test_a_flight_cannot_go_to_stdout(tmp_path, twz):
     (tmp_path / "flight.json").write_text("[]")
     line = one_line(run("render", twz, "-", "--flight", tmp_path / "flight.json"), 2)
-    assert "a flight has many pictures" in line
+    assert "there are several pictures" in line
 
 
 # --- stdin and stdout

@@ -136,4 +136,4 @@ def test_a_size_of_tasks_is_refused_where_there_are_none(tmp_path):
 )
 def test_auto_is_rapid_and_with_effort_best_predictive(effort, method, stored):
     options = Options(effort=effort)
-    assert (options.coding.name, options.effort_number, options.notes) == (method, stored, [])
+    assert (options.named_method.name, options.effort_number, options.notes) == (method, stored, [])

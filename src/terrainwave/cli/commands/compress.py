@@ -166,8 +166,8 @@ def _compress(
             f"found --no-georeference and {len(sources)} SOURCEs, expected one: the rasters of a"
             " mosaic are placed by their georeference"
         )
-    if scheduler is not None and not _asked(options).coding.is_clusterable:
-        method = _asked(options).coding.name
+    if scheduler is not None and not _asked(options).named_method.is_clusterable:
+        method = _asked(options).named_method.name
         raise click.UsageError(f"found --scheduler and --method {method}, expected one of them")
     announce_compiling(quiet=quiet)
     with (
