@@ -93,7 +93,7 @@ def test_a_legend_and_a_scale_bar_are_drawn_where_asked_for(file, tmp_path):
 @pytest.mark.parametrize(
     ("height", "options", "note"),
     [
-        (0.08, (), "--exaggeration 10 shows them"),
+        (0.08, (), "add --exaggeration 10"),
         (0.08, ("--exaggeration", "2"), None),
         (1.0, (), None),
         (0.0, (), None),
