@@ -21,6 +21,7 @@ from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.grid.affine import of_level
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.raster_io.info import RasterInfo
+from terrainwave.read.places import LevelPlace
 from terrainwave.write.job import settled
 from terrainwave.write.options import Options
 
@@ -114,8 +115,8 @@ class FakeLevel(terrainwave.Terrain):
     def level_shape(self, level=-1):
         return self._shape
 
-    def transform(self, level=-1, window=None):
-        return self._transform
+    def level_place(self, level=-1, row=0, col=0):
+        return LevelPlace(self._shape, self._transform, (0.0, 0.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("place", TURNED.values(), ids=TURNED)

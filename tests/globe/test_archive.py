@@ -127,7 +127,7 @@ def test_a_failure_leaves_no_file(tmp_path, monkeypatch):
         ("t", "--rim 3", "--rim is for an archive"),
         ("t.pmtiles", "--max-zoom 22", "found --max-zoom 22, expected 0 … "),
         ("t.pmtiles", "--min-zoom 3 --max-zoom 2", "found --min-zoom 3, expected 0 … 2"),
-        ("t.pmtiles", "--rim 9", "found --rim 9, expected 0 … 8"),
+        ("t.pmtiles", "--rim 9", "found --rim 9, expected a whole number, 0 … 8"),
         ("t.mbtiles", "", "expected a directory or a name that ends in .pmtiles"),
     ],
 )

@@ -350,7 +350,7 @@ def test_other_frames_and_words_are_refused(tmp_path):
     for frame in (None, "local", "native"):
         with pytest.raises(InvalidArgumentError, match="expected ecef"):
             to_frame(mesh, frame, vertical="ellipsoid")
-    with pytest.raises(InvalidArgumentError, match="one of as-is, ellipsoid"):
+    with pytest.raises(InvalidArgumentError, match="expected as-is or ellipsoid"):
         to_frame(mesh, "ecef", vertical="geoid")
 
 
