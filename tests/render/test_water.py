@@ -226,7 +226,7 @@ def test_the_command_says_that_it_took_depths_for_land(tmp_path):
         return [line for line in done.stderr.splitlines() if "--sea-level" in line]
 
     (note,) = notes()
-    assert "to 0 are drawn as dry land" in note
+    assert "to 0 are drawn as land" in note
     assert notes("--sea-level", "0") == notes("--sea-level", "none") == []
     assert notes("--coloring", "relative") == []
     wrong = CliRunner().invoke(main, ["render", str(twz), "a.png", "--sea-level", "high"])
