@@ -346,5 +346,5 @@ def test_a_valid_sample_in_a_file_without_heights_is_read_in_range(unchecked):
     )
     (*_, heights, valid) = everything(forge(header, page, body=payload))
     assert valid.all()
-    # The quantum is 1: heights are quanta. Those of the payload are 0 to 36.
+    # The quantum is 1: heights are quanta.
     assert ((header.z_max <= heights) & (heights <= header.z_min)).all()
