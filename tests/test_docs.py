@@ -4,6 +4,7 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import nbformat
@@ -18,6 +19,7 @@ from terrainwave.cli import main
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 PAGES = [DOCS / "index.md", *sorted((DOCS / "how-to").glob("*.md"))]
+TESTS_PAGE = ROOT / "tests" / "README.md"
 NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
 _BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 
@@ -96,3 +98,39 @@ def test_the_site_builds_without_a_warning(tmp_path):
     assert "Instead of <code>window</code>" in page  # a docstring came through
     pages = (tmp_path / "site").rglob("*.html")
     assert all("fonts.googleapis" not in text.read_text(encoding="utf-8") for text in pages)
+
+
+@pytest.mark.parametrize("page", [ROOT / "CONTRIBUTING.md", TESTS_PAGE], ids=lambda page: page.stem)
+def test_files_that_pages_for_contributors_name_exist(page):
+    text = page.read_text(encoding="utf-8")
+    links = [page.parent / link for link in re.findall(r"\]\(([\w./-]+)", text)]
+    named = [
+        ROOT / name for name in re.findall(r"`((?:docs|tests|tools|\.github)/[\w./-]+)`", text)
+    ]
+    assert links + named
+    for path in links + named:
+        assert path.exists() or "…" in path.name, path
+
+
+def test_the_table_of_parts_selects_what_the_makefile_does():
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    rows = re.findall(
+        r"^\|[^|]*\| `(test-\w+)` \|.*?`-m (?:\"([^\"]+)\"|(\w+))`",
+        TESTS_PAGE.read_text(encoding="utf-8"),
+        re.M,
+    )
+    made = re.findall(r"^(test-\w+):.*\n.* -m (?:\"([^\"]+)\"|(\w+))(?: |$)", makefile, re.M)
+    assert len(rows) == 4
+    assert rows == made
+
+
+def test_marks_of_the_table_are_those_that_tests_may_have():
+    """All but `kernels`, which conftest gives."""
+    options = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    markers = {
+        line.partition(":")[0] for line in options["tool"]["pytest"]["ini_options"]["markers"]
+    }
+    named = re.findall(
+        r"^\| `@pytest\.mark\.(\w+)` \|", TESTS_PAGE.read_text(encoding="utf-8"), re.M
+    )
+    assert sorted(named) == sorted(markers - {"kernels"})

@@ -1,11 +1,12 @@
 """Counting of requests: rounds by the times they were in flight, bytes by the server."""
 
-import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from benchmarks import slow_server
 from benchmarks.remote import count_rounds, main, window_cost, windows_of
 from benchmarks.slow_server import SlowServer
 from terrainwave.container.sources.opening import open_source
@@ -39,12 +40,24 @@ def test_a_window_of_a_file_costs_what_the_server_sends(tmp_path):
     assert cost.needed_bytes > 0
 
 
-def test_a_slow_server_takes_its_time_and_can_go_down(tmp_path):
+@pytest.fixture
+def clock(monkeypatch):
+    """Seconds of slow servers: they pass when a server sleeps, and at no other time."""
+    clock = SimpleNamespace(now=0.0, monotonic=lambda: clock.now)
+
+    def sleep(seconds):
+        clock.now += seconds
+
+    clock.sleep = sleep
+    monkeypatch.setattr(slow_server, "time", clock)
+    return clock
+
+
+def test_a_slow_server_takes_its_time_and_can_go_down(tmp_path, clock):
     (tmp_path / "a").write_bytes(bytes(25_000))
     with SlowServer(tmp_path, 0.05, 1e6) as server:
-        started = time.monotonic()
-        source = open_source(server.url("a"))  # 16 KiB: two round trips, 0.13 s of line
-        assert 0.23 < time.monotonic() - started < 1.0
+        source = open_source(server.url("a"))  # 16 KiB
+        assert clock.now == pytest.approx(2 * 0.05 + 16_384 * 8 / 1e6)  # round trips, the line
         assert (server.n_requests, server.n_bytes) == (1, 16_384)
         server.is_down = True
         with pytest.raises(StorageError):

@@ -9,6 +9,7 @@ import re
 import threading
 import time
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from email.utils import formatdate
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -211,13 +212,24 @@ def test_the_numbers_are_those_of_the_table_and_of_the_page():
 
 def test_waiting_ends_when_the_file_is_closed(monkeypatch):
     monkeypatch.setattr(module, "_DELAYS", (30.0, 30.0))
-    with serving([{}, {"status": 503}]) as (server, host):
+
+    class Closing(threading.Event):
+        """The source's event, which says when the source waits and what ended that."""
+
+        is_waited_for, answers = threading.Event(), []
+
+        def wait(self, timeout=None):
+            self.is_waited_for.set()
+            self.answers.append(super().wait(timeout))
+            return self.answers[-1]
+
+    with serving([{}, {"status": 503}]) as (server, host), ThreadPoolExecutor(1) as pool:
         source = open_source(host + "/a")
-        closing = threading.Timer(0.3, source.close)
-        closing.start()
-        start = time.monotonic()
+        source._closing = Closing()
+        reading = pool.submit(source.read, WHERE, LENGTH)
+        assert Closing.is_waited_for.wait(30)
+        source.close()
         with pytest.raises(StorageError, match="is closed"):
-            source.read(WHERE, LENGTH)
-        assert time.monotonic() - start < 10
+            reading.result(60)
+        assert Closing.answers == [True]  # not the 30 seconds
         assert len(server.asked) == 2
-        closing.join()

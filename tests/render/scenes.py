@@ -1,4 +1,4 @@
-"""Small terrains and a store without a GPU, for the tests of rendering."""
+"""Small terrains and a store that is a list, for the tests of rendering."""
 
 import io
 

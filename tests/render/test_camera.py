@@ -1,4 +1,4 @@
-"""Cameras, frames and γ, without a GPU."""
+"""Cameras, frames and γ."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Which part of an orthophoto is read finer as the camera moves. No GPU."""
+"""Which part of an orthophoto is read finer as the camera moves."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""Modes whose mesh is made anew each frame, without a GPU: what is drawn, what is read."""
+"""Modes whose mesh is made anew each frame: what is drawn, what is read."""
 
 from itertools import pairwise
 

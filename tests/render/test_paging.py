@@ -1,7 +1,6 @@
-"""Workers: order, cancelling, bounds, errors. No GPU."""
+"""Workers: order, cancelling, bounds, errors."""
 
 import threading
-import time
 
 import pytest
 
@@ -19,10 +18,11 @@ def gate():
 
 def finish(pager, n_results):
     found = []
-    end = time.monotonic() + 30
-    while len(found) < n_results and time.monotonic() < end:
-        pager.wait(1)
-        found += pager.take(10)
+    while len(found) < n_results:
+        assert pager.wait(30)
+        taken = pager.take(10)
+        assert taken, f"no work is left, and {len(found)} results came"
+        found += taken
     return found
 
 
@@ -34,17 +34,17 @@ def test_results_come_in_the_order_asked_for():
 
 
 def test_what_is_no_longer_wanted_is_not_built(gate):
-    built = []
+    built, started = [], threading.Event()
 
     def build(key, _):
+        started.set()
         gate.wait(30)
         built.append(key)
         return key
 
     pager = Pager(build, n_workers=1)
     pager.request([1, 2, 3])
-    while not pager._running:
-        time.sleep(0.001)
+    assert started.wait(30)
     pager.request([1, 9])
     gate.set()
     assert [result.key for result in finish(pager, 2)] == [1, 9]
@@ -75,23 +75,33 @@ def test_running_work_is_told_that_it_is_cancelled(gate):
 
 
 def test_workers_rest_while_results_are_not_taken():
-    pager = Pager(lambda key, _: key, n_workers=2, max_ready=3)
+    n_kept = []
+
+    def build(key, _):
+        with pager._changed:
+            n_kept.append(len(pager._ready) + len(pager._running))
+        return key
+
+    pager = Pager(build, n_workers=2, max_ready=3)
     pager.request(list(range(100)))
-    end = time.monotonic() + 30
-    while len(pager._ready) < 3 and time.monotonic() < end:
-        time.sleep(0.001)
-    time.sleep(0.05)
-    assert len(pager._ready) <= 3 + 2
+    with pager._changed:
+        assert pager._changed.wait_for(lambda: len(pager._ready) >= 3, 30)
     assert len(finish(pager, 100)) == 100
+    assert max(n_kept) <= 3 + 2
     pager.close()
 
 
 def test_taking_never_waits(gate):
-    pager = Pager(lambda key, _: gate.wait(30), n_workers=1)
+    started = threading.Event()
+
+    def build(key, _):
+        started.set()
+        gate.wait(30)
+
+    pager = Pager(build, n_workers=1)
     pager.request([1])
-    started = time.monotonic()
-    assert pager.take(5) == []
-    assert time.monotonic() - started < 0.5
+    assert started.wait(30)
+    assert pager.take(5) == []  # the result, had it waited
     gate.set()
     pager.close()
 
@@ -112,9 +122,9 @@ def test_a_finished_result_is_not_built_again():
     pager = Pager(lambda key, _: n_built.append(key), n_workers=1)
     pager.request([1])
     assert pager.wait(30)
-    while not pager._ready:
-        time.sleep(0.001)
     pager.request([1])
     assert len(finish(pager, 1)) == 1
+    assert pager.wait(30)  # nothing is under work
+    assert pager.take(1) == []
     assert n_built == [1]
     pager.close()

@@ -1,4 +1,4 @@
-"""Reading ahead: what queued pieces need comes in few calls, before they are built. No GPU."""
+"""Reading ahead: what queued pieces need comes in few calls, before they are built."""
 
 import threading
 

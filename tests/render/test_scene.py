@@ -1,4 +1,4 @@
-"""The promise on screen, borders, memory: a scene on a store without a GPU."""
+"""The promise on screen, borders, memory: a scene on a list as its store."""
 
 from dataclasses import replace
 

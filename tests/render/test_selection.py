@@ -1,4 +1,4 @@
-"""Frustum, selection, wanted lists and limits against obvious versions, without a GPU."""
+"""Frustum, selection, wanted lists and limits against obvious versions."""
 
 from dataclasses import replace
 

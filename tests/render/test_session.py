@@ -1,4 +1,4 @@
-"""Clicks, measurements, captures and the ground under the camera, without a window or a GPU."""
+"""Clicks, measurements, captures and the ground under the camera."""
 
 import json
 import time
