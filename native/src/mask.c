@@ -25,30 +25,39 @@ static field take_field(scratch *s, const layer *out) {
   return f;
 }
 
+/* m samples of a parent's line of n, from number `from` on: outside of it the first or the last one. */
+static void take_line(const uint8_t *line, int32_t n, int32_t from, int32_t m, uint8_t *to) {
+  int32_t before = min_i32(max_i32(-from, 0), m), inside = min_i32(max_i32(n - from - before, 0), m - before);
+  memset(to, line[0], (size_t)before);
+  if (inside) memcpy(to + before, line + from + before, (size_t)inside);
+  memset(to + before + inside, line[n - 1], (size_t)(m - before - inside));
+}
+
+/* The parent's column of the first even column of the region. */
+static int32_t first_above(const layer *out, const parent *p) {
+  return (int32_t)((int64_t)(((uint64_t)out->cols.first + 1) / 2) - p->first_col);
+}
+
 static void imply_voids(const layer *out, const parent *p, field implied) {
   if (!p->layer || (!p->is_void && !p->layer->valid)) return;
-  uint8_t both[MOST];
+  uint8_t above[MOST], below[MOST];
   int32_t n = out->cols.n, odd = (int32_t)(out->cols.first & 1); /* 1: the first column lies between two of the parent's */
+  int32_t n_pairs = (n - odd) / 2;
   for (int32_t r = 0; r < out->rows.n; r++) {
     uint8_t *RESTRICT row = implied.at + (size_t)r * implied.stride;
     if (p->is_void) {
-      memset(row, 1, (size_t)out->cols.n);
+      memset(row, 1, (size_t)n);
       continue;
     }
     uint32_t line = out->rows.first + (uint32_t)r;
     const uint8_t *valid = p->layer->valid + p->col;
     size_t pitch = (size_t)p->layer->cols.n;
-    const uint8_t *above = valid + pitch * (size_t)(p->row + line_above(line, 0, p->first_row, p->n_rows));
-    const uint8_t *below = valid + pitch * (size_t)(p->row + line_above(line, 1, p->first_row, p->n_rows));
-    int32_t n_pairs = (n - odd) / 2;
-    for (int32_t k = 0; k < n_pairs + 2; k++) {
-      int32_t at = line_above(out->cols.first + (uint32_t)(odd + 2 * k), 0, p->first_col, p->n_cols);
-      both[k] = above[at] & below[at];
-    }
-    if (odd) {
-      int32_t left = line_above(out->cols.first, 0, p->first_col, p->n_cols);
-      row[0] = !(above[left] & below[left] & both[0]);
-    }
+    int32_t m = n_pairs + 2, from = first_above(out, p) - 1; /* from one before the first even column on */
+    take_line(valid + pitch * (size_t)(p->row + line_above(line, 0, p->first_row, p->n_rows)), p->n_cols, from, m + 1, above);
+    take_line(valid + pitch * (size_t)(p->row + line_above(line, 1, p->first_row, p->n_rows)), p->n_cols, from, m + 1, below);
+    for (int32_t k = 0; k <= m; k++) above[k] &= below[k];
+    const uint8_t *both = above + 1;
+    if (odd) row[0] = !(both[-1] & both[0]);
     uint8_t *RESTRICT to = row + odd;
     for (int32_t k = 0; k < n_pairs; k++) {
       to[2 * k] = !both[k];
@@ -81,6 +90,67 @@ static twz_status decode_plain(const twz_file *f, const layer *out, field implie
   return coder_end(&start, "a mask", error);
 }
 
+/*
+ * Ones of models that have seen so many that they change no more: their p is 65533, and each takes 1, 2 or 3 of the
+ * highest 16 bits of the range. Returns how many of n were read, before a zero or before the range must be renormalised.
+ */
+static ALWAYS_INLINE int32_t settled_ones(coder *c, int32_t n) {
+  enum { P = 65533, THIRD = 21845, LEAST = 257 }; /* less than LEAST times P is below 2^24 */
+  uint32_t high = c->range >> 16, stop = c->code / P, left = (uint32_t)n;
+  if (stop < LEAST - 1) stop = LEAST - 1;
+  while (left && high > stop) {
+    uint32_t each = (3 * high + 65535) >> 16, until = (each - 1) * THIRD;
+    if (until < stop) until = stop;
+    uint32_t taken = min_u32((high - until + each - 1) / each, left);
+    high -= taken * each;
+    left -= taken;
+    c->range = (high + each) * P;
+  }
+  return n - (int32_t)left;
+}
+
+/* Ones of model a, or of a and b in turns: as settled_ones. */
+static ALWAYS_INLINE int32_t ones_of(coder *c, model *a, model *b, int32_t n) {
+  const model settled = MODEL((1 << 22) - 255, 254);
+  model now = *a, next = b ? *b : now;
+  if (now == settled && next == settled) return settled_ones(c, n);
+  int32_t i = 0;
+  for (; i < n; i++) {
+    uint32_t bound = (c->range >> 16) * ((now >> 14) | 1);
+    if (c->code >= bound || bound < 1u << 24) break;
+    c->range = bound;
+    model after = learned(c, now, 1);
+    now = b ? next : after;
+    next = after;
+  }
+  *(b && i % 2 ? b : a) = now;
+  if (b) *(i % 2 ? a : b) = next;
+  return i;
+}
+
+/*
+ * Ones from `first` on, behind a one, where contexts and K repeat each other column by column of two: mostly none of
+ * them is a zero. Returns the column where they end, or that is to be read for itself.
+ */
+static ALWAYS_INLINE int32_t read_ones(coder *c, model *models, const uint16_t *contexts, const uint8_t *k, int32_t first, int32_t n) {
+  uint64_t pattern, other;
+  memcpy(&pattern, contexts + first, sizeof pattern);
+  int is_both = !k[first] && !k[first + 1];
+  if (pattern >> 32 != (pattern & 0xFFFFFFFFu) || k[first] == 1 || k[first + 1] == 1 || k[first] != k[first + 2]) return first;
+  int32_t stop = first + 4;
+  for (; stop + 4 <= n; stop += 4) {
+    memcpy(&other, contexts + stop, sizeof other);
+    if (other != pattern) break;
+  }
+  if (stop > n) return first;
+  model *a = &models[81 * 8 + contexts[first]], *b = &models[81 * 8 + contexts[first + 1]];
+  if (is_both && a != b) return first + ones_of(c, a, b, stop - first);
+  int step = is_both ? 1 : 2, skipped = k[first] != 0; /* one model */
+  if (skipped && k[first + 1]) return stop;
+  int32_t n_coded = (stop - first) / step, n_read = ones_of(c, skipped ? b : a, NULL, n_coded);
+  return n_read == n_coded ? stop : first + skipped + step * n_read;
+}
+
 /* §5.4: a map, where K is 0; without a section these bits are 1. */
 static twz_status decode_map(const twz_file *f, const layer *out, field known, const reader *section, field map,
                              twz_error *error) {
@@ -88,53 +158,49 @@ static twz_status decode_map(const twz_file *f, const layer *out, field known, c
   for (int i = 0; i < N_FILL_MODELS; i++) models[i] = FRESH_MODEL;
   ptrdiff_t s = (ptrdiff_t)map.stride;
   const int32_t n = out->cols.n;
-  for (int32_t row = 0; !section->bytes && row < out->rows.n; row++) {
-    uint8_t *v = map.at + row * s;
-    const uint8_t *k = known.at + row * s;
-    for (int32_t col = 0; col < n; col++) v[col] = k[col] != 1;
-  }
-  if (!section->bytes) return TWZ_OK;
   coder start, c; /* c is in registers, as no function is given its place */
   coder_start(&start, section->bytes, section->n, f->rates);
   c = start;
-  uint16_t contexts[MOST];
+  uint16_t contexts[MOST + 4] = {0};
   for (int32_t row = 0; row < out->rows.n; row++) {
     uint8_t *RESTRICT v = map.at + row * s;
     const uint8_t *RESTRICT above = v - s, *RESTRICT k = known.at + row * s;
+    if (!section->bytes || !memchr(k, 0, (size_t)n)) {
+      for (int32_t col = 0; col < n; col++) v[col] = k[col] != 1;
+      continue;
+    }
     for (int32_t col = 0; col < n; col++) { /* all but the bit to the left */
       int bits = 4 * above[col] + 2 * above[col - 1] + above[col + 1];
       contexts[col] = (uint16_t)(81 * bits + 27 * k[col + 1] + 9 * k[col + s] + 3 * k[col + s + 1] + k[col + s - 1]);
     }
     int west = 0;
     for (int32_t col = 0; col < n; col++) {
+      int32_t next = west ? read_ones(&c, models, contexts, k, col, n) : col;
+      for (; col < next; col++) v[col] = 1;
+      if (col == n) break;
       west = k[col] ? k[col] != 1 : foreseen_bit(&c, &models[81 * 8 * west + contexts[col]]);
       v[col] = (uint8_t)west;
     }
   }
+  if (!section->bytes) return TWZ_OK;
   start = c;
   return coder_end(&start, "a map of own samples", error);
 }
 
 /* K of own samples: inherited ones are as the parent's, others void where that is implied. */
 static void know_own(const layer *out, const parent *p, field implied, field known) {
-  const int32_t n = out->cols.n, odd = (int32_t)(out->cols.first % 2);
-  int16_t places[MOST]; /* parent's columns */
-  for (int32_t c = odd; p->layer && c < n; c += 2) {
-    places[c] = (int16_t)line_above(out->cols.first + (uint32_t)c, 0, p->first_col, p->n_cols);
-  }
+  const int32_t n = out->cols.n, odd = (int32_t)(out->cols.first & 1), n_even = (n - odd + 1) / 2;
+  uint8_t own[MOST]; /* of the parent's columns */
+  const uint8_t *all = !p->layer || p->is_void ? NULL : p->layer->own ? p->layer->own : p->layer->valid;
+  memset(own, !p->is_void, sizeof own);
   for (int32_t r = 0; r < out->rows.n; r++) {
-    uint8_t *k = known.at + (size_t)r * known.stride;
-    memcpy(k, implied.at + (size_t)r * implied.stride, (size_t)out->cols.n);
+    uint8_t *RESTRICT k = known.at + (size_t)r * known.stride;
+    memcpy(k, implied.at + (size_t)r * implied.stride, (size_t)n);
     uint32_t row = out->rows.first + (uint32_t)r;
     if (!p->layer || row % 2) continue;
-    int32_t above = line_above(row, 0, p->first_row, p->n_rows);
-    const uint8_t *own = p->is_void ? NULL : p->layer->own ? p->layer->own : p->layer->valid;
-    if (own) own += (size_t)(p->row + above) * (size_t)p->layer->cols.n + (size_t)p->col;
-    int is_own = !p->is_void;
-    for (int32_t c = odd; c < n; c += 2) {
-      if (own) is_own = own[places[c]] != 0;
-      k[c] = is_own ? 2 : 1;
-    }
+    size_t above = (size_t)(p->row + line_above(row, 0, p->first_row, p->n_rows)) * (size_t)p->layer->cols.n;
+    if (all) take_line(all + above + p->col, p->n_cols, first_above(out, p), n_even, own);
+    for (int32_t j = 0; j < n_even; j++) k[odd + 2 * j] = (uint8_t)(1 + own[j]);
   }
 }
 
