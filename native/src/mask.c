@@ -59,9 +59,9 @@ static void imply_voids(const layer *out, const parent *p, field implied) {
     const uint8_t *both = above + 1;
     if (odd) row[0] = !(both[-1] & both[0]);
     uint8_t *RESTRICT to = row + odd;
-    for (int32_t k = 0; k < n_pairs; k++) {
-      to[2 * k] = !both[k];
-      to[2 * k + 1] = !(both[k] & both[k + 1]);
+    for (int32_t k = 0; k < n_pairs; k++) { /* 0 and 1, without a branch: compilers make vectors */
+      to[2 * k] = both[k] ^ 1;
+      to[2 * k + 1] = (both[k] & both[k + 1]) ^ 1;
     }
     if (odd + 2 * n_pairs < n) row[n - 1] = !both[n_pairs];
   }
@@ -189,18 +189,25 @@ static twz_status decode_map(const twz_file *f, const layer *out, field known, c
 
 /* K of own samples: inherited ones are as the parent's, others void where that is implied. */
 static void know_own(const layer *out, const parent *p, field implied, field known) {
-  const int32_t n = out->cols.n, odd = (int32_t)(out->cols.first & 1), n_even = (n - odd + 1) / 2;
+  const int32_t n = out->cols.n, odd = (int32_t)(out->cols.first & 1), n_pairs = (n - odd) / 2;
   uint8_t own[MOST]; /* of the parent's columns */
   const uint8_t *all = !p->layer || p->is_void ? NULL : p->layer->own ? p->layer->own : p->layer->valid;
   memset(own, !p->is_void, sizeof own);
   for (int32_t r = 0; r < out->rows.n; r++) {
-    uint8_t *RESTRICT k = known.at + (size_t)r * known.stride;
-    memcpy(k, implied.at + (size_t)r * implied.stride, (size_t)n);
+    uint8_t *k = known.at + (size_t)r * known.stride;
+    const uint8_t *is_implied = implied.at + (size_t)r * implied.stride;
+    memcpy(k, is_implied, (size_t)n);
     uint32_t row = out->rows.first + (uint32_t)r;
     if (!p->layer || row % 2) continue;
     size_t above = (size_t)(p->row + line_above(row, 0, p->first_row, p->n_rows)) * (size_t)p->layer->cols.n;
-    if (all) take_line(all + above + p->col, p->n_cols, first_above(out, p), n_even, own);
-    for (int32_t j = 0; j < n_even; j++) k[odd + 2 * j] = (uint8_t)(1 + own[j]);
+    if (all) take_line(all + above + p->col, p->n_cols, first_above(out, p), n_pairs + 1, own);
+    uint8_t *RESTRICT to = k + odd;
+    const uint8_t *RESTRICT from = is_implied + odd;
+    for (int32_t j = 0; j < n_pairs; j++) {
+      to[2 * j] = (uint8_t)(1 + own[j]);
+      to[2 * j + 1] = from[2 * j + 1];
+    }
+    if (odd + 2 * n_pairs < n) to[2 * n_pairs] = (uint8_t)(1 + own[n_pairs]);
   }
 }
 
@@ -214,18 +221,20 @@ static void know_valid(const layer *out, field implied, field own, field known) 
     for (int32_t c = 0; c < n; c++) {
       const uint8_t *o = own_row + c;
       uint8_t beside = o[0] | o[-1] | o[1] | o[-s] | o[s] | o[-s - 1] | o[1 - s] | o[s - 1] | o[s + 1];
-      to[c] = void_row[c] ? 1 : beside ? 2 : 0;
+      to[c] = (uint8_t)(void_row[c] + 2 * (beside & (void_row[c] ^ 1)));
     }
   }
 }
 
 /* Keep a field as bytes of the region; NULL where all are 1. */
 static twz_status keep_field(const twz_file *f, const layer *out, field from, uint8_t **to, int *n_set, twz_error *error) {
-  size_t n_rows = (size_t)out->rows.n, n_cols = (size_t)out->cols.n, n = 0;
-  for (size_t r = 0; r < n_rows; r++) {
-    for (size_t c = 0; c < n_cols; c++) n += from.at[r * from.stride + c];
+  size_t n_rows = (size_t)out->rows.n, n_cols = (size_t)out->cols.n;
+  int has_0 = 0, has_1 = 0;
+  for (size_t r = 0; r < n_rows && !(has_0 && has_1); r++) {
+    has_0 |= memchr(from.at + r * from.stride, 0, n_cols) != NULL;
+    has_1 |= memchr(from.at + r * from.stride, 1, n_cols) != NULL;
   }
-  *n_set = n == 0 ? 0 : n == n_rows * n_cols ? 2 : 1;
+  *n_set = !has_1 ? 0 : has_0 ? 1 : 2;
   if (*n_set == 2) return TWZ_OK;
   *to = twz_allocate(&f->allocator, n_rows * n_cols);
   if (!*to) return twz_no_memory(error, n_rows * n_cols);
@@ -233,12 +242,23 @@ static twz_status keep_field(const twz_file *f, const layer *out, field from, ui
   return TWZ_OK;
 }
 
+/* Is one of the parent heights 0 in such a field of the parent's layer? */
+static int has_zero(const parent *p, const uint8_t *bytes) {
+  if (!bytes) return 0;
+  bytes += (size_t)p->row * (size_t)p->layer->cols.n + (size_t)p->col;
+  for (int32_t r = 0; r < p->n_rows; r++) {
+    if (memchr(bytes + (size_t)r * (size_t)p->layer->cols.n, 0, (size_t)p->n_cols)) return 1;
+  }
+  return 0;
+}
+
 twz_status decode_validity(const twz_file *f, layer *out, const parent *p, int is_finest, const reader *mask,
                            const reader *own, int *has_valid, scratch *s, twz_error *error) {
   *has_valid = 1;
   int has_fills = (f->header.features & FILLS) != 0;
-  int parent_has_void = p->layer && (p->is_void || p->layer->valid || p->layer->own);
-  if (!mask->bytes && !own->bytes && !parent_has_void) return TWZ_OK; /* all valid, all own */
+  if (!mask->bytes && !own->bytes && !(p->layer && (p->is_void || has_zero(p, p->layer->valid) || has_zero(p, p->layer->own)))) {
+    return TWZ_OK; /* all valid, all own */
+  }
   TRY(scratch_reserve(s, 4 * (field_bytes(out) + SCRATCH_ALIGN), error));
   field implied = take_field(s, out), valid = take_field(s, out);
   imply_voids(out, p, implied);
