@@ -90,52 +90,66 @@ static twz_status decode_plain(const twz_file *f, const layer *out, field implie
   return coder_end(&start, "a mask", error);
 }
 
+/* A range after n bits. By value, so that the coder stays in registers. */
+typedef struct ones {
+  uint32_t range;
+  int32_t n;
+} ones;
+
 /*
  * Ones of models that have seen so many that they change no more: their p is 65533, and each takes 1, 2 or 3 of the
- * highest 16 bits of the range. Returns how many of n were read, before a zero or before the range must be renormalised.
+ * highest 16 bits of the range. Of n, those before a zero or before the range must be renormalised.
  */
-static ALWAYS_INLINE int32_t settled_ones(coder *c, int32_t n) {
-  enum { P = 65533, THIRD = 21845, LEAST = 257 }; /* less than LEAST times P is below 2^24 */
-  uint32_t high = c->range >> 16, stop = c->code / P, left = (uint32_t)n;
-  if (stop < LEAST - 1) stop = LEAST - 1;
+static ones settled_ones(uint32_t range, uint32_t code, int32_t n) {
+  enum { P = 65533, THIRD = 21845, MOST_SMALL = 256 }; /* MOST_SMALL times P is below 2^24 */
+  uint32_t high = range >> 16, stop = code / P, left = (uint32_t)n;
+  if (stop < MOST_SMALL) stop = MOST_SMALL;
   while (left && high > stop) {
     uint32_t each = (3 * high + 65535) >> 16, until = (each - 1) * THIRD;
     if (until < stop) until = stop;
     uint32_t taken = min_u32((high - until + each - 1) / each, left);
     high -= taken * each;
     left -= taken;
-    c->range = (high + each) * P;
+    range = (high + each) * P;
   }
-  return n - (int32_t)left;
+  ones found = {range, n - (int32_t)left};
+  return found;
 }
 
-/* Ones of model a, or of a and b in turns: as settled_ones. */
-static ALWAYS_INLINE int32_t ones_of(coder *c, model *a, model *b, int32_t n) {
-  const model settled = MODEL((1 << 22) - 255, 254);
-  model now = *a, next = b ? *b : now;
-  if (now == settled && next == settled) return settled_ones(c, n);
+/* Pairs of ones of models a and b, which may be the same one: as settled_ones. */
+static ALWAYS_INLINE ones unsettled_ones(uint32_t range, uint32_t code, model *a, model *b, int is_same, int32_t n, const coder *c) {
+  model x = *a, y = *b;
   int32_t i = 0;
-  for (; i < n; i++) {
-    uint32_t bound = (c->range >> 16) * ((now >> 14) | 1);
-    if (c->code >= bound || bound < 1u << 24) break;
-    c->range = bound;
-    model after = learned(c, now, 1);
-    now = b ? next : after;
-    next = after;
+  for (; i + 2 <= n; i += 2) {
+    model after = learned(c, x, 1);
+    if (is_same) y = after;
+    uint32_t bound = (range >> 16) * ((x >> 14) | 1);
+    bound = (bound >> 16) * ((y >> 14) | 1);
+    if (code >= bound || bound < 1u << 24) break;
+    range = bound;
+    y = learned(c, y, 1);
+    x = is_same ? y : after;
   }
-  *(b && i % 2 ? b : a) = now;
-  if (b) *(i % 2 ? a : b) = next;
-  return i;
+  *a = x;
+  if (!is_same) *b = y;
+  ones found = {range, i};
+  return found;
+}
+
+static ones ones_in_turns(uint32_t range, uint32_t code, model *a, model *b, int32_t n, const coder *c) {
+  const model settled = MODEL((1 << 22) - 255, 254);
+  if (*a == settled && *b == settled) return settled_ones(range, code, n);
+  return a == b ? unsettled_ones(range, code, a, a, 1, n, c) : unsettled_ones(range, code, a, b, 0, n, c);
 }
 
 /*
- * Ones from `first` on, behind a one, where contexts and K repeat each other column by column of two: mostly none of
- * them is a zero. Returns the column where they end, or that is to be read for itself.
+ * Ones from column `first` on, behind a one, where contexts and K repeat each other two by two: mostly none is a zero.
+ * Returns the column where they end, or that is to be read for itself.
  */
-static ALWAYS_INLINE int32_t read_ones(coder *c, model *models, const uint16_t *contexts, const uint8_t *k, int32_t first, int32_t n) {
+static ALWAYS_INLINE int32_t read_ones(coder *c, model *models, const uint16_t *contexts, const uint8_t *k, int32_t first,
+                                       int32_t n) {
   uint64_t pattern, other;
   memcpy(&pattern, contexts + first, sizeof pattern);
-  int is_both = !k[first] && !k[first + 1];
   if (pattern >> 32 != (pattern & 0xFFFFFFFFu) || k[first] == 1 || k[first + 1] == 1 || k[first] != k[first + 2]) return first;
   int32_t stop = first + 4;
   for (; stop + 4 <= n; stop += 4) {
@@ -143,12 +157,13 @@ static ALWAYS_INLINE int32_t read_ones(coder *c, model *models, const uint16_t *
     if (other != pattern) break;
   }
   if (stop > n) return first;
-  model *a = &models[81 * 8 + contexts[first]], *b = &models[81 * 8 + contexts[first + 1]];
-  if (is_both && a != b) return first + ones_of(c, a, b, stop - first);
-  int step = is_both ? 1 : 2, skipped = k[first] != 0; /* one model */
+  int skipped = k[first] != 0, step = 1 + (skipped || k[first + 1]);
   if (skipped && k[first + 1]) return stop;
-  int32_t n_coded = (stop - first) / step, n_read = ones_of(c, skipped ? b : a, NULL, n_coded);
-  return n_read == n_coded ? stop : first + skipped + step * n_read;
+  model *a = &models[contexts[first + skipped]], *b = step == 2 ? a : &models[contexts[first + 1]];
+  int32_t n_coded = (stop - first) / step;
+  ones read = ones_in_turns(c->range, c->code, a, b, n_coded, c);
+  c->range = read.range;
+  return read.n == n_coded ? stop : first + skipped + step * read.n;
 }
 
 /* §5.4: a map, where K is 0; without a section these bits are 1. */
@@ -175,7 +190,7 @@ static twz_status decode_map(const twz_file *f, const layer *out, field known, c
     }
     int west = 0;
     for (int32_t col = 0; col < n; col++) {
-      int32_t next = west ? read_ones(&c, models, contexts, k, col, n) : col;
+      int32_t next = west ? read_ones(&c, models + 81 * 8, contexts, k, col, n) : col;
       for (; col < next; col++) v[col] = 1;
       if (col == n) break;
       west = k[col] ? k[col] != 1 : foreseen_bit(&c, &models[81 * 8 * west + contexts[col]]);
