@@ -79,16 +79,17 @@ static ALWAYS_INLINE int32_t ISA(read_in_turns)(ISA(lanes) * l, NAMED(span) *con
   return j;
 }
 
-/* Read spans of n units in turns: each step waits for the one before it in its own stream. */
+/* Read spans of n >= 1 units in turns: each step waits for the one before it in its own stream. */
 static void ISA(read_vectors)(NAMED(span) * s, int n, const uint32_t *slots) {
-  NAMED(span) *spans[MOST_TOGETHER]; /* the longest first */
+  NAMED(span) *spans[MOST_TOGETHER] = {s}; /* the longest first */
   ISA(lanes) l[MOST_TOGETHER];
-  for (int k = 0; k < n; k++) {
+  for (int k = 1; k < n; k++) {
     int i = k;
     for (; i > 0 && spans[i - 1]->n < s[k].n; i--) spans[i] = spans[i - 1];
     spans[i] = &s[k];
   }
-  for (int k = 0; k < n; k++) ISA(begin_lanes)(&l[k], spans[k]->streams);
+  ISA(begin_lanes)(&l[0], spans[0]->streams);
+  for (int k = 1; k < n; k++) ISA(begin_lanes)(&l[k], spans[k]->streams);
   int32_t j = 0;
   if (n > 3) j = ISA(read_in_turns)(l, spans, 4, j, slots);
   if (n > 2) j = ISA(read_in_turns)(l, spans, 3, j, slots);
