@@ -324,19 +324,16 @@ twz_status decode_rapid(const job *j, const reader *bytes, scratch *s, twz_error
   return close_streams(&u, error);
 }
 
-/* Groups of one size, of eight states each, whose sums fit 32 bits. */
-static int are_alike(const rapid_unit *a, const rapid_unit *b) {
-  const layer *l = a->job->out, *m = b->job->out;
-  return a->job->parent.layer && b->job->parent.layer && !a->is_wide && !b->is_wide && a->streams.n_states == 8 &&
-         b->streams.n_states == 8 && l->rows.n_core == m->rows.n_core && l->cols.n_core == m->cols.n_core;
-}
+/* A group of eight states, whose sums fit 32 bits. */
+static int fits_turns(const rapid_unit *u) { return u->job->parent.layer && !u->is_wide && u->streams.n_states == 8; }
 
 twz_status decode_rapid_units(const job *const *jobs, const reader *bytes, int n, scratch *s, twz_error *error) {
   rapid_unit units[MOST_TOGETHER];
   const row_kernels *kernels = jobs[0]->file->kernels;
   for (int k = 0; k < n; k++) TRY(open_unit(&units[k], jobs[k], &bytes[k], &s[k], error));
   for (int k = 0, stop; k < n; k = stop) {
-    for (stop = k + 1; kernels->decode_rapid_groups && stop < n && are_alike(&units[k], &units[stop]);) stop++;
+    for (stop = k; kernels->decode_rapid_groups && stop < n && fits_turns(&units[stop]);) stop++;
+    stop = max_i32(stop, k + 1);
     if (stop == k + 1) {
       TRY(kernels->decode_rapid(&units[k], error));
     } else {

@@ -58,7 +58,7 @@ typedef struct rapid_unit {
 
 /* Decode a unit whose streams are set up. */
 typedef twz_status (*rapid_decoder)(rapid_unit *u, twz_error *error);
-/* Up to MOST_TOGETHER that are_alike. */
+/* Up to MOST_TOGETHER for which fits_turns. */
 typedef twz_status (*rapid_groups_decoder)(rapid_unit *units, int n, twz_error *error);
 
 #endif

@@ -901,35 +901,41 @@ static twz_status NAMED(decode)(rapid_unit *u, twz_error *error) {
 }
 
 #ifdef READ_VECTORS
-/* Groups of one size, row by row: symbols of one are read while those of the others wait for theirs. */
+/* Groups row by row: symbols of one are read while those of the others wait for theirs. */
 static twz_status NAMED(decode_groups)(rapid_unit *units, int n_units, twz_error *error) {
   NAMED(work) works[MOST_TOGETHER];
   NAMED(part) parts[MOST_TOGETHER];
+  int32_t n_turns = 0;
   for (int k = 0; k < n_units; k++) {
     NAMED(source) a;
     TRY(NAMED(begin)(&works[k], &units[k], error));
     NAMED(begin_group)(&works[k], &a, &parts[k]);
     NAMED(begin_lattice)(&works[k], &a, &parts[k]);
+    n_turns = max_i32(n_turns, units[k].n_turns);
   }
-  for (int32_t t = 0;; t++) {
-    while (n_units > 0 && t >= units[n_units - 1].n_turns) n_units--;
-    if (n_units == 0) break;
-    for (int k = 0; k < n_units; k++) NAMED(advance)(&works[k], &parts[k], t);
+  for (int32_t t = 0; t < n_turns; t++) {
+    for (int k = 0; k < n_units; k++) {
+      if (t < units[k].n_turns) NAMED(advance)(&works[k], &parts[k], t);
+    }
     for (int plane = HH; plane <= LH; plane++) {
-      int32_t i = t - plane, n = works[0].sizes[plane][1];
-      if (i < 0 || i >= works[0].sizes[plane][0] || n == 0) continue;
       NAMED(span_of_row) rows[MOST_TOGETHER];
       NAMED(span) spans[MOST_TOGETHER];
+      int32_t i = t - plane;
+      int which[MOST_TOGETHER], n = 0; /* units that have such a row */
       for (int k = 0; k < n_units; k++) {
-        NAMED(begin_row)(&works[k], &parts[k], plane, i, n, &rows[k]);
-        spans[k] = NAMED(begin_span)(&works[k].row, rows[k].first, rows[k].stop, NAMED(valid_of)(&works[k], &rows[k]),
-                                     (size_t)rows[k].step, &units[k].streams);
+        const int32_t *size = works[k].sizes[plane];
+        if (t >= units[k].n_turns || i < 0 || i >= size[0] || size[1] == 0) continue;
+        NAMED(begin_row)(&works[k], &parts[k], plane, i, size[1], &rows[n]);
+        spans[n] = NAMED(begin_span)(&works[k].row, rows[n].first, rows[n].stop, NAMED(valid_of)(&works[k], &rows[n]),
+                                     (size_t)rows[n].step, &units[k].streams);
+        which[n++] = k;
       }
-      READ_VECTORS(spans, n_units, units[0].tables->slots);
-      for (int k = 0; k < n_units; k++) {
-        NAMED(end_span)(&works[k].row, rows[k].first, rows[k].stop, NAMED(valid_of)(&works[k], &rows[k]), (size_t)rows[k].step,
-                        units[k].scale.most_detail, &spans[k]);
-        NAMED(end_row)(&works[k], &parts[k], plane, i, &rows[k]);
+      if (n) READ_VECTORS(spans, n, units[0].tables->slots);
+      for (int m = 0; m < n; m++) {
+        int k = which[m];
+        NAMED(end_span)(&works[k].row, rows[m].first, rows[m].stop, NAMED(valid_of)(&works[k], &rows[m]), (size_t)rows[m].step,
+                        units[k].scale.most_detail, &spans[m]);
+        NAMED(end_row)(&works[k], &parts[k], plane, i, &rows[m]);
       }
     }
   }

@@ -61,40 +61,40 @@ static ALWAYS_INLINE void ISA(begin_lanes)(ISA(lanes) * l, const rapid_streams *
   l->words = l->at = z->words + 2 * min_size(z->n_words_used, z->n_words); /* a row takes a word a sample: PAYLOAD_SLACK */
 }
 
-/* Samples j ... n - 1 of a span, and its end. */
-static ALWAYS_INLINE void ISA(end_lanes)(ISA(lanes) * l, NAMED(span) * s, int32_t j, const uint32_t *slots) {
+/* Samples of n spans in turns, from number j on, until the last one, which is the shortest, is read. */
+static ALWAYS_INLINE int32_t ISA(read_in_turns)(ISA(lanes) * l, NAMED(span) *const *spans, int n, int32_t j,
+                                                const uint32_t *slots) {
   const __m256i lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7), all = _mm256_set1_epi32(-1);
+  NAMED(span) *s = spans[n - 1];
+  for (; j + 8 <= s->n; j += 8) {
+    for (int k = 0; k < n; k++) ISA(step)(&l[k], spans[k], j, 1, all, slots);
+  }
+  ISA(lanes) *own = &l[n - 1];
+  if (j < s->n) ISA(step)(own, s, j, 0, _mm256_cmpgt_epi32(_mm256_set1_epi32(s->n - j), lanes), slots);
   rapid_streams *z = s->streams;
-  for (; j + 8 <= s->n; j += 8) ISA(step)(l, s, j, 1, all, slots);
-  if (j < s->n) ISA(step)(l, s, j, 0, _mm256_cmpgt_epi32(_mm256_set1_epi32(s->n - j), lanes), slots);
-  _mm256_storeu_si256((__m256i *)z->states, _mm256_permutevar8x32_epi32(l->x, ISA(rotated)(z, -1)));
-  s->has_raw = !_mm256_testz_si256(l->raw, l->raw);
-  z->n_words_used += (size_t)(l->at - l->words) / 2;
+  _mm256_storeu_si256((__m256i *)z->states, _mm256_permutevar8x32_epi32(own->x, ISA(rotated)(z, -1)));
+  s->has_raw = !_mm256_testz_si256(own->raw, own->raw);
+  z->n_words_used += (size_t)(own->at - own->words) / 2;
   z->n_symbols += (size_t)s->n;
+  return j;
 }
 
-static ALWAYS_INLINE void ISA(read_in_turns)(NAMED(span) * s, int n, const uint32_t *slots) {
-  const __m256i all = _mm256_set1_epi32(-1);
-  ISA(lanes) l[MOST_TOGETHER];
-  int32_t j = 0, least = s[0].n;
-  for (int k = 0; k < n; k++) {
-    ISA(begin_lanes)(&l[k], s[k].streams);
-    least = min_i32(least, s[k].n);
-  }
-  for (; n > 1 && j + 8 <= least; j += 8) {
-    for (int k = 0; k < n; k++) ISA(step)(&l[k], &s[k], j, 1, all, slots);
-  }
-  for (int k = 0; k < n; k++) ISA(end_lanes)(&l[k], &s[k], j, slots);
-}
-
-/* Read spans of n units in turns: each step waits for the one before it in its own stream. */
+/* Read spans of n >= 1 units in turns: each step waits for the one before it in its own stream. */
 static void ISA(read_vectors)(NAMED(span) * s, int n, const uint32_t *slots) {
-  switch (n) {
-    case 1: ISA(read_in_turns)(s, 1, slots); break;
-    case 2: ISA(read_in_turns)(s, 2, slots); break;
-    case 3: ISA(read_in_turns)(s, 3, slots); break;
-    default: ISA(read_in_turns)(s, MOST_TOGETHER, slots);
+  NAMED(span) *spans[MOST_TOGETHER] = {s}; /* the longest first */
+  ISA(lanes) l[MOST_TOGETHER];
+  for (int k = 1; k < n; k++) {
+    int i = k;
+    for (; i > 0 && spans[i - 1]->n < s[k].n; i--) spans[i] = spans[i - 1];
+    spans[i] = &s[k];
   }
+  ISA(begin_lanes)(&l[0], spans[0]->streams);
+  for (int k = 1; k < n; k++) ISA(begin_lanes)(&l[k], spans[k]->streams);
+  int32_t j = 0;
+  if (n > 3) j = ISA(read_in_turns)(l, spans, 4, j, slots);
+  if (n > 2) j = ISA(read_in_turns)(l, spans, 3, j, slots);
+  if (n > 1) j = ISA(read_in_turns)(l, spans, 2, j, slots);
+  ISA(read_in_turns)(l, spans, 1, j, slots);
 }
 
 /* R.9, as read_raw: eight details at once, unless one is an escape. */

@@ -505,8 +505,9 @@ static twz_status decode_stage(decoding *d, const twz_workers *workers, twz_erro
   d->n_todo = n;
   /* Units in lockstep, unless a worker would have nothing to do. */
   int is_rapid = d->window->file->header.method == TWZ_RAPID;
-  d->n_at_once = is_rapid ? min_size(max_size(n / n_workers, 1), MOST_TOGETHER) : 1;
-  size_t n_tasks = (n + d->n_at_once - 1) / d->n_at_once;
+  size_t most = is_rapid ? min_size(max_size(n / n_workers, 1), MOST_TOGETHER) : 1, n_tasks = (n + most - 1) / most;
+  d->n_at_once = (n + n_tasks - 1) / n_tasks; /* 9 units are three times three */
+  n_tasks = (n + d->n_at_once - 1) / d->n_at_once;
   if (workers && n_tasks > 1) {
     workers->run(workers->context, n_tasks, decode_some, d);
   } else {

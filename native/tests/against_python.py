@@ -83,10 +83,11 @@ def disagreements(twz, path):
 def disagreements_on_windows(twz, path, terrain_file):
     """Yield what becomes of windows at and beyond the edge that is otherwise in Python."""
     n_rows, n_cols = terrain_file.shape
+    height, width = min(n_rows, 9), min(n_cols, 7)
     for window, is_cut in (
-        ((n_rows - 9, n_cols - 7, 9, 7), False),
-        ((n_rows - 9, n_cols - 7, 20, 7), True),
-        ((0, n_cols - 7, 3, 4_000_000_000), True),
+        ((n_rows - height, n_cols - width, height, width), False),
+        ((n_rows - height, n_cols - width, 20, width), True),
+        ((0, n_cols - width, 3, 4_000_000_000), True),
     ):
         expected = terrain_file.read(window, voids="any").tobytes()
         words = "--window", ",".join(map(str, window))
