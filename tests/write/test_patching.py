@@ -226,13 +226,13 @@ def test_what_heights_had_moved_before_stays_until_the_original_is_given(moved, 
         with pytest.raises(InvalidHeightsError, match="expected at least 4"):
             terrain.mesh(max_error=3)
     described = CliRunner().invoke(main, ["info", str(path)])
-    assert "of it by patches" in described.output
+    assert "of it from patches" in described.output
     result = patch(path, tmp_path / "new.tif", original=write_whole(new, tmp_path / "all.tif"))
     assert (result.moved_error, result.effective_error) == (0, 2)
     with Terrain(path) as terrain:
         assert np.abs(terrain.read().astype(int) - new).max() <= 2
         assert (terrain.max_error, terrain.info().moved_error) == (2, 0)
-    assert "of it by patches" not in CliRunner().invoke(main, ["info", str(path)]).output
+    assert "of it from patches" not in CliRunner().invoke(main, ["info", str(path)]).output
 
 
 @pytest.mark.large
