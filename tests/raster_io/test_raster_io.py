@@ -352,7 +352,7 @@ def test_complex_heights_are_refused():
 
 
 def test_something_else_is_refused():
-    with pytest.raises(InvalidHeightsError, match="found {}, expected a path"):
+    with pytest.raises(InvalidHeightsError, match=r"found \{\}, expected a path"):
         RasterSource({})
 
 

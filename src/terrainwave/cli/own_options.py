@@ -67,7 +67,13 @@ def _take_former(ctx: click.Context, param: click.Parameter, value: Any) -> None
     if word == "border_rings=1":
         _note_former("--border-rings 1", "nothing: 1 is the default")
         return
-    _note_former(param.opts[0], f"-o {word}")
+    owners = [
+        name
+        for name in METHODS
+        if (kind := options_of_method(name)) is not None and param.name in kind.names()
+    ]
+    method = f"--method {owners[0]} " if len(owners) == 1 else ""
+    _note_former(param.opts[0], f"{method}-o {word}")
     ctx.meta.setdefault(_FORMER, []).append(word)
 
 
@@ -90,7 +96,13 @@ def with_own_options(own: Sequence[str], options: dict[str, Any]) -> dict[str, A
     click.UsageError, InvalidArgumentError
         If the method and the kind of meshes have no such option, or it cannot have the value.
     """
-    words = _words([*own, *click.get_current_context().meta.get(_FORMER, [])])
+    former = click.get_current_context().meta.get(_FORMER, [])
+    words = _words(own)
+    for name, value in _words(former).items():
+        if name in words:
+            option = f"--{name.replace('_', '-')}"
+            raise click.UsageError(f"found {option} and -o {name}, expected one of them")
+        words[name] = value
     mesh = options.get("mesh") or "auto"
     of_mesh = options_of_mesh(mesh) if isinstance(mesh, str) else None
     found: dict[str, Any] = {}
@@ -140,12 +152,8 @@ def _refuse_others(
             refuse_unknown(name, "mesh", DEFAULT_MESH if found == "auto" else found, meshes)
         if of_method is not None and any(name in kind.names() for kind in methods):
             refuse_unknown(name, "method", method, methods)
-        expected = one_of(known) if known else "no -o"
-        command = click.get_current_context().command_path
-        raise click.UsageError(
-            f"found -o {name}, expected {expected}; {command} --method METHOD --mesh KIND --help"
-            " lists the options of each"
-        )
+        expected = f"-o {one_of(known)}" if known else "no option of these meshes"
+        raise click.UsageError(f"found -o {name}, expected {expected}")
 
 
 class CommandWithOwnOptions(Command):

@@ -5,6 +5,7 @@ from dataclasses import asdict, replace
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from terrainwave.arguments import TWZ_ENDINGS
 from terrainwave.cli.batch import Done, Job, refuse_options_of_batches, run_to
@@ -71,8 +72,8 @@ from terrainwave.progress import ProgressCallback
 @click.option("--mesh", type=MeshKind("none"), default=DEFAULT_MESH, show_default=True,
               help="Kind of the meshes of all blocks.")  # fmt: skip
 @own_option(
-    "Set an option of the method or of the kind of meshes. To list them, name both:"
-    " --method METHOD --mesh KIND --help."
+    "Set an option of the method or of the kind of meshes. To list them, add"
+    " --method METHOD or --mesh KIND before --help."
 )
 @click.option("--no-mesh", is_flag=True, help="Same as --mesh none.")
 @click.option(
@@ -140,6 +141,9 @@ def compress(
     """
     refuse_options_of_batches(to, skip_existing=skip_existing, overwrite=options["overwrite"])
     if no_mesh:
+        mesh_from = click.get_current_context().get_parameter_source("mesh")
+        if mesh_from is ParameterSource.COMMANDLINE and options["mesh"] != "none":
+            raise click.UsageError("found --no-mesh and --mesh, expected one of them")
         options["mesh"] = "none"
     options = with_own_options(own, options)
     options |= {"georeference": not no_georeference, "verify": not no_verify}

@@ -21,7 +21,9 @@ class Tasks(click.ParamType):
         names = value if isinstance(value, tuple) else tuple(value.split(","))
         for name in names:
             if name not in WARMUP_TASKS:
-                self.fail(f"found {name}, expected of {', '.join(WARMUP_TASKS)}", param, ctx)
+                self.fail(
+                    f"found {name}, expected one or more of {', '.join(WARMUP_TASKS)}", param, ctx
+                )
         return names
 
 
