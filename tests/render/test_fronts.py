@@ -8,6 +8,7 @@ from render.scenes import ListStore, hills, terrain_of
 from tri.slow_dynamic import areas, surfaces_at
 
 from terrainwave.errors import InvalidArgumentError
+from terrainwave.read.tiles import with_coefficients
 from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import Camera, Viewport, home, project
 
@@ -83,8 +84,9 @@ def test_rqt_splits_by_the_coefficients_of_the_file(small_patches):
         assert counts[0] > counts[1] > counts[2] > 0
         patches = list(scene.store.patches.values())
         assert len(patches) > 4
+        tiles = with_coefficients(terrain.decoder)
         for patch in patches:
-            own = terrain.decoder.coefficients(patch.piece.level, patch.region)
+            own = tiles.coefficients(patch.piece.level, patch.region)
             errors = np.abs(patch.mesh._errors)[: own.shape[0], : own.shape[1]]
             own[::32, ::32] = 0  # corners of patches always are vertices
             assert (errors >= own).all()
