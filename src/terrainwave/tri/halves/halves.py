@@ -385,10 +385,11 @@ def _sweep_cells(work, floats, plane, pitch, shape, offset, has_table, number, t
                         listed,
                     )  # fmt: skip
                 low, high = floats[LOW], floats[HIGH]
-            vertex = np.floor((low + high) * 0.5)
-            # The latter of a range of 2^31 quanta, and a tolerance of a half of it.
-            if low > high or vertex > _MAX_INT32:
+            if low > high:
                 continue
+            vertex = np.floor((low + high) * 0.5)
+            if vertex > _MAX_INT32:
+                continue  # of a range of 2^31 quanta, and a tolerance of a half of it
             n_merged += 1
             _mark(work, levels, pitch, cell, other, level, is_whole)
             place = np.int32((top + bottom) << ROW_BITS | left + right)
