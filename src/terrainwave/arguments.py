@@ -191,6 +191,8 @@ def number_of(value: object) -> int | float | None:
 
     Numbers of numpy and arrays of one number without dimensions are numbers as Python's are.
     """
+    if type(value) is int or type(value) is float:  # most are, and abstract classes are slow
+        return value
     if getattr(value, "shape", None) == () and not getattr(value, "mask", False):
         value = getattr(value, "item", lambda: value)()
     if isinstance(value, bool) or not isinstance(value, numbers.Real | Decimal):

@@ -185,12 +185,16 @@ class DescribedFile:
         InvalidArgumentError
             If there is no such level.
         """
-        last = self.n_levels - 1
-        expected = f"0 (coarsest) to {last}, or -1 (full grid) to -{self.n_levels}"
-        if last == 0:
-            expected = "0 or -1: the file has one level, the full grid"
-        found = checked_whole("level", level, least=-self.n_levels, most=last, expected=expected)
-        return found + self.n_levels if found < 0 else found
+        n = self.n_levels
+        found = checked_whole("level", level, least=-n, most=n - 1, expected=self._level_names)
+        return found + n if found < 0 else found
+
+    @cached_property
+    def _level_names(self) -> str:
+        """Return what a level may be called, in words."""
+        if self.n_levels == 1:
+            return "0 or -1: the file has one level, the full grid"
+        return f"0 (coarsest) to {self.n_levels - 1}, or -1 (full grid) to -{self.n_levels}"
 
     def level_shape(self, level: int = -1) -> tuple[int, int]:
         """Return the numbers of rows and columns of a level."""
@@ -266,7 +270,7 @@ class DescribedFile:
         _, y = coordinates(transform, rows, np.zeros_like(rows))
         return x, y
 
-    @property
+    @cached_property
     def bounds(self) -> tuple[float, float, float, float]:
         """Return (left, bottom, right, top) of the raster's pixels in its CRS."""
         return bounds(self._raster.transform, self.shape)
