@@ -14,7 +14,7 @@ are not here yet: it is drawn with a τ that its level is worth, not with all of
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,19 +54,6 @@ _STEP, _MOST_SHORT, _WELL_FILLED = 1.1, 16.0, 0.95
 _NO_PROMISE = 1e6
 
 Sides = tuple[bool, bool, bool, bool]
-
-
-class Front(Protocol):
-    """A mesh over the samples of a patch: `DynamicMesh` or `RestrictedMesh`."""
-
-    @property
-    def least_vertices(self) -> int:
-        """Return how many vertices there are always."""
-
-    def follow(
-        self, eye: Eye, tau: float, *, morph: float = 1.0, max_vertices: int | None = None
-    ) -> Followed:
-        """Bring the mesh up to date with a view."""
 
 
 class Drawn(NamedTuple):
@@ -154,7 +141,7 @@ class FrontPatch:
     open_sides: Sides
     matrix: tuple[float, ...]
     slopes: NDArray[np.float16]
-    mesh: Any
+    mesh: Any  # a DynamicMesh or a RestrictedMesh
     error: float
     children: list[NodeInfo]
     side: int
