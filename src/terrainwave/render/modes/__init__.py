@@ -6,6 +6,7 @@ Importing this package imports no mode: `mode_class` does.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from terrainwave.arguments import one_of
 from terrainwave.errors import (
     InvalidArgumentError,
 )
@@ -39,7 +40,7 @@ def options_of(name: str, **options: Any) -> dict[str, Any]:
         if option not in mode_class(name).options:
             fit = [mode for mode in MODES if option in mode_class(mode).options]
             raise InvalidArgumentError(
-                f"found `{option}` in mode {name}, expected mode {' or '.join(fit)}"
+                f"found `{option}` in mode {name}, expected mode {one_of(fit)}"
             )
     return given
 
