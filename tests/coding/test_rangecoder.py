@@ -133,7 +133,7 @@ def test_runs_that_no_longer_move_the_model_are_coded_in_steps(n_zeros):
 
 
 def test_the_example_of_the_format():
-    # docs/format-cdf97.md R.4
+    # docs/FORMAT.md §6.4
     bits = np.array([1, 0, 0, 1, 0] * 8, dtype=np.uint8)
     contexts = np.zeros(40, dtype=np.int64)
     assert encoded(bits[:5], contexts, 1).tobytes() == bytes.fromhex("78")
