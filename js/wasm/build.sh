@@ -1,25 +1,26 @@
 #!/bin/sh
-# Compile the kernels to WebAssembly and write them into js/src/kernels-data.js, deflated, in base 64.
-# Needs clang and lld with the target wasm32 (Debian: clang-14 lld-14); CLANG names another clang.
+# Compile native/src with js/wasm to WebAssembly, and write it into js/src/core-data.js: gzip in base 64.
+# Needs clang and lld with the target wasm32 (Debian: clang-14 lld-14); CLANG names another clang, OUT another file.
 set -eu
-export LC_ALL=C # for the order of files
 cd "$(dirname "$0")"
-out=$(mktemp)
-trap 'rm -f "$out"' EXIT
-"${CLANG:-clang-14}" --target=wasm32 -O3 -msimd128 -mbulk-memory -mnontrapping-fptoint -fwrapv -ffreestanding -nostdlib \
-    -Wall -Wextra -Werror -Wl,--no-entry -Wl,--strip-all -Wl,--export=__heap_base \
-    -o "$out" ./*.c
+out=${OUT:-../src/core-data.js}
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+names="border bytes cdf53 cdf97 file header heights inflate json kernels kernels_baseline mask metadata payload
+    predictive rapid segment store tables window"
+sources=
+for name in $names; do sources="$sources ../../native/src/$name.c"; done
+# A stack that overflows meets the end of the memory, not data.
+"${CLANG:-clang-14}" --target=wasm32 -std=c11 -O3 -flto -msimd128 -mbulk-memory -mnontrapping-fptoint -msign-ext -ffp-contract=off \
+    -ffreestanding -nostdlib -nostdlibinc -fvisibility=hidden -Wall -Wextra -Werror -Wno-pass-failed -DTWZ_NO_THREADS \
+    -I include -I ../../native/include -I ../../native/src \
+    -Wl,--no-entry,--strip-all,--stack-first,-z,stack-size=1048576,--max-memory=2147483648 \
+    -o "$work/core.wasm" host.c libc.c $sources
 {
-    echo '/** js/wasm/*.c as WebAssembly, deflated, in base 64: written by js/wasm/build.sh. */'
-    echo
-    echo '/** Bytes of it when inflated. */'
-    echo "export const SIZE = $(wc -c < "$out" | tr -d ' ');"
-    echo
-    echo '/** SHA-256 of build.sh, the .c and the .h files, one after the other: a test compares it. */'
-    echo "export const SOURCES = \"$(cat build.sh ./*.c ./*.h | sha256sum | cut -c 1-64)\";"
+    echo '/** native/src and js/wasm as WebAssembly, gzip in base 64: written by js/wasm/build.sh. */'
     echo
     echo '// prettier-ignore'
-    echo 'export const KERNELS ='
-    # A gzip file is a head of 10 bytes, the deflated bytes, and 8 of checksum and size.
-    gzip -9n < "$out" | tail -c +11 | head -c -8 | base64 -w 96 | sed 's/.*/  "&" +/; $s/ +$/;/'
-} > ../src/kernels-data.js
+    echo 'export const CORE ='
+    gzip -9n < "$work/core.wasm" | base64 -w 96 | sed 's/.*/  "&" +/; $s/ +$/;/'
+} > "$work/core-data.js"
+mv "$work/core-data.js" "$out"
