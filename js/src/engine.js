@@ -57,23 +57,29 @@ export class Engine {
    * Call `what` of the decoder until nothing is missing. A window is begun anew after each wait:
    * meanwhile others may have decoded its units, or the decoder may have broken off.
    */
-  async #ask(what, place, fetch) {
+  async #ask(what, place, fetch, take) {
     const held = [];
     for (;;) {
       const { core } = await this.#opened(fetch);
-      const { missing, ...found } = core[what](place, held);
+      const { missing, found } = core[what](place, held, take);
       if (!missing) return found;
       await this.#more(missing, held, fetch);
     }
   }
 
-  /** Return { heights, valid } of a window: see `Core.read`. */
-  read(place, fetch) {
-    return this.#ask("read", place, fetch);
+  /** Call `take` with the heights and the validity of some rows of a window after others: see `Core.read`. */
+  read(place, fetch, take) {
+    return this.#ask("read", place, fetch, take);
+  }
+
+  /** Give the memory back; nothing can be read any more. */
+  async close() {
+    const opened = await this.#core?.catch(() => null);
+    opened?.core.end();
   }
 
   /** Return the error of a block in raw units. */
-  async blockError(place, fetch) {
-    return (await this.#ask("blockError", place, fetch)).error;
+  blockError(place, fetch) {
+    return this.#ask("blockError", place, fetch);
   }
 }

@@ -3,6 +3,7 @@
  * { id, error }; meanwhile { id, of, ranges } asks for bytes, for the question `of`, and gets the same.
  */
 
+import { ARRAYS } from "./core.js";
 import { Engine } from "./engine.js";
 import { Mailbox } from "./mailbox.js";
 
@@ -24,7 +25,15 @@ function work(post) {
       engine = new Engine(file);
       await engine.describe(fetch);
     },
-    read: (place, fetch) => engine.read(place, fetch),
+    async read(place, fetch) {
+      const n = place.nRows * place.nCols;
+      const [heights, valid] = [new ARRAYS[place.dtype](n), new Uint8Array(n)];
+      await engine.read(place, fetch, (ofRows, validOfRows, row) => {
+        heights.set(ofRows, row * place.nCols);
+        valid.set(validOfRows, row * place.nCols);
+      });
+      return { heights, valid };
+    },
   };
 
   return async ({ id, what, question, ...answer }) => {

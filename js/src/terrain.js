@@ -1,6 +1,7 @@
 /** A terrain: what users hold. */
 
 import { BlockSource } from "./blocks.js";
+import { ARRAYS } from "./core.js";
 import { Engine } from "./engine.js";
 import { ArgumentError, LimitExceededError } from "./errors.js";
 import { loadModule } from "./module.js";
@@ -12,7 +13,9 @@ const DEFAULTS = { cacheBytes: 2 ** 27, maxSamples: 2 ** 28 };
 const FIRST_READ = 16384;
 /** A feature of FORMAT.md §4.1: samples of coarse levels tell whether the full grid has them. */
 const HAS_FILLS = 16;
-/** Samples on a side of what is read at once, at least: a memory holds that of any raster. */
+/** Samples that are read at once: a decoder's memory holds them of any raster. */
+const MOST_AT_ONCE = 2 ** 23;
+/** Of larger windows: samples on a side of their parts, at least. */
 const SIDE = 1024;
 /** Parts of a window that are read at once by each thread: bytes come while others are decoded. */
 const PARTS_AT_ONCE = 3;
@@ -144,24 +147,27 @@ export class Terrain {
     }
     const isExact = voids === "exact" && this.hasFills;
     const read = await this.#reader(found, place);
-    let [heights, valid] = [null, new Uint8Array(nRows * nCols)];
+    const heights = new ARRAYS[this.dtype](nRows * nCols);
+    const valid = new Uint8Array(nRows * nCols);
     const parts = partsOf(place, this.shape(found), read.side);
     const rest = parts.entries();
     const work = async () => {
       for (const [i, part] of rest) {
         signal?.throwIfAborted();
-        const one = await read({ level: found, isExact, ...part }, i);
-        if (parts.length === 1) {
-          ({ heights, valid } = one);
-          break;
-        }
-        heights ??= new one.heights.constructor(nRows * nCols);
-        for (let k = 0; k < part.nRows; k++) {
-          const to = (part.row - place.row + k) * nCols + part.col - place.col;
-          const [from, stop] = [k * part.nCols, (k + 1) * part.nCols];
-          heights.set(one.heights.subarray(from, stop), to);
-          valid.set(one.valid.subarray(from, stop), to);
-        }
+        const start = (part.row - place.row) * nCols + part.col - place.col;
+        const width = part.nCols;
+        await read({ level: found, isExact, ...part }, i, (ofRows, validOfRows, row) => {
+          const to = start + row * nCols;
+          if (width === nCols) {
+            heights.set(ofRows, to);
+            valid.set(validOfRows, to);
+            return;
+          }
+          for (let k = 0; k * width < ofRows.length; k++) {
+            heights.set(ofRows.subarray(k * width, (k + 1) * width), to + k * nCols);
+            valid.set(validOfRows.subarray(k * width, (k + 1) * width), to + k * nCols);
+          }
+        });
       }
     };
     await Promise.all(Array.from({ length: Math.min(read.nAtOnce, parts.length) }, work));
@@ -194,15 +200,17 @@ export class Terrain {
     let side = Math.max(unit, SIDE);
     const pool = n < FEWEST_UNITS_FOR_WORKERS ? null : await this.#workers();
     if (!pool) {
-      const read = (place) => engine.read(place, fetch);
+      const read = (place, _, take) => engine.read(place, fetch, take);
+      if (nRows * nCols <= MOST_AT_ONCE) side = Infinity;
       return Object.assign(read, { side, nAtOnce: PARTS_AT_ONCE });
     }
     // Four units follow from one above them.
     while (side > 2 * unit && n * unit ** 2 < side ** 2 * pool.size) side /= 2;
     const near = Math.floor(row / side) + Math.floor(col / side);
-    const read = async (place, i) => {
+    const read = async (place, i, take) => {
       try {
-        return await pool.read(place, near + i);
+        const { heights, valid } = await pool.read({ ...place, dtype: this.dtype }, near + i);
+        take(heights, valid, 0);
       } finally {
         if (pool.isBroken) this.#drop(pool); // another read starts new ones
       }
@@ -229,9 +237,8 @@ export class Terrain {
   /** End workers, if there are any; nothing can be read any more. */
   async close() {
     this.#isClosed = true;
-    const pool = await this.#pool;
-    pool?.close();
-    this.#given = { ...this.#given, engine: null }; // gives its memory back
+    (await this.#pool)?.close();
+    await this.#given.engine.close();
   }
 
   /**

@@ -6,16 +6,28 @@ cd "$(dirname "$0")"
 out=${OUT:-../src/core-data.js}
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
-names="border bytes cdf53 cdf97 file header heights inflate json kernels kernels_baseline mask metadata payload
-    predictive rapid segment store tables window"
-sources=
-for name in $names; do sources="$sources ../../native/src/$name.c"; done
+
+# compile FILE OPTIONS
+compile() {
+    file=$1
+    shift
+    "${CLANG:-clang-14}" --target=wasm32 -std=c11 -msimd128 -mbulk-memory -mnontrapping-fptoint -msign-ext \
+        -ffp-contract=off -nostdlibinc -fvisibility=hidden -Wall -Wextra -Werror -Wno-pass-failed -DTWZ_NO_THREADS \
+        -I include -I ../../native/include -I ../../native/src "$@" -c "$file" -o "$work/$(basename "$file" .c).o"
+}
+
+# Loops over samples are compiled for speed, all else for size. (libc.c must not call what it defines.)
+compile libc.c -Os -fno-builtin
+for name in kernels_baseline predictive; do compile "../../native/src/$name.c" -O3; done
+for name in border cdf53 cdf97 heights mask; do compile "../../native/src/$name.c" -O2; done
+for name in bytes file header inflate json kernels metadata payload rapid segment store tables window; do
+    compile "../../native/src/$name.c" -Os
+done
+compile host.c -Os
 # A stack that overflows meets the end of the memory, not data.
-"${CLANG:-clang-14}" --target=wasm32 -std=c11 -O3 -flto -msimd128 -mbulk-memory -mnontrapping-fptoint -msign-ext -ffp-contract=off \
-    -ffreestanding -nostdlib -nostdlibinc -fvisibility=hidden -Wall -Wextra -Werror -Wno-pass-failed -DTWZ_NO_THREADS \
-    -I include -I ../../native/include -I ../../native/src \
+"${CLANG:-clang-14}" --target=wasm32 -nostdlib \
     -Wl,--no-entry,--strip-all,--stack-first,-z,stack-size=1048576,--max-memory=2147483648 \
-    -o "$work/core.wasm" host.c libc.c $sources
+    -o "$work/core.wasm" "$work"/*.o
 {
     echo '/** native/src and js/wasm as WebAssembly, gzip in base 64: written by js/wasm/build.sh. */'
     echo

@@ -18,7 +18,8 @@ static twz_box box;
 static twz_range ranges[MOST_RANGES];
 static uint8_t *given;      /* bytes of the file that JavaScript has */
 static size_t n_given;
-static uint8_t *raw, *valid; /* of the window */
+static uint8_t *raw, *valid; /* of rows of the window */
+static size_t n_raw;
 static double told[3 * MOST_RANGES];
 
 EXPORT(error_text) const char *error_text(void) { return error.text; }
@@ -54,6 +55,17 @@ EXPORT(begin_file) int begin_file(double size, double cache_bytes, double max_by
   return twz_file_new(&options, (uint64_t)size, &file, &error);
 }
 
+/* Give all memory back; another file may begin. */
+EXPORT(end_file) void end_file(void) {
+  twz_file_free(file);
+  free(given);
+  free(raw);
+  free(valid);
+  file = NULL;
+  given = raw = valid = NULL;
+  n_given = n_raw = 0;
+}
+
 EXPORT(file_need) int file_need(void) {
   size_t n;
   twz_status status = twz_file_need(file, ranges, MOST_RANGES, &n, &error);
@@ -82,10 +94,7 @@ EXPORT(begin_window) int begin_window(int level, uint32_t row, uint32_t col, uin
 
 EXPORT(end_window) void end_window(void) {
   twz_window_free(window);
-  free(raw);
-  free(valid);
   window = NULL;
-  raw = valid = NULL;
 }
 
 EXPORT(window_need) int window_need(void) {
@@ -111,10 +120,11 @@ static size_t void_sample(uint8_t *bytes) {
 }
 
 /* Take fills out: they are void in the full grid. */
-static twz_status leave_fills_out(size_t n) {
+static twz_status leave_fills_out(const twz_box *part) {
+  size_t n = (size_t)part->n_rows * part->n_cols;
   uint8_t *own = malloc(n), bytes[8];
   if (!own) return twz_no_memory(&error, n);
-  twz_status status = twz_window_read_own(window, own, 0, &error);
+  twz_status status = twz_window_read_own_part(window, part, own, 0, &error);
   size_t size = void_sample(bytes);
   for (size_t i = 0; i < n && status == TWZ_OK; i++) {
     if (valid[i] == own[i]) continue;
@@ -125,15 +135,23 @@ static twz_status leave_fills_out(size_t n) {
   return status;
 }
 
-/* Decode it; without its fills if `is_exact`. Tell where heights and validity are, until the window ends. */
-EXPORT(read_window) int read_window(int is_exact) {
-  size_t n = (size_t)box.n_rows * box.n_cols, n_bytes = n * twz_file_info(file)->dtype_bytes;
-  TRY(twz_window_decode(window, NULL, &error));
-  raw = malloc(n_bytes);
-  valid = malloc(n);
-  if (!raw || !valid) return twz_no_memory(&error, n_bytes);
-  TRY(twz_window_read(window, raw, 0, valid, 0, &error));
-  if (is_exact) TRY(leave_fills_out(n));
+EXPORT(decode_window) int decode_window(void) { return twz_window_decode(window, NULL, &error); }
+
+/* Read n rows of a decoded window from a row of it on; without its fills if `is_exact`. Tell where heights and validity
+ * are, until the next call. */
+EXPORT(read_rows) int read_rows(uint32_t row, uint32_t n_rows, int is_exact) {
+  twz_box part = {box.row + row, box.col, n_rows, box.n_cols};
+  size_t n = (size_t)n_rows * box.n_cols, size = twz_file_info(file)->dtype_bytes;
+  if (n > n_raw) {
+    free(raw);
+    free(valid);
+    raw = malloc(n * size);
+    valid = malloc(n);
+    n_raw = raw && valid ? n : 0;
+    if (n_raw == 0) return twz_no_memory(&error, n * size);
+  }
+  TRY(twz_window_read_part(window, &part, raw, 0, valid, 0, &error));
+  if (is_exact) TRY(leave_fills_out(&part));
   told[0] = (double)(uintptr_t)raw;
   told[1] = (double)(uintptr_t)valid;
   return TWZ_OK;

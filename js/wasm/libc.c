@@ -8,7 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { PAGE = 65536 };
+enum { PAGE = 65536, LEAST_GROWTH = 16 }; /* pages: what is not touched costs nothing */
 
 _Noreturn void abort(void) { __builtin_trap(); }
 
@@ -59,6 +59,7 @@ static void enlist(piece *p) {
 /* More memory, for a piece of so many bytes; 0: there is none. */
 static int grow(size_t size) {
   size_t n_pages = (size + HEAD + PAGE - 1) / PAGE;
+  if (n_pages < LEAST_GROWTH) n_pages = LEAST_GROWTH;
   size_t first = __builtin_wasm_memory_grow(0, n_pages);
   if (first == SIZE_MAX) return 0;
   char *start = (char *)(first * PAGE), *stop = start + n_pages * PAGE;

@@ -212,11 +212,39 @@ typedef struct NAMED(span) {
   int has_raw;
 } NAMED(span);
 
-#ifdef READ_VECTORS
-#include "rapid_vectors.h"
-#define READ_RAW ISA(read_raw_vectors)
-#else
+/* R.8: details number j ... n - 1 of a span, towards the side of their contexts. */
+static void NAMED(read_one_by_one)(NAMED(span) * s, int32_t j, const uint32_t *slots) {
+  rapid_streams *z = s->streams;
+  uint32_t last = z->n_states - 1;
+  size_t before = min_size(z->n_words_used, z->n_words);
+  const uint8_t *words = z->words + 2 * before; /* a row takes at most a word a sample: PAYLOAD_SLACK */
+  size_t k = z->n_symbols, n_taken = 0;
+  int has_raw = s->has_raw;
+  for (; j < s->n; j++) {
+    uint32_t context = (uint32_t)s->contexts[j] & (DOWN - 1);
+    uint32_t x = z->states[k & last], entry = slots[context << 11 | (x & (SLOTS - 1))];
+    uint32_t next = (entry >> 6 & 4095) * (x >> 11) + (entry >> 18);
+    /* Whether a word follows is hard to foresee: no branch. */
+    uint32_t takes = next < 65536, word = load_u16(words + 2 * n_taken);
+    z->states[k & last] = takes ? next << 16 | word : next;
+    n_taken += takes;
+    k++;
+    uint32_t symbol = entry & 63;
+    s->details[j] = (NUMBER)symbol - ZERO_SYMBOL;
+    has_raw |= (symbol == 0) | (context >= FIRST_RAW);
+  }
+  s->has_raw = has_raw;
+  z->n_symbols = k;
+  z->n_words_used += n_taken;
+}
+
 #define READ_RAW NAMED(read_raw)
+#if defined(READ_VECTORS) && defined(__wasm_simd128__)
+#include "rapid_simd128.h"
+#elif defined(READ_VECTORS)
+#include "rapid_vectors.h"
+#undef READ_RAW
+#define READ_RAW ISA(read_raw_vectors)
 #endif
 
 /* Details first ... stop - 1 of a row; `valid` is at every step-th place, NULL: all are. */
@@ -248,36 +276,14 @@ static void NAMED(end_span)(const NAMED(row) * row, int32_t first, int32_t stop,
   }
 }
 
-/* R.8: a span's details, towards the side of their contexts. */
 static void NAMED(read_span)(NAMED(span) * s, const uint32_t *slots) {
-  rapid_streams *z = s->streams;
 #ifdef READ_VECTORS
-  if (z->n_states == 8) {
+  if (s->streams->n_states == 8) {
     READ_VECTORS(s, 1, slots);
     return;
   }
 #endif
-  uint32_t last = z->n_states - 1;
-  size_t before = min_size(z->n_words_used, z->n_words);
-  const uint8_t *words = z->words + 2 * before; /* a row takes at most a word a sample: PAYLOAD_SLACK */
-  size_t k = z->n_symbols, n_taken = 0;
-  int has_raw = 0;
-  for (int32_t j = 0; j < s->n; j++) {
-    uint32_t context = (uint32_t)s->contexts[j] & (DOWN - 1);
-    uint32_t x = z->states[k & last], entry = slots[context << 11 | (x & (SLOTS - 1))];
-    uint32_t next = (entry >> 6 & 4095) * (x >> 11) + (entry >> 18);
-    /* Whether a word follows is hard to foresee: no branch. */
-    uint32_t takes = next < 65536, word = load_u16(words + 2 * n_taken);
-    z->states[k & last] = takes ? next << 16 | word : next;
-    n_taken += takes;
-    k++;
-    uint32_t symbol = entry & 63;
-    s->details[j] = (NUMBER)symbol - ZERO_SYMBOL;
-    has_raw |= (symbol == 0) | (context >= FIRST_RAW);
-  }
-  s->has_raw = has_raw;
-  z->n_symbols = k;
-  z->n_words_used += n_taken;
+  NAMED(read_one_by_one)(s, 0, slots);
 }
 
 static void NAMED(read_details)(const NAMED(row) * row, int32_t first, int32_t stop, const uint8_t *valid, size_t step,
@@ -420,7 +426,16 @@ static void NAMED(store_row)(const NAMED(work) * w, int32_t row, const int32_t *
   const layer *l = w->unit->job->out;
   int32_t *RESTRICT to = w->heights + (ptrdiff_t)(l->rows.core + row) * w->pitch + l->cols.core;
   const int32_t origin = w->unit->scale.origin;
-  IVDEP for (int32_t j = 0; j < n_odd; j++) {
+  int32_t j = 0;
+#if defined(__wasm_simd128__)
+  const v128_t origins = wasm_i32x4_splat(origin);
+  for (; j + 4 <= n_odd; j += 4) {
+    v128_t a = wasm_i32x4_add(wasm_v128_load(even + j), origins), b = wasm_i32x4_add(wasm_v128_load(odd + j), origins);
+    wasm_v128_store(to + 2 * j, wasm_i32x4_shuffle(a, b, 0, 4, 1, 5));
+    wasm_v128_store(to + 2 * j + 4, wasm_i32x4_shuffle(a, b, 2, 6, 3, 7));
+  }
+#endif
+  IVDEP for (; j < n_odd; j++) {
     to[2 * j] = even[j] + origin;
     to[2 * j + 1] = odd[j] + origin;
   }

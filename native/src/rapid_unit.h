@@ -4,6 +4,8 @@
 
 #if defined(__AVX2__) && defined(TWZ_HAVE_X86)
 #include <immintrin.h>
+#elif defined(__wasm_simd128__)
+#include <wasm_simd128.h>
 #endif
 
 #if defined(__clang__) && defined(TWZ_SANITIZED)
@@ -62,7 +64,7 @@ static int32_t ISA(count_valid)(const uint8_t *valid, int32_t n, size_t step) {
 #define NUMBER int32_t
 #define NAMED(name) ISA(narrow_##name)
 
-#if defined(__AVX2__) && defined(TWZ_HAVE_X86)
+#if (defined(__AVX2__) && defined(TWZ_HAVE_X86)) || defined(__wasm_simd128__)
 #define READ_VECTORS ISA(read_vectors)
 #endif
 #include "rapid_rows.h"
