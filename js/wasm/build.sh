@@ -17,22 +17,22 @@ compile() {
 }
 
 # Loops over samples are compiled for speed, all else for size. (libc.c must not call what it defines.)
-compile libc.c -Os -fno-builtin
-for name in kernels_baseline predictive; do compile "../../native/src/$name.c" -O3; done
-for name in border cdf53 cdf97 heights mask; do compile "../../native/src/$name.c" -O2; done
-for name in bytes file header inflate json kernels metadata payload rapid segment store tables window; do
-    compile "../../native/src/$name.c" -Os
+compile libc.c -Oz -fno-builtin
+compile host.c -Oz
+for name in kernels_baseline predictive heights mask; do
+    compile "../../native/src/$name.c" -O2 -fno-unroll-loops
 done
-compile host.c -Os
+compile ../../native/src/cdf97.c -O2 -fno-unroll-loops -fno-vectorize
+for name in border bytes cdf53 file header inflate json kernels metadata payload rapid segment store tables window; do
+    compile "../../native/src/$name.c" -Oz
+done
 # A stack that overflows meets the end of the memory, not data.
 "${CLANG:-clang-14}" --target=wasm32 -nostdlib \
     -Wl,--no-entry,--strip-all,--stack-first,-z,stack-size=1048576,--max-memory=2147483648 \
     -o "$work/core.wasm" "$work"/*.o
 {
     echo '/** native/src and js/wasm as WebAssembly, gzip in base 64: written by js/wasm/build.sh. */'
-    echo
     echo '// prettier-ignore'
-    echo 'export const CORE ='
-    gzip -9n < "$work/core.wasm" | base64 -w 96 | sed 's/.*/  "&" +/; $s/ +$/;/'
+    echo "export const CORE = \"$(gzip -9n < "$work/core.wasm" | base64 -w 0)\";"
 } > "$work/core-data.js"
 mv "$work/core-data.js" "$out"

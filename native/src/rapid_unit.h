@@ -55,11 +55,18 @@ static int32_t ISA(count_valid)(const uint8_t *valid, int32_t n, size_t step) {
   return n_valid;
 }
 
+#if defined(__wasm__)
+/* Few files have wide units, and every page loads the module. */
+#pragma clang attribute push(__attribute__((minsize)), apply_to = function)
+#endif
 #define NUMBER int64_t
 #define NAMED(name) ISA(wide_##name)
 #include "rapid_rows.h"
 #undef NUMBER
 #undef NAMED
+#if defined(__wasm__)
+#pragma clang attribute pop
+#endif
 
 #define NUMBER int32_t
 #define NAMED(name) ISA(narrow_##name)
