@@ -58,7 +58,7 @@ export class Engine {
    * meanwhile others may have decoded its units, or the decoder may have broken off.
    */
   async #ask(what, place, fetch, take) {
-    const held = [];
+    const held = [{ start: 0, bytes: this.#start }];
     for (;;) {
       const { core } = await this.#opened(fetch);
       const { missing, found } = core[what](place, held, take);

@@ -33,9 +33,14 @@ export async function open(from, options = {}) {
   // A copy: the head may be part of much more, which would go to workers with it.
   const file = { module, size: source.size, start: new Uint8Array(head), cacheBytes };
   const ranges = new Ranges(source);
-  const fetch = (wanted) => {
-    signal?.throwIfAborted();
-    return ranges.read(wanted);
+  const fetch = async (wanted) => {
+    try {
+      signal?.throwIfAborted();
+      return await ranges.read(wanted);
+    } catch (error) {
+      signal?.throwIfAborted(); // its reason, whatever the source makes of it
+      throw error;
+    }
   };
   const engine = new Engine(file);
   const about = await engine.describe(fetch);

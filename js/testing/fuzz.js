@@ -39,7 +39,7 @@ async function partsOfFiles() {
       new Parts(bytes);
       found.push(bytes);
     } catch {
-      // A method that this reader lacks, or several segments.
+      // Several segments.
     }
   }
   return found;
@@ -92,7 +92,7 @@ async function refusal(bytes) {
     }
     return "";
   } catch (error) {
-    if (!(error instanceof TerrainwaveError)) throw error;
+    if (!(error instanceof TerrainwaveError) || error.message.includes("broke off")) throw error;
     return error.message.replace(/[\d.-]+/g, "0");
   }
 }
