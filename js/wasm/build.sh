@@ -2,6 +2,7 @@
 # Compile native/src with js/wasm to WebAssembly, and write it into js/src/core-data.js: gzip in base 64.
 # Needs clang and lld with the target wasm32 (Debian: clang-14 lld-14); CLANG names another clang, OUT another file.
 set -eu
+export LC_ALL=C # for the order of files
 cd "$(dirname "$0")"
 out=${OUT:-../src/core-data.js}
 work=$(mktemp -d)
@@ -32,6 +33,9 @@ done
     -o "$work/core.wasm" "$work"/*.o
 {
     echo '/** native/src and js/wasm as WebAssembly, gzip in base 64: written by js/wasm/build.sh. */'
+    echo '/** SHA-256 of what it was made of, which a test compares. */'
+    echo "export const SOURCES = \"$(cat build.sh ./*.c include/*.h ../../native/include/*.h ../../native/src/*.c \
+        ../../native/src/*.h | sha256sum | cut -c 1-64)\";"
     echo '// prettier-ignore'
     echo "export const CORE = \"$(gzip -9n < "$work/core.wasm" | base64 -w 0)\";"
 } > "$work/core-data.js"
