@@ -22,10 +22,15 @@ export class Engine {
   async #open(fetch) {
     const core = await Core.start(this.#module, this.#size, this.#cacheBytes);
     const held = [{ start: 0, bytes: this.#start }];
-    for (;;) {
-      const missing = core.open(held);
-      if (missing.length === 0) return { core, about: core.describe() };
-      await this.#more(missing, held, fetch);
+    try {
+      for (;;) {
+        const missing = core.open(held);
+        if (missing.length === 0) return { core, about: core.describe() };
+        await this.#more(missing, held, fetch);
+      }
+    } catch (error) {
+      core.end();
+      throw error;
     }
   }
 

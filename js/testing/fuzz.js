@@ -79,8 +79,9 @@ function mutant(bytes, below) {
 
 /** Read a corner of each level; return why it is refused, or "" where all of it is accepted. */
 async function refusal(bytes) {
+  let terrain;
   try {
-    const terrain = await open(bytes, { maxSamples: MOST_SAMPLES });
+    terrain = await open(bytes, { maxSamples: MOST_SAMPLES });
     for (let level = Math.max(0, terrain.nLevels - 3); level < terrain.nLevels; level++) {
       const { nRows, nCols, heights, valid } = await terrain.read(level);
       if (heights.length !== nRows * nCols || valid.length !== heights.length) {
@@ -94,6 +95,8 @@ async function refusal(bytes) {
   } catch (error) {
     if (!(error instanceof TerrainwaveError) || error.message.includes("broke off")) throw error;
     return error.message.replace(/[\d.-]+/g, "0");
+  } finally {
+    await terrain?.close(); // another file gets the memory as this one leaves it
   }
 }
 
