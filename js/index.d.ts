@@ -22,13 +22,14 @@ export interface OpenOptions {
   /** Larger reads are refused; 2^28 unless told. */
   maxSamples?: number;
   /**
-   * Threads that decode the units of a read, 0 to 64; 0: the caller's. Unless told: on pages the
-   * number of cores less one, at most 4, or 0 where none can start; elsewhere 0.
+   * Threads that read parts of a window, 0 to 64; 0: the caller's. Unless told: on pages the
+   * number of cores less one, at most 4; elsewhere 0. Where none can start, the caller's reads.
    */
   workers?: number;
   /** Of URLs: instead of the global one. */
   fetch?: typeof fetch;
   headers?: Record<string, string>;
+  /** Ends `open` and all reads, which reject with its reason. */
   signal?: AbortSignal;
   /** Of URLs: fetch and keep whole blocks of 128 KiB, those of many reads at once together. */
   blocks?: boolean;
@@ -94,6 +95,7 @@ export class Terrain {
   transform(level?: number): [number, number, number, number, number, number];
   /** Whether the file tells which heights of coarse levels are fills of voids (format 1.1). */
   readonly hasFills: boolean;
+  /** What of the window lies beyond the level is cut off. */
   read(level?: number, window?: Partial<Window>, options?: ReadOptions): Promise<Read>;
   /** Bilinear, in physical units; NaN outside the samples and beside voids. */
   sample(x: number, y: number, options?: { level?: number } & ReadOptions): Promise<number>;
@@ -101,14 +103,14 @@ export class Terrain {
   blockError(level: number, row: number, col: number): Promise<number>;
   /** Rows and columns of blocks. */
   blockShape(level?: number): Shape;
-  /** End the workers, if there are any; reads are refused from now on. */
+  /** Give memory back, and end the workers; reads are refused from now on. */
   close(): Promise<void>;
 }
 
 export class TerrainwaveError extends Error {}
 /** The bytes contradict the format. */
 export class CorruptStreamError extends TerrainwaveError {}
-/** A later version of the format, or a method that is not decoded here. */
+/** A later version of the format. */
 export class UnsupportedError extends TerrainwaveError {}
 /** The server or the caller's source gave other bytes than asked for. */
 export class SourceError extends TerrainwaveError {}
