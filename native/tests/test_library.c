@@ -352,6 +352,30 @@ static void no_memory_is_an_error(memory *m) {
   CHECK(status == TWZ_OK);
 }
 
+static void own_samples_of_parts_are_those_of_the_window(memory *m) {
+  twz_file *file = open_memory(m, NULL);
+  for (int level = 0; level < twz_file_info(file)->n_levels; level++) {
+    twz_window *window;
+    twz_level size;
+    CHECK(twz_file_level(file, level, &size, NULL) == TWZ_OK && twz_window_new(file, level, NULL, &window, NULL) == TWZ_OK);
+    CHECK(twz_window_load(window, fetch, m, NULL) == TWZ_OK && twz_window_decode(window, NULL, NULL) == TWZ_OK);
+    size_t n = (size_t)size.n_rows * size.n_cols;
+    uint8_t *whole = malloc(n), *cut = malloc(n);
+    twz_box part = {size.n_rows / 3, size.n_cols / 4, size.n_rows / 2 + 1 - size.n_rows / 3, size.n_cols - size.n_cols / 4};
+    twz_status status = twz_window_read_own(window, whole, 0, NULL);
+    CHECK(twz_window_read_own_part(window, &part, cut, 0, NULL) == status);
+    for (uint32_t row = 0; status == TWZ_OK && row < part.n_rows; row++) {
+      CHECK(memcmp(cut + (size_t)row * part.n_cols, whole + (size_t)(part.row + row) * size.n_cols + part.col, part.n_cols) == 0);
+    }
+    part.n_rows = size.n_rows + 1;
+    CHECK(twz_window_read_own_part(window, &part, cut, 0, NULL) != TWZ_OK);
+    free(whole);
+    free(cut);
+    twz_window_free(window);
+  }
+  twz_file_free(file);
+}
+
 static void calls_that_are_wrong_say_so(memory *m) {
   twz_file *file = open_memory(m, NULL);
   twz_level size;
@@ -533,6 +557,7 @@ int main(int n, char **files) {
     a_window_in_the_cache_needs_no_bytes(&m);
     the_cache_counts_what_it_holds(&m);
     no_memory_is_an_error(&m);
+    own_samples_of_parts_are_those_of_the_window(&m);
     calls_that_are_wrong_say_so(&m);
     damage_is_noticed(&m);
     free(m.bytes);
