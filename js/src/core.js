@@ -19,6 +19,8 @@ const METHODS = ["store", "cdf97", "predictive", "cdf53", "rapid"];
 /** Memory that is not for decoded units, of the 2 GiB that an instance may take. */
 const MOST_OF_A_WINDOW = 2 ** 30;
 const MOST_KEPT = 2 ** 29;
+/** While a large window is read in parts: what is above the next ones. */
+const KEPT_OF_PARTS = 2 ** 24;
 /** Of rows that are copied out of the memory together: they fit caches of processors. */
 const SAMPLES_AT_ONCE = 2 ** 17;
 /** Memory that waits for another file: to get it from the system takes as long as to decode a small one. */
@@ -34,6 +36,7 @@ function find(held, start, length) {
 export class Core {
   #exports;
   #array; // of heights
+  #cacheBytes;
 
   /** Whether the decoder broke off: what lies in its memory may be anything. */
   isBroken = false;
@@ -48,7 +51,8 @@ export class Core {
     } catch (cause) {
       throw new LimitExceededError(`no memory for another decoder: ${cause.message}`, { cause });
     }
-    core.#do("begin_file", size, Math.min(cacheBytes, MOST_KEPT), MOST_OF_A_WINDOW);
+    core.#cacheBytes = Math.min(cacheBytes, MOST_KEPT);
+    core.#do("begin_file", size, core.#cacheBytes, MOST_OF_A_WINDOW);
     return core;
   }
 
@@ -152,10 +156,12 @@ export class Core {
    * heights and validity of some rows, which it must copy, and the first of these rows, until there
    * were no more. Void samples hold nodata, NaN or 0; if `isExact`, fills are void.
    */
-  read({ level, row, col, nRows, nCols, isExact }, held, take) {
+  read({ level, row, col, nRows, nCols, isExact, isPart }, held, take) {
     return this.#withWindow([level, row, col, nRows, nCols], () => {
       const missing = this.#feedAll("window", held);
       if (missing.length > 0) return { missing };
+      // The units of a large window would drive out all others, and take memory that is slow to get.
+      this.#call("limit_cache", isPart ? Math.min(this.#cacheBytes, KEPT_OF_PARTS) : this.#cacheBytes);
       this.#do("decode_window");
       const most = Math.max(Math.floor(SAMPLES_AT_ONCE / nCols), 1);
       for (let first = 0; first < nRows; first += most) {

@@ -16,7 +16,7 @@ const HAS_FILLS = 16;
 /** Samples that are read at once: a decoder's memory holds them of any raster. */
 const MOST_AT_ONCE = 2 ** 23;
 /** Of larger windows: samples on a side of their parts, at least. */
-const SIDE = 1024;
+const SIDE = 2048;
 /** Parts of a window that are read at once by each thread: bytes come while others are decoded. */
 const PARTS_AT_ONCE = 3;
 /** Smaller windows are read here: workers take their time to start. */
@@ -155,13 +155,14 @@ export class Terrain {
     const heights = new ARRAYS[this.dtype](nRows * nCols);
     const valid = new Uint8Array(nRows * nCols);
     const parts = partsOf(place, this.shape(found), read.side);
+    const isPart = nRows * nCols > MOST_AT_ONCE;
     const rest = parts.entries();
     const work = async () => {
       for (const [i, part] of rest) {
         signal?.throwIfAborted();
         const start = (part.row - place.row) * nCols + part.col - place.col;
         const width = part.nCols;
-        await read({ level: found, isExact, ...part }, i, (ofRows, validOfRows, row) => {
+        await read({ level: found, isExact, isPart, ...part }, i, (ofRows, validOfRows, row) => {
           const to = start + row * nCols;
           if (width === nCols) {
             heights.set(ofRows, to);

@@ -92,6 +92,9 @@ EXPORT(begin_window) int begin_window(int level, uint32_t row, uint32_t col, uin
   return twz_window_new(file, level, &box, &window, &error);
 }
 
+/* Keep so many bytes of decoded units from now on. */
+EXPORT(limit_cache) void limit_cache(double n_bytes) { file->cache_bytes = (uint64_t)n_bytes; }
+
 EXPORT(end_window) void end_window(void) {
   twz_window_free(window);
   window = NULL;
