@@ -226,9 +226,10 @@ export class Terrain {
 
   /** Return the workers, started when they are first needed; null: read here. */
   #workers() {
-    const { file, fetch, nWorkers } = this.#given;
+    const { file, fetch, nWorkers, signal } = this.#given;
     if (nWorkers === 0) return null;
     this.#pool ??= WorkerPool.start(nWorkers, file, fetch).catch((error) => {
+      if (signal?.aborted) return null;
       console.warn(`terrainwave: no workers, the page itself decodes: ${error.message}`);
       return null;
     });

@@ -3,6 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
+import { Core } from "../src/core.js";
 import { Engine } from "../src/engine.js";
 import { CorruptStreamError, TerrainwaveError, open } from "../src/index.js";
 import { loadModule } from "../src/module.js";
@@ -51,4 +52,31 @@ test("a trap is an error of the file, and of it alone", async (context) => {
   }
   await engine.close();
   assert.ok(await (await open(await golden("rapid-uint8"))).read());
+});
+
+test("a decoder that broke off while a window was read is replaced for the next one", async (context) => {
+  const terrain = await open(await golden("rapid-int16-halves"));
+  const { heights } = await terrain.read();
+  const instantiate = context.mock.method(WebAssembly, "instantiate");
+  const read = context.mock.method(Core.prototype, "read", function broken() {
+    this.isBroken = true;
+    throw new CorruptStreamError("it broke off");
+  });
+  await assert.rejects(terrain.read(), /it broke off/);
+  assert.equal(instantiate.mock.callCount(), 0);
+  read.mock.restore();
+  assert.deepEqual((await terrain.read()).heights, heights);
+  assert.equal(instantiate.mock.callCount(), 1);
+});
+
+test("a closed file leaves its memory empty to the next one", async (context) => {
+  const bytes = await golden("rapid-int16-halves");
+  await (await open(bytes)).close();
+  const instantiate = context.mock.method(WebAssembly, "instantiate");
+  for (let time = 0; time < 100; time++) { // 1.5 MB of tables each
+    const terrain = await open(bytes);
+    await terrain.read();
+    await terrain.close();
+  }
+  assert.equal(instantiate.mock.callCount(), 0);
 });

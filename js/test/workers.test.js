@@ -1,11 +1,14 @@
 /** Units decoded by workers: the same bytes, errors that are said, an end. */
 
 import assert from "node:assert/strict";
+import { execFile } from "node:child_process";
 import { test } from "node:test";
+import { fileURLToPath } from "node:url";
+import { promisify } from "node:util";
 
 import { ArgumentError, CorruptStreamError, TerrainwaveError, open } from "../src/index.js";
 import { WorkerPool } from "../src/workers.js";
-import { Parts, digests, golden } from "../testing/files.js";
+import { GOLDEN, Parts, digests, golden } from "../testing/files.js";
 
 const NAMES = ["store-int16-segments", "predictive-patched-float32-nan", "rapid-weights-float32-fills",
   "rapid-reach-int16-mask", "cdf97-int16-halves", "cdf53-fills-int16-tiles"];
@@ -72,6 +75,12 @@ test("where no worker can start the page decodes, and says so once", async (cont
   }
   assert.equal(warned.mock.callCount(), 1);
   assert.match(warned.mock.calls[0].arguments[0], /a policy forbids it/);
+});
+
+test("idle workers let a process end", async () => {
+  const paths = [new URL("../testing/idle.js", import.meta.url), new URL("rapid-int16-halves.twz", GOLDEN)];
+  const { stdout, stderr } = await promisify(execFile)(process.execPath, paths.map(fileURLToPath), { timeout: 60000 });
+  assert.deepEqual([stdout, stderr], ["11000\n", ""]);
 });
 
 test("numbers of workers are checked", async () => {
