@@ -3,7 +3,7 @@
 import os
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -76,23 +76,31 @@ class _Outcome:
 Work = Callable[[Job, int, ProgressCallback], Done]
 
 
-def plan(sources: Sequence[str], directory: str, ending: str) -> list[Job]:
+# Of rasters that a folder may hold; others are read where they are named.
+RASTER_ENDINGS = (
+    ".tif", ".tiff", ".vrt", ".img", ".hgt", ".asc", ".dem", ".bil", ".flt", ".nc", ".dt0",
+    ".dt1", ".dt2", ".twz",
+)  # fmt: skip
+
+
+def plan(
+    sources: Sequence[str], directory: str, ending: str, endings: Sequence[str] = RASTER_ENDINGS
+) -> list[Job]:
     """Return a job for each source, whose target has its name and the ending.
+
+    A folder stands for all files below it that end in one of `endings`; their targets lie in
+    folders of the same names. Hidden files are left out, and what lies below `directory`.
 
     Raises
     ------
     click.UsageError
-        If two would write the same file, or one is a stream.
+        If two would write the same file, one is a stream, or a folder holds no such file.
     """
     jobs: dict[str, Job] = {}
-    for source in sources:
-        if source == STREAM:
-            raise click.UsageError(
-                "found - and --to, expected names of files: targets get their names from them"
-            )
-        checked_path(source)
-        job = Job(source, os.path.join(directory, Path(path_in_url(source)).stem + ending))
-        other = jobs.setdefault(os.path.basename(str(job.target)).casefold(), job)
+    for source, folder in with_files_of_folders(sources, endings, directory):
+        stem = Path(path_in_url(source)).stem
+        job = Job(source, os.path.join(directory, folder, stem + ending))
+        other = jobs.setdefault(os.path.join(folder, stem).casefold(), job)
         if other is not job:
             raise click.UsageError(
                 f"found {display_name(other.source)} and {display_name(source)}, which would both"
@@ -101,16 +109,69 @@ def plan(sources: Sequence[str], directory: str, ending: str) -> list[Job]:
     return list(jobs.values())
 
 
+def with_files_of_folders(
+    sources: Sequence[str], endings: Sequence[str], directory: str | None = None
+) -> Iterator[tuple[str, str]]:
+    """Yield each file that is named or lies in a folder that is, and its folder below that one.
+
+    Of folders the files that end in one of `endings`, but those below `directory`.
+
+    Raises
+    ------
+    click.UsageError
+        If one is a stream, or a folder holds no such file.
+    """
+    for source in sources:
+        if source == STREAM:
+            raise click.UsageError(
+                "found - and --to, expected names of files: targets get their names from them"
+            )
+        checked_path(source)
+        if not os.path.isdir(source) or source.lower().endswith(_FOLDERS_THAT_ARE_RASTERS):
+            yield source, ""
+            continue
+        found = list(_files_below(source, directory, endings))
+        if not found:
+            raise click.UsageError(
+                f"found no file in {source} that ends in {', '.join(endings)}; expected one, or"
+                " the names of the files themselves"
+            )
+        yield from found
+
+
+# Of GDAL's formats whose rasters are folders.
+_FOLDERS_THAT_ARE_RASTERS = (".zarr", ".gdb")
+
+
+def _files_below(
+    source: str, directory: str | None, endings: Sequence[str]
+) -> Iterator[tuple[str, str]]:
+    """Yield the files below a folder, sorted, and the folder of each relative to it."""
+    target = None if directory is None else os.path.realpath(directory)
+    for path, folders, names in os.walk(source):
+        folders[:] = sorted(
+            name
+            for name in folders
+            if not name.startswith(".") and os.path.realpath(os.path.join(path, name)) != target
+        )
+        for name in sorted(names):
+            if name.lower().endswith(tuple(endings)) and not name.startswith("."):
+                folder = os.path.relpath(path, source)
+                yield os.path.join(path, name), "" if folder == os.curdir else folder
+
+
 @contextmanager
-def made(directory: str) -> Iterator[None]:
-    """Make a directory; remove it again if nothing is in it at the end."""
-    path = Path(directory).absolute()
-    missing = [part for part in (path, *path.parents) if not part.exists()]
+def made(directories: Iterable[str]) -> Iterator[None]:
+    """Make directories; remove those again that nothing is in at the end."""
+    missing = set[Path]()
     try:
-        path.mkdir(parents=True, exist_ok=True)
+        for directory in directories:
+            path = Path(directory).absolute()
+            missing |= {part for part in (path, *path.parents) if not part.exists()}
+            path.mkdir(parents=True, exist_ok=True)
         yield
     finally:
-        for part in missing:
+        for part in sorted(missing, reverse=True):
             with suppress(OSError):  # it is in use
                 part.rmdir()
 
@@ -177,6 +238,7 @@ def run_to(
     work: Work,
     word: str,
     *,
+    endings: Sequence[str] = RASTER_ENDINGS,
     manifest: Manifest | None,
     threads: int | None,
     as_json: bool,
@@ -185,9 +247,9 @@ def run_to(
     """Make a file of each source in a directory, and end with the status of all."""
     if not sources:
         raise click.UsageError("Missing argument 'SOURCE'.")
-    jobs = plan(sources, directory, ending)
+    jobs = plan(sources, directory, ending, endings)
     announce_compiling(quiet=quiet)
-    with made(directory):
+    with made({os.path.dirname(str(job.target)) for job in jobs}):
         found, status = run(
             jobs, work, word=word, threads=threads, quiet=quiet or as_json,
             manifest=manifest,
@@ -226,7 +288,7 @@ def _status(outcomes: Sequence[_Outcome]) -> int:
     return int(any(map(_has_failed, outcomes)))
 
 
-def find_original(file: str, directory: str) -> str:
+def find_original(file: str, directory: Path) -> str:
     """Return the raster in a directory that has the name of a .twz file.
 
     Raises
@@ -237,7 +299,7 @@ def find_original(file: str, directory: str) -> str:
     from terrainwave.errors import StorageError
 
     stem = Path(file).stem
-    found = sorted(str(path) for path in Path(directory).glob("*") if path.stem == stem)
+    found = sorted(str(path) for path in directory.glob("*") if path.stem == stem)
     rasters = [path for path in found if not path.lower().endswith(_NO_RASTERS)]
     if len(rasters) != 1:
         names = ", ".join(rasters) or "none"

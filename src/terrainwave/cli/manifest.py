@@ -66,7 +66,7 @@ class Manifest:
         """
         # Before the source is read: what changes meanwhile is noticed by the next run.
         sources = self._source_states(source)
-        name = os.path.basename(target)
+        name = os.path.relpath(target, self._path.parent).replace(os.sep, "/")
         before = self._entries.get(name)
         entry = {"target": name, "asked": self._asked, "sources": sources}
         difference: str | None = ""

@@ -318,7 +318,8 @@ def batched(command: Callable[..., Any]) -> Callable[..., Any]:
             "--to",
             type=Directory(),
             metavar="DIR",
-            help="Write a file for each SOURCE to this directory, and continue if one fails.",
+            help="Write a file for each SOURCE to this directory, and continue if one fails. A"
+            " SOURCE that is a folder stands for the files below it; their folders are kept.",
         ),
     ):
         command = option(command)

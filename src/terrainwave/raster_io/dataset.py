@@ -24,6 +24,7 @@ from terrainwave.errors import (
 )
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.place.crs import format_crs, is_exact
+from terrainwave.raster_io.earlier import EarlierLoss
 from terrainwave.raster_io.gdal import (
     GDAL_ERRORS,
     bounded_env,
@@ -46,7 +47,7 @@ def open_dataset(path: str) -> Any:
     """Open `path` by rasterio; translate each failure into one line that says what to do."""
     local = Path(path)
     is_local = "://" not in path and not path.startswith("/vsi")
-    if is_local and _is_twz(local):
+    if is_local and is_twz(local):
         raise InvalidHeightsError(
             f"{path} is already a terrainwave file; expected a raster such as a GeoTIFF"
             " (terrainwave decompress makes one of it)"
@@ -104,12 +105,12 @@ def _reason(error: BaseException) -> str:
     return reason
 
 
-def _is_twz(path: Path) -> bool:
-    """Tell a terrainwave file by its first bytes; by its name if it cannot be read."""
+def is_twz(path: str | os.PathLike[str]) -> bool:
+    """Tell a local terrainwave file by its first bytes."""
     try:
-        with path.open("rb") as file:
+        with Path(path).open("rb") as file:
             return b"TWZ" in file.read(8).upper()
-    except OSError:
+    except (OSError, ValueError):
         return False
 
 
@@ -162,6 +163,7 @@ class DatasetBackend:
     """A band of a rasterio dataset."""
 
     is_file = True
+    earlier: EarlierLoss | None = None
 
     def __init__(self, dataset: Any, band: int, *, owned: bool, georeference: bool = True) -> None:
         self._owned = owned

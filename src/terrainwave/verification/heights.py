@@ -62,6 +62,8 @@ class VerifyReport:
         0.02 … None without an original.
     mesh : MeshReport or None
         What was checked of the meshes, if that was asked for.
+    earlier : tuple of dict
+        The .twz files that the heights went through before, as `Info` has them.
     """
 
     path: str
@@ -73,6 +75,7 @@ class VerifyReport:
     problems: tuple[str, ...]
     is_strict: bool | None = None
     mesh: "MeshReport | None" = None
+    earlier: tuple[dict[str, Any], ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -208,6 +211,7 @@ def _report(
         errors=errors,
         problems=problems,
         is_strict=is_strict,
+        earlier=terrain.info().earlier,
     )
 
 

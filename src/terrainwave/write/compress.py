@@ -31,6 +31,7 @@ from terrainwave.container.publish import (
 )
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
+from terrainwave.file.raster import raster_source
 from terrainwave.grid.quadtree import Grid
 from terrainwave.names import FORMATS, PLAIN_METHOD
 from terrainwave.place.units import height_unit
@@ -46,7 +47,7 @@ from terrainwave.write.cluster import (
     shared_raster,
     task_level,
 )
-from terrainwave.write.earlier import earlier_error
+from terrainwave.write.earlier import earlier_loss, for_heights_of, limit_of
 from terrainwave.write.job import fixed_steps, settled
 from terrainwave.write.local import LocalPasses
 from terrainwave.write.options import Options, taking_former
@@ -239,7 +240,7 @@ def compress(
     refuse_raster(dst)
     with (
         publish(dst, overwrite=overwrite) as part,
-        RasterSource(src, band=band, nodata=nodata, georeference=georeference) as source,
+        raster_source(src, band=band, nodata=nodata, georeference=georeference) as source,
         scratch_directory(temp_dir or Path(dst).absolute().parent, Path(dst).name) as directory,
     ):
         written = _write(part.file, part.path, source, options, directory, reporter, cluster)
@@ -297,7 +298,7 @@ def compress_to_bytes(
     )
     file = io.BytesIO()
     with (
-        RasterSource(src, nodata=nodata, georeference=georeference) as source,
+        raster_source(src, nodata=nodata, georeference=georeference) as source,
         system_scratch() as directory,
     ):
         written = _write(file, None, source, options, directory, Reporter(None))
@@ -341,10 +342,11 @@ def _write(
         with closing(
             _passes(source, grid, directory, executor, reporter, cluster, has_digest=has_digest)
         ) as passes:
-            scan = passes.scan(fixed_steps(options, source.info))
+            left = for_heights_of(source, options)
+            scan = passes.scan(fixed_steps(left, source.info))
             marks = note_on_marks(source, scan.minimum, scan.maximum)
-            earlier, earlier_notes = earlier_error(source)
-            job, notes = settled(options, scan, source.info, earlier)
+            earlier, earlier_notes = earlier_loss(source, options)
+            job, notes = settled(left, scan, source.info, earlier, limit_of(source, options))
             notes += earlier_notes
             coded = passes.encode(job)
             is_large = coded.n_bytes > source.info.n_bytes

@@ -20,7 +20,7 @@ from terrainwave.container.header import (
     LAYOUT_FEATURES,
     Header,
 )
-from terrainwave.container.metadata import MAX_MOVED, ORIGIN
+from terrainwave.container.metadata import EARLIER, MAX_MOVED, ORIGIN
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid
@@ -29,6 +29,7 @@ from terrainwave.grid.steps import FixedSteps
 from terrainwave.mesh.blocks import default_mesh_error, mesh_tolerance
 from terrainwave.names import Method, mesh_without_coefficients, methods_that
 from terrainwave.place.units import height_unit
+from terrainwave.raster_io.earlier import NO_LOSS, EarlierLoss
 from terrainwave.raster_io.info import RasterInfo, stored_nodata
 from terrainwave.write.options import Options
 
@@ -51,8 +52,8 @@ class Job:
     measured : float, optional
         The bound that holds where the quantizer does not tell it, in raw units: of an embedded
         file, once it is known, and where heights give way to the nodata value.
-    earlier : float
-        How far the raster itself may be from an original that it was made of, in physical units.
+    earlier : EarlierLoss
+        How far the raster itself may be from an original that it was made of.
     origin : dict, optional
         What the file keeps of where it comes from (`origin_of`), if that was asked for.
     """
@@ -64,7 +65,7 @@ class Job:
     quantizer: Quantizer
     n_valid: int
     measured: float | None = None
-    earlier: float = 0.0
+    earlier: EarlierLoss = NO_LOSS
     origin: dict[str, Any] | None = None
 
     @property
@@ -75,7 +76,7 @@ class Job:
     @property
     def moved(self) -> int:
         """Return `earlier` in quanta, rounded up."""
-        quanta = as_fraction(self.earlier) / scale_of(self.info) / self._quantum
+        quanta = as_fraction(self.earlier.max_error) / scale_of(self.info) / self._quantum
         return int(-(-quanta // 1))
 
     @property
@@ -134,7 +135,8 @@ class Job:
         if self.options.mesh == "none":
             return 0
         if self.options.mesh_error is None:
-            error = default_mesh_error(quantizer, self.effective_error, scale_of(self.info))
+            stated = self.effective_error + self.moved_error
+            error = default_mesh_error(quantizer, stated, scale_of(self.info))
         else:
             error = as_fraction(self.options.mesh_error) / scale_of(self.info)
         return mesh_tolerance(error, self._quantum)
@@ -158,6 +160,8 @@ class Job:
         metadata = metadata_of(info)
         if self.moved:
             metadata["moved"] = self.moved
+            if self.earlier.steps:
+                metadata[EARLIER] = [step._asdict() for step in self.earlier.steps]
         if self.origin is not None:
             metadata[ORIGIN] = self.origin
         has_heights = self.n_valid > 0
@@ -232,9 +236,23 @@ def fixed_steps(options: Options, info: RasterInfo) -> FixedSteps | None:
 
 
 def settled(
-    options: Options, scan: HeightScan, info: RasterInfo, earlier: float = 0.0
+    options: Options,
+    scan: HeightScan,
+    info: RasterInfo,
+    earlier: EarlierLoss = NO_LOSS,
+    limit: Fraction | None = None,
 ) -> tuple[Job, list[str]]:
     """Return the job for a raster that has been scanned, and what a user should know of it.
+
+    Parameters
+    ----------
+    options, scan, info
+        Of the raster as it is.
+    earlier : EarlierLoss
+        What its heights had lost before.
+    limit : Fraction, optional
+        What the bound from the original must not exceed, in physical units. The earlier loss is
+        stated in whole quanta, for which the bound from the raster then becomes smaller.
 
     Raises
     ------
@@ -272,11 +290,29 @@ def settled(
     job = Job(options, info, grid, bound, quantizer, scan.n_valid, measured, earlier, origin)
     if job.moved > MAX_MOVED:
         raise InvalidHeightsError(
-            f"the heights are within {earlier:g} of an original by what came with them, which is"
-            f" more than 2^31 steps of {float(job.bound):g}; expected a larger `max_error`, or an"
-            " array without the attribute max_error"
+            f"the heights are within {earlier.max_error:g} of an original by what came with them,"
+            f" which is more than 2^31 steps of {float(job.bound):g}; expected a larger"
+            " `max_error`, or an array without the attribute max_error"
         )
-    return job, notes
+    above = _above(job, limit)
+    if not above:
+        return job, notes
+    if not job.bound:
+        raise InvalidHeightsError(
+            f"found `max_error` {float(limit or 0):g} and heights within {earlier.max_error:g} of"
+            f" an original, expected at least {float((limit or 0) + above):g}: a file states what"
+            " was lost before in whole steps of its own heights"
+        )
+    smaller = replace(options, max_error=float(max(job.bound - above, Fraction(0))))
+    job, notes = settled(smaller, scan, info, earlier, limit)
+    return replace(job, origin=origin), notes
+
+
+def _above(job: Job, limit: Fraction | None) -> Fraction:
+    """Return by how much the stated bound exceeds a limit, in physical units; 0 if it does not."""
+    if limit is None:
+        return Fraction(0)
+    return max(job.bound + as_fraction(job.moved_error) * scale_of(job.info) - limit, Fraction(0))
 
 
 def _raw_bound(bound: Fraction, info: RasterInfo) -> Fraction:

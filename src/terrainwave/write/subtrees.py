@@ -27,6 +27,7 @@ from terrainwave.container.sink import SpoolSink
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import store_segments, stored_places
 from terrainwave.file import TerrainFile
+from terrainwave.file.raster import raster_source
 from terrainwave.grid.digest import HeightDigest
 from terrainwave.grid.measure import BlockStats
 from terrainwave.grid.quadtree import Block, Grid, Region
@@ -68,7 +69,7 @@ class RasterPlace:
     def open(self) -> RasterSource:
         """Open it; notes have been issued where the run began."""
         source = self.paths[0] if len(self.paths) == 1 else list(self.paths)
-        return RasterSource(source, band=self.band, nodata=self.nodata, warn=False)
+        return raster_source(source, band=self.band, nodata=self.nodata, warn=False)
 
 
 @dataclass(frozen=True)

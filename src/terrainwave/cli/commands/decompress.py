@@ -10,6 +10,7 @@ from terrainwave.arguments import (
     FILLINGS,
     GEOTIFF_ENDINGS,
     HEIGHT_TILE_ENDINGS,
+    TWZ_ENDINGS,
     VOIDS,
     one_of,
 )
@@ -122,7 +123,7 @@ def _decompress_each(
         return Done(f"{plain(path)}: {Path(path).stat().st_size:,} bytes")
 
     run_to(
-        sources, directory, ".tif", decompress_one, "decompressed",
+        sources, directory, ".tif", decompress_one, "decompressed", endings=TWZ_ENDINGS,
         manifest=_manifest(directory, options, skips=skips),
         threads=options["threads"], as_json=False, quiet=quiet,
     )  # fmt: skip

@@ -9,6 +9,7 @@ from terrainwave.arguments import count_of, crs_name
 from terrainwave.cli.options import Input
 from terrainwave.cli.output import (
     Command,
+    plain,
     print_grid,
     print_json,
     print_table,
@@ -97,6 +98,14 @@ class _Found:
             _print_mesh_levels(self.meshes)
 
 
+def files_before(earlier: Any) -> str:
+    """Return the .twz files that heights went through, the last one first."""
+    return ", from ".join(
+        f"{plain(step['file'])}, within {step['max_error']:.6g} of the original"
+        for step in reversed(earlier)
+    )
+
+
 def _voids_in_words(info: Any, n_voids: int | None) -> str:
     if info.minimum is None:
         return "all samples"
@@ -176,6 +185,7 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
             if info.moved_error
             else "",
         ),
+        ("made from", files_before(info.earlier)),
         ("quantum", f"{info.quantum:.6g}{unit}"),
         ("heights", extent),
         ("unit", _unit_in_words(info)),

@@ -6,7 +6,8 @@ from typing import Any
 import click
 
 from terrainwave.arguments import TWZ_ENDINGS, count_of
-from terrainwave.cli.batch import Done, Job, find_original, finish, run
+from terrainwave.cli.batch import Done, Job, find_original, finish, run, with_files_of_folders
+from terrainwave.cli.commands.info import files_before
 from terrainwave.cli.options import THREADS_OPTION, Bound, Input, Nodata, complete_files
 from terrainwave.cli.output import (
     Bar,
@@ -42,14 +43,16 @@ from terrainwave.progress import ProgressCallback
 def verify(paths: tuple[str, ...], originals: str | None, **options: Any) -> None:
     """Compare FILE (.twz) with its ORIGINAL raster; without ORIGINAL, check all of FILE.
 
-    Several FILEs, all of them .twz, are checked one by one. With --originals DIR each is compared
-    with the raster of its name in DIR.
+    Several FILEs, all of them .twz, are checked one by one; a folder stands for the .twz files
+    below it. With --originals DIR each is compared with the raster of its name in DIR, or in the
+    same folder below it.
     """
     if not paths:
         raise click.UsageError("Missing argument 'FILE'.")
+    is_folder = Path(paths[0]).is_dir()
     are_files = all(Path(path).suffix.lower() in TWZ_ENDINGS for path in paths)
-    if originals is not None or (are_files and len(paths) > 1):
-        _verify_all(paths, originals, **options)
+    if originals is not None or is_folder or (are_files and len(paths) > 1):
+        _verify_all(paths, None if originals is None else Path(originals), **options)
     elif len(paths) > 2:
         raise click.UsageError(
             f"found {len(paths)} names that are not all .twz, expected FILE and ORIGINAL, or"
@@ -80,7 +83,7 @@ def _verify(
 
 def _verify_all(
     files: tuple[str, ...],
-    originals: str | None,
+    originals: Path | None,
     *,
     threads: int | None,
     quiet: bool,
@@ -90,7 +93,8 @@ def _verify_all(
     import terrainwave
 
     def verify_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
-        original = None if originals is None else find_original(job.source, originals)
+        folder = folders[job.source]
+        original = None if originals is None else find_original(job.source, originals / folder)
         with reading(job.source):
             report = terrainwave.verify(
                 job.source, original, threads=threads, progress=progress, **options
@@ -107,8 +111,9 @@ def _verify_all(
         )
 
     announce_compiling(quiet=quiet)
+    folders = dict(with_files_of_folders(files, TWZ_ENDINGS))
     found, status = run(
-        [Job(file) for file in dict.fromkeys(files)], verify_one, word="ok", threads=threads,
+        [Job(file) for file in folders], verify_one, word="ok", threads=threads,
         quiet=quiet or as_json,
     )  # fmt: skip
     if as_json:
@@ -136,6 +141,8 @@ def _print_report(report: Any) -> None:
         print_note("no height was compared: there is none that is valid in both")
     if report.original is None:
         click.echo("no heights compared: give the ORIGINAL raster for that")
+        if report.earlier:
+            click.echo(f"made from {files_before(report.earlier)}")
     if report.mesh is not None:
         _print_meshes(report.mesh)
     click.echo("ok" if report.ok else "not ok")
