@@ -33,7 +33,9 @@ _LONGEST_CODE = 40
 _LONGEST_VALUE = 60
 
 
-def check_ending(path: str | os.PathLike[str], endings: Sequence[str]) -> None:
+def check_ending(
+    path: str | os.PathLike[str], endings: Sequence[str], *, or_url: bool = False
+) -> None:
     """Refuse a target whose name says that it is something else than what is written.
 
     Nothing may be replaced by mistake: a raster that was given as the last of several sources, or
@@ -42,13 +44,16 @@ def check_ending(path: str | os.PathLike[str], endings: Sequence[str]) -> None:
     Raises
     ------
     InvalidArgumentError
-        If it is a URL, or the name has none of the endings, in capital or small letters.
+        If it is a URL, unless `or_url`, or the name has none of the endings, in capital or small
+        letters.
     """
-    check_local(path)
-    ending = Path(path).suffix.lower()
+    if not or_url:
+        check_local(path)
+    name = path_in_url(checked_path(path))
+    ending = Path(name).suffix.lower()
     if ending not in endings:
         raise InvalidArgumentError(
-            f"{os.fspath(path)}: found {ending or 'no extension'}, expected a name that ends in"
+            f"{name}: found {ending or 'no extension'}, expected a name that ends in"
             f" {one_of(endings)}"
         )
 

@@ -454,9 +454,9 @@ def test_an_original_must_be_one(tmp_path):
     for name in ("a.tif", "a.vrt", "a.twz", "a.json"):
         (tmp_path / name).write_text("")
     with pytest.raises(StorageError, match=r"a\.tif, .*a\.vrt, expected one raster a"):
-        batch.find_original("x/a.twz", str(tmp_path))
+        batch.find_original("x/a.twz", tmp_path)
     (tmp_path / "a.vrt").unlink()
-    assert batch.find_original("x/a.twz", str(tmp_path)) == str(tmp_path / "a.tif")
+    assert batch.find_original("x/a.twz", tmp_path) == str(tmp_path / "a.tif")
 
 
 def test_heights_without_a_place_are_not_those_with_one(tmp_path):
@@ -472,3 +472,38 @@ def test_heights_without_a_place_are_not_those_with_one(tmp_path):
         done = run(*batch, *options)
         assert done.exit_code == 0, done.output
         assert status in done.stdout
+
+
+def test_a_folder_stands_for_the_files_below_it(tmp_path):
+    """Folders are kept; hidden files, other files and the target's own are left out."""
+    folder = tmp_path / "in"
+    for place in ("", "x", "x/y", ".hidden"):
+        (folder / place).mkdir(exist_ok=True)
+        write_geotiff(folder / place / "a.TIF", terrain_like(12, 10, seed=len(place)))
+    (folder / "x" / "notes.txt").write_text("no raster")
+    out = folder / "out"
+    for word in ("3 compressed", "3 skipped"):
+        done = run("compress", folder, "--to", out, *QUICK, "--skip-existing")
+        assert done.exit_code == 0, done.stderr
+        assert word in done.stdout
+    files = sorted(path.relative_to(out).as_posix() for path in out.rglob("*.twz"))
+    assert files == ["a.twz", "x/a.twz", "x/y/a.twz"]
+    done = run("verify", out, "--originals", folder)
+    assert (done.exit_code, done.stdout.count("120 heights compared")) == (0, 3), done.stderr
+    assert run("verify", out).exit_code == 0
+    done = run("decompress", out, "--to", tmp_path / "back")
+    assert done.exit_code == 0, done.stderr
+    for path in files:
+        assert np.array_equal(
+            read_geotiff(tmp_path / "back" / path.replace(".twz", ".tif"))[0],
+            read_geotiff(folder / path.replace(".twz", ".TIF"))[0],
+        )
+
+
+def test_a_folder_without_a_fitting_file_is_wrong_usage(tmp_path):
+    (tmp_path / "in").mkdir()
+    for command in (("compress", "--to", tmp_path / "out"), ("verify",)):
+        done = run(command[0], tmp_path / "in", *command[1:])
+        assert done.exit_code == 2
+        assert "found no file in" in done.stderr
+    assert not (tmp_path / "out").exists()

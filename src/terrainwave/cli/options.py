@@ -61,9 +61,12 @@ class Target(_Path):
 
     name = "path"
 
-    def __init__(self, endings: Sequence[str], *, or_stdout: bool = True) -> None:
+    def __init__(
+        self, endings: Sequence[str], *, or_stdout: bool = True, or_url: bool = False
+    ) -> None:
         self._endings = endings
         self._or_stdout = or_stdout
+        self._or_url = or_url
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
         """Return the name."""
@@ -71,7 +74,7 @@ class Target(_Path):
         if path == STREAM and self._or_stdout:
             return path
         try:
-            check_ending(path, self._endings)
+            check_ending(path, self._endings, or_url=self._or_url)
         except InvalidArgumentError as error:
             self.fail(f"{error}{', or - for stdout' * self._or_stdout}", param, ctx)
         return path

@@ -120,8 +120,8 @@ def refuse_own_source(
         return
     try:
         is_same = os.path.samefile(path, target)
-    except (OSError, ValueError):  # one of them is missing, or no path at all
-        return
+    except (OSError, ValueError):  # one of them is missing, or no path at all: a URL
+        is_same = "://" in os.fspath(target) and os.fspath(path) == os.fspath(target)
     if is_same:
         raise StorageError(f"{os.fspath(target)} {problem}")
 

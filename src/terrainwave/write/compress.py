@@ -7,6 +7,7 @@ disk with the ordinary decoder and compares every sample. Memory stays flat in a
 
 import io
 import os
+import tempfile
 import warnings
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import closing
@@ -29,6 +30,8 @@ from terrainwave.container.publish import (
     scratch_directory,
     system_scratch,
 )
+from terrainwave.container.sources.addresses import display_name
+from terrainwave.container.upload import uploaded
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.file.raster import raster_source
@@ -47,7 +50,7 @@ from terrainwave.write.cluster import (
     shared_raster,
     task_level,
 )
-from terrainwave.write.earlier import earlier_loss, for_heights_of, limit_of
+from terrainwave.write.earlier import earlier_loss, for_heights_of
 from terrainwave.write.job import fixed_steps, settled
 from terrainwave.write.local import LocalPasses
 from terrainwave.write.options import Options, taking_former
@@ -114,7 +117,8 @@ def compress(
         lists what is read from labels).
     dst : path
         The file to make. Its name ends in ``.twz``. It appears complete or not at all, and never
-        replaces a raster.
+        replaces a raster. Also the URL of storage that fsspec can write to, such as ``s3://``
+        (extra ``remote``): the file is made and proved on this machine, then uploaded.
     max_error : float, optional
         Largest allowed error (<=) in physical units, after scale and offset; >= 0. 0 keeps every
         bit. By default lossless if the heights are in whole steps (metres, centimetres, feet),
@@ -235,20 +239,32 @@ def compress(
         raise InvalidArgumentError(
             f"found `task_samples` {task_samples} without a client, expected both or none of them"
         )
-    check_ending(dst, TWZ_ENDINGS)
+    check_ending(dst, TWZ_ENDINGS, or_url=True)
     refuse_own_source(src, dst)
     refuse_raster(dst)
+    url = _url_of(dst)
+    if url is not None and cluster is not None:
+        raise InvalidArgumentError(
+            f"found a client and {display_name(url)} as `dst`, expected a path that all workers"
+            " can use"
+        )
+    making = (
+        publish(dst, overwrite=overwrite)
+        if url is None
+        else uploaded(url, overwrite=overwrite, temp_dir=temp_dir)
+    )
+    beside = Path(dst).absolute().parent if url is None else tempfile.gettempdir()
     with (
-        publish(dst, overwrite=overwrite) as part,
+        making as part,
         raster_source(src, band=band, nodata=nodata, georeference=georeference) as source,
-        scratch_directory(temp_dir or Path(dst).absolute().parent, Path(dst).name) as directory,
+        scratch_directory(temp_dir or beside, Path(dst).name) as directory,
     ):
         written = _write(part.file, part.path, source, options, directory, reporter, cluster)
         n_bytes = os.path.getsize(part.path)
     _warn_of(written.marks)
     n_samples = source.info.n_rows * source.info.n_cols
     return CompressResult(
-        path=os.fspath(dst),
+        path=os.fspath(dst) if url is None else display_name(url),
         n_bytes=n_bytes,
         n_samples=n_samples,
         bits_per_sample=8 * n_bytes / n_samples,
@@ -306,6 +322,12 @@ def compress_to_bytes(
     return file.getvalue()
 
 
+def _url_of(target: str | os.PathLike[str]) -> str | None:
+    """Return a target that is a URL; None if it is a path."""
+    name = os.fspath(target)
+    return name if "://" in name else None
+
+
 def _warn_of(notes: list[str]) -> None:
     for note in notes:
         warnings.warn(note, TerrainwaveWarning, stacklevel=3)
@@ -346,7 +368,9 @@ def _write(
             scan = passes.scan(fixed_steps(left, source.info))
             marks = note_on_marks(source, scan.minimum, scan.maximum)
             earlier, earlier_notes = earlier_loss(source, options)
-            job, notes = settled(left, scan, source.info, earlier, limit_of(source, options))
+            job, notes = settled(
+                left, scan, source.info, earlier, None if source.earlier is None else options
+            )
             notes += earlier_notes
             coded = passes.encode(job)
             is_large = coded.n_bytes > source.info.n_bytes

@@ -10,7 +10,6 @@ compared with those of the file, and are the same. It adds to the bound that is 
 
 import os
 from dataclasses import replace
-from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,13 +52,6 @@ def for_heights_of(source: RasterSource, options: Options) -> Options:
             " lost does not come back; a smaller bound needs the original raster"
         )
     return replace(options, max_error=float(left))
-
-
-def limit_of(source: RasterSource, options: Options) -> Fraction | None:
-    """Return what the file's bound from the original must not exceed; None if that is not said."""
-    if source.earlier is None or options.is_embedded or options.max_error is None:
-        return None
-    return as_fraction(options.max_error)
 
 
 def earlier_loss(source: RasterSource, asked: Options) -> tuple[EarlierLoss, list[str]]:

@@ -240,7 +240,7 @@ def settled(
     scan: HeightScan,
     info: RasterInfo,
     earlier: EarlierLoss = NO_LOSS,
-    limit: Fraction | None = None,
+    asked: Options | None = None,
 ) -> tuple[Job, list[str]]:
     """Return the job for a raster that has been scanned, and what a user should know of it.
 
@@ -250,9 +250,9 @@ def settled(
         Of the raster as it is.
     earlier : EarlierLoss
         What its heights had lost before.
-    limit : Fraction, optional
-        What the bound from the original must not exceed, in physical units. The earlier loss is
-        stated in whole quanta, for which the bound from the raster then becomes smaller.
+    asked : Options, optional
+        What was asked of the bound from the original, where `options` have what is left of it. The
+        earlier loss is stated in whole quanta, for which still less may be left.
 
     Raises
     ------
@@ -286,7 +286,7 @@ def settled(
         quantizer, measured = _with_room_for_nodata(quantizer, info)
         measured = None if options.is_embedded else measured
     grid = Grid(info.n_rows, info.n_cols, options.block)
-    origin = origin_of(options, scan) if options.keep_origin else None
+    origin = origin_of(asked or options, scan) if options.keep_origin else None
     job = Job(options, info, grid, bound, quantizer, scan.n_valid, measured, earlier, origin)
     if job.moved > MAX_MOVED:
         raise InvalidHeightsError(
@@ -294,6 +294,7 @@ def settled(
             f" which is more than 2^31 steps of {float(job.bound):g}; expected a larger"
             " `max_error`, or an array without the attribute max_error"
         )
+    limit = None if asked is None or asked.max_error is None else as_fraction(asked.max_error)
     above = _above(job, limit)
     if not above:
         return job, notes
@@ -304,8 +305,7 @@ def settled(
             " was lost before in whole steps of its own heights"
         )
     smaller = replace(options, max_error=float(max(job.bound - above, Fraction(0))))
-    job, notes = settled(smaller, scan, info, earlier, limit)
-    return replace(job, origin=origin), notes
+    return settled(smaller, scan, info, earlier, asked)
 
 
 def _above(job: Job, limit: Fraction | None) -> Fraction:

@@ -11,7 +11,6 @@ from terrainwave.file.raster import raster_source
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.earlier import steps_of
 from terrainwave.raster_io.source import RasterSource
-from terrainwave.write.earlier import for_heights_of
 from terrainwave.write.job import metadata_of, origin_of
 from terrainwave.write.options import Options
 from terrainwave.write.passes.windows import Window, scan_windows
@@ -49,12 +48,11 @@ def difference(
     origin = header.metadata.get(ORIGIN)
     if not isinstance(origin, dict):
         return "it does not say what it was made of"
+    if origin.get("options") != asked.to_metadata():
+        return "it was made with other options"
     with raster_source(
         src, band=band, nodata=nodata, georeference=georeference, warn=False
     ) as source:
-        asked = for_heights_of(source, asked)
-        if origin.get("options") != asked.to_metadata():
-            return "it was made with other options"
         info = source.info
         size = info.n_rows, info.n_cols, info.dtype
         metadata = without_origin(header.metadata)

@@ -39,7 +39,7 @@ from terrainwave.cli.own_options import (
     own_option,
     with_own_options,
 )
-from terrainwave.cli.streams import printing_beside, written
+from terrainwave.cli.streams import STREAM, printing_beside, written
 from terrainwave.names import (
     DEFAULT_EFFORT,
     DEFAULT_MESH,
@@ -137,7 +137,11 @@ def compress(
 
     Several SOURCEs are a mosaic: rasters of one CRS and grid. Samples that no raster covers are
     void; where rasters overlap, the last one counts. A SOURCE or TARGET - is stdin or stdout.
-    With --to DIR there is no TARGET: each SOURCE becomes a file of its own in DIR.
+    TARGET may be a URL of storage that takes files, such as s3://bucket/dem.twz. With --to DIR
+    there is no TARGET: each SOURCE becomes a file of its own in DIR.
+
+    A SOURCE may be a .twz file, for a coarser bound, another method, or a mosaic. --max-error is
+    then the bound from the original raster.
     """
     refuse_options_of_batches(to, skip_existing=skip_existing, overwrite=options["overwrite"])
     if no_mesh:
@@ -181,7 +185,8 @@ def _compress(
     ):
         result = terrainwave.compress(sources, path, client=client, progress=bar, **options)
     with printing_beside(target):
-        _print_result(replace(result, path=target), as_json=as_json, quiet=quiet)
+        name = target if target == STREAM else result.path
+        _print_result(replace(result, path=name), as_json=as_json, quiet=quiet)
 
 
 def _compress_each(
@@ -253,7 +258,7 @@ def _sources_and_target(paths: tuple[str, ...]) -> tuple[list[str], str]:
     target = paths[-1]
     try:
         # Not only a slip: with `*.tif` the last raster stands where the target does.
-        target = Target(TWZ_ENDINGS).convert(target, None, ctx)
+        target = Target(TWZ_ENDINGS, or_url=True).convert(target, None, ctx)
     except click.BadParameter as error:
         raise click.UsageError(
             f"TARGET is the last name: {error.message}; to compress each raster to a file of its"
