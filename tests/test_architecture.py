@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from collections import Counter
 from functools import cache
 from pathlib import Path
 
@@ -89,6 +90,11 @@ WITHOUT_GPU = {"captures", "controls", "ground", "session"}
 MOST_SIDE_BY_SIDE = 14
 # Still more: none of them may grow.
 CROWDED: dict[str, int] = {}
+# Names that several modules may have: the parts that packages of methods have in common.
+PARTS = {"refiner", "file_tables", "fit", "trained"}
+# Modules called what they are for, which a module elsewhere does: a command, a mode of the viewer.
+# `render.style` is where `Style` was before 1.1.
+CALLED_AFTER = ("cli/commands", "render/modes", "render/style")
 # Functions of more lines, without their docstrings: loops of kernels, which cost time when cut.
 MOST_LINES, MOST_ARGUMENTS = 70, 10
 LONG = {"_sweep_cells", "code_pass", "code_residuals", "code_rows"}
@@ -255,6 +261,19 @@ def test_no_package_is_crowded():
     }
     crowded = {name: n for name, n in counts.items() if n > MOST_SIDE_BY_SIDE}
     assert crowded == CROWDED
+
+
+def test_a_name_of_a_module_says_which_module_it_is():
+    """`tiles` meant four: what divides a raster, decoded it, encoded it, and a command."""
+    named = Counter(
+        path.stem
+        for path in modules()
+        if not str(path.relative_to(PACKAGE)).startswith(CALLED_AFTER)
+    )
+    assert {name for name, count in named.items() if count > 1} <= PARTS | {"__init__"}
+    for path in modules():
+        if path.stem in PARTS:
+            assert path.relative_to(PACKAGE).parts[0] == "codec", path
 
 
 def functions_of(tree, owner=""):

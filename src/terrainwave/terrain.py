@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from terrainwave.raster_io.geotiff.stream import GeoTIFFStream
     from terrainwave.render.look.style import Style
     from terrainwave.render.window.static import Picture
-    from terrainwave.tri.mesh import BlockMesh
+    from terrainwave.tri.block_mesh import BlockMesh
 
 
 class Terrain(TerrainFile):

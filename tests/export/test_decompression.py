@@ -13,7 +13,7 @@ from strategies import read_geotiff, terrain_like, write_geotiff
 from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveWarning
 from terrainwave.export.geotiff import decompress
 from terrainwave.raster_io.geotiff.sink import RasterSink
-from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.terrain import Terrain
 from terrainwave.write.compress import compress
 

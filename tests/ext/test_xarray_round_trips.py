@@ -20,10 +20,10 @@ import terrainwave
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.grid.affine import of_level
 from terrainwave.grid.quantum import HeightScan
-from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.read.places import LevelPlace
+from terrainwave.write.compress_options import Options
 from terrainwave.write.job import settled
-from terrainwave.write.options import Options
 
 # rioxarray 0.19 multiplies transforms, which affine 3 will deprecate.
 pytestmark = pytest.mark.filterwarnings("ignore:Use .@. matmul:PendingDeprecationWarning")

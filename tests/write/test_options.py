@@ -9,7 +9,7 @@ from terrainwave.codec import method_options
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.names import MESH_KINDS, METHODS
 from terrainwave.write.compress import compress
-from terrainwave.write.options import Options
+from terrainwave.write.compress_options import Options
 
 
 @pytest.mark.parametrize(

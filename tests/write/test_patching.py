@@ -20,7 +20,7 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.terrain import Terrain
 from terrainwave.write.patch import patch
 from terrainwave.write.patching import index
-from terrainwave.write.patching.encoder import PatchEncoder
+from terrainwave.write.patching.patch_encoder import PatchEncoder
 
 NODATA = -32768
 HEIGHTS = terrain_like(140, 100, seed=11)

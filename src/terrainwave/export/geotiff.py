@@ -23,7 +23,7 @@ from terrainwave.arguments import (
     one_of,
     shown,
 )
-from terrainwave.container.publish import refuse_own_source
+from terrainwave.container.publication import refuse_own_source
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.export.ellipsoidal import AboveEllipsoid, above_ellipsoid
 from terrainwave.export.georeference import info_to_write, keep_place

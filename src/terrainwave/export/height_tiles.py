@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from terrainwave._version import __version__
 from terrainwave.arguments import FILLINGS, checked_number, checked_whole
-from terrainwave.container.publish import publish
+from terrainwave.container.publication import publish
 from terrainwave.container.spool import cannot_write, storage_errors
 from terrainwave.errors import (
     InvalidArgumentError,

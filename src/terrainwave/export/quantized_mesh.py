@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from terrainwave._version import __version__
 from terrainwave.arguments import AS_IS
-from terrainwave.container.publish import publish
+from terrainwave.container.publication import publish
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.export.frames import (

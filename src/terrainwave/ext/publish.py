@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from terrainwave.container.publish import publish_directory
+from terrainwave.container.publication import publish_directory
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveWarning
 from terrainwave.ext.serve.catalog import describe, layer_names

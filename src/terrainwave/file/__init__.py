@@ -83,7 +83,7 @@ class TerrainFile(DescribedFile):
     def decoder(self) -> "TreeDecoder":
         """Return the decoder of the file's units, with its cache; heights are in quanta."""
         # Imported when heights are first read: opening a file and `info` need no numba.
-        from terrainwave.read.tiles import make_decoder
+        from terrainwave.read.tile_decoder import make_decoder
 
         return make_decoder(self.header, self.container.payloads, self._cache_bytes)
 

@@ -26,7 +26,7 @@ from terrainwave.grid.quantum import Quantizer
 from terrainwave.names import METHODS
 from terrainwave.place.units import HeightUnit
 from terrainwave.place.units import height_unit as unit_of
-from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.read.places import LevelPlace, region_of_window
 
 DEFAULT_CACHE_BYTES = 256 << 20

@@ -23,7 +23,7 @@ from terrainwave.arguments import (
     checked_threads,
     checked_whole,
 )
-from terrainwave.container.publish import publish
+from terrainwave.container.publication import publish
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.extras import need

@@ -42,8 +42,8 @@ from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.mesh.outlines import CoveredSamples, finest_outline
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.progress import ProgressCallback, Reporter
-from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
-from terrainwave.tri.surface import deviation_from_bilinear
+from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
+from terrainwave.tri.mesh_distance import deviation_from_bilinear
 
 # A budget of triangles is met within this ratio of the smallest error, and goes on to the next one
 # while more than a twentieth of it is left.

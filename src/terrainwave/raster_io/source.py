@@ -24,13 +24,13 @@ from terrainwave.raster_io.gdal import (
     SCAN_SAMPLES,
     scan_windows,
 )
-from terrainwave.raster_io.info import (
+from terrainwave.raster_io.mosaic import MosaicBackend
+from terrainwave.raster_io.raster_info import (
     SUPPORTED_DTYPES,
     RasterInfo,
     fit_nodata,
     stored_nodata,
 )
-from terrainwave.raster_io.mosaic import MosaicBackend
 
 # What to convert an unsupported type to; the narrowest of ours that holds all of its values, or
 # the one that holds elevations in practice.

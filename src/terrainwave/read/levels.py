@@ -20,7 +20,7 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.read.decoder import TreeDecoder
 from terrainwave.read.fetched import Payloads
 from terrainwave.read.native import NativeError, NativeFile
-from terrainwave.read.windows import WindowReader, bilinear
+from terrainwave.read.window_reader import WindowReader, bilinear
 
 if TYPE_CHECKING:
     from terrainwave.read.finest import FinestMasks

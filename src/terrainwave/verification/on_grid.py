@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from terrainwave.grid.affine import determinant, places_to_pixels, places_to_samples, without_shift
 from terrainwave.grid.quadtree import Block, Region
+from terrainwave.verification.checked_mesh import Surface
 from terrainwave.verification.checks import boundary_edges, problems_of
 from terrainwave.verification.pieces import NOTHING, pieces_of_mask, refined_pieces
-from terrainwave.verification.surface import Surface
 
 SIXTEENTHS = 16
 # Relative; what a decimal error loses as float64.

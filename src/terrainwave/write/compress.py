@@ -23,7 +23,7 @@ from terrainwave.arguments import (
 )
 from terrainwave.codec.method_options import MethodOptions
 from terrainwave.container.depot import Depot
-from terrainwave.container.publish import (
+from terrainwave.container.publication import (
     publish,
     refuse_own_source,
     scratch_directory,
@@ -36,8 +36,8 @@ from terrainwave.names import FORMATS, PLAIN_METHOD
 from terrainwave.place.units import height_unit
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
-from terrainwave.raster_io.marks import note_on_marks
 from terrainwave.raster_io.source import RasterSource
+from terrainwave.raster_io.undeclared_voids import note_on_marks
 from terrainwave.tri.mesh_options import MeshOptions
 from terrainwave.write.cluster import (
     TASK_SAMPLES,
@@ -46,10 +46,10 @@ from terrainwave.write.cluster import (
     shared_raster,
     task_level,
 )
+from terrainwave.write.compress_options import Options, taking_former
 from terrainwave.write.earlier import earlier_error
 from terrainwave.write.job import fixed_steps, settled
 from terrainwave.write.local import LocalPasses
-from terrainwave.write.options import Options, taking_former
 from terrainwave.write.passes.coding import smaller
 from terrainwave.write.subtrees import RasterPlace
 

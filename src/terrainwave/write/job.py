@@ -29,8 +29,8 @@ from terrainwave.grid.steps import FixedSteps
 from terrainwave.mesh.blocks import default_mesh_error, mesh_tolerance
 from terrainwave.names import Method, mesh_without_coefficients, methods_that
 from terrainwave.place.units import height_unit
-from terrainwave.raster_io.info import RasterInfo, stored_nodata
-from terrainwave.write.options import Options
+from terrainwave.raster_io.raster_info import RasterInfo, stored_nodata
+from terrainwave.write.compress_options import Options
 
 # Heights on no grid are rounded to their range / 2^18 or so before a stream of them is cut.
 _FINE_BITS = 18

@@ -22,13 +22,13 @@ from terrainwave.codec.refiner import Refiner
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.container.depot import Depot, StoredSegment, StoredSegments
 from terrainwave.container.page import N_CODES
-from terrainwave.container.publish import system_scratch
-from terrainwave.container.sink import SpoolSink
+from terrainwave.container.publication import system_scratch
 from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.writer import store_segments, stored_places
 from terrainwave.file import TerrainFile
+from terrainwave.grid.block_stats import BlockStats
 from terrainwave.grid.digest import HeightDigest
-from terrainwave.grid.measure import BlockStats
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.grid.steps import FixedSteps
@@ -39,7 +39,7 @@ from terrainwave.mesh.trees import tree_source
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.decoder import TreeDecoder, groups_by
-from terrainwave.tri.stored import STORED_KINDS
+from terrainwave.tri.stored_kinds import STORED_KINDS
 from terrainwave.write.boxes import (
     Box,
     enclosing_boxes,

@@ -221,7 +221,7 @@ _OF_RUN = ("temp_dir", "overwrite", "threads")
 
 def _asked(options: dict[str, Any]) -> Any:
     """Return the options of the file, checked."""
-    from terrainwave.write.options import Options
+    from terrainwave.write.compress_options import Options
 
     return Options(**{name: options[name] for name in options.keys() - {*_OF_SOURCE, *_OF_RUN}})
 

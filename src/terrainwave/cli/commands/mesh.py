@@ -182,8 +182,8 @@ def _export_mesh(
     **options: Any,
 ) -> None:
     import terrainwave
-    from terrainwave.container.publish import refuse_own_source
-    from terrainwave.export.files import check_extension, prepare
+    from terrainwave.container.publication import refuse_own_source
+    from terrainwave.export.mesh_files import check_extension, prepare
 
     check_one_area(options)
     extension = check_extension(target)
@@ -234,7 +234,7 @@ def _mesh_for(
     Rounding in the file adds to a mesh's error: the mesh is made again with so much less.
     """
     from terrainwave.errors import InvalidHeightsError
-    from terrainwave.export.files import file_rounding
+    from terrainwave.export.mesh_files import file_rounding
 
     first = surface = make(bound)
     if bound is None:

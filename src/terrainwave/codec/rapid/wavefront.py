@@ -24,6 +24,7 @@ from terrainwave.codec.rapid.layout import (
     WEIGHTS,
     place,
 )
+from terrainwave.codec.rapid.line_coder import MOST_CORNERS, prepare_shared
 from terrainwave.codec.rapid.magnitude import fill_contexts
 from terrainwave.codec.rapid.rows import (
     copy_row,
@@ -35,7 +36,6 @@ from terrainwave.codec.rapid.rows import (
     store_rows,
     surround,
 )
-from terrainwave.codec.rapid.shared_lines import MOST_CORNERS, prepare_shared
 from terrainwave.codec.rapid.symbols import code_details, note_errors
 from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.jit import kernel, kernel_part

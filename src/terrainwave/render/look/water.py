@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from terrainwave.place.bodies import EARTH, UNKNOWN
 from terrainwave.render.look.ramps import DEEPEST_LAND
-from terrainwave.render.scene.solid import level_within, read_metres
+from terrainwave.render.scene.walls import level_within, read_metres
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.grid.measure import with_outside
+from terrainwave.grid.block_stats import with_outside
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.progress import ProgressCallback
 from terrainwave.read.decoder import unit_key, units_of

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from terrainwave.grid.quadtree import Region
 from terrainwave.progress import ProgressCallback
-from terrainwave.read.tiles import Tiles, with_coefficients
+from terrainwave.read.tile_decoder import Tiles, with_coefficients
 from terrainwave.render.modes.front import Drawn, FrontMode, FrontPatch, PatchFrame, Sides
 from terrainwave.render.modes.mode import ERRORS
 from terrainwave.render.scene.frame import Frame

@@ -11,13 +11,13 @@ import numpy as np
 
 from terrainwave.codec.refiner import Decoded
 from terrainwave.container.depot import StoredSegment
-from terrainwave.container.sink import SpoolSink
 from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.blocks import measure_meshes
 from terrainwave.mesh.sections import make_meshes
 from terrainwave.progress import Reporter
-from terrainwave.read.tiles import make_decoder
+from terrainwave.read.tile_decoder import make_decoder
 from terrainwave.write.boxes import enclosing_boxes, error_codes, set_codes
 from terrainwave.write.encoder import Stats, TreeEncoder, fitted_refiner
 from terrainwave.write.job import Job
@@ -95,7 +95,7 @@ def encode(
         units: dict[Block, Decoded] = {}
         if job.options.named_method.is_tiled:
             # Imported here: compiling costs seconds that other methods need not pay.
-            from terrainwave.write.tiles import encode_tiles
+            from terrainwave.write.tile_encoder import encode_tiles
 
             stats = encode_tiles(job, pyramid, sink, directory, on_samples, executor)
         else:
