@@ -105,7 +105,7 @@ class Batched(BoundedMode):
         order: int = 4,
         orientation: bool = False,
     ) -> None:
-        super().__init__(terrain, frame, error=error, orientation=orientation)
+        super().__init__(terrain, frame, error=error, progress=progress, orientation=orientation)
         self._mu = self._checked_detail(detail)
         if order not in ORDERS:
             raise InvalidArgumentError(f"found `order` {order}, expected 2 or 4")
