@@ -110,7 +110,7 @@ def with_own_options(own: Sequence[str], options: dict[str, Any]) -> dict[str, A
     if of_mesh is not None and taken:
         found["mesh"] = of_mesh.from_words(taken)
     if "method" in options:
-        method, effort = chosen(options["method"], options["effort"])
+        method, effort, _, _ = chosen(options["method"], options["effort"])
         _refuse_others(words, options["method"], type(method), mesh, of_mesh)
         if words:
             found |= {"method": type(method).from_words(words), "effort": effort}
@@ -178,7 +178,7 @@ def _named(given: dict[str, Any]) -> list[type[OptionSet]]:
     found: list[type[OptionSet] | None] = []
     if given.get("method") in METHOD.choices:
         effort = given.get("effort")
-        method, _ = chosen(given["method"], effort if effort in EFFORTS else DEFAULT_EFFORT)
-        found.append(type(method))
+        choice = chosen(given["method"], effort if effort in EFFORTS else DEFAULT_EFFORT)
+        found.append(type(choice.own))
     found.append(options_of_mesh(given.get("mesh") or ""))
     return [kind for kind in found if kind is not None]

@@ -6,6 +6,7 @@ disk with the ordinary decoder and compares every sample. Memory stays flat in a
 """
 
 import io
+import logging
 import os
 import warnings
 from concurrent.futures import Executor, ThreadPoolExecutor
@@ -32,7 +33,7 @@ from terrainwave.container.publication import (
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.grid.quadtree import Grid
-from terrainwave.names import FORMATS, PLAIN_METHOD
+from terrainwave.names import FORMATS
 from terrainwave.place.units import height_unit
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
@@ -48,10 +49,12 @@ from terrainwave.write.cluster import (
 )
 from terrainwave.write.compress_options import Options, taking_former
 from terrainwave.write.earlier import earlier_error
-from terrainwave.write.job import fixed_steps, settled
+from terrainwave.write.job import Job, fixed_steps, settled
 from terrainwave.write.local import LocalPasses
-from terrainwave.write.passes.coding import smaller
+from terrainwave.write.passes.coding import Coded, smaller
 from terrainwave.write.subtrees import RasterPlace
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -346,13 +349,9 @@ def _write(
             earlier, earlier_notes = earlier_error(source)
             job, notes = settled(options, scan, source.info, earlier)
             notes += earlier_notes
-            coded = passes.encode(job)
-            is_large = coded.n_bytes > source.info.n_bytes
-            is_large = is_large and not (options.is_embedded or options.faithful)
-            if is_large and options.named_method != PLAIN_METHOD:
-                coded = smaller(coded, passes.encode(job.with_method(PLAIN_METHOD)))
-                if coded.job.options.named_method == PLAIN_METHOD:
-                    notes.append("the heights do not compress: stored as they are")
+            coded = _coded(passes, job, source.info.n_bytes)
+            if coded.job.options.named_method != options.named_method:
+                notes.append("the heights do not compress: stored as they are")
             job = coded.job
             assemble(file, job.header(coded.file_tables), coded.segments)
             measured = None
@@ -369,6 +368,17 @@ def _write(
         notes=notes,
         marks=marks,
     )
+
+
+def _coded(passes: LocalPasses | DistributedPasses, job: Job, n_raw: int) -> Coded:
+    """Return the raster coded by the chosen method, or as the choice says for larger than raw."""
+    own, _, reason, other = job.options.choice
+    coded = passes.encode(job)
+    if other is not None and coded.n_bytes > n_raw:
+        reason = f"{own.name}, {reason}, takes {coded.n_bytes:,} bytes of {n_raw:,}"
+        coded = smaller(coded, passes.encode(job.with_method(other)))
+    _log.info("method %s: %s", coded.job.options.named_method.name, reason)
+    return coded
 
 
 class _Cluster(NamedTuple):
