@@ -97,7 +97,7 @@ PARTS = {"refiner", "file_tables", "fit", "trained"}
 CALLED_AFTER = ("cli/commands", "render/modes", "render/style")
 # Functions of more lines, without their docstrings: loops of kernels, which cost time when cut.
 MOST_LINES, MOST_ARGUMENTS = 70, 10
-LONG = {"_sweep_cells", "code_pass", "code_residuals", "code_rows"}
+LONG = {"_sweep_cells", "code_pass", "code_residuals"}
 # Functions of more arguments, and why.
 WIDE = {
     "options of a user": {
@@ -345,6 +345,20 @@ def test_only_the_table_of_methods_knows_them_by_name():
         for node in ast.walk(tree):
             if isinstance(node, ast.Constant) and node.value in METHODS and id(node) not in own:
                 raise AssertionError(f"{path.name}:{node.lineno} has the name {node.value!r}")
+
+
+def test_one_function_decides_the_method():
+    """Commands tell which methods it decides between, or compile them ahead; nobody else asks."""
+    for path in modules():
+        names = {
+            alias.name
+            for node in ast.walk(tree_of(path))
+            if isinstance(node, ast.ImportFrom) and node.module == "terrainwave.names"
+            for alias in node.names
+        }
+        if names & {"DEFAULT_METHOD", "SMALLEST_METHOD", "PLAIN_METHOD"}:
+            room = group_of(path)
+            assert room == "cli" or path == PACKAGE / "codec" / "method_options.py", path
 
 
 def _is_name_of_refiner(node):
