@@ -116,7 +116,7 @@ class FakeLevel(terrainwave.Terrain):
         return self._shape
 
     def level_place(self, level=-1, row=0, col=0):
-        return LevelPlace(self._shape, self._transform, (0.0, 0.0, 0.0, 0.0))
+        return LevelPlace(0, self._shape, self._transform, (0.0, 0.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("place", TURNED.values(), ids=TURNED)

@@ -163,7 +163,7 @@ class MeshVerification:
         return MeshReport(terrain.mesh_kind, against, levels, areas), self._checks.all()
 
     def _decoded(self, region: Region) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:
-        raw, valid = self._terrain.read_with_mask(tuple(region))
+        raw, valid = self._terrain.read_with_mask(region)
         return raw, valid
 
     def _report(self, n_samples: int) -> None:
