@@ -343,9 +343,8 @@ def _write(
         ) as passes:
             scan = passes.scan(fixed_steps(options, source.info))
             marks = note_on_marks(source, scan.minimum, scan.maximum)
-            earlier, earlier_notes = earlier_error(source)
+            earlier = earlier_error(source, scan.steps)
             job, notes = settled(options, scan, source.info, earlier)
-            notes += earlier_notes
             coded = passes.encode(job)
             is_large = coded.n_bytes > source.info.n_bytes
             is_large = is_large and not (options.is_embedded or options.faithful)
