@@ -277,8 +277,8 @@ def settled(
     if job.moved > MAX_MOVED:
         raise InvalidHeightsError(
             f"the heights are within {earlier.error:g} of an original by what came with them, which"
-            f" is more than 2^31 steps of {float(job.bound):g}; expected a larger `max_error`, or an"
-            " array without the attribute max_error"
+            f" is more than 2^31 steps of {float(job.bound):g}; expected a larger `max_error`, or"
+            " an array without the attribute max_error"
         )
     return job, notes + earlier_notes
 
