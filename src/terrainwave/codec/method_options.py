@@ -128,7 +128,8 @@ def chosen_with(method: object, effort: str, given: Mapping[str, Any]) -> tuple[
     for name in given:
         if name not in own.names():
             asked = method if isinstance(method, str) else own.name
-            refuse_unknown(name, "method", asked, [options_of(each) for each in METHODS])
+            sets = [options_of(each) for each in METHODS]
+            refuse_unknown(name, "method", sets, given=f"`{name}`", found=f"`method` {asked}")
     return replace(own, **given), stated
 
 

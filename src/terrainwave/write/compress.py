@@ -346,9 +346,8 @@ def _write(
         ) as passes:
             scan = passes.scan(fixed_steps(options, source.info))
             marks = note_on_marks(source, scan.minimum, scan.maximum)
-            earlier, earlier_notes = earlier_error(source)
+            earlier = earlier_error(source, scan.steps)
             job, notes = settled(options, scan, source.info, earlier)
-            notes += earlier_notes
             coded = _coded(passes, job, source.info.n_bytes)
             if coded.job.options.named_method != options.named_method:
                 notes.append("the heights do not compress: stored as they are")

@@ -5,40 +5,78 @@ its heights have become others: xarray keeps attributes. So the bound counts onl
 are compared with those of the file, and are the same.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import TerrainwaveError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import steps_on
+from terrainwave.grid.steps import FixedSteps
 from terrainwave.raster_io.source import RasterSource
 
 
-def earlier_error(source: RasterSource) -> tuple[float, list[str]]:
-    """Return how far heights may be from an original already, in physical units, and notes.
+class Earlier(NamedTuple):
+    """What heights had lost before.
 
-    Reads the heights once more, and the file, where something is claimed; else nothing.
+    Parameters
+    ----------
+    error : float
+        How far they may be from an original already, in physical units.
+    is_still : bool
+        They lie on fixed steps, where they stay: the new file loses nothing of them.
+    note : str
+        What a user should know of it; empty where nothing is claimed.
+    """
+
+    error: float = 0.0
+    is_still: bool = False
+    note: str = ""
+
+    def beyond(self, own: float) -> tuple[float, list[str]]:
+        """Return what a file's bound is larger by than `own`, that from the heights; and notes."""
+        if not self.error:
+            return 0.0, [self.note] * bool(self.note)
+        more = max(self.error - own, 0.0) if self.is_still else self.error
+        size = "this" if more == self.error else f"{more:.6g}"
+        end = f"the file's bound is larger by {size}" if more else "the file's bound holds for it"
+        return more, [f"{self.note}: {end}"]
+
+
+NOTHING = Earlier()
+
+
+def earlier_error(source: RasterSource, steps: FixedSteps | None) -> Earlier:
+    """Return how far heights may be from an original already.
+
+    Reads the heights once more, and the file, where something is claimed; else nothing. `steps` are
+    those that heights will be rounded to.
     """
     claim = source.claim
     if claim is None:
-        return 0.0, []
+        return NOTHING
     reason = "and no .twz file to compare them with"
     if claim.path is not None:
         try:
             with TerrainFile(claim.path) as terrain:
                 if _has_same_heights(terrain, source):
-                    return terrain.effective_error, [
+                    is_still = steps is not None and _is_on(source, steps)
+                    return Earlier(
+                        terrain.effective_error,
+                        is_still,
                         f"the heights are those of {claim.path}, within"
-                        f" {terrain.effective_error:.6g} of an original: the file's bound is larger"
-                        " by this"
-                    ]
+                        f" {terrain.effective_error:.6g} of an original"
+                        + ", and do not move"
+                        * is_still,
+                    )
             reason = f"and are not those of {claim.path}"
         except TerrainwaveError as error:
             reason = f"and cannot be compared: {error}"
-    return 0.0, [
-        f"the heights came with the attribute max_error, {claim.max_error:.6g}, {reason}: the"
+    return Earlier(
+        note=f"the heights came with the attribute max_error, {claim.max_error:.6g}, {reason}: the"
         " file's bound is from the heights as they are now"
-    ]
+    )
 
 
 def _has_same_heights(terrain: TerrainFile, source: RasterSource) -> bool:
@@ -64,6 +102,15 @@ def _has_same_heights(terrain: TerrainFile, source: RasterSource) -> bool:
         physical = stored[at] if is_stored else theirs.to_physical(stored[at])
         # As numbers: an array has them in the type that its voids or its scale need.
         if not np.array_equal(physical[valid], heights[valid]):
+            return False
+    return True
+
+
+def _is_on(source: RasterSource, steps: FixedSteps) -> bool:
+    """Say whether all heights lie on steps already."""
+    for region in source.blocks():
+        heights, valid = source.read(*region)
+        if not np.array_equal(steps.rounded(heights)[valid], heights[valid]):
             return False
     return True
 

@@ -31,6 +31,7 @@ from terrainwave.names import Method, mesh_without_coefficients, methods_that
 from terrainwave.place.units import height_unit
 from terrainwave.raster_io.raster_info import RasterInfo, stored_nodata
 from terrainwave.write.compress_options import Options
+from terrainwave.write.earlier import NOTHING, Earlier
 
 # Heights on no grid are rounded to their range / 2^18 or so before a stream of them is cut.
 _FINE_BITS = 18
@@ -52,7 +53,8 @@ class Job:
         The bound that holds where the quantizer does not tell it, in raw units: of an embedded
         file, once it is known, and where heights give way to the nodata value.
     earlier : float
-        How far the raster itself may be from an original that it was made of, in physical units.
+        How far the raster itself may be from an original that it was made of, in physical units;
+        of heights that do not move, beyond the file's own bound.
     origin : dict, optional
         What the file keeps of where it comes from (`origin_of`), if that was asked for.
     """
@@ -232,7 +234,7 @@ def fixed_steps(options: Options, info: RasterInfo) -> FixedSteps | None:
 
 
 def settled(
-    options: Options, scan: HeightScan, info: RasterInfo, earlier: float = 0.0
+    options: Options, scan: HeightScan, info: RasterInfo, earlier: Earlier = NOTHING
 ) -> tuple[Job, list[str]]:
     """Return the job for a raster that has been scanned, and what a user should know of it.
 
@@ -269,14 +271,16 @@ def settled(
         measured = None if options.is_embedded else measured
     grid = Grid(info.n_rows, info.n_cols, options.block)
     origin = origin_of(options, scan) if options.keep_origin else None
-    job = Job(options, info, grid, bound, quantizer, scan.n_valid, measured, earlier, origin)
+    own = quantizer.effective_error * float(scale_of(info))
+    more, earlier_notes = earlier.beyond(own)
+    job = Job(options, info, grid, bound, quantizer, scan.n_valid, measured, more, origin)
     if job.moved > MAX_MOVED:
         raise InvalidHeightsError(
-            f"the heights are within {earlier:g} of an original by what came with them, which is"
-            f" more than 2^31 steps of {float(job.bound):g}; expected a larger `max_error`, or an"
-            " array without the attribute max_error"
+            f"the heights are within {earlier.error:g} of an original by what came with them, which"
+            f" is more than 2^31 steps of {float(job.bound):g}; expected a larger `max_error`, or"
+            " an array without the attribute max_error"
         )
-    return job, notes
+    return job, notes + earlier_notes
 
 
 def _raw_bound(bound: Fraction, info: RasterInfo) -> Fraction:

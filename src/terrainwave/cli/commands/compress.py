@@ -238,7 +238,7 @@ def _manifest(directory: str, options: dict[str, Any]) -> Manifest:
         {"command": "compress", **_asked(options).to_metadata(), **source},
         files_of=files_of,
         # Whatever the manifest says: heights that are the same need no second file.
-        compare=lambda source, target, known, progress: difference(
+        compare=lambda source, target, _, progress: difference(
             target, source, progress=progress, **of_files
         ),
     )

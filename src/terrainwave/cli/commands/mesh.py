@@ -37,6 +37,7 @@ from terrainwave.cli.own_options import (
     own_option,
     with_own_options,
 )
+from terrainwave.errors import InvalidArgumentError
 
 # What --store takes, what it shares with meshes in files of their own, and what these take that
 # have a goal.
@@ -106,7 +107,7 @@ def mesh(context: click.Context, /, file: str, target: str, stores: bool, **opti
     """Write a crack-free mesh of FILE (.twz) to TARGET, within the bound of the original.
 
     TARGET's extension selects the format: .ply, .obj, .stl, .glb, .gltf, .vtu, .vtk, or .terrain, a
-    Cesium quantized-mesh tile.
+    Cesium quantized-mesh tile. With --store it is .twz: a copy of FILE with meshes of all blocks.
     """
     _refuse_unfit(context, stores=stores, loose=options["loose"])
     if stores:
@@ -186,7 +187,10 @@ def _export_mesh(
     from terrainwave.export.mesh_files import check_extension, prepare
 
     check_one_area(options)
-    extension = check_extension(target)
+    try:
+        extension = check_extension(target)
+    except InvalidArgumentError as error:
+        raise click.UsageError(f"{error}, or in .twz with --store") from error
     if extension == ".terrain" and (frame or z_scale != 1 or solid is not None):
         raise click.UsageError(
             "found --frame, --z-scale or --solid, expected none of them: a .terrain tile has a"

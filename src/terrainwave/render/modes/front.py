@@ -300,7 +300,7 @@ class FrontMode(Mode):
         if level < self.n_levels - 1:
             error = max(terrain.block_error(block) for block in blocks)
         largest = max(abs(height) for height in self.frame.heights)
-        return (error + largest * FLOAT32_ROUNDING) * self.frame.metres[2]
+        return (error + largest * FLOAT32_ROUNDING) * self.frame.error_metres
 
     # In worker threads
 
