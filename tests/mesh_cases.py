@@ -11,8 +11,8 @@ from twz import grouped
 
 import terrainwave
 from terrainwave.grid.quadtree import Region
+from terrainwave.verification.checked_mesh import deviation
 from terrainwave.verification.on_grid import Ruler, mesh_problems, must_be_covered, surface_of_mesh
-from terrainwave.verification.surface import deviation
 
 KINDS = (
     "smooth", "cliffs", "noise", "flat", "half sea", "spikes", "ramp", "steps", "rough patch",

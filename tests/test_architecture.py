@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from collections import Counter
 from functools import cache
 from pathlib import Path
 
@@ -89,14 +90,19 @@ WITHOUT_GPU = {"captures", "controls", "ground", "session"}
 MOST_SIDE_BY_SIDE = 14
 # Still more: none of them may grow.
 CROWDED: dict[str, int] = {}
+# Names that several modules may have: the parts that packages of methods have in common.
+PARTS = {"refiner", "file_tables", "fit", "trained"}
+# Modules called what they are for, which a module elsewhere does: a command, a mode of the viewer.
+# `render.style` is where `Style` was before 1.1.
+CALLED_AFTER = ("cli/commands", "render/modes", "render/style")
 # Functions of more lines, without their docstrings: loops of kernels, which cost time when cut.
 MOST_LINES, MOST_ARGUMENTS = 70, 10
-LONG = {"_sweep_cells", "code_pass", "code_residuals", "code_rows"}
+LONG = {"_sweep_cells", "code_pass", "code_residuals"}
 # Functions of more arguments, and why.
 WIDE = {
     "options of a user": {
         "compress", "compress_to_bytes", "decompress", "render", "serve", "write_pmtiles",
-        "write_tiles", "_draw", "_export_mesh", "Scene.__init__",
+        "view", "write_tiles", "_draw", "_export_mesh", "Scene.__init__",
     },
     "arrays of one unit, and where in them: an array in a tuple counts references in every row": {
         "_add_spread", "_code", "_code_line", "_code_node", "_code_tables", "_correct", "_encode",
@@ -257,6 +263,19 @@ def test_no_package_is_crowded():
     assert crowded == CROWDED
 
 
+def test_a_name_of_a_module_says_which_module_it_is():
+    """`tiles` meant four: what divides a raster, decoded it, encoded it, and a command."""
+    named = Counter(
+        path.stem
+        for path in modules()
+        if not str(path.relative_to(PACKAGE)).startswith(CALLED_AFTER)
+    )
+    assert {name for name, count in named.items() if count > 1} <= PARTS | {"__init__"}
+    for path in modules():
+        if path.stem in PARTS:
+            assert path.relative_to(PACKAGE).parts[0] == "codec", path
+
+
 def functions_of(tree, owner=""):
     """Yield names, with that of their class, and functions."""
     for node in ast.iter_child_nodes(tree):
@@ -326,6 +345,20 @@ def test_only_the_table_of_methods_knows_them_by_name():
         for node in ast.walk(tree):
             if isinstance(node, ast.Constant) and node.value in METHODS and id(node) not in own:
                 raise AssertionError(f"{path.name}:{node.lineno} has the name {node.value!r}")
+
+
+def test_one_function_decides_the_method():
+    """Commands tell which methods it decides between, or compile them ahead; nobody else asks."""
+    for path in modules():
+        names = {
+            alias.name
+            for node in ast.walk(tree_of(path))
+            if isinstance(node, ast.ImportFrom) and node.module == "terrainwave.names"
+            for alias in node.names
+        }
+        if names & {"DEFAULT_METHOD", "SMALLEST_METHOD", "PLAIN_METHOD"}:
+            room = group_of(path)
+            assert room == "cli" or path == PACKAGE / "codec" / "method_options.py", path
 
 
 def _is_name_of_refiner(node):

@@ -71,6 +71,7 @@ WRONG = {
     "Terrain.read_with_mask": OF_WINDOWS | OF_VOIDS,
     "Terrain.read_early": OF_WINDOWS | OF_VOIDS | {"quality": NUMBER},
     "Terrain.region": OF_WINDOWS | {"bounds": FOUR},
+    "Terrain.checked_window": OF_WINDOWS | {"bounds": FOUR},
     "Terrain.transform_of": OF_WINDOWS,
     "Terrain.coordinates": OF_WINDOWS,
     "Terrain.level_shape": {"level": WHOLE},

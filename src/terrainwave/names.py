@@ -38,7 +38,7 @@ class Method:
         Module and class in `codec` of its options.
     refiner : str, optional
         Module and class in `codec` that code its units; None where these are gathered in tiles of
-        several levels (`codec.cdf53.tiles`), which have no aprons.
+        several levels (`codec.cdf53.tile_layout`), which have no aprons.
     pyramid : str
         Of what heights coarse levels are made (`write.pyramid`): every second sample, averages of
         the 9/7 filter or of the reversible 5/3.

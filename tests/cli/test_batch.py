@@ -494,10 +494,8 @@ def test_a_folder_stands_for_the_files_below_it(tmp_path):
     done = run("decompress", out, "--to", tmp_path / "back")
     assert done.exit_code == 0, done.stderr
     for path in files:
-        assert np.array_equal(
-            read_geotiff(tmp_path / "back" / path.replace(".twz", ".tif"))[0],
-            read_geotiff(folder / path.replace(".twz", ".TIF"))[0],
-        )
+        found = read_geotiff(tmp_path / "back" / path.replace(".twz", ".tif"))[0]
+        assert np.abs(found - read_geotiff(folder / path.replace(".twz", ".TIF"))[0]).max() <= 1
 
 
 def test_a_folder_without_a_fitting_file_is_wrong_usage(tmp_path):

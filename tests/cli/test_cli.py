@@ -422,7 +422,7 @@ def test_verify_and_info_say_whether_the_bound_is_strict(tmp_path, is_strict):
     done = run("verify", target, path)
     assert done.exit_code == 0
     assert ("holds of the stored values themselves" in done.stdout) is is_strict
-    assert ("by up to one float spacing more" in done.stdout) is not is_strict
+    assert ("off by one float spacing more" in done.stdout) is not is_strict
     assert json.loads(run("verify", target, path, "--json").stdout)["is_strict"] is is_strict
     with terrainwave.open(target) as terrain:
         decoded = terrain.read()

@@ -272,7 +272,7 @@ def test_names_may_be_as_long_as_the_system_takes(tmp_path, dem, n_bytes, letter
 
 
 def test_what_a_killed_run_left_beside_a_long_name_is_removed(tmp_path):
-    from terrainwave.container.publish import publish, scratch_directory
+    from terrainwave.container.targets.publication import publish, scratch_directory
 
     first, second = (tmp_path / ("a" * 240 + end) for end in ("1.twz", "2.twz"))
     with publish(first) as part, scratch_directory(tmp_path, first.name) as scratch:

@@ -7,9 +7,9 @@ import threading
 
 import pytest
 
+from terrainwave.container.sources.byte_source import BufferSource, FileSource
 from terrainwave.container.sources.opening import open_source
 from terrainwave.container.sources.ranges import ByteRange
-from terrainwave.container.sources.source import BufferSource, FileSource
 from terrainwave.errors import InvalidArgumentError, StorageError, TruncatedStreamError
 
 DATA = bytes(range(256)) * 40

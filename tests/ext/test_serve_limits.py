@@ -12,7 +12,7 @@ from ext.rasters import hills, write_twz
 from fastapi.testclient import TestClient
 
 from terrainwave.errors import CorruptStreamError
-from terrainwave.ext.serve import connections
+from terrainwave.ext.serve import client_limits
 from terrainwave.ext.serve.app import make_app
 from terrainwave.globe import terrain_rgb as tiling
 
@@ -36,8 +36,8 @@ def client(hilly):
 def quick(monkeypatch):
     """Let a third of a second be too long."""
     for name in ("ASK_SECONDS", "TAKE_SECONDS"):
-        monkeypatch.setattr(connections, name, 0.3)
-    monkeypatch.setattr(connections, "_LOOK_SECONDS", 0.05)
+        monkeypatch.setattr(client_limits, name, 0.3)
+    monkeypatch.setattr(client_limits, "_LOOK_SECONDS", 0.05)
 
 
 @pytest.fixture
@@ -119,7 +119,7 @@ def _place(url):
 
 
 def test_more_connections_than_allowed_are_refused_at_once(hilly, monkeypatch):
-    monkeypatch.setattr(connections, "MAX_CONNECTIONS", 2)
+    monkeypatch.setattr(client_limits, "MAX_CONNECTIONS", 2)
     with served(make_app([str(hilly)])) as url:
         held = [connected(_place(url)) for _ in range(2)]
         time.sleep(0.1)
@@ -201,7 +201,7 @@ def test_an_answer_that_ends_early_is_a_line_without_a_traceback():
     except RuntimeError as error:
         told = (RuntimeError, error, error.__traceback__)
     record = logging.LogRecord("x", logging.ERROR, "x", 1, "Exception", (), told)
-    assert connections._is_told(record)
+    assert client_limits._is_told(record)
     assert record.getMessage() == "an answer ended early: the file is damaged"
     assert record.exc_info is None
 

@@ -19,9 +19,9 @@ from terrainwave.mesh.sections import mesher_of
 from terrainwave.render.modes import mode_class
 from terrainwave.render.scene.frame import frame_of
 from terrainwave.render.scene.selection import Piece
-from terrainwave.tri.mesh import FRACTION_BITS
-from terrainwave.tri.stored import STORED_KINDS
-from terrainwave.tri.surface import largest_deviation
+from terrainwave.tri.block_mesh import FRACTION_BITS
+from terrainwave.tri.mesh_distance import largest_deviation
+from terrainwave.tri.stored_kinds import STORED_KINDS
 
 N_EXAMPLES = 2 if os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"} else 10
 SMOOTH = make_case("smooth", "none", (150, 200), 4, amplitude=900.0, max_error=2, block=32)

@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from terrainwave.tri.block_mesh import BlockMesh
 from terrainwave.tri.halves.simplify import simplify
-from terrainwave.tri.mesh import BlockMesh
+from terrainwave.verification.checked_mesh import Surface, deviation
 from terrainwave.verification.checks import problems_of
 from terrainwave.verification.pieces import WHOLE
-from terrainwave.verification.surface import Surface, deviation
 
 
 def fan(n_spokes):

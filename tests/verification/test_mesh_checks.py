@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
+from terrainwave.verification.checked_mesh import Surface, deviation
 from terrainwave.verification.checks import problems_of
 from terrainwave.verification.on_grid import border_line, line_problems
 from terrainwave.verification.pieces import (
@@ -22,7 +23,6 @@ from terrainwave.verification.pieces import (
     pieces_of_mask,
     refined_pieces,
 )
-from terrainwave.verification.surface import Surface, deviation
 
 CORNERS = {ABC: "abc", ACD: "acd", ABD: "abd", BCD: "bcd"}
 

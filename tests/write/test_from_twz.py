@@ -135,7 +135,12 @@ def test_options_of_rasters_are_refused(tmp_path, original):
 
 def test_all_else_of_the_file_stays(tmp_path):
     source = write_geotiff(
-        tmp_path / "dem.tif", HEIGHTS, nodata=NODATA, crs="EPSG:32610", units=("metre",)
+        tmp_path / "dem.tif",
+        HEIGHTS,
+        nodata=NODATA,
+        crs="EPSG:32610",
+        units=("metre",),
+        transform=(10.0, 0.0, 500.0, 0.0, -10.0, 900.0),
     )
     with rasterio.open(source, "r+") as dataset:
         dataset.scales, dataset.offsets = (0.5,), (10.0,)

@@ -19,7 +19,7 @@ from terrainwave.errors import BoundViolationError, InvalidHeightsError, Storage
 from terrainwave.terrain import Terrain
 from terrainwave.write.patch import patch
 from terrainwave.write.patching import index
-from terrainwave.write.patching.encoder import PatchEncoder
+from terrainwave.write.patching.patch_encoder import PatchEncoder
 
 NODATA = -32768
 HEIGHTS = terrain_like(140, 100, seed=11)

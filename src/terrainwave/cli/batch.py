@@ -194,7 +194,7 @@ def run(
     n_at_once = min(len(jobs), n_threads)
     is_stopped = threading.Event()
 
-    def go_on(progress: object = None) -> None:
+    def go_on(_: object = None) -> None:
         if is_stopped.is_set():
             raise KeyboardInterrupt
 

@@ -52,7 +52,7 @@ class Color(click.ParamType):
         return red, green, blue
 
 
-def _as_int(ctx: Any, param: Any, value: str | None) -> int | None:
+def _as_int(_: Any, __: Any, value: str | None) -> int | None:
     return None if value is None else int(value)
 
 
@@ -135,7 +135,7 @@ def suggest_exaggeration(frame: Any) -> None:
 def note_dry_land(scene: Any, style: Any) -> None:
     """Say that what lies below the sea is drawn as land, where that is a guess."""
     frame = scene.scene.frame
-    lowest = min(frame.heights)
+    lowest = min(frame.heights, key=lambda height: height * frame.metres[2])
     if not style.is_absolute(frame.body) or style.sea_level != AUTO:
         return
     if lowest * frame.metres[2] <= _SEEN_DEPTH and not scene.water.cells.any():

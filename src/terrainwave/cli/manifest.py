@@ -136,7 +136,7 @@ def _read_entries(path: Path) -> dict[str, dict[str, Any]]:
 
 def _shorten(path: Path, entries: dict[str, dict[str, Any]]) -> None:
     """Leave one line for each target. What another run adds meanwhile is compared once more."""
-    from terrainwave.container.publish import publish
+    from terrainwave.container.targets.publication import publish
     from terrainwave.errors import StorageError
 
     with suppress(StorageError), publish(path, overwrite=True) as part:

@@ -24,7 +24,7 @@ from terrainwave.render.look.colorings import AUTO, NO_SEA
 TILE_SIZES = tuple(2**n + 1 for n in range(1, 15))
 
 
-def complete_files(ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
+def complete_files(_: Any, __: Any, incomplete: str) -> list[CompletionItem]:
     """Let the shell complete the name of a file."""
     return [CompletionItem(incomplete, type="file")]
 
@@ -34,7 +34,7 @@ class _Path(click.ParamType):
 
     completes = "file"
 
-    def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
+    def shell_complete(self, _: Any, __: Any, incomplete: str) -> list[CompletionItem]:
         """Let the shell complete the name."""
         return [CompletionItem(incomplete, type=self.completes)]
 
@@ -134,7 +134,7 @@ class Finite(click.ParamType):
     name = "number"
     expected = "a finite number"
 
-    def holds(self, number: float) -> bool:
+    def holds(self, _: float) -> bool:
         """Say whether a finite number is one of these."""
         return True
 

@@ -117,19 +117,36 @@ def message_of(error: TerrainwaveError | TerrainwaveWarning) -> str:
 class Command(click.Command):
     """A command: an argument that cannot be is wrong usage, wherever that is found out."""
 
+    def pointer(self, ctx: click.Context, message: str) -> str:  # noqa: ARG002  of some commands
+        """Return the command that helps where `message` says what is wrong."""
+        return f"{ctx.command_path} --help"
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Read the arguments; what is wrong with them is wrong with this command."""
+        with _of_command(ctx):
+            return super().parse_args(ctx, args)
+
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command."""
         try:
-            return super().invoke(ctx)
+            with _of_command(ctx):
+                return super().invoke(ctx)
         except InvalidArgumentError as error:
             raise click.UsageError(message_of(error), ctx) from error
         except BrokenPipeError as error:  # click would end without a word
             if is_of_stdout(error):
                 raise
             raise StorageError(line_of(error)) from error
-        except click.UsageError as error:
-            error.ctx = error.ctx or ctx
-            raise
+
+
+@contextmanager
+def _of_command(ctx: click.Context) -> Iterator[None]:
+    """Let wrong usage name the command that it is of: click's parser does not say."""
+    try:
+        yield
+    except click.UsageError as error:
+        error.ctx = error.ctx or ctx
+        raise
 
 
 class Commands(click.Group):
@@ -149,10 +166,12 @@ class Commands(click.Group):
             error.show()
             sys.exit(2)
         except click.UsageError as error:
-            command = error.ctx.command_path if error.ctx else "terrainwave"
-            click.echo(
-                f"{command}: {plain(error.format_message())} (see {command} --help)", err=True
-            )
+            message = plain(error.format_message())
+            name = "terrainwave" if error.ctx is None else error.ctx.command_path
+            see = f"{name} --help"
+            if error.ctx is not None and isinstance(error.ctx.command, Command):
+                see = error.ctx.command.pointer(error.ctx, message)
+            click.echo(f"{name}: {message} (see {see})", err=True)
             sys.exit(2)
         except click.ClickException as error:
             print_error(error.format_message())

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import terrainwave
-from terrainwave.container.publish import system_scratch
+from terrainwave.container.targets.publication import system_scratch
 from terrainwave.errors import StorageError, TerrainwaveError, TerrainwaveWarning
 from terrainwave.names import (
     DEFAULT_METHOD,
@@ -26,7 +26,7 @@ from terrainwave.names import (
     WARMUP_TASKS,
 )
 from terrainwave.raster_io.geotiff.sink import RasterSink
-from terrainwave.raster_io.info import SUPPORTED_DTYPES, RasterInfo
+from terrainwave.raster_io.raster_info import SUPPORTED_DTYPES, RasterInfo
 
 # Rows and columns: several levels of the smallest blocks, with borders that end within one.
 _SHAPE = (200, 220)

@@ -24,8 +24,8 @@ from terrainwave.container.page import (
 )
 from terrainwave.container.reader import check_crc
 from terrainwave.container.segment import Segment, segment_of_page
+from terrainwave.container.sources.byte_source import ByteSource
 from terrainwave.container.sources.opening import open_source
-from terrainwave.container.sources.source import ByteSource
 from terrainwave.container.spool import storage_errors
 from terrainwave.extras import need
 from terrainwave.grid.quadtree import Block, Grid

@@ -21,9 +21,9 @@ from terrainwave.container.page import (
     unpack_page,
 )
 from terrainwave.container.segment import Segment, page_and_payloads, segment_of_page
+from terrainwave.container.sources.byte_source import ByteSource
 from terrainwave.container.sources.ranges import ByteRange
 from terrainwave.container.sources.rounds import RoundReader
-from terrainwave.container.sources.source import ByteSource
 from terrainwave.errors import CorruptStreamError, TerrainwaveError, TruncatedStreamError
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid
 

@@ -23,7 +23,7 @@ from terrainwave.arguments import (
     one_of,
     shown,
 )
-from terrainwave.container.publish import refuse_own_source
+from terrainwave.container.targets.publication import refuse_own_source
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.export.ellipsoidal import AboveEllipsoid, above_ellipsoid
 from terrainwave.export.georeference import info_to_write, keep_place
@@ -116,8 +116,9 @@ def decompress(
         _check_geotiff(dst, voids, size)
     refuse_own_source(src, dst)
     with TerrainFile(src, threads=threads) as terrain:
-        region = terrain.region(window, bounds=bounds, level=level)
-        if note := terrain.note_on_cut(window, bounds=bounds, level=level):
+        asked = terrain.checked_window(window, bounds=bounds, level=level)
+        region = asked.region
+        if note := asked.note_on_cut(terrain.res):
             warnings.warn(note, TerrainwaveWarning, stacklevel=2)
         if is_tile:
             return write_height_tile(

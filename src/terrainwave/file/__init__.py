@@ -83,7 +83,7 @@ class TerrainFile(DescribedFile):
     def decoder(self) -> "TreeDecoder":
         """Return the decoder of the file's units, with its cache; heights are in quanta."""
         # Imported when heights are first read: opening a file and `info` need no numba.
-        from terrainwave.read.tiles import make_decoder
+        from terrainwave.read.tile_decoder import make_decoder
 
         return make_decoder(self.header, self.container.payloads, self._cache_bytes)
 
@@ -192,8 +192,9 @@ class TerrainFile(DescribedFile):
                 raise InvalidArgumentError(
                     f"found `out_shape` {shown(out_shape)}, expected at least (1, 1)"
                 )
-        index = self.level_index(level)
-        region = self.region(window, bounds=bounds, level=level)
+        _check_voids(voids)
+        asked = self.checked_window(window, bounds=bounds, level=level)
+        index, region = asked.level, asked.region
         self._check_size(out_shape or region.shape, max_bytes)
         if out_shape is None:
             heights, void = self._levels.read(index, region, on_error, voids)
@@ -228,9 +229,9 @@ class TerrainFile(DescribedFile):
         For rasters whose voids are marked by a mask: their heights alone do not show voids.
         """
         check_choice("on_error", on_error, ON_ERROR)
-        region = self.region(window, level=level)
-        index = self.level_index(level)
-        return self._filled(*self._levels.read(index, region, on_error, voids))
+        _check_voids(voids)
+        asked = self.checked_window(window, level=level)
+        return self._filled(*self._levels.read(asked.level, asked.region, on_error, voids))
 
     def _filled(
         self, heights: NDArray[Any], void: NDArray[np.bool_] | None
@@ -266,9 +267,9 @@ class TerrainFile(DescribedFile):
             if `quality` is out of range.
         """
         check_choice("on_error", on_error, ON_ERROR)
+        _check_voids(voids)
         quality = checked_number("quality", quality, above=0)
-        method, index = self.header.method, self.level_index(level)
-        region = self.region(window, level=level)
+        asked, method = self.checked_window(window, level=level), self.header.method
         if not METHODS[method].is_cuttable:
             fit = methods_that(lambda method: method.is_cuttable)
             raise InvalidArgumentError(
@@ -278,10 +279,10 @@ class TerrainFile(DescribedFile):
         from terrainwave.read.early import early_decoder
 
         decoder, payloads = early_decoder(
-            self.container, index, region, quality, cache_bytes=self._cache_bytes
+            self.container, asked.level, asked.region, quality, cache_bytes=self._cache_bytes
         )
-        found = self._filled(*self._levels.read(index, region, on_error, voids, decoder))
-        return EarlyHeights(*found, payloads.n_bytes)
+        found = self._levels.read(asked.level, asked.region, on_error, voids, decoder)
+        return EarlyHeights(*self._filled(*found), payloads.n_bytes)
 
     def sample(
         self,
@@ -307,8 +308,7 @@ class TerrainFile(DescribedFile):
             holds at samples, not between them.
         """
         places = places_of(points)
-        if voids is not None:
-            check_choice("voids", voids, VOIDS)
+        _check_voids(voids)
         index, turn = self.level_index(level), longitude_turn(self.crs)
         if turn is not None:
             places = turn.near(places, self.bounds)
@@ -366,6 +366,12 @@ class TerrainFile(DescribedFile):
                 f"the window holds {shape[0]} x {shape[1]} samples, {n_bytes:,} bytes; more than"
                 f" max_bytes = {max_bytes:,}: read a smaller window or a coarser level"
             )
+
+
+def _check_voids(voids: str | None) -> None:
+    """Refuse what is neither None nor one of `VOIDS`."""
+    if voids is not None:
+        check_choice("voids", voids, VOIDS)
 
 
 def _with_valid(

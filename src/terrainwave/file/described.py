@@ -20,14 +20,14 @@ from terrainwave.container.sources.addresses import display_name
 from terrainwave.container.sources.opening import open_source
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.file.callable_transform import CallableTransform
-from terrainwave.grid.affine import EVEN, bounds, coordinates, is_turned, of_level, pixel_size
+from terrainwave.grid.affine import bounds, coordinates, is_turned, of_level, pixel_size
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.names import METHODS
 from terrainwave.place.units import HeightUnit
 from terrainwave.place.units import height_unit as unit_of
-from terrainwave.raster_io.info import RasterInfo
-from terrainwave.read.places import LevelPlace, region_of_window
+from terrainwave.raster_io.raster_info import RasterInfo
+from terrainwave.read.places import LevelPlace, LevelWindow, region_of_window
 
 DEFAULT_CACHE_BYTES = 256 << 20
 
@@ -228,7 +228,9 @@ class DescribedFile:
         InvalidArgumentError
             If there is no such level, or `window` is no window.
         """
-        row, col, _, _ = self.level_place(level).asked(window, None)
+        row, col = 0, 0
+        if window is not None:
+            row, col, _, _ = region_of_window(window, self.level_shape(level))
         a, b, c, d, e, f = self.level_place(level, row, col).transform
         return Affine(a, b, c, d, e, f)
 
@@ -236,7 +238,7 @@ class DescribedFile:
         """Return a level's shape and place, from one of its samples on, and the raster's bounds."""
         index = self.level_index(level)
         transform = of_level(self._raster.transform, self.grid.stride(index), row, col)
-        return LevelPlace(self.grid.level_shape(index), transform, self.bounds)
+        return LevelPlace(index, self.grid.level_shape(index), transform, self.bounds)
 
     def is_turned(self, level: int = -1) -> bool:
         """Say whether x or y changes along both the rows and the columns of a level."""
@@ -351,14 +353,14 @@ class DescribedFile:
         InvalidArgumentError
             If both are given, one is malformed, or they miss the level.
         """
-        return self.level_place(level).region(window, bounds)
+        return self.checked_window(window, bounds=bounds, level=level).region
 
-    def note_on_cut(
+    def checked_window(
         self, window: Any = None, *, bounds: Sequence[float] | None = None, level: int = -1
-    ) -> str | None:
-        """Say that a window or bounds reach beyond a level, and what is left of it; None if not.
+    ) -> LevelWindow:
+        """Return the part as `region` does, with its level and what was cut off.
 
-        `region` cuts them without a word, as `read` tells; who writes a file passes this on.
+        Arguments and errors are those of `region`, which see: here they are checked, and what is
+        below takes them as they are.
         """
-        slack = EVEN * min(self.res)  # what rounding of coordinates in text leaves out
-        return self.level_place(level).note_on_cut(window, bounds, slack)
+        return self.level_place(level).window(window, bounds)

@@ -9,7 +9,7 @@ from terrainwave.codec.registry import newer_layout
 from terrainwave.container.header import Header
 from terrainwave.file.described import DescribedFile
 from terrainwave.names import EFFORTS, FORMATS
-from terrainwave.raster_io.earlier import steps_of
+from terrainwave.raster_io.earlier_loss import steps_of
 
 
 @dataclass(frozen=True)

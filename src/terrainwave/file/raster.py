@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import IDENTITY
-from terrainwave.raster_io.earlier import EarlierLoss, Step, steps_of
+from terrainwave.raster_io.earlier_loss import EarlierLoss, Step, steps_of
 from terrainwave.raster_io.source import RasterSource
 
 

@@ -15,7 +15,7 @@ from terrainwave.container.codes import decode_error
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.mesh.blocks import BlockMesher, BlockSamples, SideTolerances
-from terrainwave.tri.mesh import FRACTION_BITS
+from terrainwave.tri.block_mesh import FRACTION_BITS
 
 # Coarse blocks whose heights take at most this share of the error asked for are not refined.
 _COARSE_SHARE = 4

@@ -12,10 +12,10 @@ from terrainwave.cache import Cache
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.blocks import BlockMesher, BlockSamples, border_lines
 from terrainwave.mesh.cut import OPPOSITE, TOWARDS, Area, Cut, sides_of
+from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.halves.halves import Lines, triangulate
 from terrainwave.tri.halves.simplify import simplify
-from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
-from terrainwave.tri.surface import deviation_from_bilinear, largest_deviation
+from terrainwave.tri.mesh_distance import deviation_from_bilinear, largest_deviation
 
 # Tries to mesh a block of a coarse level that was asked for within the error. Other coarse blocks
 # have one before they are refined: finer ones take fewer triangles than a mesh that is tried again.

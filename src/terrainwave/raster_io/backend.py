@@ -6,7 +6,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.raster_io.earlier import EarlierLoss
+from terrainwave.raster_io.earlier_loss import EarlierLoss
 
 
 class RasterBackend(Protocol):

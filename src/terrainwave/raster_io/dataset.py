@@ -24,7 +24,7 @@ from terrainwave.errors import (
 )
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.place.crs import format_crs, is_exact
-from terrainwave.raster_io.earlier import EarlierLoss
+from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.gdal import (
     GDAL_ERRORS,
     bounded_env,

@@ -16,8 +16,8 @@ from terrainwave.grid.affine import determinant, of_window, places_to_pixels
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
 from terrainwave.raster_io.backend import RasterBackend
-from terrainwave.raster_io.earlier import EarlierLoss
-from terrainwave.raster_io.info import SUPPORTED_DTYPES, fit_nodata, stored_nodata
+from terrainwave.raster_io.earlier_loss import EarlierLoss
+from terrainwave.raster_io.raster_info import SUPPORTED_DTYPES, fit_nodata, stored_nodata
 from terrainwave.raster_io.tags import common_tags
 
 # Parts of a pixel by which grids may differ: tiles name their corners with ten digits or so.

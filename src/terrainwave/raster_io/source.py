@@ -29,18 +29,18 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.arrays import ArrayBackend, Claim, LabelledBackend
 from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.dataset import DatasetBackend, is_twz, open_dataset
-from terrainwave.raster_io.earlier import EarlierLoss
+from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.gdal import (
     SCAN_SAMPLES,
     scan_windows,
 )
-from terrainwave.raster_io.info import (
+from terrainwave.raster_io.mosaic import MosaicBackend
+from terrainwave.raster_io.raster_info import (
     SUPPORTED_DTYPES,
     RasterInfo,
     fit_nodata,
     stored_nodata,
 )
-from terrainwave.raster_io.mosaic import MosaicBackend
 
 # What to convert an unsupported type to; the narrowest of ours that holds all of its values, or
 # the one that holds elevations in practice.

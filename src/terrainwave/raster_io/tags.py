@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
-from terrainwave.raster_io.info import Tags
+from terrainwave.raster_io.raster_info import Tags
 
 # UTF-8 bytes of the names and values of one set: files open with one short read.
 _MOST_BYTES = 16 << 10

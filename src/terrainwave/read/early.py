@@ -11,12 +11,12 @@ from terrainwave.codec.cdf53.refiner import (
     prefix_length,
     unpack_head,
 )
-from terrainwave.codec.cdf53.tiles import TileLayout
+from terrainwave.codec.cdf53.tile_layout import TileLayout
 from terrainwave.container.reader import Container
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.read.decoder import TreeDecoder, unit_name, units_of
-from terrainwave.read.tiles import make_decoder
+from terrainwave.read.tile_decoder import make_decoder
 
 # Bytes of each payload that are read to see its head; more where that is longer.
 _FIRST_READ = 512

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.verification.checked_mesh import FLOAT_TOLERANCE, Surface
 from terrainwave.verification.pieces import (
     ABC,
     ABD,
@@ -24,7 +25,6 @@ from terrainwave.verification.pieces import (
     coverage,
     n_unions,
 )
-from terrainwave.verification.surface import FLOAT_TOLERANCE, Surface
 
 _MAX_LISTED = 5
 

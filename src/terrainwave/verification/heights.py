@@ -25,12 +25,12 @@ from terrainwave.arguments import (
 from terrainwave.errors import InvalidArgumentError, TerrainwaveError
 from terrainwave.names import METHODS
 from terrainwave.progress import Progress, ProgressCallback
-from terrainwave.verification.metadata import metadata_problems
 from terrainwave.verification.metrics import ErrorReport, ErrorSum
 from terrainwave.verification.original import Original, open_original, place_text
+from terrainwave.verification.raster_metadata import metadata_problems
 
 if TYPE_CHECKING:
-    from terrainwave.verification.meshes import MeshReport
+    from terrainwave.verification.mesh_walk import MeshReport
 
 # Problems of one kind are listed up to this number, then counted.
 _MAX_LISTED = 10
@@ -179,7 +179,7 @@ def _with_meshes(
 ) -> VerifyReport:
     """Add the checks of meshes to a report, unless the heights can't be read."""
     # Imported here: numba.
-    from terrainwave.verification.meshes import verify_meshes
+    from terrainwave.verification.mesh_walk import verify_meshes
 
     checked, problems = verify_meshes(
         terrain, None if read is None else lambda region: read(*region), progress

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from terrainwave.grid.affine import determinant, places_to_pixels, places_to_samples, without_shift
 from terrainwave.grid.quadtree import Block, Region
+from terrainwave.verification.checked_mesh import Surface
 from terrainwave.verification.checks import boundary_edges, problems_of
 from terrainwave.verification.pieces import NOTHING, pieces_of_mask, refined_pieces
-from terrainwave.verification.surface import Surface
 
 SIXTEENTHS = 16
 # Relative; what a decimal error loses as float64.
@@ -95,7 +95,7 @@ def block_mask(terrain: Any, block: Block) -> NDArray[np.bool_]:
     """
     grid = terrain.grid
     region = grid.block_region(block)
-    _, mask = terrain.read_with_mask(tuple(region), level=block.level, voids="any")
+    _, mask = terrain.read_with_mask(region, level=block.level, voids="any")
     stride = grid.stride(block.level)
     full = grid.full_region(block)
     n_rows, n_cols = (-(-(n - 1) // stride) + 1 for n in (full.n_rows, full.n_cols))
@@ -194,7 +194,7 @@ def area_pieces(terrain: Any, region: Region, level: int) -> NDArray[np.uint8]:
         min(last_row, n_rows - 1) - first_row + 1,
         min(last_col, n_cols - 1) - first_col + 1,
     )
-    _, mask = terrain.read_with_mask(tuple(inside), level=level, voids="any")
+    _, mask = terrain.read_with_mask(inside, level=level, voids="any")
     beyond = max(last_row - n_rows + 1, 0), max(last_col - n_cols + 1, 0)
     mask = np.pad(mask, ((0, beyond[0]), (0, beyond[1])), mode="edge")
     pieces = refined_pieces(pieces_of_mask(mask), stride)

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.verification.surface import FLOAT_TOLERANCE, Surface
+from terrainwave.verification.checked_mesh import FLOAT_TOLERANCE, Surface
 
 # What a mesh covers of a quad a b (upper), d c (lower), seen from a downwards and to the right,
 # and from c upwards and to the left. All of it, or one of four triangles.

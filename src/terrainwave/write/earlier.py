@@ -10,6 +10,7 @@ compared with those of the file, and are the same. It adds to the bound that is 
 
 import os
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +19,49 @@ from terrainwave.errors import InvalidArgumentError, TerrainwaveError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import steps_on
 from terrainwave.grid.quantum import as_fraction
-from terrainwave.raster_io.earlier import NO_LOSS, EarlierLoss, Step, steps_of
+from terrainwave.grid.steps import FixedSteps
+from terrainwave.raster_io.earlier_loss import Step, steps_of
 from terrainwave.raster_io.source import RasterSource
-from terrainwave.write.options import Options
+from terrainwave.write.compress_options import Options
+
+
+class Earlier(NamedTuple):
+    """What heights had lost before.
+
+    Parameters
+    ----------
+    error : float
+        How far they may be from an original already, in physical units.
+    is_still : bool
+        They lie on fixed steps, where they stay: the new file loses nothing of them.
+    note : str
+        What a user should know of it; empty where nothing is claimed.
+    steps : tuple of Step
+        The .twz files that they went through.
+    asked : Options, optional
+        What was asked of the bound from the original; None where that is not known, and the bound
+        that is asked for is the one from the heights.
+    """
+
+    error: float = 0.0
+    is_still: bool = False
+    note: str = ""
+    steps: tuple[Step, ...] = ()
+    asked: Options | None = None
+
+    def beyond(self, own: float) -> tuple[float, list[str]]:
+        """Return what a file's bound is larger by than `own`, that from the heights; and notes."""
+        if not self.error:
+            return 0.0, [self.note] * bool(self.note)
+        if self.asked is not None and not self.asked.is_embedded:
+            return self.error, [f"{self.note}: the file's bound includes this"]
+        more = max(self.error - own, 0.0) if self.is_still else self.error
+        size = "this" if more == self.error else f"{more:.6g}"
+        end = f"the file's bound is larger by {size}" if more else "the file's bound holds for it"
+        return more, [f"{self.note}: {end}"]
+
+
+NOTHING = Earlier()
 
 
 def for_heights_of(source: RasterSource, options: Options) -> Options:
@@ -31,7 +72,7 @@ def for_heights_of(source: RasterSource, options: Options) -> Options:
     Raises
     ------
     InvalidArgumentError
-        If .twz files have lost more than the bound already.
+        If .twz files have lost more than the bound already, or `stable` would move their heights.
     """
     loss = source.earlier
     if loss is None or options.is_embedded:
@@ -54,47 +95,47 @@ def for_heights_of(source: RasterSource, options: Options) -> Options:
     return replace(options, max_error=float(left))
 
 
-def earlier_loss(source: RasterSource, asked: Options) -> tuple[EarlierLoss, list[str]]:
-    """Return how far heights may be from an original already, and notes.
+def earlier_of(source: RasterSource, asked: Options, steps: FixedSteps | None) -> Earlier:
+    """Return what heights had lost before.
 
     Where an array claims something, reads the heights once more, and the file; else nothing.
+    `steps` are those that heights will be rounded to.
     """
-    if source.earlier is not None:
-        return source.earlier, _notes_on(source, source.earlier, asked)
+    loss = source.earlier
+    if loss is not None:
+        note = f"the heights are those of {source.name}"
+        if loss.max_error:
+            note += f", within {loss.max_error:.6g} of an original"
+        elif asked.max_error is not None or asked.is_embedded:
+            note = ""
+        if asked.max_error is None and not asked.is_embedded:
+            note = f"no --max-error given: {note}"
+        return Earlier(loss.max_error, note=note, steps=loss.steps, asked=asked)
     claim = source.claim
     if claim is None:
-        return NO_LOSS, []
+        return NOTHING
     reason = "and no .twz file to compare them with"
     if claim.path is not None:
         try:
             with TerrainFile(claim.path) as terrain:
                 if _has_same_heights(terrain, source):
+                    is_still = steps is not None and _is_on(source, steps)
                     bound = terrain.effective_error
                     own = Step(os.path.basename(claim.path), bound)
-                    return EarlierLoss(bound, (*steps_of(terrain.header.metadata), own)), [
+                    return Earlier(
+                        bound,
+                        is_still,
                         f"the heights are those of {claim.path}, within"
-                        f" {terrain.effective_error:.6g} of an original: the file's bound is larger"
-                        " by this"
-                    ]
+                        f" {bound:.6g} of an original{', and do not move' * is_still}",
+                        (*steps_of(terrain.header.metadata), own),
+                    )
             reason = f"and are not those of {claim.path}"
         except TerrainwaveError as error:
             reason = f"and cannot be compared: {error}"
-    return NO_LOSS, [
-        f"the heights came with the attribute max_error, {claim.max_error:.6g}, {reason}: the"
+    return Earlier(
+        note=f"the heights came with the attribute max_error, {claim.max_error:.6g}, {reason}: the"
         " file's bound is from the heights as they are now"
-    ]
-
-
-def _notes_on(source: RasterSource, loss: EarlierLoss, asked: Options) -> list[str]:
-    if asked.max_error is None and not asked.is_embedded:
-        within = f", within {loss.max_error:.6g} of an original" if loss.max_error else ""
-        return [f"no --max-error given: the heights are those of {source.name}{within}"]
-    if not loss.max_error:
-        return []
-    share = "is added to the file's bound" if asked.is_embedded else "is part of the file's bound"
-    return [
-        f"the heights of {source.name} are within {loss.max_error:.6g} of an original: this {share}"
-    ]
+    )
 
 
 def _has_same_heights(terrain: TerrainFile, source: RasterSource) -> bool:
@@ -120,6 +161,15 @@ def _has_same_heights(terrain: TerrainFile, source: RasterSource) -> bool:
         physical = stored[at] if is_stored else theirs.to_physical(stored[at])
         # As numbers: an array has them in the type that its voids or its scale need.
         if not np.array_equal(physical[valid], heights[valid]):
+            return False
+    return True
+
+
+def _is_on(source: RasterSource, steps: FixedSteps) -> bool:
+    """Say whether all heights lie on steps already."""
+    for region in source.blocks():
+        heights, valid = source.read(*region)
+        if not np.array_equal(steps.rounded(heights)[valid], heights[valid]):
             return False
     return True
 

@@ -19,8 +19,8 @@ from terrainwave.arguments import (
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.container.metadata import without_origin
 from terrainwave.container.page import N_CODES
-from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
 from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.targets.publication import publish, refuse_own_source, scratch_directory
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.file import TerrainFile
@@ -38,7 +38,7 @@ from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.tri.mesh_options import MeshOptions, check_mesh, stored_mesh
-from terrainwave.write.options import taking_former
+from terrainwave.write.compress_options import taking_former
 
 
 @taking_former()

@@ -9,10 +9,10 @@ from terrainwave.errors import TerrainwaveError
 from terrainwave.file import TerrainFile
 from terrainwave.file.raster import raster_source
 from terrainwave.progress import ProgressCallback, Reporter
-from terrainwave.raster_io.earlier import steps_of
+from terrainwave.raster_io.earlier_loss import steps_of
 from terrainwave.raster_io.source import RasterSource
+from terrainwave.write.compress_options import Options
 from terrainwave.write.job import metadata_of, origin_of
-from terrainwave.write.options import Options
 from terrainwave.write.passes.windows import Window, scan_windows
 
 

@@ -24,8 +24,8 @@ from terrainwave.arguments import check_local, checked_path, checked_threads
 from terrainwave.container.header import HAS_CORRECTIONS as CORRECTIONS_FEATURE
 from terrainwave.container.header import Header
 from terrainwave.container.metadata import EARLIER, without_origin
-from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
-from terrainwave.container.sink import SpoolSink
+from terrainwave.container.spool_sink import SpoolSink
+from terrainwave.container.targets.publication import publish, refuse_own_source, scratch_directory
 from terrainwave.container.writer import assemble
 from terrainwave.errors import BoundViolationError, InvalidHeightsError
 from terrainwave.file import TerrainFile
@@ -41,9 +41,9 @@ from terrainwave.write.passes.proof import (
     measured_error,
     proof_shares,
 )
-from terrainwave.write.patching.encoder import PatchEncoder
 from terrainwave.write.patching.index import PatchedIndex
 from terrainwave.write.patching.merged import Merged
+from terrainwave.write.patching.patch_encoder import PatchEncoder
 from terrainwave.write.pyramid import Pyramid
 
 

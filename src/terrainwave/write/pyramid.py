@@ -24,7 +24,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from terrainwave.codec.cdf53.tiles import TileLayout
+from terrainwave.codec.cdf53.tile_layout import TileLayout
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.coding.filters import lowpass_analysis
 from terrainwave.coding.lifting53 import lowpass_window

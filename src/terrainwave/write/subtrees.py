@@ -22,14 +22,14 @@ from terrainwave.codec.refiner import Refiner
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.container.depot import Depot, StoredSegment, StoredSegments
 from terrainwave.container.page import N_CODES
-from terrainwave.container.publish import system_scratch
-from terrainwave.container.sink import SpoolSink
 from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.spool_sink import SpoolSink
+from terrainwave.container.targets.publication import system_scratch
 from terrainwave.container.writer import store_segments, stored_places
 from terrainwave.file import TerrainFile
 from terrainwave.file.raster import raster_source
+from terrainwave.grid.block_stats import BlockStats
 from terrainwave.grid.digest import HeightDigest
-from terrainwave.grid.measure import BlockStats
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.grid.steps import FixedSteps
@@ -40,7 +40,7 @@ from terrainwave.mesh.trees import tree_source
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.decoder import TreeDecoder, groups_by
-from terrainwave.tri.stored import STORED_KINDS
+from terrainwave.tri.stored_kinds import STORED_KINDS
 from terrainwave.write.boxes import (
     Box,
     enclosing_boxes,
@@ -277,7 +277,7 @@ def encode_subtree(site: Site, head: Block) -> EncodedSubtree:
             whole_tree = own | {head: ancestors.get(head, BlockStats())}
             error = recursive_errors(whole_tree, job.lost, job.recursion_bound).get(head, 0)
         whole = job.quantizer.z_min, job.quantizer.z_max
-        boxes = enclosing_boxes(own, errors, whole, {})
+        boxes = enclosing_boxes(own, errors, whole, {}, job.moved)
         box = boxes.pop(head, None)
         set_codes(grid, sink.spools, whole, boxes, errors, {})
         places = store_segments(site.depot, site.name(CODED, head), grid, heads, sink.spools)

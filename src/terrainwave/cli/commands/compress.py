@@ -226,7 +226,7 @@ _OF_RUN = ("temp_dir", "overwrite", "threads")
 
 def _asked(options: dict[str, Any]) -> Any:
     """Return the options of the file, checked."""
-    from terrainwave.write.options import Options
+    from terrainwave.write.compress_options import Options
 
     return Options(**{name: options[name] for name in options.keys() - {*_OF_SOURCE, *_OF_RUN}})
 
@@ -243,7 +243,7 @@ def _manifest(directory: str, options: dict[str, Any]) -> Manifest:
         {"command": "compress", **_asked(options).to_metadata(), **source},
         files_of=files_of,
         # Whatever the manifest says: heights that are the same need no second file.
-        compare=lambda source, target, known, progress: difference(
+        compare=lambda source, target, _, progress: difference(
             target, source, progress=progress, **of_files
         ),
     )

@@ -173,7 +173,7 @@ def _manifest(directory: str, options: dict[str, Any], *, skips: bool) -> Manife
     """Return what tells which rasters of a batch of `decompress` are as asked for."""
     unrelated = ("overwrite", "threads")
 
-    def compare(source: str, target: str, known: str, progress: ProgressCallback) -> str:
+    def compare(_: str, target: str, known: str, __: ProgressCallback) -> str:
         if known == UNKNOWN:
             refuse_unknown_raster(target)
         return known

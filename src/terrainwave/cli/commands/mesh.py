@@ -37,6 +37,7 @@ from terrainwave.cli.own_options import (
     own_option,
     with_own_options,
 )
+from terrainwave.errors import InvalidArgumentError
 
 # What --store takes, what it shares with meshes in files of their own, and what these take that
 # have a goal.
@@ -106,7 +107,7 @@ def mesh(context: click.Context, /, file: str, target: str, stores: bool, **opti
     """Write a crack-free mesh of FILE (.twz) to TARGET, within the bound of the original.
 
     TARGET's extension selects the format: .ply, .obj, .stl, .glb, .gltf, .vtu, .vtk, or .terrain, a
-    Cesium quantized-mesh tile.
+    Cesium quantized-mesh tile. With --store it is .twz: a copy of FILE with meshes of all blocks.
     """
     _refuse_unfit(context, stores=stores, loose=options["loose"])
     if stores:
@@ -182,11 +183,14 @@ def _export_mesh(
     **options: Any,
 ) -> None:
     import terrainwave
-    from terrainwave.container.publish import refuse_own_source
-    from terrainwave.export.files import check_extension, prepare
+    from terrainwave.container.targets.publication import refuse_own_source
+    from terrainwave.export.mesh_files import check_extension, prepare
 
     check_one_area(options)
-    extension = check_extension(target)
+    try:
+        extension = check_extension(target)
+    except InvalidArgumentError as error:
+        raise click.UsageError(f"{error}, or in .twz with --store") from error
     if extension == ".terrain" and (frame or z_scale != 1 or solid is not None):
         raise click.UsageError(
             "found --frame, --z-scale or --solid, expected none of them: a .terrain tile has a"
@@ -234,7 +238,7 @@ def _mesh_for(
     Rounding in the file adds to a mesh's error: the mesh is made again with so much less.
     """
     from terrainwave.errors import InvalidHeightsError
-    from terrainwave.export.files import file_rounding
+    from terrainwave.export.mesh_files import file_rounding
 
     first = surface = make(bound)
     if bound is None:

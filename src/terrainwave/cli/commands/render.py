@@ -154,7 +154,7 @@ def _write_png(target: str, image: Any, overwrite: bool) -> None:
 
 
 def _write(target: str, data: bytes, overwrite: bool) -> None:
-    from terrainwave.container.publish import publish
+    from terrainwave.container.targets.publication import publish
 
     with publish(target, overwrite) as part:
         part.file.write(data)

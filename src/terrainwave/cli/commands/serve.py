@@ -111,7 +111,7 @@ def _app(files: tuple[str, ...], host: str, hosts: tuple[str, ...], **options: A
 
 def _serve(app: Any, n_files: int, listener: socket.socket, address: str | None) -> None:
     """Answer until the server ends; with an address, serve files that stdin names, too."""
-    from terrainwave.ext.serve.connections import server_of
+    from terrainwave.ext.serve.client_limits import server_of
 
     server = server_of(app, n_files=n_files)
     if address is not None:

@@ -132,11 +132,12 @@ def _print_report(report: Any) -> None:
         )
         if not report.problems and not report.is_strict:
             click.echo(
-                "the bound holds of the numbers that floats stand for; stored floats differ by up"
-                " to one float spacing more (compress --strict)"
+                "every height is within the bound as a decimal number (such as 0.01); the float"
+                " nearest to it may be off by one float spacing more (compress --strict avoids"
+                " this)"
             )
         elif report.is_strict and errors.n_valid:
-            click.echo("the bound holds of the stored values themselves")
+            click.echo("every height is within the bound")
     if report.errors is not None and not report.errors.n_valid:
         print_note("no height was compared: there is none that is valid in both")
     if report.original is None:

@@ -35,3 +35,8 @@ class Cdf53(MethodOptions):
             raise InvalidArgumentError(
                 "found `rate` and `psnr`, expected one of them: a stream is cut in one place"
             )
+
+    @property
+    def must_stay(self) -> bool:
+        """Say whether streams are to be cut, which those of other methods can't be."""
+        return self.rate is not None or self.psnr is not None

@@ -78,7 +78,7 @@ from terrainwave.coding.status import raise_for_status
 from terrainwave.coding.zerotrees import grow_zero_trees
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.grid.quadtree import Grid, Region
-from terrainwave.grid.windows import HeightsOf, MaskOf
+from terrainwave.grid.sample_windows import HeightsOf, MaskOf
 
 _MIXED, _CLAMP = 1, 2
 # A prediction's own fraction alone gives up to 16 of 32.

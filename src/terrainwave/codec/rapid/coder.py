@@ -21,8 +21,8 @@ from terrainwave.codec.rapid.layout import (
     arranged_weights,
     new_workspace,
 )
+from terrainwave.codec.rapid.line_coder import plan_lines
 from terrainwave.codec.rapid.magnitude import N_CONTEXTS, scale_of, scaled_features
-from terrainwave.codec.rapid.shared_lines import plan_lines
 from terrainwave.codec.rapid.symbols import (
     BIT_POS,
     COUNT,

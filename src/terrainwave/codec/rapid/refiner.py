@@ -10,7 +10,7 @@ from terrainwave.codec.rapid.file_tables import (
     parse_file_tables,
 )
 from terrainwave.grid.quadtree import Grid
-from terrainwave.grid.windows import HeightsOf, MaskOf
+from terrainwave.grid.sample_windows import HeightsOf, MaskOf
 
 
 class Rapid(UnitCoder):

@@ -24,6 +24,7 @@ from terrainwave.codec.rapid.layout import (
     WEIGHTS,
     place,
 )
+from terrainwave.codec.rapid.line_coder import MOST_CORNERS, prepare_shared
 from terrainwave.codec.rapid.magnitude import fill_contexts
 from terrainwave.codec.rapid.rows import (
     copy_row,
@@ -35,7 +36,6 @@ from terrainwave.codec.rapid.rows import (
     store_rows,
     surround,
 )
-from terrainwave.codec.rapid.shared_lines import MOST_CORNERS, prepare_shared
 from terrainwave.codec.rapid.symbols import code_details, note_errors
 from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.jit import kernel, kernel_part
@@ -155,16 +155,8 @@ def code_rows(
             elif is_encoding or has_void:
                 _take_row(m, goal, valid, start, step, first, stop, origin, is_encoding, has_void)
             if stop > first:
-                code_details(
-                    m,
-                    np.uint64(first),
-                    np.uint64(stop - first),
-                    own,
-                    is_encoding,
-                    has_void,
-                    scale,
-                    s,
-                )
+                n_coded = np.uint64(stop - first)
+                code_details(m, np.uint64(first), n_coded, own, is_encoding, has_void, scale, s)
                 if added.shape[0] > 0:
                     _correct(
                         m, own, kept, added, corners, is_corner, start, step, first, stop, origin,
@@ -173,9 +165,7 @@ def code_rows(
             if is_lattice:
                 make_readable(m, own, row, n_own_rows, n)
             else:
-                for j in range(stop):
-                    k = np.uint64(corners[start + j, 0] if is_corner else start + j * step)
-                    out[k] = m[RESULT + np.uint64(j)] + origin
+                _store_shared(m, out, corners, is_corner, start, step, stop, origin)
 
 
 @kernel_part
@@ -237,6 +227,14 @@ def _correct(m, own, kept, added, corners, is_corner, start, step, first, stop, 
         at = own + np.uint64(j)
         height = corrected(np.int64(m[at]) + origin, kept, added, k, limits, limits)
         m[at] = cast(height - origin)
+
+
+@kernel_part
+def _store_shared(m, out, corners, is_corner, start, step, n, origin):
+    """Store a row of shared samples, which `RESULT` holds."""
+    for j in range(n):
+        k = np.uint64(corners[start + j, 0] if is_corner else start + j * step)
+        out[k] = m[RESULT + np.uint64(j)] + origin
 
 
 @kernel_part

@@ -39,7 +39,12 @@ from terrainwave.container.sources.addresses import (
     web_address,
     without_secrets,
 )
-from terrainwave.container.sources.archive import open_member
+from terrainwave.container.sources.byte_source import (
+    MAX_WHOLE,
+    ByteSource,
+    FileSource,
+    MergingSource,
+)
 from terrainwave.container.sources.connections import (
     N_CONNECTIONS,
     Connections,
@@ -47,7 +52,7 @@ from terrainwave.container.sources.connections import (
     proxy_of,
 )
 from terrainwave.container.sources.ranges import ByteRange
-from terrainwave.container.sources.source import MAX_WHOLE, ByteSource, FileSource, MergingSource
+from terrainwave.container.sources.zip_member import open_member
 from terrainwave.errors import (
     SourceUnavailableError,
     StorageError,

@@ -20,8 +20,8 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
-from terrainwave.container.publish import beside, publish, scratch
 from terrainwave.container.spool import cannot_write
+from terrainwave.container.targets.publication import beside, publish, scratch
 from terrainwave.errors import (
     CorruptStreamError,
     StorageError,
@@ -36,7 +36,7 @@ from terrainwave.raster_io.gdal import (
     one_line,
     scan_windows,
 )
-from terrainwave.raster_io.info import RasterInfo, stored_nodata
+from terrainwave.raster_io.raster_info import RasterInfo, stored_nodata
 from terrainwave.raster_io.tags import PLAIN_COLORS, writable_tags
 
 # Samples a side of a GeoTIFF's tile.

@@ -6,9 +6,9 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.render.gpu.layers import HEIGHTS, SLOPES, LayeredTextures
 from terrainwave.render.gpu.shaders import TERRAIN_FRAGMENT
 from terrainwave.render.gpu.surface import OWN_UNIT, release_all, set_uniforms
+from terrainwave.render.gpu.texture_layers import HEIGHTS, SLOPES, LayeredTextures
 from terrainwave.render.scene.selection import View
 
 if TYPE_CHECKING:

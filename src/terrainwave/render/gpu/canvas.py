@@ -16,13 +16,13 @@ from terrainwave.render.modes.mode import Frames
 from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import Camera, Viewport, focal_length, ray
 from terrainwave.render.scene.selection import View
-from terrainwave.render.scene.solid import build_solid
+from terrainwave.render.scene.walls import build_solid
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
     from terrainwave.raster_io.drape import Drape, Photo
     from terrainwave.render.look.style import Style
-    from terrainwave.render.scene.solid import Solid
+    from terrainwave.render.scene.walls import Solid
 
 _HELP = (
     "terrainwave render needs EGL and an OpenGL 3.3 driver; on Debian and Ubuntu: apt-get install"

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Any
 import moderngl
 import numpy as np
 
-from terrainwave.render.gpu.layers import SLOPES, LayeredTextures
 from terrainwave.render.gpu.shaders import TERRAIN_FRAGMENT
 from terrainwave.render.gpu.surface import OWN_UNIT, release_all, set_uniforms
+from terrainwave.render.gpu.texture_layers import SLOPES, LayeredTextures
 from terrainwave.render.scene.selection import View
 
 if TYPE_CHECKING:

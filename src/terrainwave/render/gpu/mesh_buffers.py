@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.render.gpu.arena import Arena
-from terrainwave.render.gpu.layers import SLOPES, LayeredTextures
+from terrainwave.render.gpu.texture_layers import SLOPES, LayeredTextures
 from terrainwave.render.scene.patches import VERTEX, Patch
 
 _FIRST_VERTICES = 1 << 18

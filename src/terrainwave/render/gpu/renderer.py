@@ -33,7 +33,7 @@ from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import projection_matrix, slant, view_matrix
 from terrainwave.render.scene.scales import HeightTexels
 from terrainwave.render.scene.selection import View
-from terrainwave.render.scene.solid import Solid, distance_to_walls, haze_of
+from terrainwave.render.scene.walls import Solid, distance_to_walls, haze_of
 
 _CLIP_DISTANCE_0 = 0x3000
 _NEAREST = 1e-5  # of the farthest

@@ -34,7 +34,8 @@ class Legend(NamedTuple):
     title : str
         What they say, and its unit.
     colors : ndarray of uint8, shape (n, 3)
-        From the lowest value to the highest.
+        From the bar's lower end to its upper one: from the lowest value to the highest, of depths
+        the other way round.
     labels : list of (float, str)
         Shares of the way up, and the values there.
     has_voids : bool
@@ -81,13 +82,14 @@ def legend_of(
     units : str, optional
         The file's unit of heights.
     """
-    per_unit, title = frame.metres[2], f"height, {unit_text(units)}"
+    per_unit = frame.metres[2]
+    title = f"{'depth' if per_unit < 0 else 'height'}, {unit_text(units)}"
     low, high = sorted(frame.heights)
     if style.coloring == "slope":
         per_unit, title = 1.0, "slope, degrees"
         _, _, low, high = palette.ranges
     elif style.coloring == "error":
-        title = f"error, {unit_text(units)}"
+        per_unit, title = frame.error_metres, f"error, {unit_text(units)}"
         low, high = (value / per_unit for value in palette.ranges[2:])
     shown = np.linspace(low, high, 2 * _BAR_HEIGHT) * per_unit
     colors = palette.color_of(shown, min(N_LATITUDES // 2, len(palette.colors) - 1))
@@ -99,6 +101,8 @@ def legend_of(
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     ticks = [number * step for number in range(first, last + 1)]
     labels = [((tick - low) / (high - low), f"{tick:.10g}") for tick in ticks]
+    if per_unit < 0:  # the deepest lies below
+        colors, labels = colors[::-1], [(1 - share, text) for share, text in labels]
     return Legend(title, colors, labels, has_voids)
 
 

@@ -36,9 +36,9 @@ class Adaptive(BoundedMode):
         progress: ProgressCallback | None = None,
         orientation: bool = False,
     ) -> None:
-        super().__init__(terrain, frame, error=error, orientation=orientation)
+        super().__init__(terrain, frame, error=error, progress=progress, orientation=orientation)
         self.builder = PatchBuilder(
-            terrain, frame, recursive=self._recursive_errors(progress), is_loose=self.is_loose
+            terrain, frame, recursive=self._recursive_errors(), is_loose=self.is_loose
         )
 
     @classmethod
@@ -48,14 +48,12 @@ class Adaptive(BoundedMode):
             return None
         return "following the error recursion of Yusov & Turlapov: this decodes the whole file once"
 
-    def _recursive_errors(
-        self, progress: ProgressCallback | None
-    ) -> list[NDArray[np.float64]] | None:
+    def _recursive_errors(self) -> list[NDArray[np.float64]] | None:
         """Return Err_Appr of every block by the paper's recursion, where it is asked for."""
         if self.error != "paper":
             return None
         n_rows, n_cols = self.terrain.shape
-        count = Reporter(progress).counter("errors", n_rows * n_cols, 4)
+        count = Reporter(self.progress).counter("errors", n_rows * n_cols, 4)
         return recursive_errors(self.terrain, as_printed=True, count=count)
 
     def roots(self) -> list[NodeInfo]:

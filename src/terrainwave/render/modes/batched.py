@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.grid.measure import with_outside
+from terrainwave.grid.block_stats import with_outside
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.progress import ProgressCallback
 from terrainwave.read.decoder import unit_key, units_of
@@ -105,7 +105,7 @@ class Batched(BoundedMode):
         order: int = 4,
         orientation: bool = False,
     ) -> None:
-        super().__init__(terrain, frame, error=error, orientation=orientation)
+        super().__init__(terrain, frame, error=error, progress=progress, orientation=orientation)
         self._mu = self._checked_detail(detail)
         if order not in ORDERS:
             raise InvalidArgumentError(f"found `order` {order}, expected 2 or 4")
@@ -146,7 +146,7 @@ class Batched(BoundedMode):
         xy = self.frame.samples_to_local(np.repeat(rows, 2), np.tile(cols, 2))
         (left, bottom), (right, top) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
         low, high = self._limits(block)
-        error = self._bound(block, self.terrain.block_error(block) * self.frame.metres[2])
+        error = self._bound(block, self.terrain.block_error(block) * self.frame.error_metres)
         spacing = self.frame.spacing * self.terrain.grid.stride(block.level)
         return NodeInfo(Piece(*block), (left, bottom, low), (right, top, high), error, spacing)
 
@@ -225,7 +225,7 @@ class Batched(BoundedMode):
         grid, finest = self.terrain.grid, self.terrain.grid.k_max
         coarse, mask = self._samples(unit_key(block), grid.block_region(block))
         if block.level == finest:
-            error = self.terrain.quanta_error * self.frame.metres[2]
+            error = self.terrain.quanta_error * self.frame.error_metres
             heights = np.where(mask, self._metres(coarse), np.nan)
             return BlockGrid(heights.astype(np.float32), self._plus(error))
         fine, valid = self._samples(block, grid.group_region(block))
@@ -262,7 +262,7 @@ class Batched(BoundedMode):
             for number, n in zip((child.row, child.col), self._reach(child), strict=True)
         )
         apart = largest_deviation(vertices, fine, valid, rows, cols, not is_finest)
-        return own * self.frame.metres[2] + apart
+        return own * self.frame.error_metres + apart
 
     def _reach(self, block: Block) -> tuple[int, int]:
         """Return rows and columns of a block, with those past the raster's edge."""

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.grid.quadtree import Region
 from terrainwave.progress import ProgressCallback
 from terrainwave.render.modes.front import (
     MORPH,
@@ -56,13 +55,12 @@ class Dynamic(FrontMode):
         progress: ProgressCallback | None = None,
         stepwise: bool = False,
     ) -> None:
-        super().__init__(terrain, frame, error=error)
+        super().__init__(terrain, frame, error=error, progress=progress)
         self._is_stepwise = stepwise
 
     def make_mesh(
         self,
         piece: Piece,
-        region: Region,
         heights: NDArray[np.float64],
         matrix: tuple[float, ...],
         base_error: float,

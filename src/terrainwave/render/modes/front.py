@@ -34,7 +34,7 @@ from terrainwave.render.scene.scales import (
 from terrainwave.render.scene.selection import NodeInfo, NodeTable, Piece, Selection, View
 from terrainwave.tri.dynamic.budget import Pressure
 from terrainwave.tri.dynamic.dynamic import Eye, Followed
-from terrainwave.tri.rqt.errors import twist_of
+from terrainwave.tri.rqt.vertex_errors import twist_of
 from terrainwave.tri.scratch import Scratch
 
 if TYPE_CHECKING:
@@ -206,7 +206,7 @@ class FrontMode(Mode):
         error: str = "measured",
         progress: ProgressCallback | None = None,
     ) -> None:
-        super().__init__(terrain, frame, error=error)
+        super().__init__(terrain, frame, error=error, progress=progress)
         self._scale = HeightScale.of(terrain, frame)
         self._texels = Texels(frame, self._scale)
         self._patches: dict[Piece, FrontPatch] = {}
@@ -300,7 +300,7 @@ class FrontMode(Mode):
         if level < self.n_levels - 1:
             error = max(terrain.block_error(block) for block in blocks)
         largest = max(abs(height) for height in self.frame.heights)
-        return (error + largest * FLOAT32_ROUNDING) * self.frame.metres[2]
+        return (error + largest * FLOAT32_ROUNDING) * self.frame.error_metres
 
     # In worker threads
 
@@ -321,14 +321,18 @@ class FrontMode(Mode):
         if min(region.shape) > 1 and not np.isnan(samples.heights).all():
             if piece.level < self.n_levels - 1:  # originals lie between samples, too
                 error += twist_of(samples.heights)
-            mesh = self.make_mesh(piece, region, samples.heights, matrix, error, open_sides)
+            mesh = self.make_mesh(piece, samples.heights, matrix, error, open_sides)
         side = self.side
         return FrontPatch(
             piece, region, open_sides, matrix, samples.slopes, mesh, error, children, side,
             self.sample_bytes * side * side, self.between(piece.level, samples.heights),
         )  # fmt: skip
 
-    def between(self, level: int, heights: NDArray[np.float64]) -> float:
+    def between(
+        self,
+        level: int,  # noqa: ARG002, as modes whose coarse levels lack originals need both
+        heights: NDArray[np.float64],  # noqa: ARG002
+    ) -> float:
         """Return how much further triangles may be from originals between samples than at them.
 
         For skirts alone: where levels have all originals, these are at samples.
@@ -339,7 +343,6 @@ class FrontMode(Mode):
     def make_mesh(
         self,
         piece: Piece,
-        region: Region,
         heights: NDArray[np.float64],
         matrix: tuple[float, ...],
         base_error: float,

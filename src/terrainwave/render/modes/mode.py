@@ -116,10 +116,11 @@ class Mode(ABC):
                 f" {', '.join(self.errors)}"
             )
         self.terrain, self.frame, self.error = terrain, frame, error
+        self.progress = progress
         self.n_levels = terrain.n_levels
 
     @classmethod
-    def preparation(cls, error: str) -> str | None:
+    def preparation(cls, error: str) -> str | None:  # noqa: ARG003, as some modes need it
         """Say what is decoded before the first picture, and what for; None if that is little."""
         return None
 
@@ -180,7 +181,12 @@ class Mode(ABC):
         """Return the nodes to have in memory for a camera, the most urgent first."""
         return table.wanted(view, max_blocks, tau, camera)
 
-    def spare(self, table: NodeTable, view: View, max_blocks: int) -> NDArray[np.int32]:
+    def spare(
+        self,
+        table: NodeTable,  # noqa: ARG002, as modes that read ahead need all three
+        view: View,  # noqa: ARG002
+        max_blocks: int,  # noqa: ARG002
+    ) -> NDArray[np.int32]:
         """Return the pieces to have besides, once all that is wanted is here."""
         return np.empty(0, dtype=np.int32)
 

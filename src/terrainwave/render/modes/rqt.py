@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.grid.quadtree import Region
 from terrainwave.progress import ProgressCallback
-from terrainwave.read.tiles import Tiles, with_coefficients
+from terrainwave.read.tile_decoder import Tiles, with_coefficients
 from terrainwave.render.modes.front import Drawn, FrontMode, FrontPatch, PatchFrame, Sides
 from terrainwave.render.modes.mode import ERRORS
 from terrainwave.render.scene.frame import Frame
@@ -39,7 +38,7 @@ class Rqt(FrontMode):
         error: str = "measured",
         progress: ProgressCallback | None = None,
     ) -> None:
-        super().__init__(terrain, frame, error=error)
+        super().__init__(terrain, frame, error=error, progress=progress)
         self._tiles: Tiles | None = None
         if error == "coefficient":
             self._tiles = with_coefficients(terrain.decoder)
@@ -47,7 +46,6 @@ class Rqt(FrontMode):
     def make_mesh(
         self,
         piece: Piece,
-        region: Region,
         heights: NDArray[np.float64],
         matrix: tuple[float, ...],
         base_error: float,
@@ -60,16 +58,17 @@ class Rqt(FrontMode):
             sample_matrix=matrix,
             error=self.error,
             base_error=base_error,
-            coefficients=self._coefficients(piece.level, region),
+            coefficients=self._coefficients(piece),
             open_sides=open_sides,
             scratch=self.scratch,
         )
 
-    def _coefficients(self, level: int, region: Region) -> NDArray[np.float64] | None:
+    def _coefficients(self, piece: Piece) -> NDArray[np.float64] | None:
         """Return the magnitudes of the file's coefficients in metres; None without `error`."""
         if self._tiles is None:
             return None
-        quanta = self._tiles.coefficients(level, region)
+        region, _ = self.region(piece)
+        quanta = self._tiles.coefficients(piece.level, region)
         return np.multiply(quanta, abs(self._scale.per_quantum), dtype=np.float64)
 
     def frame_of(self, patch: FrontPatch, eye: Eye, followed: Followed) -> PatchFrame:

@@ -81,7 +81,7 @@ def heights_within(terrain: "TerrainFile", bounds: Sequence[float]) -> tuple[flo
         level -= 1
         region = terrain.region(bounds=bounds, level=level)
     # A coarse sample is void only if all around it is.
-    raw, valid = terrain.read_with_mask(tuple(region), level=level, on_error="mask", voids="any")
+    raw, valid = terrain.read_with_mask(region, level=level, on_error="mask", voids="any")
     if not valid.any():
         raise InvalidHeightsError("the picture would show no terrain: all within `bounds` is void")
     raster = terrain.raster_info

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.arguments import PICTURE_ENDINGS, check_ending
-from terrainwave.container.publish import publish
+from terrainwave.container.targets.publication import publish
 from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.export.plot import add_colour_bar, colours_of_heights, label_axes
 from terrainwave.extras import need

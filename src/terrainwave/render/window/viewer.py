@@ -18,7 +18,7 @@ from terrainwave.render.modes.mode import Frames
 from terrainwave.render.paging.background import Background, Outcome
 from terrainwave.render.paging.problems import replies_of
 from terrainwave.render.scene.frame import check_drawable
-from terrainwave.render.scene.solid import build_solid
+from terrainwave.render.scene.walls import build_solid
 from terrainwave.render.window.controls import HELP, Controls
 from terrainwave.render.window.pictures import choose_camera
 from terrainwave.render.window.session import Session

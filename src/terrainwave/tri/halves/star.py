@@ -8,7 +8,7 @@ import numpy as np
 
 from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
 from terrainwave.tri.halves.certificates import NO_TEST, ring_pair, write_refusal
-from terrainwave.tri.halves.fit import fit_triangle
+from terrainwave.tri.halves.height_fit import fit_triangle
 from terrainwave.tri.halves.workspace import (
     COL_MASK,
     FREE,

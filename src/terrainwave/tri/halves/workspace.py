@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import inlined_kernel, kernel
-from terrainwave.tri.mesh import BlockMesh
+from terrainwave.tri.block_mesh import BlockMesh
 
 # The table of triangles (`star`): pairs of a key and a program, how many steps programs have, and
 # the samples of the steps.

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
+from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.triangle import area_of, check_block, check_tolerance, fits
 from terrainwave.tri.zerotree.connect import build_mesh, corner_of_quad, triangles_of_quad
 from terrainwave.tri.zerotree.labels import Keep, top_height, void_edges

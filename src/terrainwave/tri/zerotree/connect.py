@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
+from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.triangle import area_of, check_block, deviation
 from terrainwave.tri.zerotree.labels import (
     Cut,

@@ -25,7 +25,7 @@ from terrainwave.coding.rangecoder import (
 )
 from terrainwave.coding.status import raise_for_status
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
-from terrainwave.tri.mesh import FRACTION_BITS
+from terrainwave.tri.block_mesh import FRACTION_BITS
 from terrainwave.tri.triangle import check_block, check_tolerance
 from terrainwave.tri.zerotree.labels import (
     Cut,

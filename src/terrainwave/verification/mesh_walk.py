@@ -16,6 +16,7 @@ from terrainwave.grid.affine import determinant
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.progress import Progress, ProgressCallback
+from terrainwave.verification.checked_mesh import Deviation, Surface, deviation
 from terrainwave.verification.on_grid import (
     Line,
     Ruler,
@@ -28,7 +29,6 @@ from terrainwave.verification.on_grid import (
     must_be_covered,
     surface_of_mesh,
 )
-from terrainwave.verification.surface import Deviation, Surface, deviation
 
 # Meshes of areas are checked in windows of this many samples a side.
 _WINDOW_SIDE = 2048
@@ -163,7 +163,7 @@ class MeshVerification:
         return MeshReport(terrain.mesh_kind, against, levels, areas), self._checks.all()
 
     def _decoded(self, region: Region) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:
-        raw, valid = self._terrain.read_with_mask(tuple(region))
+        raw, valid = self._terrain.read_with_mask(region)
         return raw, valid
 
     def _report(self, n_samples: int) -> None:

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from terrainwave.arguments import check_flags
-from terrainwave.container.publish import scratch_directory
 from terrainwave.container.sources.addresses import display_name, without_secrets
 from terrainwave.container.spool import storage_errors
-from terrainwave.container.unfinished import Part
+from terrainwave.container.targets.publication import scratch_directory
+from terrainwave.container.targets.unfinished import Part
 from terrainwave.errors import InvalidArgumentError, StorageError, TerrainwaveError
 from terrainwave.extras import need
 

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import inlined_kernel, kernel
-from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
+from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.triangle import area_of
 
 _MAX_EXACT_AREA = 1 << 25
@@ -50,8 +50,8 @@ def _covered(weight_0, step_0, weight_1, step_1, weight_2, step_2, last):
     """Return from which to which place, 0 ... last, no weight is negative.
 
     Weights, at place 0, grow by their steps from place to place. They are below 2^53, so that the
-    float64 quotients round to the right floor and ceiling (`tri.halves.fit`), faster than integers
-    divide.
+    float64 quotients round to the right floor and ceiling (`tri.halves.height_fit`), faster than
+    integers divide.
     """
     first = np.int64(0)
     for k in range(3):

@@ -15,7 +15,7 @@ from typing import BinaryIO
 
 from terrainwave.arguments import check_flags, check_local
 from terrainwave.container.spool import storage_errors
-from terrainwave.container.unfinished import (
+from terrainwave.container.targets.unfinished import (
     RETRIES,
     Part,
     can_rename_open_files,

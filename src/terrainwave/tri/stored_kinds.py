@@ -22,7 +22,7 @@ from terrainwave.coding.rangecoder import (
 )
 from terrainwave.coding.status import raise_for_status
 from terrainwave.errors import CorruptStreamError
-from terrainwave.tri.mesh import BlockMesh
+from terrainwave.tri.block_mesh import BlockMesh
 from terrainwave.tri.rqt.stored import Selection, rqt_mesh, select_vertices, vertices_of
 from terrainwave.tri.zerotree.agreement import BorderVertices, border_of, border_of_cut
 from terrainwave.tri.zerotree.connect import mesh_of_cut

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import inlined_kernel
-from terrainwave.tri.mesh import FRACTION_BITS
+from terrainwave.tri.block_mesh import FRACTION_BITS
 
 _MAX_RANGE = 1 << 30
 # Columns of a triangle up to which it pays to look at all samples of its rectangle.
