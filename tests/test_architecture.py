@@ -276,6 +276,40 @@ def test_a_name_of_a_module_says_which_module_it_is():
             assert path.relative_to(PACKAGE).parts[0] == "codec", path
 
 
+# Each package of a method has its own kind of these (`PARTS`).
+OF_METHODS = {"FileTables", "Tables"}
+
+
+def test_a_name_of_a_class_has_one_meaning():
+    """`Store` meant five things: a method's options and refiner, and three of the viewer."""
+    named = Counter(
+        node.name
+        for path in modules()
+        for node in ast.walk(tree_of(path))
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    )
+    assert {name for name, count in named.items() if count > 1} <= OF_METHODS
+
+
+# Who quantises heights: methods, what decides their step, and tiles that count heights in steps.
+QUANTISERS = ("codec", "grid/quantum", "grid/steps", "grid/parameters", "container/header", "globe")
+
+
+def test_step_is_the_quantisers_word():
+    """Samples have a spacing or stride, grids a pixel, weights grow, wheels have notches."""
+    for path in modules():
+        if str(path.relative_to(PACKAGE)).startswith(QUANTISERS):
+            continue
+        for node in ast.walk(tree_of(path)):
+            is_stored = isinstance(getattr(node, "ctx", None), ast.Store)
+            name = node.arg if isinstance(node, ast.arg) else is_stored and _name_of(node)
+            assert name != "step", f"{path.relative_to(PACKAGE)}:{node.lineno}"
+
+
+def _name_of(node):
+    return getattr(node, "id", getattr(node, "attr", ""))
+
+
 def functions_of(tree, owner=""):
     """Yield names, with that of their class, and functions."""
     for node in ast.iter_child_nodes(tree):

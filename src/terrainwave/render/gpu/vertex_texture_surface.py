@@ -206,7 +206,7 @@ def _levels(
 
 
 class TreeStore(FrontStore):
-    """A `Store` of slopes, and of trees as textures."""
+    """A `PieceStore` of slopes, and of trees as textures."""
 
     def __init__(self, context: Any, *, max_bytes: int) -> None:
         super().__init__(context, max_bytes=max_bytes)

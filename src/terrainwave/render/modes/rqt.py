@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
 
 
-class Rqt(FrontMode):
+class RqtMode(FrontMode):
     """A restricted quadtree of one tile for each patch."""
 
     name = "rqt"
