@@ -69,7 +69,7 @@ INSIDE = {
         "halves": set(),
         "zerotree": set(),
         "dynamic": set(),
-        "rqt": {"zerotree", "dynamic"},
+        "rqt": set(),
     },
     "render": {
         "": {"look"},

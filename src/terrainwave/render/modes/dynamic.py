@@ -20,7 +20,8 @@ from terrainwave.render.modes.front import (
 )
 from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.selection import Piece
-from terrainwave.tri.dynamic.dynamic import DynamicMesh, Eye, Followed
+from terrainwave.tri.dynamic.dynamic import DynamicMesh
+from terrainwave.tri.followed import Eye, Followed
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile

@@ -32,8 +32,7 @@ from terrainwave.render.scene.scales import (
     Texels,
 )
 from terrainwave.render.scene.selection import NodeInfo, NodeTable, Piece, Selection, View
-from terrainwave.tri.dynamic.budget import Pressure
-from terrainwave.tri.dynamic.dynamic import Eye, Followed
+from terrainwave.tri.followed import Eye, Followed, Pressure
 from terrainwave.tri.rqt.vertex_errors import twist_of
 from terrainwave.tri.scratch import Scratch
 
