@@ -30,7 +30,7 @@ from terrainwave.progress import Progress, ProgressCallback
 
 
 @dataclass(frozen=True)
-class Job:
+class FileJob:
     """One file of many: what is read, and what is written or compared with it, if anything."""
 
     source: str
@@ -48,7 +48,7 @@ class Done:
 
 @dataclass(frozen=True)
 class _Outcome:
-    job: Job
+    job: FileJob
     done: Done | None = None
     error: Exception | None = None
 
@@ -73,10 +73,10 @@ class _Outcome:
         return named | {"status": word if self.done.is_good else "failed"} | self.done.fields
 
 
-Work = Callable[[Job, int, ProgressCallback], Done]
+Work = Callable[[FileJob, int, ProgressCallback], Done]
 
 
-def plan(sources: Sequence[str], directory: str, ending: str) -> list[Job]:
+def plan(sources: Sequence[str], directory: str, ending: str) -> list[FileJob]:
     """Return a job for each source, whose target has its name and the ending.
 
     Raises
@@ -84,14 +84,14 @@ def plan(sources: Sequence[str], directory: str, ending: str) -> list[Job]:
     click.UsageError
         If two would write the same file, or one is a stream.
     """
-    jobs: dict[str, Job] = {}
+    jobs: dict[str, FileJob] = {}
     for source in sources:
         if source == STREAM:
             raise click.UsageError(
                 "found - and --to, expected names of files: targets get their names from them"
             )
         checked_path(source)
-        job = Job(source, os.path.join(directory, Path(path_in_url(source)).stem + ending))
+        job = FileJob(source, os.path.join(directory, Path(path_in_url(source)).stem + ending))
         other = jobs.setdefault(os.path.basename(str(job.target)).casefold(), job)
         if other is not job:
             raise click.UsageError(
@@ -116,7 +116,7 @@ def made(directory: str) -> Iterator[None]:
 
 
 def run(
-    jobs: Sequence[Job],
+    jobs: Sequence[FileJob],
     work: Work,
     *,
     word: str,
@@ -137,7 +137,7 @@ def run(
         if is_stopped.is_set():
             raise KeyboardInterrupt
 
-    def attempt(job: Job) -> _Outcome:
+    def attempt(job: FileJob) -> _Outcome:
         go_on()
         try:
             if manifest is None:
@@ -151,7 +151,7 @@ def run(
         except Exception as error:  # noqa: BLE001  one file of many: the others go on
             return _Outcome(job, error=error)
 
-    outcomes: dict[Job, _Outcome] = {}
+    outcomes: dict[FileJob, _Outcome] = {}
     with Bar(quiet=quiet) as bar, ThreadPoolExecutor(n_at_once) as executor:
         try:
             for future in as_completed([executor.submit(attempt, job) for job in jobs]):

@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from terrainwave.arguments import TWZ_ENDINGS, count_of
-from terrainwave.cli.batch import Done, Job, find_original, finish, run
+from terrainwave.cli.batch import Done, FileJob, find_original, finish, run
 from terrainwave.cli.options import THREADS_OPTION, Bound, Input, Nodata, complete_files
 from terrainwave.cli.output import (
     Bar,
@@ -89,7 +89,7 @@ def _verify_all(
 ) -> None:
     import terrainwave
 
-    def verify_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
+    def verify_one(job: FileJob, threads: int, progress: ProgressCallback) -> Done:
         original = None if originals is None else find_original(job.source, originals)
         with reading(job.source):
             report = terrainwave.verify(
@@ -108,7 +108,7 @@ def _verify_all(
 
     announce_compiling(quiet=quiet)
     found, status = run(
-        [Job(file) for file in dict.fromkeys(files)], verify_one, word="ok", threads=threads,
+        [FileJob(file) for file in dict.fromkeys(files)], verify_one, word="ok", threads=threads,
         quiet=quiet or as_json,
     )  # fmt: skip
     if as_json:
