@@ -4,13 +4,19 @@ import ast
 import re
 import subprocess
 import sys
+import threading
+import traceback
 from collections import Counter
 from functools import cache
+from importlib import import_module
 from pathlib import Path
+from unittest import mock
 
 import pytest
+from strategies import terrain_like
 
 from terrainwave.names import METHODS
+from terrainwave.write.compress import compress
 
 REPOSITORY = Path(__file__).parent.parent
 PACKAGE = REPOSITORY / "src" / "terrainwave"
@@ -69,7 +75,7 @@ INSIDE = {
         "halves": set(),
         "zerotree": set(),
         "dynamic": set(),
-        "rqt": {"zerotree", "dynamic"},
+        "rqt": set(),
     },
     "render": {
         "": {"look"},
@@ -97,6 +103,8 @@ PARTS = {"refiner", "file_tables", "fit", "trained"}
 CALLED_AFTER = ("cli/commands", "render/modes", "render/style")
 # Functions of more lines, without their docstrings: loops of kernels, which cost time when cut.
 MOST_LINES, MOST_ARGUMENTS = 70, 10
+# Files through which `max_error` reaches the kernel that codes by it.
+MOST_FILES = 8
 LONG = {"_sweep_cells", "code_pass", "code_residuals"}
 # Functions of more arguments, and why.
 WIDE = {
@@ -274,6 +282,69 @@ def test_a_name_of_a_module_says_which_module_it_is():
     for path in modules():
         if path.stem in PARTS:
             assert path.relative_to(PACKAGE).parts[0] == "codec", path
+
+
+# Each package of a method has its own kind of these (`PARTS`).
+OF_METHODS = {"FileTables", "Tables"}
+
+
+def test_a_name_of_a_class_has_one_meaning():
+    """`Store` meant five things: a method's options and refiner, and three of the viewer."""
+    named = Counter(
+        node.name
+        for path in modules()
+        for node in ast.walk(tree_of(path))
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    )
+    assert {name for name, count in named.items() if count > 1} <= OF_METHODS
+
+
+# Who quantises heights: methods, what decides their step, and tiles that count heights in steps.
+QUANTISERS = ("codec", "grid/quantum", "grid/steps", "grid/parameters", "container/header", "globe")
+
+
+def test_step_is_the_quantisers_word():
+    """Samples have a spacing or stride, grids a pixel, weights grow, wheels have notches."""
+    for path in modules():
+        if str(path.relative_to(PACKAGE)).startswith(QUANTISERS):
+            continue
+        for node in ast.walk(tree_of(path)):
+            is_stored = isinstance(getattr(node, "ctx", None), ast.Store)
+            name = node.arg if isinstance(node, ast.arg) else is_stored and _name_of(node)
+            assert name != "step", f"{path.relative_to(PACKAGE)}:{node.lineno}"
+
+
+def _name_of(node):
+    return getattr(node, "id", getattr(node, "attr", ""))
+
+
+@pytest.mark.parametrize(
+    ("method", "caller", "kernel"),
+    [
+        ("rapid", "rapid.coder", "code_rows"),
+        ("predictive", "predictive.refiner", "code_pass"),
+        ("cdf97", "cdf97.refiner", "code_residuals"),
+        ("cdf53", "cdf53.refiner", "encode_field"),
+    ],
+)
+def test_the_bound_reaches_its_kernel_through_few_files(tmp_path, method, caller, kernel):
+    """Those of the functions that wait while a unit is coded, and the kernel's own."""
+    module = import_module(f"terrainwave.codec.{caller}")
+    coded, paths = getattr(module, kernel), []
+
+    def noting(*given, **named):
+        # A thread codes; the one that compresses waits for it.
+        waiting = sys._current_frames()[threading.main_thread().ident]
+        stacks = [*traceback.extract_stack(), *traceback.extract_stack(waiting)]
+        paths.append({frame.filename for frame in stacks})
+        return coded(*given, **named)
+
+    with mock.patch.object(module, kernel, noting):
+        heights = terrain_like(65, 65)
+        compress(heights, tmp_path / "a.twz", max_error=1, method=method, mesh="none", verify=False)
+    ours = {Path(path) for path in paths[-1] if Path(path).is_relative_to(PACKAGE)}
+    assert ours >= {PACKAGE / "write" / "compress.py"}
+    assert len(ours | {Path(sys.modules[coded.__module__].__file__)}) <= MOST_FILES, ours
 
 
 def functions_of(tree, owner=""):

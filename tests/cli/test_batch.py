@@ -412,7 +412,7 @@ def test_threads_are_shared(monkeypatch, threads, each):
         running.remove(job)
         return batch.Done(job.source)
 
-    jobs = [batch.Job(str(number)) for number in range(6 if threads == 1 else 3)]
+    jobs = [batch.FileJob(str(number)) for number in range(6 if threads == 1 else 3)]
     found, status = batch.run(jobs, work, word="done", threads=threads, quiet=True)
     assert (len(found), status, shares) == (len(jobs), 0, {each})
     assert max(most) * each <= threads

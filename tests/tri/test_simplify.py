@@ -4,7 +4,7 @@ import numpy as np
 
 from terrainwave.tri.block_mesh import BlockMesh
 from terrainwave.tri.halves.simplify import simplify
-from terrainwave.verification.checked_mesh import Surface, deviation
+from terrainwave.verification.checked_mesh import CheckedMesh, deviation
 from terrainwave.verification.checks import problems_of
 from terrainwave.verification.pieces import WHOLE
 
@@ -30,7 +30,7 @@ def fan(n_spokes):
 
 
 def surface(mesh):
-    return Surface(
+    return CheckedMesh(
         mesh.rows.astype(np.int64), mesh.cols.astype(np.int64), mesh.heights, mesh.triangles
     )
 

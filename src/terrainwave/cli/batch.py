@@ -30,7 +30,7 @@ from terrainwave.progress import Progress, ProgressCallback
 
 
 @dataclass(frozen=True)
-class Job:
+class FileJob:
     """One file of many: what is read, and what is written or compared with it, if anything."""
 
     source: str
@@ -48,7 +48,7 @@ class Done:
 
 @dataclass(frozen=True)
 class _Outcome:
-    job: Job
+    job: FileJob
     done: Done | None = None
     error: Exception | None = None
 
@@ -73,7 +73,7 @@ class _Outcome:
         return named | {"status": word if self.done.is_good else "failed"} | self.done.fields
 
 
-Work = Callable[[Job, int, ProgressCallback], Done]
+Work = Callable[[FileJob, int, ProgressCallback], Done]
 
 
 # Of rasters that a folder may hold; others are read where they are named.
@@ -85,7 +85,7 @@ RASTER_ENDINGS = (
 
 def plan(
     sources: Sequence[str], directory: str, ending: str, endings: Sequence[str] = RASTER_ENDINGS
-) -> list[Job]:
+) -> list[FileJob]:
     """Return a job for each source, whose target has its name and the ending.
 
     A folder stands for all files below it that end in one of `endings`; their targets lie in
@@ -96,10 +96,10 @@ def plan(
     click.UsageError
         If two would write the same file, one is a stream, or a folder holds no such file.
     """
-    jobs: dict[str, Job] = {}
+    jobs: dict[str, FileJob] = {}
     for source, folder in with_files_of_folders(sources, endings, directory):
         stem = Path(path_in_url(source)).stem
-        job = Job(source, os.path.join(directory, folder, stem + ending))
+        job = FileJob(source, os.path.join(directory, folder, stem + ending))
         other = jobs.setdefault(os.path.join(folder, stem).casefold(), job)
         if other is not job:
             raise click.UsageError(
@@ -177,7 +177,7 @@ def made(directories: Iterable[str]) -> Iterator[None]:
 
 
 def run(
-    jobs: Sequence[Job],
+    jobs: Sequence[FileJob],
     work: Work,
     *,
     word: str,
@@ -198,7 +198,7 @@ def run(
         if is_stopped.is_set():
             raise KeyboardInterrupt
 
-    def attempt(job: Job) -> _Outcome:
+    def attempt(job: FileJob) -> _Outcome:
         go_on()
         try:
             if manifest is None:
@@ -212,7 +212,7 @@ def run(
         except Exception as error:  # noqa: BLE001  one file of many: the others go on
             return _Outcome(job, error=error)
 
-    outcomes: dict[Job, _Outcome] = {}
+    outcomes: dict[FileJob, _Outcome] = {}
     with Bar(quiet=quiet) as bar, ThreadPoolExecutor(n_at_once) as executor:
         try:
             for future in as_completed([executor.submit(attempt, job) for job in jobs]):

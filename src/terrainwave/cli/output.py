@@ -334,9 +334,9 @@ def announce_compiling(*, quiet: bool = False) -> None:
 @functools.cache
 def _announce_once() -> None:
     from terrainwave.coding.jit import on_first_compilation
-    from terrainwave.coding.kernel_places import Place
+    from terrainwave.coding.kernel_places import KernelPlace
 
-    def tell(place: Place) -> None:
+    def tell(place: KernelPlace) -> None:
         if place.kept_in is None:  # a note says why
             words = "compiling kernels, for this run alone: this takes some seconds"
         else:

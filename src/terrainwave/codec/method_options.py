@@ -39,7 +39,7 @@ class MethodOptions(OptionSet):
         return False
 
 
-class Choice(NamedTuple):
+class MethodChoice(NamedTuple):
     """Which method codes a raster, and why: decided once, by `chosen`.
 
     Attributes
@@ -79,7 +79,7 @@ def options_of(name: str) -> type[MethodOptions]:
     return found
 
 
-def chosen(method: object, effort: str) -> Choice:
+def chosen(method: object, effort: str) -> MethodChoice:
     """Decide which method codes a raster.
 
     Parameters
@@ -111,9 +111,9 @@ def chosen(method: object, effort: str) -> Choice:
     return _choice(options_of(DEFAULT_METHOD.name)(), stated, "the default")
 
 
-def _choice(own: MethodOptions, effort: str, reason: str) -> Choice:
+def _choice(own: MethodOptions, effort: str, reason: str) -> MethodChoice:
     stays = own.must_stay or own.method == PLAIN_METHOD
-    return Choice(own, effort, reason, None if stays else PLAIN_METHOD)
+    return MethodChoice(own, effort, reason, None if stays else PLAIN_METHOD)
 
 
 def chosen_with(method: object, effort: str, given: Mapping[str, Any]) -> tuple[MethodOptions, str]:

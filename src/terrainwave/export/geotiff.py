@@ -38,7 +38,7 @@ from terrainwave.raster_io.geotiff.sink import RasterSink
 _WINDOW_SAMPLES = 4 << 20
 
 # Heights and validity.
-Part = tuple[NDArray[Any], NDArray[np.bool_]]
+_Samples = tuple[NDArray[Any], NDArray[np.bool_]]
 
 
 def decompress(
@@ -139,7 +139,7 @@ def decompress(
         )
         wanted = None if voids is None else str(voids)
 
-        def read(part: Region) -> Part:
+        def read(part: Region) -> _Samples:
             if quality is None:
                 return terrain.read_with_mask(part, level=level, voids=wanted)
             return terrain.read_early(part, level=level, quality=quality, voids=wanted)[:2]
@@ -185,15 +185,19 @@ def _check_geotiff(
 
 
 def _converted(
-    converted: AboveEllipsoid, read: Callable[[Region], Part], region: Region, part: Region
-) -> Part:
+    converted: AboveEllipsoid, read: Callable[[Region], _Samples], region: Region, part: Region
+) -> _Samples:
     """Return a part of a region above the ellipsoid."""
     heights, valid = read(part)
     return converted.heights(part, region, heights, valid), valid
 
 
 def _write(
-    sink: RasterSink, read: Callable[[Region], Part], region: Region, side: int, reporter: Reporter
+    sink: RasterSink,
+    read: Callable[[Region], _Samples],
+    region: Region,
+    side: int,
+    reporter: Reporter,
 ) -> None:
     """Write a region in parts along the borders of groups, so that each is decoded once."""
     n_rows = max(side, _WINDOW_SAMPLES // max(region.n_cols, 1) // side * side)

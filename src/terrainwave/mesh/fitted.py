@@ -92,12 +92,12 @@ class BlockFitter:
         if block.level < self._area.level:
             forced = samples.locked.copy()
             for side, finer in cut.finer(block):
-                step = self._grid.block >> (finer.level - block.level)
+                spacing = self._grid.block >> (finer.level - block.level)
                 place = finer.row if side in ("left", "right") else finer.col
-                first = place * step
+                first = place * spacing
                 first -= (block.row if side in ("left", "right") else block.col) * self._grid.block
                 line = sides_of(forced)[side]
-                line[[first, min(first + step, len(line) - 1)]] = True
+                line[[first, min(first + spacing, len(line) - 1)]] = True
             samples = samples._replace(locked=forced)
         return border_lines(samples, cut.pieces[block].sides, self._grid.block)
 

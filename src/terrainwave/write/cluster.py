@@ -39,7 +39,7 @@ from terrainwave.write.encoder import Stats, TreeEncoder, fitted_refiner
 from terrainwave.write.job import Job
 from terrainwave.write.passes.coding import Coded
 from terrainwave.write.passes.proof import measured_error
-from terrainwave.write.pyramid import Base, Part, Pyramid
+from terrainwave.write.pyramid import Base, Pyramid, SubtreeRegion
 from terrainwave.write.subtrees import (
     ABOVE,
     CODED,
@@ -275,7 +275,7 @@ class DistributedPasses:
     def _fills(self, site: Site, top: Pyramid, region: Region) -> tuple[Region, Heights]:
         """Return the fills that a part over a region of the full grid needs, and their place."""
         level_shape = site.grid.level_shape(site.level)
-        wanted = Part(region, site.shift).fill_region(site.shift)
+        wanted = SubtreeRegion(region, site.shift).fill_region(site.shift)
         wanted = wanted.intersect(Region(0, 0, *level_shape))
         return wanted, top.fills(site.shift, wanted)
 

@@ -15,7 +15,7 @@ from terrainwave.arguments import (
     checked_whole,
 )
 from terrainwave.codec.method_options import (
-    Choice,
+    MethodChoice,
     MethodOptions,
     chosen,
     chosen_with,
@@ -50,7 +50,7 @@ class Options:
     keep_origin: bool = False
     verify: bool = True
     threads: int | None = None
-    choice: Choice = field(init=False, repr=False, compare=False)
+    choice: MethodChoice = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         blocks = f"one of {', '.join(map(str, BLOCKS))}"

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidArgumentError, TerrainwaveError
 from terrainwave.file import TerrainFile
-from terrainwave.grid.affine import steps_on
+from terrainwave.grid.affine import strides_on
 from terrainwave.grid.quantum import as_fraction
 from terrainwave.grid.steps import FixedSteps
 from terrainwave.raster_io.earlier_loss import Step, steps_of
@@ -144,13 +144,13 @@ def _has_same_heights(terrain: TerrainFile, source: RasterSource) -> bool:
     is_stored = (info.scale, info.offset) == (theirs.scale, theirs.offset)
     if not is_stored and (info.scale, info.offset) != (1.0, 0.0):
         return False
-    steps = steps_on(info.transform, (info.n_rows, info.n_cols), theirs.transform)
-    if steps is None:
+    strides = strides_on(info.transform, (info.n_rows, info.n_cols), theirs.transform)
+    if strides is None:
         return False
     for region in source.blocks():
         heights, valid = source.read(*region)
-        rows = _samples(steps.row, steps.row_step, region.row, region.n_rows)
-        cols = _samples(steps.col, steps.col_step, region.col, region.n_cols)
+        rows = _samples(strides.row, strides.row_stride, region.row, region.n_rows)
+        cols = _samples(strides.col, strides.col_stride, region.col, region.n_cols)
         if not (_are_within(rows, theirs.n_rows) and _are_within(cols, theirs.n_cols)):
             return False
         window = (rows.min(), cols.min(), np.ptp(rows) + 1, np.ptp(cols) + 1)
@@ -174,9 +174,9 @@ def _is_on(source: RasterSource, steps: FixedSteps) -> bool:
     return True
 
 
-def _samples(first: int, step: int, begin: int, n: int) -> NDArray[np.int64]:
+def _samples(first: int, stride: int, begin: int, n: int) -> NDArray[np.int64]:
     """Return the file's rows or columns that a window of the array is of."""
-    return first + step * np.arange(begin, begin + n, dtype=np.int64)
+    return first + stride * np.arange(begin, begin + n, dtype=np.int64)
 
 
 def _are_within(samples: NDArray[np.int64], size: int) -> bool:

@@ -51,7 +51,7 @@ from terrainwave.write.boxes import (
 from terrainwave.write.encoder import Stats, TreeEncoder
 from terrainwave.write.job import Job
 from terrainwave.write.passes.proof import allowed_error, compare_window, proof_windows
-from terrainwave.write.pyramid import Part, Pyramid
+from terrainwave.write.pyramid import Pyramid, SubtreeRegion
 
 _CACHE_BYTES = 64 << 20
 _SCAN_SIDE = 2048
@@ -146,7 +146,7 @@ class Site:
             has_voids=self.job.has_voids,
             directory=directory,
             executor=executor,
-            part=Part(region, self.shift),
+            part=SubtreeRegion(region, self.shift),
         )
 
 

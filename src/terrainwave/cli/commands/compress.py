@@ -8,7 +8,7 @@ import click
 from click.core import ParameterSource
 
 from terrainwave.arguments import TWZ_ENDINGS
-from terrainwave.cli.batch import Done, Job, refuse_options_of_batches, run_to
+from terrainwave.cli.batch import Done, FileJob, refuse_options_of_batches, run_to
 from terrainwave.cli.manifest import Manifest
 from terrainwave.cli.options import (
     EFFORT,
@@ -207,7 +207,7 @@ def _compress_each(
     if skips:
         options["overwrite"] = True  # a file that is not as asked for is made again
 
-    def compress_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
+    def compress_one(job: FileJob, threads: int, progress: ProgressCallback) -> Done:
         changed = options | {"threads": threads, "keep_origin": True}
         result = terrainwave.compress(job.source, str(job.target), progress=progress, **changed)
         return Done(_result_line(result), asdict(result))

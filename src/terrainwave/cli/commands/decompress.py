@@ -16,7 +16,7 @@ from terrainwave.arguments import (
 )
 from terrainwave.cli.batch import (
     Done,
-    Job,
+    FileJob,
     refuse_options_of_batches,
     refuse_unknown_raster,
     run_to,
@@ -115,7 +115,7 @@ def _decompress_each(
     if skips:
         options["overwrite"] = True
 
-    def decompress_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
+    def decompress_one(job: FileJob, threads: int, progress: ProgressCallback) -> Done:
         with reading(job.source):
             path = terrainwave.decompress(
                 job.source, str(job.target), progress=progress, **options | {"threads": threads}

@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from terrainwave.arguments import TWZ_ENDINGS, count_of
-from terrainwave.cli.batch import Done, Job, find_original, finish, run, with_files_of_folders
+from terrainwave.cli.batch import Done, FileJob, find_original, finish, run, with_files_of_folders
 from terrainwave.cli.commands.info import files_before
 from terrainwave.cli.options import THREADS_OPTION, Bound, Input, Nodata, complete_files
 from terrainwave.cli.output import (
@@ -92,7 +92,7 @@ def _verify_all(
 ) -> None:
     import terrainwave
 
-    def verify_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
+    def verify_one(job: FileJob, threads: int, progress: ProgressCallback) -> Done:
         folder = folders[job.source]
         original = None if originals is None else find_original(job.source, originals / folder)
         with reading(job.source):
@@ -113,7 +113,7 @@ def _verify_all(
     announce_compiling(quiet=quiet)
     folders = dict(with_files_of_folders(files, TWZ_ENDINGS))
     found, status = run(
-        [Job(file) for file in folders], verify_one, word="ok", threads=threads,
+        [FileJob(file) for file in folders], verify_one, word="ok", threads=threads,
         quiet=quiet or as_json,
     )  # fmt: skip
     if as_json:

@@ -31,7 +31,7 @@ _DEPTHS = (
 )
 
 
-class Layer(NamedTuple):
+class LabelledArray(NamedTuple):
     """Rows and columns of one array, and what its coordinates, attributes and accessor say."""
 
     array: Any  # rows, then columns
@@ -40,7 +40,7 @@ class Layer(NamedTuple):
     notes: list[str]
 
 
-def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> Layer:
+def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> LabelledArray:
     """Return the one layer of heights that a DataArray holds; `source` is what it was taken from.
 
     Raises
@@ -65,7 +65,7 @@ def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> Layer
             " along each: choose another part"
         )
     if not georeference:
-        return Layer(layer, IDENTITY, None, [*band_notes, *depth_notes])
+        return LabelledArray(layer, IDENTITY, None, [*band_notes, *depth_notes])
     transform = transform_of(layer, crs)
     notes = [*band_notes, *depth_notes, *notes]
     if transform is None:
@@ -74,8 +74,8 @@ def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> Layer
                 f"no transform says where the samples of {title(array)} lie, so its CRS is"
                 " dropped: give it coordinates, or a transform by array.rio.write_transform"
             )
-        return Layer(layer, IDENTITY, None, notes)
-    return Layer(layer, transform, format_crs(crs), notes)
+        return LabelledArray(layer, IDENTITY, None, notes)
+    return LabelledArray(layer, transform, format_crs(crs), notes)
 
 
 # Which variable.

@@ -91,7 +91,7 @@ def grid_mesh(n: int) -> tuple[NDArray[np.uint16], NDArray[np.uint32]]:
 
 
 class BlockStore:
-    """A `Store` of regular blocks: a layer each."""
+    """A `PieceStore` of regular blocks: a layer each."""
 
     def __init__(self, context: Any, side: int, *, max_bytes: int) -> None:
         self.layers = LayeredTextures(context, side + 3, [SLOPES, HEIGHTS], max_bytes=max_bytes)

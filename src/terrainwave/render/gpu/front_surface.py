@@ -48,7 +48,7 @@ void main() {
 
 
 class FrontStore:
-    """A `Store` of the slopes of patches: a layer each. It counts their meshes, too.
+    """A `PieceStore` of the slopes of patches: a layer each. It counts their meshes, too.
 
     Parameters
     ----------

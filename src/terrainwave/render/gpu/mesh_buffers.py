@@ -37,7 +37,7 @@ class Slot(NamedTuple):
 
 
 class GpuStore:
-    """A `Store` on the GPU, within `max_bytes`.
+    """A `PieceStore` on the GPU, within `max_bytes`.
 
     Buffers and textures grow by doubling. Indices count from the buffer's first vertex, so that a
     driver without base vertices can draw them too.

@@ -66,7 +66,7 @@ class _WaterTexture:
     def __init__(self, context: Any, water: Water) -> None:
         n_rows, n_cols = water.cells.shape
         self.lowest = water.lowest
-        self.place = (float(water.step), 1 / n_cols, 1 / n_rows)
+        self.place = (float(water.stride), 1 / n_cols, 1 / n_rows)
         data = np.ascontiguousarray(water.cells).tobytes()
         self.texture = context.texture((n_cols, n_rows), 1, data, alignment=1)
         self.texture.repeat_x = self.texture.repeat_y = False

@@ -17,7 +17,7 @@ FONT_SIZE = 14
 _LONGEST_BAR = 170  # pixels
 _LEAST_SIZE = (240, 180)
 # Of a legend: the bar's pixels, and how many intervals its labels leave at most.
-_BAR_WIDTH, _BAR_HEIGHT, _MOST_STEPS = 16, 130, 6
+_BAR_WIDTH, _BAR_HEIGHT, _MOST_INTERVALS = 16, 130, 6
 _HATCH = ((204, 204, 201, 255), (153, 153, 153, 255))
 
 
@@ -95,11 +95,11 @@ def legend_of(
     colors = palette.color_of(shown, min(N_LATITUDES // 2, len(palette.colors) - 1))
     if not high > low:
         return Legend(title, colors, [(0.5, f"{low:g}")], has_voids)
-    step = round_length((high - low) / 2)
-    while (high - low) / (step / 2) <= _MOST_STEPS:
-        step = round_length(step / 2)
-    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-    ticks = [number * step for number in range(first, last + 1)]
+    interval = round_length((high - low) / 2)
+    while (high - low) / (interval / 2) <= _MOST_INTERVALS:
+        interval = round_length(interval / 2)
+    first, last = math.ceil(low / interval - 1e-9), math.floor(high / interval + 1e-9)
+    ticks = [number * interval for number in range(first, last + 1)]
     labels = [((tick - low) / (high - low), f"{tick:.10g}") for tick in ticks]
     if per_unit < 0:  # the deepest lies below
         colors, labels = colors[::-1], [(1 - share, text) for share, text in labels]

@@ -37,12 +37,12 @@ class Water(NamedTuple):
     Parameters
     ----------
     cells : ndarray of uint8, shape (n_rows, n_cols)
-        `LAND`, `LEVEL` or `DEEP` around every `step`-th sample of the full grid.
+        `LAND`, `LEVEL` or `DEEP` around every `stride`-th sample of the full grid.
     step : int
     """
 
     cells: NDArray[np.uint8]
-    step: int
+    stride: int
 
     def lowest(self, sea: float) -> float:
         """Return the lowest height that is water somewhere; infinite where none is."""
@@ -83,8 +83,8 @@ def read_water(terrain: "TerrainFile", frame: "Frame") -> Water:
         return NOWHERE
     level = level_within(terrain, _SIDE)
     heights, valid = read_metres(terrain, frame, None, level)
-    step = 1 << (terrain.n_levels - 1 - level)
-    return Water(find_water(heights, valid, waves_of(terrain, frame)), step)
+    stride = 1 << (terrain.n_levels - 1 - level)
+    return Water(find_water(heights, valid, waves_of(terrain, frame)), stride)
 
 
 def find_water(

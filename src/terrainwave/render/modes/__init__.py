@@ -21,7 +21,7 @@ _CLASSES = {
     "dynamic": ("dynamic", "Dynamic"),
     "full": ("full", "Full"),
     "loose": ("loose", "Loose"),
-    "rqt": ("rqt", "Rqt"),
+    "rqt": ("rqt", "RqtMode"),
     "vertex-texture": ("vertex_texture", "VertexTexture"),
 }
 MODES = tuple(_CLASSES)

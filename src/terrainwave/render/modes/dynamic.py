@@ -20,7 +20,8 @@ from terrainwave.render.modes.front import (
 )
 from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.selection import Piece
-from terrainwave.tri.dynamic.dynamic import DynamicMesh, Eye, Followed
+from terrainwave.tri.dynamic.dynamic import DynamicMesh
+from terrainwave.tri.followed import Eye, Followed
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
@@ -87,8 +88,8 @@ class Dynamic(FrontMode):
         """
         if level < self.n_levels - 1:
             return 0.0  # trees have measured it
-        steps = (np.abs(np.diff(heights, axis=axis)) for axis in (0, 1))
-        return sum(float(np.max(step, initial=0.0, where=~np.isnan(step))) for step in steps)
+        rises = (np.abs(np.diff(heights, axis=axis)) for axis in (0, 1))
+        return sum(float(np.max(rise, initial=0.0, where=~np.isnan(rise))) for rise in rises)
 
     def follow(self, patch: FrontPatch, eye: Eye, tau: float, max_vertices: int) -> Followed:
         """Bring the marks of a patch up to date with a view."""

@@ -32,8 +32,7 @@ from terrainwave.render.scene.scales import (
     Texels,
 )
 from terrainwave.render.scene.selection import NodeInfo, NodeTable, Piece, Selection, View
-from terrainwave.tri.dynamic.budget import Pressure
-from terrainwave.tri.dynamic.dynamic import Eye, Followed
+from terrainwave.tri.followed import Eye, Followed, Pressure
 from terrainwave.tri.rqt.vertex_errors import twist_of
 from terrainwave.tri.scratch import Scratch
 
@@ -92,7 +91,7 @@ class PatchFrame(NamedTuple):
     error: float
 
 
-class Samples(NamedTuple):
+class PatchSamples(NamedTuple):
     """A rectangle of a level.
 
     Parameters
@@ -121,7 +120,7 @@ class FrontPatch:
     matrix : tuple of float
         How its samples lie in local metres, counted from its first.
     slopes : ndarray of float16, shape (n_rows, n_cols, 3)
-        See `Samples`.
+        See `PatchSamples`.
     mesh : object, optional
         None where there is nothing to draw.
     error : float
@@ -350,7 +349,7 @@ class FrontMode(Mode):
     ) -> Any:
         """Return the mesh of a patch. Thread-safe."""
 
-    def read(self, level: int, region: Region) -> Samples:
+    def read(self, level: int, region: Region) -> PatchSamples:
         """Return samples of a level. Thread-safe."""
         terrain = self.terrain
         whole = Region(0, 0, *terrain.grid.level_shape(level))
@@ -364,7 +363,7 @@ class FrontMode(Mode):
         slopes = self._texels.of(
             (quanta, mask), first, region.shape, region.shape, terrain.grid.stride(level)
         )
-        return Samples(region, heights, slopes)
+        return PatchSamples(region, heights, slopes)
 
     # As pieces come and go
 

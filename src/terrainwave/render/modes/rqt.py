@@ -15,14 +15,14 @@ from terrainwave.render.modes.front import Drawn, FrontMode, FrontPatch, PatchFr
 from terrainwave.render.modes.mode import ERRORS
 from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.selection import Piece
-from terrainwave.tri.dynamic.dynamic import Eye, Followed
+from terrainwave.tri.followed import Eye, Followed
 from terrainwave.tri.rqt.view import RestrictedMesh
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
 
 
-class Rqt(FrontMode):
+class RqtMode(FrontMode):
     """A restricted quadtree of one tile for each patch."""
 
     name = "rqt"

@@ -183,7 +183,7 @@ class Frame:
 def round_length(largest: float) -> float:
     """Return the largest of 1, 2, 5 times a power of ten that is not above `largest` (> 0)."""
     power = 10.0 ** math.floor(math.log10(largest))
-    return max(step * power for step in (1, 2, 5) if step * power <= largest * (1 + 1e-12))
+    return max(digit * power for digit in (1, 2, 5) if digit * power <= largest * (1 + 1e-12))
 
 
 def check_drawable(terrain: "TerrainFile") -> None:

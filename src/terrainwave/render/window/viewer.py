@@ -335,9 +335,9 @@ class Viewer:
         """Take a movement with a button down into account."""
         self.controls.drag(dx, dy, is_right=bool(self._window.mouse_states.right))
 
-    def scroll(self, steps: float) -> None:
+    def scroll(self, notches: float) -> None:
         """Take the wheel into account."""
-        self.controls.scroll(steps, self._pick(*self.cursor))
+        self.controls.scroll(notches, self._pick(*self.cursor))
 
     def _pick(self, x: float, y: float) -> Any:
         ratio = self._window.pixel_ratio

@@ -275,8 +275,8 @@ def _move(work, plane, pitch, cell, place, height, sweep):
     top, bottom, left, right = cell
     vertices, sweeps = PLANES + VERTEX * plane, PLANES + SWEEP * plane
     for row in range(top, bottom + 1):
-        step = right - left if top < row < bottom and right - left >= WIDE else 1
-        for at in range(row * pitch + left, row * pitch + right + 1, step):
+        skip = right - left if top < row < bottom and right - left >= WIDE else 1
+        for at in range(row * pitch + left, row * pitch + right + 1, skip):
             work[np.uint64(vertices + 2 * at)] = place
             work[np.uint64(vertices + 2 * at + 1)] = height
             work[np.uint64(sweeps + at)] = sweep
