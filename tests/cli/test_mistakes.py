@@ -71,11 +71,11 @@ MISTAKES = [
     # Values, and parts of the raster.
     ("compress a.tif new.twz --band 2", 2, "found --band 2, expected 1: a.tif has 1 band"),
     ("verify a.twz a.tif --band 3", 2, "found --band 3, expected 1: a.tif has 1 band"),
-    ("decompress a.twz new.tif --window 0,0,0,9", 2, "found a --window of 0 x 9 samples, expected"),
+    ("decompress a.twz new.tif --window 0,0,0,9", 2, "found a --window of 0 x 9 samples"),
     ("decompress a.twz new.tif --window 99,0,1,9", 2, "lies outside the level, which has"),
     ("tiles a.twz new --encoding mapbox", 2, "found --encoding for a directory, expected none"),
     ("mesh a.twz new.ply --mesh rqt", 2, "found --mesh without --store, expected --store with it"),
-    ("mesh a.twz new.twz --store --solid 3", 2, "with --store, expected none of them: they are for"),
+    ("mesh a.twz new.twz --store --solid 3", 2, "with --store, expected none of them"),
     # Options that would change nothing.
     ("verify a.twz --band 1", 2, "found --band without ORIGINAL, expected both"),
     ("verify a.twz --nodata 3", 2, "found --nodata without ORIGINAL, expected both"),
