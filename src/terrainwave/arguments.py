@@ -50,8 +50,8 @@ def check_ending(
     if not or_url:
         check_local(path)
     name = path_in_url(checked_path(path))
-    ending = Path(name).suffix.lower()
-    if ending not in endings:
+    ending = Path(name).suffix
+    if ending.lower() not in endings:
         raise InvalidArgumentError(
             f"{name}: found {ending or 'no extension'}, expected a name that ends in"
             f" {one_of(endings)}"
@@ -358,6 +358,21 @@ def check_flags(**flags: object) -> None:
         is_numpys = getattr(value, "dtype", None) == "bool" and getattr(value, "shape", None) == ()
         if not isinstance(value, bool) and not is_numpys:
             raise InvalidArgumentError(f"found `{name}` {shown(value)}, expected True or False")
+
+
+def check_band(band: int, n_bands: int, whose: str) -> None:
+    """Refuse a band that a raster does not have; `whose` says which raster.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If there is none of this number.
+    """
+    if not 1 <= band <= n_bands:
+        expected = "1" if n_bands == 1 else f"1 … {n_bands}"
+        raise InvalidArgumentError(
+            f"found `band` {band}, expected {expected}: {whose} has {count_of(n_bands, 'band')}"
+        )
 
 
 def check_effort(effort: str) -> None:

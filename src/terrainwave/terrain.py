@@ -216,6 +216,7 @@ class Terrain(TerrainFile):
         *,
         size: tuple[int, int] = (960, 640),
         camera: str | None = None,
+        bounds: Sequence[float] | None = None,
         max_pixel_error: float = 1.0,
         style: "Style | None" = None,
         mode: str = "adaptive",
@@ -236,6 +237,8 @@ class Terrain(TerrainFile):
             Width and height in pixels.
         camera : str, optional
             ``x,y,z,heading,pitch,fov`` as `terrainwave view` prints it; by default all is shown.
+        bounds : (left, bottom, right, top), optional
+            What to show first instead, in the CRS.
         max_pixel_error : float
             τ: largest distance of the picture from the original heights, in pixels.
         style : terrainwave.render.look.style.Style, optional
@@ -298,6 +301,10 @@ class Terrain(TerrainFile):
             radius = checked_number("radius", radius, above=0)
         if drape is not None:
             drape = checked_path(drape, "drape")
+        if camera is not None and bounds is not None:
+            raise InvalidArgumentError("found both `camera` and `bounds`, expected one of them")
+        if bounds is not None:
+            bounds = checked_numbers("bounds", bounds, "left, bottom, right, top")
         if camera is not None and not isinstance(camera, str):
             raise InvalidArgumentError(
                 f"found `camera` {shown(camera)}, expected x,y,z,heading,pitch,fov as a text"
@@ -309,7 +316,8 @@ class Terrain(TerrainFile):
         )  # which refuses what the mode has not, before a window opens
 
         return view(
-            self, size=size, camera=camera, style=style or Style(), mode=mode, error=error,
-            max_pixel_error=max_pixel_error, detail=detail, order=order, stepwise=stepwise,
-            orientation=orientation, drape=drape, exaggeration=exaggeration, radius=radius,
+            self, size=size, camera=camera, bounds=bounds, style=style or Style(), mode=mode,
+            error=error, max_pixel_error=max_pixel_error, detail=detail, order=order,
+            stepwise=stepwise, orientation=orientation, drape=drape, exaggeration=exaggeration,
+            radius=radius,
         )  # fmt: skip

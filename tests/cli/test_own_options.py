@@ -146,6 +146,10 @@ LISTS = "terrainwave compress --method METHOD --help"
             "compress a.tif a.twz --method cdf53 --mesh zerotree -o foo",
             "terrainwave compress --method cdf53 --mesh zerotree --help",
         ),
+        (
+            "compress a.tif a.twz -o border_rings=3 --method cdf53",
+            "terrainwave compress --method rapid --help",
+        ),
         ("compress a.tif a.twz --max-error", "terrainwave compress --help"),
         ("compress a.tif a.twz --open", "terrainwave compress --help"),
         ("mesh a.twz b.twz --store -o", "terrainwave mesh --mesh KIND --help"),

@@ -172,7 +172,7 @@ def test_floats_on_no_grid_can_be_cut():
     ("options", "message"),
     [
         ({"rate": 1, "max_error": 1}, "max_error and rate, expected one of them"),
-        ({"rate": 1, "psnr": 40}, "rate and psnr, expected one of them"),
+        ({"rate": 1, "psnr": 40}, "rate=1 and psnr=40, expected one of them"),
         ({"rate": 1, "method": "cdf97"}, "rate and method cdf97, expected method cdf53"),
         ({"rate": 0}, "rate 0, expected a finite number > 0"),
         ({"psnr": float("nan")}, "psnr nan, expected a finite number"),

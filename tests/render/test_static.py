@@ -121,7 +121,13 @@ def test_a_notebook_gets_a_picture(terrain, monkeypatch, tmp_path):
 def test_without_a_display_a_picture_stands_in_for_the_window(terrain, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    assert terrain.view(size=(60, 40), mode="full").pixels.shape == (40, 60, 3)
+    whole = terrain.view(size=(60, 40), mode="full")
+    assert whole.pixels.shape == (40, 60, 3)
+    left, bottom, right, top = terrain.bounds
+    west = (left, bottom, (left + right) / 2, (bottom + top) / 2)
+    part = terrain.view(size=(60, 40), bounds=west)
+    x, wide = (float(picture.camera.split(",")[0]) for picture in (part, whole))
+    assert x < wide
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1)])
@@ -177,6 +183,8 @@ def test_a_style_comes_from_where_it_was_with_a_note():
         ({"drape": 3}, "found drape 3, expected a path as text"),
         ({"exaggeration": 0}, "found exaggeration 0, expected a finite number > 0"),
         ({"radius": float("nan")}, "found radius nan, expected a finite number > 0"),
+        ({"bounds": (1, 2, 3)}, "found bounds .*, expected four finite numbers: left, bottom"),
+        ({"camera": "a", "bounds": (1, 2, 3, 4)}, "found both camera and bounds, expected one"),
         ({"style": "plain"}, "found style 'plain', expected a Style"),
         ({"camera": 3}, "found camera 3, expected x,y,z,heading,pitch,fov as a text"),
     ],
@@ -198,6 +206,6 @@ def test_a_view_has_the_options_of_the_command_but_those_of_its_style_and_memory
 
     own = {option.name for option in command.params} - {"file"}
     of_style = {"coloring", "ramp", "sea_level", "sun", "haze", "wireframe", "background"}
-    of_machine = {"memory", "n_workers", "target_ms", "fullscreen"}
+    of_machine = {"memory", "n_workers", "target_ms", "fullscreen", "quiet"}
     named = inspect.signature(Terrain.view).parameters.keys() - {"self", "style"}
     assert named == own - of_style - of_machine

@@ -48,7 +48,7 @@ def test_what_cannot_be_is_refused_where_options_are_made(options, message):
         (Cdf97, {"faithful": 1}, "found faithful 1, expected True or False"),
         (Cdf53, {"rate": 0}, "found rate 0, expected a finite number > 0"),
         (Cdf53, {"psnr": float("nan")}, "found psnr nan, expected a finite number > 0"),
-        (Cdf53, {"rate": 1, "psnr": 40}, "found rate and psnr, expected one of them"),
+        (Cdf53, {"rate": 1, "psnr": 40}, "found rate=1 and psnr=40, expected one of them"),
         (Zerotree, {"labels": "none"}, "found labels 'none', expected one of plain, layer, coded"),
         (Zerotree, {"labels": 1}, "found labels the number 1, expected"),
         (Rqt, {"select": None}, "found select None, expected error or coefficient"),

@@ -302,8 +302,8 @@ def find_original(file: str, directory: Path) -> str:
     found = sorted(str(path) for path in directory.glob("*") if path.stem == stem)
     rasters = [path for path in found if not path.lower().endswith(_NO_RASTERS)]
     if len(rasters) != 1:
-        names = ", ".join(rasters) or "none"
-        raise StorageError(f"{file}: found {names}, expected one raster {stem} in {directory}")
+        names = ", ".join(rasters) or f"no raster {stem}"
+        raise StorageError(f"{file}: found {names} in {directory}, expected one, as {stem}.tif")
     return rasters[0]
 
 

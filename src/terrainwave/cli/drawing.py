@@ -104,10 +104,12 @@ def drawing(command: Callable[..., Any]) -> Callable[..., Any]:
                      " there, too."),
         click.option("--mode", type=click.Choice(MODES), default="adaptive", show_default=True,
                      help="How to draw the terrain: docs/viewing.md describes the modes."),
+        click.option("--bounds", type=Numbers("left,bottom,right,top", float),
+                     help="Area to show, in the CRS."),
         click.option("--camera", help="x,y,z,heading,pitch,fov: position in the CRS, height in the"
                      " file's unit; angles in degrees, heading from north, pitch upwards."),
         click.option("--size", type=Size(), default="1280x853", show_default=True,
-                     help="Width and height of the picture, in pixels."),
+                     help="Width and height of the picture or window, in pixels."),
     ):  # fmt: skip
         command = option(command)
     return command

@@ -14,6 +14,7 @@ from terrainwave.arguments import (
     BLOCKS,
     VERTICAL,
     check_ending,
+    check_local,
     checked_path,
 )
 from terrainwave.cli.streams import STREAM, read_stream
@@ -70,9 +71,14 @@ class Target(_Path):
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
         """Return the name."""
-        path = os.fspath(value)
+        path = self.named(value, param, ctx)
         if path == STREAM and self._or_stdout:
             return path
+        try:
+            if not self._or_url:
+                check_local(path)
+        except InvalidArgumentError as error:
+            self.fail(str(error), param, ctx)
         try:
             check_ending(path, self._endings, or_url=self._or_url)
         except InvalidArgumentError as error:
@@ -281,13 +287,26 @@ RADIUS_OPTION = click.option(
     help="Radius of the planet or moon in metres, for coordinates in degrees. Default: the"
     " ellipsoid of the CRS.",
 )
-VERTICAL_OPTION = click.option(
-    "--vertical",
-    type=click.Choice(VERTICAL),
-    default=AS_IS,
-    show_default=True,
-    help="Heights on the globe: used as heights above the ellipsoid without a change (as-is), or"
-    " converted from the CRS's vertical datum by PROJ's grid (ellipsoid).",
+
+
+def vertical_option(heights: str) -> Callable[[Any], Any]:
+    """Return the option --vertical, of these heights."""
+    return click.option(
+        "--vertical",
+        type=click.Choice(VERTICAL),
+        default=AS_IS,
+        show_default=True,
+        help=f"{heights}: used as heights above the ellipsoid without a change (as-is), or"
+        " converted from the CRS's vertical datum by PROJ's grid (ellipsoid).",
+    )
+
+
+VERTICAL_OPTION = vertical_option("Heights on the globe")
+LEVEL_OPTION = click.option(
+    "--level",
+    type=int,
+    default=-1,
+    help="Level of detail: -1 is the full grid (default), -2 half of it, 0 the coarsest.",
 )
 
 

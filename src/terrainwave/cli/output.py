@@ -12,8 +12,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from pathlib import Path
+from contextlib import contextmanager
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -55,21 +54,19 @@ def print_note(message: object) -> None:
 
 @contextmanager
 def reading(path: str) -> Iterator[None]:
-    """Name the file in the message of whatever is wrong with it, and say so if it is no .twz."""
+    """Name the file in the message of whatever is wrong with it, and say what to do."""
+    from terrainwave.container.header import NotTwzError
     from terrainwave.container.sources.addresses import display_name
 
     try:
         yield
     except CorruptStreamError as error:
-        with suppress(OSError), Path(path).open("rb") as file:
-            start = file.read(4)
-            if start != b"\x89TWZ":
-                kind = "a TIFF" if start[:2] in (b"II", b"MM") else "something else"
-                raise CorruptStreamError(
-                    f"{path}: found {kind}, expected a .twz file; terrainwave compress makes one"
-                    " of a raster"
-                ) from error
-        raise type(error)(f"{display_name(path)}: {error}") from error
+        advice = (
+            "terrainwave compress makes one of a raster"
+            if isinstance(error, NotTwzError)
+            else "the file is damaged: copy or download it again"
+        )
+        raise type(error)(f"{display_name(path)}: {error}; {advice}") from error
 
 
 @contextmanager
@@ -116,6 +113,11 @@ def message_of(error: TerrainwaveError | TerrainwaveWarning) -> str:
 
 class Command(click.Command):
     """A command: an argument that cannot be is wrong usage, wherever that is found out."""
+
+    def get_short_help_str(self, limit: int = 0) -> str:  # noqa: ARG002  lines are wrapped
+        """Return the first sentence of the help, as the list of commands has it."""
+        sentence = (self.help or "").split("\n\n")[0].partition(". ")[0]
+        return " ".join(sentence.split()).rstrip(".") + "."
 
     def pointer(self, ctx: click.Context, message: str) -> str:  # noqa: ARG002  of some commands
         """Return the command that helps where `message` says what is wrong."""

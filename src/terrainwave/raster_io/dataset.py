@@ -15,9 +15,9 @@ from rasterio.enums import MaskFlags
 from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
 from rasterio.windows import Window
 
+from terrainwave.arguments import check_band
 from terrainwave.container.sources.addresses import display_name, without_secrets
 from terrainwave.errors import (
-    InvalidArgumentError,
     InvalidHeightsError,
     StorageError,
     TerrainwaveError,
@@ -65,6 +65,8 @@ def open_dataset(path: str) -> Any:
             raise StorageError(f"{path} is a directory; expected a raster file") from error
         if is_local and ":" not in path and not local.exists():
             raise StorageError(f"{path}: no such file") from error
+        if is_local and local.is_file() and not local.stat().st_size:
+            raise StorageError(f"{path} is empty; expected a raster file") from error
         problem = without_secrets(one_line(error))
         raise StorageError(
             f"{display_name(path)} is not a raster that GDAL can read: {problem}"
@@ -181,11 +183,7 @@ class DatasetBackend:
         if dataset.closed:
             raise InvalidHeightsError("the rasterio dataset is closed; expected an open one")
         self.name = str(dataset.name)
-        if not 1 <= band <= dataset.count:
-            bands = "1 band" if dataset.count == 1 else f"{dataset.count} bands"
-            raise InvalidArgumentError(
-                f"{self.name}: `band` {band} does not exist, the file has {bands}"
-            )
+        check_band(band, dataset.count, self.name)
         self.n_rows, self.n_cols = int(dataset.height), int(dataset.width)
         self.dtype = np.dtype(dataset.dtypes[band - 1])
         self.nodata = dataset.nodatavals[band - 1]

@@ -36,6 +36,11 @@ class LevelPlace(NamedTuple):
         region = asked.intersect(whole)
         if region.n_rows > 0 and region.n_cols > 0:
             return LevelWindow(self, region, asked, bounds)
+        if min(asked.n_rows, asked.n_cols) < 1 and bounds is None:
+            raise InvalidArgumentError(
+                f"found a `window` of {asked.n_rows} x {asked.n_cols} samples, expected at least 1"
+                " x 1"
+            )
         if bounds is not None:
             raise InvalidArgumentError(
                 f"the `bounds` {_in_words(bounds)} lie outside the raster's, {_in_words(self.own)}"

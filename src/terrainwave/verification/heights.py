@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from terrainwave.arguments import (
+    check_band,
     check_callback,
     check_flags,
     checked_error,
@@ -163,10 +164,7 @@ def verify(
             report = _report(terrain, twz, None, bound, None, problems)
             return _with_meshes(report, terrain, None, progress) if mesh else report
         with open_original(original) as dataset:
-            if not 1 <= band <= dataset.count:
-                raise InvalidArgumentError(
-                    f"`band` {band} does not exist, {original} has {dataset.count}"
-                )
+            check_band(band, dataset.count, str(original))
             raster = Original(dataset, band, nodata)
             report = _Comparison(terrain, raster, max_error).run(twz, original, progress)
             if not mesh or report.errors is None:  # of another size or type

@@ -175,14 +175,21 @@ class Options:
     @property
     def notes(self) -> list[str]:
         """Return remarks on options that change nothing."""
+        notes = []
+        if self.mesh_error is not None and self.mesh_kind == "none":
+            notes.append("the mesh error changes nothing: the file gets no meshes")
         if self.effort == DEFAULT_EFFORT:
-            return []
+            return notes
         if self.faithful:
-            return [f"effort {self.effort} changes nothing: faithful files have one wavelet step"]
+            return [
+                *notes,
+                f"effort {self.effort} changes nothing: faithful files have one wavelet step",
+            ]
         if self.named_method.effort:
-            return []
+            return notes
         return [
-            f"effort {self.effort} changes nothing: method {self.named_method.name} has no efforts"
+            *notes,
+            f"effort {self.effort} changes nothing: method {self.named_method.name} has no efforts",
         ]
 
 

@@ -260,6 +260,8 @@ def _sources_and_target(paths: tuple[str, ...]) -> tuple[list[str], str]:
         # Not only a slip: with `*.tif` the last raster stands where the target does.
         target = Target(TWZ_ENDINGS, or_url=True).convert(target, None, ctx)
     except click.BadParameter as error:
+        if not target or "://" in target:  # it is no raster
+            raise click.BadParameter(error.message, param_hint="TARGET") from error
         raise click.UsageError(
             f"TARGET is the last name: {error.message}; to compress each raster to a file of its"
             " own, add --to DIR"
@@ -286,14 +288,15 @@ def _result_line(result: Any) -> str:
 def _print_result(result: Any, *, as_json: bool, quiet: bool) -> None:
     if as_json:
         print_json(asdict(result))
-    if as_json or quiet:
         return
-    measured = "not checked" if result.measured_error is None else f"{result.measured_error:.6g}"
-    click.echo(_result_line(result))
-    click.echo(
-        f"max error asked {result.max_error:.6g}, guaranteed {result.effective_error:.6g},"
-        f" measured {measured}{unit_behind(result.units)}"
-    )
-    note_unit(result.units)
+    if not quiet:
+        measured = result.measured_error
+        found = "not checked" if measured is None else f"{measured:.6g}"
+        click.echo(_result_line(result))
+        click.echo(
+            f"max error asked {result.max_error:.6g}, guaranteed {result.effective_error:.6g},"
+            f" measured {found}{unit_behind(result.units)}"
+        )
+        note_unit(result.units)
     for note in result.notes:
         print_note(note)

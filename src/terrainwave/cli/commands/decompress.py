@@ -24,6 +24,7 @@ from terrainwave.cli.batch import (
 from terrainwave.cli.manifest import UNKNOWN, Manifest
 from terrainwave.cli.options import (
     CUTTABLE,
+    LEVEL_OPTION,
     VERTICAL_OPTION,
     Input,
     Numbers,
@@ -35,7 +36,15 @@ from terrainwave.cli.options import (
     complete_files,
     writing,
 )
-from terrainwave.cli.output import Bar, Command, announce_compiling, plain, print_note, reading
+from terrainwave.cli.output import (
+    Bar,
+    Command,
+    announce_compiling,
+    plain,
+    print_json,
+    print_note,
+    reading,
+)
 from terrainwave.cli.streams import STREAM, printing_beside, written
 from terrainwave.progress import ProgressCallback
 
@@ -50,7 +59,7 @@ from terrainwave.progress import ProgressCallback
 @click.option(
     "--bounds", type=Numbers("left,bottom,right,top", float), help="Part to write, in the CRS."
 )
-@click.option("--level", type=int, default=-1, help="-1 full grid (default), -2 half, 0 coarsest.")
+@LEVEL_OPTION
 @click.option(
     "--quality",
     type=Positive(),
@@ -72,6 +81,7 @@ from terrainwave.progress import ProgressCallback
     " (that of their neighbours) or a number.",
 )
 @VERTICAL_OPTION
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @batched
 @writing
 def decompress(paths: tuple[str, ...], to: str | None, skip_existing: bool, **options: Any) -> None:
@@ -89,7 +99,7 @@ def decompress(paths: tuple[str, ...], to: str | None, skip_existing: bool, **op
         _decompress_each(paths, to, skips=skip_existing, **options)
 
 
-def _decompress(source: str, target: str, *, quiet: bool, **options: Any) -> None:
+def _decompress(source: str, target: str, *, as_json: bool, quiet: bool, **options: Any) -> None:
     """Write one GeoTIFF or height tile."""
     import terrainwave
 
@@ -101,13 +111,21 @@ def _decompress(source: str, target: str, *, quiet: bool, **options: Any) -> Non
         n_bytes = Path(path).stat().st_size
         if target == STREAM and Path(f"{path}.aux.xml").exists():
             print_note("the GeoTIFF alone cannot hold the CRS: write to a file instead of stdout")
-    if not quiet:
-        with printing_beside(target):
+    with printing_beside(target):
+        if as_json:
+            print_json({"path": target, "n_bytes": n_bytes})
+        elif not quiet:
             click.echo(f"{plain(target)}: {n_bytes:,} bytes")
 
 
 def _decompress_each(
-    sources: tuple[str, ...], directory: str, *, skips: bool, quiet: bool, **options: Any
+    sources: tuple[str, ...],
+    directory: str,
+    *,
+    skips: bool,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
 ) -> None:
     """Write a GeoTIFF of each file, in a directory."""
     import terrainwave
@@ -120,12 +138,13 @@ def _decompress_each(
             path = terrainwave.decompress(
                 job.source, str(job.target), progress=progress, **options | {"threads": threads}
             )
-        return Done(f"{plain(path)}: {Path(path).stat().st_size:,} bytes")
+        n_bytes = Path(path).stat().st_size
+        return Done(f"{plain(path)}: {n_bytes:,} bytes", {"path": path, "n_bytes": n_bytes})
 
     run_to(
         sources, directory, ".tif", decompress_one, "decompressed", endings=TWZ_ENDINGS,
         manifest=_manifest(directory, options, skips=skips),
-        threads=options["threads"], as_json=False, quiet=quiet,
+        threads=options["threads"], as_json=as_json, quiet=quiet,
     )  # fmt: skip
 
 
@@ -138,7 +157,10 @@ def _source_and_target(paths: tuple[str, ...]) -> tuple[str, str]:
             " --to DIR"
         )
     ctx = click.get_current_context()
-    target = Target((*GEOTIFF_ENDINGS, *HEIGHT_TILE_ENDINGS)).convert(paths[1], None, ctx)
+    try:
+        target = Target((*GEOTIFF_ENDINGS, *HEIGHT_TILE_ENDINGS)).convert(paths[1], None, ctx)
+    except click.BadParameter as error:
+        raise click.BadParameter(error.message, param_hint="TARGET") from error
     return Input().convert(paths[0], None, ctx), target
 
 

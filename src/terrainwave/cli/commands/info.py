@@ -6,7 +6,7 @@ from typing import Any, Self
 import click
 
 from terrainwave.arguments import count_of, crs_name
-from terrainwave.cli.options import Input
+from terrainwave.cli.options import THREADS_OPTION, Input
 from terrainwave.cli.output import (
     Command,
     plain,
@@ -40,11 +40,12 @@ from terrainwave.names import UNBOUNDED_MESHES
     help="List the triangles of each level, their bits and their zero trees (slow: makes all"
     " meshes).",
 )
-def info(file: str, as_json: bool, **more: Any) -> None:
+@THREADS_OPTION
+def info(file: str, as_json: bool, threads: int | None, **more: Any) -> None:
     """Show what FILE (.twz) contains."""
     import terrainwave
 
-    with reading(file), terrainwave.open(file) as terrain:
+    with reading(file), terrainwave.open(file, threads=threads) as terrain:
         summary = terrain.info()
         found = _Found.of(terrain, **more | {"parts": more["parts"] or "://" not in file})
     if as_json:

@@ -9,6 +9,7 @@ import click
 
 from terrainwave.arguments import TWZ_ENDINGS, check_ending, count_of
 from terrainwave.cli.options import (
+    LEVEL_OPTION,
     RADIUS_OPTION,
     VERTICAL_OPTION,
     Bound,
@@ -57,7 +58,7 @@ _GOALS = {"max_error", "max_triangles", "optimise"}
 )
 @click.option("--max-triangles", type=click.IntRange(min=1), metavar="N",
               help="Make the mesh of smallest error with at most N triangles.")  # fmt: skip
-@click.option("--level", type=int, default=-1, help="-1 full grid (default), -2 half, 0 coarsest.")
+@LEVEL_OPTION
 @click.option("--window", type=Numbers("row,col,n_rows,n_cols", int), help="Part, in samples.")
 @click.option("--bounds", type=Numbers("left,bottom,right,top", float), help="Part, in the CRS.")
 @click.option(
@@ -78,7 +79,13 @@ _GOALS = {"max_error", "max_triangles", "optimise"}
     help="Coordinates: metres from the middle (local), those of the CRS (native), or geocentric"
     " (ecef). Default: local where the CRS has degrees, else native.",
 )
-@click.option("--z-scale", type=Positive(), default=1.0, help="Multiply heights by this factor.")
+@click.option(
+    "--z-scale",
+    type=Positive(),
+    default=1.0,
+    show_default=True,
+    help="Multiply heights by this factor.",
+)
 @click.option(
     "--solid",
     type=Finite(),
@@ -92,11 +99,16 @@ _GOALS = {"max_error", "max_triangles", "optimise"}
     is_flag=True,
     help="Make a copy of FILE with meshes stored in it; TARGET is a .twz.",
 )
-@click.option("--mesh", type=MeshKind(), help="With --store: kind of the meshes.")
+@click.option("--mesh", type=MeshKind(), help="With --store: kind of the meshes. Default: halves.")
 @own_option(
     "With --store: set an option of the kind of meshes. To list them, name it: --mesh KIND --help."
 )
-@click.option("--mesh-error", type=Bound(), help="With --store: as for compress.")
+@click.option(
+    "--mesh-error",
+    type=Bound(),
+    help="With --store: largest distance of the finest meshes from the decoded heights. Default: as"
+    " for compress.",
+)
 @click.option(
     "--original", type=Input(), help="With --store: the raster to measure the errors against."
 )
@@ -127,7 +139,11 @@ def _refuse_unfit(context: click.Context, *, stores: bool, loose: bool) -> None:
     } - {"file", "target", "stores"}
     unfit = given - _COMMON_OPTIONS - _STORE_OPTIONS if stores else given & _STORE_OPTIONS
     if unfit:
-        raise click.UsageError(f"found {_flags(unfit)} {'with' if stores else 'without'} --store")
+        expected = "expected none of them: they are for a mesh in a file of its own"
+        if not stores:
+            expected = "expected --store with it, which stores meshes in a copy of FILE"
+        where = "with" if stores else "without"
+        raise click.UsageError(f"found {_flags(unfit)} {where} --store, {expected}")
     if loose and given & _GOALS:
         raise click.UsageError(
             f"found {_flags(given & _GOALS)} with --loose, expected none of them: the zero trees"

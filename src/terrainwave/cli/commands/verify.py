@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from terrainwave.arguments import TWZ_ENDINGS, count_of
 from terrainwave.cli.batch import Done, FileJob, find_original, finish, run, with_files_of_folders
@@ -69,6 +70,8 @@ def _verify(
     import terrainwave
 
     ctx = click.get_current_context()
+    if original is None:
+        _refuse_unfit_without_original(ctx)
     file = Input().convert(path, None, ctx)
     raster = None if original is None else Input().convert(original, None, ctx)
     announce_compiling(quiet=quiet)
@@ -79,6 +82,16 @@ def _verify(
     elif not quiet:
         _print_report(report)
     finish(int(not report.ok))
+
+
+def _refuse_unfit_without_original(ctx: click.Context) -> None:
+    """Refuse options that say how to read or compare the original."""
+    for name in ("band", "nodata", "max_error"):
+        if ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+            option = f"--{name}".replace("_", "-")
+            raise click.UsageError(
+                f"found {option} without ORIGINAL, expected both: nothing is compared otherwise"
+            )
 
 
 def _verify_all(
@@ -110,6 +123,8 @@ def _verify_all(
             f"{plain(display_name(job.source))}: {found}", report.to_dict(), is_good=report.ok
         )
 
+    if originals is None:
+        _refuse_unfit_without_original(click.get_current_context())
     announce_compiling(quiet=quiet)
     folders = dict(with_files_of_folders(files, TWZ_ENDINGS))
     found, status = run(
@@ -126,9 +141,11 @@ def _print_report(report: Any) -> None:
         click.echo(f"problem: {plain(problem)}")
     if report.errors is not None:
         errors = report.errors
+        measured = (
+            f": max error {errors.max_error:.6g} (bound {report.bound:.6g}), RMSE {errors.rmse:.6g}"
+        )
         click.echo(
-            f"{count_of(errors.n_valid, 'height')} compared: max error {errors.max_error:.6g}"
-            f" (bound {report.bound:.6g}), RMSE {errors.rmse:.6g}"
+            f"{count_of(errors.n_valid, 'height')} compared{measured * (errors.n_valid > 0)}"
         )
         if not report.problems and not report.is_strict:
             click.echo(
@@ -138,7 +155,7 @@ def _print_report(report: Any) -> None:
             )
         elif report.is_strict and errors.n_valid:
             click.echo("every height is within the bound")
-    if report.errors is not None and not report.errors.n_valid:
+    if report.ok and report.errors is not None and not report.errors.n_valid:
         print_note("no height was compared: there is none that is valid in both")
     if report.original is None:
         click.echo("no heights compared: give the ORIGINAL raster for that")

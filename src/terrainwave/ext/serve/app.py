@@ -16,7 +16,7 @@ from fastapi.responses import JSONResponse
 from fastapi.staticfiles import StaticFiles
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
-from terrainwave.arguments import in_one_line
+from terrainwave.arguments import AS_IS, in_one_line
 from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.ext.serve.answers import STATIC, Answers
 from terrainwave.ext.serve.guards import Guarded, guards_of
@@ -38,6 +38,7 @@ def make_app(
     cors: bool = False,
     n_decoding: int = 2,
     radius: float | None = None,
+    vertical: str = AS_IS,
     encoding: str = tiling.MAPBOX,
     transparent_voids: bool = False,
     sea_level: str | float = AUTO,
@@ -56,6 +57,8 @@ def make_app(
         Requests that decode at a time.
     radius : float, optional
         Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
+    vertical : {"as-is", "ellipsoid"}
+        Heights of Cesium's tiles, as in `TilePyramid`.
     encoding : {"mapbox", "terrarium"}
         Of terrain-RGB tiles where a request names none, and of the page's; a warning names each
         file with heights that it cannot hold.
@@ -75,7 +78,7 @@ def make_app(
     check_sea_level(sea_level)
     look = Look(tiling.encoding_of(encoding).name, transparent_voids)
     desk = Desk(n_decoding)
-    layers = open_layers(paths, radius) if paths else {}
+    layers = open_layers(paths, radius, vertical) if paths else {}
     for layer in layers.values():
         if note := tiling.note_on_range(layer.globe, encoding):
             warnings.warn(TerrainwaveWarning(f"{layer.name}: {note}"), stacklevel=2)

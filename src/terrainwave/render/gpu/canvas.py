@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.errors import TerrainwaveError
+from terrainwave.errors import InvalidArgumentError, TerrainwaveError
 from terrainwave.extras import need
 from terrainwave.render import DEFAULT_MAX_BYTES
 from terrainwave.render.gpu.shaders import SOLID_ALPHA
@@ -157,7 +157,9 @@ class Canvas:
         """Draw pictures of another size from now on."""
         limit = int(self.context.info["GL_MAX_VIEWPORT_DIMS"][0])
         if not (1 <= min(size) and max(size) <= limit):
-            raise TerrainwaveError(f"found size {size[0]}x{size[1]}, expected 1 to {limit} pixels")
+            raise InvalidArgumentError(
+                f"found `size` {size[0]}x{size[1]}, expected at most {limit} pixels each way"
+            )
         self._release_framebuffers()
         self.viewport = Viewport(*size)
         self._target = self._framebuffer(size, self._samples)
