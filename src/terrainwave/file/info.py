@@ -9,7 +9,7 @@ from terrainwave.codec.registry import newer_layout
 from terrainwave.container.header import Header
 from terrainwave.file.described import DescribedFile
 from terrainwave.names import EFFORTS, FORMATS
-from terrainwave.raster_io.earlier_loss import steps_of
+from terrainwave.raster_io.earlier_loss import earlier_files
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def info_of(terrain: DescribedFile) -> Info:
         tags=dict(raster.tags),
         band_tags=dict(raster.band_tags),
         color_interpretation=raster.color_interpretation,
-        earlier=tuple(step._asdict() for step in steps_of(header.metadata)),
+        earlier=tuple(file._asdict() for file in earlier_files(header.metadata)),
     )
 
 

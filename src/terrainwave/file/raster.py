@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import IDENTITY
-from terrainwave.raster_io.earlier_loss import EarlierLoss, Step, steps_of
+from terrainwave.raster_io.earlier_loss import EarlierFile, EarlierLoss, earlier_files
 from terrainwave.raster_io.source import RasterSource
 
 
@@ -49,9 +49,9 @@ class TerrainBackend:
         self.crs: Any = info.rasterio_crs() if self._is_placed else None
         self.has_mask = info.mask_kind == "mask"
         bound = terrain.effective_error
-        own = Step(os.path.basename(self.name), bound)
-        steps = (*steps_of(terrain.header.metadata), own) if bound else ()
-        self.earlier: EarlierLoss | None = EarlierLoss(bound, steps)
+        own = EarlierFile(os.path.basename(self.name), bound)
+        files = (*earlier_files(terrain.header.metadata), own) if bound else ()
+        self.earlier: EarlierLoss | None = EarlierLoss(bound, files)
 
     def notes(self) -> Iterator[str]:
         """Yield what is left out or was chosen, one sentence each."""

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from terrainwave.container.metadata import EARLIER
 
 
-class Step(NamedTuple):
+class EarlierFile(NamedTuple):
     """One file that heights went through, and its bound from their original, in physical units."""
 
     file: str
@@ -16,24 +16,24 @@ class Step(NamedTuple):
 class EarlierLoss(NamedTuple):
     """How far heights may be from their original, in physical units, and the files between.
 
-    The last step's bound is `max_error`. A lossless file leaves no step.
+    The last file's bound is `max_error`. A lossless file leaves no file.
     """
 
     max_error: float
-    steps: tuple[Step, ...] = ()
+    files: tuple[EarlierFile, ...] = ()
 
 
 NO_LOSS = EarlierLoss(0.0)
 
 
-def steps_of(metadata: Mapping[str, object]) -> tuple[Step, ...]:
+def earlier_files(metadata: Mapping[str, object]) -> tuple[EarlierFile, ...]:
     """Return the files that a file's heights went through before; what is no such list is none."""
     found = metadata.get(EARLIER)
-    steps = found if isinstance(found, list) else []
+    files = found if isinstance(found, list) else []
     return tuple(
-        Step(step["file"], float(step["max_error"]))
-        for step in steps
-        if isinstance(step, dict)
-        and isinstance(step.get("file"), str)
-        and isinstance(step.get("max_error"), int | float)
+        EarlierFile(file["file"], float(file["max_error"]))
+        for file in files
+        if isinstance(file, dict)
+        and isinstance(file.get("file"), str)
+        and isinstance(file.get("max_error"), int | float)
     )

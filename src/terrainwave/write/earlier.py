@@ -20,7 +20,7 @@ from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import strides_on
 from terrainwave.grid.quantum import as_fraction
 from terrainwave.grid.steps import FixedSteps
-from terrainwave.raster_io.earlier_loss import Step, steps_of
+from terrainwave.raster_io.earlier_loss import EarlierFile, earlier_files
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.write.compress_options import Options
 
@@ -36,7 +36,7 @@ class Earlier(NamedTuple):
         They lie on fixed steps, where they stay: the new file loses nothing of them.
     note : str
         What a user should know of it; empty where nothing is claimed.
-    steps : tuple of Step
+    files : tuple of EarlierFile
         The .twz files that they went through.
     asked : Options, optional
         What was asked of the bound from the original; None where that is not known, and the bound
@@ -46,7 +46,7 @@ class Earlier(NamedTuple):
     error: float = 0.0
     is_still: bool = False
     note: str = ""
-    steps: tuple[Step, ...] = ()
+    files: tuple[EarlierFile, ...] = ()
     asked: Options | None = None
 
     def beyond(self, own: float) -> tuple[float, list[str]]:
@@ -110,7 +110,7 @@ def earlier_of(source: RasterSource, asked: Options, steps: FixedSteps | None) -
             note = ""
         if asked.max_error is None and not asked.is_embedded:
             note = f"no --max-error given: {note}"
-        return Earlier(loss.max_error, note=note, steps=loss.steps, asked=asked)
+        return Earlier(loss.max_error, note=note, files=loss.files, asked=asked)
     claim = source.claim
     if claim is None:
         return NOTHING
@@ -121,13 +121,13 @@ def earlier_of(source: RasterSource, asked: Options, steps: FixedSteps | None) -
                 if _has_same_heights(terrain, source):
                     is_still = steps is not None and _is_on(source, steps)
                     bound = terrain.effective_error
-                    own = Step(os.path.basename(claim.path), bound)
+                    own = EarlierFile(os.path.basename(claim.path), bound)
                     return Earlier(
                         bound,
                         is_still,
                         f"the heights are those of {claim.path}, within"
                         f" {bound:.6g} of an original{', and do not move' * is_still}",
-                        (*steps_of(terrain.header.metadata), own),
+                        (*earlier_files(terrain.header.metadata), own),
                     )
             reason = f"and are not those of {claim.path}"
         except TerrainwaveError as error:

@@ -185,8 +185,8 @@ class Job:
         metadata = metadata_of(info)
         if self.moved:
             metadata["moved"] = self.moved
-            if self.earlier.steps:
-                metadata[EARLIER] = [step._asdict() for step in self.earlier.steps]
+            if self.earlier.files:
+                metadata[EARLIER] = [file._asdict() for file in self.earlier.files]
         if self.origin is not None:
             metadata[ORIGIN] = self.origin
         has_heights = self.n_valid > 0
@@ -302,7 +302,7 @@ def settled(
     origin = origin_of(earlier.asked or options, scan) if options.keep_origin else None
     own = quantizer.effective_error * float(scale_of(info))
     more, earlier_notes = earlier.beyond(own)
-    loss = EarlierLoss(more, earlier.steps)
+    loss = EarlierLoss(more, earlier.files)
     job = Job(options, info, grid, bound, quantizer, scan.n_valid, measured, loss, origin)
     if job.moved > MAX_MOVED:
         raise InvalidHeightsError(

@@ -9,7 +9,7 @@ from terrainwave.errors import TerrainwaveError
 from terrainwave.file import TerrainFile
 from terrainwave.file.raster import raster_source
 from terrainwave.progress import ProgressCallback, Reporter
-from terrainwave.raster_io.earlier_loss import steps_of
+from terrainwave.raster_io.earlier_loss import earlier_files
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.write.compress_options import Options
 from terrainwave.write.job import metadata_of, origin_of
@@ -58,10 +58,10 @@ def difference(
         metadata = without_origin(header.metadata)
         metadata.pop("software", None)
         metadata.pop("moved", None)
-        steps = steps_of({EARLIER: metadata.pop(EARLIER, None)})
+        files = earlier_files({EARLIER: metadata.pop(EARLIER, None)})
         if size != (header.n_rows, header.n_cols, header.dtype) or metadata != metadata_of(info):
             return "it was made of another raster"
-        if steps != (source.earlier.steps if source.earlier else ()):
+        if files != (source.earlier.files if source.earlier else ()):
             return "it was made of another .twz file"
         scan = scan_windows(info, _windows(source), Reporter(progress), has_digest=True)
     return None if origin == origin_of(asked, scan) else "it was made of other heights"

@@ -102,8 +102,8 @@ class _Found:
 def files_before(earlier: Any) -> str:
     """Return the .twz files that heights went through, the last one first."""
     return ", from ".join(
-        f"{plain(step['file'])}, within {step['max_error']:.6g} of the original"
-        for step in reversed(earlier)
+        f"{plain(file['file'])}, within {file['max_error']:.6g} of the original"
+        for file in reversed(earlier)
     )
 
 
