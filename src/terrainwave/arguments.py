@@ -22,6 +22,8 @@ GEOTIFF_ENDINGS = (".tif", ".tiff")
 HEIGHT_TILE_ENDINGS = (".r16", ".png")
 # Which samples of a coarse level are void (`Terrain.read`).
 VOIDS = ("exact", "any")
+# What becomes of damaged blocks.
+ON_ERROR = RAISE, MASK = "raise", "mask"
 # What voids of a height tile become, if no height is given.
 FILLINGS = ("lowest", "fill")
 PICTURE_ENDINGS = (".png",)

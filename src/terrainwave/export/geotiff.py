@@ -15,6 +15,8 @@ from terrainwave.arguments import (
     AS_IS,
     GEOTIFF_ENDINGS,
     HEIGHT_TILE_ENDINGS,
+    MASK,
+    RAISE,
     VOIDS,
     check_ending,
     check_flags,
@@ -36,6 +38,8 @@ from terrainwave.raster_io.geotiff.sink import RasterSink
 
 # Samples of one window: whole rows of groups where they fit, 32 MiB of float64.
 _WINDOW_SAMPLES = 4 << 20
+# Damaged blocks that warnings name.
+_MOST_NAMED = 10
 
 # Heights and validity.
 _Samples = tuple[NDArray[Any], NDArray[np.bool_]]
@@ -53,6 +57,7 @@ def decompress(
     voids: str | float | None = None,
     quality: float | None = None,
     vertical: str = AS_IS,
+    on_error: str = RAISE,
     threads: int | None = None,
     overwrite: bool = False,
     progress: ProgressCallback | None = None,
@@ -86,6 +91,9 @@ def decompress(
         ``"ellipsoid"`` converts heights from the CRS's vertical datum with PROJ's grid. It writes
         metres above the ellipsoid, as float32 or float64, and the CRS with ellipsoidal heights.
         The tag TERRAINWAVE_VERTICAL names the conversion, TERRAINWAVE_MAX_ERROR the bound.
+    on_error : {"raise", "mask"}
+        ``"mask"``: damaged blocks become void, and a warning names each of them; a file that ends
+        too early gives what is there. A raster that has no mark for voids gets a mask.
     threads : int, optional
         Threads that decode; the number of processors by default.
     overwrite : bool
@@ -115,13 +123,13 @@ def decompress(
     else:
         _check_geotiff(dst, voids, size)
     refuse_own_source(src, dst)
-    with TerrainFile(src, threads=threads) as terrain:
+    with TerrainFile(src, threads=threads, on_error=on_error) as terrain:
         asked = terrain.checked_window(window, bounds=bounds, level=level)
         region = asked.region
         if note := asked.note_on_cut(terrain.res):
             warnings.warn(note, TerrainwaveWarning, stacklevel=2)
         if is_tile:
-            return write_height_tile(
+            path = write_height_tile(
                 terrain,
                 dst,
                 region,
@@ -131,8 +139,13 @@ def decompress(
                 overwrite=overwrite,
                 reporter=reporter,
             )
+            _warn_of_lost(terrain, level, region)
+            return path
+        info = info_to_write(terrain)
+        if on_error == MASK and info.mask_kind == "none":
+            info = replace(info, mask_kind="mask")
         info = replace(
-            info_to_write(terrain),
+            info,
             n_rows=region.n_rows,
             n_cols=region.n_cols,
             transform=terrain.transform_of(level, region)[:6],
@@ -150,7 +163,42 @@ def decompress(
         with RasterSink(dst, info, cog=cog, overwrite=overwrite, n_threads=n_threads) as sink:
             _write(sink, read, region, 2 * terrain.grid.block, reporter)
         keep_place(dst, info)
+        _warn_of_lost(terrain, level, region)
     return os.fspath(dst)
+
+
+def _warn_of_lost(terrain: TerrainFile, level: int, region: Region) -> None:
+    """Name the damaged blocks that became void, the first of many."""
+    if terrain.container.n_missing:
+        n_bytes = terrain.container.extents.file_size
+        warnings.warn(
+            f"{terrain.name} has {n_bytes - terrain.container.n_missing:,} of its {n_bytes:,} bytes"
+            " and was read as far as it goes",
+            TerrainwaveWarning,
+            stacklevel=3,
+        )
+    index = terrain.level_index(level)
+    lost = [one for one in terrain.lost if one.level == index]
+    for one in lost[:_MOST_NAMED]:
+        warnings.warn(f"lost: {one}", TerrainwaveWarning, stacklevel=3)
+    if len(lost) > _MOST_NAMED:
+        warnings.warn(
+            f"lost: {len(lost) - _MOST_NAMED} more parts of level {index}, which verify lists",
+            TerrainwaveWarning,
+            stacklevel=3,
+        )
+    if lost:
+        n_lost = sum(_n_samples(Region(*one.window).intersect(region)) for one in lost)
+        share = 100 * min(n_lost / _n_samples(region), 1)
+        warnings.warn(
+            f"lost: {share:.3g} % of the samples, which are void now",
+            TerrainwaveWarning,
+            stacklevel=3,
+        )
+
+
+def _n_samples(region: Region) -> int:
+    return max(region.n_rows, 0) * max(region.n_cols, 0)
 
 
 def _check_height_tile(

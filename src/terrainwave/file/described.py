@@ -10,7 +10,16 @@ import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
-from terrainwave.arguments import check_flags, checked_threads, checked_whole, in_one_line
+from terrainwave.arguments import (
+    MASK,
+    ON_ERROR,
+    RAISE,
+    check_choice,
+    check_flags,
+    checked_threads,
+    checked_whole,
+    in_one_line,
+)
 from terrainwave.codec.registry import check_file_tables, check_layout
 from terrainwave.container.codes import decode_error, decode_range
 from terrainwave.container.header import LAYOUT_FEATURES, Header
@@ -42,15 +51,18 @@ class DescribedFile:
         cache_bytes: int = DEFAULT_CACHE_BYTES,
         threads: int | None = None,
         native: bool = True,
+        on_error: str = RAISE,
     ) -> None:
         check_flags(native=native)
+        check_choice("on_error", on_error, ON_ERROR)
         self.n_threads = checked_threads(threads)
         cache_bytes = checked_whole("cache_bytes", cache_bytes, least=0)
-        self._arguments = (source, cache_bytes, threads, native)
+        self._arguments = (source, cache_bytes, threads, native, on_error)
         self.is_native = native
+        self.on_error = on_error
         self._source = open_source(source)
         try:
-            self.container = Container(self._source)
+            self.container = Container(self._source, may_be_cut=on_error == MASK)
             header = self.container.header
             bits = LAYOUT_FEATURES.items()
             told = sum(layout for layout, bit in bits if header.features & bit)
@@ -84,10 +96,12 @@ class DescribedFile:
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        source, cache_bytes, threads, native = self._arguments
+        source, cache_bytes, threads, native, on_error = self._arguments
         if not isinstance(source, str | os.PathLike):
             raise TypeError("only what was opened by path or URL can be pickled")
-        made = partial(type(self), cache_bytes=cache_bytes, threads=threads, native=native)
+        made = partial(
+            type(self), cache_bytes=cache_bytes, threads=threads, native=native, on_error=on_error
+        )
         return made, (source,)
 
     def close(self) -> None:

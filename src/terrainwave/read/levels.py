@@ -19,6 +19,7 @@ from terrainwave.errors import CorruptStreamError, TerrainwaveWarning
 from terrainwave.grid.quadtree import Region
 from terrainwave.read.decoder import TreeDecoder
 from terrainwave.read.fetched import Payloads
+from terrainwave.read.lost import Lost
 from terrainwave.read.native import NativeError, NativeFile
 from terrainwave.read.window_reader import WindowReader, bilinear
 
@@ -66,7 +67,7 @@ class LevelReader:
         self._name = name
         self._decoder = decoder
         self._native = native
-        self._windows = WindowReader(name, header.quantizer, n_threads)
+        self._windows = WindowReader(name, header.grid, header.quantizer, n_threads)
         self._header = header
         self._payloads = payloads
         self._may_have_voids = may_have_voids
@@ -77,6 +78,11 @@ class LevelReader:
         self._windows.close()
         if self._native is not None:
             self._native.close()
+
+    @property
+    def lost(self) -> list[Lost]:
+        """Return the damaged units that reads have left void."""
+        return self._windows.lost.list()
 
     @cached_property
     def _finest(self) -> "FinestMasks":

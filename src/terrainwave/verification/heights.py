@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from terrainwave.arguments import (
+    MASK,
+    RAISE,
     check_band,
     check_callback,
     check_flags,
@@ -35,6 +37,8 @@ if TYPE_CHECKING:
 
 # Problems of one kind are listed up to this number, then counted.
 _MAX_LISTED = 10
+# Damaged parts of a file that are listed.
+_MOST_LISTED = 100
 
 # An integer bound of 8 quanta stored as 0.1 * 8 may read 7.999999999999999 quanta.
 _SLACK = Fraction(1, 10**9)
@@ -157,9 +161,11 @@ def verify(
         checked_path(original)
     from terrainwave.terrain import Terrain
 
-    with Terrain(twz, threads=threads) as terrain:
+    # What is there of a file that ends too early is checked like the rest.
+    on_error = RAISE if original is not None else MASK
+    with Terrain(twz, threads=threads, on_error=on_error) as terrain:
         if original is None:
-            problems = tuple(terrain.check())
+            problems = tuple(_problems_of_bytes(terrain))
             bound = _bound(terrain, max_error)
             report = _report(terrain, twz, None, bound, None, problems)
             return _with_meshes(report, terrain, None, progress) if mesh else report
@@ -170,6 +176,20 @@ def verify(
             if not mesh or report.errors is None:  # of another size or type
                 return report
             return _with_meshes(report, terrain, raster.read, progress)
+
+
+def _problems_of_bytes(terrain: Any) -> Iterator[str]:
+    """Yield what is wrong with a file by itself, each once; of many problems the first and last."""
+    missing, n_bytes = terrain.container.n_missing, terrain.container.extents.file_size
+    if missing:
+        yield f"the file has {n_bytes - missing:,} of its {n_bytes:,} bytes"
+    problems = list(dict.fromkeys(terrain.check()))
+    # How much of each level is lost comes last.
+    first, last = problems[: -terrain.n_levels], problems[-terrain.n_levels :]
+    yield from first[:_MOST_LISTED]
+    if len(first) > _MOST_LISTED:
+        yield f"{len(first) - _MOST_LISTED:,} more like these"
+    yield from last
 
 
 def _with_meshes(

@@ -10,6 +10,8 @@ from terrainwave.arguments import (
     FILLINGS,
     GEOTIFF_ENDINGS,
     HEIGHT_TILE_ENDINGS,
+    ON_ERROR,
+    RAISE,
     TWZ_ENDINGS,
     VOIDS,
     one_of,
@@ -79,6 +81,14 @@ from terrainwave.progress import ProgressCallback
     " the file has this), or any, only where all samples around are void; other samples then have"
     " the height of their neighbours. Height of voids in a height tile: lowest (default), fill"
     " (that of their neighbours) or a number.",
+)
+@click.option(
+    "--on-error",
+    type=click.Choice(ON_ERROR),
+    default=RAISE,
+    show_default=True,
+    help="What to do with damaged blocks: stop, or leave them void and name them. mask also reads"
+    " a file that ends too early, as far as it goes.",
 )
 @VERTICAL_OPTION
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
