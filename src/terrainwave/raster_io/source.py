@@ -11,19 +11,12 @@ from typing import Any, Self
 import numpy as np
 
 from terrainwave.arguments import check_flags, checked_path, checked_whole, number_of, shown
-from terrainwave.errors import (
-    InvalidArgumentError,
-    InvalidHeightsError,
-    TerrainwaveWarning,
-)
+from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
 from terrainwave.grid.affine import IDENTITY, Transform
 from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.arrays import ArrayBackend, Claim, LabelledBackend
 from terrainwave.raster_io.dataset import DatasetBackend, open_dataset
-from terrainwave.raster_io.gdal import (
-    SCAN_SAMPLES,
-    scan_windows,
-)
+from terrainwave.raster_io.gdal import SCAN_SAMPLES, scan_windows
 from terrainwave.raster_io.mosaic import MosaicBackend
 from terrainwave.raster_io.raster_info import (
     SUPPORTED_DTYPES,

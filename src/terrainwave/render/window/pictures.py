@@ -8,10 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.errors import (
-    InvalidArgumentError,
-    InvalidHeightsError,
-)
+from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.marks import draw_marks, legend_of
 from terrainwave.render.modes.mode import Frames
