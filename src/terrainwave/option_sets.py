@@ -9,13 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, Self
 
-from terrainwave.arguments import (
-    check_choice,
-    check_flags,
-    checked_number,
-    checked_whole,
-    one_of,
-)
+from terrainwave.arguments import check_choice, check_flags, checked_number, checked_whole, one_of
 from terrainwave.errors import InvalidArgumentError
 
 

@@ -16,12 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
-from terrainwave.container.page import (
-    describe_head,
-    empty_page,
-    page_layout,
-    unpack_page,
-)
+from terrainwave.container.page import describe_head, empty_page, page_layout, unpack_page
 from terrainwave.container.reader import check_crc
 from terrainwave.container.segment import Segment, segment_of_page
 from terrainwave.container.sources.byte_source import ByteSource

@@ -25,11 +25,7 @@ from terrainwave.errors import (
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.place.crs import format_crs, is_exact
 from terrainwave.raster_io.earlier_loss import EarlierLoss
-from terrainwave.raster_io.gdal import (
-    GDAL_ERRORS,
-    bounded_env,
-    one_line,
-)
+from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
 from terrainwave.raster_io.tags import PLAIN_COLORS, is_statistic, select_tags
 
 # What GDAL tells of a file rather than keeps in it, and places, which have a note of their own.

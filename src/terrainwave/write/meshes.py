@@ -10,12 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from terrainwave.arguments import (
-    TWZ_ENDINGS,
-    check_ending,
-    checked_error,
-    checked_threads,
-)
+from terrainwave.arguments import TWZ_ENDINGS, check_ending, checked_error, checked_threads
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.container.metadata import without_origin
 from terrainwave.container.page import N_CODES
@@ -26,12 +21,7 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import as_fraction
-from terrainwave.mesh.blocks import (
-    Originals,
-    default_mesh_error,
-    measure_meshes,
-    mesh_tolerance,
-)
+from terrainwave.mesh.blocks import Originals, default_mesh_error, measure_meshes, mesh_tolerance
 from terrainwave.mesh.sections import make_meshes
 from terrainwave.names import METHODS
 from terrainwave.progress import ProgressCallback, Reporter

@@ -41,13 +41,7 @@ from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.decoder import TreeDecoder, groups_by
 from terrainwave.tri.stored_kinds import STORED_KINDS
-from terrainwave.write.boxes import (
-    Box,
-    enclosing_boxes,
-    error_codes,
-    recursive_errors,
-    set_codes,
-)
+from terrainwave.write.boxes import Box, enclosing_boxes, error_codes, recursive_errors, set_codes
 from terrainwave.write.encoder import Stats, TreeEncoder
 from terrainwave.write.job import Job
 from terrainwave.write.passes.proof import allowed_error, compare_window, proof_windows

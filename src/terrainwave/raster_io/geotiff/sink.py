@@ -22,10 +22,7 @@ from rasterio.windows import Window
 
 from terrainwave.container.spool import cannot_write
 from terrainwave.container.targets.publication import beside, publish, scratch
-from terrainwave.errors import (
-    CorruptStreamError,
-    StorageError,
-)
+from terrainwave.errors import CorruptStreamError, StorageError
 from terrainwave.forks import renew_after_fork
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region

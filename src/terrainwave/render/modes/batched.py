@@ -16,7 +16,7 @@ beneath it, and it is stored (docs/decisions/0017-neville-levels-on-demand.md).
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,20 +25,15 @@ from terrainwave.cache import Cache
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.grid.block_stats import with_outside
 from terrainwave.grid.quadtree import Block, Region
-from terrainwave.progress import ProgressCallback
 from terrainwave.read.decoder import unit_key, units_of
 from terrainwave.render.modes.bounded import BoundedMode
-from terrainwave.render.modes.mode import Frames
+from terrainwave.render.modes.mode import Frames, ModeNeeds
 from terrainwave.render.modes.neville import ORDERS, filtered
 from terrainwave.render.modes.regular import fill_parent_heights, largest_deviation
 from terrainwave.render.scene.camera import Camera, Viewport, focal_length
-from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.patches import Cancelled, PatchBuilder
 from terrainwave.render.scene.scales import FLOAT32_ROUNDING, HeightScale
 from terrainwave.render.scene.selection import NodeInfo, NodeTable, Piece, Selection, View
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 # μ of ε_l = μ g_l where none is asked for; they show 0.5 and 1.
 MU = 0.5
@@ -96,16 +91,14 @@ class Batched(BoundedMode):
 
     def __init__(
         self,
-        terrain: "TerrainFile",
-        frame: Frame,
+        needs: ModeNeeds,
         *,
-        error: str = "measured",
-        progress: ProgressCallback | None = None,
         detail: float | None = None,
         order: int = 4,
         orientation: bool = False,
     ) -> None:
-        super().__init__(terrain, frame, error=error, progress=progress, orientation=orientation)
+        super().__init__(needs, orientation=orientation)
+        terrain, frame = self.terrain, self.frame
         self._mu = self._checked_detail(detail)
         if order not in ORDERS:
             raise InvalidArgumentError(f"found `order` {order}, expected 2 or 4")

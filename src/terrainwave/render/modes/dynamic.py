@@ -4,27 +4,14 @@ Each patch has a Haar quadtree of its own, over some samples of its neighbours a
 raster goes on, a mesh ends short of its last samples, over a neighbour's, with skirts.
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.progress import ProgressCallback
-from terrainwave.render.modes.front import (
-    MORPH,
-    Drawn,
-    FrontMode,
-    FrontPatch,
-    PatchFrame,
-    Sides,
-)
-from terrainwave.render.scene.frame import Frame
+from terrainwave.render.modes.front import MORPH, Drawn, FrontMode, FrontPatch, PatchFrame, Sides
+from terrainwave.render.modes.mode import ModeNeeds
 from terrainwave.render.scene.selection import Piece
 from terrainwave.tri.dynamic.dynamic import DynamicMesh
 from terrainwave.tri.followed import Eye, Followed
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 
 class Dynamic(FrontMode):
@@ -47,16 +34,8 @@ class Dynamic(FrontMode):
     cells = 31 * apron
     sample_bytes = 11
 
-    def __init__(
-        self,
-        terrain: "TerrainFile",
-        frame: Frame,
-        *,
-        error: str = "measured",
-        progress: ProgressCallback | None = None,
-        stepwise: bool = False,
-    ) -> None:
-        super().__init__(terrain, frame, error=error, progress=progress)
+    def __init__(self, needs: ModeNeeds, *, stepwise: bool = False) -> None:
+        super().__init__(needs)
         self._is_stepwise = stepwise
 
     def make_mesh(

@@ -14,30 +14,21 @@ are not here yet: it is drawn with a τ that its level is worth, not with all of
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.grid.quadtree import Block, Region
-from terrainwave.progress import ProgressCallback
 from terrainwave.read.decoder import units_of
-from terrainwave.render.modes.mode import Frames, Mode
+from terrainwave.render.modes.mode import Frames, Mode, ModeNeeds
 from terrainwave.render.scene.camera import Camera, focal_length, slant
-from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.patches import Cancelled
-from terrainwave.render.scene.scales import (
-    FLOAT32_ROUNDING,
-    HeightScale,
-    Texels,
-)
+from terrainwave.render.scene.scales import FLOAT32_ROUNDING, HeightScale, Texels
 from terrainwave.render.scene.selection import NodeInfo, NodeTable, Piece, Selection, View
 from terrainwave.tri.followed import Eye, Followed, Pressure
 from terrainwave.tri.rqt.vertex_errors import twist_of
 from terrainwave.tri.scratch import Scratch
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 MAX_VERTICES = 4_000_000
 # λ: vertices move while errors go from τ / λ to τ.
@@ -197,15 +188,9 @@ class FrontMode(Mode):
     apron: int = 0
     sample_bytes: int
 
-    def __init__(
-        self,
-        terrain: "TerrainFile",
-        frame: Frame,
-        *,
-        error: str = "measured",
-        progress: ProgressCallback | None = None,
-    ) -> None:
-        super().__init__(terrain, frame, error=error, progress=progress)
+    def __init__(self, needs: ModeNeeds) -> None:
+        super().__init__(needs)
+        terrain, frame = self.terrain, self.frame
         self._scale = HeightScale.of(terrain, frame)
         self._texels = Texels(frame, self._scale)
         self._patches: dict[Piece, FrontPatch] = {}

@@ -4,22 +4,15 @@ Their tiles are patches here: they are read and decoded by workers as they come 
 parent that is not good enough, which stands in for them until they are here.
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.progress import ProgressCallback
 from terrainwave.read.tile_decoder import Tiles, with_coefficients
 from terrainwave.render.modes.front import Drawn, FrontMode, FrontPatch, PatchFrame, Sides
-from terrainwave.render.modes.mode import ERRORS
-from terrainwave.render.scene.frame import Frame
+from terrainwave.render.modes.mode import ERRORS, ModeNeeds
 from terrainwave.render.scene.selection import Piece
 from terrainwave.tri.followed import Eye, Followed
 from terrainwave.tri.rqt.view import RestrictedMesh
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 
 class RqtMode(FrontMode):
@@ -30,18 +23,11 @@ class RqtMode(FrontMode):
     cells = 256
     sample_bytes = 12
 
-    def __init__(
-        self,
-        terrain: "TerrainFile",
-        frame: Frame,
-        *,
-        error: str = "measured",
-        progress: ProgressCallback | None = None,
-    ) -> None:
-        super().__init__(terrain, frame, error=error, progress=progress)
+    def __init__(self, needs: ModeNeeds) -> None:
+        super().__init__(needs)
         self._tiles: Tiles | None = None
-        if error == "coefficient":
-            self._tiles = with_coefficients(terrain.decoder)
+        if self.error == "coefficient":
+            self._tiles = with_coefficients(self.terrain.decoder)
 
     def make_mesh(
         self,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from terrainwave.errors import LimitExceededError, TerrainwaveError
 from terrainwave.progress import ProgressCallback
 from terrainwave.render.modes import mode_class, options_of
-from terrainwave.render.modes.mode import MAX_TRIANGLES, Frames, Mode
+from terrainwave.render.modes.mode import MAX_TRIANGLES, Frames, Mode, ModeNeeds
 from terrainwave.render.paging.motion import Motion
 from terrainwave.render.paging.pager import Arrival, Pager
 from terrainwave.render.paging.problems import Problems, replies_of
@@ -142,9 +142,8 @@ class Scene:
         self.options = given = options_of(
             mode, detail=detail, order=order, stepwise=stepwise, orientation=orientation
         )
-        self.mode: Mode = mode_class(mode)(
-            terrain, self.frame, error=error, progress=progress, **given
-        )
+        needs = ModeNeeds(terrain, self.frame, error, progress)
+        self.mode: Mode = mode_class(mode)(needs, **given)
         self.store = store
         self.table = NodeTable()
         self.mode.max_triangles = max_triangles

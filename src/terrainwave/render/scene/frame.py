@@ -8,10 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.errors import (
-    InvalidArgumentError,
-    InvalidHeightsError,
-)
+from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.grid.affine import IDENTITY, pixels_to_places, samples_to_places
 from terrainwave.place.bodies import UNKNOWN
 from terrainwave.place.position import LocalAxes, place_of

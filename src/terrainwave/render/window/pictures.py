@@ -8,10 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.errors import (
-    InvalidArgumentError,
-    InvalidHeightsError,
-)
+from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.marks import draw_marks, legend_of
 from terrainwave.render.modes.mode import Frames
@@ -126,7 +123,6 @@ def fly_through(
     style: "Style",
     max_pixel_error: float,
     *,
-    settle: bool = True,
     legend: bool = False,
     scale_bar: bool = False,
 ) -> Iterator[tuple[NDArray[np.uint8], dict[str, Any]]]:
@@ -140,9 +136,7 @@ def fly_through(
     for number in range(n_frames):
         camera = along(cameras, number / max(n_frames - 1, 1))
         started = time.perf_counter()
-        image, frames = canvas.picture(
-            camera, style, max_pixel_error=max_pixel_error, settle=settle
-        )
+        image, frames = canvas.picture(camera, style, max_pixel_error=max_pixel_error)
         seconds = time.perf_counter() - started
         if n_frames == 1 and canvas.is_blank():
             raise InvalidHeightsError(

@@ -17,13 +17,7 @@ from terrainwave.coding.jit import kernel
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.quads import Keep, build_mesh, corner_of_quad, triangles_of_quad, void_edges
 from terrainwave.tri.triangle import area_of, check_block, deviation
-from terrainwave.tri.zerotree.labels import (
-    Cut,
-    Trees,
-    promote,
-    root_along,
-    set_node,
-)
+from terrainwave.tri.zerotree.labels import Cut, Trees, promote, root_along, set_node
 from terrainwave.tri.zerotree.labels import zero_tree_cut as _zero_tree_cut
 
 
