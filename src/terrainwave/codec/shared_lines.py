@@ -1,6 +1,6 @@
 """Lines that neighbouring groups share, coded from the line alone (FORMAT.md §7.3).
 
-D. Yusov, V. Turlapov 2010, §2.3 codes contours around each group for the same end. Here each line
+E. Yusov, V. Turlapov 2010, §2.3 codes contours around each group for the same end. Here each line
 is predicted in one dimension from the parent's decoded samples on it, which both neighbours hold
 identically, so both decode the same bits without seeing each other.
 """

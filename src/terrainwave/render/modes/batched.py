@@ -8,10 +8,11 @@ from the coarser level's with the distance (eqs. 11, 12). With ``error="measured
 a bound on the error of its surface, and τ is kept as in the adaptive mode.
 
 The loading scheme is theirs in both (§4.2): roots near to far, children in view breadth first until
-M blocks, eviction by w, and once all are here what P₂ = 2 P₁ − P₀ sees. One departure: blocks that
-the criterion needs come first, because breadth first alone would fill M with distant ones. Another
-is the pyramid: theirs is made from the finest level up, so that a coarse block is made of all data
-beneath it, and it is stored (docs/decisions/0017-neville-levels-on-demand.md).
+M blocks, eviction by w. Three departures: blocks that the criterion needs come first, because
+breadth first alone would fill M with distant ones; what a camera will see is asked for seconds
+ahead (`paging.motion`; theirs one frame, eq. 15); and the pyramid: theirs is made from the finest
+level up by the filter of eq. (1), so that a coarse block is made of all data beneath it, and it is
+stored (docs/decisions/0017-neville-levels-on-demand.md).
 """
 
 import math
