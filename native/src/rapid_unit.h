@@ -18,7 +18,7 @@
 #define IVDEP
 #endif
 
-enum { HH, HL, LH };
+enum { HH, HL, LH, A };
 
 /* Whole-sample symmetry about 0 and n - 1, repeated until inside (R.5). */
 static int32_t ISA(fold)(int32_t i, int32_t n) {
@@ -42,7 +42,7 @@ static ALWAYS_INLINE uint64_t ISA(take_raw)(rapid_streams *z, int n) {
   return held & (((uint64_t)1 << n) - 1);
 }
 
-/* How many of n samples, each step-th one, are valid: without voids or with nothing else there is less to do. */
+/* How many of n samples, each step-th one, are valid: without voids there is less to do. */
 static int32_t ISA(count_valid)(const uint8_t *valid, int32_t n, size_t step) {
   int32_t n_valid = 0;
   if (step == 2) {
@@ -53,23 +53,38 @@ static int32_t ISA(count_valid)(const uint8_t *valid, int32_t n, size_t step) {
   return n_valid;
 }
 
+/* Contexts of valid samples among n, one behind the other; returns how many. */
+static ALWAYS_INLINE int32_t ISA(pack_plain)(const int32_t *contexts, const uint8_t *valid, size_t step, int32_t n, int32_t *packed) {
+  int32_t n_packed = 0;
+  for (int32_t j = 0; j < n; j++) {
+    packed[n_packed] = contexts[j];
+    n_packed += valid[(size_t)j * step];
+  }
+  return n_packed;
+}
+
 #define NUMBER int64_t
+#define PREDICT_IVDEP /* clang would make no vectors of 64-bit products, and say so */
 #define NAMED(name) ISA(wide_##name)
 #include "rapid_rows.h"
 #undef NUMBER
 #undef NAMED
+#undef PREDICT_IVDEP
 
 #define NUMBER int32_t
+#define PREDICT_IVDEP IVDEP
 #define NAMED(name) ISA(narrow_##name)
+#include "rapid_rows.h"
+#undef NAMED
 
 #if defined(__AVX2__) && defined(TWZ_HAVE_X86)
-#define READ_VECTORS ISA(read_vectors)
-#endif
+#define SHORT
+#define NAMED(name) ISA(short_##name)
 #include "rapid_rows.h"
-
-#ifdef READ_VECTORS
+#define DECODE_SHORT NAMED(decode)
 #define DECODE_GROUPS NAMED(decode_groups)
 #else
+#define DECODE_SHORT NULL
 #define DECODE_GROUPS NULL
 #endif
 

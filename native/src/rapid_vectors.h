@@ -141,11 +141,13 @@ typedef struct ISA(pair_of_taps) {
 #define V(name) _mm512_##name
 #define LOAD(at) _mm512_loadu_si512(at)
 #define STORE(at, v) _mm512_storeu_si512(at, v)
+#define JOIN(low, high) _mm512_mask_blend_epi16(0xAAAAAAAAu, low, _mm512_slli_epi32(high, 16))
 #else
 #define VECTOR __m256i
 #define V(name) _mm256_##name
 #define LOAD(at) _mm256_loadu_si256((const __m256i *)(at))
 #define STORE(at, v) _mm256_storeu_si256((__m256i *)(at), v)
+#define JOIN(low, high) _mm256_blend_epi16(low, _mm256_slli_epi32(high, 16), 0xAA)
 #endif
 #if defined(__AVX512VNNI__)
 #define ADD_PRODUCTS(sum, a, b) _mm512_dpwssd_epi32(sum, a, b)
@@ -170,15 +172,56 @@ static ALWAYS_INLINE void ISA(predict_taps)(int32_t n, const ISA(pair_of_taps) *
   }
 }
 
-static void ISA(predict_pairs)(int32_t n, const ISA(pair_of_taps) * taps, int n_taps, int32_t *predicted) {
-  switch (n_taps) {
-    case 10: ISA(predict_taps)(n, taps, 10, predicted); break;
-    case 12: ISA(predict_taps)(n, taps, 12, predicted); break;
-    default: ISA(predict_taps)(n, taps, 14, predicted);
+/* The lower halves of n cells of two rows, in turns. */
+static ALWAYS_INLINE void ISA(store_in_turns)(int16_t *to, const int32_t *even, const int32_t *odd, int32_t n) {
+  enum { LANES = sizeof(VECTOR) / 4 };
+  int32_t j = 0;
+  for (; j + LANES <= n; j += LANES) STORE(to + 2 * j, JOIN(LOAD(even + j), LOAD(odd + j)));
+  for (; j < n; j++) {
+    to[2 * j] = (int16_t)even[j];
+    to[2 * j + 1] = (int16_t)odd[j];
   }
 }
 #undef VECTOR
 #undef V
 #undef LOAD
 #undef STORE
+#undef JOIN
 #undef ADD_PRODUCTS
+
+/* Contexts of valid samples among n, one behind the other, and their details back; a vector more is written. */
+#if defined(__AVX512F__)
+static ALWAYS_INLINE __mmask16 ISA(valid_lanes)(const uint8_t *valid, size_t step) {
+  if (step == 1) {
+    __m128i bytes = _mm_loadu_si128((const __m128i *)valid);
+    return _mm_test_epi8_mask(bytes, bytes);
+  }
+  __m256i bytes = _mm256_loadu_si256((const __m256i *)valid);
+  return (__mmask16)_pext_u32(_mm256_test_epi8_mask(bytes, bytes), 0x55555555u);
+}
+
+static int32_t ISA(pack)(const int32_t *contexts, const uint8_t *valid, size_t step, int32_t n, int32_t *packed) {
+  int32_t j = 0, n_packed = 0;
+  for (; step <= 2 && j + 16 < n; j += 16) { /* what is read is followed by a sample */
+    __mmask16 lanes = ISA(valid_lanes)(valid + (size_t)j * step, step);
+    _mm512_storeu_si512(packed + n_packed, _mm512_maskz_compress_epi32(lanes, _mm512_loadu_si512(contexts + j)));
+    n_packed += (int32_t)_mm_popcnt_u32(lanes);
+  }
+  return n_packed + ISA(pack_plain)(contexts + j, valid + (size_t)j * step, step, n - j, packed + n_packed);
+}
+
+static void ISA(unpack)(const int32_t *packed, const uint8_t *valid, size_t step, int32_t n, int32_t *details) {
+  int32_t j = 0;
+  for (; step <= 2 && j + 16 < n; j += 16) {
+    __mmask16 lanes = ISA(valid_lanes)(valid + (size_t)j * step, step);
+    _mm512_storeu_si512(details + j, _mm512_maskz_expand_epi32(lanes, _mm512_loadu_si512(packed)));
+    packed += _mm_popcnt_u32(lanes);
+  }
+  NAMED(unpack_plain)(packed, valid + (size_t)j * step, step, n - j, details + j);
+}
+#define PACK ISA(pack)
+#define UNPACK ISA(unpack)
+#else
+#define PACK ISA(pack_plain)
+#define UNPACK NAMED(unpack_plain)
+#endif
