@@ -66,6 +66,11 @@ void heights_init(heights *h, const row_kernels *kernels, const header *of, int 
   h->integer_nodata = h->is_float ? 0 : (int64_t)h->nodata;
   uint64_t size = (h->base < 0 ? 0 - (uint64_t)h->base : (uint64_t)h->base) + ((uint64_t)1 << 31);
   h->is_exact = h->num <= ((uint64_t)1 << 53) / size; /* doubles hold every product */
+  int64_t low, high;
+  dtype_range(h->dtype, &low, &high);
+  int is_small = h->base > -((int64_t)1 << 31) && h->base < (int64_t)1 << 31;
+  h->is_sum = !h->is_float && h->num == 1 && h->den == 1 && is_small && product(h, (int64_t)h->z_min - 1) >= low &&
+              product(h, (int64_t)h->z_max + 1) <= high; /* moved heights lie one beyond */
   h->first = 0;
   h->last = -1;
   if (has_nodata && isfinite(h->nodata) && h->z_min <= h->z_max) {
@@ -84,18 +89,10 @@ static int32_t quantum_of_steps(const heights *h, int32_t steps, int is_valid) {
   return (int32_t)k;
 }
 
-static int is_in_range(const heights *h) {
-  int64_t low, high;
-  dtype_range(h->dtype, &low, &high);
-  /* Moved heights lie one beyond. */
-  return product(h, (int64_t)h->z_min - 1) >= low && product(h, (int64_t)h->z_max + 1) <= high;
-}
-
 /* First the plain cases, which compilers make vectors of: integers of quantum 1, floats of exact products. */
 static void write_plain(const heights *h, void *out, const int32_t *quanta, size_t n) {
-  int is_small = h->base > -((int64_t)1 << 31) && h->base < (int64_t)1 << 31;
-  if (!h->is_float && h->num == 1 && h->den == 1 && is_small && is_in_range(h)) {
-    h->kernels->write_sums(h->dtype, out, quanta, n, (uint32_t)h->base); /* sums fit 32 bits, as the dtype does */
+  if (h->is_sum) {
+    h->kernels->write_sums(h->dtype, out, quanta, n, (uint32_t)h->base);
     return;
   }
   if (h->is_float && h->is_exact) {
@@ -184,8 +181,10 @@ twz_status write_raw(const heights *h, void *out, const layer *l, size_t at, siz
     return TWZ_OK;
   }
   const uint8_t *valid = l->valid ? l->valid + at : NULL;
-  if (!l->shorts && !h->is_cdf53) write_plain(h, out, l->heights + at, n);
-  for (size_t i = 0; (l->shorts || h->is_cdf53) && i < n; i += PIECE) {
+  int is_whole = !l->shorts && !h->is_cdf53, are_halves = l->shorts && h->is_sum && dtype_size(h->dtype) == 2;
+  if (is_whole) write_plain(h, out, l->heights + at, n);
+  if (are_halves) h->kernels->add_shorts(out, l->shorts + at, n, (uint32_t)h->base + (uint32_t)l->origin);
+  for (size_t i = 0; !is_whole && !are_halves && i < n; i += PIECE) {
     size_t stop = min_size(n - i, PIECE);
     if (l->shorts) {
       h->kernels->widen(piece, l->shorts + at + i, stop, l->origin);

@@ -100,7 +100,7 @@ enum { SCRATCH_ALIGN = 64 };
 /* ---- Bytes (bytes.c, inflate.c) ------------------------------------------------------------- */
 
 typedef struct crc_tables {
-  uint32_t of[8][256];
+  uint32_t of[16][256];
 } crc_tables;
 
 void crc_tables_fill(crc_tables *t);
@@ -293,6 +293,7 @@ struct row_kernels;
 typedef struct heights {
   const struct row_kernels *kernels;
   int dtype, is_float, has_nodata, is_exact;
+  int is_sum; /* raw heights are base and quanta, added up in 32 bits, and fit the dtype */
   int64_t base;
   uint64_t num, den;
   double nodata;        /* in the dtype */

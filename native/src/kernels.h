@@ -12,6 +12,7 @@ typedef struct row_kernels {
   void (*write_sums)(int dtype, void *out, const int32_t *quanta, size_t n, uint32_t base);
   void (*write_products)(int dtype, void *out, const int32_t *quanta, size_t n, double base, double num, double den);
   void (*widen)(int32_t *to, const int16_t *from, size_t n, int32_t origin);
+  void (*add_shorts)(uint16_t *to, const int16_t *from, size_t n, uint32_t base);
 } row_kernels;
 
 extern const row_kernels kernels_baseline;

@@ -4,4 +4,4 @@
 
 const row_kernels kernels_avx512 = {
     TWZ_KERNELS_AVX512, ISA(decode_unit_rapid), DECODE_SHORT, DECODE_GROUPS,
-    ISA(write_sums), ISA(write_products), ISA(widen)};
+    ISA(write_sums), ISA(write_products), ISA(widen), ISA(add_shorts)};

@@ -4,4 +4,4 @@
 
 const row_kernels kernels_baseline = {
     TWZ_KERNELS_BASELINE, ISA(decode_unit_rapid), DECODE_SHORT, DECODE_GROUPS,
-    ISA(write_sums), ISA(write_products), ISA(widen)};
+    ISA(write_sums), ISA(write_products), ISA(widen), ISA(add_shorts)};

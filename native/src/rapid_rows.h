@@ -46,10 +46,10 @@ typedef struct NAMED(work) {
   int32_t lift;
   const uint8_t *valid;
   ptrdiff_t pitch;
-  uint8_t *known;                         /* of the region: lines and corners that are decoded */
+  uint8_t *known;                         /* of the region: samples of shared lines that are decoded; the rest is not set */
   /* Of a row; packed: of its valid samples, one behind the other. */
-  NUMBER *predicted, *details, *packed_details;
-  int32_t *contexts, *packed_contexts, *own;
+  NUMBER *predicted;
+  int32_t *contexts, *packed_contexts, *details, *packed_details, *own;
   /* Of a row of shared samples, besides. */
   NUMBER *sum, *twist, *line;
   int32_t *least, *most;
@@ -115,51 +115,6 @@ static ALWAYS_INLINE int32_t NAMED(correct)(const NAMED(work) * w, size_t at, in
   const rapid_scale *c = &w->unit->scale;
   return (int32_t)corrected(w->unit->job, at, height, c->low, c->high);
 }
-
-/* ---- Raw bits (R.9), and what is read without voids between ---- */
-
-/* The raw bits of n details. */
-static void NAMED(read_raw)(const int32_t *contexts, NUMBER *details, int32_t n, int64_t most, rapid_streams *z) {
-  for (int32_t j = 0; j < n; j++) {
-    int n_bits = ((contexts[j] & (DOWN - 1)) >> 3) - 8;
-    int64_t detail = (int64_t)details[j];
-    if (detail == -ZERO_SYMBOL) {
-      uint64_t bits = ISA(take_raw)(z, 33);
-      detail = (int64_t)(bits & 0xFFFFFFFFu) - (int64_t)(bits >> 32 << 32);
-    } else if (n_bits > 0) {
-      detail = detail * ((int64_t)1 << n_bits) + (int64_t)ISA(take_raw)(z, n_bits);
-    } else {
-      continue;
-    }
-    details[j] = (NUMBER)clamp_i64(detail, -most, most);
-  }
-}
-
-/* Details of a row that are read without voids between them: the row's own, or those of its valid samples. */
-typedef struct NAMED(span) {
-  NUMBER *details;
-  const int32_t *contexts;
-  int32_t n;
-  rapid_streams *streams;
-  int has_raw;
-} NAMED(span);
-
-static void NAMED(unpack_plain)(const NUMBER *packed, const uint8_t *valid, size_t step, int32_t n, NUMBER *details) {
-  for (int32_t j = 0, at = 0; j < n; j++) {
-    int is_valid = valid[(size_t)j * step];
-    details[j] = packed[at] & -is_valid;
-    at += is_valid;
-  }
-}
-
-#ifdef SHORT
-#include "rapid_vectors.h"
-#define READ_RAW ISA(read_raw_vectors)
-#else
-#define PACK ISA(pack_plain)
-#define UNPACK NAMED(unpack_plain)
-#define READ_RAW NAMED(read_raw)
-#endif
 
 /* ---- Predictions (R.6) ---- */
 
@@ -341,8 +296,8 @@ static void NAMED(fill_contexts)(const NAMED(work) * w, int plane, int32_t i, in
 
 /* ---- Details (R.8, R.9) ---- */
 
-static NAMED(span) NAMED(begin_span)(const NAMED(work) * w, const NAMED(row) * r) {
-  NAMED(span) s = {w->details + r->first, w->contexts + r->first, r->stop - r->first, &w->unit->streams, 0};
+static ISA(span) NAMED(begin_span)(const NAMED(work) * w, const NAMED(row) * r) {
+  ISA(span) s = {w->details + r->first, w->contexts + r->first, r->stop - r->first, &w->unit->streams, 0};
   const uint8_t *valid = r->valid ? r->valid + (size_t)r->first * (size_t)r->step : NULL;
   if (!valid || ISA(count_valid)(valid, s.n, (size_t)r->step) == s.n) return s;
   s.n = PACK(s.contexts, valid, (size_t)r->step, s.n, w->packed_contexts);
@@ -351,42 +306,10 @@ static NAMED(span) NAMED(begin_span)(const NAMED(work) * w, const NAMED(row) * r
   return s;
 }
 
-/* Symbols of a span, towards the side of their contexts. */
-static void NAMED(read_span)(NAMED(span) * s, const uint32_t *slots) {
-  rapid_streams *z = s->streams;
-#ifdef SHORT
-  if (z->n_states == 8) {
-    ISA(read_vectors)(s, 1, slots);
-    return;
-  }
-#endif
-  uint32_t last = z->n_states - 1;
-  size_t before = min_size(z->n_words_used, z->n_words);
-  const uint8_t *words = z->words + 2 * before; /* a row takes at most a word a sample: PAYLOAD_SLACK */
-  size_t k = z->n_symbols, n_taken = 0;
-  int has_raw = 0;
-  for (int32_t j = 0; j < s->n; j++) {
-    uint32_t context = (uint32_t)s->contexts[j] & (DOWN - 1);
-    uint32_t x = z->states[k & last], entry = slots[context << 11 | (x & (SLOTS - 1))];
-    uint32_t next = (entry >> 6 & 4095) * (x >> 11) + (entry >> 18);
-    /* Whether a word follows is hard to foresee: no branch. */
-    uint32_t takes = next < 65536, word = load_u16(words + 2 * n_taken);
-    z->states[k & last] = takes ? next << 16 | word : next;
-    n_taken += takes;
-    k++;
-    uint32_t symbol = entry & 63;
-    s->details[j] = (NUMBER)symbol - ZERO_SYMBOL;
-    has_raw |= (symbol == 0) | (context >= FIRST_RAW);
-  }
-  s->has_raw = has_raw;
-  z->n_symbols = k;
-  z->n_words_used += n_taken;
-}
-
 /* Raw bits of a span; details of voids between. */
-static void NAMED(end_span)(const NAMED(work) * w, const NAMED(row) * r, const NAMED(span) * s) {
+static void NAMED(end_span)(const NAMED(work) * w, const NAMED(row) * r, const ISA(span) * s) {
   if (s->has_raw) READ_RAW(s->contexts, s->details, s->n, w->unit->scale.most_detail, s->streams);
-  NUMBER *details = w->details + r->first;
+  int32_t *details = w->details + r->first;
   if (s->details == details) return;
   w->packed_details[s->n] = 0;
   UNPACK(w->packed_details, r->valid + (size_t)r->first * (size_t)r->step, (size_t)r->step, r->stop - r->first, details);
@@ -394,8 +317,8 @@ static void NAMED(end_span)(const NAMED(work) * w, const NAMED(row) * r, const N
 
 static void NAMED(read_details)(const NAMED(work) * w, const NAMED(row) * r) {
   if (r->first >= r->stop) return;
-  NAMED(span) s = NAMED(begin_span)(w, r);
-  NAMED(read_span)(&s, w->unit->tables->slots);
+  ISA(span) s = NAMED(begin_span)(w, r);
+  ISA(read_span)(&s, w->unit->tables->slots);
   NAMED(end_span)(w, r, &s);
 }
 
@@ -403,13 +326,13 @@ static void NAMED(read_details)(const NAMED(work) * w, const NAMED(row) * r) {
 
 /* Heights and errors of samples first ... stop - 1 of a row. */
 static void NAMED(finish_row)(const NAMED(work) * w, int32_t first, int32_t stop, int32_t *RESTRICT own, int32_t *RESTRICT error) {
-  const NUMBER *RESTRICT predicted = w->predicted, *RESTRICT details = w->details;
-  const int32_t *RESTRICT contexts = w->contexts;
+  const NUMBER *RESTRICT predicted = w->predicted;
+  const int32_t *RESTRICT contexts = w->contexts, *RESTRICT details = w->details;
   const rapid_scale *c = &w->unit->scale;
   const NUMBER quantum = c->step, low = c->low, high = c->high;
   const int shift = c->log2;
   IVDEP for (int32_t j = first; j < stop; j++) {
-    NUMBER change = details[j] * quantum, whole = (predicted[j] + 32) >> 6;
+    NUMBER change = (NUMBER)details[j] * quantum, whole = (predicted[j] + 32) >> 6;
     NUMBER height = contexts[j] & DOWN ? whole - change : whole + change;
     NUMBER held = NAMED(least)(NAMED(most)(height, low), high);
     own[j] = (int32_t)held;
@@ -780,7 +703,7 @@ static twz_status NAMED(begin)(NAMED(work) * w, rapid_unit *u, twz_error *error)
   size_t stride = (n + 2 * MARGIN + 15) / 16 * 16, n_plane = 4 * HELD_ROWS * stride;
   size_t n_row = (n_even > n ? n_even : n) + CORNER_ROW + 2 * MARGIN;
   size_t n_region = (size_t)l->rows.n * (size_t)l->cols.n;
-  size_t bytes = 8 * n_plane + n_row * (6 * sizeof(NUMBER) + 5 * 4 + sizeof(size_t) + 1) + n_region;
+  size_t bytes = 8 * n_plane + n_row * (4 * sizeof(NUMBER) + 7 * 4 + sizeof(size_t) + 1) + n_region;
   TRY(scratch_reserve(u->scratch, bytes + 24 * SCRATCH_ALIGN, error));
   memset(w, 0, sizeof *w);
   w->unit = u;
@@ -797,10 +720,10 @@ static twz_status NAMED(begin)(NAMED(work) * w, rapid_unit *u, twz_error *error)
   for (int i = 0; i < 4; i++) w->planes[i] = scratch_take(s, n_plane);
   for (int i = 0; i < 3; i++) w->errors[i] = scratch_take(s, n_plane);
   w->bends = scratch_take(s, n_plane);
-  NUMBER **numbers[6] = {&w->predicted, &w->details, &w->packed_details, &w->sum, &w->twist, &w->line};
-  int32_t **whole[5] = {&w->contexts, &w->packed_contexts, &w->own, &w->least, &w->most};
-  for (int i = 0; i < 6; i++) *numbers[i] = scratch_take(s, n_row * sizeof(NUMBER));
-  for (int i = 0; i < 5; i++) *whole[i] = scratch_take(s, n_row * 4);
+  NUMBER **numbers[4] = {&w->predicted, &w->sum, &w->twist, &w->line};
+  int32_t **whole[7] = {&w->contexts, &w->packed_contexts, &w->details, &w->packed_details, &w->own, &w->least, &w->most};
+  for (int i = 0; i < 4; i++) *numbers[i] = scratch_take(s, n_row * sizeof(NUMBER));
+  for (int i = 0; i < 7; i++) *whole[i] = scratch_take(s, n_row * 4);
   w->own += MARGIN;
   w->places = scratch_take(s, n_row * sizeof(size_t));
   w->line_valid = scratch_take(s, n_row);
@@ -816,7 +739,14 @@ static void NAMED(begin_group)(NAMED(work) * w) {
   shared_lines rows, cols;
   find_shared_lines(&rows, &l->rows, j->file->grid.rings);
   find_shared_lines(&cols, &l->cols, j->file->grid.rings);
-  memset(w->known, 0, (size_t)l->rows.n * (size_t)l->cols.n);
+  for (int side = 0; side < rows.n_sides; side++) {
+    memset(w->known + rows.first[side] * w->pitch, 0, (size_t)((rows.last[side] - rows.first[side] + 1) * w->pitch));
+  }
+  for (int32_t r = 0; r < l->rows.n; r++) {
+    for (int side = 0; side < cols.n_sides; side++) {
+      memset(w->known + r * w->pitch + cols.first[side], 0, (size_t)(cols.last[side] - cols.first[side] + 1));
+    }
+  }
   NAMED(decode_corners)(w, &rows, &cols);
   NAMED(decode_lines)(w, &rows, 1);
   NAMED(decode_lines)(w, &cols, 0);
@@ -856,7 +786,7 @@ static twz_status NAMED(decode_groups)(rapid_unit *units, int n_units, twz_error
     }
     for (int plane = HH; plane <= LH; plane++) {
       NAMED(row) rows[MOST_TOGETHER];
-      NAMED(span) spans[MOST_TOGETHER];
+      ISA(span) spans[MOST_TOGETHER];
       NAMED(work) *who[MOST_TOGETHER]; /* units that have such a row */
       int32_t i = t - plane, n = 0;
       for (int k = 0; k < n_units; k++) {
@@ -926,6 +856,3 @@ static twz_status NAMED(decode)(rapid_unit *u, twz_error *error) {
 #undef FIRST
 #undef SECOND
 #undef REGION
-#undef PACK
-#undef UNPACK
-#undef READ_RAW

@@ -53,6 +53,25 @@ static int32_t ISA(count_valid)(const uint8_t *valid, int32_t n, size_t step) {
   return n_valid;
 }
 
+/* ---- Details (R.8, R.9) ---- */
+
+/* The raw bits of n details; `most` is below 2^31. */
+static void ISA(read_raw)(const int32_t *contexts, int32_t *details, int32_t n, int64_t most, rapid_streams *z) {
+  for (int32_t j = 0; j < n; j++) {
+    int n_bits = ((contexts[j] & (DOWN - 1)) >> 3) - 8;
+    int64_t detail = details[j];
+    if (detail == -ZERO_SYMBOL) {
+      uint64_t bits = ISA(take_raw)(z, 33);
+      detail = (int64_t)(bits & 0xFFFFFFFFu) - (int64_t)(bits >> 32 << 32);
+    } else if (n_bits > 0) {
+      detail = detail * ((int64_t)1 << n_bits) + (int64_t)ISA(take_raw)(z, n_bits);
+    } else {
+      continue;
+    }
+    details[j] = (int32_t)clamp_i64(detail, -most, most);
+  }
+}
+
 /* Contexts of valid samples among n, one behind the other; returns how many. */
 static ALWAYS_INLINE int32_t ISA(pack_plain)(const int32_t *contexts, const uint8_t *valid, size_t step, int32_t n, int32_t *packed) {
   int32_t n_packed = 0;
@@ -61,6 +80,65 @@ static ALWAYS_INLINE int32_t ISA(pack_plain)(const int32_t *contexts, const uint
     n_packed += valid[(size_t)j * step];
   }
   return n_packed;
+}
+
+/* And their details back, 0 for voids; behind the last one is another. */
+static ALWAYS_INLINE void ISA(unpack_plain)(const int32_t *packed, const uint8_t *valid, size_t step, int32_t n, int32_t *details) {
+  for (int32_t j = 0; j < n; j++) {
+    int is_valid = valid[(size_t)j * step];
+    details[j] = *packed & -is_valid;
+    packed += is_valid;
+  }
+}
+
+/* Details of a row that are read without voids between them: the row's own, or those of its valid samples. */
+typedef struct ISA(span) {
+  int32_t *details;
+  const int32_t *contexts;
+  int32_t n;
+  rapid_streams *streams;
+  int has_raw;
+} ISA(span);
+
+#if defined(__AVX2__) && defined(TWZ_HAVE_X86)
+#define HAS_VECTORS
+#include "rapid_vectors.h"
+#else
+#define PACK ISA(pack_plain)
+#define UNPACK ISA(unpack_plain)
+#define READ_RAW ISA(read_raw)
+#endif
+
+/* Symbols of a span, towards the side of their contexts. */
+static void ISA(read_span)(ISA(span) * s, const uint32_t *slots) {
+  rapid_streams *z = s->streams;
+#ifdef HAS_VECTORS
+  if (z->n_states == 8) {
+    ISA(read_vectors)(s, 1, slots);
+    return;
+  }
+#endif
+  uint32_t last = z->n_states - 1;
+  size_t before = min_size(z->n_words_used, z->n_words);
+  const uint8_t *words = z->words + 2 * before; /* a row takes at most a word a sample: PAYLOAD_SLACK */
+  size_t k = z->n_symbols, n_taken = 0;
+  int has_raw = 0;
+  for (int32_t j = 0; j < s->n; j++) {
+    uint32_t context = (uint32_t)s->contexts[j] & (DOWN - 1);
+    uint32_t x = z->states[k & last], entry = slots[context << 11 | (x & (SLOTS - 1))];
+    uint32_t next = (entry >> 6 & 4095) * (x >> 11) + (entry >> 18);
+    /* Whether a word follows is hard to foresee: no branch. */
+    uint32_t takes = next < 65536, word = load_u16(words + 2 * n_taken);
+    z->states[k & last] = takes ? next << 16 | word : next;
+    n_taken += takes;
+    k++;
+    uint32_t symbol = entry & 63;
+    s->details[j] = (int32_t)symbol - ZERO_SYMBOL;
+    has_raw |= (symbol == 0) | (context >= FIRST_RAW);
+  }
+  s->has_raw = has_raw;
+  z->n_symbols = k;
+  z->n_words_used += n_taken;
 }
 
 #define NUMBER int64_t

@@ -1,4 +1,4 @@
-/* Eight states of method rapid at once, of one unit or several in turns: included by rapid_rows.h where there is AVX2. */
+/* Eight states of method rapid at once, of one unit or several in turns, and other loops: included by rapid_unit.h where there is AVX2. */
 
 /* Where a stream is: its states, the first sample's first, the words taken, and which samples have raw bits. */
 typedef struct ISA(lanes) {
@@ -10,7 +10,7 @@ typedef struct ISA(lanes) {
  * Symbols of eight samples (R.8): symbol number k is of state k mod 8. Lanes from the first sample's state on;
  * of the last samples less than eight are active.
  */
-static ALWAYS_INLINE void ISA(step)(ISA(lanes) * l, const NAMED(span) * s, int32_t j, int is_full, __m256i active,
+static ALWAYS_INLINE void ISA(step)(ISA(lanes) * l, const ISA(span) * s, int32_t j, int is_full, __m256i active,
                                     const uint32_t *slots) {
   const __m256i x = l->x;
   __m256i c = is_full ? _mm256_loadu_si256((const __m256i *)(s->contexts + j)) : _mm256_maskload_epi32(s->contexts + j, active);
@@ -62,10 +62,10 @@ static ALWAYS_INLINE void ISA(begin_lanes)(ISA(lanes) * l, const rapid_streams *
 }
 
 /* Samples of n spans in turns, from number j on, until the last one, which is the shortest, is read. */
-static ALWAYS_INLINE int32_t ISA(read_in_turns)(ISA(lanes) * l, NAMED(span) *const *spans, int n, int32_t j,
+static ALWAYS_INLINE int32_t ISA(read_in_turns)(ISA(lanes) * l, ISA(span) *const *spans, int n, int32_t j,
                                                 const uint32_t *slots) {
   const __m256i lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7), all = _mm256_set1_epi32(-1);
-  NAMED(span) *s = spans[n - 1];
+  ISA(span) *s = spans[n - 1];
   for (; j + 8 <= s->n; j += 8) {
     for (int k = 0; k < n; k++) ISA(step)(&l[k], spans[k], j, 1, all, slots);
   }
@@ -80,8 +80,8 @@ static ALWAYS_INLINE int32_t ISA(read_in_turns)(ISA(lanes) * l, NAMED(span) *con
 }
 
 /* Read spans of n >= 1 units in turns: each step waits for the one before it in its own stream. */
-static void ISA(read_vectors)(NAMED(span) * s, int n, const uint32_t *slots) {
-  NAMED(span) *spans[MOST_TOGETHER] = {s}; /* the longest first */
+static void ISA(read_vectors)(ISA(span) * s, int n, const uint32_t *slots) {
+  ISA(span) *spans[MOST_TOGETHER] = {s}; /* the longest first */
   ISA(lanes) l[MOST_TOGETHER];
   for (int k = 1; k < n; k++) {
     int i = k;
@@ -105,7 +105,7 @@ static void ISA(read_raw_vectors)(const int32_t *contexts, int32_t *details, int
     __m256i detail = _mm256_loadu_si256((const __m256i *)(details + j));
     __m256i escapes = _mm256_cmpeq_epi32(detail, _mm256_set1_epi32(-ZERO_SYMBOL));
     if (!_mm256_testz_si256(escapes, escapes)) {
-      NAMED(read_raw)(contexts + j, details + j, 8, most, z);
+      ISA(read_raw)(contexts + j, details + j, 8, most, z);
       continue;
     }
     __m256i context = _mm256_and_si256(_mm256_loadu_si256((const __m256i *)(contexts + j)), _mm256_set1_epi32(DOWN - 1));
@@ -127,7 +127,7 @@ static void ISA(read_raw_vectors)(const int32_t *contexts, int32_t *details, int
     _mm256_storeu_si256((__m256i *)(details + j), detail);
     z->n_bits += (size_t)_mm256_extract_epi32(sums, 7);
   }
-  NAMED(read_raw)(contexts + j, details + j, n - j, most, z);
+  ISA(read_raw)(contexts + j, details + j, n - j, most, z);
 }
 
 /* Two taps side by side: where the row of pairs begins, and their weights. */
@@ -190,6 +190,7 @@ static ALWAYS_INLINE void ISA(store_in_turns)(int16_t *to, const int32_t *even, 
 #undef ADD_PRODUCTS
 
 /* Contexts of valid samples among n, one behind the other, and their details back; a vector more is written. */
+#define READ_RAW ISA(read_raw_vectors)
 #if defined(__AVX512F__)
 static ALWAYS_INLINE __mmask16 ISA(valid_lanes)(const uint8_t *valid, size_t step) {
   if (step == 1) {
@@ -217,11 +218,11 @@ static void ISA(unpack)(const int32_t *packed, const uint8_t *valid, size_t step
     _mm512_storeu_si512(details + j, _mm512_maskz_expand_epi32(lanes, _mm512_loadu_si512(packed)));
     packed += _mm_popcnt_u32(lanes);
   }
-  NAMED(unpack_plain)(packed, valid + (size_t)j * step, step, n - j, details + j);
+  ISA(unpack_plain)(packed, valid + (size_t)j * step, step, n - j, details + j);
 }
 #define PACK ISA(pack)
 #define UNPACK ISA(unpack)
 #else
 #define PACK ISA(pack_plain)
-#define UNPACK NAMED(unpack_plain)
+#define UNPACK ISA(unpack_plain)
 #endif
