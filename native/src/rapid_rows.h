@@ -270,8 +270,9 @@ static ALWAYS_INLINE void NAMED(look_at_shared)(const NAMED(work) * w, int32_t n
   }
 }
 
-/* A loop for each plane and kind of contexts. */
+/* A loop for each plane and kind of contexts; SMALL: one that asks for each sample. */
 static void NAMED(fill_contexts)(const NAMED(work) * w, int plane, int32_t i, int32_t n) {
+  const rapid_scale *c = &w->unit->scale;
 #define LOOK(is_fine, is_by_reach) \
   switch (plane) { \
     case HH: NAMED(look)(w, HH, i, n, is_fine, is_by_reach); break; \
@@ -279,7 +280,13 @@ static void NAMED(fill_contexts)(const NAMED(work) * w, int plane, int32_t i, in
     case LH: NAMED(look)(w, LH, i, n, is_fine, is_by_reach); break; \
     default: NAMED(look_at_shared)(w, n, is_fine, is_by_reach); \
   }
-  const rapid_scale *c = &w->unit->scale;
+#ifdef SMALL
+  if (plane == SHARED) {
+    NAMED(look_at_shared)(w, n, c->is_fine, c->is_by_reach);
+  } else {
+    NAMED(look)(w, plane, i, n, c->is_fine, c->is_by_reach);
+  }
+#else
   if (c->is_fine && c->is_by_reach) {
     LOOK(1, 1);
   } else if (c->is_fine) {
@@ -289,6 +296,7 @@ static void NAMED(fill_contexts)(const NAMED(work) * w, int plane, int32_t i, in
   } else {
     LOOK(0, 0);
   }
+#endif
 #undef LOOK
 }
 #undef ROW

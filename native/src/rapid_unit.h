@@ -3,7 +3,13 @@
 #include "kernels.h"
 
 #if defined(__AVX2__) && defined(TWZ_HAVE_X86)
+#define HAS_AVX2
+#define HAS_VECTORS
 #include <immintrin.h>
+#elif defined(__wasm_simd128__)
+#define HAS_SIMD128
+#define HAS_VECTORS
+#include <wasm_simd128.h>
 #endif
 
 #if defined(__clang__) && defined(TWZ_SANITIZED)
@@ -100,30 +106,15 @@ typedef struct ISA(span) {
   int has_raw;
 } ISA(span);
 
-#if defined(__AVX2__) && defined(TWZ_HAVE_X86)
-#define HAS_VECTORS
-#include "rapid_vectors.h"
-#else
-#define PACK ISA(pack_plain)
-#define UNPACK ISA(unpack_plain)
-#define READ_RAW ISA(read_raw)
-#endif
-
-/* Symbols of a span, towards the side of their contexts. */
-static void ISA(read_span)(ISA(span) * s, const uint32_t *slots) {
+/* Details number j ... n - 1 of a span, towards the side of their contexts. */
+static void ISA(read_one_by_one)(ISA(span) * s, int32_t j, const uint32_t *slots) {
   rapid_streams *z = s->streams;
-#ifdef HAS_VECTORS
-  if (z->n_states == 8) {
-    ISA(read_vectors)(s, 1, slots);
-    return;
-  }
-#endif
   uint32_t last = z->n_states - 1;
   size_t before = min_size(z->n_words_used, z->n_words);
   const uint8_t *words = z->words + 2 * before; /* a row takes at most a word a sample: PAYLOAD_SLACK */
   size_t k = z->n_symbols, n_taken = 0;
-  int has_raw = 0;
-  for (int32_t j = 0; j < s->n; j++) {
+  int has_raw = s->has_raw;
+  for (; j < s->n; j++) {
     uint32_t context = (uint32_t)s->contexts[j] & (DOWN - 1);
     uint32_t x = z->states[k & last], entry = slots[context << 11 | (x & (SLOTS - 1))];
     uint32_t next = (entry >> 6 & 4095) * (x >> 11) + (entry >> 18);
@@ -141,6 +132,31 @@ static void ISA(read_span)(ISA(span) * s, const uint32_t *slots) {
   z->n_words_used += n_taken;
 }
 
+#if defined(HAS_AVX2)
+#include "rapid_vectors.h"
+#elif defined(HAS_SIMD128)
+#include "rapid_simd128.h"
+#else
+#define READ_RAW ISA(read_raw)
+#define PACK ISA(pack_plain)
+#define UNPACK ISA(unpack_plain)
+#endif
+
+static void ISA(read_span)(ISA(span) * s, const uint32_t *slots) {
+#ifdef HAS_VECTORS
+  if (s->streams->n_states == 8) {
+    ISA(read_vectors)(s, 1, slots);
+    return;
+  }
+#endif
+  ISA(read_one_by_one)(s, 0, slots);
+}
+
+#if defined(__wasm_simd128__)
+/* Few units are not short, and every page loads the module. */
+#define SMALL
+#pragma clang attribute push(__attribute__((minsize)), apply_to = function)
+#endif
 #define NUMBER int64_t
 #define PREDICT_IVDEP /* clang would make no vectors of 64-bit products, and say so */
 #define NAMED(name) ISA(wide_##name)
@@ -154,8 +170,12 @@ static void ISA(read_span)(ISA(span) * s, const uint32_t *slots) {
 #define NAMED(name) ISA(narrow_##name)
 #include "rapid_rows.h"
 #undef NAMED
+#ifdef SMALL
+#undef SMALL
+#pragma clang attribute pop
+#endif
 
-#if defined(__AVX2__) && defined(TWZ_HAVE_X86)
+#ifdef HAS_VECTORS
 #define SHORT
 #define NAMED(name) ISA(short_##name)
 #include "rapid_rows.h"
