@@ -28,5 +28,6 @@ static void ISA(widen)(int32_t *RESTRICT to, const int16_t *RESTRICT from, size_
 }
 
 static void ISA(add_shorts)(uint16_t *RESTRICT to, const int16_t *RESTRICT from, size_t n, uint32_t base) {
-  for (size_t i = 0; i < n; i++) to[i] = (uint16_t)(base + (uint32_t)from[i]);
+  const uint16_t low = (uint16_t)base;
+  for (size_t i = 0; i < n; i++) to[i] = (uint16_t)(low + (uint16_t)from[i]);
 }

@@ -74,29 +74,6 @@ static ALWAYS_INLINE int32_t ISA(read_in_turns)(ISA(lanes) * l, ISA(span) *const
   return j;
 }
 
-/* Read spans of n >= 1 units in turns: each step waits for the one before it in its own stream. */
-static void ISA(read_vectors)(ISA(span) * s, int n, const uint32_t *slots) {
-  ISA(span) *spans[MOST_TOGETHER] = {s}; /* the longest first */
-  ISA(lanes) l[MOST_TOGETHER];
-  for (int k = 1; k < n; k++) {
-    int i = k;
-    for (; i > 0 && spans[i - 1]->n < s[k].n; i--) spans[i] = spans[i - 1];
-    spans[i] = &s[k];
-  }
-  for (int k = 0; k < n; k++) ISA(begin_lanes)(&l[k], spans[k]->streams);
-  int32_t j = 0;
-  if (n > 3) j = ISA(read_in_turns)(l, spans, 4, j, slots);
-  if (n > 2) j = ISA(read_in_turns)(l, spans, 3, j, slots);
-  if (n > 1) j = ISA(read_in_turns)(l, spans, 2, j, slots);
-  ISA(read_in_turns)(l, spans, 1, j, slots);
-}
-
-/* Two taps side by side: where the row of pairs begins, and their weights. */
-typedef struct ISA(pair_of_taps) {
-  const int32_t *at;
-  int16_t first, second;
-} ISA(pair_of_taps);
-
 /* A whole vector is written: rows end with room for one. */
 static ALWAYS_INLINE void ISA(predict_taps)(int32_t n, const ISA(pair_of_taps) * taps, int n_taps, int32_t *predicted) {
   v128_t weights[14];

@@ -132,6 +132,14 @@ static void ISA(read_one_by_one)(ISA(span) * s, int32_t j, const uint32_t *slots
   z->n_words_used += n_taken;
 }
 
+#ifdef HAS_VECTORS
+/* Two taps side by side: where the row of pairs begins, and their weights. */
+typedef struct ISA(pair_of_taps) {
+  const int32_t *at;
+  int16_t first, second;
+} ISA(pair_of_taps);
+#endif
+
 #if defined(HAS_AVX2)
 #include "rapid_vectors.h"
 #elif defined(HAS_SIMD128)
@@ -140,6 +148,26 @@ static void ISA(read_one_by_one)(ISA(span) * s, int32_t j, const uint32_t *slots
 #define READ_RAW ISA(read_raw)
 #define PACK ISA(pack_plain)
 #define UNPACK ISA(unpack_plain)
+#endif
+
+#ifdef HAS_VECTORS
+/* Read spans of n >= 1 units in turns: each step waits for the one before it in its own stream. */
+static void ISA(read_vectors)(ISA(span) * s, int n, const uint32_t *slots) {
+  ISA(span) *spans[MOST_TOGETHER] = {s}; /* the longest first */
+  ISA(lanes) l[MOST_TOGETHER];
+  for (int k = 1; k < n; k++) {
+    int i = k;
+    for (; i > 0 && spans[i - 1]->n < s[k].n; i--) spans[i] = spans[i - 1];
+    spans[i] = &s[k];
+  }
+  ISA(begin_lanes)(&l[0], spans[0]->streams);
+  for (int k = 1; k < n; k++) ISA(begin_lanes)(&l[k], spans[k]->streams);
+  int32_t j = 0;
+  if (n > 3) j = ISA(read_in_turns)(l, spans, 4, j, slots);
+  if (n > 2) j = ISA(read_in_turns)(l, spans, 3, j, slots);
+  if (n > 1) j = ISA(read_in_turns)(l, spans, 2, j, slots);
+  ISA(read_in_turns)(l, spans, 1, j, slots);
+}
 #endif
 
 static void ISA(read_span)(ISA(span) * s, const uint32_t *slots) {

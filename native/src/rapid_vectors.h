@@ -79,24 +79,6 @@ static ALWAYS_INLINE int32_t ISA(read_in_turns)(ISA(lanes) * l, ISA(span) *const
   return j;
 }
 
-/* Read spans of n >= 1 units in turns: each step waits for the one before it in its own stream. */
-static void ISA(read_vectors)(ISA(span) * s, int n, const uint32_t *slots) {
-  ISA(span) *spans[MOST_TOGETHER] = {s}; /* the longest first */
-  ISA(lanes) l[MOST_TOGETHER];
-  for (int k = 1; k < n; k++) {
-    int i = k;
-    for (; i > 0 && spans[i - 1]->n < s[k].n; i--) spans[i] = spans[i - 1];
-    spans[i] = &s[k];
-  }
-  ISA(begin_lanes)(&l[0], spans[0]->streams);
-  for (int k = 1; k < n; k++) ISA(begin_lanes)(&l[k], spans[k]->streams);
-  int32_t j = 0;
-  if (n > 3) j = ISA(read_in_turns)(l, spans, 4, j, slots);
-  if (n > 2) j = ISA(read_in_turns)(l, spans, 3, j, slots);
-  if (n > 1) j = ISA(read_in_turns)(l, spans, 2, j, slots);
-  ISA(read_in_turns)(l, spans, 1, j, slots);
-}
-
 /* R.9, as read_raw: eight details at once, unless one is an escape. */
 static void ISA(read_raw_vectors)(const int32_t *contexts, int32_t *details, int32_t n, int64_t most, rapid_streams *z) {
   const __m256i none = _mm256_setzero_si256(), high = _mm256_set1_epi32((int)most), low = _mm256_sub_epi32(none, high);
@@ -129,12 +111,6 @@ static void ISA(read_raw_vectors)(const int32_t *contexts, int32_t *details, int
   }
   ISA(read_raw)(contexts + j, details + j, n - j, most, z);
 }
-
-/* Two taps side by side: where the row of pairs begins, and their weights. */
-typedef struct ISA(pair_of_taps) {
-  const int32_t *at;
-  int16_t first, second;
-} ISA(pair_of_taps);
 
 #if defined(__AVX512F__)
 #define VECTOR __m512i
