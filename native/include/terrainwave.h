@@ -298,6 +298,9 @@ TWZ_API twz_status twz_window_read_part(const twz_window *window, const twz_box 
  */
 TWZ_API twz_status twz_window_read_own(const twz_window *window, uint8_t *own, ptrdiff_t own_stride,
                                        twz_error *error);
+/* The same of a part of the window. */
+TWZ_API twz_status twz_window_read_own_part(const twz_window *window, const twz_box *part, uint8_t *own,
+                                            ptrdiff_t own_stride, twz_error *error);
 
 /* What the index says of a block: samples row * block_size ... (row + 1) * block_size of its level. */
 typedef struct twz_block {

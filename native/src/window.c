@@ -586,9 +586,8 @@ static twz_status copy_unit(const twz_window *w, const unit *u, const twz_box *b
     ptrdiff_t to_row = (ptrdiff_t)(row - b->row);
     size_t to_col = part->col - b->col;
     if (out->heights) {
-      TRY(write_raw(&f->heights, out->heights + to_row * out->heights_stride + to_col * size,
-                    u->is_void ? NULL : l->heights + at, l->valid ? l->valid + at : NULL,
-                    l->remainders ? l->remainders + at : NULL, part->n_cols, error));
+      TRY(write_raw(&f->heights, out->heights + to_row * out->heights_stride + to_col * size, u->is_void ? NULL : l, at,
+                    part->n_cols, error));
     }
     const uint8_t *own = l->own ? l->own : l->valid;
     struct { uint8_t *to; const uint8_t *from; } copies[2] = {
@@ -656,13 +655,18 @@ twz_status twz_window_read(const twz_window *w, void *heights, ptrdiff_t heights
   return twz_window_read_part(w, &w->box, heights, heights_stride, valid, valid_stride, error);
 }
 
-twz_status twz_window_read_own(const twz_window *w, uint8_t *own, ptrdiff_t own_stride, twz_error *error) {
+twz_status twz_window_read_own_part(const twz_window *w, const twz_box *part, uint8_t *own, ptrdiff_t own_stride,
+                                    twz_error *error) {
   const twz_file *f = w->file;
   if (!(f->header.features & FILLS) && w->level < f->grid.k_max) {
     return twz_fail(error, TWZ_UNSUPPORTED, "this file does not tell fills of coarse levels: feature bit 4 is not set");
   }
-  output out = {NULL, NULL, own, 0, 0, own_stride ? own_stride : (ptrdiff_t)w->box.n_cols};
-  return read_box(w, &w->box, &out, error);
+  output out = {NULL, NULL, own, 0, 0, own_stride ? own_stride : (ptrdiff_t)part->n_cols};
+  return read_box(w, part, &out, error);
+}
+
+twz_status twz_window_read_own(const twz_window *w, uint8_t *own, ptrdiff_t own_stride, twz_error *error) {
+  return twz_window_read_own_part(w, &w->box, own, own_stride, error);
 }
 
 /* ---- Codes of blocks (§4.4) ---- */
