@@ -87,12 +87,19 @@ def test_what_is_there_is_skipped_kept_or_replaced(tmp_path, dems, files):
 # --- --skip-existing: what is there counts only if it is what the command would make
 
 
+def in_json(done, paths):
+    """Return the lines of --json, one for each file, in the order of the files."""
+    found = {line["source"]: line for line in map(json.loads, done.stdout.splitlines())}
+    assert found.keys() == set(map(str, paths))
+    return [found[str(path)] for path in paths]
+
+
 def batch_of(paths, directory, *options):
     """Run a batch of `compress` with --skip-existing; return what became of each, and the notes."""
     done = run("compress", *paths, "--to", directory, "--skip-existing", "--json", *QUICK, *options)
     assert done.exit_code == 0, done.stderr
     notes = [line for line in done.stderr.splitlines() if "made again" in line]
-    return [file["status"] for file in json.loads(done.stdout)["files"]], notes
+    return [file["status"] for file in in_json(done, paths)], notes
 
 
 @pytest.fixture
@@ -360,14 +367,73 @@ def test_a_missing_original_is_a_failure_of_its_file(tmp_path, dems, files):
     assert done.stdout.splitlines()[-1] == "3 files: 2 ok, 1 failed"
 
 
-def test_json_lists_all_files_in_their_order(tmp_path, dems):
+def test_json_is_a_line_for_each_file(tmp_path, dems):
     dems[1].write_text("no raster")
     done = run("compress", *dems, "--to", tmp_path / "out", *QUICK, "--json")
-    found = json.loads(done.stdout)["files"]
+    found = in_json(done, dems)
     assert [file["status"] for file in found] == ["compressed", "failed", "compressed"]
-    assert [file["source"] for file in found] == list(map(str, dems))
     assert found[2]["n_bytes"] == (tmp_path / "out" / "c.twz").stat().st_size
+    assert all(file["seconds"] >= 0 for file in found)
     assert "not a raster" in found[1]["error"]
+    assert found[1]["error_class"] == "StorageError"
+    done = run("verify", *(tmp_path / "out").glob("*.twz"), "--json")
+    assert [json.loads(line)["status"] for line in done.stdout.splitlines()] == ["ok", "ok"]
+
+
+def test_lines_of_json_come_while_the_batch_runs(tmp_path):
+    """The second raster is a pipe that nobody fills until the first line is there."""
+    first = write_geotiff(tmp_path / "first.tif", terrain_like(12, 10))
+    second = write_geotiff(tmp_path / "second.tif", terrain_like(12, 10))
+    seen, work = [], threading.Event()
+
+    def do(job, threads, progress):
+        if job.source == str(second):
+            assert work.wait(60)
+        return batch.Done("done", {"n_bytes": 1})
+
+    def told(fields):
+        seen.append(fields["source"])
+        work.set()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(batch, "print_json_line", told)
+        jobs = [batch.FileJob(str(path)) for path in (second, first)]
+        assert batch.run(jobs, do, word="done", threads=2, as_json=True, quiet=False) == 0
+    assert seen == [str(first), str(second)]
+
+
+@pytest.mark.full
+def test_many_files_with_bad_ones_among_them_restarted(tmp_path):
+    """200 files, 3 of them bad: each run makes what is missing, and tells of each in one line."""
+    rasters = [
+        write_geotiff(tmp_path / f"{number:03}.tif", terrain_like(9, 8, seed=number))
+        for number in range(200)
+    ]
+    bad = rasters[7], rasters[100], rasters[199]
+    for path in bad:
+        path.write_bytes(b"II*\0 no raster")
+    out = tmp_path / "out"
+    expected = ["failed" if path in bad else "compressed" for path in rasters]
+    for number in range(3):
+        done = run(
+            "compress", *rasters, "--to", out, "--skip-existing", "--json", "--no-mesh",
+            "--max-error", "0", "--block", "32",
+        )  # fmt: skip
+        assert done.exit_code == 1
+        assert [file["status"] for file in in_json(done, rasters)] == expected
+        assert done.stderr.count("is not a raster") == 3
+        expected = [status.replace("compressed", "skipped") for status in expected]
+        if number == 0:  # as if the run had been stopped
+            for path in rasters[50:60]:
+                (out / f"{path.stem}.twz").unlink()
+                expected[rasters.index(path)] = "compressed"
+        elif number == 1:
+            expected = [status.replace("compressed", "skipped") for status in expected]
+    for path in rasters:
+        if path not in bad:
+            with terrainwave.open(out / f"{path.stem}.twz") as terrain:
+                assert np.array_equal(terrain.read(), read_geotiff(path)[0])
+    assert len(list(out.glob("*.twz"))) == 197
 
 
 @pytest.mark.parametrize(

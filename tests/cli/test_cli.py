@@ -178,7 +178,7 @@ def test_decompress_prints_json(tmp_path, twz):
     n_bytes = (tmp_path / "a.tif").stat().st_size
     assert json.loads(done.stdout) == {"path": str(tmp_path / "a.tif"), "n_bytes": n_bytes}
     done = run("decompress", twz, "--to", tmp_path / "all", "--json")
-    (found,) = json.loads(done.stdout)["files"]
+    found = json.loads(done.stdout)
     target = tmp_path / "all" / "dem.tif"
     assert (found["status"], found["path"]) == ("decompressed", str(target))
     assert found["n_bytes"] == target.stat().st_size

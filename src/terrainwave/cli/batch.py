@@ -3,6 +3,7 @@
 import os
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager, suppress
@@ -20,7 +21,7 @@ from terrainwave.cli.output import (
     line_of,
     plain,
     print_error,
-    print_json,
+    print_json_line,
     print_note,
 )
 from terrainwave.cli.streams import STREAM
@@ -49,6 +50,7 @@ class Done:
 @dataclass(frozen=True)
 class _Outcome:
     job: FileJob
+    seconds: float
     done: Done | None = None
     error: Exception | None = None
 
@@ -65,9 +67,16 @@ class _Outcome:
 
     def to_dict(self, word: str) -> dict[str, Any]:
         """Return its fields for --json."""
-        named = {"source": display_name(self.job.source), "target": self.job.target}
+        named = {
+            "source": display_name(self.job.source),
+            "target": self.job.target,
+            "seconds": round(self.seconds, 3),
+        }
         if self.error is not None:
-            return named | {"status": "failed", "error": self.message}
+            error_class = type(self.error).__name__
+            return named | {
+                "status": "failed", "error": self.message, "error_class": error_class,
+            }  # fmt: skip
         if self.done is None:
             return named | {"status": "skipped"}
         return named | {"status": word if self.done.is_good else "failed"} | self.done.fields
@@ -182,11 +191,13 @@ def run(
     *,
     word: str,
     threads: int | None,
+    as_json: bool,
     quiet: bool,
     manifest: Manifest | None = None,
-) -> tuple[list[dict[str, Any]], int]:
-    """Do the jobs, tell what came of each, then of all; return both, and the exit status.
+) -> int:
+    """Do the jobs, tell what came of each, then of all; return the exit status.
 
+    With `as_json` a line of JSON for each file, as soon as it is done, and nothing else on stdout.
     The threads are shared: as many jobs at a time as there are threads, each with its part. A job
     whose target `manifest` knows to be as asked for is skipped.
     """
@@ -198,27 +209,35 @@ def run(
         if is_stopped.is_set():
             raise KeyboardInterrupt
 
-    def attempt(job: FileJob) -> _Outcome:
+    def attempt(job: FileJob) -> Done | None:
+        if manifest is None:
+            return work(job, n_threads // n_at_once, go_on)
+        with manifest.checked(job.source, str(job.target), go_on) as difference:
+            if difference is None:
+                return None
+            if difference:
+                print_note(f"{job.target} is made again: {difference}")
+            return work(job, n_threads // n_at_once, go_on)
+
+    def outcome_of(job: FileJob) -> _Outcome:
         go_on()
+        start = time.monotonic()
         try:
-            if manifest is None:
-                return _Outcome(job, done=work(job, n_threads // n_at_once, go_on))
-            with manifest.checked(job.source, str(job.target), go_on) as difference:
-                if difference is None:
-                    return _Outcome(job)
-                if difference:
-                    print_note(f"{job.target} is made again: {difference}")
-                return _Outcome(job, done=work(job, n_threads // n_at_once, go_on))
+            done = attempt(job)
         except Exception as error:  # noqa: BLE001  one file of many: the others go on
-            return _Outcome(job, error=error)
+            return _Outcome(job, time.monotonic() - start, error=error)
+        return _Outcome(job, time.monotonic() - start, done)
 
     outcomes: dict[FileJob, _Outcome] = {}
-    with Bar(quiet=quiet) as bar, ThreadPoolExecutor(n_at_once) as executor:
+    is_silent = quiet or as_json
+    with Bar(quiet=is_silent) as bar, ThreadPoolExecutor(n_at_once) as executor:
         try:
-            for future in as_completed([executor.submit(attempt, job) for job in jobs]):
+            for future in as_completed([executor.submit(outcome_of, job) for job in jobs]):
                 outcome = future.result()
                 outcomes[outcome.job] = outcome
-                _tell(outcome, bar, quiet=quiet)
+                _tell(outcome, bar, quiet=is_silent)
+                if as_json:
+                    print_json_line(outcome.to_dict(word))
                 bar(Progress(f"files {word}", len(outcomes), len(jobs)))
         except BaseException:
             # Those that run end at their next report of progress, and leave nothing.
@@ -226,9 +245,9 @@ def run(
             executor.shutdown(wait=False, cancel_futures=True)
             raise
     in_order = [outcomes[job] for job in jobs]
-    if not quiet:
+    if not is_silent:
         click.echo(_summary(in_order, word))
-    return [outcome.to_dict(word) for outcome in in_order], _status(in_order)
+    return _status(in_order)
 
 
 def run_to(
@@ -250,12 +269,10 @@ def run_to(
     jobs = plan(sources, directory, ending, endings)
     announce_compiling(quiet=quiet)
     with made({os.path.dirname(str(job.target)) for job in jobs}):
-        found, status = run(
-            jobs, work, word=word, threads=threads, quiet=quiet or as_json,
+        status = run(
+            jobs, work, word=word, threads=threads, as_json=as_json, quiet=quiet,
             manifest=manifest,
         )  # fmt: skip
-    if as_json:
-        print_json({"files": found})
     finish(status)
 
 

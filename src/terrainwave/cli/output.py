@@ -383,6 +383,12 @@ def print_json(fields: dict[str, Any]) -> None:
     click.echo(json.dumps(plain_json(fields), indent=2, allow_nan=False))
 
 
+def print_json_line(fields: dict[str, Any]) -> None:
+    """Print a result of many as one line of JSON, at once."""
+    click.echo(json.dumps(plain_json(fields), allow_nan=False))
+    sys.stdout.flush()
+
+
 def plain_json(value: Any) -> Any:
     """Return `value` with the numbers that JSON lacks as strings."""
     if isinstance(value, dict):

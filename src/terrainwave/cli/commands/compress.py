@@ -1,5 +1,6 @@
 """The command compress: rasters become .twz files."""
 
+import threading
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, replace
 from typing import Any
@@ -40,6 +41,7 @@ from terrainwave.cli.own_options import (
     with_own_options,
 )
 from terrainwave.cli.streams import STREAM, printing_beside, written
+from terrainwave.container.sources.addresses import display_name
 from terrainwave.names import (
     DEFAULT_EFFORT,
     DEFAULT_MESH,
@@ -207,9 +209,17 @@ def _compress_each(
     if skips:
         options["overwrite"] = True  # a file that is not as asked for is made again
 
+    has_told = threading.Event()
+
     def compress_one(job: FileJob, threads: int, progress: ProgressCallback) -> Done:
         changed = options | {"threads": threads, "keep_origin": True}
         result = terrainwave.compress(job.source, str(job.target), progress=progress, **changed)
+        if not result.units and not has_told.is_set():
+            has_told.set()
+            print_note(
+                f"{plain(display_name(job.source))} names no vertical unit: errors are in the unit"
+                " of its heights, as those of all rasters without one"
+            )
         return Done(_result_line(result), asdict(result))
 
     run_to(

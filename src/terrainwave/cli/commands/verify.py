@@ -127,13 +127,12 @@ def _verify_all(
         _refuse_unfit_without_original(click.get_current_context())
     announce_compiling(quiet=quiet)
     folders = dict(with_files_of_folders(files, TWZ_ENDINGS))
-    found, status = run(
-        [FileJob(file) for file in folders], verify_one, word="ok", threads=threads,
-        quiet=quiet or as_json,
+    finish(
+        run(
+            [FileJob(file) for file in folders], verify_one, word="ok", threads=threads,
+            as_json=as_json, quiet=quiet,
+        )
     )  # fmt: skip
-    if as_json:
-        print_json({"files": found})
-    finish(status)
 
 
 def _print_report(report: Any) -> None:
