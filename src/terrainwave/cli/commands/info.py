@@ -40,12 +40,22 @@ from terrainwave.names import UNBOUNDED_MESHES
     help="List the triangles of each level, their bits and their zero trees (slow: makes all"
     " meshes).",
 )
+@click.option(
+    "--stac",
+    is_flag=True,
+    help="Print an item for a STAC catalogue instead: outline, CRS, resolution, bound, checksum.",
+)
 @THREADS_OPTION
-def info(file: str, as_json: bool, threads: int | None, **more: Any) -> None:
+def info(file: str, as_json: bool, stac: bool, threads: int | None, **more: Any) -> None:
     """Show what FILE (.twz) contains."""
     import terrainwave
 
     with reading(file), terrainwave.open(file, threads=threads) as terrain:
+        if stac:
+            from terrainwave.globe.stac import stac_item
+
+            print_json(stac_item(terrain))
+            return
         summary = terrain.info()
         found = _Found.of(terrain, **more | {"parts": more["parts"] or "://" not in file})
     if as_json:
