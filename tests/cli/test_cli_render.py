@@ -203,6 +203,14 @@ def test_an_existing_picture_is_kept_unless_told(file, tmp_path):
     assert done.exit_code == 0, done.output
 
 
+def test_pictures_with_text_name_the_library_that_is_missing(monkeypatch, file, tmp_path):
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    done = run("render", file, tmp_path / "x.png", "--size", "300x200", "--legend")
+    assert done.exit_code == 1
+    assert 'text in a picture needs pillow: pip install "terrainwave[view]"' in done.stderr
+    assert not (tmp_path / "x.png").exists()
+
+
 @pytest.mark.parametrize("arguments", [("view",), ("render", "x.png")])
 def test_a_missing_library_is_named_in_one_line(file, tmp_path, arguments):
     """As for those who have installed terrainwave without its extra."""

@@ -409,7 +409,13 @@ def test_a_server_has_the_tiles_that_are_written(tmp_path, grids):
         x, y = int((lon + 180) / 180 * 2**8), int((lat + 90) / 180 * 2**8)
         answers = {}
         for vertical in ("ellipsoid", "as-is"):
-            client = TestClient(make_app([str(twz)], vertical=vertical), "http://127.0.0.1")
+            with warnings.catch_warnings(record=True) as told:
+                warnings.simplefilter("always", TerrainwaveWarning)
+                client = TestClient(make_app([str(twz)], vertical=vertical), "http://127.0.0.1")
+            said = [str(one.message) for one in told]
+            assert any("are taken for heights above" in one for one in said) is (
+                vertical == "as-is"
+            )
             layer = client.get("/dem/mesh/layer.json").json()
             assert layer["vertical"]["heights"] == vertical
             pyramid = TilePyramid(ground, vertical=vertical, void_height=height_of_voids(ground))

@@ -24,6 +24,7 @@ from terrainwave.ext.serve.layers import Shelf, open_layers
 from terrainwave.ext.serve.sending import Desk
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.terrain_rgb import Look
+from terrainwave.place.vertical import note_as_is
 from terrainwave.render.look.colorings import AUTO
 from terrainwave.render.look.style import check_sea_level
 
@@ -80,6 +81,8 @@ def make_app(
     desk = Desk(n_decoding)
     layers = open_layers(paths, radius, vertical) if paths else {}
     for layer in layers.values():
+        if vertical == AS_IS:
+            note_as_is(layer.terrain.crs)
         if note := tiling.note_on_range(layer.globe, encoding):
             warnings.warn(TerrainwaveWarning(f"{layer.name}: {note}"), stacklevel=2)
     shelf = Shelf(layers.values())

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidArgumentError
+from terrainwave.extras import need
 from terrainwave.place.units import unit_text
 from terrainwave.render.look.ramps import N_LATITUDES, Palette
 from terrainwave.render.look.style import Style
@@ -106,14 +107,17 @@ def legend_of(
     return Legend(title, colors, labels, has_voids)
 
 
+def pillow(module: str) -> Any:
+    """Return a module of Pillow, which draws text."""
+    return need(f"PIL.{module}", extra="view", purpose="text in a picture")
+
+
 class Ink:
     """Draws into an RGBA image of Pillow."""
 
     def __init__(self, image: Any) -> None:
-        from PIL import ImageDraw, ImageFont
-
-        self.image, self.draw = image, ImageDraw.Draw(image)
-        self.font = ImageFont.load_default(FONT_SIZE)
+        self.image, self.draw = image, pillow("ImageDraw").Draw(image)
+        self.font = pillow("ImageFont").load_default(FONT_SIZE)
 
     def text(self, x: float, y: float, words: str) -> None:
         """Write lines on a shade."""
@@ -170,14 +174,13 @@ def draw_marks(
     pixels: NDArray[np.uint8], *, legend: Legend | None, metres_per_pixel: float | None
 ) -> NDArray[np.uint8]:
     """Return a picture, uint8 (height, width, 3), with a legend and a scale bar; a copy."""
-    from PIL import Image
-
+    images = pillow("Image")
     height, width, _ = pixels.shape
-    over = Image.new("RGBA", (width, height), (0, 0, 0, 0))
+    over = images.new("RGBA", (width, height), (0, 0, 0, 0))
     ink = Ink(over)
     if legend is not None:
         ink.legend(legend)
     if metres_per_pixel is not None:
         ink.scale_bar(metres_per_pixel)
-    picture = Image.fromarray(pixels).convert("RGBA")
-    return np.asarray(Image.alpha_composite(picture, over).convert("RGB"))
+    picture = images.fromarray(pixels).convert("RGBA")
+    return np.asarray(images.alpha_composite(picture, over).convert("RGB"))
