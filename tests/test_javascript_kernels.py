@@ -1,17 +1,49 @@
-"""Are the compiled kernels of the reader in JavaScript those of the sources beside them?"""
+"""Is the module of the reader in JavaScript what its sources make?"""
 
+import base64
+import gzip
 import hashlib
+import os
 import re
+import shutil
+import subprocess
 from pathlib import Path
 
-JS = Path(__file__).parents[1] / "js"
+import pytest
+
+ROOT = Path(__file__).parents[1]
+WASM = ROOT / "js" / "wasm"
+MODULE = ROOT / "js" / "src" / "core-data.js"
+COMPILER = "clang-14"  # another one makes other bytes
 
 
-def test_kernels_were_compiled_from_these_sources():
-    wasm = JS / "wasm"
-    files = [wasm / "build.sh", *sorted(wasm.glob("*.c")), *sorted(wasm.glob("*.h"))]
+def constant(path, name):
+    """Return a text that a module exports."""
+    found = re.search(rf'export const {name} = "([^"]+)"', path.read_text())
+    assert found is not None, name
+    return found[1]
+
+
+def test_the_module_was_made_of_these_sources():
+    native = ROOT / "native"
+    groups = [[WASM / "build.sh"], WASM.glob("*.c"), (WASM / "include").glob("*.h"),
+              (native / "include").glob("*.h"), (native / "src").glob("*.c"), (native / "src").glob("*.h")]  # fmt: skip
+    files = [path for group in groups for path in sorted(group)]
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
-    compiled = (JS / "src" / "kernels-data.js").read_text()
-    told = re.search(r'SOURCES = "(\w+)"', compiled)
-    assert told is not None
-    assert told[1] == digest, "run js/wasm/build.sh"
+    assert constant(MODULE, "SOURCES") == digest, "run js/wasm/build.sh"
+
+
+@pytest.mark.full
+@pytest.mark.native
+def test_the_module_is_what_a_fresh_build_makes(tmp_path):
+    assert shutil.which(COMPILER), f"{COMPILER} is missing: tools/install_system.sh native"
+    made = tmp_path / "core-data.js"
+    environment = os.environ | {"OUT": str(made)}
+    done = subprocess.run(
+        ["sh", WASM / "build.sh"], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    fresh, committed = (
+        gzip.decompress(base64.b64decode(constant(path, "CORE"))) for path in (made, MODULE)
+    )
+    assert fresh == committed, "run js/wasm/build.sh"

@@ -4,7 +4,7 @@
 # with its driver, npm; with the argument `qgis` also QGIS without its window, and its Python, for the
 # tests of the plugin, and what builds and tests GDAL's driver; with the argument `native` instead of
 # all these what builds and tests the native library, and that driver: cmake, gcc, clang with its
-# sanitizers and libFuzzer, GDAL; with `arm` what builds the library for ARM of 64 and 32 bits, and
+# sanitizers and libFuzzer, clang 14 with lld for WebAssembly, GDAL; with `arm` what builds the library for ARM of 64 and 32 bits, and
 # runs it: Debian's cross compilers and qemu. Installed where this is Debian or Ubuntu and apt-get may run;
 # elsewhere one line says what is missing, and the tests that need it fail.
 set -eu
@@ -22,9 +22,9 @@ qgis)
     packages="$packages python3-qgis $gdal"
     ;;
 native)
-    packages="cmake make gcc libc6-dev clang libclang-rt-dev llvm $gdal"
+    packages="cmake make gcc libc6-dev clang libclang-rt-dev llvm clang-14 lld-14 $gdal"
     needs="the native library needs compilers, its driver GDAL"
-    elsewhere="cmake, make, gcc, clang with sanitizers and libFuzzer, GDAL with its headers and Python"
+    elsewhere="cmake, make, gcc, clang with sanitizers and libFuzzer, clang 14 and lld 14, GDAL with its headers and Python"
     ;;
 arm)
     packages="cmake make qemu-user gcc-aarch64-linux-gnu libc6-dev-arm64-cross gcc-arm-linux-gnueabihf libc6-dev-armhf-cross"
@@ -56,7 +56,8 @@ is_complete() {
 
 has_compilers() {
     command -v cmake >/dev/null && command -v make >/dev/null && command -v gcc >/dev/null &&
-        command -v clang >/dev/null && command -v llvm-symbolizer >/dev/null &&
+        command -v clang >/dev/null && command -v clang-14 >/dev/null && command -v wasm-ld-14 >/dev/null &&
+        command -v llvm-symbolizer >/dev/null &&
         ls "$(clang -print-resource-dir)"/lib/*/libclang_rt.fuzzer*.a >/dev/null 2>&1
 }
 

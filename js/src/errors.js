@@ -20,13 +20,3 @@ export class LimitExceededError extends TerrainwaveError {}
 
 /** An argument that makes no sense for this file. */
 export class ArgumentError extends TerrainwaveError {}
-
-/** Throw unless a rule of FORMAT.md holds; `message` names what is wrong. */
-export function require(condition, message) {
-  if (!condition) throw new CorruptStreamError(message);
-}
-
-/** Throw unless this reader knows what the bytes mean (FORMAT.md §1.2, "unsupported"). */
-export function requireKnown(condition, message) {
-  if (!condition) throw new UnsupportedError(`${message}: a newer reader is needed`);
-}

@@ -68,18 +68,52 @@ function exactly(bytes, n, what) {
   return bytes;
 }
 
-/**
- * Read many ranges [start, end), in any order, in few requests.
- *
- * Returns their bytes in the order of `ranges`; those of no length need no request.
- */
-export async function readRanges(source, ranges) {
+/** Pages of the index that are kept: each reader of a file asks for them. */
+const N_PAGES = 512;
+/** Where no more pages are needed at once, what is likely to be needed behind them is announced. */
+const FEW_PAGES = 8;
+
+/** Reads what decoders ask for: many ranges at a time, in few requests. */
+export class Ranges {
+  #source;
+  #pages = new Map(); // by place: promises, the oldest first
+
+  constructor(source) {
+    this.#source = source;
+  }
+
+  /** Return the bytes of { start, end, likely }; so many bytes behind one are likely to be next. */
+  async read(ranges) {
+    const kept = await Promise.all(ranges.map((range) => this.#pages.get(nameOf(range))));
+    const missing = ranges.filter((_, i) => !kept[i]);
+    const pages = missing.filter(({ likely }) => likely > 0);
+    if (pages.length <= FEW_PAGES) {
+      for (const { end, likely } of pages) this.#source.announce?.(end, end + likely);
+    }
+    const reading = readRanges(this.#source, missing);
+    missing.forEach((range, i) => {
+      if (range.likely > 0) this.#keep(nameOf(range), reading.then((found) => new Uint8Array(found[i])));
+    });
+    const found = (await reading).values();
+    return kept.map((bytes) => bytes ?? found.next().value);
+  }
+
+  #keep(name, page) {
+    this.#pages.set(name, page);
+    page.catch(() => this.#pages.delete(name)); // another read asks again
+    if (this.#pages.size > N_PAGES) this.#pages.delete(this.#pages.keys().next().value);
+  }
+}
+
+const nameOf = ({ start, end }) => `${start}-${end}`;
+
+/** Return the bytes of ranges in any order, those that lie close together by one request. */
+async function readRanges(source, ranges) {
   const found = new Array(ranges.length);
-  const order = ranges.map((_, i) => i).filter((i) => ranges[i][1] > ranges[i][0]);
-  order.sort((a, b) => ranges[a][0] - ranges[b][0]);
+  const order = ranges.map((_, i) => i).sort((a, b) => ranges[a].start - ranges[b].start);
   const groups = [];
   for (const i of order) {
-    const [start, end] = ranges[i];
+    const { start, end } = ranges[i];
     const last = groups.at(-1);
     if (last && start - last.end <= GAP && end - last.start <= MOST_AT_ONCE) {
       last.end = Math.max(last.end, end);
@@ -94,10 +128,10 @@ export async function readRanges(source, ranges) {
       const { start, end, members } = groups[next++];
       const bytes = await source.read(start, end);
       for (const i of members) {
-        found[i] = bytes.subarray(ranges[i][0] - start, ranges[i][1] - start);
+        found[i] = bytes.subarray(ranges[i].start - start, ranges[i].end - start);
       }
     }
   };
   await Promise.all(Array.from({ length: Math.min(source.parallel ?? PARALLEL, groups.length) }, work));
-  return Array.from(found, (bytes) => bytes ?? new Uint8Array(0));
+  return found;
 }

@@ -1,122 +1,79 @@
 /** A terrain: what users hold. */
 
 import { BlockSource } from "./blocks.js";
-import { Container } from "./container.js";
+import { ARRAYS } from "./core.js";
+import { Engine } from "./engine.js";
 import { ArgumentError, LimitExceededError } from "./errors.js";
-import { half, nameOf } from "./grid.js";
-import { HAS_FILLS, requireMethod } from "./header.js";
-import { loadKernels } from "./kernels.js";
-import { METHODS } from "./methods.js";
-import { decodePayload } from "./payload.js";
-import { Heights } from "./quanta.js";
-import { openSource } from "./source.js";
+import { loadModule } from "./module.js";
+import { Ranges, openSource } from "./source.js";
 import { WorkerPool, numberOfWorkers } from "./workers.js";
 
 const DEFAULTS = { cacheBytes: 2 ** 27, maxSamples: 2 ** 28 };
-/** Payloads are fetched for so many units at a time. */
-const UNITS_AT_ONCE = 64;
-/** Fewer units are decoded at once: workers take their time to start. */
-const FEWEST_FOR_WORKERS = 3;
-
-/** Decoded units by key, the least recently used one dropped first. */
-class Cache {
-  constructor(nBytes) {
-    this.left = nBytes;
-    this.units = new Map();
-  }
-
-  static bytesOf({ heights, remainders, own }) {
-    return heights.length * (5 + (remainders ? 8 : 0) + (own ? 1 : 0));
-  }
-
-  get(name) {
-    const unit = this.units.get(name);
-    if (unit) {
-      this.units.delete(name);
-      this.units.set(name, unit);
-    }
-    return unit;
-  }
-
-  put(name, unit) {
-    if (this.units.has(name)) return;
-    this.units.set(name, unit);
-    this.left -= Cache.bytesOf(unit);
-    for (const [oldest, held] of this.units) {
-      if (this.left >= 0 || this.units.size === 1) break;
-      this.units.delete(oldest);
-      this.left += Cache.bytesOf(held);
-    }
-  }
-}
+/** Most files are opened by one request of so many bytes (FORMAT.md §10). */
+const FIRST_READ = 16384;
+/** A feature of FORMAT.md §4.1: samples of coarse levels tell whether the full grid has them. */
+const HAS_FILLS = 16;
+/** Samples that are read at once: a decoder's memory holds them of any raster. */
+const MOST_AT_ONCE = 2 ** 23;
+/** Of larger windows: samples on a side of their parts, at least. */
+const SIDE = 1024;
+/** Parts of a window that are read at once by each thread: bytes come while others are decoded. */
+const PARTS_AT_ONCE = 3;
+/** Smaller windows are read here: workers take their time to start. */
+const FEWEST_UNITS_FOR_WORKERS = 3;
 
 /** Open a .twz file: a URL, a File or Blob, bytes, or an object { size, read(start, end) }. */
 export async function open(from, options = {}) {
+  const { cacheBytes, maxSamples, workers, blocks, signal } = { ...DEFAULTS, ...options };
+  const nWorkers = numberOfWorkers(workers);
+  signal?.throwIfAborted();
   const found = openSource(from, options);
-  const source = options.blocks ? new BlockSource(found) : found;
-  const [container] = await Promise.all([Container.open(source), loadKernels()]);
-  requireMethod(container.header, METHODS);
-  return new Terrain(container, { ...DEFAULTS, ...options });
+  const source = blocks ? new BlockSource(found) : found;
+  const [head, module] = await Promise.all([source.head(FIRST_READ), loadModule()]);
+  // A copy: the head may be part of much more, which would go to workers with it.
+  const file = { module, size: source.size, start: new Uint8Array(head), cacheBytes };
+  const ranges = new Ranges(source);
+  const fetch = async (wanted) => {
+    try {
+      signal?.throwIfAborted();
+      return await ranges.read(wanted);
+    } catch (error) {
+      signal?.throwIfAborted(); // its reason, whatever the source makes of it
+      throw error;
+    }
+  };
+  const engine = new Engine(file);
+  const about = await engine.describe(fetch);
+  return new Terrain({ file, engine, fetch, nWorkers, maxSamples, signal }, about);
 }
 
-/** Return parent heights in arrays of their own. */
-function cutOut({ rows, cols, heights, valid, hasVoid, own, base, stride }) {
-  const part = {
-    rows, cols, hasVoid, base: 0, stride: cols.n,
-    heights: new Int32Array(rows.n * cols.n), valid: new Uint8Array(rows.n * cols.n),
-    own: own && new Uint8Array(rows.n * cols.n),
+/** Split a window at multiples of `side`: units lie between them, the last one with a line more. */
+function partsOf({ row, col, nRows, nCols }, shape, side) {
+  const cut = (first, n, nOfLevel) => {
+    const places = [first];
+    for (let at = first - (first % side) + side; at < Math.min(first + n, nOfLevel - 1); at += side) places.push(at);
+    return places.map((at, i) => [at, (places[i + 1] ?? first + n) - at]);
   };
-  for (let row = 0; row < rows.n; row++) {
-    const from = base + row * stride;
-    part.heights.set(heights.subarray(from, from + cols.n), row * cols.n);
-    part.valid.set(valid.subarray(from, from + cols.n), row * cols.n);
-    if (own) part.own.set(own.subarray(from, from + cols.n), row * cols.n);
-  }
-  return part;
+  return cut(row, nRows, shape.nRows).flatMap(([top, height]) =>
+    cut(col, nCols, shape.nCols).map(([left, width]) =>
+      ({ row: top, col: left, nRows: height, nCols: width }),
+    ),
+  );
 }
 
 /** A multiresolution raster of heights. Level 0 is the coarsest, -1 the full grid. */
 export class Terrain {
-  #container;
-  #file;
-  #heights;
-  #cache;
-  #maxSamples;
-  #nWorkers;
-  #isAsked; // whether the caller named the number of workers
+  #given;
   #pool = null; // a promise of workers, or of null
-  #pending = new Map(); // by name: promises of units that workers decode
   #isClosed = false;
 
-  constructor(container, { cacheBytes, maxSamples, workers }) {
-    const { header, metadata, grid } = container;
-    const { prepare, decode } = METHODS[header.method];
-    const heights = new Heights(header, metadata);
-    this.#container = container;
-    this.#heights = heights;
-    this.#cache = new Cache(cacheBytes);
-    this.#maxSamples = maxSamples;
-    this.#nWorkers = numberOfWorkers(workers);
-    this.#isAsked = workers !== undefined;
-    this.#file = {
-      header, grid, quantaOfNodata: heights.quantaOfNodata, decodeMethod: decode,
-      tables: prepare(container.parameters, header),
-    };
-    this.nRows = header.nRows;
-    this.nCols = header.nCols;
-    this.nLevels = grid.kMax + 1;
-    this.blockSize = grid.nCells;
-    this.dtype = header.dtype.name;
-    this.method = header.method;
-    this.hasFills = (header.features & HAS_FILLS) !== 0;
-    this.maxError = header.maxError * Math.abs(metadata.scale ?? 1);
-    this.effectiveBound = header.effectiveBound * Math.abs(metadata.scale ?? 1);
-    this.metadata = metadata;
-    this.crs = metadata.crs ?? null;
-    this.units = metadata.units ?? null;
-    this.scale = metadata.scale ?? 1;
-    this.offset = metadata.offset ?? 0;
-    this.nodata = heights.nodata;
+  constructor(given, { features, metadata: text, ...about }) {
+    const all = Object.entries(JSON.parse(text)).filter(([, value]) => value !== null);
+    const metadata = Object.fromEntries(all); // defines "__proto__" as a key like any other
+    const { crs = null, units = null, scale = 1, offset = 0 } = metadata;
+    Object.assign(this, about, { metadata, crs, units, scale, offset });
+    this.hasFills = (features & HAS_FILLS) !== 0;
+    this.#given = given;
     Object.freeze(this);
   }
 
@@ -144,7 +101,8 @@ export class Terrain {
 
   /** Return { nRows, nCols } of a level. */
   shape(level = -1) {
-    const [nRows, nCols] = this.#file.grid.samples(this.#level(level));
+    const step = 2 ** (this.nLevels - 1 - this.#level(level));
+    const [nRows, nCols] = [this.nRows, this.nCols].map((n) => Math.floor((n - 1) / step) + 1);
     return { nRows, nCols };
   }
 
@@ -173,7 +131,8 @@ export class Terrain {
   /**
    * Read a window of a level.
    *
-   * `window` is { row, col, nRows, nCols } in samples of the level, by default all of it. Returns
+   * `window` is { row, col, nRows, nCols } in samples of the level, by default all of it; what lies
+   * beyond the level is cut off. Returns
    * { heights, valid, level, row, col, nRows, nCols }: heights in the file's dtype and validity, 1
    * or 0, row by row. Void samples hold `nodata`, or NaN, or 0 in an integer dtype without one.
    *
@@ -182,199 +141,109 @@ export class Terrain {
    * that is a fill. By default exact, if the file tells (`hasFills`), else any.
    */
   async read(level = -1, window = {}, { voids = this.hasFills ? "exact" : "any" } = {}) {
+    const { maxSamples, signal } = this.#given;
     if (this.#isClosed) throw new ArgumentError("the terrain is closed");
     const found = this.#level(level);
     this.#checkVoids(voids, found);
-    const shape = this.shape(found);
-    const { row = 0, col = 0 } = window ?? {};
-    const { nRows = shape.nRows - row, nCols = shape.nCols - col } = window ?? {};
-    const isRight = [row, col, nRows, nCols].every((n) => Number.isInteger(n) && n >= 0) &&
-      nRows > 0 && nCols > 0 && row + nRows <= shape.nRows && col + nCols <= shape.nCols;
-    if (!isRight) {
-      throw new ArgumentError(
-        `window ${row}, ${col}, ${nRows} x ${nCols} of ${shape.nRows} x ${shape.nCols} samples`,
-      );
+    const place = this.#cut(found, window ?? {});
+    const { nRows, nCols } = place;
+    if (nRows * nCols > maxSamples) {
+      throw new LimitExceededError(`${nRows} x ${nCols} samples are more than maxSamples, ${maxSamples}`);
     }
-    if (nRows * nCols > this.#maxSamples) {
-      throw new LimitExceededError(
-        `${nRows} x ${nCols} samples are more than maxSamples, ${this.#maxSamples}`,
-      );
-    }
-    const { array } = this.#file.header.dtype;
-    const heights = new array(nRows * nCols);
+    const isExact = voids === "exact" && this.hasFills;
+    const read = await this.#reader(found, place);
+    const heights = new ARRAYS[this.dtype](nRows * nCols);
     const valid = new Uint8Array(nRows * nCols);
-    const place = { row, col, nRows, nCols };
-    const keys = this.#keysOf(found, place);
-    for (let i = 0; i < keys.length; i += UNITS_AT_ONCE) {
-      await this.#decode(keys.slice(i, i + UNITS_AT_ONCE), (unit) =>
-        this.#copy(unit, place, voids, heights, valid),
-      );
-    }
+    const parts = partsOf(place, this.shape(found), read.side);
+    const rest = parts.entries();
+    const work = async () => {
+      for (const [i, part] of rest) {
+        signal?.throwIfAborted();
+        const start = (part.row - place.row) * nCols + part.col - place.col;
+        const width = part.nCols;
+        await read({ level: found, isExact, ...part }, i, (ofRows, validOfRows, row) => {
+          const to = start + row * nCols;
+          if (width === nCols) {
+            heights.set(ofRows, to);
+            valid.set(validOfRows, to);
+            return;
+          }
+          for (let k = 0; k * width < ofRows.length; k++) {
+            heights.set(ofRows.subarray(k * width, (k + 1) * width), to + k * nCols);
+            valid.set(validOfRows.subarray(k * width, (k + 1) * width), to + k * nCols);
+          }
+        });
+      }
+    };
+    await Promise.all(Array.from({ length: Math.min(read.nAtOnce, parts.length) }, work));
     return { heights, valid, level: found, ...place };
   }
 
-  /** Return the keys of the units whose cores meet a window, near ones near each other. */
-  #keysOf(level, { row, col, nRows, nCols }) {
-    const { grid } = this.#file;
-    const [nBlockRows, nBlockCols] = grid.nBlocks(level);
-    const range = (first, n, nBlocks) => {
-      const block = (place) => Math.min(Math.floor(place / grid.nCells), nBlocks - 1);
-      const cut = level === 0 ? 0 : 1;
-      return [block(first), block(first + n - 1)].map((i) => Math.floor(i / 2 ** cut));
-    };
-    const [top, bottom] = range(row, nRows, nBlockRows);
-    const [left, right] = range(col, nCols, nBlockCols);
-    const keys = [];
-    // In bands of 8 x 8: units below the same ancestors follow each other.
-    for (let m = top - (top % 8); m <= bottom; m += 8) {
-      for (let n = left - (left % 8); n <= right; n += 8) {
-        for (let i = Math.max(m, top); i <= Math.min(m + 7, bottom); i++) {
-          for (let j = Math.max(n, left); j <= Math.min(n + 7, right); j++) {
-            keys.push({ level: level - 1, row: i, col: j });
-          }
-        }
+  /** Return the part of a window that lies in the level. */
+  #cut(level, window) {
+    const shape = this.shape(level);
+    const { row = 0, col = 0 } = window;
+    const { nRows = shape.nRows - row, nCols = shape.nCols - col } = window;
+    const cut = (first, n, end) => [Math.max(first, 0), Math.min(first + n, end) - Math.max(first, 0)];
+    const [[top, height], [left, width]] = [cut(row, nRows, shape.nRows), cut(col, nCols, shape.nCols)];
+    const isRight = [row, col, nRows, nCols].every(Number.isInteger) && height > 0 && width > 0;
+    if (!isRight) {
+      throw new ArgumentError(
+        `window of ${nRows} x ${nCols} samples from row ${row}, column ${col} on: the level has` +
+          ` ${shape.nRows} x ${shape.nCols} samples, rows and columns from 0 on`,
+      );
+    }
+    return { row: top, col: left, nRows: height, nCols: width };
+  }
+
+  /** Return what reads parts of a window, `side` samples each and `nAtOnce` at once: workers, or we. */
+  async #reader(level, { row, col, nRows, nCols }) {
+    const { engine, fetch } = this.#given;
+    const unit = 2 * this.blockSize;
+    const nUnits = (first, n) => Math.floor((first + n - 1) / unit) - Math.floor(first / unit) + 1;
+    const n = nUnits(row, nRows) * nUnits(col, nCols);
+    let side = Math.max(unit, SIDE);
+    const pool = n < FEWEST_UNITS_FOR_WORKERS ? null : await this.#workers();
+    if (!pool) {
+      const read = (place, _, take) => engine.read(place, fetch, take);
+      if (nRows * nCols <= MOST_AT_ONCE) side = Infinity;
+      return Object.assign(read, { side, nAtOnce: PARTS_AT_ONCE });
+    }
+    // Four units follow from one above them.
+    while (side > 2 * unit && n * unit ** 2 < side ** 2 * pool.size) side /= 2;
+    const near = Math.floor(row / side) + Math.floor(col / side);
+    const read = async (place, i, take) => {
+      try {
+        const { heights, valid } = await pool.read({ ...place, dtype: this.dtype }, near + i);
+        take(heights, valid, 0);
+      } finally {
+        if (pool.isBroken) this.#drop(pool); // another read starts new ones
       }
-    }
-    return keys;
+    };
+    return Object.assign(read, { side, nAtOnce: PARTS_AT_ONCE * pool.size });
   }
 
-  /** Decode units and all they depend on, calling `use` for each of those asked for. */
-  async #decode(keys, use) {
-    const { grid } = this.#file;
-    const wanted = new Map(); // by name: keys whose units must be decoded, ancestors first
-    const add = (key) => {
-      const name = nameOf(key);
-      if (wanted.has(name) || this.#cache.get(name)) return;
-      if (key.level >= 0) add(grid.keyOfBlock(key));
-      wanted.set(name, key);
-    };
-    const held = new Map(); // what the cache might drop meanwhile
-    const hold = (key) => {
-      const name = nameOf(key);
-      const unit = held.get(name) ?? this.#cache.get(name);
-      if (unit) held.set(name, unit);
-      return unit;
-    };
-    keys.forEach(add);
-    for (const key of wanted.values()) if (key.level >= 0) hold(grid.keyOfBlock(key));
-    keys.forEach(hold);
-    const list = [...wanted.values()];
-    const payloads = await this.#container.payloads(list);
-    const asked = new Set(keys.map(nameOf));
-    for (const unit of held.values()) {
-      if (asked.has(nameOf(unit.unit.key))) use(unit);
-    }
-    const pool = list.length < FEWEST_FOR_WORKERS ? null : await this.#workers();
-    const done = (name, key, unit) => {
-      this.#cache.put(name, unit);
-      if (key.level < grid.kMax - 1) held.set(name, unit);
-      if (asked.has(name)) use(unit);
-    };
-    if (pool) {
-      await this.#decodeByWorkers(pool, list, payloads, held, done);
-      return;
-    }
-    list.forEach((key, i) => {
-      const parent = key.level < 0 ? null : this.#parent(key, held.get(nameOf(grid.keyOfBlock(key))));
-      const name = nameOf(key);
-      // Another reader may have decoded it while the payloads were on their way.
-      const unit = this.#cache.get(name) ??
-        decodePayload(this.#file, grid.unit(key), payloads[i], parent);
-      done(name, key, unit);
-    });
-  }
-
-  /** Return the workers, started when they are first needed; null: decode here. */
+  /** Return the workers, started when they are first needed; null: read here. */
   #workers() {
-    if (this.#nWorkers === 0) return null;
-    const { start, parameters, header } = this.#container;
-    const first = {
-      what: "open", start, fileSize: header.fileSize, parameters,
-      quantaOfNodata: this.#file.quantaOfNodata,
-    };
-    this.#pool ??= WorkerPool.start(this.#nWorkers, first).catch((error) => {
-      if (this.#isAsked) {
-        this.#pool = null; // another read tries again
-        throw error;
-      }
-      return null; // an engine without modules in workers, a page whose policy forbids them
+    const { file, fetch, nWorkers } = this.#given;
+    if (nWorkers === 0) return null;
+    this.#pool ??= WorkerPool.start(nWorkers, file, fetch).catch((error) => {
+      console.warn(`terrainwave: no workers, the page itself decodes: ${error.message}`);
+      return null;
     });
     return this.#pool;
   }
 
-  /** Decode units in the order in which their ancestors are there. */
-  async #decodeByWorkers(pool, list, payloads, held, done) {
-    const { grid } = this.#file;
-    const units = new Map();
-    const decode = async (key, name, payload) => {
-      const above = key.level < 0 ? null : nameOf(grid.keyOfBlock(key));
-      if (above !== null) await units.get(above);
-      // Another reader may have decoded it meanwhile, or be about to.
-      let unit = this.#cache.get(name) ?? this.#pending.get(name);
-      if (!unit) {
-        const parent = above === null ? null : this.#parent(key, held.get(above));
-        unit = this.#ask(pool, key, payload, parent);
-        this.#pending.set(name, unit);
-        const forget = () => this.#pending.delete(name);
-        unit.then(forget, forget);
-      }
-      done(name, key, await unit);
-    };
-    list.forEach((key, i) => {
-      const name = nameOf(key);
-      units.set(name, decode(key, name, payloads[i]));
-    });
-    try {
-      await Promise.all(units.values());
-    } finally {
-      if (pool.isBroken) {
-        pool.close();
-        if ((await this.#pool) === pool) this.#pool = null; // another read starts new ones
-      }
-    }
-  }
-
-  async #ask(pool, key, payload, parent) {
-    const found = await pool.ask(() => {
-      const own = payload.slice(); // or all bytes of its request would be copied
-      const part = parent && cutOut(parent);
-      const arrays = part ? [own, part.heights, part.valid, part.own] : [own];
-      const moved = arrays.filter(Boolean).map(({ buffer }) => buffer);
-      return { message: { what: "decode", key, payload: own, parent: part }, moved };
-    });
-    return { unit: this.#file.grid.unit(key), ...found };
+  async #drop(pool) {
+    pool.close();
+    if ((await this.#pool) === pool) this.#pool = null;
   }
 
   /** End workers, if there are any; nothing can be read any more. */
   async close() {
     this.#isClosed = true;
-    const pool = await this.#pool?.catch(() => null);
-    pool?.close();
-  }
-
-  /** Return the parent heights of a group, as methods take them. */
-  #parent(key, { unit, heights, valid, hasVoid, own }) {
-    const { rows, cols } = this.#file.grid.parentPlace(key);
-    const stride = unit.cols.n;
-    const base = (rows.first - unit.rows.first) * stride + cols.first - unit.cols.first;
-    return { rows, cols, heights, valid, hasVoid, own, base, stride };
-  }
-
-  /** Copy what lies both in a unit's core and in a window. */
-  #copy(decoded, window, voids, heights, valid) {
-    const isValid = voids === "any" ? decoded.valid : decoded.own ?? decoded.valid;
-    const { rows, cols } = decoded.unit;
-    const top = Math.max(rows.coreFirst, window.row);
-    const bottom = Math.min(rows.coreFirst + rows.nCore, window.row + window.nRows);
-    const left = Math.max(cols.coreFirst, window.col);
-    const right = Math.min(cols.coreFirst + cols.nCore, window.col + window.nCols);
-    if (left >= right) return;
-    for (let row = top; row < bottom; row++) {
-      const to = (row - window.row) * window.nCols + left - window.col;
-      const from = (row - rows.first) * cols.n + left - cols.first;
-      valid.set(isValid.subarray(from, from + right - left), to);
-      this.#heights.write(heights, to, { ...decoded, valid: isValid }, from, right - left);
-    }
+    (await this.#pool)?.close();
+    await this.#given.engine.close();
   }
 
   /**
@@ -412,19 +281,22 @@ export class Terrain {
    * the block's samples: in physical units, 0 for a block without valid samples.
    */
   async blockError(level, row, col) {
-    const block = { level: this.#level(level), row, col };
-    if (!this.#file.grid.hasBlock(block)) {
+    if (this.#isClosed) throw new ArgumentError("the terrain is closed");
+    const place = { level: this.#level(level), row, col, blockSize: this.blockSize };
+    const { nRows, nCols } = this.blockShape(level);
+    if (![row, col].every(Number.isInteger) || row < 0 || col < 0 || row >= nRows || col >= nCols) {
       throw new ArgumentError(`there is no block ${row}, ${col} on level ${level}`);
     }
-    const code = await this.#container.errorCode(block);
-    const quanta = code ? Math.floor(((8 + (code % 8)) * 2 ** Math.floor(code / 8)) / 8) : 0;
-    const { quantumNum, quantumDen } = this.#file.header;
-    return ((quanta * Number(quantumNum)) / Number(quantumDen)) * Math.abs(this.scale);
+    const { engine, fetch } = this.#given;
+    return (await engine.blockError(place, fetch)) * Math.abs(this.scale);
   }
 
   /** Return { nRows, nCols } of the blocks of a level. */
   blockShape(level = -1) {
-    const [nRows, nCols] = this.#file.grid.nBlocks(this.#level(level));
+    const step = 2 ** (this.nLevels - 1 - this.#level(level));
+    const [nRows, nCols] = [this.nRows, this.nCols].map((n) =>
+      Math.max(1, Math.ceil(Math.ceil((n - 1) / step) / this.blockSize)),
+    );
     return { nRows, nCols };
   }
 }

@@ -77,7 +77,10 @@ export class UrlSource {
       );
     }
     if (range?.first === undefined) {
-      throw new SourceError(`${this.name}: no usable Content-Range in the server's reply`);
+      throw new SourceError(reply.hidesRange
+        ? `${this.name}: the server does not show pages of other origins which part it sent; let it` +
+          " send the header Access-Control-Expose-Headers: Content-Range"
+        : `${this.name}: no usable Content-Range in the server's reply`);
     }
     if ((this.size ?? range.size) !== range.size || !isSame(this.version, reply.version)) {
       throw this.changed();
@@ -114,8 +117,9 @@ export class UrlSource {
         wait = Math.max(delay, Math.min(reply.asksToWait, POLICY.longestWait));
       } catch (cause) {
         if (cause instanceof LimitExceededError) throw cause;
+        this.signal?.throwIfAborted();
         const { message, code = "" } = cause.cause ?? cause;
-        if (delay === undefined || this.signal?.aborted || LASTING.test(code)) {
+        if (delay === undefined || LASTING.test(code)) {
           throw new SourceError(`cannot read ${this.name}: ${message || code}`, { cause });
         }
       }
@@ -127,7 +131,7 @@ export class UrlSource {
     const { signal } = this;
     let stop;
     const aborted = new Promise((_, reject) => {
-      stop = () => reject(new SourceError(`cannot read ${this.name}: ${signal.reason}`));
+      stop = () => reject(signal.reason);
       signal?.addEventListener("abort", stop);
     });
     try {
@@ -169,6 +173,7 @@ export class UrlSource {
       coding: coding === "identity" ? "" : coding,
       version: { etag: headers.get("etag"), modified: headers.get("last-modified") },
       asksToWait: secondsOf(headers.get("retry-after")),
+      hidesRange: response.type === "cors" && !headers.has("content-range"),
     };
     let most = 0;
     if (status === 206 && !reply.coding) most = length;

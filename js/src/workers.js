@@ -1,4 +1,4 @@
-/** Workers that decode units: those of browsers, or threads of Node. */
+/** Workers that read windows of one file: those of browsers, or threads of Node. */
 
 import * as errors from "./errors.js";
 import { Mailbox } from "./mailbox.js";
@@ -26,7 +26,7 @@ async function starter(url) {
     return (onMessage, onFailure) => {
       // In these words bundlers find the module.
       const worker = url ? new Worker(url, { type: "module" })
-        : new Worker(new URL("./unit-worker.js", import.meta.url), { type: "module" });
+        : new Worker(new URL("./read-worker.js", import.meta.url), { type: "module" });
       worker.onmessage = ({ data }) => onMessage(data);
       worker.onerror = (event) => {
         event.preventDefault();
@@ -40,7 +40,7 @@ async function starter(url) {
   }
   const threads = await import(/* @vite-ignore */ THREADS);
   return (onMessage, onFailure) => {
-    const worker = new threads.Worker(url ?? new URL("./unit-worker.js", import.meta.url));
+    const worker = new threads.Worker(url ?? new URL("./read-worker.js", import.meta.url));
     worker.on("message", onMessage);
     worker.on("error", (error) => onFailure(error.message));
     worker.on("exit", () => onFailure("it ended"));
@@ -53,33 +53,38 @@ async function starter(url) {
 }
 
 /** Return the error of a worker as one of ours. */
-function errorOf({ name, message }) {
-  const Kind = name in errors && errors[name].prototype instanceof TerrainwaveError
-    ? errors[name] : TerrainwaveError;
-  return new Kind(Kind === TerrainwaveError ? `a worker failed: ${message}` : message);
+function errorOf(error) {
+  if (error instanceof Error) return error;
+  const Kind = errors[error.name]?.prototype instanceof TerrainwaveError
+    ? errors[error.name] : TerrainwaveError;
+  return new Kind(Kind === TerrainwaveError ? `a worker failed: ${error.message}` : error.message);
 }
 
-/** Gives each task to the first worker that has none. */
 export class WorkerPool {
-  #workers = [];
-  #idle = [];
-  #waiting = [];
+  #workers = []; // { worker, n }: n questions wait
   #mailbox = new Mailbox(errorOf);
+  #fetch;
+  #failures = new Map(); // by question: why its bytes did not come
   #failure = null;
 
-  /** Start workers, which all get the message `first`; `url`: of another module (for tests). */
-  static async start(n, first, url = null) {
+  /**
+   * Start workers of a file, for an `Engine` each, and `fetch` what they need; `url`: of another module (for tests).
+   */
+  static async start(n, file, fetch, url = null) {
     const pool = new WorkerPool();
+    pool.#fetch = fetch;
     try {
       const begin = await starter(url);
       for (let i = 0; i < n; i++) {
-        const worker = begin((data) => pool.#settle(data), (message) => pool.#fail(message));
-        pool.#workers.push(worker);
+        const one = { n: 0 };
+        const take = (data) => (data.ranges ? pool.#serve(one, data) : pool.#settle(data));
+        one.worker = begin(take, (message) => pool.#fail(message));
+        pool.#workers.push(one);
       }
-      await Promise.all(pool.#workers.map((worker) => pool.#give(worker, { ...first })));
+      await Promise.all(pool.#workers.map((one) => pool.#give(one, "open", file)));
     } catch (error) {
       pool.close();
-      throw error instanceof TerrainwaveError ? error : errorOf(error);
+      throw errorOf(error);
     }
     return pool;
   }
@@ -89,52 +94,56 @@ export class WorkerPool {
     return this.#failure !== null;
   }
 
-  /** Return the answer to { message, moved } of `make`, called when a worker is free. */
-  ask(make) {
-    return new Promise((resolve, reject) => {
-      this.#waiting.push({ make, resolve, reject });
-      this.#begin();
-    });
+  get size() {
+    return this.#workers.length;
+  }
+
+  /** Return { heights, valid } of a window: by who has least to do, else by who may have read it. */
+  read(place, number) {
+    const order = this.#workers.map((_, i) => this.#workers[(i + number) % this.#workers.length]);
+    if (order.length === 0) return Promise.reject(errorOf(this.#failure));
+    return this.#give(order.reduce((best, one) => (one.n < best.n ? one : best)), "read", place);
   }
 
   /** End the workers; what is asked for is refused. */
   close() {
     this.#fail("it was closed");
-    for (const worker of this.#workers.splice(0)) worker.end();
+    for (const { worker } of this.#workers.splice(0)) worker.end();
   }
 
-  #give(worker, message, moved = []) {
-    const { id, answer } = this.#mailbox.ask(worker);
-    worker.hold(true);
+  #give(one, what, question) {
+    const { id, answer } = this.#mailbox.ask(one);
+    one.n++;
+    one.worker.hold(true);
     if (this.#failure) this.#settle({ id, error: this.#failure });
-    else worker.post({ ...message, id }, moved);
+    else one.worker.post({ id, what, question }, []);
     return answer;
   }
 
-  #begin() {
-    while (this.#waiting.length && (this.#idle.length || this.#failure)) {
-      const { make, resolve, reject } = this.#waiting.shift();
-      if (this.#failure) {
-        reject(errorOf(this.#failure));
-        continue;
-      }
-      const { message, moved } = make();
-      this.#give(this.#idle.pop(), message, moved).then(resolve, reject);
+  /** Bring the bytes that a worker needs for its question `of`. */
+  async #serve({ worker }, { id, of, ranges }) {
+    try {
+      // Copies: of parts, the whole would go to the worker.
+      const parts = (await this.#fetch(ranges)).map((bytes) => new Uint8Array(bytes));
+      worker.post({ id, found: parts }, parts.map(({ buffer }) => buffer));
+    } catch (error) {
+      this.#failures.set(of, error);
+      worker.post({ id, error: { name: error.name, message: error.message } }, []);
     }
   }
 
-  #settle(message) {
-    const worker = this.#mailbox.settle(message);
-    if (!worker) return;
-    worker.hold(false);
-    this.#idle.push(worker);
-    this.#begin();
+  #settle({ id, found, error }) {
+    const reason = error && (this.#failures.get(id) ?? error);
+    this.#failures.delete(id);
+    const one = this.#mailbox.settle({ id, found, error: reason });
+    if (!one) return;
+    one.n--;
+    one.worker.hold(one.n > 0);
   }
 
   /** All fail with one of them: what it was asked, nobody else was told. */
   #fail(message) {
     this.#failure ??= { name: "Error", message };
     for (const id of this.#mailbox.ids) this.#settle({ id, error: this.#failure });
-    this.#begin();
   }
 }

@@ -4,8 +4,8 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { deflateRawSync } from "node:zlib";
 
-import { DICTIONARY } from "../src/dictionary.js";
 import { CorruptStreamError, TerrainwaveError, open } from "../src/index.js";
+import { DICTIONARY } from "../testing/dictionary.js";
 import { Parts, golden } from "../testing/files.js";
 
 /** Read all levels; return whether bytes were refused, by one of our errors. */
@@ -18,7 +18,7 @@ async function isRefused(bytes) {
     }
     return false;
   } catch (error) {
-    if (!(error instanceof TerrainwaveError)) throw error;
+    if (!(error instanceof TerrainwaveError) || /broke off/.test(error)) throw error;
     return true;
   }
 }
@@ -58,7 +58,8 @@ for (const name of ["store-int16-nodata-halves", "rapid-uint8", "rapid-float32-e
 for (const name of ["store-float64-rqt", "rapid-uint8", "rapid-int16-states", "rapid-int32-wide",
   "rapid-float32-nan", "rapid-float32-exact", "rapid-int32-rings",
   "predictive-int32-rings", "predictive-uint8-best", "predictive-int16-lossless",
-  "rapid-patched-int16-nodata", "predictive-patched-int16-rings"]) {
+  "rapid-patched-int16-nodata", "predictive-patched-int16-rings", "cdf97-float32-nan-zerotree",
+  "cdf97-int32-rings-faithful", "cdf53-int16-lossless", "cdf53-uint16-rate"]) {
   test(`${name}: changed, with all checksums mended`, async () => {
     const bytes = await golden(name);
     assert.ok(!(await isRefused(new Parts(bytes).bytes())), "the parts make a good file");
@@ -99,7 +100,7 @@ test("columns that inflate to more than their size are not inflated", async () =
   parts.columns = Buffer.concat([parts.columns, Buffer.alloc(2 ** 23)]);
   const { bytes } = parts;
   parts.setColumn = () => {};
-  await assert.rejects(open(bytes.call(parts)), /more than its limit/);
+  await assert.rejects(open(bytes.call(parts)), /inflates to more than/);
 });
 
 test("metadata are strict JSON", async () => {

@@ -6,8 +6,9 @@ import { test } from "node:test";
 import { Places } from "../map/places.js";
 import { growInto, largestDistance, shareOfVoids, without } from "../map/surfaces.js";
 import { BLOCK, BlockSource } from "../src/blocks.js";
+import { Core } from "../src/core.js";
 import { ArgumentError, LimitExceededError, open } from "../src/index.js";
-import { METHODS } from "../src/methods.js";
+import { loadModule } from "../src/module.js";
 import { golden } from "../testing/files.js";
 
 class Counted {
@@ -81,21 +82,15 @@ test("heights by blocks are those of the file", async () => {
 
 test("units that two reads want at once are decoded once", async () => {
   const bytes = await golden("store-int16-segments");
-  const { decode } = METHODS.store;
-  let n = 0;
-  METHODS.store.decode = (...args) => {
-    n++;
-    return decode(...args);
-  };
-  try {
-    const [one, two] = [await open(bytes), await open(bytes)];
-    await one.read(-1);
-    const nUnits = n;
-    await Promise.all([two.read(-1), two.read(-1), two.read(-2)]);
-    assert.equal(n, 2 * nUnits);
-  } finally {
-    METHODS.store.decode = decode;
-  }
+  const core = await Core.start(await loadModule(), bytes.length, 2 ** 24);
+  const held = [{ start: 0, bytes }];
+  assert.deepEqual(core.open(held), []);
+  const place = { level: core.describe().nLevels - 1, row: 0, col: 0, nRows: 1100, nCols: 2, isExact: false };
+  const [once, nothing] = [[], []];
+  core.read(place, held, (heights) => once.push(...heights));
+  // All is there already: another read needs not a byte.
+  assert.deepEqual(core.read(place, [], (heights) => nothing.push(...heights)), {});
+  assert.deepEqual(nothing, once);
 });
 
 test("of a server without ranges no more than 64 MiB are read", async () => {

@@ -1,15 +1,12 @@
 /** Windows, places, and where bytes come from. */
 
 import assert from "node:assert/strict";
-import { randomBytes } from "node:crypto";
 import { test } from "node:test";
-import { deflateRawSync } from "node:zlib";
 
 import {
   ArgumentError, CorruptStreamError, LimitExceededError, SourceError, UnsupportedError, open,
 } from "../src/index.js";
-import { DICTIONARY } from "../src/dictionary.js";
-import { Parts, golden } from "../testing/files.js";
+import { golden, withLongHead } from "../testing/files.js";
 
 const NAMES = ["rapid-int16-lossless-nodata", "rapid-int32-rings", "store-int16-segments",
   "predictive-fills-float32-rings"];
@@ -82,10 +79,7 @@ test("a URL is read by ranges, opened by one", async () => {
 });
 
 test("a head of any length takes two requests: pages have at most 32 KiB, however large the raster", async () => {
-  const parts = new Parts(await golden("rapid-int16-states"));
-  const text = JSON.stringify({ tags: { noise: randomBytes(30000).toString("hex") } });
-  parts.metadata = deflateRawSync(Buffer.from(text), { dictionary: DICTIONARY });
-  const bytes = parts.bytes();
+  const bytes = await withLongHead("rapid-int16-states");
   const { fetch, asked } = server(bytes);
   assert.equal((await open("https://example.org/a.twz", { fetch })).nRows, (await open(bytes)).nRows);
   assert.deepEqual(asked.map(([first]) => first), [0, 16384]);
@@ -99,8 +93,8 @@ test("a server without ranges serves all at once", async () => {
 });
 
 test("a file that changes, errors of HTTP and wrong ranges are refused", async () => {
-  const bytes = await golden("rapid-int16-states");
-  const { fetch } = server(bytes, { tag: (n) => `"${n}"` });
+  const bytes = await withLongHead("rapid-int16-states");
+  const { fetch } = server(bytes, { tag: (n) => (n < 3 ? '"1"' : '"2"') });
   const terrain = await open("https://example.org/a.twz", { fetch });
   await assert.rejects(terrain.read(), /changed/);
   for (const response of [
@@ -115,13 +109,58 @@ test("a file that changes, errors of HTTP and wrong ranges are refused", async (
 test("arguments that make no sense are refused", async () => {
   const terrain = await open(await golden("rapid-uint8"), { maxSamples: 100 });
   const one = { row: 0, col: 0, nRows: 1, nCols: 1 };
-  for (const change of [{ row: -1 }, { nRows: 0 }, { nCols: 1e9 }, { col: 0.5 }, { row: NaN }]) {
+  for (const change of [{ row: -1 }, { nRows: 0 }, { nCols: -3 }, { col: 1e9 }, { col: 0.5 }, { row: NaN }]) {
     await assert.rejects(terrain.read(0, { ...one, ...change }), ArgumentError);
   }
   await assert.rejects(terrain.read(terrain.nLevels), ArgumentError);
   await assert.rejects(terrain.read(-1 - terrain.nLevels), ArgumentError);
   await assert.rejects(terrain.read(), LimitExceededError);
   await assert.rejects(terrain.blockError(0, 0, 1), ArgumentError);
+});
+
+test("windows past the edge are cut, as by Python", async () => {
+  const terrain = await open(await golden("rapid-int16-halves"));
+  const { nRows, nCols } = terrain.shape();
+  for (const [window, part] of [
+    [{ row: -3, col: -2, nRows: 8, nCols: 9 }, { row: 0, col: 0, nRows: 5, nCols: 7 }],
+    [{ row: nRows - 4, col: 5, nRows: 1e9, nCols: 2 }, { row: nRows - 4, col: 5, nRows: 4, nCols: 2 }],
+    [{ row: -1, col: nCols - 1 }, { row: 0, col: nCols - 1, nRows, nCols: 1 }],
+    [{ col: -1, nCols: nCols + 2 }, { row: 0, col: 0, nRows, nCols }],
+  ]) {
+    assert.deepEqual(await terrain.read(-1, window), await terrain.read(-1, part));
+    const { heights, valid, level, ...place } = await terrain.read(-1, window);
+    assert.deepEqual(place, part);
+  }
+});
+
+test("windows that are read in parts are those that are read at once", async () => {
+  const bytes = await golden("store-int16-segments");
+  const [terrain, other] = [await open(bytes), await open(bytes, { workers: 3, cacheBytes: 0 })];
+  const { nRows, nCols } = terrain.shape();
+  const whole = await terrain.read();
+  assert.deepEqual(await other.read(), whole); // in parts of two units
+  for (let row = 0; row < nRows; row += 37) {
+    const window = { row, col: (row * 5) % nCols, nRows: 300, nCols: 200 };
+    assert.deepEqual(await other.read(-1, window), await terrain.read(-1, window));
+  }
+  await other.close();
+});
+
+test("a closed terrain is refused, and its memory serves the next one", async () => {
+  for (let time = 0; time < 3; time++) {
+    for (const name of ["rapid-int16-halves", "cdf97-float32-nan-zerotree", "cdf53-int16-lossless"]) {
+      const terrain = await open(await golden(name));
+      const { heights } = await terrain.read();
+      const reading = terrain.read();
+      await terrain.close();
+      await reading.catch((error) => assert.ok(error instanceof ArgumentError));
+      await assert.rejects(terrain.read(), ArgumentError);
+      await assert.rejects(terrain.blockError(0, 0, 0), ArgumentError);
+      const again = await open(await golden(name));
+      assert.deepEqual((await again.read()).heights, heights);
+      await again.close();
+    }
+  }
 });
 
 test("a newer version and features are unsupported, other bytes are corrupt", async () => {

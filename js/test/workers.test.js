@@ -7,8 +7,8 @@ import { ArgumentError, CorruptStreamError, TerrainwaveError, open } from "../sr
 import { WorkerPool } from "../src/workers.js";
 import { Parts, digests, golden } from "../testing/files.js";
 
-const NAMES = ["store-int16-segments", "predictive-fast-blocks", "rapid-float32-exact",
-  "rapid-fills-int16-nodata", "predictive-fills-float32-rings"];
+const NAMES = ["store-int16-segments", "predictive-patched-float32-nan", "rapid-weights-float32-fills",
+  "rapid-reach-int16-mask", "cdf97-int16-halves", "cdf53-fills-int16-tiles"];
 
 for (const name of NAMES) {
   test(`${name}: the same with 0, 1 and 3 workers`, async () => {
@@ -37,21 +37,41 @@ test("what a worker refuses has the class of its error", async () => {
 const module = (text) => new URL(`data:text/javascript,${encodeURIComponent(text)}`);
 const ANSWERS = `import { parentPort } from "node:worker_threads";
 parentPort.on("message", ({ id, what }) =>
-  what === "open" ? parentPort.postMessage({ id, found: {} }) : process.exit(3));`;
+  what === "open" ? parentPort.postMessage({ id }) : process.exit(3));`;
+const SILENT = ANSWERS.replace("process.exit(3)", "0");
 
 test("a worker that cannot start, one that ends and one that is closed are errors", async () => {
   const refused = (pattern) => (error) => error instanceof TerrainwaveError && pattern.test(error);
-  const nothing = { message: { what: "decode" }, moved: [] };
-  await assert.rejects(WorkerPool.start(2, { what: "open" }, module("throw new Error('no')")),
-    refused(/worker failed: no/));
-  const ending = await WorkerPool.start(2, { what: "open" }, module(ANSWERS));
-  await assert.rejects(ending.ask(() => nothing), refused(/it ended/));
-  await assert.rejects(ending.ask(() => nothing), refused(/it ended/));
+  const start = (n, text) => WorkerPool.start(n, {}, async () => [], module(text));
+  await assert.rejects(start(2, "throw new Error('no')"), refused(/worker failed: no/));
+  const ending = await start(2, ANSWERS);
+  await assert.rejects(ending.read({}, 0), refused(/it ended/));
+  await assert.rejects(ending.read({}, 1), refused(/it ended/));
+  assert.ok(ending.isBroken);
   ending.close();
-  const closed = await WorkerPool.start(1, { what: "open" }, module(ANSWERS));
-  const asked = closed.ask(() => ({ message: { what: "open" }, moved: [] }));
+  const closed = await start(1, SILENT);
+  const asked = closed.read({}, 0);
   closed.close();
   await assert.rejects(asked, refused(/it was closed/));
+});
+
+test("where no worker can start the page decodes, and says so once", async (context) => {
+  const warned = context.mock.method(console, "warn", () => {});
+  globalThis.Worker = class {
+    constructor() {
+      throw new Error("a policy forbids it");
+    }
+  };
+  try {
+    const bytes = await golden("predictive-int16-halves");
+    const terrain = await open(bytes, { workers: 2 });
+    assert.deepEqual(await digests(terrain), await digests(await open(bytes)));
+    await terrain.close();
+  } finally {
+    delete globalThis.Worker;
+  }
+  assert.equal(warned.mock.callCount(), 1);
+  assert.match(warned.mock.calls[0].arguments[0], /a policy forbids it/);
 });
 
 test("numbers of workers are checked", async () => {

@@ -1,13 +1,10 @@
 /** Golden files, and files made of them. */
 
-import { createHash } from "node:crypto";
+import { createHash, randomBytes } from "node:crypto";
 import { readFile } from "node:fs/promises";
-import { deflateSync, inflateSync } from "node:zlib";
+import { deflateRawSync, deflateSync, inflateSync } from "node:zlib";
 
-import { crc32 } from "../src/bytes.js";
-import { Grid } from "../src/grid.js";
-import { readHeader } from "../src/header.js";
-import { fileOrder, layoutOf } from "../src/segment.js";
+import { crc32, fileOrder, keysOf, lengthsOf } from "./format.js";
 
 export const GOLDEN = new URL("../../tests/golden/v1/", import.meta.url);
 
@@ -34,16 +31,14 @@ export async function digests(terrain) {
 /** The parts of a file of one segment, and a file of parts with all lengths and checksums mended. */
 export class Parts {
   constructor(bytes) {
-    const header = readHeader(bytes, bytes.length);
-    const sizes = [128, header.metadataLength, header.parametersLength, header.topPageLength];
+    const sizes = [128, ...lengthsOf(bytes)];
     let at = 0;
     [this.header, this.metadata, this.parameters, this.page] = sizes.map((size) => {
       at += size;
       return Uint8Array.from(bytes.subarray(at - size, at));
     });
     this.columns = inflateSync(this.page.subarray(12));
-    const { keys, heads } = layoutOf(new Grid(header), null);
-    if (heads.length > 0) throw new Error("more than one segment");
+    const keys = keysOf(bytes);
     this.nKeys = keys.length;
     this.payloads = new Array(keys.length);
     for (const i of fileOrder(keys)) {
@@ -86,4 +81,12 @@ export class Parts {
     header.writeUInt32LE(crc32(header.subarray(0, 124)), 124);
     return new Uint8Array(Buffer.concat([header, ...sections]));
   }
+}
+
+/** Return a golden file with so much metadata that its head takes two requests, its heights another. */
+export async function withLongHead(name) {
+  const parts = new Parts(await golden(name));
+  const text = JSON.stringify({ tags: { noise: randomBytes(30000).toString("hex") } });
+  parts.metadata = deflateRawSync(Buffer.from(text));
+  return parts.bytes();
 }

@@ -30,7 +30,9 @@ const WORK = {
   terrainwave: (path, window) =>
     timed(path, async (bytes) => {
       const terrain = await open(bytes);
-      return (await terrain.read(-1, window)).heights;
+      const { heights } = await terrain.read(-1, window);
+      await terrain.close(); // as Python's "with" does
+      return heights;
     }),
   async geotiff(path, window) {
     const { fromArrayBuffer } = await import("geotiff"); // installed by npm in this folder

@@ -1,25 +1,42 @@
 #!/bin/sh
-# Compile the kernels to WebAssembly and write them into js/src/kernels-data.js, deflated, in base 64.
-# Needs clang and lld with the target wasm32 (Debian: clang-14 lld-14); CLANG names another clang.
+# Compile native/src with js/wasm to WebAssembly, and write it into js/src/core-data.js: gzip in base 64.
+# Needs clang and lld with the target wasm32 (Debian: clang-14 lld-14); CLANG names another clang, OUT another file.
 set -eu
 export LC_ALL=C # for the order of files
 cd "$(dirname "$0")"
-out=$(mktemp)
-trap 'rm -f "$out"' EXIT
-"${CLANG:-clang-14}" --target=wasm32 -O3 -msimd128 -mbulk-memory -mnontrapping-fptoint -fwrapv -ffreestanding -nostdlib \
-    -Wall -Wextra -Werror -Wl,--no-entry -Wl,--strip-all -Wl,--export=__heap_base \
-    -o "$out" ./*.c
+out=${OUT:-../src/core-data.js}
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+
+# compile FILE OPTIONS
+compile() {
+    file=$1
+    shift
+    "${CLANG:-clang-14}" --target=wasm32 -std=c11 -msimd128 -mbulk-memory -mnontrapping-fptoint -msign-ext \
+        -ffp-contract=off -nostdlibinc -fvisibility=hidden -Wall -Wextra -Werror -Wno-pass-failed -DTWZ_NO_THREADS \
+        -I include -I ../../native/include -I ../../native/src "$@" -c "$file" -o "$work/$(basename "$file" .c).o"
+}
+
+# Loops over samples are compiled for speed, all else for size. (libc.c must not call what it defines.)
+compile libc.c -Oz -fno-builtin
+compile host.c -Oz
+for name in kernels_baseline predictive heights mask; do
+    compile "../../native/src/$name.c" -O2 -fno-unroll-loops
+done
+compile ../../native/src/cdf97.c -O2 -fno-unroll-loops -fno-vectorize
+for name in border bytes cdf53 file header inflate json kernels metadata payload rapid segment store tables window; do
+    compile "../../native/src/$name.c" -Oz
+done
+# A stack that overflows meets the end of the memory, not data.
+"${CLANG:-clang-14}" --target=wasm32 -nostdlib \
+    -Wl,--no-entry,--strip-all,--stack-first,-z,stack-size=1048576,--max-memory=2147483648 \
+    -o "$work/core.wasm" "$work"/*.o
 {
-    echo '/** js/wasm/*.c as WebAssembly, deflated, in base 64: written by js/wasm/build.sh. */'
-    echo
-    echo '/** Bytes of it when inflated. */'
-    echo "export const SIZE = $(wc -c < "$out" | tr -d ' ');"
-    echo
-    echo '/** SHA-256 of build.sh, the .c and the .h files, one after the other: a test compares it. */'
-    echo "export const SOURCES = \"$(cat build.sh ./*.c ./*.h | sha256sum | cut -c 1-64)\";"
-    echo
+    echo '/** native/src and js/wasm as WebAssembly, gzip in base 64: written by js/wasm/build.sh. */'
+    echo '/** SHA-256 of what it was made of, which a test compares. */'
+    echo "export const SOURCES = \"$(cat build.sh ./*.c include/*.h ../../native/include/*.h ../../native/src/*.c \
+        ../../native/src/*.h | sha256sum | cut -c 1-64)\";"
     echo '// prettier-ignore'
-    echo 'export const KERNELS ='
-    # A gzip file is a head of 10 bytes, the deflated bytes, and 8 of checksum and size.
-    gzip -9n < "$out" | tail -c +11 | head -c -8 | base64 -w 96 | sed 's/.*/  "&" +/; $s/ +$/;/'
-} > ../src/kernels-data.js
+    echo "export const CORE = \"$(gzip -9n < "$work/core.wasm" | base64 -w 0)\";"
+} > "$work/core-data.js"
+mv "$work/core-data.js" "$out"

@@ -55,8 +55,6 @@ class Method:
         takes corrections (`codec.corrections`).
     has_file_tables : bool
         The file's header may hold tables for all of its units.
-    is_read_in_browsers : bool
-        The reader in JavaScript decodes it.
     has_reach : bool
         Its tables may have contexts by reach or weights of features, which readers of format 1.0
         don't know.
@@ -75,7 +73,6 @@ class Method:
     may_be_faithful: bool = False
     is_patchable: bool = False
     has_file_tables: bool = False
-    is_read_in_browsers: bool = False
     has_reach: bool = False
     has_layers: bool = False
 
@@ -93,10 +90,10 @@ METHODS = {
     for method in (
         Method(name="rapid", number=4, options="rapid.Rapid",
                refiner="rapid.refiner.RapidRefiner", has_file_tables=True,
-               has_reach=True, is_patchable=True, is_read_in_browsers=True),
+               has_reach=True, is_patchable=True),
         Method(name="predictive", number=2, options="predictive.Predictive",
                refiner="predictive.refiner.PredictiveRefiner",
-               has_file_tables=True, is_patchable=True, is_read_in_browsers=True,
+               has_file_tables=True, is_patchable=True,
                effort="1, 2 or 8 sets of weights"),
         Method(name="cdf97", number=1, options="cdf97.Cdf97",
                refiner="cdf97.refiner.Cdf97Refiner", pyramid="lowpass",
@@ -104,7 +101,7 @@ METHODS = {
         Method(name="cdf53", number=3, options="cdf53.Cdf53",
                pyramid="lowpass53", is_cuttable=True, is_clusterable=False),
         Method(name="store", number=0, options="store.Store",
-               refiner="store.refiner.StoreRefiner", is_read_in_browsers=True),
+               refiner="store.refiner.StoreRefiner"),
     )
 }  # fmt: skip
 DEFAULT_METHOD = METHODS["rapid"]  # what "auto" names, whatever the raster (decision 21)

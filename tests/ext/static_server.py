@@ -32,15 +32,24 @@ class Handler(SimpleHTTPRequestHandler):
         with contextlib.suppress(ConnectionError):
             self.wfile.write(data[first : last + 1])
 
+    def end_headers(self):
+        for name, value in self.server.headers.items():
+            self.send_header(name, value)
+        super().end_headers()
+
     def log_message(self, *_):
         pass
 
 
 @contextlib.contextmanager
-def static_server(folder, *, has_ranges=True):
-    """Yield a server: `address`, and `asked`, a list of paths with ranges or None."""
+def static_server(folder, *, has_ranges=True, headers=None):
+    """Yield a server: `address`, and `asked`, a list of paths with ranges or None.
+
+    Every reply has the `headers`.
+    """
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(folder)))
     server.asked, server.has_ranges, server.lock = [], has_ranges, threading.Lock()
+    server.headers = headers or {}
     server.address = f"http://127.0.0.1:{server.server_address[1]}"
     thread = threading.Thread(target=server.serve_forever)
     thread.start()

@@ -21,7 +21,6 @@ from terrainwave.file import TerrainFile
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
 from terrainwave.globe.polynomials import FittedPlaces, fit_places
-from terrainwave.names import METHODS, methods_that
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.render.look.colorings import AUTO
 from terrainwave.render.look.style import check_sea_level
@@ -130,12 +129,6 @@ def _opened(opened: ExitStack, path: str, radius: float | None) -> tuple[Globe, 
     """Return an open file on its globe, and where its samples lie there."""
     try:
         globe = Globe(opened.enter_context(TerrainFile(path)), radius=radius)
-        method = METHODS[globe.terrain.info().method]
-        if not method.is_read_in_browsers:
-            readable = methods_that(lambda one: one.is_read_in_browsers)
-            raise InvalidHeightsError(
-                f"found method {method.name}, which is not read in browsers, expected {readable}"
-            )
         return globe, fit_places(globe)
     except (InvalidHeightsError, CorruptStreamError) as error:
         raise type(error)(f"{path}: {error}") from error

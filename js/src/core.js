@@ -1,0 +1,193 @@
+/** A file in an instance of the decoder (js/wasm/host.c): calls into it, and no waiting. */
+
+import {
+  ArgumentError, CorruptStreamError, LimitExceededError, TerrainwaveError, UnsupportedError,
+} from "./errors.js";
+
+/** By twz_status (native/include/terrainwave.h): what the decoder refuses. */
+const REFUSALS = [
+  null, CorruptStreamError, UnsupportedError, LimitExceededError, LimitExceededError, ArgumentError,
+];
+const NOT_READY = 6;
+/** By name, and of each dtype and method its number (FORMAT.md §4.1). */
+export const ARRAYS = {
+  uint8: Uint8Array, uint16: Uint16Array, int16: Int16Array, int32: Int32Array,
+  float32: Float32Array, float64: Float64Array,
+};
+const DTYPES = { 1: "uint8", 3: "uint16", 4: "int16", 6: "int32", 7: "float32", 8: "float64" };
+const METHODS = ["store", "cdf97", "predictive", "cdf53", "rapid"];
+/** Memory that is not for decoded units, of the 2 GiB that an instance may take. */
+const MOST_OF_A_WINDOW = 2 ** 30;
+const MOST_KEPT = 2 ** 29;
+/** Of rows that are copied out of the memory together: they fit caches of processors. */
+const SAMPLES_AT_ONCE = 2 ** 17;
+/** Memory that waits for another file: to get it from the system takes as long as to decode a small one. */
+const MOST_SPARE = 2 ** 26;
+let spare = null; // what a decoder exports whose file was closed
+
+/** Bytes of a file that came: { start, bytes } of each. */
+function find(held, start, length) {
+  const found = held.find((one) => one.start <= start && start + length <= one.start + one.bytes.length);
+  return found?.bytes.subarray(start - found.start, start - found.start + length);
+}
+
+export class Core {
+  #exports;
+  #array; // of heights
+
+  /** Whether the decoder broke off: what lies in its memory may be anything. */
+  isBroken = false;
+
+  /** Begin a file of `size` bytes, of which `cacheBytes` of decoded units are kept. */
+  static async start(module, size, cacheBytes) {
+    const core = new Core();
+    core.#exports = spare;
+    spare = null;
+    try {
+      core.#exports ??= (await WebAssembly.instantiate(module)).exports;
+    } catch (cause) {
+      throw new LimitExceededError(`no memory for another decoder: ${cause.message}`, { cause });
+    }
+    core.#do("begin_file", size, Math.min(cacheBytes, MOST_KEPT), MOST_OF_A_WINDOW);
+    return core;
+  }
+
+  /** Give the memory back; nothing can be called any more. */
+  end() {
+    if (this.#exports && !this.isBroken) {
+      this.#call("end_file");
+      if (this.#exports.memory.buffer.byteLength <= MOST_SPARE) spare = this.#exports;
+    }
+    this.#exports = null;
+  }
+
+  #call(name, ...args) {
+    if (this.isBroken) throw new TerrainwaveError("the decoder broke off: read again");
+    if (!this.#exports) throw new ArgumentError("the terrain is closed");
+    try {
+      return this.#exports[name](...args);
+    } catch (cause) {
+      this.isBroken = true;
+      throw new CorruptStreamError(
+        `the decoder broke off, and the file is to blame, or the decoder: ${cause.message}`, { cause },
+      );
+    }
+  }
+
+  /** Call a function that returns a status. */
+  #do(name, ...args) {
+    const status = this.#call(name, ...args);
+    if (status !== 0) throw this.#refusal(status);
+  }
+
+  #refusal(status) {
+    const text = this.#view(Uint8Array, this.#call("error_text"), 240);
+    const Kind = REFUSALS[status] ?? TerrainwaveError;
+    return new Kind(new TextDecoder().decode(text.subarray(0, text.indexOf(0))));
+  }
+
+  /** Return n numbers that the last call told. */
+  #told(n) {
+    return [...this.#view(Float64Array, this.#call("numbers"), n)];
+  }
+
+  /** Return numbers that lie in the memory, until another call. */
+  #view(Type, at, n) {
+    return new Type(this.#exports.memory.buffer, at, n);
+  }
+
+  /**
+   * Feed what the `file` or the `window` needs next, of what is held. Return null if it was there,
+   * else { start, end, likely } of each range that is missing; none: nothing is needed.
+   */
+  #step(whom, held) {
+    const n = this.#call(`${whom}_need`);
+    if (n < 0) throw this.#refusal(-n);
+    const told = this.#told(3 * n);
+    const ranges = Array.from({ length: n }, (_, i) => told.slice(3 * i, 3 * i + 3));
+    const parts = ranges.map(([start, length]) => find(held, start, length));
+    const missing = ranges.filter((_, i) => !parts[i]);
+    if (n === 0 || missing.length > 0) {
+      return missing.map(([start, length, likely]) => ({ start, end: start + length, likely }));
+    }
+    parts.forEach((bytes, i) => this.#feed(whom, ranges[i][0], bytes));
+    return null;
+  }
+
+  #feedAll(whom, held) {
+    for (;;) {
+      const missing = this.#step(whom, held);
+      if (missing) return missing;
+    }
+  }
+
+  #feed(whom, start, bytes) {
+    const at = this.#call("room_for", bytes.length);
+    if (at === 0) throw new LimitExceededError(`no memory for ${bytes.length} bytes of the file`);
+    this.#view(Uint8Array, at, bytes.length).set(bytes);
+    this.#do(`feed_${whom}`, start, bytes.length);
+  }
+
+  /** Return what is missing to open the file: nothing, and `describe` may be called. */
+  open(held) {
+    return this.#feedAll("file", held);
+  }
+
+  /** Return what the file says of itself. */
+  describe() {
+    this.#call("describe");
+    const [nRows, nCols, nLevels, blockSize, dtype, , method, features, maxError, effectiveBound, hasNodata, nodata,
+      text, length] = this.#told(14);
+    this.#array = ARRAYS[DTYPES[dtype]];
+    return {
+      nRows, nCols, nLevels, blockSize, features, maxError, effectiveBound,
+      dtype: DTYPES[dtype], method: METHODS[method],
+      nodata: hasNodata ? nodata : null,
+      metadata: new TextDecoder().decode(this.#view(Uint8Array, text, length)),
+    };
+  }
+
+  /**
+   * Return { missing } of a window; nothing, where all of it was there: then `take` was called with the
+   * heights and validity of some rows, which it must copy, and the first of these rows, until there
+   * were no more. Void samples hold nodata, NaN or 0; if `isExact`, fills are void.
+   */
+  read({ level, row, col, nRows, nCols, isExact }, held, take) {
+    return this.#withWindow([level, row, col, nRows, nCols], () => {
+      const missing = this.#feedAll("window", held);
+      if (missing.length > 0) return { missing };
+      this.#do("decode_window");
+      const most = Math.max(Math.floor(SAMPLES_AT_ONCE / nCols), 1);
+      for (let first = 0; first < nRows; first += most) {
+        const rows = Math.min(most, nRows - first);
+        this.#do("read_rows", first, rows, isExact ? 1 : 0);
+        const [heights, valid] = this.#told(2);
+        const n = rows * nCols;
+        take(this.#view(this.#array, heights, n), this.#view(Uint8Array, valid, n), first);
+      }
+      return {};
+    });
+  }
+
+  /** Return { missing }, or { found }: the error of a block's surface, in raw units. */
+  blockError({ level, row, col, blockSize }, held) {
+    return this.#withWindow([level, row * blockSize, col * blockSize, 1, 1], () => {
+      for (;;) {
+        const status = this.#call("block_error", row, col);
+        if (status === 0) return { found: this.#told(1)[0] };
+        const missing = status === NOT_READY ? this.#step("window", held) : [];
+        if (missing?.length === 0) throw this.#refusal(status);
+        if (missing) return { missing };
+      }
+    });
+  }
+
+  #withWindow(place, use) {
+    this.#do("begin_window", ...place);
+    try {
+      return use();
+    } finally {
+      if (!this.isBroken) this.#call("end_window");
+    }
+  }
+}

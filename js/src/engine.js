@@ -1,0 +1,90 @@
+/**
+ * Reads windows of one file: asks for bytes until the decoder has what it needs. `fetch` of each
+ * question returns a promise of the bytes of many { start, end, likely }.
+ */
+
+import { Core } from "./core.js";
+
+export class Engine {
+  #module;
+  #size;
+  #start; // bytes from the file's first on
+  #cacheBytes;
+  #core = null; // a promise
+
+  constructor({ module, size, start, cacheBytes }) {
+    this.#module = module;
+    this.#size = size;
+    this.#start = start;
+    this.#cacheBytes = cacheBytes;
+  }
+
+  async #open(fetch) {
+    const core = await Core.start(this.#module, this.#size, this.#cacheBytes);
+    const held = [{ start: 0, bytes: this.#start }];
+    try {
+      for (;;) {
+        const missing = core.open(held);
+        if (missing.length === 0) return { core, about: core.describe() };
+        await this.#more(missing, held, fetch);
+      }
+    } catch (error) {
+      core.end();
+      throw error;
+    }
+  }
+
+  async #more(missing, held, fetch) {
+    const found = await fetch(missing);
+    missing.forEach(({ start }, i) => held.push({ start, bytes: found[i] }));
+  }
+
+  /** Return the file's decoder; a new one, where the last one broke off. */
+  async #opened(fetch) {
+    this.#core ??= this.#open(fetch);
+    const mine = this.#core;
+    try {
+      const opened = await mine;
+      if (!opened.core.isBroken) return opened;
+    } catch (error) {
+      if (this.#core === mine) this.#core = null; // another read tries again
+      throw error;
+    }
+    if (this.#core === mine) this.#core = null;
+    return this.#opened(fetch);
+  }
+
+  async describe(fetch) {
+    return (await this.#opened(fetch)).about;
+  }
+
+  /**
+   * Call `what` of the decoder until nothing is missing. A window is begun anew after each wait:
+   * meanwhile others may have decoded its units, or the decoder may have broken off.
+   */
+  async #ask(what, place, fetch, take) {
+    const held = [{ start: 0, bytes: this.#start }];
+    for (;;) {
+      const { core } = await this.#opened(fetch);
+      const { missing, found } = core[what](place, held, take);
+      if (!missing) return found;
+      await this.#more(missing, held, fetch);
+    }
+  }
+
+  /** Call `take` with the heights and the validity of some rows of a window after others: see `Core.read`. */
+  read(place, fetch, take) {
+    return this.#ask("read", place, fetch, take);
+  }
+
+  /** Give the memory back; nothing can be read any more. */
+  async close() {
+    const opened = await this.#core?.catch(() => null);
+    opened?.core.end();
+  }
+
+  /** Return the error of a block in raw units. */
+  blockError(place, fetch) {
+    return this.#ask("blockError", place, fetch);
+  }
+}

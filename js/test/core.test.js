@@ -1,0 +1,54 @@
+/** The decoder as WebAssembly: what a page that forbids it is told, and what happens where it breaks off. */
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import { Engine } from "../src/engine.js";
+import { CorruptStreamError, TerrainwaveError, open } from "../src/index.js";
+import { loadModule } from "../src/module.js";
+import { golden } from "../testing/files.js";
+
+test("its memory has a limit, and nothing is imported", async () => {
+  const module = await loadModule();
+  assert.deepEqual(WebAssembly.Module.imports(module), []);
+  const { exports } = await WebAssembly.instantiate(module);
+  assert.throws(() => exports.memory.grow(2 ** 15), RangeError); // of 64 KiB each: more than 2 GiB
+});
+
+test("pages that forbid WebAssembly are told which header to send, old browsers what they lack", async (context) => {
+  const compile = context.mock.method(WebAssembly, "compile", async () => {
+    throw new WebAssembly.CompileError("refused by the policy");
+  });
+  const refused = (pattern) => (error) => error instanceof TerrainwaveError && pattern.test(error);
+  const { loadModule: load } = await import("../src/module.js?fresh");
+  await assert.rejects(load(), refused(/Content-Security-Policy.*script-src 'self' 'wasm-unsafe-eval'.*refused/));
+  context.mock.method(WebAssembly, "validate", () => false);
+  await assert.rejects(load(), refused(/lacks SIMD/));
+  compile.mock.restore();
+  assert.ok((await load()) instanceof WebAssembly.Module); // another try
+});
+
+/** A decoder that begins files, and traps where it is asked what it needs. */
+function trapping() {
+  const name = (text) => [text.length, ...Buffer.from(text)];
+  const section = (id, bytes) => [id, bytes.length, ...bytes];
+  return new WebAssembly.Module(Uint8Array.from([
+    0, 0x61, 0x73, 0x6d, 1, 0, 0, 0,
+    ...section(1, [2, 0x60, 3, 0x7c, 0x7c, 0x7c, 1, 0x7f, 0x60, 0, 1, 0x7f]),
+    ...section(3, [2, 0, 1]),
+    ...section(7, [2, ...name("begin_file"), 0, 0, ...name("file_need"), 0, 1]),
+    ...section(10, [2, 4, 0, 0x41, 0, 0x0b, 3, 0, 0x00, 0x0b]),
+  ]));
+}
+
+test("a trap is an error of the file, and of it alone", async (context) => {
+  const engine = new Engine({ module: trapping(), size: 200, start: new Uint8Array(200), cacheBytes: 0 });
+  const instantiate = context.mock.method(WebAssembly, "instantiate");
+  for (let time = 1; time <= 2; time++) {
+    await assert.rejects(engine.describe(), (error) =>
+      error instanceof CorruptStreamError && error.cause instanceof WebAssembly.RuntimeError);
+    assert.equal(instantiate.mock.callCount(), time); // what broke off is not asked again
+  }
+  await engine.close();
+  assert.ok(await (await open(await golden("rapid-uint8"))).read());
+});
