@@ -114,11 +114,12 @@ def compress(
 
     Parameters
     ----------
-    src : path, rasterio dataset, list of these, ndarray, xarray DataArray or Dataset
+    src : path, rasterio dataset, Terrain, list of these, ndarray, xarray DataArray or Dataset
         One band of heights: uint8, int16, uint16, int32, float32 or float64. A list of rasters
         with the same CRS and grid makes a mosaic. Where they overlap, the last counts; where there
-        is none, the mosaic is void. A Dataset has one variable of heights (docs/integrations.md
-        lists what is read from labels).
+        is none, the mosaic is void. A path may be that of a .twz file: `max_error` is then the
+        bound from its original, and by default all heights stay as they are in the file. A Dataset
+        has one variable of heights (docs/integrations.md lists what is read from labels).
     dst : path
         The file to make. Its name ends in ``.twz``. It appears complete or not at all, and never
         replaces a raster. Also the URL of storage that fsspec can write to, such as ``s3://``
