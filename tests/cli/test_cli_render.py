@@ -132,7 +132,7 @@ def test_a_flight_writes_numbered_pictures(file, tmp_path):
         (["--mode", "best"], "adaptive", 2),
         (["--background", "red"], "hexadecimal", 2),
         (["--radius", "0"], "--radius", 2),
-        (["--size", "200000x2"], "pixels", 1),
+        (["--size", "200000x2"], "pixels", 2),
         (["--bounds", "5,5,1,1"], "left < right", 2),
         (["--coloring", "ground"], "'auto', 'absolute', 'relative'", 2),
         (["--legend", "--coloring", "plain"], "found --legend with --coloring plain", 2),

@@ -100,7 +100,7 @@ def test_a_mistake_is_one_line_that_says_what_to_do(folder, monkeypatch, words, 
 
 
 def test_a_mesh_error_without_meshes_is_noted(tmp_path, folder):
-    options = ["--mesh", "none", "--mesh-error", 2, "--quiet"]
+    options = ["--mesh", "none", "--mesh-error", 2]
     done = run("compress", folder / "a.tif", tmp_path / "new.twz", *options)
     assert done.exit_code == 0
     assert "note: the mesh error changes nothing: the file gets no meshes" in done.stderr

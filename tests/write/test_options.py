@@ -27,8 +27,11 @@ from terrainwave.write.compress_options import Options
         ({"method": 5}, "found method 5, expected a name"),
         ({"mesh": Zerotree}, "expected a name, such as 'halves', or options of a kind of meshes"),
         ({"mesh": "rtin"}, "found mesh 'rtin'"),
-        ({"mesh": Zerotree(labels="coded"), "method": "cdf97"}, "found labels coded for a file"),
-        ({"mesh": Rqt(select="coefficient")}, "found select coefficient and method rapid"),
+        ({"mesh": Zerotree(labels="coded"), "method": "cdf97"}, "found labels=coded for a file"),
+        (
+            {"mesh": Rqt(select="coefficient")},
+            "found select=coefficient for a file of method rapid",
+        ),
         ({"threads": 0}, "found threads 0, expected a whole number >= 1"),
         ({"max_error": 1, "method": Cdf53(rate=1)}, "found max_error and rate, expected one of"),
         ({"strict": True, "method": Cdf53(psnr=1)}, "found strict and psnr, expected max_error"),

@@ -332,8 +332,6 @@ class NotTwzError(CorruptStreamError):
 
 def _kind_of(data: bytes) -> str:
     """Return what a file is whose first bytes are not those of a .twz file."""
-    if not data:
-        return "an empty file"
     start = data[:32].lstrip().lower()
     kinds = (kind for magic, kind in _KINDS.items() if start.startswith(magic.lower()))
     return next(kinds, "another kind of file")
@@ -353,7 +351,13 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
     UnsupportedVersionError
         If a version, feature, method, data type or reserved field is not known.
     """
-    if not data or data[: len(MAGIC)] != MAGIC[: len(data)]:
+    if not data:
+        raise TruncatedStreamError("found an empty file, expected a .twz file")
+    if data[: len(MAGIC)] != MAGIC[: len(data)]:
+        if data[:4] == MAGIC[:4]:
+            raise CorruptStreamError(
+                "found a .twz file whose line ends were changed, as a transfer in text mode does"
+            )
         raise NotTwzError(f"found {_kind_of(data)}, expected a .twz file")
     if len(data) < HEADER_SIZE:
         raise TruncatedStreamError(f"the file ends in its header, at byte {len(data)}")

@@ -298,15 +298,14 @@ def _result_line(result: Any) -> str:
 def _print_result(result: Any, *, as_json: bool, quiet: bool) -> None:
     if as_json:
         print_json(asdict(result))
+    if as_json or quiet:
         return
-    if not quiet:
-        measured = result.measured_error
-        found = "not checked" if measured is None else f"{measured:.6g}"
-        click.echo(_result_line(result))
-        click.echo(
-            f"max error asked {result.max_error:.6g}, guaranteed {result.effective_error:.6g},"
-            f" measured {found}{unit_behind(result.units)}"
-        )
-        note_unit(result.units)
+    measured = "not checked" if result.measured_error is None else f"{result.measured_error:.6g}"
+    click.echo(_result_line(result))
+    click.echo(
+        f"max error asked {result.max_error:.6g}, guaranteed {result.effective_error:.6g},"
+        f" measured {measured}{unit_behind(result.units)}"
+    )
+    note_unit(result.units)
     for note in result.notes:
         print_note(note)
