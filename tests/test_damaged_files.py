@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from strategies import terrain_like
 from twz import twz_bytes
 
-from terrainwave.container.header import NotTwzError
 from terrainwave.container.page import empty_page, page_layout
 from terrainwave.errors import (
     CorruptStreamError,
@@ -94,8 +93,7 @@ def test_the_files_are_small_and_sound(data, expected):
 
 
 def test_every_prefix_is_truncated(data):
-    assert isinstance(outcome(b""), NotTwzError)
-    for length in range(1, len(data)):
+    for length in range(len(data)):
         assert isinstance(outcome(data[:length]), TruncatedStreamError), length
 
 

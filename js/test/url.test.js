@@ -69,7 +69,7 @@ async function serving(replies, use) {
 
 async function outcome(address, options) {
   const waits = [];
-  Object.assign(POLICY, { wait: async (seconds) => waits.push(seconds), silence: 0.3 });
+  Object.assign(POLICY, { wait: async (seconds) => waits.push(seconds), silence: 1 });
   try {
     const source = new UrlSource(address, options);
     await source.head(16384);

@@ -21,7 +21,6 @@ from terrainwave.grid.quadtree import Block
 
 JS = Path(__file__).parents[2] / "js"
 BOUNDS = (8.0, 46.0, 8.5, 46.4)
-METHODS = ("store", "rapid", "predictive")
 
 pytestmark = pytest.mark.full
 
@@ -63,14 +62,14 @@ def test_it_passes_the_conformance_set():
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     passed = dict(re.findall(r"^(heights|invalid) +(\d+)", done.stdout, re.M))
-    assert int(passed["heights"]) >= 28
-    assert int(passed["invalid"]) >= 120
+    assert int(passed["heights"]) >= 58
+    assert int(passed["invalid"]) >= 168
 
 
 def test_heights_and_masks_of_golden_files_are_those_of_python(twz):
     manifest = json.loads((GOLDEN / "v1" / "manifest.json").read_text())
-    paths = [GOLDEN / "v1" / name for name in manifest["files"] if name.startswith(METHODS)]
-    assert len(paths) >= 24
+    paths = [GOLDEN / "v1" / name for name in manifest["files"]]
+    assert len(paths) >= 58
     found = dump("digests", *paths, twz)
     for path in (*paths, twz):
         assert found[str(path)] == digests(path)
@@ -87,9 +86,10 @@ def test_it_opens_a_url_by_two_requests_at_most(server, twz):
     assert bounds == {"left": left, "bottom": bottom, "right": right, "top": top}
 
 
-def test_the_module_has_at_most_150_kb_compressed():
+def test_the_module_has_at_most_170_kb_compressed():
+    """With all five methods: 62 kB are tables of the format's annexes, which do not compress."""
     modules = [path for path in (JS / "src").iterdir() if path.suffix == ".js"]
-    assert sum(len(gzip.compress(path.read_bytes())) for path in modules) <= 150_000
+    assert sum(len(gzip.compress(path.read_bytes())) for path in modules) <= 170_000
 
 
 def test_places_and_errors_are_those_of_python(server, twz):
