@@ -180,9 +180,10 @@ static void ISA(read_span)(ISA(span) * s, const uint32_t *slots) {
   ISA(read_one_by_one)(s, 0, slots);
 }
 
-#if defined(__wasm_simd128__)
-/* Few units are not short, and every page loads the module. */
-#define SMALL
+#if defined(TWZ_SANITIZED)
+#define SMALL /* compilers would take minutes */
+#elif defined(HAS_SIMD128)
+#define SMALL /* few units are not short, and every page loads the module */
 #pragma clang attribute push(__attribute__((minsize)), apply_to = function)
 #endif
 #define NUMBER int64_t
@@ -198,7 +199,7 @@ static void ISA(read_span)(ISA(span) * s, const uint32_t *slots) {
 #define NAMED(name) ISA(narrow_##name)
 #include "rapid_rows.h"
 #undef NAMED
-#ifdef SMALL
+#ifdef HAS_SIMD128
 #undef SMALL
 #pragma clang attribute pop
 #endif
