@@ -88,10 +88,10 @@ WRONG = {
     "Terrain.to_xarray": {"level": WHOLE, "mask_and_scale": FLAG},
     "Terrain.plot": {"bounds": FOUR, "shade": [*NUMBER, -1, 2], "ax": ANYTHING, "cmap": ANYTHING},
     "Terrain.view": {
-        "size": TWO, "max_pixel_error": NUMBER, "camera": ANYTHING, "style": ANYTHING,
-        "bounds": FOUR, "mode": WORD, "error": WORD, "detail": ANYTHING, "order": ANYTHING,
-        "stepwise": ANYTHING, "orientation": ANYTHING, "drape": ANYTHING,
-        "exaggeration": NUMBER, "radius": NUMBER,
+        "size": TWO, "max_pixel_error": NUMBER, "camera": [5, b"1,2,3,4,5"], "style": [5, "plain"],
+        "bounds": FOUR, "mode": WORD, "error": WORD, "detail": NUMBER, "order": [*WHOLE, 3],
+        "stepwise": FLAG, "orientation": FLAG, "drape": PATH, "exaggeration": [*NUMBER, 0],
+        "radius": [*NUMBER, 0],
     },
     "Mesh.save": {
         "path": PATH, "frame": WORD, "z_scale": NUMBER, "solid": NUMBER, "radius": NUMBER,
