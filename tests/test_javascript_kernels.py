@@ -26,8 +26,14 @@ def constant(path, name):
 
 def test_the_module_was_made_of_these_sources():
     native = ROOT / "native"
-    groups = [[WASM / "build.sh"], WASM.glob("*.c"), (WASM / "include").glob("*.h"),
-              (native / "include").glob("*.h"), (native / "src").glob("*.c"), (native / "src").glob("*.h")]  # fmt: skip
+    groups = [
+        [WASM / "build.sh"],
+        WASM.glob("*.c"),
+        (WASM / "include").glob("*.h"),
+        (native / "include").glob("*.h"),
+        (native / "src").glob("*.c"),
+        (native / "src").glob("*.h"),
+    ]
     files = [path for group in groups for path in sorted(group)]
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
     assert constant(MODULE, "SOURCES") == digest, "run js/wasm/build.sh"

@@ -1,4 +1,4 @@
-"""Is the package for JavaScript usable as web developers use one: with bundlers, from hosts, by policies?"""
+"""Is the package for JavaScript usable as web developers use one: bundlers, hosts, policies?"""
 
 import contextlib
 import os
@@ -37,7 +37,8 @@ globalThis.read = async (url) => {
 PAGE = '<!doctype html><title>A terrain</title><script type="module" src="MAIN"></script>'
 READ = """
     const [url, done] = arguments;
-    const ready = () => globalThis.read ? globalThis.read(url).then(done, (error) => done(String(error)))
+    const ready = () => globalThis.read
+      ? globalThis.read(url).then(done, (error) => done(String(error)))
       : setTimeout(ready, 50);
     ready();
 """
