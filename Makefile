@@ -97,7 +97,7 @@ tests/ext/node_modules/.installed: tests/ext/package.json
 	npm install --prefix tests/ext --no-package-lock --no-audit --no-fund --loglevel error
 	@touch $@
 
-# Side by side: tests wait for each other's compilations at times.
+# Side by side: the checks of lint take a fraction of the tests' time.
 test:
 	@$(MAKE) --no-print-directory -j2 lint test-compiled
 

@@ -31,9 +31,9 @@ from pymartini import Martini
 import terrainwave
 from benchmarks import common
 from benchmarks.rasters import coefficients_of, middle, whole_units
-from terrainwave.tri.mesh import BlockMesh
+from terrainwave.tri.block_mesh import BlockMesh
+from terrainwave.tri.mesh_distance import largest_deviation
 from terrainwave.tri.rqt import stored as rqt
-from terrainwave.tri.surface import largest_deviation
 from terrainwave.tri.zerotree import agreement
 from terrainwave.tri.zerotree.connect import mesh_error, mesh_of_cut
 from terrainwave.tri.zerotree.guarantee import guaranteed_cut

@@ -18,7 +18,7 @@ import terrainwave
 from benchmarks import common
 from terrainwave.codec.corrections import decode_corrections
 from terrainwave.codec.group import HAS_CORRECTIONS, read_head
-from terrainwave.codec.units import unit_spec
+from terrainwave.codec.unit_specs import unit_spec
 from terrainwave.terrain import Terrain
 
 # After so many patches a row is written.

@@ -10,7 +10,6 @@ Exit status: 0 good; 1 files differ; 2 wrong usage.
 
 import math
 import os
-import resource
 import time
 from collections import Counter, namedtuple
 from collections.abc import Sequence
@@ -73,6 +72,8 @@ class CountingExecutor(Executor):
 
 def peak_mib() -> float:
     """Return the most memory this process has used."""
+    import resource  # not on Windows, where tests import this module
+
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 

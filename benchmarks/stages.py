@@ -119,7 +119,7 @@ def main(paths, bounds, crop, runs, methods, folder, out) -> None:
     """Write the nanoseconds per sample of each stage to a CSV."""
     common.pin_to_cores()
     with ExitStack() as stack:
-        for module in ("write.compress", "read.windows"):
+        for module in ("write.compress", "read.window_reader"):
             name = f"terrainwave.{module}.ThreadPoolExecutor"
             stack.enter_context(mock.patch(name, return_value=common.InlineExecutor()))
         cases = itertools.product([load_raster(path, crop) for path in paths], bounds, methods)

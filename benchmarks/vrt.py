@@ -18,7 +18,6 @@ Exit status: 0 good; 1 files differ or a command failed; 2 wrong usage.
 import hashlib
 import os
 import random
-import resource
 import subprocess
 import sys
 import threading
@@ -144,6 +143,8 @@ def measured(folder: Path, n_tiles: int, runs: tuple[str, ...]) -> Iterator[Row]
         target, open_files = folder / f"{name}.twz", OpenFiles()
         options = {"env": os.environ | more}
         if limit is not None:
+            import resource  # not on Windows
+
             options["preexec_fn"] = lambda: resource.setrlimit(
                 resource.RLIMIT_NOFILE, (LIMIT, LIMIT)
             )

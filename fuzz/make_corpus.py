@@ -25,13 +25,13 @@ from fuzz.targets import (
 )
 from fuzz.units import N_PARENTS, SPECS, corrected_payload_of, payload_of
 from terrainwave.codec.cdf53.refiner import encode_tile
-from terrainwave.codec.cdf53.tiles import TileLayout
+from terrainwave.codec.cdf53.tile_layout import TileLayout
 from terrainwave.codec.corrections import encode_corrections
 from terrainwave.codec.masks import encode_mask
 from terrainwave.codec.own_masks import encode_validity
 from terrainwave.codec.refiner import ALL_VALID, Validity, as_array
 from terrainwave.codec.registry import refiner_by_name
-from terrainwave.codec.remainders import encode_remainders
+from terrainwave.codec.remainder_planes import encode_remainders
 from terrainwave.coding.deflate import inflate
 from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.container.header import HEADER_SIZE, MAX_METADATA
@@ -40,7 +40,7 @@ from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.sections import pack_section
 from terrainwave.names import METHODS
 from terrainwave.terrain import Terrain
-from terrainwave.tri.stored import STORED_KINDS
+from terrainwave.tri.stored_kinds import STORED_KINDS
 
 _MOST_BYTES = 1500
 

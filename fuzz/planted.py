@@ -35,7 +35,7 @@ class Planted(NamedTuple):
 PLANTED = (
     Planted(
         "remainders: as many planes as bytes of a number", "remainders", "compiled",
-        "codec/remainders.py", "if not 1 <= n_planes <= width:", "if False:",
+        "codec/remainder_planes.py", "if not 1 <= n_planes <= width:", "if False:",
     ),
     Planted(
         "index page: as many bytes as its layout has", "pages", "compiled",

@@ -19,21 +19,21 @@ from fuzz import IS_COMPILED
 from fuzz.units import N_PARENTS, SMALL_SISTERS, SPECS, corrected, parent_of
 from terrainwave.codec import registry
 from terrainwave.codec.cdf53 import refiner as cdf53
-from terrainwave.codec.cdf53.tiles import TileLayout
+from terrainwave.codec.cdf53.tile_layout import TileLayout
 from terrainwave.codec.corrections import decode_corrections
 from terrainwave.codec.group import decode_unit, voids_below
 from terrainwave.codec.masks import decode_mask
 from terrainwave.codec.own_masks import Above, Sections, decode_validity
 from terrainwave.codec.refiner import Validity, as_array
-from terrainwave.codec.remainders import decode_remainders
+from terrainwave.codec.remainder_planes import decode_remainders
 from terrainwave.coding.deflate import deflate
 from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.container.header import HEADER_SIZE, MAX_METADATA, pack_header, unpack_header
 from terrainwave.container.metadata import unpack_metadata
 from terrainwave.container.page import N_CODES, page_layout, payload_starts, unpack_page
+from terrainwave.container.sources.byte_source import BufferSource
 from terrainwave.container.sources.ranges import MAX_REQUEST, Budget, ByteRange, merge_ranges
 from terrainwave.container.sources.rounds import RoundReader
-from terrainwave.container.sources.source import BufferSource
 from terrainwave.errors import TerrainwaveError, TruncatedStreamError
 from terrainwave.export.virtual_geotiff import VirtualGeoTIFF
 from terrainwave.grid.quadtree import Block, Grid, Region
@@ -41,10 +41,10 @@ from terrainwave.mesh.blocks import StoredSamples
 from terrainwave.mesh.sections import unpack_section
 from terrainwave.names import METHODS
 from terrainwave.raster_io.geotiff.stream import GeoTIFFStream
-from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.terrain import Terrain
 from terrainwave.tri.halves.borders import beside_void
-from terrainwave.tri.stored import STORED_KINDS
+from terrainwave.tri.stored_kinds import STORED_KINDS
 
 GOLDEN = Path(__file__).parents[1] / "tests" / "golden" / "v1"
 CORPUS = Path(__file__).parent / "corpus"

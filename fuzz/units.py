@@ -16,7 +16,7 @@ from terrainwave.codec.refiner import (
     Sides,
     Validity,
 )
-from terrainwave.codec.units import unit_spec
+from terrainwave.codec.unit_specs import unit_spec
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
 

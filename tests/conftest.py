@@ -5,8 +5,6 @@ import os
 import shutil
 import sys
 from collections import Counter
-from contextlib import contextmanager
-from functools import wraps
 from pathlib import Path
 
 import numpy as np
@@ -51,54 +49,18 @@ WITHOUT_KERNELS = {
 # Tests of whole files: what their kernels compute has tests of its own. The others with kernels run
 # as plain Python, too, unless they are `large`.
 OF_FILES = {"export", "globe", "write", "test_names.py", "test_terrain.py"}
-# The longest of all. Then workers begin at different ends of what compiles, or one would wait for
-# the other: codecs, meshes.
+# The longest of all. Then workers begin at different ends of what compiles, or both would compile
+# the same: codecs, meshes.
 FIRST = ("test_warmup.py", "test_terrain.py", "tri")
 
 
 def pytest_configure(config):
-    """Compile rare kernels, too; let workers compile each kernel once, where they share a cache."""
-    all_compiled().__enter__()
-    if hasattr(config, "workerinput") and "NUMBA_CACHE_DIR" in os.environ and not WITHOUT_JIT:
-        _compile_in_turns(Path(os.environ["NUMBA_CACHE_DIR"]))
+    """Compile rare kernels, too.
 
-
-def _compile_in_turns(cache):
-    """Make a worker that needs a kernel which another one compiles wait, and load it.
-
-    Callees are compiled inside of their callers', and callers' locks are taken first: no deadlock.
+    Workers that need the same kernel at one time each compile it: to wait for one another, by a
+    lock for each kernel, took as much processor time in all (tests of codec and tri), and waiting.
     """
-    if sys.platform == "win32":
-        return
-    import fcntl
-
-    from numba.core.compiler_lock import global_compiler_lock
-    from numba.core.dispatcher import Dispatcher
-
-    held = set()
-    compile_one = Dispatcher.compile
-
-    @contextmanager
-    def turn(name):
-        if name in held:  # it calls itself
-            yield
-            return
-        with open(cache / f"{name}.lock", "w", encoding="utf-8") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            held.add(name)
-            try:
-                yield
-            finally:
-                held.remove(name)
-
-    @wraps(compile_one)
-    def compile_in_turn(self, signature):
-        # Numba's own lock, between threads, comes first for the same reason.
-        with global_compiler_lock, turn(f"{self.py_func.__module__}.{self.py_func.__qualname__}"):
-            return compile_one(self, signature)
-
-    cache.mkdir(parents=True, exist_ok=True)
-    Dispatcher.compile = compile_in_turn
+    all_compiled().__enter__()
 
 
 def pytest_report_header(config):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from terrainwave.codec.refiner import NOT_SHARED, GroupSpec, Sides
-from terrainwave.codec.units import unit_spec
+from terrainwave.codec.unit_specs import unit_spec
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Region

@@ -11,8 +11,13 @@ from twz import grouped
 
 import terrainwave
 from terrainwave.grid.quadtree import Region
-from terrainwave.verification.on_grid import Ruler, mesh_problems, must_be_covered, surface_of_mesh
-from terrainwave.verification.surface import deviation
+from terrainwave.verification.checked_mesh import deviation
+from terrainwave.verification.on_grid import (
+    QuantaScale,
+    mesh_problems,
+    must_be_covered,
+    surface_of_mesh,
+)
 
 KINDS = (
     "smooth", "cliffs", "noise", "flat", "half sea", "spikes", "ramp", "steps", "rough patch",
@@ -191,7 +196,7 @@ def reader(case):
 
 def area_problems(terrain, case, mesh, region, level, max_error=None):
     """Return all that is wrong with a mesh of an area: surface, coverage, errors."""
-    ruler = Ruler(terrain)
+    ruler = QuantaScale(terrain)
     found = list(mesh_problems(terrain, mesh, region, level))
     raw, valid = reader(case)(region)
     stated = ruler.in_sixteenths(mesh.error)

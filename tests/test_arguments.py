@@ -52,7 +52,8 @@ WRONG = {
     | OF_CODING,
     "decompress": OF_WINDOWS | OF_FILES | {
         "src": [5, None, ""], "dst": PATH, "bounds": FOUR, "cog": FLAG, "voids": WORD,
-        "quality": NUMBER, "vertical": WORD, "size": ["1025", 5.5, True, "all", [5], 4],
+        "quality": NUMBER, "vertical": WORD, "on_error": WORD,
+        "size": ["1025", 5.5, True, "all", [5], 4],
     },
     "patch": {name: OF_RASTERS[name] for name in ("src", "band", "nodata")} | {
         "path": PATH, "original": [5, ""], "temp_dir": PATH, "threads": WHOLE, "progress": CALLABLE,
@@ -64,13 +65,17 @@ WRONG = {
     "store_meshes": OF_FILES | {
         "src": [5, None, ""], "dst": PATH, "mesh": WORD, "mesh_error": NUMBER, "original": [5, ""],
     },
-    "Terrain": {"source": [5, None, ""], "cache_bytes": WHOLE, "threads": WHOLE, "native": FLAG},
+    "Terrain": {
+        "source": [5, None, ""], "cache_bytes": WHOLE, "threads": WHOLE, "native": FLAG,
+        "on_error": WORD,
+    },
     "Terrain.read": OF_WINDOWS | OF_VOIDS | {
         "bounds": FOUR, "out_shape": TWO, "resampling": WORD, "masked": FLAG, "max_bytes": WHOLE,
     },
     "Terrain.read_with_mask": OF_WINDOWS | OF_VOIDS,
     "Terrain.read_early": OF_WINDOWS | OF_VOIDS | {"quality": NUMBER},
     "Terrain.region": OF_WINDOWS | {"bounds": FOUR},
+    "Terrain.checked_window": OF_WINDOWS | {"bounds": FOUR},
     "Terrain.transform_of": OF_WINDOWS,
     "Terrain.coordinates": OF_WINDOWS,
     "Terrain.level_shape": {"level": WHOLE},
@@ -83,8 +88,10 @@ WRONG = {
     "Terrain.to_xarray": {"level": WHOLE, "mask_and_scale": FLAG},
     "Terrain.plot": {"bounds": FOUR, "shade": [*NUMBER, -1, 2], "ax": ANYTHING, "cmap": ANYTHING},
     "Terrain.view": {
-        "size": TWO, "max_pixel_error": NUMBER, "camera": ANYTHING, "style": ANYTHING,
-        "options": ANYTHING,
+        "size": TWO, "max_pixel_error": NUMBER, "camera": [5, b"1,2,3,4,5"], "style": [5, "plain"],
+        "bounds": FOUR, "mode": WORD, "error": WORD, "detail": NUMBER, "order": [*WHOLE, 3],
+        "stepwise": FLAG, "orientation": FLAG, "drape": PATH, "exaggeration": [*NUMBER, 0],
+        "radius": [*NUMBER, 0],
     },
     "Mesh.save": {
         "path": PATH, "frame": WORD, "z_scale": NUMBER, "solid": NUMBER, "radius": NUMBER,

@@ -2,7 +2,6 @@
 
 import os
 import threading
-import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -56,23 +55,30 @@ def test_what_goes_is_closed_once():
     assert closed == ["first", "second"]
 
 
+class Asked:
+    """A key that says when four threads have looked it up."""
+
+    def __init__(self):
+        self.threads, self.by_all = set(), threading.Event()
+
+    def __hash__(self):
+        self.threads.add(threading.get_ident())
+        if len(self.threads) == 4:
+            self.by_all.set()
+        return 1
+
+
 def test_threads_that_ask_for_one_value_share_its_making():
-    cache, made = Cache(4), []
-    is_in_work, may_end = threading.Event(), threading.Event()
+    cache, made, key = Cache(4), [], Asked()
 
     def make():
         made.append(1)
-        is_in_work.set()
-        may_end.wait(10)
+        assert key.by_all.wait(60)
         return "value"
 
     with ThreadPoolExecutor(4) as pool:
-        answers = [pool.submit(cache.get_or_make, "key", make)]
-        is_in_work.wait(10)
-        answers += [pool.submit(cache.get_or_make, "key", make) for _ in range(3)]
-        time.sleep(0.1)  # for the three to ask
-        may_end.set()
-        assert [answer.result(10) for answer in answers] == ["value"] * 4
+        answers = [pool.submit(cache.get_or_make, key, make) for _ in range(4)]
+        assert [answer.result(60) for answer in answers] == ["value"] * 4
     assert len(made) == 1
 
 

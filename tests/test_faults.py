@@ -91,7 +91,7 @@ class FullFile:
 
 def test_a_full_disk_at_the_end_leaves_the_target_as_it_was(monkeypatch, target):
     # Network and delayed writes fail here first.
-    monkeypatch.setattr("terrainwave.container.publish.os.fsync", full_disk)
+    monkeypatch.setattr("terrainwave.container.targets.publication.os.fsync", full_disk)
     with pytest.raises(StorageError, match="disk is full"):
         compress(HEIGHTS, target, overwrite=True, **OPTIONS)
     assert_untouched(target)
@@ -142,7 +142,7 @@ def test_too_little_free_space_is_noticed_before_work_begins(monkeypatch, target
 
 def test_a_full_disk_while_decompressing_leaves_the_target_as_it_was(monkeypatch, tiff, tmp_path):
     compress(HEIGHTS, tmp_path / "dem.twz", **OPTIONS)
-    monkeypatch.setattr("terrainwave.container.publish.os.fsync", full_disk)
+    monkeypatch.setattr("terrainwave.container.targets.publication.os.fsync", full_disk)
     with pytest.raises(StorageError, match="disk is full"):
         decompress(tmp_path / "dem.twz", tiff, overwrite=True, threads=1)
     assert_untouched(tiff)

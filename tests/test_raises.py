@@ -30,7 +30,7 @@ NOT_SEEN = {
     ("raster_io.source", "RasterSource.read", "StorageError"),
     ("render.modes.mode", "Mode.build", "CorruptStreamError"),
     ("tri.mesh_options", "MeshOptions.stored", "InvalidArgumentError"),
-    ("tri.stored", "StoredKind.mesh", "CorruptStreamError"),
+    ("tri.stored_kinds", "StoredKind.mesh", "CorruptStreamError"),
     ("write.cluster", "run_tasks", "TerrainwaveError"),
 }
 # Nearer is what only other arguments of the function that is called could bring about.

@@ -18,7 +18,7 @@ from strategies import terrain_like, write_geotiff
 from twz import twz_bytes
 
 import terrainwave
-from terrainwave.codec.units import unit_spec
+from terrainwave.codec.unit_specs import unit_spec
 from terrainwave.errors import (
     CorruptStreamError,
     InvalidHeightsError,

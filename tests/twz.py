@@ -3,7 +3,11 @@
 import tempfile
 from pathlib import Path
 
+import numpy as np
+
 from terrainwave.codec.method_options import chosen_with
+from terrainwave.grid.quadtree import Region
+from terrainwave.terrain import Terrain
 from terrainwave.tri.mesh_options import of_former_name
 from terrainwave.write.compress import compress
 
@@ -30,3 +34,25 @@ def twz_bytes(heights, **options):
         target = Path(directory) / "small.twz"
         compress(heights, target, **{"block": 32, "threads": 1, **grouped(options)})
         return target.read_bytes()
+
+
+def stated_bounds_problems(path, heights, nodata):
+    """Return the finest blocks whose stated error or box does not hold for the heights."""
+    found = []
+    with Terrain(path) as terrain:
+        decoded = terrain.read().astype(int)
+        for block in terrain.grid.blocks(terrain.grid.k_max):
+            region = terrain.grid.block_region(block)
+            at = region.slices_in(Region(0, 0, *heights.shape))
+            valid = heights[at] != nodata
+            if not valid.any():
+                continue
+            error = np.abs(decoded[at] - heights[at])[valid].max()
+            low, high = terrain.block_box(block)
+            # Originals and what their error leaves room for, inside the file's range.
+            stated, info = terrain.block_error(block), terrain.info()
+            least = max(heights[at][valid].min() - stated, info.minimum)
+            most = min(heights[at][valid].max() + stated, info.maximum)
+            if error > stated or least < low or most > high:
+                found.append((block, error))
+    return found

@@ -38,7 +38,7 @@ from terrainwave.codec.cdf97.residual import (
 from terrainwave.codec.cdf97.zerotree import N_TREE_MODELS
 from terrainwave.codec.refiner import Decoded, Validity
 from terrainwave.codec.shared_lines import N_BORDER_MODELS
-from terrainwave.codec.units import block_of_unit, unit_spec
+from terrainwave.codec.unit_specs import block_of_unit, unit_spec
 from terrainwave.coding.filters import lowpass_analysis
 from terrainwave.coding.rangecoder import new_models
 from terrainwave.grid.parameters import CodecParameters

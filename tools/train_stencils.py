@@ -29,7 +29,7 @@ from terrainwave.codec.predictive import trained as tables
 from terrainwave.codec.predictive.fit import features_of
 from terrainwave.codec.refiner import Decoded, Validity
 from terrainwave.codec.shared_lines import N_BORDER_MODELS
-from terrainwave.codec.units import (
+from terrainwave.codec.unit_specs import (
     CodecParameters,
     block_of_unit,
     unit_spec,

@@ -107,9 +107,9 @@ static found mix(const unit *u, twz_status status, int32_t n_first) {
   for (int i = 0; status == TWZ_OK && i < u->n_layers && !u->is_void; i++) {
     const layer *l = &u->layers[i];
     size_t n = (size_t)(l->n_ready ? l->n_ready : l->rows.n) * (size_t)l->cols.n;
-    for (size_t j = 0; j < n; j++) f.all = (f.all ^ (uint32_t)l->heights[j]) * 1099511628211u;
+    for (size_t j = 0; j < n; j++) f.all = (f.all ^ (uint32_t)height_at(l, j)) * 1099511628211u;
     n = (size_t)min_i32(n_first, l->rows.n) * (size_t)l->cols.n;
-    for (size_t j = 0; j < n; j++) f.first = (f.first ^ (uint32_t)l->heights[j]) * 1099511628211u;
+    for (size_t j = 0; j < n; j++) f.first = (f.first ^ (uint32_t)height_at(l, j)) * 1099511628211u;
   }
   return f;
 }

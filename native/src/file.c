@@ -43,9 +43,11 @@ void unit_free(twz_file *f, unit *u) {
       twz_release(&f->allocator, h);
     }
     u->layers[0].heights = NULL;
+    u->layers[0].shorts = NULL;
   }
   for (int i = 0; i < u->n_layers; i++) {
     twz_release(&f->allocator, u->layers[i].heights);
+    twz_release(&f->allocator, u->layers[i].shorts);
     twz_release(&f->allocator, u->layers[i].valid);
     twz_release(&f->allocator, u->layers[i].own);
     twz_release(&f->allocator, u->layers[i].remainders);
@@ -266,7 +268,7 @@ static void count_out(twz_file *f, unit *u) {
   f->cached_bytes -= u->n_bytes;
   if (!u->heap) return;
   const layer *l = &u->layers[0];
-  uint64_t n_bytes = sizeof *l->heights * (uint64_t)l->rows.n * (uint64_t)l->cols.n;
+  uint64_t n_bytes = cell_size(&f->heights) * (uint64_t)l->rows.n * (uint64_t)l->cols.n;
   f->cached_bytes += n_bytes;
   u->heap->n_out += n_bytes;
   if (--u->heap->n_cached == 0) f->cached_bytes -= u->heap->n_out;

@@ -58,11 +58,19 @@ void heights_init(heights *h, const row_kernels *kernels, const header *of, int 
   h->z_max = of->z_max;
   h->step = of->step;
   h->is_cdf53 = of->method == TWZ_CDF53;
+  /* One more on each side: where samples move from nodata. */
+  h->is_short = of->method == TWZ_RAPID && kernels->decode_rapid_short && (int64_t)h->z_max - h->z_min <= 65533;
+  h->origin = h->is_short ? (int32_t)shift_right((int64_t)h->z_min + h->z_max + 1, 1) : 0;
   h->has_nodata = has_nodata;
   h->nodata = has_nodata ? rounded_to(of->dtype, nodata) : h->is_float ? NAN : 0;
   h->integer_nodata = h->is_float ? 0 : (int64_t)h->nodata;
   uint64_t size = (h->base < 0 ? 0 - (uint64_t)h->base : (uint64_t)h->base) + ((uint64_t)1 << 31);
   h->is_exact = h->num <= ((uint64_t)1 << 53) / size; /* doubles hold every product */
+  int64_t low, high;
+  dtype_range(h->dtype, &low, &high);
+  int is_small = h->base > -((int64_t)1 << 31) && h->base < (int64_t)1 << 31;
+  h->is_sum = !h->is_float && h->num == 1 && h->den == 1 && is_small && product(h, (int64_t)h->z_min - 1) >= low &&
+              product(h, (int64_t)h->z_max + 1) <= high; /* moved heights lie one beyond */
   h->first = 0;
   h->last = -1;
   if (has_nodata && isfinite(h->nodata) && h->z_min <= h->z_max) {
@@ -81,18 +89,10 @@ static int32_t quantum_of_steps(const heights *h, int32_t steps, int is_valid) {
   return (int32_t)k;
 }
 
-static int is_in_range(const heights *h) {
-  int64_t low, high;
-  dtype_range(h->dtype, &low, &high);
-  /* Moved heights lie one beyond. */
-  return product(h, (int64_t)h->z_min - 1) >= low && product(h, (int64_t)h->z_max + 1) <= high;
-}
-
 /* First the plain cases, which compilers make vectors of: integers of quantum 1, floats of exact products. */
 static void write_plain(const heights *h, void *out, const int32_t *quanta, size_t n) {
-  int is_small = h->base > -((int64_t)1 << 31) && h->base < (int64_t)1 << 31;
-  if (!h->is_float && h->num == 1 && h->den == 1 && is_small && is_in_range(h)) {
-    h->kernels->write_sums(h->dtype, out, quanta, n, (uint32_t)h->base); /* sums fit 32 bits, as the dtype does */
+  if (h->is_sum) {
+    h->kernels->write_sums(h->dtype, out, quanta, n, (uint32_t)h->base);
     return;
   }
   if (h->is_float && h->is_exact) {
@@ -173,25 +173,27 @@ static twz_status add_remainders(const heights *h, void *out, const uint8_t *val
   return TWZ_OK;
 }
 
-twz_status write_raw(const heights *h, void *out, const int32_t *quanta, const uint8_t *valid,
-                     const int64_t *remainders, size_t n, twz_error *error) {
-  if (!quanta) {
+twz_status write_raw(const heights *h, void *out, const layer *l, size_t at, size_t n, twz_error *error) {
+  enum { PIECE = 1024 };
+  int32_t piece[PIECE];
+  if (!l) {
     write_void(h, out, NULL, n);
     return TWZ_OK;
   }
-  if (h->is_cdf53) {
-    enum { PIECE = 256 };
-    int32_t piece[PIECE];
-    size_t size = dtype_size(h->dtype);
-    for (size_t i = 0; i < n; i += PIECE) {
-      size_t stop = min_size(n - i, PIECE);
-      for (size_t k = 0; k < stop; k++) piece[k] = quantum_of_steps(h, quanta[i + k], !valid || valid[i + k]);
-      write_plain(h, (uint8_t *)out + i * size, piece, stop);
+  const uint8_t *valid = l->valid ? l->valid + at : NULL;
+  int is_whole = !l->shorts && !h->is_cdf53, are_halves = l->shorts && h->is_sum && dtype_size(h->dtype) == 2;
+  if (is_whole) write_plain(h, out, l->heights + at, n);
+  if (are_halves) h->kernels->add_shorts(out, l->shorts + at, n, (uint32_t)h->base + (uint32_t)l->origin);
+  for (size_t i = 0; !is_whole && !are_halves && i < n; i += PIECE) {
+    size_t stop = min_size(n - i, PIECE);
+    if (l->shorts) {
+      h->kernels->widen(piece, l->shorts + at + i, stop, l->origin);
+    } else {
+      for (size_t k = 0; k < stop; k++) piece[k] = quantum_of_steps(h, l->heights[at + i + k], !valid || valid[i + k]);
     }
-  } else {
-    write_plain(h, out, quanta, n);
+    write_plain(h, (uint8_t *)out + i * dtype_size(h->dtype), piece, stop);
   }
-  if (remainders) TRY(add_remainders(h, out, valid, remainders, n, error));
+  if (l->remainders) TRY(add_remainders(h, out, valid, l->remainders + at, n, error));
   if (valid) write_void(h, out, valid, n);
   return TWZ_OK;
 }

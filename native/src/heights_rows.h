@@ -22,3 +22,12 @@ static void ISA(write_products)(int dtype, void *out, const int32_t *RESTRICT qu
     for (size_t i = 0; i < n; i++) to[i] = (base + quanta[i]) * num / den;
   }
 }
+
+static void ISA(widen)(int32_t *RESTRICT to, const int16_t *RESTRICT from, size_t n, int32_t origin) {
+  for (size_t i = 0; i < n; i++) to[i] = from[i] + origin;
+}
+
+static void ISA(add_shorts)(uint16_t *RESTRICT to, const int16_t *RESTRICT from, size_t n, uint32_t base) {
+  const uint16_t low = (uint16_t)base;
+  for (size_t i = 0; i < n; i++) to[i] = (uint16_t)(low + (uint16_t)from[i]);
+}

@@ -100,7 +100,7 @@ enum { SCRATCH_ALIGN = 64 };
 /* ---- Bytes (bytes.c, inflate.c) ------------------------------------------------------------- */
 
 typedef struct crc_tables {
-  uint32_t of[8][256];
+  uint32_t of[16][256];
 } crc_tables;
 
 void crc_tables_fill(crc_tables *t);
@@ -293,6 +293,7 @@ struct row_kernels;
 typedef struct heights {
   const struct row_kernels *kernels;
   int dtype, is_float, has_nodata, is_exact;
+  int is_sum; /* raw heights are base and quanta, added up in 32 bits, and fit the dtype */
   int64_t base;
   uint64_t num, den;
   double nodata;        /* in the dtype */
@@ -300,20 +301,20 @@ typedef struct heights {
   int32_t first, last;  /* [a, b] of §5.1, first > last: there is none */
   int32_t z_min, z_max, step;
   int is_cdf53;
+  int is_short;         /* of rapid: layers hold heights less the origin in 16 bits */
+  int32_t origin;
 } heights;
 
 void heights_init(heights *h, const struct row_kernels *kernels, const header *of, int has_nodata, double nodata);
 double raw_of_quantum(const heights *h, int64_t k);
-/* Write n raw heights. valid NULL: all are. remainders NULL: all are 0. */
-twz_status write_raw(const heights *h, void *out, const int32_t *quanta, const uint8_t *valid,
-                     const int64_t *remainders, size_t n, twz_error *error);
-
 /* ---- Units ---------------------------------------------------------------------------------- */
 
 /* Samples of one level of a unit's region, row by row. */
 typedef struct layer {
   axis rows, cols;
   int32_t *heights;     /* quanta (cdf53: steps) */
+  int16_t *shorts;      /* or these, less the origin: of all units with samples of a file that is short */
+  int32_t origin;       /* 0 of heights */
   int32_t n_ready;      /* rows that heights are wanted of, or there, from the first on; 0: all */
   uint8_t *valid;       /* NULL: all are valid */
   uint8_t *own;         /* with feature bit 4; NULL: as valid */
@@ -326,7 +327,7 @@ enum { MOST_LAYERS = 10 };
 typedef struct heap {
   size_t n_users, n_cached;
   uint64_t n_out; /* bytes of those that left the cache, where the others keep them */
-  int32_t *heights;
+  void *heights;
 } heap;
 
 typedef struct unit {
@@ -348,12 +349,18 @@ static inline int has_rows(const unit *u, int32_t n_rows) {
 
 static inline layer *layer_of(unit *u, int level) { return &u->layers[level - u->first_level]; }
 
+static inline int32_t height_at(const layer *l, size_t at) { return l->shorts ? l->shorts[at] + l->origin : l->heights[at]; }
 static inline int is_valid_at(const layer *l, size_t at) { return !l->valid || l->valid[at]; }
 /* The place of a sample of the core in the region. */
 static inline size_t core_at(const layer *l, int32_t row, int32_t col) {
   return (size_t)(l->rows.core + row) * (size_t)l->cols.n + (size_t)(l->cols.core + col);
 }
 /* ---- Methods -------------------------------------------------------------------------------- */
+
+/* Bytes of a height in a layer. */
+static inline size_t cell_size(const heights *h) { return h->is_short ? sizeof(int16_t) : sizeof(int32_t); }
+/* Write n raw heights of a layer, from sample `at` on; l NULL: of a void unit. */
+twz_status write_raw(const heights *h, void *out, const layer *l, size_t at, size_t n, twz_error *error);
 
 struct rapid_tables;
 struct predictive_tables;
@@ -438,9 +445,8 @@ twz_status decode_store(const job *j, const reader *bytes, twz_error *error);
 static inline int64_t corrected(const job *j, size_t at, int64_t height, int64_t low, int64_t high) {
   return j->corrections ? clamp_i64(height + j->corrections[at], low, high) : height;
 }
-twz_status decode_rapid(const job *j, const reader *bytes, scratch *s, twz_error *error);
 /* Of up to MOST_TOGETHER units, with memory of their own: in lockstep where they are alike. */
-twz_status decode_rapid_units(const job *const *jobs, const reader *bytes, int n, scratch *s, twz_error *error);
+twz_status decode_rapid(const job *const *jobs, const reader *bytes, int n, scratch *s, twz_error *error);
 twz_status decode_predictive(const job *j, const reader *bytes, scratch *s, twz_error *error);
 twz_status decode_cdf97(const job *j, const reader *bytes, scratch *s, twz_error *error);
 /* A tile: all its levels, masks included. */
@@ -478,7 +484,7 @@ parent parent_of(const twz_file *f, place key, const unit *above);
 
 static inline int32_t parent_height(const parent *p, int32_t row, int32_t col) {
   if (p->is_void) return 0;
-  return p->layer->heights[(size_t)(p->row + row) * (size_t)p->layer->cols.n + (size_t)(p->col + col)];
+  return height_at(p->layer, (size_t)(p->row + row) * (size_t)p->layer->cols.n + (size_t)(p->col + col));
 }
 
 #endif

@@ -3,4 +3,5 @@
 #include "heights_rows.h"
 
 const row_kernels kernels_avx512 = {
-    TWZ_KERNELS_AVX512, ISA(decode_unit_rapid), DECODE_GROUPS, ISA(write_sums), ISA(write_products)};
+    TWZ_KERNELS_AVX512, ISA(decode_unit_rapid), DECODE_SHORT, DECODE_GROUPS,
+    ISA(write_sums), ISA(write_products), ISA(widen), ISA(add_shorts)};

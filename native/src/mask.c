@@ -15,13 +15,17 @@ static size_t field_bytes(const layer *out) {
   return (size_t)(out->rows.n + 2 * EDGE) * (size_t)(out->cols.n + 2 * EDGE);
 }
 
-static field take_field(scratch *s, const layer *out) {
+/* A field; of one that will be filled the margin alone is made 0. */
+static field take_field(scratch *s, const layer *out, int is_filled) {
   field f;
   size_t n = field_bytes(out);
   uint8_t *memory = scratch_take(s, n);
-  memset(memory, 0, n);
   f.stride = (size_t)(out->cols.n + 2 * EDGE);
   f.at = memory + EDGE * f.stride + EDGE;
+  if (!is_filled) memset(memory, 0, n);
+  for (int32_t r = -1; is_filled && r < out->rows.n; r++) memset(f.at + r * (ptrdiff_t)f.stride + out->cols.n, 0, 2 * EDGE);
+  memset(memory, 0, f.stride * EDGE);
+  memset(memory + n - f.stride * EDGE, 0, f.stride * EDGE);
   return f;
 }
 
@@ -275,7 +279,7 @@ twz_status decode_validity(const twz_file *f, layer *out, const parent *p, int i
     return TWZ_OK; /* all valid, all own */
   }
   TRY(scratch_reserve(s, 4 * (field_bytes(out) + SCRATCH_ALIGN), error));
-  field implied = take_field(s, out), valid = take_field(s, out);
+  field implied = take_field(s, out, 0), valid = take_field(s, out, has_fills);
   imply_voids(out, p, implied);
   int n_valid, n_own;
   if (!has_fills) {
@@ -290,7 +294,7 @@ twz_status decode_validity(const twz_file *f, layer *out, const parent *p, int i
       }
     }
   } else {
-    field known = take_field(s, out), own_map = take_field(s, out);
+    field known = take_field(s, out, 1), own_map = take_field(s, out, 1);
     know_own(out, p, implied, known);
     if (is_finest) {
       TRY(decode_map(f, out, known, mask, valid, error));

@@ -2,7 +2,7 @@
 #include "range.h"
 
 uint64_t unit_bytes(const twz_file *f, place key) {
-  uint64_t n = sizeof(unit), a_sample = 5;
+  uint64_t n = sizeof(unit), a_sample = cell_size(&f->heights) + 1;
   if (f->header.features & FILLS) a_sample += 1;
   if (f->header.features & REMAINDERS) a_sample += 8;
   for (int level = first_level_of(key); level <= last_level_of(&f->grid, key); level++) {
@@ -42,14 +42,19 @@ static twz_status move_from_nodata(const heights *h, layer *l, size_t n, const r
   size_t n_met = 0;
   if (h->first <= h->last) {
     for (size_t i = 0; i < n; i++) {
-      int32_t height = l->heights[i];
+      int32_t height = height_at(l, i);
       if (height < h->first || height > h->last || (l->valid && !l->valid[i])) continue;
       int is_down = 0;
       if (exceptions->bytes) {
         REQUIRE(n_met / 8 < exceptions->n, error, "the exception section is too short");
         is_down = exceptions->bytes[n_met / 8] >> (7 - n_met % 8) & 1;
       }
-      l->heights[i] = is_down ? h->first - 1 : h->last + 1;
+      int32_t moved = is_down ? h->first - 1 : h->last + 1;
+      if (l->shorts) {
+        l->shorts[i] = (int16_t)(moved - l->origin);
+      } else {
+        l->heights[i] = moved;
+      }
       n_met++;
     }
   }
@@ -143,7 +148,7 @@ static twz_status read_sections(const twz_file *f, reader *r, int is_finest, rea
 static twz_status decode_heights(const job *j, const reader *rest, scratch *s, twz_error *error) {
   switch (j->file->header.method) {
     case TWZ_STORE: return decode_store(j, rest, error);
-    case TWZ_RAPID: return decode_rapid(j, rest, s, error);
+    case TWZ_RAPID: return decode_rapid(&j, rest, 1, s, error);
     case TWZ_PREDICTIVE: return decode_predictive(j, rest, s, error);
     default: return decode_cdf97(j, rest, s, error);
   }
@@ -165,9 +170,19 @@ static void lay_out(const twz_file *f, unit *u) {
   }
 }
 
+/* Let a layer's heights lie in some memory. */
+static void place_heights(const heights *h, layer *l, void *memory) {
+  if (h->is_short) {
+    l->shorts = memory;
+    l->origin = h->origin;
+  } else {
+    l->heights = memory;
+  }
+}
+
 /* Give heights of several units one piece of memory. */
 static twz_status share_memory(const twz_file *f, const order *orders, int n, twz_error *error) {
-  size_t n_heights = 0, n_users = 0;
+  size_t n_heights = 0, n_users = 0, size = cell_size(&f->heights);
   for (int k = 0; k < n; k++) {
     if (orders[k].n == 0 || f->header.method == TWZ_CDF53) continue;
     n_heights += (size_t)orders[k].unit->layers[0].rows.n * (size_t)orders[k].unit->layers[0].cols.n;
@@ -176,19 +191,19 @@ static twz_status share_memory(const twz_file *f, const order *orders, int n, tw
   if (n_users < 2) return TWZ_OK;
   heap *h = twz_allocate_zeros(&f->allocator, sizeof *h);
   if (!h) return twz_no_memory(error, sizeof *h);
-  h->heights = twz_allocate_pages(&f->allocator, n_heights * sizeof *h->heights);
+  h->heights = twz_allocate_pages(&f->allocator, n_heights * size);
   if (!h->heights) {
     twz_release(&f->allocator, h);
-    return twz_no_memory(error, n_heights * sizeof *h->heights);
+    return twz_no_memory(error, n_heights * size);
   }
-  int32_t *next = h->heights;
+  uint8_t *next = h->heights;
   for (int k = 0; k < n; k++) {
     if (orders[k].n == 0) continue;
     layer *l = &orders[k].unit->layers[0];
     orders[k].unit->heap = h;
     h->n_users++;
-    l->heights = next;
-    next += (size_t)l->rows.n * (size_t)l->cols.n;
+    place_heights(&f->heights, l, next);
+    next += size * (size_t)l->rows.n * (size_t)l->cols.n;
   }
   return TWZ_OK;
 }
@@ -212,8 +227,11 @@ static twz_status begin_unit(const twz_file *f, const order *o, begun *b, scratc
   b->job = j;
   TRY(decode_validity(f, l, &b->job.parent, is_finest, &b->sections[MASK], &b->sections[OWN], &has_valid, s, error));
   REQUIRE(has_valid, error, "a payload of a unit without a valid sample");
-  if (!u->heap) l->heights = twz_allocate(&f->allocator, n * sizeof *l->heights);
-  if (!l->heights) return twz_no_memory(error, n * sizeof *l->heights);
+  if (!u->heap) {
+    void *memory = twz_allocate(&f->allocator, n * cell_size(&f->heights));
+    if (!memory) return twz_no_memory(error, n * cell_size(&f->heights));
+    place_heights(&f->heights, l, memory);
+  }
   b->rest.bytes = rest.bytes + rest.at;
   b->rest.n = rest.n - rest.at;
   return TWZ_OK;
@@ -243,7 +261,7 @@ static twz_status end_unit(const twz_file *f, unit *u, begun *b, twz_error *erro
   if (f->header.method != TWZ_RAPID) clip(l->heights, n, f->header.z_min, f->header.z_max);
   TRY(move_from_nodata(&f->heights, l, n, &b->sections[EXCEPTIONS], error));
   if (b->sections[REMAINDER_BYTES].bytes) TRY(decode_remainders(f, l, n, &b->sections[REMAINDER_BYTES], error));
-  u->n_bytes += n * (4 + (l->valid ? 1u : 0u) + (l->own ? 1u : 0u) + (l->remainders ? 8u : 0u));
+  u->n_bytes += n * (cell_size(&f->heights) + (l->valid ? 1u : 0u) + (l->own ? 1u : 0u) + (l->remainders ? 8u : 0u));
   return TWZ_OK;
 }
 
@@ -261,7 +279,7 @@ twz_status decode_units(const twz_file *f, const order *orders, int n, scratch *
     rests[n_together++] = begun[k].rest;
   }
   int are_together = n_together > 1;
-  if (are_together) TRY(decode_rapid_units(jobs, rests, n_together, s, error));
+  if (are_together) TRY(decode_rapid(jobs, rests, n_together, s, error));
   for (int k = 0; k < n; k++) {
     if (begun[k].is_done) continue;
     int is_decoded = are_together && !begun[k].sections[CORRECTED].bytes;

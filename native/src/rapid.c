@@ -255,10 +255,10 @@ static void find_limits(rapid_unit *u, int is_wide) {
   if (p->layer && max_i64(-(int64_t)h->z_min, h->z_max) * widest > most) {
     int32_t low = INT32_MAX, high = INT32_MIN;
     for (int32_t r = 0; r < p->n_rows; r++) {
-      const int32_t *row = p->layer->heights + (ptrdiff_t)(p->row + r) * p->layer->cols.n + p->col;
       for (int32_t i = 0; i < p->n_cols; i++) {
-        low = min_i32(low, row[i]);
-        high = max_i32(high, row[i]);
+        int32_t height = parent_height(p, r, i);
+        low = min_i32(low, height);
+        high = max_i32(high, height);
       }
     }
     origin = shift_right((int64_t)low + high, 1);
@@ -266,19 +266,6 @@ static void find_limits(rapid_unit *u, int is_wide) {
   c->low = (int32_t)(max_i64(h->z_min, origin - reach) - origin);
   c->high = (int32_t)(min_i64(h->z_max, origin + reach) - origin);
   c->origin = (int32_t)origin;
-}
-
-/* Stencils sum to 4096: heights less another origin are predicted the same. */
-static void find_short(rapid_unit *u) {
-  rapid_scale *c = &u->scale;
-  if (!u->job->parent.layer || u->job->parent.is_void || (int64_t)c->high - c->low > 65535) return;
-  int32_t middle = (int32_t)shift_right((int64_t)c->low + c->high + 1, 1);
-  int64_t origin = (int64_t)c->origin + middle;
-  if (origin < INT32_MIN || origin > INT32_MAX) return;
-  c->low -= middle;
-  c->high -= middle;
-  c->origin = (int32_t)origin;
-  u->is_short = 1;
 }
 
 static twz_status open_unit(rapid_unit *u, const job *j, const reader *bytes, scratch *s, twz_error *error) {
@@ -306,7 +293,13 @@ static twz_status open_unit(rapid_unit *u, const job *j, const reader *bytes, sc
   c->most_detail = ((int64_t)c->high - c->low) / n + 1;
   /* Sums of details times steps must fit 32 bits, too, or 64 are used: the heights are the same. */
   u->is_wide = is_wide || max_i64(c->most_detail, ZERO_SYMBOL) * n >= (int64_t)1 << 30;
-  if (!u->is_wide && j->file->kernels->decode_rapid_groups) find_short(u);
+  u->is_short = j->out->shorts && j->file->kernels->decode_rapid_short && !u->is_wide && j->parent.layer && !j->parent.is_void;
+  if (u->is_short) { /* stencils sum to 4096: heights less another origin are predicted the same */
+    int32_t change = j->file->heights.origin - c->origin;
+    c->low -= change;
+    c->high -= change;
+    c->origin += change;
+  }
   /* Row 2 i of the lattice is stored in turn i + 1, the one below it in the next. */
   const layer *l = j->out;
   u->n_turns = ((l->rows.n_core + 1) >> 1) + 2;
@@ -317,27 +310,35 @@ static twz_status open_unit(rapid_unit *u, const job *j, const reader *bytes, sc
   return TWZ_OK;
 }
 
-twz_status decode_rapid(const job *j, const reader *bytes, scratch *s, twz_error *error) {
-  rapid_unit u;
-  TRY(open_unit(&u, j, bytes, s, error));
-  TRY(j->file->kernels->decode_rapid(&u, error));
-  return close_streams(&u, error);
+/* Heights of a unit that is not short, in a file that is: from 32 bits to 16. */
+static twz_status decode_long(rapid_unit *u, layer *l, twz_error *error) {
+  const twz_file *f = u->job->file;
+  size_t n = (size_t)l->rows.n * (size_t)l->cols.n;
+  int32_t *heights = l->heights = twz_allocate_zeros(&f->allocator, n * sizeof *heights);
+  if (!heights) return twz_no_memory(error, n * sizeof *heights);
+  twz_status status = f->kernels->decode_rapid(u, error);
+  for (size_t i = 0; status == TWZ_OK && i < n; i++) l->shorts[i] = (int16_t)(heights[i] - l->origin);
+  twz_release(&f->allocator, heights);
+  l->heights = NULL;
+  return status;
 }
 
-/* A group of eight states, whose sums fit 32 bits. */
-static int fits_turns(const rapid_unit *u) { return u->job->parent.layer && !u->is_wide && u->streams.n_states == 8; }
+static twz_status decode_alone(rapid_unit *u, twz_error *error) {
+  const row_kernels *kernels = u->job->file->kernels;
+  if (u->is_short) return kernels->decode_rapid_short(u, error);
+  return u->job->out->shorts ? decode_long(u, u->job->out, error) : kernels->decode_rapid(u, error);
+}
 
-twz_status decode_rapid_units(const job *const *jobs, const reader *bytes, int n, scratch *s, twz_error *error) {
+twz_status decode_rapid(const job *const *jobs, const reader *bytes, int n, scratch *s, twz_error *error) {
   rapid_unit units[MOST_TOGETHER];
-  const row_kernels *kernels = jobs[0]->file->kernels;
   for (int k = 0; k < n; k++) TRY(open_unit(&units[k], jobs[k], &bytes[k], &s[k], error));
   for (int k = 0, stop; k < n; k = stop) {
-    for (stop = k; kernels->decode_rapid_groups && stop < n && fits_turns(&units[stop]);) stop++;
-    stop = max_i32(stop, k + 1);
-    if (stop == k + 1) {
-      TRY(kernels->decode_rapid(&units[k], error));
+    for (stop = k; stop < n && units[stop].is_short && units[stop].streams.n_states == 8;) stop++;
+    if (stop > k + 1) {
+      TRY(jobs[0]->file->kernels->decode_rapid_groups(&units[k], stop - k, error));
     } else {
-      TRY(kernels->decode_rapid_groups(&units[k], stop - k, error));
+      stop = k + 1;
+      TRY(decode_alone(&units[k], error));
     }
   }
   for (int k = 0; k < n; k++) TRY(close_streams(&units[k], error));

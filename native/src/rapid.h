@@ -14,8 +14,8 @@ enum {
   FIRST_RAW = 72,    /* contexts from here on have raw bits */
   ZERO_SYMBOL = 31,
   MARGIN = 4,        /* rows and columns around a plane */
-  HELD_ROWS = 32,    /* of a plane, at most: so they stay in caches */
-  REACH_OUTSIDE = 3, /* of them so many hold samples */
+  HELD_ROWS = 8,     /* of a plane: what rows that are decoded need of it; a power of two */
+  REACH_OUTSIDE = 3, /* columns outside that hold samples */
   CORNER_ROW = 64,
   SHARED = 3         /* row of features of shared samples */
 };
@@ -53,12 +53,12 @@ typedef struct rapid_unit {
   scratch *scratch;
   int32_t n_turns; /* of the lattice of a group: until all rows that are wanted are there */
   int is_wide;  /* sums need 64 bits */
-  int is_short; /* heights less the origin fit 16 bits; of groups only */
+  int is_short; /* of a group: heights less the origin, which is the file's, fit 16 bits, and are kept as such */
 } rapid_unit;
 
 /* Decode a unit whose streams are set up. */
 typedef twz_status (*rapid_decoder)(rapid_unit *u, twz_error *error);
-/* Up to MOST_TOGETHER for which fits_turns. */
+/* Up to MOST_TOGETHER short ones of eight states, in turns. */
 typedef twz_status (*rapid_groups_decoder)(rapid_unit *units, int n, twz_error *error);
 
 #endif

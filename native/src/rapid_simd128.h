@@ -1,5 +1,5 @@
 /* Eight states of method rapid at once, of one unit or several in turns, and sums of 16 bits: what rapid_vectors.h has,
- * for WebAssembly's vectors of 128 bits. Included by rapid_rows.h. */
+ * for WebAssembly's vectors of 128 bits. Included by rapid_unit.h. */
 
 /* Where a stream is: its states, the first sample's first, the next word, and which samples have raw bits. */
 typedef struct ISA(lanes) {
@@ -21,7 +21,7 @@ static const uint8_t ISA(order)[16][16] = {
 #undef NONE
 
 /* Symbols of four samples from number j on (R.8), whose states are x. */
-static ALWAYS_INLINE v128_t ISA(step)(ISA(lanes) * l, const NAMED(span) * s, int32_t j, v128_t x, const uint32_t *slots) {
+static ALWAYS_INLINE v128_t ISA(step)(ISA(lanes) * l, const ISA(span) * s, int32_t j, v128_t x, const uint32_t *slots) {
   v128_t c = wasm_v128_and(wasm_v128_load(s->contexts + j), wasm_i32x4_const_splat(DOWN - 1));
   v128_t slot = wasm_v128_or(wasm_i32x4_shl(c, 11), wasm_v128_and(x, wasm_i32x4_const_splat(SLOTS - 1)));
   v128_t entry = wasm_v128_load32_zero(slots + wasm_u32x4_extract_lane(slot, 0));
@@ -61,41 +61,18 @@ static void ISA(end_lanes)(const ISA(lanes) * l, rapid_streams *z, int32_t n_rea
 }
 
 /* Samples of n spans in turns, from number j on, until the last one, which is the shortest, is read. */
-static ALWAYS_INLINE int32_t ISA(read_in_turns)(ISA(lanes) * l, NAMED(span) *const *spans, int n, int32_t j,
+static ALWAYS_INLINE int32_t ISA(read_in_turns)(ISA(lanes) * l, ISA(span) *const *spans, int n, int32_t j,
                                                 const uint32_t *slots) {
-  NAMED(span) *s = spans[n - 1];
+  ISA(span) *s = spans[n - 1];
   for (; j + 8 <= s->n; j += 8) {
     for (int k = 0; k < n; k++) l[k].x[0] = ISA(step)(&l[k], spans[k], j, l[k].x[0], slots);
     for (int k = 0; k < n; k++) l[k].x[1] = ISA(step)(&l[k], spans[k], j + 4, l[k].x[1], slots);
   }
   ISA(end_lanes)(&l[n - 1], s->streams, j);
   s->has_raw = wasm_v128_any_true(l[n - 1].raw);
-  NAMED(read_one_by_one)(s, j, slots);
+  ISA(read_one_by_one)(s, j, slots);
   return j;
 }
-
-/* Read spans of n >= 1 units in turns: each step waits for the one before it in its own stream. */
-static void ISA(read_vectors)(NAMED(span) * s, int n, const uint32_t *slots) {
-  NAMED(span) *spans[MOST_TOGETHER] = {s}; /* the longest first */
-  ISA(lanes) l[MOST_TOGETHER];
-  for (int k = 1; k < n; k++) {
-    int i = k;
-    for (; i > 0 && spans[i - 1]->n < s[k].n; i--) spans[i] = spans[i - 1];
-    spans[i] = &s[k];
-  }
-  for (int k = 0; k < n; k++) ISA(begin_lanes)(&l[k], spans[k]->streams);
-  int32_t j = 0;
-  if (n > 3) j = ISA(read_in_turns)(l, spans, 4, j, slots);
-  if (n > 2) j = ISA(read_in_turns)(l, spans, 3, j, slots);
-  if (n > 1) j = ISA(read_in_turns)(l, spans, 2, j, slots);
-  ISA(read_in_turns)(l, spans, 1, j, slots);
-}
-
-/* Two taps side by side: where the row of pairs begins, and their weights. */
-typedef struct ISA(pair_of_taps) {
-  const int32_t *at;
-  int16_t first, second;
-} ISA(pair_of_taps);
 
 /* A whole vector is written: rows end with room for one. */
 static ALWAYS_INLINE void ISA(predict_taps)(int32_t n, const ISA(pair_of_taps) * taps, int n_taps, int32_t *predicted) {
@@ -113,10 +90,20 @@ static ALWAYS_INLINE void ISA(predict_taps)(int32_t n, const ISA(pair_of_taps) *
   }
 }
 
-static void ISA(predict_pairs)(int32_t n, const ISA(pair_of_taps) * taps, int n_taps, int32_t *predicted) {
-  switch (n_taps) {
-    case 10: ISA(predict_taps)(n, taps, 10, predicted); break;
-    case 12: ISA(predict_taps)(n, taps, 12, predicted); break;
-    default: ISA(predict_taps)(n, taps, 14, predicted);
+/* The lower halves of n cells of two rows, in turns. */
+static ALWAYS_INLINE void ISA(store_in_turns)(int16_t *to, const int32_t *even, const int32_t *odd, int32_t n) {
+  const v128_t low = wasm_i32x4_const_splat(65535);
+  int32_t j = 0;
+  for (; j + 4 <= n; j += 4) {
+    v128_t upper = wasm_i32x4_shl(wasm_v128_load(odd + j), 16);
+    wasm_v128_store(to + 2 * j, wasm_v128_or(wasm_v128_and(wasm_v128_load(even + j), low), upper));
+  }
+  for (; j < n; j++) {
+    to[2 * j] = (int16_t)even[j];
+    to[2 * j + 1] = (int16_t)odd[j];
   }
 }
+
+#define READ_RAW ISA(read_raw)
+#define PACK ISA(pack_plain)
+#define UNPACK ISA(unpack_plain)

@@ -1,4 +1,4 @@
-/* Eight states of method rapid at once, of one unit or several in turns: included by rapid_rows.h where there is AVX2. */
+/* Eight states of method rapid at once, of one unit or several in turns, and other loops: included by rapid_unit.h where there is AVX2. */
 
 /* Where a stream is: its states, the first sample's first, the words taken, and which samples have raw bits. */
 typedef struct ISA(lanes) {
@@ -10,7 +10,7 @@ typedef struct ISA(lanes) {
  * Symbols of eight samples (R.8): symbol number k is of state k mod 8. Lanes from the first sample's state on;
  * of the last samples less than eight are active.
  */
-static ALWAYS_INLINE void ISA(step)(ISA(lanes) * l, const NAMED(span) * s, int32_t j, int is_full, __m256i active,
+static ALWAYS_INLINE void ISA(step)(ISA(lanes) * l, const ISA(span) * s, int32_t j, int is_full, __m256i active,
                                     const uint32_t *slots) {
   const __m256i x = l->x;
   __m256i c = is_full ? _mm256_loadu_si256((const __m256i *)(s->contexts + j)) : _mm256_maskload_epi32(s->contexts + j, active);
@@ -62,10 +62,10 @@ static ALWAYS_INLINE void ISA(begin_lanes)(ISA(lanes) * l, const rapid_streams *
 }
 
 /* Samples of n spans in turns, from number j on, until the last one, which is the shortest, is read. */
-static ALWAYS_INLINE int32_t ISA(read_in_turns)(ISA(lanes) * l, NAMED(span) *const *spans, int n, int32_t j,
+static ALWAYS_INLINE int32_t ISA(read_in_turns)(ISA(lanes) * l, ISA(span) *const *spans, int n, int32_t j,
                                                 const uint32_t *slots) {
   const __m256i lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7), all = _mm256_set1_epi32(-1);
-  NAMED(span) *s = spans[n - 1];
+  ISA(span) *s = spans[n - 1];
   for (; j + 8 <= s->n; j += 8) {
     for (int k = 0; k < n; k++) ISA(step)(&l[k], spans[k], j, 1, all, slots);
   }
@@ -79,24 +79,6 @@ static ALWAYS_INLINE int32_t ISA(read_in_turns)(ISA(lanes) * l, NAMED(span) *con
   return j;
 }
 
-/* Read spans of n >= 1 units in turns: each step waits for the one before it in its own stream. */
-static void ISA(read_vectors)(NAMED(span) * s, int n, const uint32_t *slots) {
-  NAMED(span) *spans[MOST_TOGETHER] = {s}; /* the longest first */
-  ISA(lanes) l[MOST_TOGETHER];
-  for (int k = 1; k < n; k++) {
-    int i = k;
-    for (; i > 0 && spans[i - 1]->n < s[k].n; i--) spans[i] = spans[i - 1];
-    spans[i] = &s[k];
-  }
-  ISA(begin_lanes)(&l[0], spans[0]->streams);
-  for (int k = 1; k < n; k++) ISA(begin_lanes)(&l[k], spans[k]->streams);
-  int32_t j = 0;
-  if (n > 3) j = ISA(read_in_turns)(l, spans, 4, j, slots);
-  if (n > 2) j = ISA(read_in_turns)(l, spans, 3, j, slots);
-  if (n > 1) j = ISA(read_in_turns)(l, spans, 2, j, slots);
-  ISA(read_in_turns)(l, spans, 1, j, slots);
-}
-
 /* R.9, as read_raw: eight details at once, unless one is an escape. */
 static void ISA(read_raw_vectors)(const int32_t *contexts, int32_t *details, int32_t n, int64_t most, rapid_streams *z) {
   const __m256i none = _mm256_setzero_si256(), high = _mm256_set1_epi32((int)most), low = _mm256_sub_epi32(none, high);
@@ -105,7 +87,7 @@ static void ISA(read_raw_vectors)(const int32_t *contexts, int32_t *details, int
     __m256i detail = _mm256_loadu_si256((const __m256i *)(details + j));
     __m256i escapes = _mm256_cmpeq_epi32(detail, _mm256_set1_epi32(-ZERO_SYMBOL));
     if (!_mm256_testz_si256(escapes, escapes)) {
-      NAMED(read_raw)(contexts + j, details + j, 8, most, z);
+      ISA(read_raw)(contexts + j, details + j, 8, most, z);
       continue;
     }
     __m256i context = _mm256_and_si256(_mm256_loadu_si256((const __m256i *)(contexts + j)), _mm256_set1_epi32(DOWN - 1));
@@ -127,25 +109,21 @@ static void ISA(read_raw_vectors)(const int32_t *contexts, int32_t *details, int
     _mm256_storeu_si256((__m256i *)(details + j), detail);
     z->n_bits += (size_t)_mm256_extract_epi32(sums, 7);
   }
-  NAMED(read_raw)(contexts + j, details + j, n - j, most, z);
+  ISA(read_raw)(contexts + j, details + j, n - j, most, z);
 }
-
-/* Two taps side by side: where the row of pairs begins, and their weights. */
-typedef struct ISA(pair_of_taps) {
-  const int32_t *at;
-  int16_t first, second;
-} ISA(pair_of_taps);
 
 #if defined(__AVX512F__)
 #define VECTOR __m512i
 #define V(name) _mm512_##name
 #define LOAD(at) _mm512_loadu_si512(at)
 #define STORE(at, v) _mm512_storeu_si512(at, v)
+#define JOIN(low, high) _mm512_mask_blend_epi16(0xAAAAAAAAu, low, _mm512_slli_epi32(high, 16))
 #else
 #define VECTOR __m256i
 #define V(name) _mm256_##name
 #define LOAD(at) _mm256_loadu_si256((const __m256i *)(at))
 #define STORE(at, v) _mm256_storeu_si256((__m256i *)(at), v)
+#define JOIN(low, high) _mm256_blend_epi16(low, _mm256_slli_epi32(high, 16), 0xAA)
 #endif
 #if defined(__AVX512VNNI__)
 #define ADD_PRODUCTS(sum, a, b) _mm512_dpwssd_epi32(sum, a, b)
@@ -170,15 +148,57 @@ static ALWAYS_INLINE void ISA(predict_taps)(int32_t n, const ISA(pair_of_taps) *
   }
 }
 
-static void ISA(predict_pairs)(int32_t n, const ISA(pair_of_taps) * taps, int n_taps, int32_t *predicted) {
-  switch (n_taps) {
-    case 10: ISA(predict_taps)(n, taps, 10, predicted); break;
-    case 12: ISA(predict_taps)(n, taps, 12, predicted); break;
-    default: ISA(predict_taps)(n, taps, 14, predicted);
+/* The lower halves of n cells of two rows, in turns. */
+static ALWAYS_INLINE void ISA(store_in_turns)(int16_t *to, const int32_t *even, const int32_t *odd, int32_t n) {
+  enum { LANES = sizeof(VECTOR) / 4 };
+  int32_t j = 0;
+  for (; j + LANES <= n; j += LANES) STORE(to + 2 * j, JOIN(LOAD(even + j), LOAD(odd + j)));
+  for (; j < n; j++) {
+    to[2 * j] = (int16_t)even[j];
+    to[2 * j + 1] = (int16_t)odd[j];
   }
 }
 #undef VECTOR
 #undef V
 #undef LOAD
 #undef STORE
+#undef JOIN
 #undef ADD_PRODUCTS
+
+/* Contexts of valid samples among n, one behind the other, and their details back; a vector more is written. */
+#define READ_RAW ISA(read_raw_vectors)
+#if defined(__AVX512F__)
+static ALWAYS_INLINE __mmask16 ISA(valid_lanes)(const uint8_t *valid, size_t step) {
+  if (step == 1) {
+    __m128i bytes = _mm_loadu_si128((const __m128i *)valid);
+    return _mm_test_epi8_mask(bytes, bytes);
+  }
+  __m256i bytes = _mm256_loadu_si256((const __m256i *)valid);
+  return (__mmask16)_pext_u32(_mm256_test_epi8_mask(bytes, bytes), 0x55555555u);
+}
+
+static int32_t ISA(pack)(const int32_t *contexts, const uint8_t *valid, size_t step, int32_t n, int32_t *packed) {
+  int32_t j = 0, n_packed = 0;
+  for (; step <= 2 && j + 16 < n; j += 16) { /* what is read is followed by a sample */
+    __mmask16 lanes = ISA(valid_lanes)(valid + (size_t)j * step, step);
+    _mm512_storeu_si512(packed + n_packed, _mm512_maskz_compress_epi32(lanes, _mm512_loadu_si512(contexts + j)));
+    n_packed += (int32_t)_mm_popcnt_u32(lanes);
+  }
+  return n_packed + ISA(pack_plain)(contexts + j, valid + (size_t)j * step, step, n - j, packed + n_packed);
+}
+
+static void ISA(unpack)(const int32_t *packed, const uint8_t *valid, size_t step, int32_t n, int32_t *details) {
+  int32_t j = 0;
+  for (; step <= 2 && j + 16 < n; j += 16) {
+    __mmask16 lanes = ISA(valid_lanes)(valid + (size_t)j * step, step);
+    _mm512_storeu_si512(details + j, _mm512_maskz_expand_epi32(lanes, _mm512_loadu_si512(packed)));
+    packed += _mm_popcnt_u32(lanes);
+  }
+  ISA(unpack_plain)(packed, valid + (size_t)j * step, step, n - j, details + j);
+}
+#define PACK ISA(pack)
+#define UNPACK ISA(unpack)
+#else
+#define PACK ISA(pack_plain)
+#define UNPACK ISA(unpack_plain)
+#endif

@@ -586,9 +586,8 @@ static twz_status copy_unit(const twz_window *w, const unit *u, const twz_box *b
     ptrdiff_t to_row = (ptrdiff_t)(row - b->row);
     size_t to_col = part->col - b->col;
     if (out->heights) {
-      TRY(write_raw(&f->heights, out->heights + to_row * out->heights_stride + to_col * size,
-                    u->is_void ? NULL : l->heights + at, l->valid ? l->valid + at : NULL,
-                    l->remainders ? l->remainders + at : NULL, part->n_cols, error));
+      TRY(write_raw(&f->heights, out->heights + to_row * out->heights_stride + to_col * size, u->is_void ? NULL : l, at,
+                    part->n_cols, error));
     }
     const uint8_t *own = l->own ? l->own : l->valid;
     struct { uint8_t *to; const uint8_t *from; } copies[2] = {

@@ -121,9 +121,16 @@ def __dir__() -> list[str]:
 
 
 def open(
-    source: Any, *, cache_bytes: int = 256 << 20, threads: int | None = None, native: bool = True
+    source: Any,
+    *,
+    cache_bytes: int = 256 << 20,
+    threads: int | None = None,
+    native: bool = True,
+    on_error: str = "raise",
 ) -> "Terrain":
     """Open a .twz file: a path, URL, bytes or file object. Options are those of `Terrain`."""
     from terrainwave.terrain import Terrain
 
-    return Terrain(source, cache_bytes=cache_bytes, threads=threads, native=native)
+    return Terrain(
+        source, cache_bytes=cache_bytes, threads=threads, native=native, on_error=on_error
+    )

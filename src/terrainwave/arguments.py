@@ -22,6 +22,8 @@ GEOTIFF_ENDINGS = (".tif", ".tiff")
 HEIGHT_TILE_ENDINGS = (".r16", ".png")
 # Which samples of a coarse level are void (`Terrain.read`).
 VOIDS = ("exact", "any")
+# What becomes of damaged blocks.
+ON_ERROR = RAISE, MASK = "raise", "mask"
 # What voids of a height tile become, if no height is given.
 FILLINGS = ("lowest", "fill")
 PICTURE_ENDINGS = (".png",)
@@ -33,7 +35,9 @@ _LONGEST_CODE = 40
 _LONGEST_VALUE = 60
 
 
-def check_ending(path: str | os.PathLike[str], endings: Sequence[str]) -> None:
+def check_ending(
+    path: str | os.PathLike[str], endings: Sequence[str], *, or_url: bool = False
+) -> None:
     """Refuse a target whose name says that it is something else than what is written.
 
     Nothing may be replaced by mistake: a raster that was given as the last of several sources, or
@@ -42,13 +46,16 @@ def check_ending(path: str | os.PathLike[str], endings: Sequence[str]) -> None:
     Raises
     ------
     InvalidArgumentError
-        If it is a URL, or the name has none of the endings, in capital or small letters.
+        If it is a URL, unless `or_url`, or the name has none of the endings, in capital or small
+        letters.
     """
-    check_local(path)
-    ending = Path(path).suffix.lower()
-    if ending not in endings:
+    if not or_url:
+        check_local(path)
+    name = path_in_url(checked_path(path))
+    ending = Path(name).suffix
+    if ending.lower() not in endings:
         raise InvalidArgumentError(
-            f"{os.fspath(path)}: found {ending or 'no extension'}, expected a name that ends in"
+            f"{name}: found {ending or 'no extension'}, expected a name that ends in"
             f" {one_of(endings)}"
         )
 
@@ -353,6 +360,21 @@ def check_flags(**flags: object) -> None:
         is_numpys = getattr(value, "dtype", None) == "bool" and getattr(value, "shape", None) == ()
         if not isinstance(value, bool) and not is_numpys:
             raise InvalidArgumentError(f"found `{name}` {shown(value)}, expected True or False")
+
+
+def check_band(band: int, n_bands: int, whose: str) -> None:
+    """Refuse a band that a raster does not have; `whose` says which raster.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If there is none of this number.
+    """
+    if not 1 <= band <= n_bands:
+        expected = "1" if n_bands == 1 else f"1 … {n_bands}"
+        raise InvalidArgumentError(
+            f"found `band` {band}, expected {expected}: {whose} has {count_of(n_bands, 'band')}"
+        )
 
 
 def check_effort(effort: str) -> None:

@@ -38,7 +38,7 @@ class Method:
         Module and class in `codec` of its options.
     refiner : str, optional
         Module and class in `codec` that code its units; None where these are gathered in tiles of
-        several levels (`codec.cdf53.tiles`), which have no aprons.
+        several levels (`codec.cdf53.tile_layout`), which have no aprons.
     pyramid : str
         Of what heights coarse levels are made (`write.pyramid`): every second sample, averages of
         the 9/7 filter or of the reversible 5/3.
@@ -89,19 +89,19 @@ METHODS = {
     method.name: method
     for method in (
         Method(name="rapid", number=4, options="rapid.Rapid",
-               refiner="rapid.refiner.Rapid", has_file_tables=True,
+               refiner="rapid.refiner.RapidRefiner", has_file_tables=True,
                has_reach=True, is_patchable=True),
         Method(name="predictive", number=2, options="predictive.Predictive",
-               refiner="predictive.refiner.Predictive",
+               refiner="predictive.refiner.PredictiveRefiner",
                has_file_tables=True, is_patchable=True,
                effort="1, 2 or 8 sets of weights"),
         Method(name="cdf97", number=1, options="cdf97.Cdf97",
-               refiner="cdf97.refiner.Cdf97", pyramid="lowpass",
+               refiner="cdf97.refiner.Cdf97Refiner", pyramid="lowpass",
                effort="1, up to 3 or up to 7 steps", has_layers=True, may_be_faithful=True),
         Method(name="cdf53", number=3, options="cdf53.Cdf53",
                pyramid="lowpass53", is_cuttable=True, is_clusterable=False),
         Method(name="store", number=0, options="store.Store",
-               refiner="store.refiner.Store"),
+               refiner="store.refiner.StoreRefiner"),
     )
 }  # fmt: skip
 DEFAULT_METHOD = METHODS["rapid"]  # what "auto" names, whatever the raster (decision 21)

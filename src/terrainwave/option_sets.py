@@ -9,13 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, Self
 
-from terrainwave.arguments import (
-    check_choice,
-    check_flags,
-    checked_number,
-    checked_whole,
-    one_of,
-)
+from terrainwave.arguments import check_choice, check_flags, checked_number, checked_whole, one_of
 from terrainwave.errors import InvalidArgumentError
 
 
@@ -123,7 +117,12 @@ class OptionSet:
                 raise InvalidArgumentError(
                     f"found `{name}`={word}, expected `{name}` alone, which switches it on"
                 )
-            values[name] = True if word is None else kind.read(word)
+            value = values[name] = True if word is None else kind.read(word)
+            try:
+                kind.checked(name, value)
+            except InvalidArgumentError as error:
+                expected = error.args[0].rpartition(", expected ")[2]
+                raise InvalidArgumentError(f"found `{name}`={word}, expected {expected}") from None
         return cls(**values)
 
     @classmethod
@@ -145,8 +144,19 @@ class OptionSet:
         return f"tw.{type(self).__name__}({given})"
 
 
-def refuse_unknown(name: str, argument: str, found: str, sets: Sequence[type[OptionSet]]) -> None:
+def refuse_unknown(
+    name: str, argument: str, sets: Sequence[type[OptionSet]], *, given: str, found: str
+) -> None:
     """Refuse an option that the set in use lacks: name the sets that have it.
+
+    Parameters
+    ----------
+    name, argument : str
+        Of the option, and of the argument that a set is given for.
+    sets : sequence of type
+        All there are.
+    given, found : str
+        Both as the user has written them.
 
     Raises
     ------
@@ -154,6 +164,4 @@ def refuse_unknown(name: str, argument: str, found: str, sets: Sequence[type[Opt
         Always.
     """
     having = one_of([each.name for each in sets if name in each.names()] or [""])
-    raise InvalidArgumentError(
-        f"found `{name}` and `{argument}` {found}, expected `{argument}` {having}"
-    )
+    raise InvalidArgumentError(f"found {given} and {found}, expected `{argument}` {having}")

@@ -4,7 +4,16 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from terrainwave.arguments import check_flags, checked_number, checked_numbers, shown
+from terrainwave.arguments import (
+    check_choice,
+    check_flags,
+    checked_number,
+    checked_numbers,
+    checked_path,
+    checked_whole,
+    one_of,
+    shown,
+)
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block
@@ -18,7 +27,7 @@ if TYPE_CHECKING:
     from terrainwave.raster_io.geotiff.stream import GeoTIFFStream
     from terrainwave.render.look.style import Style
     from terrainwave.render.window.static import Picture
-    from terrainwave.tri.mesh import BlockMesh
+    from terrainwave.tri.block_mesh import BlockMesh
 
 
 class Terrain(TerrainFile):
@@ -207,9 +216,18 @@ class Terrain(TerrainFile):
         *,
         size: tuple[int, int] = (960, 640),
         camera: str | None = None,
+        bounds: Sequence[float] | None = None,
         max_pixel_error: float = 1.0,
         style: "Style | None" = None,
-        **options: Any,
+        mode: str = "adaptive",
+        error: str = "measured",
+        detail: float | None = None,
+        order: int | None = None,
+        stepwise: bool = False,
+        orientation: bool = False,
+        drape: str | None = None,
+        exaggeration: float = 1.0,
+        radius: float | None = None,
     ) -> "Picture | None":
         """Open a window and fly over the terrain; in notebooks return a picture.
 
@@ -219,13 +237,32 @@ class Terrain(TerrainFile):
             Width and height in pixels.
         camera : str, optional
             ``x,y,z,heading,pitch,fov`` as `terrainwave view` prints it; by default all is shown.
+        bounds : (left, bottom, right, top), optional
+            What to show first instead, in the CRS.
         max_pixel_error : float
             τ: largest distance of the picture from the original heights, in pixels.
         style : terrainwave.render.look.style.Style, optional
             Colours, light and haze.
-        options
-            ``mode``, ``error``, ``detail``, ``order``, ``stepwise``, ``orientation``, ``drape``,
-            ``exaggeration``, ``radius`` as on the command line.
+        mode : str
+            How to draw the terrain; docs/viewing.md describes the modes.
+        error : {"measured", "paper", "coefficient"}
+            Errors and formula that select blocks. coefficient is for mode rqt and files of cdf53.
+        detail : float, optional
+            With mode batched and error "paper": the error of a level is this factor, > 0, times its
+            spacing; 0.5 by default.
+        order : {2, 4}, optional
+            With mode batched: order of the filter of levels; 4 by default.
+        stepwise : bool
+            With mode dynamic or vertex-texture: change one height of the quadtree in each frame.
+        orientation : bool
+            With mode adaptive, batched or loose: draw fewer triangles where the camera looks down.
+        drape : str, optional
+            Path or URL of an orthophoto to drape over the terrain.
+        exaggeration : float
+            Heights are multiplied by this factor, > 0.
+        radius : float, optional
+            Of the planet or moon in metres, > 0, for coordinates in degrees; by default that of the
+            CRS's ellipsoid.
 
         Returns
         -------
@@ -235,19 +272,52 @@ class Terrain(TerrainFile):
 
         Raises
         ------
+        InvalidArgumentError
+            If an argument cannot be, or the mode does not have it.
         TerrainwaveError
             If neither a window nor OpenGL without a window is available; the message says what to
             install.
         """
         from terrainwave.render.look.style import Style
+        from terrainwave.render.modes import MODES, mode_class, options_of
+        from terrainwave.render.modes.neville import ORDERS
         from terrainwave.render.window.static import view
 
         size = checked_numbers("size", size, "width, height", is_whole=True)
         if min(size) < 1:
             raise InvalidArgumentError(f"found `size` {shown(size)}, expected pixels >= 1")
         max_pixel_error = checked_number("max_pixel_error", max_pixel_error, above=0)
+        check_flags(stepwise=stepwise, orientation=orientation)
+        check_choice("mode", mode, MODES)
+        check_choice("error", error, mode_class(mode).errors)
+        if detail is not None:
+            detail = checked_number("detail", detail, above=0)
+        if order is not None:
+            orders = one_of([*map(str, ORDERS)])
+            if checked_whole("order", order, expected=orders) not in ORDERS:
+                raise InvalidArgumentError(f"found `order` {order}, expected {orders}")
+        exaggeration = checked_number("exaggeration", exaggeration, above=0)
+        if radius is not None:
+            radius = checked_number("radius", radius, above=0)
+        if drape is not None:
+            drape = checked_path(drape, "drape")
+        if camera is not None and bounds is not None:
+            raise InvalidArgumentError("found both `camera` and `bounds`, expected one of them")
+        if bounds is not None:
+            bounds = checked_numbers("bounds", bounds, "left, bottom, right, top")
+        if camera is not None and not isinstance(camera, str):
+            raise InvalidArgumentError(
+                f"found `camera` {shown(camera)}, expected x,y,z,heading,pitch,fov as a text"
+            )
+        if style is not None and not isinstance(style, Style):
+            raise InvalidArgumentError(f"found `style` {shown(style)}, expected a Style")
+        options_of(
+            mode, detail=detail, order=order, stepwise=stepwise, orientation=orientation
+        )  # which refuses what the mode has not, before a window opens
 
         return view(
-            self, size=size, camera=camera, style=style or Style(),
-            max_pixel_error=max_pixel_error, **options,
+            self, size=size, camera=camera, bounds=bounds, style=style or Style(), mode=mode,
+            error=error, max_pixel_error=max_pixel_error, detail=detail, order=order,
+            stepwise=stepwise, orientation=orientation, drape=drape, exaggeration=exaggeration,
+            radius=radius,
         )  # fmt: skip

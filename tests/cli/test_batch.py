@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import sys
+import threading
 import time
 
 import numpy as np
@@ -86,12 +87,19 @@ def test_what_is_there_is_skipped_kept_or_replaced(tmp_path, dems, files):
 # --- --skip-existing: what is there counts only if it is what the command would make
 
 
+def in_json(done, paths):
+    """Return the lines of --json, one for each file, in the order of the files."""
+    found = {line["source"]: line for line in map(json.loads, done.stdout.splitlines())}
+    assert found.keys() == set(map(str, paths))
+    return [found[str(path)] for path in paths]
+
+
 def batch_of(paths, directory, *options):
     """Run a batch of `compress` with --skip-existing; return what became of each, and the notes."""
     done = run("compress", *paths, "--to", directory, "--skip-existing", "--json", *QUICK, *options)
     assert done.exit_code == 0, done.stderr
     notes = [line for line in done.stderr.splitlines() if "made again" in line]
-    return [file["status"] for file in json.loads(done.stdout)["files"]], notes
+    return [file["status"] for file in in_json(done, paths)], notes
 
 
 @pytest.fixture
@@ -355,18 +363,77 @@ def test_a_missing_original_is_a_failure_of_its_file(tmp_path, dems, files):
     dems[2].unlink()
     done = run("verify", *files, "--originals", tmp_path / "dems")
     assert done.exit_code == 1
-    assert f"{files[2]}: found none, expected one raster c in" in done.stderr
+    assert f"{files[2]}: found no raster c in" in done.stderr
     assert done.stdout.splitlines()[-1] == "3 files: 2 ok, 1 failed"
 
 
-def test_json_lists_all_files_in_their_order(tmp_path, dems):
+def test_json_is_a_line_for_each_file(tmp_path, dems):
     dems[1].write_text("no raster")
     done = run("compress", *dems, "--to", tmp_path / "out", *QUICK, "--json")
-    found = json.loads(done.stdout)["files"]
+    found = in_json(done, dems)
     assert [file["status"] for file in found] == ["compressed", "failed", "compressed"]
-    assert [file["source"] for file in found] == list(map(str, dems))
     assert found[2]["n_bytes"] == (tmp_path / "out" / "c.twz").stat().st_size
+    assert all(file["seconds"] >= 0 for file in found)
     assert "not a raster" in found[1]["error"]
+    assert found[1]["error_class"] == "StorageError"
+    done = run("verify", *(tmp_path / "out").glob("*.twz"), "--json")
+    assert [json.loads(line)["status"] for line in done.stdout.splitlines()] == ["ok", "ok"]
+
+
+def test_lines_of_json_come_while_the_batch_runs(tmp_path):
+    """The second raster is a pipe that nobody fills until the first line is there."""
+    first = write_geotiff(tmp_path / "first.tif", terrain_like(12, 10))
+    second = write_geotiff(tmp_path / "second.tif", terrain_like(12, 10))
+    seen, work = [], threading.Event()
+
+    def do(job, threads, progress):
+        if job.source == str(second):
+            assert work.wait(60)
+        return batch.Done("done", {"n_bytes": 1})
+
+    def told(fields):
+        seen.append(fields["source"])
+        work.set()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(batch, "print_json_line", told)
+        jobs = [batch.FileJob(str(path)) for path in (second, first)]
+        assert batch.run(jobs, do, word="done", threads=2, as_json=True, quiet=False) == 0
+    assert seen == [str(first), str(second)]
+
+
+@pytest.mark.full
+def test_many_files_with_bad_ones_among_them_restarted(tmp_path):
+    """200 files, 3 of them bad: each run makes what is missing, and tells of each in one line."""
+    rasters = [
+        write_geotiff(tmp_path / f"{number:03}.tif", terrain_like(9, 8, seed=number))
+        for number in range(200)
+    ]
+    bad = rasters[7], rasters[100], rasters[199]
+    for path in bad:
+        path.write_bytes(b"II*\0 no raster")
+    out = tmp_path / "out"
+    expected = ["failed" if path in bad else "compressed" for path in rasters]
+    for number in range(3):
+        done = run(
+            "compress", *rasters, "--to", out, "--skip-existing", "--json", "--no-mesh",
+            "--max-error", "0", "--block", "32",
+        )  # fmt: skip
+        assert done.exit_code == 1
+        assert [file["status"] for file in in_json(done, rasters)] == expected
+        assert done.stderr.count("is not a raster") == 3
+        expected = [status.replace("compressed", "skipped") for status in expected]
+        if number == 0:  # as if the run had been stopped
+            for path in rasters[50:60]:
+                (out / f"{path.stem}.twz").unlink()
+                expected[rasters.index(path)] = "compressed"
+        elif number == 1:
+            expected = [status.replace("compressed", "skipped") for status in expected]
+    for path in rasters:
+        if path not in bad:
+            with terrainwave.open(out / f"{path.stem}.twz") as terrain:
+                assert np.array_equal(terrain.read(), read_geotiff(path)[0])
+    assert len(list(out.glob("*.twz"))) == 197
 
 
 @pytest.mark.parametrize(
@@ -403,19 +470,22 @@ def test_options_that_fit_no_file_are_wrong_usage(tmp_path, files):
 @pytest.mark.parametrize(("threads", "each"), [(1, 1), (3, 1), (7, 2)])
 def test_threads_are_shared(monkeypatch, threads, each):
     running, most, shares = set(), [], set()
+    n_at_once = threads // each
+    together = threading.Barrier(n_at_once)  # as many as may run do
 
     def work(job, n_threads, progress):
         running.add(job)
-        time.sleep(0.02)
+        together.wait(60)
         most.append(len(running))
+        together.wait(60)
         shares.add(n_threads)
         running.remove(job)
         return batch.Done(job.source)
 
-    jobs = [batch.Job(str(number)) for number in range(6 if threads == 1 else 3)]
+    jobs = [batch.FileJob(str(number)) for number in range(6 if threads == 1 else 3)]
     found, status = batch.run(jobs, work, word="done", threads=threads, quiet=True)
     assert (len(found), status, shares) == (len(jobs), 0, {each})
-    assert max(most) * each <= threads
+    assert max(most) == n_at_once
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
@@ -427,8 +497,8 @@ def test_a_signal_ends_all_jobs_and_leaves_what_is_finished(tmp_path):
     out = tmp_path / "out"
     sources = [tmp_path / "b.tif", tmp_path / "c.tif"]
     process = start("compress", *sources, "--to", out, "--max-error", 1, "--threads", 2)
-    deadline = time.monotonic() + 200
-    while not (out.exists() and len(os.listdir(out)) >= 2) and time.monotonic() < deadline:
+    while not (out.exists() and len(os.listdir(out)) >= 2):
+        assert process.poll() is None
         time.sleep(0.01)
     process.send_signal(signal.SIGTERM)
     _, stderr = process.communicate(timeout=300)
@@ -453,10 +523,10 @@ def test_lack_of_memory_is_a_failure_of_one_file(tmp_path, dems, monkeypatch):
 def test_an_original_must_be_one(tmp_path):
     for name in ("a.tif", "a.vrt", "a.twz", "a.json"):
         (tmp_path / name).write_text("")
-    with pytest.raises(StorageError, match=r"a\.tif, .*a\.vrt, expected one raster a"):
-        batch.find_original("x/a.twz", str(tmp_path))
+    with pytest.raises(StorageError, match=r"a\.tif, .*a\.vrt in .*, expected one, as a.tif"):
+        batch.find_original("x/a.twz", tmp_path)
     (tmp_path / "a.vrt").unlink()
-    assert batch.find_original("x/a.twz", str(tmp_path)) == str(tmp_path / "a.tif")
+    assert batch.find_original("x/a.twz", tmp_path) == str(tmp_path / "a.tif")
 
 
 def test_heights_without_a_place_are_not_those_with_one(tmp_path):
@@ -472,3 +542,36 @@ def test_heights_without_a_place_are_not_those_with_one(tmp_path):
         done = run(*batch, *options)
         assert done.exit_code == 0, done.output
         assert status in done.stdout
+
+
+def test_a_folder_stands_for_the_files_below_it(tmp_path):
+    """Folders are kept; hidden files, other files and the target's own are left out."""
+    folder = tmp_path / "in"
+    for place in ("", "x", "x/y", ".hidden"):
+        (folder / place).mkdir(exist_ok=True)
+        write_geotiff(folder / place / "a.TIF", terrain_like(12, 10, seed=len(place)))
+    (folder / "x" / "notes.txt").write_text("no raster")
+    out = folder / "out"
+    for word in ("3 compressed", "3 skipped"):
+        done = run("compress", folder, "--to", out, *QUICK, "--skip-existing")
+        assert done.exit_code == 0, done.stderr
+        assert word in done.stdout
+    files = sorted(path.relative_to(out).as_posix() for path in out.rglob("*.twz"))
+    assert files == ["a.twz", "x/a.twz", "x/y/a.twz"]
+    done = run("verify", out, "--originals", folder)
+    assert (done.exit_code, done.stdout.count("120 heights compared")) == (0, 3), done.stderr
+    assert run("verify", out).exit_code == 0
+    done = run("decompress", out, "--to", tmp_path / "back")
+    assert done.exit_code == 0, done.stderr
+    for path in files:
+        found = read_geotiff(tmp_path / "back" / path.replace(".twz", ".tif"))[0]
+        assert np.abs(found - read_geotiff(folder / path.replace(".twz", ".TIF"))[0]).max() <= 1
+
+
+def test_a_folder_without_a_fitting_file_is_wrong_usage(tmp_path):
+    (tmp_path / "in").mkdir()
+    for command in (("compress", "--to", tmp_path / "out"), ("verify",)):
+        done = run(command[0], tmp_path / "in", *command[1:])
+        assert done.exit_code == 2
+        assert "found no file in" in done.stderr
+    assert not (tmp_path / "out").exists()

@@ -14,7 +14,7 @@ from tri.meshes import grid_mesh
 
 import terrainwave
 from terrainwave.cli import main
-from terrainwave.export.files import EXTENSIONS
+from terrainwave.export.mesh_files import EXTENSIONS
 from terrainwave.terrain import Terrain
 
 
@@ -359,8 +359,14 @@ def test_store_adds_meshes_to_a_copy(tmp_path):
         ("--store --mesh none", "'none' is not one of 'halves', 'zerotree', 'rqt'"),
         ("--store --mesh rqt3", "rqt3"),
         ("--store --mesh zerotree -o labels=coded", "that codes no zero trees"),
-        ("--store -o labels=coded", "found -o labels and --mesh halves, expected --mesh zerotree"),
-        ("--store --mesh rqt -o rate=1", "found -o rate, expected -o select (see terrainwave mesh"),
+        (
+            "--store -o labels=coded",
+            "found -o labels=coded and no --mesh, expected --mesh zerotree",
+        ),
+        (
+            "--store --mesh rqt -o rate=1",
+            "found -o rate=1, expected -o select (see terrainwave mesh",
+        ),
         ("-o labels=coded", "found -o without --store"),
     ],
 )

@@ -132,7 +132,7 @@ def test_a_flight_writes_numbered_pictures(file, tmp_path):
         (["--mode", "best"], "adaptive", 2),
         (["--background", "red"], "hexadecimal", 2),
         (["--radius", "0"], "--radius", 2),
-        (["--size", "200000x2"], "pixels", 1),
+        (["--size", "200000x2"], "pixels", 2),
         (["--bounds", "5,5,1,1"], "left < right", 2),
         (["--coloring", "ground"], "'auto', 'absolute', 'relative'", 2),
         (["--legend", "--coloring", "plain"], "found --legend with --coloring plain", 2),
@@ -201,6 +201,14 @@ def test_an_existing_picture_is_kept_unless_told(file, tmp_path):
     assert (tmp_path / "x.png").read_text() == "mine"
     done = run("render", file, tmp_path / "x.png", "--size", "20x20", "--overwrite")
     assert done.exit_code == 0, done.output
+
+
+def test_pictures_with_text_name_the_library_that_is_missing(monkeypatch, file, tmp_path):
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    done = run("render", file, tmp_path / "x.png", "--size", "300x200", "--legend")
+    assert done.exit_code == 1
+    assert 'text in a picture needs pillow: pip install "terrainwave[view]"' in done.stderr
+    assert not (tmp_path / "x.png").exists()
 
 
 @pytest.mark.parametrize("arguments", [("view",), ("render", "x.png")])

@@ -8,6 +8,7 @@ from commands import run
 from strategies import terrain_like, write_geotiff
 
 import terrainwave
+from terrainwave.cli.commands.mesh import mesh as mesh_command
 from terrainwave.codec import method_options
 from terrainwave.names import MESH_KINDS, METHODS
 from terrainwave.tri import mesh_options
@@ -93,23 +94,32 @@ def test_a_rate_in_the_way_of_1_0_is_kept_with_a_note(tmp_path, dem):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("-o rate=1", "found -o rate and --method auto, expected --method cdf53"),
+        ("-o rate=1", "found -o rate=1 and no --method, expected --method cdf53"),
         ("-o faithful --method store", "found -o faithful and --method store, expected --method"),
-        ("-o labels=layer", "found -o labels and --mesh halves, expected --mesh zerotree"),
-        ("-o select=error --mesh none", "found -o select and --mesh none, expected --mesh rqt"),
+        ("-o labels=layer", "found -o labels=layer and no --mesh, expected --mesh zerotree"),
+        ("-o select=error --mesh none", "found -o select=error and --mesh none, expected --mesh"),
         ("--faithful -o faithful", "found --faithful and -o faithful, expected one of them"),
         ("--no-mesh --mesh rqt", "found --no-mesh and --mesh, expected one of them"),
-        ("-o foo=1", "found -o foo, expected -o border_rings (see terrainwave compress --help)"),
+        ("-o foo=1", "found -o foo=1, expected -o border_rings (see"),
         ("-o foo --method cdf97 --mesh rqt", "expected -o border_rings, faithful or select (see"),
-        ("-o border_rings=x", "found -o border_rings 'x', expected 1 or 3"),
-        ("-o border_rings=2", "found -o border_rings 2, expected 1 or 3"),
+        ("-o border_rings=x", "found -o border_rings=x, expected 1 or 3"),
+        ("-o border_rings=2", "found -o border_rings=2, expected 1 or 3"),
         ("-o border_rings", "found -o border_rings without a value, expected -o border_rings=1|3"),
         ("--method cdf97 -o faithful=no", "found -o faithful=no, expected -o faithful alone"),
         ("-o border_rings=1 -o border-rings=3", "found -o border_rings twice, expected it once"),
+        ("--faithful --method rapid", "found --faithful and --method rapid, expected --method"),
+        ("--rate 2 --method store", "found --rate 2 and --method store, expected --method cdf53"),
+        ("--method cdf53 -o rate=nan", "found -o rate=nan, expected a finite number > 0"),
+        ("--mesh zerotree -o labels=3", "found -o labels=3, expected one of plain, layer, coded"),
+        ("--mesh zerotree -o labels=coded", "found -o labels=coded for a file that codes no zero"),
+        (
+            "--mesh rqt -o select=coefficient",
+            "found -o select=coefficient for a file of method rapid, expected one of method cdf53",
+        ),
         ("-o =3", "found -o =3, expected NAME or NAME=VALUE"),
         (
             "--mesh zerotree-plain -o labels=layer",
-            "found -o labels and --mesh zerotree-plain,",
+            "found -o labels=layer and --mesh zerotree-plain,",
         ),
     ],
 )
@@ -119,6 +129,56 @@ def test_what_cannot_be_is_one_line(tmp_path, dem, words, message):
     (line,) = (line for line in done.stderr.splitlines() if not line.startswith("note:"))
     assert message in line
     assert not (tmp_path / "a.twz").exists()
+
+
+LISTS = "terrainwave compress --method METHOD --help"
+
+
+@pytest.mark.parametrize(
+    ("words", "pointer"),
+    [
+        ("compress a.tif a.twz -o", LISTS),
+        ("compress a.tif a.twz -o border_rings", LISTS),
+        ("compress a.tif a.twz -o border_rings=2", LISTS),
+        ("compress a.tif a.twz -o faithful", "terrainwave compress --method cdf97 --help"),
+        ("compress a.tif a.twz --method cdf97 -o", "terrainwave compress --method cdf97 --help"),
+        (
+            "compress a.tif a.twz --method cdf53 --mesh zerotree -o foo",
+            "terrainwave compress --method cdf53 --mesh zerotree --help",
+        ),
+        (
+            "compress a.tif a.twz -o border_rings=3 --method cdf53",
+            "terrainwave compress --method rapid --help",
+        ),
+        ("compress a.tif a.twz --max-error", "terrainwave compress --help"),
+        ("compress a.tif a.twz --open", "terrainwave compress --help"),
+        ("mesh a.twz b.twz --store -o", "terrainwave mesh --mesh KIND --help"),
+        ("mesh a.twz b.twz --store -o rate=3", "terrainwave mesh --mesh KIND --help"),
+        ("mesh a.twz b.twz --store -o select=error", "terrainwave mesh --mesh rqt --help"),
+        ("info --voids=3", "terrainwave info --help"),
+        ("nothing", "terrainwave --help"),
+    ],
+)
+def test_a_message_names_the_help_that_lists_what_is_wrong(words, pointer):
+    done = run(*words.split())
+    assert done.exit_code == 2
+    assert done.stderr.endswith(f"(see {pointer})\n")
+    if "METHOD" not in pointer and "KIND" not in pointer:
+        assert run(*pointer.split()[1:]).exit_code == 0
+
+
+def test_meshes_of_a_file_name_no_option_that_the_command_lacks(tmp_path, dem):
+    terrainwave.compress(dem, tmp_path / "a.twz", max_error=1, block=32, mesh="none")
+    names = {name for option in mesh_command.params for name in option.opts}
+    for words in ("", "--mesh rqt", "--mesh zerotree"):
+        for own in ("select=coefficient", "labels=coded", "border_rings=3", "select=x", "labels"):
+            done = run(
+                "mesh", tmp_path / "a.twz", tmp_path / "b.twz", "--store", *words.split(), "-o", own
+            )
+            assert done.exit_code == 2
+            assert f"found -o {own}" in done.stderr
+            for option in re.findall("--[a-z-]+", done.stderr.partition("(see")[0]):
+                assert option in names
 
 
 @pytest.mark.parametrize("kind", SETS, ids=lambda kind: kind.name)

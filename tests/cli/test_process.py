@@ -272,7 +272,7 @@ def test_names_may_be_as_long_as_the_system_takes(tmp_path, dem, n_bytes, letter
 
 
 def test_what_a_killed_run_left_beside_a_long_name_is_removed(tmp_path):
-    from terrainwave.container.publish import publish, scratch_directory
+    from terrainwave.container.targets.publication import publish, scratch_directory
 
     first, second = (tmp_path / ("a" * 240 + end) for end in ("1.twz", "2.twz"))
     with publish(first) as part, scratch_directory(tmp_path, first.name) as scratch:
@@ -482,7 +482,7 @@ try:
         thing = Thing()
         reference = weakref.ref(thing, callback)
         del thing
-        time.sleep(20)
+        time.sleep(600)  # until the signal
 except Terminated as ended:
     sys.exit(ended.status)
 """
@@ -491,6 +491,6 @@ except Terminated as ended:
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM there")
 def test_a_signal_that_python_drops_is_sent_again():
     done = subprocess.run(
-        [sys.executable, "-c", SWALLOWED], capture_output=True, text=True, timeout=15
+        [sys.executable, "-c", SWALLOWED], capture_output=True, text=True, timeout=300
     )
     assert (done.returncode, done.stderr) == (143, "")

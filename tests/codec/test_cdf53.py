@@ -6,9 +6,9 @@ from containers import open_container
 from strategies import terrain_like
 from twz import twz_bytes
 
-from terrainwave.codec.cdf53 import tiles
+from terrainwave.codec.cdf53 import tile_layout
 from terrainwave.codec.cdf53.refiner import PIECE, decode_tile, encode_tile, plane_cut, unpack_head
-from terrainwave.codec.cdf53.tiles import TileLayout
+from terrainwave.codec.cdf53.tile_layout import TileLayout
 from terrainwave.codec.refiner import ALL_VALID
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TruncatedStreamError
 from terrainwave.grid.quadtree import Block, Grid
@@ -20,7 +20,7 @@ HEIGHTS = terrain_like(150, 140, seed=5)
 @pytest.fixture
 def small_tiles(monkeypatch):
     """Make tiles of two levels of 32 x 32 blocks: 129 x 129 samples."""
-    monkeypatch.setattr(tiles, "_TILE_LOG2", 7)
+    monkeypatch.setattr(tile_layout, "_TILE_LOG2", 7)
 
 
 def file_of(heights, **options):
@@ -172,7 +172,7 @@ def test_floats_on_no_grid_can_be_cut():
     ("options", "message"),
     [
         ({"rate": 1, "max_error": 1}, "max_error and rate, expected one of them"),
-        ({"rate": 1, "psnr": 40}, "rate and psnr, expected one of them"),
+        ({"rate": 1, "psnr": 40}, "rate=1 and psnr=40, expected one of them"),
         ({"rate": 1, "method": "cdf97"}, "rate and method cdf97, expected method cdf53"),
         ({"rate": 0}, "rate 0, expected a finite number > 0"),
         ({"psnr": float("nan")}, "psnr nan, expected a finite number"),

@@ -18,7 +18,7 @@ from lone_units import (
     terrain,
 )
 
-from terrainwave.codec.cdf97.refiner import _HAS_COEFFS, Cdf97, _read_header
+from terrainwave.codec.cdf97.refiner import _HAS_COEFFS, Cdf97Refiner, _read_header
 from terrainwave.codec.cdf97.zerotree import mark_labels, node_offsets
 from terrainwave.codec.refiner import Sides
 from terrainwave.coding.filters import lowpass_analysis
@@ -29,7 +29,7 @@ from terrainwave.grid.quadtree import Grid
 
 def check(spec, parent, target, mask=None):
     """Check everything promised; return the payload and the labels."""
-    payload, _, labels = check_refiner(Cdf97(), spec, parent, target, mask)
+    payload, _, labels = check_refiner(Cdf97Refiner(), spec, parent, target, mask)
     return payload, labels
 
 
@@ -182,7 +182,7 @@ def test_neighbours_decode_the_same_bits_in_any_order(size, rings, has_voids):
     rng = np.random.default_rng(11)
     masks = [rng.random(level.shape) < (0.7 if has_voids else 2) for level in levels]
     # Those with a void of the file are to the letter.
-    check_neighbours(Cdf97(), grid, levels, rings, 0, masks, is_faithful=has_voids)
+    check_neighbours(Cdf97Refiner(), grid, levels, rings, 0, masks, is_faithful=has_voids)
 
 
 # Damage ----------------------------------------------------------------------------------------
@@ -194,7 +194,7 @@ def small_payload(*, is_faithful=False):
     spec = lone_spec(target.shape, 5, 0, Sides(True, False, False, True))
     spec = faithful(spec) if is_faithful else spec
     parent, mask = parent_of(target), np.ones(target.shape, dtype=bool)
-    payload, _, _ = Cdf97().encode(spec, parent, target, mask)
+    payload, _, _ = Cdf97Refiner().encode(spec, parent, target, mask)
     return spec, parent, mask, payload
 
 
@@ -205,7 +205,7 @@ def test_prefixes_are_rejected():
     n_accepted = 0
     for length in range(len(payload)):
         try:
-            Cdf97().decode(spec, parent, mask, payload[:length])
+            Cdf97Refiner().decode(spec, parent, mask, payload[:length])
         except CorruptStreamError:
             continue
         n_accepted += 1
@@ -215,7 +215,7 @@ def test_prefixes_are_rejected():
 def test_an_extra_byte_is_rejected():
     spec, parent, mask, payload = small_payload()
     with pytest.raises(CorruptStreamError):
-        Cdf97().decode(spec, parent, mask, payload + b"\0")
+        Cdf97Refiner().decode(spec, parent, mask, payload + b"\0")
 
 
 @pytest.mark.parametrize("is_faithful", [False, True])
@@ -225,7 +225,7 @@ def test_every_flipped_byte_gives_heights_or_our_own_error(is_faithful):
         for change in (1, 128, 255):
             broken = bytearray(payload)
             broken[pos] ^= change
-            check_damaged(Cdf97(), spec, parent, mask, bytes(broken))
+            check_damaged(Cdf97Refiner(), spec, parent, mask, bytes(broken))
 
 
 @given(
@@ -240,4 +240,4 @@ def test_any_bytes_give_heights_or_our_own_error(payload, has_parent, step, is_f
     spec = faithful(spec) if is_faithful else spec
     if not has_parent:
         spec, parent = dataclasses.replace(spec, parent_region=None), None
-    check_damaged(Cdf97(), spec, parent, mask, payload)
+    check_damaged(Cdf97Refiner(), spec, parent, mask, payload)

@@ -17,7 +17,7 @@ from terrainwave.codec.corrections import decode_corrections, encode_corrections
 from terrainwave.codec.group import decode_unit, encode_unit, implied_voids
 from terrainwave.codec.refiner import FREE
 from terrainwave.codec.shared_lines import plan_border, shared_samples
-from terrainwave.codec.units import block_of_unit, unit_spec
+from terrainwave.codec.unit_specs import block_of_unit, unit_spec
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid

@@ -23,7 +23,7 @@ from terrainwave.codec.predictive.file_tables import (
 )
 from terrainwave.codec.predictive.fit import fit_non_negative, fit_tables, fit_weights
 from terrainwave.codec.predictive.passes import N_FEATURES
-from terrainwave.codec.predictive.refiner import Predictive
+from terrainwave.codec.predictive.refiner import PredictiveRefiner
 from terrainwave.codec.predictive.trained import E_WEIGHTS, STENCILS
 from terrainwave.codec.refiner import GroupSpec
 from terrainwave.codec.registry import refiner_by_name
@@ -159,7 +159,7 @@ def fitted_to(heights, step):
     def valid(level, region):
         return np.ones(region.shape, dtype=bool)
 
-    return Predictive().fitted(grid, step, read, valid), fit_tables(grid, step, read, valid)
+    return PredictiveRefiner().fitted(grid, step, read, valid), fit_tables(grid, step, read, valid)
 
 
 def unit(shape, step):
@@ -179,14 +179,14 @@ def test_fitted_tables_make_a_strange_surface_smaller_within_the_bound(step):
     target = np.ascontiguousarray(heights[:257, :257])
     parent = np.ascontiguousarray(target[::2, ::2])
     payload, decoded, _ = refiner.encode(spec, parent, target, mask)
-    plain, _, _ = Predictive().encode(spec, parent, target, mask)
+    plain, _, _ = PredictiveRefiner().encode(spec, parent, target, mask)
     assert len(payload) < (0.98 if step == 1 else 0.95) * len(plain)
-    back, _ = Predictive(refiner.file_tables).decode(spec, parent, mask, payload)
+    back, _ = PredictiveRefiner(refiner.file_tables).decode(spec, parent, mask, payload)
     np.testing.assert_array_equal(back, decoded)
     assert np.abs(back.astype(np.int64) - target).max() <= spec.half
     # Without its tables the stream means something else, or nothing.
     try:
-        other, _ = Predictive().decode(spec, parent, mask, payload)
+        other, _ = PredictiveRefiner().decode(spec, parent, mask, payload)
     except CorruptStreamError:
         return
     assert not np.array_equal(other, decoded)
@@ -217,7 +217,7 @@ def test_extreme_file_tables_cannot_overflow():
         {plane: weights for plane in PLANES},
     )
     assert abs(weights_of(1, added.stencils[1][0])).max() > 15_000
-    refiner = Predictive(pack_file_tables(added))
+    refiner = PredictiveRefiner(pack_file_tables(added))
     spec = dataclasses.replace(unit(shape, 3), z_min=-big, z_max=big)
     mask = np.ones(shape, dtype=bool)
     payload, decoded, _ = refiner.encode(spec, parent, target, mask)

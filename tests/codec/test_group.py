@@ -13,7 +13,7 @@ from terrainwave.codec import group
 from terrainwave.codec.group import decode_unit, encode_unit, implied_voids, voids_below
 from terrainwave.codec.refiner import Decoded, Validity
 from terrainwave.codec.registry import refiner_by_name
-from terrainwave.codec.units import block_of_unit, unit_spec
+from terrainwave.codec.unit_specs import block_of_unit, unit_spec
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region

@@ -27,7 +27,7 @@ from terrainwave.codec.magnitudes import (
 from terrainwave.codec.planes import PAD, TAPS, fill_frame, merge, plane_sizes, split
 from terrainwave.codec.predictive import refiner as predictive
 from terrainwave.codec.predictive.passes import fits_narrow
-from terrainwave.codec.predictive.refiner import Predictive, _Rows
+from terrainwave.codec.predictive.refiner import PredictiveRefiner, _Rows
 from terrainwave.codec.predictive.trained import E_WEIGHTS, STENCILS, start_models
 from terrainwave.coding.rangecoder import (
     finish_decoder,
@@ -42,7 +42,7 @@ from terrainwave.coding.rangecoder import (
 
 def check(spec, parent, target, mask=None):
     """Check everything promised; return the payload and the heights."""
-    payload, heights, labels = check_refiner(Predictive(), spec, parent, target, mask)
+    payload, heights, labels = check_refiner(PredictiveRefiner(), spec, parent, target, mask)
     assert (labels is None) == (parent is None)
     if labels is not None:
         assert labels.shape == parent.shape
@@ -171,7 +171,7 @@ def test_only_heights_whose_sums_fit_get_32_bits():
 
 def test_a_flat_group_is_one_zero_tree():
     plane = np.full((33, 33), 700, dtype=np.int32)
-    _, _, trees = Predictive().encode(
+    _, _, trees = PredictiveRefiner().encode(
         lone_spec(plane.shape, 3), np.ascontiguousarray(plane[::2, ::2]), plane, plane == plane
     )
     # 17 x 17 nodes: 2**5 is the first power of two above 16.
@@ -187,7 +187,9 @@ def test_a_spike_is_significant_in_the_node_that_holds_its_detail(place, nodes):
     target = np.zeros((65, 65), dtype=np.int32)
     target[place] = 40
     parent = np.zeros((33, 33), dtype=np.int32)
-    _, _, trees = Predictive().encode(lone_spec(target.shape, 21), parent, target, target == target)
+    _, _, trees = PredictiveRefiner().encode(
+        lone_spec(target.shape, 21), parent, target, target == target
+    )
     # Its neighbours' predictions use it and miss; far from it nothing is significant.
     found = {(int(i), int(j)) for i, j in np.argwhere(trees == 0)}
     assert set(nodes) <= found
@@ -201,7 +203,7 @@ def test_voids_are_never_significant():
     mask = np.ones(target.shape, dtype=bool)
     mask[20:50, 10:40] = False
     parent = coarse_of(target, 1)
-    _, _, trees = Predictive().encode(lone_spec(target.shape, 1), parent, target, mask)
+    _, _, trees = PredictiveRefiner().encode(lone_spec(target.shape, 1), parent, target, mask)
     assert (trees[10:24, 5:19] > 0).all()
     assert (trees == 0).any()
 
@@ -210,8 +212,8 @@ def test_labels_are_left_out_where_nobody_wants_them():
     target = terrain((33, 33))
     spec = dataclasses.replace(lone_spec(target.shape), wants_labels=False)
     parent = coarse_of(target, 3)
-    payload, heights, labels = Predictive().encode(spec, parent, target, target == target)
-    back, back_labels = Predictive().decode(spec, parent, target == target, payload)
+    payload, heights, labels = PredictiveRefiner().encode(spec, parent, target, target == target)
+    back, back_labels = PredictiveRefiner().decode(spec, parent, target == target, payload)
     assert labels is None
     assert back_labels is None
     np.testing.assert_array_equal(back, heights)
@@ -225,8 +227,8 @@ def test_what_a_thread_decoded_before_leaves_no_trace(shape):
     results = []
     for filling in (0, 1 << 20, -7):
         predictive._WORKSPACE.memory = np.full(20_000, filling, dtype=np.int32)
-        payload, _, _ = Predictive().encode(spec, parent, target, mask)
+        payload, _, _ = PredictiveRefiner().encode(spec, parent, target, mask)
         predictive._WORKSPACE.memory.fill(-filling)
-        heights, trees = Predictive().decode(spec, parent, mask, payload)
+        heights, trees = PredictiveRefiner().decode(spec, parent, mask, payload)
         results.append((payload, heights.tobytes(), trees.tobytes()))
     assert results[0] == results[1] == results[2]

@@ -39,7 +39,7 @@ from terrainwave.codec.rapid.file_tables import (
     rest_symbols,
 )
 from terrainwave.codec.rapid.fit import codes_for
-from terrainwave.codec.rapid.fit_stencils import Samples, _normal, _solved, fit_weights, gather
+from terrainwave.codec.rapid.fit_stencils import FitSamples, _normal, _solved, fit_weights, gather
 from terrainwave.codec.rapid.layout import (
     CORES,
     F_BEND,
@@ -52,7 +52,7 @@ from terrainwave.codec.rapid.layout import (
     TAPS,
 )
 from terrainwave.codec.rapid.magnitude import MOST_ERROR, N_CONTEXTS, scale_of, scaled_features
-from terrainwave.codec.rapid.refiner import Rapid
+from terrainwave.codec.rapid.refiner import RapidRefiner
 from terrainwave.codec.rapid.symbols import ESCAPE, N_SYMBOLS
 from terrainwave.codec.refiner import Sides
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
@@ -66,7 +66,7 @@ WIDE = 1
 
 def check(spec, parent, target, mask=None, refiner=None):
     """Check everything promised; return the payload and the heights."""
-    payload, heights, labels = check_refiner(refiner or Rapid(), spec, parent, target, mask)
+    payload, heights, labels = check_refiner(refiner or RapidRefiner(), spec, parent, target, mask)
     assert labels is None
     return payload, heights
 
@@ -74,7 +74,7 @@ def check(spec, parent, target, mask=None, refiner=None):
 def refiner_of(family):
     """Return a refiner with nothing of the file's own but the family."""
     stencils = ((FileStencil(0),) * len(PLANES),) * N_CLASSES
-    return Rapid(pack_file_tables(FileTables(0, family, stencils, {})))
+    return RapidRefiner(pack_file_tables(FileTables(0, family, stencils, {})))
 
 
 @pytest.mark.large
@@ -96,10 +96,10 @@ def test_rows_of_32_bits_give_the_same_bytes_as_rows_of_64(family, largest, monk
     target = rng.integers(-150, 151, (40, 35)).astype(np.int32) + largest - 150
     spec = dataclasses.replace(lone_spec(target.shape, 3), z_min=-largest, z_max=largest)
     parent = coarse_of(target, 3).clip(-largest, largest)
-    refiner = Rapid() if family is None else refiner_of(family)
+    refiner = RapidRefiner() if family is None else refiner_of(family)
     payload, heights = check(spec, parent, target, refiner=refiner)
     assert not payload[0] & WIDE
-    monkeypatch.setattr(Rapid, "_is_wide", lambda *_: True)
+    monkeypatch.setattr(RapidRefiner, "_is_wide", lambda *_: True)
     wide_payload, wide_heights = check(spec, parent, target, refiner=refiner)
     assert wide_payload[0] & WIDE
     assert payload[1:] == wide_payload[1:]
@@ -114,7 +114,7 @@ def test_heights_far_apart_get_64_bits():
 
 
 def test_sums_of_narrow_units_fit_32_bits():
-    widest = Rapid()._widest
+    widest = RapidRefiner()._widest
     assert rapid_coder._LIMIT32 // widest * widest + 32 < 1 << 31
     for table, step in itertools.product(rapid_tables.FEATURES, (1, 2, 3, 15, 16, 17, 1023, 65537)):
         scale = scale_of(step, -1000, 1000, False)
@@ -134,14 +134,14 @@ def small_payload():
     target = terrain((21, 18))
     spec = lone_spec(target.shape, 5, 1, Sides(True, False, False, True))
     parent, mask = coarse_of(target, 5), np.ones(target.shape, dtype=bool)
-    payload, _, _ = Rapid().encode(spec, parent, target, mask)
+    payload, _, _ = RapidRefiner().encode(spec, parent, target, mask)
     return spec, parent, mask, payload
 
 
 def test_unknown_flags_are_rejected():
     spec, parent, mask, payload = small_payload()
     with pytest.raises(CorruptStreamError, match="flags 0x4 are not defined"):
-        Rapid().decode(spec, parent, mask, b"\4" + payload[1:])
+        RapidRefiner().decode(spec, parent, mask, b"\4" + payload[1:])
 
 
 def test_symbols_that_end_in_another_state_are_rejected():
@@ -150,7 +150,7 @@ def test_symbols_that_end_in_another_state_are_rejected():
     broken = bytearray(payload)
     broken[state] ^= 1
     with pytest.raises(CorruptStreamError):
-        Rapid().decode(spec, parent, mask, bytes(broken))
+        RapidRefiner().decode(spec, parent, mask, bytes(broken))
 
 
 def test_filling_bits_must_be_zero():
@@ -159,13 +159,13 @@ def test_filling_bits_must_be_zero():
     mask = np.ones(target.shape, dtype=bool)
     for noise in range(8):
         target[1, 1] += 1 + noise
-        payload, _, _ = Rapid().encode(spec, parent, target, mask)
+        payload, _, _ = RapidRefiner().encode(spec, parent, target, mask)
         broken = bytearray(payload)
         broken[-1] |= 0x80
         if bytes(broken) == payload:
             continue
         try:
-            heights, _ = Rapid().decode(spec, parent, mask, bytes(broken))
+            heights, _ = RapidRefiner().decode(spec, parent, mask, bytes(broken))
         except CorruptStreamError as error:
             if "not filled with 0" in str(error):
                 return
@@ -185,9 +185,9 @@ def test_what_a_thread_decoded_before_leaves_no_trace(shape):
     results = []
     for filling in (0, 1 << 20, -7):
         memory.fill(filling)
-        payload, _, _ = Rapid().encode(spec, parent, target, mask)
+        payload, _, _ = RapidRefiner().encode(spec, parent, target, mask)
         memory.fill(-filling)
-        heights, _ = Rapid().decode(spec, parent, mask, payload)
+        heights, _ = RapidRefiner().decode(spec, parent, mask, payload)
         results.append((payload, heights.tobytes()))
     assert results[0] == results[1] == results[2]
 
@@ -380,7 +380,7 @@ def fit(target, step, mask=None):
 
         return read
 
-    return Rapid().fitted(grid, step, part(target), part(mask))
+    return RapidRefiner().fitted(grid, step, part(target), part(mask))
 
 
 @pytest.mark.large
@@ -504,7 +504,7 @@ def test_a_fitted_stencil_finds_the_weights_that_made_the_heights():
     taps[:, len(TAPS[1]) :] = 0
     true = np.zeros(MAX_TAPS)
     true[[1, 5, 6, 9, 10, 17]] = [-512, 1500, 1400, 1300, 1200, -792]
-    samples = Samples(np.column_stack([taps, np.rint(taps @ true / 4096)]), 1.0)
+    samples = FitSamples(np.column_stack([taps, np.rint(taps @ true / 4096)]), 1.0)
     (found,) = fit_weights({(0, 1): samples}, [0.0])
     np.testing.assert_allclose(found[0, 1], true, atol=2)
 

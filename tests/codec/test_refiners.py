@@ -21,16 +21,16 @@ from lone_units import (
     terrain,
 )
 
-from terrainwave.codec.predictive.refiner import Predictive
-from terrainwave.codec.rapid.refiner import Rapid
+from terrainwave.codec.predictive.refiner import PredictiveRefiner
+from terrainwave.codec.rapid.refiner import RapidRefiner
 from terrainwave.codec.refiner import Sides
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.quadtree import Grid
 
 # Compiling the kernels of `rapid` for lone units takes a minute: `make test-all`.
 REFINERS = [
-    pytest.param(Predictive, id="predictive"),
-    pytest.param(Rapid, id="rapid", marks=pytest.mark.full),
+    pytest.param(PredictiveRefiner, id="predictive"),
+    pytest.param(RapidRefiner, id="rapid", marks=pytest.mark.full),
 ]
 each_refiner = pytest.mark.parametrize("refiner", REFINERS)
 
@@ -38,7 +38,7 @@ each_refiner = pytest.mark.parametrize("refiner", REFINERS)
 def check(refiner, spec, parent, target, mask=None):
     """Check everything promised; return the payload and the heights."""
     payload, heights, labels = check_refiner(refiner(), spec, parent, target, mask)
-    if refiner is Rapid:
+    if refiner is RapidRefiner:
         assert labels is None
     else:
         assert (labels is None) == (parent is None)
@@ -112,7 +112,7 @@ def test_a_plane_costs_next_to_nothing(refiner):
     plane = (6 * rows - 4 * cols).astype(np.int32)
     parent = np.ascontiguousarray(plane[::2, ::2])
     payload, _ = check(refiner, lone_spec(plane.shape, 3), parent, plane)
-    assert len(payload) <= (60 if refiner is Predictive else 129 * 129 // 40)
+    assert len(payload) <= (60 if refiner is PredictiveRefiner else 129 * 129 // 40)
 
 
 @each_refiner
@@ -123,7 +123,7 @@ def test_noise_costs_little_more_than_plain_bits(refiner, step):
     payload, _ = check(refiner, lone_spec(target.shape, step, parent=False), None, target)
     # Trained frequencies of `rapid` fall off like those of details of terrain, noise has all alike:
     # 1.22.
-    most = 1.07 if refiner is Predictive else 1.25
+    most = 1.07 if refiner is PredictiveRefiner else 1.25
     assert len(payload) <= most * 13 * target.size / 8 + 8
 
 

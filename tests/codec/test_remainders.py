@@ -5,7 +5,7 @@ import zlib
 import numpy as np
 import pytest
 
-from terrainwave.codec.remainders import decode_remainders, encode_remainders
+from terrainwave.codec.remainder_planes import decode_remainders, encode_remainders
 from terrainwave.errors import CorruptStreamError
 
 SHAPE = 3, 5

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from terrainwave.codec.refiner import GroupSpec
-from terrainwave.codec.store.refiner import Store
+from terrainwave.codec.store.refiner import StoreRefiner
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.grid.quadtree import Region
 
@@ -28,7 +28,7 @@ def valid_everywhere(target):
 
 def encode(spec, target, parent=None, mask=None):
     mask = valid_everywhere(target) if mask is None else mask
-    return Store().encode(spec, parent, np.asarray(target, dtype=np.int32), mask)
+    return StoreRefiner().encode(spec, parent, np.asarray(target, dtype=np.int32), mask)
 
 
 def test_the_payload_of_two_heights_is_as_the_format_says():
@@ -61,7 +61,7 @@ def test_decoding_gives_what_encoding_returned(seed, n_rows, n_cols, step):
     mask = rng.random(target.shape) < 0.7
     spec = spec_of(target.shape, step)
     payload, heights, _ = encode(spec, target, mask=mask)
-    back, _ = Store().decode(spec, None, mask, payload)
+    back, _ = StoreRefiner().decode(spec, None, mask, payload)
     np.testing.assert_array_equal(back, heights)
 
 
@@ -109,7 +109,7 @@ PAYLOAD = encode(SPEC, TARGET)[0]
 
 
 def decode(payload, spec=SPEC):
-    heights, _ = Store().decode(spec, None, valid_everywhere(TARGET), payload)
+    heights, _ = StoreRefiner().decode(spec, None, valid_everywhere(TARGET), payload)
     assert heights.shape == TARGET.shape
     assert heights.min() >= spec.z_min
     assert heights.max() <= spec.z_max

@@ -10,7 +10,7 @@ from container.test_url import memory, running_server  # noqa: F401  a fixture
 from container.toys import toy_file, toy_header, toy_payload
 from containers import open_container
 
-import terrainwave.container.sources.archive as module
+import terrainwave.container.sources.zip_member as module
 from terrainwave.container.sources.opening import open_source
 from terrainwave.errors import StorageError, TerrainwaveWarning
 

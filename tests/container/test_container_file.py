@@ -22,8 +22,8 @@ from hypothesis import strategies as st
 from terrainwave.container.header import HEADER_SIZE
 from terrainwave.container.page import page_layout
 from terrainwave.container.reader import Container
+from terrainwave.container.sources.byte_source import BufferSource
 from terrainwave.container.sources.ranges import ByteRange
-from terrainwave.container.sources.source import BufferSource
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import assemble
 from terrainwave.errors import StorageError

@@ -11,9 +11,9 @@ import pytest
 from container.toys import toy_header, toy_spools
 from containers import open_container
 
-from terrainwave.container import publish as publish_module
-from terrainwave.container import unfinished
-from terrainwave.container.publish import publish, remove_stale_parts, scratch_directory
+from terrainwave.container.targets import publication as publish_module
+from terrainwave.container.targets import unfinished
+from terrainwave.container.targets.publication import publish, remove_stale_parts, scratch_directory
 from terrainwave.container.writer import assemble
 from terrainwave.errors import StorageError
 
@@ -76,7 +76,7 @@ def test_ctrl_c_while_the_part_is_locked_leaves_nothing(tmp_path, monkeypatch):
     def interrupted(file):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("terrainwave.container.unfinished._try_lock", interrupted)
+    monkeypatch.setattr("terrainwave.container.targets.unfinished._try_lock", interrupted)
     with pytest.raises(KeyboardInterrupt), publish(tmp_path / "a.twz"):
         pytest.fail("the block must not run")
     assert list(tmp_path.iterdir()) == []
@@ -269,7 +269,7 @@ def test_windows_locks_lie_far_behind_the_content(target, monkeypatch):
 
 PUBLISH = """
     import sys, time
-    from terrainwave.container.publish import publish
+    from terrainwave.container.targets.publication import publish
     with publish(sys.argv[1], overwrite=True) as part:
         part.file.write(b"half")
         part.file.flush()
@@ -278,7 +278,7 @@ PUBLISH = """
 """
 SCRATCH = """
     import sys, time
-    from terrainwave.container.publish import scratch_directory
+    from terrainwave.container.targets.publication import scratch_directory
     with scratch_directory(sys.argv[1], "a.twz") as path:
         (path / "big").write_bytes(b"spool")
         print("ready", flush=True)
@@ -396,7 +396,7 @@ def test_a_killed_runs_scratch_directory_is_removed_by_the_next(tmp_path):
 KILLED_EVERYWHERE = """
     import os, signal, sys
     from pathlib import Path
-    from terrainwave.container.publish import {used} as used
+    from terrainwave.container.targets.publication import {used} as used
     folder = Path(sys.argv[1])
 
     def use():

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from terrainwave.container.sources.byte_source import BufferSource
 from terrainwave.container.sources.ranges import AIMED_REQUESTS, ByteRange
 from terrainwave.container.sources.rounds import RoundReader
-from terrainwave.container.sources.source import BufferSource
 
 KIB = 1024
 DATA = np.random.default_rng(1).bytes(4000 * KIB)

@@ -8,8 +8,8 @@ from container.toys import paths_to_corner, toy_codes, toy_header
 
 from terrainwave.container.page import page_layout
 from terrainwave.container.reader import Container
+from terrainwave.container.sources.byte_source import BufferSource
 from terrainwave.container.sources.ranges import AIMED_REQUESTS
-from terrainwave.container.sources.source import BufferSource
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import assemble
 

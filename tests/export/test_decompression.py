@@ -11,9 +11,11 @@ from rasterio.transform import Affine
 from strategies import read_geotiff, terrain_like, write_geotiff
 
 from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveWarning
+from terrainwave.export import geotiff
 from terrainwave.export.geotiff import decompress
 from terrainwave.raster_io.geotiff.sink import RasterSink
-from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.raster_info import RasterInfo
+from terrainwave.read import places
 from terrainwave.terrain import Terrain
 from terrainwave.write.compress import compress
 
@@ -191,6 +193,16 @@ def test_a_part_that_reaches_beyond_the_raster_is_cut_with_a_warning(
     assert heights.shape == (n_rows, n_cols)
     (note,) = (str(one.message) for one in caught if words in str(one.message))
     assert f"is taken, {n_rows} x {n_cols} samples from row " in note
+
+
+def test_a_window_is_checked_once_however_many_parts_are_written(files, tmp_path, monkeypatch):
+    checked = []
+    monkeypatch.setattr(
+        places, "checked_numbers", lambda *given, **kw: checked.append(given) or given[1]
+    )
+    monkeypatch.setattr(geotiff, "_WINDOW_SAMPLES", 1)
+    back_from(files, tmp_path, window=(0, 0, 200, 100))
+    assert [given[1] for given in checked] == [(0, 0, 200, 100)]
 
 
 def test_a_part_outside_the_raster_is_refused(files, tmp_path):

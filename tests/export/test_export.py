@@ -14,10 +14,10 @@ from quantized_mesh import metadata, read_tile
 from tri.meshes import grid_mesh, hills
 
 from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveError
-from terrainwave.export import files as export
-from terrainwave.export.files import EXTENSIONS, save_mesh, vertex_normals
+from terrainwave.export import mesh_files as export
 from terrainwave.export.frames import areas, steepest, to_frame
 from terrainwave.export.mesh import Mesh
+from terrainwave.export.mesh_files import EXTENSIONS, save_mesh, vertex_normals
 
 UTM = (30.0, 0.0, 400000.0, 0.0, -30.0, 4000000.0)
 SECONDS = (1 / 3600, 0.0, 10.0, 0.0, -1 / 3600, 45.0)

@@ -18,7 +18,7 @@ from terrainwave.export.virtual_geotiff import VirtualGeoTIFF
 from terrainwave.file import TerrainFile
 from terrainwave.raster_io.geotiff.sparse import sparse_geotiff
 from terrainwave.raster_io.geotiff.stream import GeoTIFFStream
-from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.terrain import Terrain
 from terrainwave.write.compress import compress
 

@@ -1,4 +1,4 @@
-"""Does the package for JavaScript work with bundlers, from static hosts, by policies of pages?"""
+"""Is the package for JavaScript usable as web developers use one: bundlers, hosts, policies?"""
 
 import contextlib
 import os
@@ -38,7 +38,8 @@ PAGE = '<!doctype html><title>A terrain</title><script type="module" src="MAIN">
 READ = """
     const [url, done] = arguments;
     const ready = () => globalThis.read
-      ? globalThis.read(url).then(done, (error) => done(String(error))) : setTimeout(ready, 50);
+      ? globalThis.read(url).then(done, (error) => done(String(error)))
+      : setTimeout(ready, 50);
     ready();
 """
 

@@ -524,10 +524,10 @@ def test_ctrl_c_says_stopped(hilly):
     server = start("serve", hilly, "--port", "0")
     try:
         address = re.search(r"http://\S+", server.stdout.readline())[0]
-        with urllib.request.urlopen(address, timeout=30) as page:
+        with urllib.request.urlopen(address, timeout=300) as page:
             assert page.status == 200
         server.send_signal(signal.SIGINT)
-        said, complaint = server.communicate(timeout=30)
+        said, complaint = server.communicate(timeout=300)
     finally:
         server.kill()
     assert server.returncode == 0
@@ -542,7 +542,7 @@ def test_a_signal_says_stopped_and_nothing_of_targets(hilly):
     try:
         server.stdout.readline()
         server.send_signal(signal.SIGTERM)
-        said, complaint = server.communicate(timeout=30)
+        said, complaint = server.communicate(timeout=300)
     finally:
         server.kill()
     assert server.returncode == 128 + signal.SIGTERM
@@ -558,10 +558,10 @@ def test_names_on_stdin_are_served_until_it_ends(hilly, nowhere, tmp_path):
             for name in (hilly, nowhere, missing, hilly):
                 print(name, file=server.stdin, flush=True)
                 answers.append(json.loads(server.stdout.readline()))
-            with urllib.request.urlopen(answers[1]["url"], timeout=30) as raster:
+            with urllib.request.urlopen(answers[1]["url"], timeout=300) as raster:
                 assert raster.read(4) in (b"II*\0", b"II+\0")
             server.stdin.close()
-            assert server.wait(30) == 0
+            assert server.wait(300) == 0
         finally:
             server.kill()
     assert [answer["file"] for answer in answers] == [

@@ -18,7 +18,7 @@ from terrainwave.cli.commands.serve import _listen
 from terrainwave.errors import CorruptStreamError
 from terrainwave.ext.serve import sending
 from terrainwave.ext.serve.app import make_app
-from terrainwave.ext.serve.ranges import Span, asked_span, is_same
+from terrainwave.ext.serve.byte_range import Span, asked_span, is_same
 from terrainwave.ext.serve.sending import PART, Ahead, Desk, begun, parts
 
 BOUNDS = (8.0, 46.0, 8.5, 46.4)

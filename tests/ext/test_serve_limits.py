@@ -3,7 +3,7 @@
 import logging
 import select
 import socket
-import time
+import threading
 
 import pytest
 from commands import one_line, run
@@ -12,7 +12,7 @@ from ext.rasters import hills, write_twz
 from fastapi.testclient import TestClient
 
 from terrainwave.errors import CorruptStreamError
-from terrainwave.ext.serve import connections
+from terrainwave.ext.serve import client_limits
 from terrainwave.ext.serve.app import make_app
 from terrainwave.globe import terrain_rgb as tiling
 
@@ -36,8 +36,8 @@ def client(hilly):
 def quick(monkeypatch):
     """Let a third of a second be too long."""
     for name in ("ASK_SECONDS", "TAKE_SECONDS"):
-        monkeypatch.setattr(connections, name, 0.3)
-    monkeypatch.setattr(connections, "_LOOK_SECONDS", 0.05)
+        monkeypatch.setattr(client_limits, name, 0.3)
+    monkeypatch.setattr(client_limits, "_LOOK_SECONDS", 0.05)
 
 
 @pytest.fixture
@@ -84,9 +84,9 @@ def test_a_request_in_drops_is_cut_off(address, drop):
     with connected(address) as client:
         client.sendall(head)
         with pytest.raises(ConnectionError):  # noqa: PT012 - which of the sends fails is open
-            for _ in range(100):
+            for _ in range(3000):  # a minute of them, if nobody ends it
                 client.sendall(drop)
-                time.sleep(0.02)
+                select.select([], [], [client], 0.02)
 
 
 async def large(scope, receive, send):
@@ -107,7 +107,20 @@ def test_who_does_not_take_an_answer_is_cut_off():
 
 @pytest.mark.usefixtures("quick")
 def test_work_that_takes_long_is_no_slow_client(hilly, monkeypatch):
-    monkeypatch.setattr(tiling, "rgb_tile", lambda *_: time.sleep(0.8))
+    """The work ends when the server has looked at the connection past twice the time."""
+    look_at, is_late = client_limits.Connection._look_at, threading.Event()
+
+    def look(self):
+        self.began = getattr(self, "began", self.loop.time())
+        look_at(self)
+        if self.loop.time() - self.began > 2 * client_limits.ASK_SECONDS:
+            is_late.set()
+
+    def work(*_):
+        assert is_late.wait(60)
+
+    monkeypatch.setattr(client_limits.Connection, "_look_at", look)
+    monkeypatch.setattr(tiling, "rgb_tile", work)
     with served(make_app([str(hilly)])) as url, connected(_place(url)) as client:
         client.sendall(REQUEST.replace(b"terrains.json", b"hills/rgb/0/0/0.png"))
         assert client.recv(100).startswith(b"HTTP/1.1 204 ")
@@ -118,16 +131,31 @@ def _place(url):
     return host, int(port)
 
 
+def told_of(monkeypatch, name):
+    """Return a semaphore that is released after each call of a method of connections."""
+    method, calls = getattr(client_limits.Connection, name), threading.Semaphore(0)
+
+    def told(self, *args):
+        method(self, *args)
+        calls.release()
+
+    monkeypatch.setattr(client_limits.Connection, name, told)
+    return calls
+
+
 def test_more_connections_than_allowed_are_refused_at_once(hilly, monkeypatch):
-    monkeypatch.setattr(connections, "MAX_CONNECTIONS", 2)
+    monkeypatch.setattr(client_limits, "MAX_CONNECTIONS", 2)
+    made, lost = (told_of(monkeypatch, name) for name in ("connection_made", "connection_lost"))
     with served(make_app([str(hilly)])) as url:
         held = [connected(_place(url)) for _ in range(2)]
-        time.sleep(0.1)
+        for _ in held:
+            assert made.acquire(timeout=60)
         with connected(_place(url)) as one_more:
             assert one_more.recv(100).startswith(b"HTTP/1.1 503 ")
             assert is_ended(one_more)
+        assert lost.acquire(timeout=60)
         held.pop().close()
-        time.sleep(0.1)
+        assert lost.acquire(timeout=60)
         with connected(_place(url)) as later:
             later.sendall(REQUEST)
             assert later.recv(100).startswith(b"HTTP/1.1 200 ")
@@ -201,7 +229,7 @@ def test_an_answer_that_ends_early_is_a_line_without_a_traceback():
     except RuntimeError as error:
         told = (RuntimeError, error, error.__traceback__)
     record = logging.LogRecord("x", logging.ERROR, "x", 1, "Exception", (), told)
-    assert connections._is_told(record)
+    assert client_limits._is_told(record)
     assert record.getMessage() == "an answer ended early: the file is damaged"
     assert record.exc_info is None
 

@@ -20,10 +20,11 @@ import terrainwave
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.grid.affine import of_level
 from terrainwave.grid.quantum import HeightScan
-from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.read.places import LevelPlace
+from terrainwave.write.compress_options import Options
+from terrainwave.write.earlier import Earlier
 from terrainwave.write.job import settled
-from terrainwave.write.options import Options
 
 # rioxarray 0.19 multiplies transforms, which affine 3 will deprecate.
 pytestmark = pytest.mark.filterwarnings("ignore:Use .@. matmul:PendingDeprecationWarning")
@@ -116,7 +117,7 @@ class FakeLevel(terrainwave.Terrain):
         return self._shape
 
     def level_place(self, level=-1, row=0, col=0):
-        return LevelPlace(self._shape, self._transform, (0.0, 0.0, 0.0, 0.0))
+        return LevelPlace(0, self._shape, self._transform, (0.0, 0.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("place", TURNED.values(), ids=TURNED)
@@ -351,6 +352,41 @@ def test_bounds_of_a_second_file_hold_for_the_first_original(lossy, tmp_path, me
         assert terrain.mesh().error >= terrain.effective_error - 1e-9
 
 
+@pytest.mark.parametrize(
+    ("dtype", "bound", "second", "expected"),
+    [
+        ("int16", 2, 2, 2),  # the same steps: nothing is lost, and the bound stays
+        ("float32", 0.5, 0.5, 0.5),
+        ("int16", 7, 2, 7),  # steps of 15 are steps of 5, too
+        ("int16", 2, 7, 9),  # wider ones: both losses count
+        ("float32", 0.5, 0.1, 0.6),  # others
+    ],
+)
+def test_heights_that_lie_on_fixed_steps_lose_nothing_again(
+    tmp_path, dtype, bound, second, expected
+):
+    original = terrain_like(60, 70, dtype)
+    if dtype == "float32":
+        original = original + np.float32(np.pi)
+    options = {"block": 32, "stable": True}
+    terrainwave.compress(original, tmp_path / "a.twz", max_error=bound, **options)
+    with xr.open_dataset(tmp_path / "a.twz") as dataset:
+        again = terrainwave.compress(
+            dataset.heights, tmp_path / "b.twz", max_error=second, **options
+        )
+    with terrainwave.open(tmp_path / "a.twz") as first, terrainwave.open(tmp_path / "b.twz") as it:
+        is_still = np.array_equal(it.read(), first.read())
+        assert is_still == (expected < bound + second)
+        apart = np.abs(it.read().astype(float) - original).max()
+        assert apart <= it.effective_error <= it.max_error == again.max_error
+        # What was lost before is told in whole steps.
+        assert expected - 1e-6 <= it.max_error <= expected + (0.02 if is_still else 2 * second + 1)
+        assert it.mesh().error >= apart
+    (note,) = (note for note in again.notes if "of an original" in note)
+    assert ("do not move" in note) == is_still
+    assert ("bound holds for it" in note) == (expected == second)
+
+
 def test_third_loss_adds_to_both(tmp_path):
     heights = terrain_like(40, 50, "float32") * np.float32(np.pi)
     terrainwave.compress(heights, tmp_path / "0.twz", max_error=0.5)
@@ -450,7 +486,7 @@ def test_more_than_a_bound_can_be_added_to_is_refused():
     info = RasterInfo(20, 20, "float64")
     assert settled(options, scan, info)[0].moved == 0
     with pytest.raises(InvalidHeightsError, match="expected a larger max_error"):
-        settled(options, scan, info, 1.0)
+        settled(options, scan, info, Earlier(1.0, note="the heights are within 1"))
 
 
 def test_file_that_another_was_made_of_can_be_patched(lossy, tmp_path):

@@ -123,8 +123,8 @@ def test_a_failure_leaves_no_file(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("target", "options", "line"),
     [
-        ("t", "--min-zoom 3", "--min-zoom is for an archive"),
-        ("t", "--rim 3", "--rim is for an archive"),
+        ("t", "--min-zoom 3", "found --min-zoom for a directory"),
+        ("t", "--rim 3", "found --rim for a directory"),
         ("t.pmtiles", "--max-zoom 22", "found --max-zoom 22, expected 0 … "),
         ("t.pmtiles", "--min-zoom 3 --max-zoom 2", "found --min-zoom 3, expected 0 … 2"),
         ("t.pmtiles", "--rim 9", "found --rim 9, expected a whole number, 0 … 8"),

@@ -17,11 +17,12 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.mesh.loose import LooseMesher
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.render.modes import mode_class
+from terrainwave.render.modes.mode import ModeNeeds
 from terrainwave.render.scene.frame import frame_of
 from terrainwave.render.scene.selection import Piece
-from terrainwave.tri.mesh import FRACTION_BITS
-from terrainwave.tri.stored import STORED_KINDS
-from terrainwave.tri.surface import largest_deviation
+from terrainwave.tri.block_mesh import FRACTION_BITS
+from terrainwave.tri.mesh_distance import largest_deviation
+from terrainwave.tri.stored_kinds import STORED_KINDS
 
 N_EXAMPLES = 2 if os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"} else 10
 SMOOTH = make_case("smooth", "none", (150, 200), 4, amplitude=900.0, max_error=2, block=32)
@@ -127,7 +128,7 @@ def test_a_patch_of_a_loose_mesh_states_its_own_error(smooth):
     """The file's error, which the guaranteed mesh keeps, is less."""
     n_further = 0
     with terrainwave.open(smooth) as terrain:
-        builder = mode_class("loose")(terrain, frame_of(terrain)).builder
+        builder = mode_class("loose")(ModeNeeds(terrain, frame_of(terrain))).builder
         for block in terrain.grid.blocks(terrain.n_levels - 2):
             piece, region = Piece(*block), terrain.grid.full_region(block)
             heights = SMOOTH.heights[region.slices_in(Region(0, 0, *SMOOTH.heights.shape))]

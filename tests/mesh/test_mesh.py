@@ -27,7 +27,7 @@ from mesh_cases import (
 
 import terrainwave
 from terrainwave.cli import main
-from terrainwave.container.publish import scratch_directory
+from terrainwave.container.targets.publication import scratch_directory
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.quadtree import Block, Region
@@ -38,7 +38,7 @@ from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.tri.halves.borders import beside_void
 from terrainwave.tri.halves.halves import Lines, triangulate
 from terrainwave.tri.halves.simplify import simplify
-from terrainwave.verification.meshes import verify_meshes
+from terrainwave.verification.mesh_walk import verify_meshes
 from terrainwave.write.meshes import _copied, store_meshes
 
 N_EXAMPLES = 3 if os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"} else 15

@@ -394,3 +394,31 @@ def test_the_commands_refuse_in_one_line(tmp_path):
         assert len([line for line in done.stderr.splitlines() if line.startswith("error")]) <= 1
         assert "Traceback" not in done.stderr
     assert not [path for path in tmp_path.iterdir() if path.name not in ("dem.twz", "cache.db")]
+
+
+def test_a_server_has_the_tiles_that_are_written(tmp_path, grids):
+    from fastapi.testclient import TestClient
+
+    from terrainwave.ext.serve.app import make_app
+    from terrainwave.globe.terrain_rgb import height_of_voids
+
+    twz = raster(tmp_path, EGM96, hills())
+    with terrainwave.open(twz) as terrain:
+        ground = Globe(terrain)
+        lon, lat = ground.extent.centre
+        x, y = int((lon + 180) / 180 * 2**8), int((lat + 90) / 180 * 2**8)
+        answers = {}
+        for vertical in ("ellipsoid", "as-is"):
+            with warnings.catch_warnings(record=True) as told:
+                warnings.simplefilter("always", TerrainwaveWarning)
+                client = TestClient(make_app([str(twz)], vertical=vertical), "http://127.0.0.1")
+            said = [str(one.message) for one in told]
+            assert any("are taken for heights above" in one for one in said) is (
+                vertical == "as-is"
+            )
+            layer = client.get("/dem/mesh/layer.json").json()
+            assert layer["vertical"]["heights"] == vertical
+            pyramid = TilePyramid(ground, vertical=vertical, void_height=height_of_voids(ground))
+            answers[vertical] = client.get(f"/dem/mesh/8/{x}/{y}.terrain").content
+            assert answers[vertical] == pyramid.tile(8, x, y).data
+        assert answers["ellipsoid"] != answers["as-is"]

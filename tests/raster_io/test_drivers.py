@@ -18,7 +18,7 @@ from rasterio.transform import Affine
 from strategies import write_geotiff
 
 import terrainwave
-from terrainwave.raster_io.info import SUPPORTED_DTYPES
+from terrainwave.raster_io.raster_info import SUPPORTED_DTYPES
 
 # Where drivers ask for an ending that rasterio does not list.
 ENDINGS = {

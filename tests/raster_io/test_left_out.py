@@ -16,7 +16,7 @@ from strategies import terrain_like, write_geotiff
 import terrainwave
 from terrainwave.cli import main
 from terrainwave.errors import TerrainwaveWarning
-from terrainwave.raster_io.info import SUPPORTED_DTYPES
+from terrainwave.raster_io.raster_info import SUPPORTED_DTYPES
 from terrainwave.raster_io.source import RasterSource
 
 PLACE = {"crs": "EPSG:32633", "transform": Affine(10, 0, 5e5, 0, -10, 5e6)}

@@ -37,7 +37,7 @@ from terrainwave.errors import (
 )
 from terrainwave.place.crs import format_crs, parse_crs
 from terrainwave.raster_io.geotiff.sink import TILE, RasterSink
-from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 
 MOON = (
@@ -493,7 +493,7 @@ def test_several_bands_are_noted_and_can_be_chosen(tmp_path):
     with RasterSource(path, band=3) as source:
         assert read_all(source)[0].max() == 3
         assert source.notes == (f"{path}: using band 3; left out: band 1, band 2",)
-    with pytest.raises(InvalidHeightsError, match="band 4 does not exist, the file has 3 bands"):
+    with pytest.raises(InvalidHeightsError, match=r"found band 4, expected 1 … 3: .* has 3 bands"):
         RasterSource(path, band=4)
 
 
@@ -702,7 +702,7 @@ def test_target_that_cannot_fit_is_refused_at_once(tmp_path):
 FULL_DISK = """
 import resource, sys, numpy as np
 from terrainwave.errors import StorageError
-from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.raster_io.geotiff.sink import RasterSink
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), -1))
 n_threads, side = int(sys.argv[4]), int(sys.argv[5])
@@ -810,7 +810,7 @@ def test_cog_keeps_an_internal_mask(tmp_path):
 
 MEMORY = """
 import resource, sys, numpy as np
-from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.raster_io.geotiff.sink import RasterSink
 from terrainwave.raster_io.source import RasterSource
 start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

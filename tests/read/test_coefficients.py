@@ -7,8 +7,8 @@ import terrainwave
 from terrainwave.codec.cdf53 import refiner as cdf53
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.grid.quadtree import Region
-from terrainwave.read import tiles
-from terrainwave.read.tiles import with_coefficients
+from terrainwave.read import tile_decoder
+from terrainwave.read.tile_decoder import with_coefficients
 
 SHAPE = (150, 205)
 
@@ -22,7 +22,7 @@ def rough():
 @pytest.fixture
 def many_tiles(monkeypatch):
     """Tiles of two blocks a side: 3 x 4 of them below the root tile."""
-    monkeypatch.setattr("terrainwave.codec.cdf53.tiles._TILE_LOG2", 6)
+    monkeypatch.setattr("terrainwave.codec.cdf53.tile_layout._TILE_LOG2", 6)
 
 
 def compressed(heights, path, **options):
@@ -95,7 +95,7 @@ def test_other_methods_have_none(rough, tmp_path):
 
 
 def test_a_block_needs_no_other_tile_for_its_last_line():
-    assert list(tiles._blocks_along(0, 33, 32)) == [0]
-    assert list(tiles._blocks_along(31, 3, 32)) == [0, 1]
-    assert list(tiles._blocks_along(64, 1, 32)) == [1]
-    assert list(tiles._blocks_along(0, 1, 32)) == [0]
+    assert list(tile_decoder._blocks_along(0, 33, 32)) == [0]
+    assert list(tile_decoder._blocks_along(31, 3, 32)) == [0, 1]
+    assert list(tile_decoder._blocks_along(64, 1, 32)) == [1]
+    assert list(tile_decoder._blocks_along(0, 1, 32)) == [0]

@@ -24,7 +24,7 @@ from strategies import terrain_like
 from twz import twz_bytes
 
 import terrainwave
-from terrainwave.container.sources.source import FileSource
+from terrainwave.container.sources.byte_source import FileSource
 from terrainwave.errors import (
     CorruptStreamError,
     StorageError,

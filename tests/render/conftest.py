@@ -5,7 +5,7 @@ import pytest
 from render.scenes import hills, terrain_of
 
 from terrainwave.render.modes.dynamic import Dynamic
-from terrainwave.render.modes.rqt import Rqt
+from terrainwave.render.modes.rqt import RqtMode
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +35,6 @@ def gentle():
 @pytest.fixture
 def small_patches(monkeypatch):
     """As if patches that follow the camera were so small that a small file has many."""
-    monkeypatch.setattr(Rqt, "cells", 32)
+    monkeypatch.setattr(RqtMode, "cells", 32)
     for name, value in (("tree", 4), ("apron", 2), ("cells", 34)):
         monkeypatch.setattr(Dynamic, name, value)

@@ -8,7 +8,7 @@ from render.scenes import ListStore, hills, terrain_of
 from tri.slow_dynamic import areas, surfaces_at
 
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.read.tiles import with_coefficients
+from terrainwave.read.tile_decoder import with_coefficients
 from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import Camera, Viewport, home, project
 

@@ -8,7 +8,7 @@ from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.style import Style
 from terrainwave.render.scene.camera import Camera, home, top_view
 from terrainwave.render.scene.frame import Frame, frame_of
-from terrainwave.render.scene.solid import (
+from terrainwave.render.scene.walls import (
     BASE,
     LID,
     TOP,
@@ -54,7 +54,7 @@ def test_walls_follow_the_border_and_stand_outside_of_it(with_voids):
 def test_walls_of_a_coarser_level_end_below_the_terrain_between_its_samples(
     with_voids, monkeypatch
 ):
-    monkeypatch.setattr("terrainwave.render.scene.solid._WALL_SIDE", 60)
+    monkeypatch.setattr("terrainwave.render.scene.walls._WALL_SIDE", 60)
     heights = with_voids.read().astype(float)
     vertices, _ = solid_of(with_voids)
     tops = vertices[vertices["kind"] == TOP]
@@ -69,7 +69,7 @@ def test_walls_of_a_coarser_level_end_below_the_terrain_between_its_samples(
 
 @pytest.mark.parametrize("side", [641, 40])
 def test_a_lid_covers_all_voids_and_no_valid_sample(with_voids, monkeypatch, side):
-    monkeypatch.setattr("terrainwave.render.scene.solid._LID_SIDE", side)
+    monkeypatch.setattr("terrainwave.render.scene.walls._LID_SIDE", side)
     vertices, triangles = solid_of(with_voids)
     lids = triangles[(vertices["kind"][triangles] == LID).all(axis=1)]
     corners = np.stack([vertices["row"], vertices["col"]], axis=1)[lids].astype(int)

@@ -1,5 +1,6 @@
 """`Terrain.plot` and `Terrain.view` where there is no window."""
 
+import inspect
 import io
 import sys
 
@@ -7,7 +8,8 @@ import numpy as np
 import pytest
 from render.scenes import hills, terrain_of
 
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
+from terrainwave.terrain import Terrain
 
 
 @pytest.fixture
@@ -119,7 +121,13 @@ def test_a_notebook_gets_a_picture(terrain, monkeypatch, tmp_path):
 def test_without_a_display_a_picture_stands_in_for_the_window(terrain, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    assert terrain.view(size=(60, 40), mode="full").pixels.shape == (40, 60, 3)
+    whole = terrain.view(size=(60, 40), mode="full")
+    assert whole.pixels.shape == (40, 60, 3)
+    left, bottom, right, top = terrain.bounds
+    west = (left, bottom, (left + right) / 2, (bottom + top) / 2)
+    part = terrain.view(size=(60, 40), bounds=west)
+    x, wide = (float(picture.camera.split(",")[0]) for picture in (part, whole))
+    assert x < wide
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1)])
@@ -156,3 +164,48 @@ def test_a_style_comes_from_where_it_was_with_a_note():
     ):
         from terrainwave.render.style import Style as Before
     assert Before is Style
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"wireframe": True}, "unexpected keyword argument 'wireframe'"),
+        ({"mode": "fast"}, "found mode 'fast', expected one of adaptive, batched"),
+        ({"mode": ["rqt"]}, "found mode .*, expected one of adaptive, batched"),
+        ({"error": "coefficient"}, "found error 'coefficient', expected measured or paper"),
+        ({"detail": -1}, "found detail -1, expected a finite number > 0"),
+        ({"detail": 0.5, "error": "paper"}, "found detail in mode adaptive, expected mode batched"),
+        ({"order": "4"}, "found order the text '4', expected 2 or 4"),
+        ({"order": 3, "mode": "batched"}, "found order 3, expected 2 or 4"),
+        ({"stepwise": "no"}, "found stepwise 'no', expected True or False"),
+        ({"stepwise": True}, "found stepwise in mode adaptive, expected mode dynamic or vertex-"),
+        ({"orientation": 1}, "found orientation 1, expected True or False"),
+        ({"drape": 3}, "found drape 3, expected a path as text"),
+        ({"exaggeration": 0}, "found exaggeration 0, expected a finite number > 0"),
+        ({"radius": float("nan")}, "found radius nan, expected a finite number > 0"),
+        ({"bounds": (1, 2, 3)}, "found bounds .*, expected four finite numbers: left, bottom"),
+        ({"camera": "a", "bounds": (1, 2, 3, 4)}, "found both camera and bounds, expected one"),
+        ({"style": "plain"}, "found style 'plain', expected a Style"),
+        ({"camera": 3}, "found camera 3, expected x,y,z,heading,pitch,fov as a text"),
+    ],
+)
+def test_wrong_arguments_of_a_view_are_told_before_a_window_opens(
+    terrain, monkeypatch, options, message
+):
+    def opened(*_, **__):
+        raise AssertionError("opened")
+
+    monkeypatch.setattr("terrainwave.render.window.viewer.run", opened)
+    monkeypatch.setattr("terrainwave.render.gpu.canvas.create_context", opened)
+    with pytest.raises((InvalidArgumentError, TypeError), match=message):
+        terrain.view(**options)
+
+
+def test_a_view_has_the_options_of_the_command_but_those_of_its_style_and_memory():
+    from terrainwave.cli.commands.view import view as command
+
+    own = {option.name for option in command.params} - {"file"}
+    of_style = {"coloring", "ramp", "sea_level", "sun", "haze", "wireframe", "background"}
+    of_machine = {"memory", "n_workers", "target_ms", "fullscreen", "quiet"}
+    named = inspect.signature(Terrain.view).parameters.keys() - {"self", "style"}
+    assert named == own - of_style - of_machine

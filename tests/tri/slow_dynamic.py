@@ -7,8 +7,9 @@ import numpy as np
 
 from terrainwave.render.scene.camera import Camera, Viewport, project
 from terrainwave.render.scene.frustum import frustum_planes
-from terrainwave.tri.dynamic.dynamic import Eye, screen_error
+from terrainwave.tri.dynamic.dynamic import screen_error
 from terrainwave.tri.dynamic.haar import N_ROWS
+from terrainwave.tri.followed import Eye
 
 VIEWPORT = Viewport(320, 240)
 NORTH_UP = (1.0, 0.0, 0.0, 0.0, -1.0, 0.0)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tri import slow
 from tri.rasterise import check_mesh
 
-from terrainwave.tri.mesh import BlockMesh
+from terrainwave.tri.block_mesh import BlockMesh
 from terrainwave.tri.rqt import stored as rqt
 from terrainwave.tri.zerotree import agreement
 from terrainwave.tri.zerotree.connect import mesh_of_cut

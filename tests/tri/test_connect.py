@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 from tri import slow
 from tri.rasterise import check_mesh
 
+from terrainwave.tri.quads import void_edges
 from terrainwave.tri.zerotree.connect import loose_mesh, mesh_of_cut
-from terrainwave.tri.zerotree.labels import void_edges, zero_tree_cut
+from terrainwave.tri.zerotree.labels import zero_tree_cut
 
 
 def triangles_of(mesh):

@@ -82,9 +82,9 @@ def test_full_table_changes_no_mesh(monkeypatch):
     n_steps = int(work[workspace.N_USED])
     assert n_steps > 100
     work[: workspace.N_USED] = 0
-    work[workspace.N_USED] = workspace.N_STEPS - n_steps // 2
+    work[workspace.N_USED] = workspace.N_ENTRIES - n_steps // 2
     assert as_lists(triangulate(*made)) == as_lists(expected)
-    assert workspace.N_STEPS - 64 <= work[workspace.N_USED] <= workspace.N_STEPS
+    assert workspace.N_ENTRIES - 64 <= work[workspace.N_USED] <= workspace.N_ENTRIES
 
 
 def test_mesh_does_not_depend_on_what_a_thread_has_made_before():

@@ -14,16 +14,16 @@ from mesh_cases import cases, make_case, reader, write_case
 
 import terrainwave
 from terrainwave.cli import main
-from terrainwave.container.publish import scratch_directory
+from terrainwave.container.targets.publication import scratch_directory
 from terrainwave.container.writer import assemble
 from terrainwave.errors import CorruptStreamError, InvalidArgumentError, TruncatedStreamError
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.sections import pack_section, unpack_section
 from terrainwave.read.decoder import unit_key
 from terrainwave.tri.mesh_options import of_former_name
-from terrainwave.tri.stored import STORED_KINDS
+from terrainwave.tri.stored_kinds import STORED_KINDS
 from terrainwave.tri.zerotree.agreement import border_of
-from terrainwave.verification.meshes import verify_meshes
+from terrainwave.verification.mesh_walk import verify_meshes
 from terrainwave.write.meshes import _copied, store_meshes
 
 N_EXAMPLES = 2 if os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"} else 15

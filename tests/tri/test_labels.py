@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tri import slow
 
+from terrainwave.tri.quads import void_edges
 from terrainwave.tri.zerotree import labels
 
 
@@ -96,4 +97,4 @@ def test_void_edges_are_what_touches_a_missing_triangle(terrain):
     expected = np.zeros(mask.shape, dtype=bool)
     for p in slow.at_void(mask):
         expected[p] = True
-    np.testing.assert_array_equal(labels.void_edges(mask), expected)
+    np.testing.assert_array_equal(void_edges(mask), expected)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terrainwave.tri.zerotree.layers import layer_trees
+from terrainwave.tri.zerotree.layer_trees import layer_trees
 
 pytestmark = pytest.mark.slow_compile
 

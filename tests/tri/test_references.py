@@ -7,10 +7,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from terrainwave.tri.block_mesh import BlockMesh
 from terrainwave.tri.halves.borders import beside_void, line_vertices
-from terrainwave.tri.halves.fit import fit_triangle, scaled_heights
-from terrainwave.tri.mesh import BlockMesh
-from terrainwave.tri.surface import deviation_from_bilinear, largest_deviation
+from terrainwave.tri.halves.height_fit import fit_triangle, scaled_heights
+from terrainwave.tri.mesh_distance import deviation_from_bilinear, largest_deviation
 
 SIXTEENTHS = 16
 

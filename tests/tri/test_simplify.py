@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from terrainwave.tri.block_mesh import BlockMesh
 from terrainwave.tri.halves.simplify import simplify
-from terrainwave.tri.mesh import BlockMesh
+from terrainwave.verification.checked_mesh import CheckedMesh, deviation
 from terrainwave.verification.checks import problems_of
 from terrainwave.verification.pieces import WHOLE
-from terrainwave.verification.surface import Surface, deviation
 
 
 def fan(n_spokes):
@@ -30,7 +30,7 @@ def fan(n_spokes):
 
 
 def surface(mesh):
-    return Surface(
+    return CheckedMesh(
         mesh.rows.astype(np.int64), mesh.cols.astype(np.int64), mesh.heights, mesh.triangles
     )
 

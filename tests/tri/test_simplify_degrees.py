@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from terrainwave.tri.block_mesh import BlockMesh
 from terrainwave.tri.halves.simplify import simplify
-from terrainwave.tri.mesh import BlockMesh
 
 
 def wheel(n_spokes, radius=24):

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
+from terrainwave.verification.checked_mesh import CheckedMesh, deviation
 from terrainwave.verification.checks import problems_of
 from terrainwave.verification.on_grid import border_line, line_problems
 from terrainwave.verification.pieces import (
@@ -22,7 +23,6 @@ from terrainwave.verification.pieces import (
     pieces_of_mask,
     refined_pieces,
 )
-from terrainwave.verification.surface import Surface, deviation
 
 CORNERS = {ABC: "abc", ACD: "acd", ABD: "abd", BCD: "bcd"}
 
@@ -42,7 +42,7 @@ def grid_surface(mask, heights=None):
     triangles = np.array(triangles, dtype=np.int32).reshape(-1, 3)
     used, number = np.unique(triangles, return_inverse=True)
     z = np.zeros(mask.shape, np.int64) if heights is None else heights
-    return Surface(
+    return CheckedMesh(
         2 * rows.ravel()[used], 2 * cols.ravel()[used], z.ravel()[used],
         number.reshape(-1, 3).astype(np.int32),
     )  # fmt: skip
@@ -163,7 +163,7 @@ def test_a_fold():
 
 def test_a_t_junction():
     """One of two triangles is split on the edge they share, the other not."""
-    surface = Surface(
+    surface = CheckedMesh(
         np.array([0, 0, 4, 4, 2]), np.array([0, 4, 4, 0, 2]), np.zeros(5, np.int64),
         np.array([[0, 1, 2], [0, 4, 3], [4, 2, 3]], np.int32),
     )  # fmt: skip
@@ -182,7 +182,7 @@ def test_a_crack_between_equal_places():
     inner = 2 * 6 + 2
     t = np.flatnonzero((triangles == inner).any(axis=1))[0]
     triangles[t][triangles[t] == inner] = n
-    split = Surface(
+    split = CheckedMesh(
         np.append(surface.rows, surface.rows[inner]), np.append(surface.cols, surface.cols[inner]),
         np.append(surface.heights, 5), triangles,
     )  # fmt: skip

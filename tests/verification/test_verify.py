@@ -259,7 +259,7 @@ def test_nodata_given_at_compression_and_band_are_taken_over(compare):
     layers[1] = heights
     terrain = FakeTerrain(heights, heights != 0, nodata=0)
     assert compare(layers, terrain, options={"band": 2, "nodata": 0}).ok
-    with pytest.raises(InvalidHeightsError, match="band 3 does not exist"):
+    with pytest.raises(InvalidHeightsError, match="found band 3, expected 1"):
         compare(layers, terrain, options={"band": 3})
 
 

@@ -11,7 +11,7 @@ from twz import grouped
 import terrainwave
 from terrainwave.codec import group
 from terrainwave.codec.corrections import decode_corrections
-from terrainwave.codec.units import unit_spec
+from terrainwave.codec.unit_specs import unit_spec
 from terrainwave.grid.quadtree import Block
 from terrainwave.terrain import Terrain
 from terrainwave.write.patch import patch

@@ -124,7 +124,10 @@ def test_a_name_for_each_stored_kind_is_that_of_a_kind_or_a_former_one():
         ({"faithful": True}, "found faithful and method auto, expected method cdf97"),
         ({"faithful": True, "method": "store"}, "found faithful and method store, expected"),
         ({"rate": 1}, "found rate and method auto, expected method cdf53"),
-        ({"rate": 1, "psnr": 2, "method": "cdf53"}, "found rate and psnr, expected one of them"),
+        (
+            {"rate": 1, "psnr": 2, "method": "cdf53"},
+            "found rate=1 and psnr=2, expected one of them",
+        ),
         ({"border_rings": 3, "method": "cdf53"}, "expected method rapid, predictive, cdf97 or st"),
         ({"border_rings": 2}, "found border_rings 2, expected 1 or 3"),
         ({"faithful": 0, "method": "cdf97"}, "found faithful 0, expected True or False"),

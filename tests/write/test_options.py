@@ -1,5 +1,7 @@
 """`Options` are checked where they are made, and say what they stand for."""
 
+import re
+
 import numpy as np
 import pytest
 from strategies import terrain_like, write_geotiff
@@ -9,7 +11,7 @@ from terrainwave.codec import method_options
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.names import MESH_KINDS, METHODS
 from terrainwave.write.compress import compress
-from terrainwave.write.options import Options
+from terrainwave.write.compress_options import Options
 
 
 @pytest.mark.parametrize(
@@ -25,8 +27,11 @@ from terrainwave.write.options import Options
         ({"method": 5}, "found method 5, expected a name"),
         ({"mesh": Zerotree}, "expected a name, such as 'halves', or options of a kind of meshes"),
         ({"mesh": "rtin"}, "found mesh 'rtin'"),
-        ({"mesh": Zerotree(labels="coded"), "method": "cdf97"}, "found labels coded for a file"),
-        ({"mesh": Rqt(select="coefficient")}, "found select coefficient and method rapid"),
+        ({"mesh": Zerotree(labels="coded"), "method": "cdf97"}, "found labels=coded for a file"),
+        (
+            {"mesh": Rqt(select="coefficient")},
+            "found select=coefficient for a file of method rapid",
+        ),
         ({"threads": 0}, "found threads 0, expected a whole number >= 1"),
         ({"max_error": 1, "method": Cdf53(rate=1)}, "found max_error and rate, expected one of"),
         ({"strict": True, "method": Cdf53(psnr=1)}, "found strict and psnr, expected max_error"),
@@ -46,7 +51,7 @@ def test_what_cannot_be_is_refused_where_options_are_made(options, message):
         (Cdf97, {"faithful": 1}, "found faithful 1, expected True or False"),
         (Cdf53, {"rate": 0}, "found rate 0, expected a finite number > 0"),
         (Cdf53, {"psnr": float("nan")}, "found psnr nan, expected a finite number > 0"),
-        (Cdf53, {"rate": 1, "psnr": 40}, "found rate and psnr, expected one of them"),
+        (Cdf53, {"rate": 1, "psnr": 40}, "found rate=1 and psnr=40, expected one of them"),
         (Zerotree, {"labels": "none"}, "found labels 'none', expected one of plain, layer, coded"),
         (Zerotree, {"labels": 1}, "found labels the number 1, expected"),
         (Rqt, {"select": None}, "found select None, expected error or coefficient"),
@@ -113,6 +118,46 @@ def test_faithful_files_have_no_efforts():
     (note,) = Options(method=Cdf97(faithful=True), effort="best").notes
     assert note.startswith("effort best changes nothing: faithful")
     assert Options(method=Cdf97(faithful=True)).notes == []
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({}, "rapid: the default"),
+        ({"effort": "best"}, "predictive: effort best: for archives"),
+        ({"method": "predictive"}, "predictive: asked for"),
+        ({"method": Cdf97(border_rings=3)}, "cdf97: asked for with options"),
+    ],
+)
+def test_the_log_says_why_a_method_codes_the_raster(tmp_path, caplog, options, reason):
+    caplog.set_level("INFO", "terrainwave")
+    compress(terrain_like(33, 33), tmp_path / "a.twz", max_error=1, mesh="none", **options)
+    assert [record.getMessage() for record in caplog.records] == [f"method {reason}"]
+
+
+def test_the_log_says_that_heights_do_not_compress(tmp_path, caplog):
+    caplog.set_level("INFO", "terrainwave")
+    noise = np.random.default_rng(0).integers(0, 256, (65, 65), dtype="uint8")
+    result = compress(noise, tmp_path / "noise.twz", max_error=0, mesh="none")
+    (message,) = (record.getMessage() for record in caplog.records)
+    assert result.method == "store"
+    assert re.fullmatch(r"method store: rapid, the default, takes \d,\d{3} bytes of 4,225", message)
+
+
+@pytest.mark.parametrize(
+    ("own", "other"),
+    [
+        (Cdf97(), "store"),
+        (Cdf97(faithful=True), None),
+        (Cdf53(), "store"),
+        (Cdf53(rate=1), None),
+        (Cdf53(psnr=40), None),
+        (Store(), None),
+    ],
+)
+def test_what_codes_heights_that_do_not_compress_is_decided_with_the_method(own, other):
+    found = Options(method=own).choice.other
+    assert other == (found and found.name)
 
 
 def test_a_faithful_file_stays_one_where_heights_do_not_compress(tmp_path):

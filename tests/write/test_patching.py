@@ -11,16 +11,15 @@ from cases import some
 from click.testing import CliRunner
 from containers import open_container
 from strategies import terrain_like, write_geotiff
-from twz import twz_bytes
+from twz import stated_bounds_problems, twz_bytes
 
 import terrainwave
 from terrainwave.cli import main
 from terrainwave.errors import BoundViolationError, InvalidHeightsError, StorageError
-from terrainwave.grid.quadtree import Region
 from terrainwave.terrain import Terrain
 from terrainwave.write.patch import patch
 from terrainwave.write.patching import index
-from terrainwave.write.patching.encoder import PatchEncoder
+from terrainwave.write.patching.patch_encoder import PatchEncoder
 
 NODATA = -32768
 HEIGHTS = terrain_like(140, 100, seed=11)
@@ -144,28 +143,6 @@ def write_whole(heights, path):
     return path
 
 
-def stated_bounds_problems(path, heights):
-    """Return the finest blocks whose stated error or box does not hold for the heights."""
-    found = []
-    with Terrain(path) as terrain:
-        decoded = terrain.read().astype(int)
-        for block in terrain.grid.blocks(terrain.grid.k_max):
-            region = terrain.grid.block_region(block)
-            at = region.slices_in(Region(0, 0, *heights.shape))
-            valid = heights[at] != NODATA
-            if not valid.any():
-                continue
-            error = np.abs(decoded[at] - heights[at])[valid].max()
-            low, high = terrain.block_box(block)
-            # Originals and what their error leaves room for, inside the file's range.
-            stated, info = terrain.block_error(block), terrain.info()
-            least = max(heights[at][valid].min() - stated, info.minimum)
-            most = min(heights[at][valid].max() + stated, info.maximum)
-            if error > stated or least < low or most > high:
-                found.append((block, error))
-    return found
-
-
 MIDDLE = (60, 20, 9, 9)
 
 
@@ -191,7 +168,7 @@ def test_a_lossy_file_takes_the_change_alone(tmp_path, mesh, old):
     assert info.moved_error == result.moved_error == 0
     report = terrainwave.verify(path, write_whole(new, tmp_path / "all.tif"), mesh=True)
     assert report.ok, report
-    assert stated_bounds_problems(path, new) == []
+    assert stated_bounds_problems(path, new, NODATA) == []
     error = np.abs(after - new)[new != NODATA].max()
     assert error <= result.measured_error <= result.effective_error
 

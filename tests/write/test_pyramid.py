@@ -16,7 +16,7 @@ from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.write import pyramid as pyramid_module
-from terrainwave.write.pyramid import Base, Part, Pyramid
+from terrainwave.write.pyramid import Base, Pyramid, SubtreeRegion
 
 
 class ArraySource:
@@ -288,7 +288,7 @@ class SplitPyramids:
         dtypes = bool, np.int32, bool, bool
         spools = [self.spool(np.zeros(self.shape, dtype)) for dtype in dtypes]
         for region in PARTS:
-            part = self.pyramid(part=Part(region, SPLIT))
+            part = self.pyramid(part=SubtreeRegion(region, SPLIT))
             part.push()
             at = self.coarse(region)
             mask, own = part.mask(self.level, at), part.own(self.level, at)
@@ -328,7 +328,7 @@ def test_a_base_has_the_same_levels_above_it(split, voids):
 @pytest.mark.parametrize("region", [PARTS[0], PARTS[4], PARTS[8], Region(37, 61, 40, 33)])
 def test_a_part_has_the_same_levels(split, voids, region):
     pyramids = split(voids)
-    part = pyramids.pyramid(part=Part(region, SPLIT))
+    part = pyramids.pyramid(part=SubtreeRegion(region, SPLIT))
     if voids.any():
         part.push()
         part.pull(pyramids.spool(pyramids.whole.fills(SPLIT, Region(0, 0, *pyramids.shape))))

@@ -15,7 +15,7 @@ from terrainwave.container.header import HAS_FILLS, HAS_WEIGHTS
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.verification.heights import verify
 from terrainwave.write.compress import compress, compress_to_bytes
-from terrainwave.write.options import Options
+from terrainwave.write.compress_options import Options
 
 
 def bits(heights):

@@ -3,7 +3,8 @@
 import os
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -20,7 +21,7 @@ from terrainwave.cli.output import (
     line_of,
     plain,
     print_error,
-    print_json,
+    print_json_line,
     print_note,
 )
 from terrainwave.cli.streams import STREAM
@@ -30,7 +31,7 @@ from terrainwave.progress import Progress, ProgressCallback
 
 
 @dataclass(frozen=True)
-class Job:
+class FileJob:
     """One file of many: what is read, and what is written or compared with it, if anything."""
 
     source: str
@@ -48,7 +49,8 @@ class Done:
 
 @dataclass(frozen=True)
 class _Outcome:
-    job: Job
+    job: FileJob
+    seconds: float
     done: Done | None = None
     error: Exception | None = None
 
@@ -65,34 +67,49 @@ class _Outcome:
 
     def to_dict(self, word: str) -> dict[str, Any]:
         """Return its fields for --json."""
-        named = {"source": display_name(self.job.source), "target": self.job.target}
+        named = {
+            "source": display_name(self.job.source),
+            "target": self.job.target,
+            "seconds": round(self.seconds, 3),
+        }
         if self.error is not None:
-            return named | {"status": "failed", "error": self.message}
+            error_class = type(self.error).__name__
+            return named | {
+                "status": "failed", "error": self.message, "error_class": error_class,
+            }  # fmt: skip
         if self.done is None:
             return named | {"status": "skipped"}
         return named | {"status": word if self.done.is_good else "failed"} | self.done.fields
 
 
-Work = Callable[[Job, int, ProgressCallback], Done]
+Work = Callable[[FileJob, int, ProgressCallback], Done]
 
 
-def plan(sources: Sequence[str], directory: str, ending: str) -> list[Job]:
+# Of rasters that a folder may hold; others are read where they are named.
+RASTER_ENDINGS = (
+    ".tif", ".tiff", ".vrt", ".img", ".hgt", ".asc", ".dem", ".bil", ".flt", ".nc", ".dt0",
+    ".dt1", ".dt2", ".twz",
+)  # fmt: skip
+
+
+def plan(
+    sources: Sequence[str], directory: str, ending: str, endings: Sequence[str] = RASTER_ENDINGS
+) -> list[FileJob]:
     """Return a job for each source, whose target has its name and the ending.
+
+    A folder stands for all files below it that end in one of `endings`; their targets lie in
+    folders of the same names. Hidden files are left out, and what lies below `directory`.
 
     Raises
     ------
     click.UsageError
-        If two would write the same file, or one is a stream.
+        If two would write the same file, one is a stream, or a folder holds no such file.
     """
-    jobs: dict[str, Job] = {}
-    for source in sources:
-        if source == STREAM:
-            raise click.UsageError(
-                "found - and --to, expected names of files: targets get their names from them"
-            )
-        checked_path(source)
-        job = Job(source, os.path.join(directory, Path(path_in_url(source)).stem + ending))
-        other = jobs.setdefault(os.path.basename(str(job.target)).casefold(), job)
+    jobs: dict[str, FileJob] = {}
+    for source, folder in with_files_of_folders(sources, endings, directory):
+        stem = Path(path_in_url(source)).stem
+        job = FileJob(source, os.path.join(directory, folder, stem + ending))
+        other = jobs.setdefault(os.path.join(folder, stem).casefold(), job)
         if other is not job:
             raise click.UsageError(
                 f"found {display_name(other.source)} and {display_name(source)}, which would both"
@@ -101,31 +118,86 @@ def plan(sources: Sequence[str], directory: str, ending: str) -> list[Job]:
     return list(jobs.values())
 
 
+def with_files_of_folders(
+    sources: Sequence[str], endings: Sequence[str], directory: str | None = None
+) -> Iterator[tuple[str, str]]:
+    """Yield each file that is named or lies in a folder that is, and its folder below that one.
+
+    Of folders the files that end in one of `endings`, but those below `directory`.
+
+    Raises
+    ------
+    click.UsageError
+        If one is a stream, or a folder holds no such file.
+    """
+    for source in sources:
+        if source == STREAM:
+            raise click.UsageError(
+                "found - and --to, expected names of files: targets get their names from them"
+            )
+        checked_path(source)
+        if not os.path.isdir(source) or source.lower().endswith(_FOLDERS_THAT_ARE_RASTERS):
+            yield source, ""
+            continue
+        found = list(_files_below(source, directory, endings))
+        if not found:
+            raise click.UsageError(
+                f"found no file in {source} that ends in {', '.join(endings)}; expected one, or"
+                " the names of the files themselves"
+            )
+        yield from found
+
+
+# Of GDAL's formats whose rasters are folders.
+_FOLDERS_THAT_ARE_RASTERS = (".zarr", ".gdb")
+
+
+def _files_below(
+    source: str, directory: str | None, endings: Sequence[str]
+) -> Iterator[tuple[str, str]]:
+    """Yield the files below a folder, sorted, and the folder of each relative to it."""
+    target = None if directory is None else os.path.realpath(directory)
+    for path, folders, names in os.walk(source):
+        folders[:] = sorted(
+            name
+            for name in folders
+            if not name.startswith(".") and os.path.realpath(os.path.join(path, name)) != target
+        )
+        for name in sorted(names):
+            if name.lower().endswith(tuple(endings)) and not name.startswith("."):
+                folder = os.path.relpath(path, source)
+                yield os.path.join(path, name), "" if folder == os.curdir else folder
+
+
 @contextmanager
-def made(directory: str) -> Iterator[None]:
-    """Make a directory; remove it again if nothing is in it at the end."""
-    path = Path(directory).absolute()
-    missing = [part for part in (path, *path.parents) if not part.exists()]
+def made(directories: Iterable[str]) -> Iterator[None]:
+    """Make directories; remove those again that nothing is in at the end."""
+    missing = set[Path]()
     try:
-        path.mkdir(parents=True, exist_ok=True)
+        for directory in directories:
+            path = Path(directory).absolute()
+            missing |= {part for part in (path, *path.parents) if not part.exists()}
+            path.mkdir(parents=True, exist_ok=True)
         yield
     finally:
-        for part in missing:
+        for part in sorted(missing, reverse=True):
             with suppress(OSError):  # it is in use
                 part.rmdir()
 
 
 def run(
-    jobs: Sequence[Job],
+    jobs: Sequence[FileJob],
     work: Work,
     *,
     word: str,
     threads: int | None,
+    as_json: bool,
     quiet: bool,
     manifest: Manifest | None = None,
-) -> tuple[list[dict[str, Any]], int]:
-    """Do the jobs, tell what came of each, then of all; return both, and the exit status.
+) -> int:
+    """Do the jobs, tell what came of each, then of all; return the exit status.
 
+    With `as_json` a line of JSON for each file, as soon as it is done, and nothing else on stdout.
     The threads are shared: as many jobs at a time as there are threads, each with its part. A job
     whose target `manifest` knows to be as asked for is skipped.
     """
@@ -133,31 +205,39 @@ def run(
     n_at_once = min(len(jobs), n_threads)
     is_stopped = threading.Event()
 
-    def go_on(progress: object = None) -> None:
+    def go_on(_: object = None) -> None:
         if is_stopped.is_set():
             raise KeyboardInterrupt
 
-    def attempt(job: Job) -> _Outcome:
-        go_on()
-        try:
-            if manifest is None:
-                return _Outcome(job, done=work(job, n_threads // n_at_once, go_on))
-            with manifest.checked(job.source, str(job.target), go_on) as difference:
-                if difference is None:
-                    return _Outcome(job)
-                if difference:
-                    print_note(f"{job.target} is made again: {difference}")
-                return _Outcome(job, done=work(job, n_threads // n_at_once, go_on))
-        except Exception as error:  # noqa: BLE001  one file of many: the others go on
-            return _Outcome(job, error=error)
+    def attempt(job: FileJob) -> Done | None:
+        if manifest is None:
+            return work(job, n_threads // n_at_once, go_on)
+        with manifest.checked(job.source, str(job.target), go_on) as difference:
+            if difference is None:
+                return None
+            if difference:
+                print_note(f"{job.target} is made again: {difference}")
+            return work(job, n_threads // n_at_once, go_on)
 
-    outcomes: dict[Job, _Outcome] = {}
-    with Bar(quiet=quiet) as bar, ThreadPoolExecutor(n_at_once) as executor:
+    def outcome_of(job: FileJob) -> _Outcome:
+        go_on()
+        start = time.monotonic()
         try:
-            for future in as_completed([executor.submit(attempt, job) for job in jobs]):
+            done = attempt(job)
+        except Exception as error:  # noqa: BLE001  one file of many: the others go on
+            return _Outcome(job, time.monotonic() - start, error=error)
+        return _Outcome(job, time.monotonic() - start, done)
+
+    outcomes: dict[FileJob, _Outcome] = {}
+    is_silent = quiet or as_json
+    with Bar(quiet=is_silent) as bar, ThreadPoolExecutor(n_at_once) as executor:
+        try:
+            for future in as_completed([executor.submit(outcome_of, job) for job in jobs]):
                 outcome = future.result()
                 outcomes[outcome.job] = outcome
-                _tell(outcome, bar, quiet=quiet)
+                _tell(outcome, bar, quiet=is_silent)
+                if as_json:
+                    print_json_line(outcome.to_dict(word))
                 bar(Progress(f"files {word}", len(outcomes), len(jobs)))
         except BaseException:
             # Those that run end at their next report of progress, and leave nothing.
@@ -165,9 +245,9 @@ def run(
             executor.shutdown(wait=False, cancel_futures=True)
             raise
     in_order = [outcomes[job] for job in jobs]
-    if not quiet:
+    if not is_silent:
         click.echo(_summary(in_order, word))
-    return [outcome.to_dict(word) for outcome in in_order], _status(in_order)
+    return _status(in_order)
 
 
 def run_to(
@@ -177,6 +257,7 @@ def run_to(
     work: Work,
     word: str,
     *,
+    endings: Sequence[str] = RASTER_ENDINGS,
     manifest: Manifest | None,
     threads: int | None,
     as_json: bool,
@@ -185,15 +266,13 @@ def run_to(
     """Make a file of each source in a directory, and end with the status of all."""
     if not sources:
         raise click.UsageError("Missing argument 'SOURCE'.")
-    jobs = plan(sources, directory, ending)
+    jobs = plan(sources, directory, ending, endings)
     announce_compiling(quiet=quiet)
-    with made(directory):
-        found, status = run(
-            jobs, work, word=word, threads=threads, quiet=quiet or as_json,
+    with made({os.path.dirname(str(job.target)) for job in jobs}):
+        status = run(
+            jobs, work, word=word, threads=threads, as_json=as_json, quiet=quiet,
             manifest=manifest,
         )  # fmt: skip
-    if as_json:
-        print_json({"files": found})
     finish(status)
 
 
@@ -226,7 +305,7 @@ def _status(outcomes: Sequence[_Outcome]) -> int:
     return int(any(map(_has_failed, outcomes)))
 
 
-def find_original(file: str, directory: str) -> str:
+def find_original(file: str, directory: Path) -> str:
     """Return the raster in a directory that has the name of a .twz file.
 
     Raises
@@ -237,11 +316,11 @@ def find_original(file: str, directory: str) -> str:
     from terrainwave.errors import StorageError
 
     stem = Path(file).stem
-    found = sorted(str(path) for path in Path(directory).glob("*") if path.stem == stem)
+    found = sorted(str(path) for path in directory.glob("*") if path.stem == stem)
     rasters = [path for path in found if not path.lower().endswith(_NO_RASTERS)]
     if len(rasters) != 1:
-        names = ", ".join(rasters) or "none"
-        raise StorageError(f"{file}: found {names}, expected one raster {stem} in {directory}")
+        names = ", ".join(rasters) or f"no raster {stem}"
+        raise StorageError(f"{file}: found {names} in {directory}, expected one, as {stem}.tif")
     return rasters[0]
 
 

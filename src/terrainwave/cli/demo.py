@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 import terrainwave
-from terrainwave.container.publish import scratch_directory
 from terrainwave.container.spool import storage_errors
+from terrainwave.container.targets.publication import scratch_directory
 from terrainwave.errors import BoundViolationError
 from terrainwave.extras import need
 from terrainwave.progress import ProgressCallback
 from terrainwave.raster_io.geotiff.sink import RasterSink
-from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.verification.metrics import ErrorReport
 
 # Metres.

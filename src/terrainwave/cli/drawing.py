@@ -52,7 +52,7 @@ class Color(click.ParamType):
         return red, green, blue
 
 
-def _as_int(ctx: Any, param: Any, value: str | None) -> int | None:
+def _as_int(_: Any, __: Any, value: str | None) -> int | None:
     return None if value is None else int(value)
 
 
@@ -104,10 +104,12 @@ def drawing(command: Callable[..., Any]) -> Callable[..., Any]:
                      " there, too."),
         click.option("--mode", type=click.Choice(MODES), default="adaptive", show_default=True,
                      help="How to draw the terrain: docs/viewing.md describes the modes."),
+        click.option("--bounds", type=Numbers("left,bottom,right,top", float),
+                     help="Area to show, in the CRS."),
         click.option("--camera", help="x,y,z,heading,pitch,fov: position in the CRS, height in the"
                      " file's unit; angles in degrees, heading from north, pitch upwards."),
         click.option("--size", type=Size(), default="1280x853", show_default=True,
-                     help="Width and height of the picture, in pixels."),
+                     help="Width and height of the picture or window, in pixels."),
     ):  # fmt: skip
         command = option(command)
     return command
@@ -135,7 +137,7 @@ def suggest_exaggeration(frame: Any) -> None:
 def note_dry_land(scene: Any, style: Any) -> None:
     """Say that what lies below the sea is drawn as land, where that is a guess."""
     frame = scene.scene.frame
-    lowest = min(frame.heights)
+    lowest = min(frame.heights, key=lambda height: height * frame.metres[2])
     if not style.is_absolute(frame.body) or style.sea_level != AUTO:
         return
     if lowest * frame.metres[2] <= _SEEN_DEPTH and not scene.water.cells.any():

@@ -66,7 +66,7 @@ class Manifest:
         """
         # Before the source is read: what changes meanwhile is noticed by the next run.
         sources = self._source_states(source)
-        name = os.path.basename(target)
+        name = os.path.relpath(target, self._path.parent).replace(os.sep, "/")
         before = self._entries.get(name)
         entry = {"target": name, "asked": self._asked, "sources": sources}
         difference: str | None = ""
@@ -136,7 +136,7 @@ def _read_entries(path: Path) -> dict[str, dict[str, Any]]:
 
 def _shorten(path: Path, entries: dict[str, dict[str, Any]]) -> None:
     """Leave one line for each target. What another run adds meanwhile is compared once more."""
-    from terrainwave.container.publish import publish
+    from terrainwave.container.targets.publication import publish
     from terrainwave.errors import StorageError
 
     with suppress(StorageError), publish(path, overwrite=True) as part:

@@ -14,6 +14,7 @@ from terrainwave.arguments import (
     BLOCKS,
     VERTICAL,
     check_ending,
+    check_local,
     checked_path,
 )
 from terrainwave.cli.streams import STREAM, read_stream
@@ -24,7 +25,7 @@ from terrainwave.render.look.colorings import AUTO, NO_SEA
 TILE_SIZES = tuple(2**n + 1 for n in range(1, 15))
 
 
-def complete_files(ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
+def complete_files(_: Any, __: Any, incomplete: str) -> list[CompletionItem]:
     """Let the shell complete the name of a file."""
     return [CompletionItem(incomplete, type="file")]
 
@@ -34,7 +35,7 @@ class _Path(click.ParamType):
 
     completes = "file"
 
-    def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
+    def shell_complete(self, _: Any, __: Any, incomplete: str) -> list[CompletionItem]:
         """Let the shell complete the name."""
         return [CompletionItem(incomplete, type=self.completes)]
 
@@ -61,17 +62,25 @@ class Target(_Path):
 
     name = "path"
 
-    def __init__(self, endings: Sequence[str], *, or_stdout: bool = True) -> None:
+    def __init__(
+        self, endings: Sequence[str], *, or_stdout: bool = True, or_url: bool = False
+    ) -> None:
         self._endings = endings
         self._or_stdout = or_stdout
+        self._or_url = or_url
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
         """Return the name."""
-        path = os.fspath(value)
+        path = self.named(value, param, ctx)
         if path == STREAM and self._or_stdout:
             return path
         try:
-            check_ending(path, self._endings)
+            if not self._or_url:
+                check_local(path)
+        except InvalidArgumentError as error:
+            self.fail(str(error), param, ctx)
+        try:
+            check_ending(path, self._endings, or_url=self._or_url)
         except InvalidArgumentError as error:
             self.fail(f"{error}{', or - for stdout' * self._or_stdout}", param, ctx)
         return path
@@ -131,7 +140,7 @@ class Finite(click.ParamType):
     name = "number"
     expected = "a finite number"
 
-    def holds(self, number: float) -> bool:
+    def holds(self, _: float) -> bool:
         """Say whether a finite number is one of these."""
         return True
 
@@ -278,13 +287,26 @@ RADIUS_OPTION = click.option(
     help="Radius of the planet or moon in metres, for coordinates in degrees. Default: the"
     " ellipsoid of the CRS.",
 )
-VERTICAL_OPTION = click.option(
-    "--vertical",
-    type=click.Choice(VERTICAL),
-    default=AS_IS,
-    show_default=True,
-    help="Heights on the globe: used as heights above the ellipsoid without a change (as-is), or"
-    " converted from the CRS's vertical datum by PROJ's grid (ellipsoid).",
+
+
+def vertical_option(heights: str) -> Callable[[Any], Any]:
+    """Return the option --vertical, of these heights."""
+    return click.option(
+        "--vertical",
+        type=click.Choice(VERTICAL),
+        default=AS_IS,
+        show_default=True,
+        help=f"{heights}: used as heights above the ellipsoid without a change (as-is), or"
+        " converted from the CRS's vertical datum by PROJ's grid (ellipsoid).",
+    )
+
+
+VERTICAL_OPTION = vertical_option("Heights on the globe")
+LEVEL_OPTION = click.option(
+    "--level",
+    type=int,
+    default=-1,
+    help="Level of detail: -1 is the full grid (default), -2 half of it, 0 the coarsest.",
 )
 
 
@@ -318,7 +340,8 @@ def batched(command: Callable[..., Any]) -> Callable[..., Any]:
             "--to",
             type=Directory(),
             metavar="DIR",
-            help="Write a file for each SOURCE to this directory, and continue if one fails.",
+            help="Write a file for each SOURCE to this directory, and continue if one fails. A"
+            " SOURCE that is a folder stands for the files below it; their folders are kept.",
         ),
     ):
         command = option(command)

@@ -12,8 +12,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from pathlib import Path
+from contextlib import contextmanager
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -55,21 +54,19 @@ def print_note(message: object) -> None:
 
 @contextmanager
 def reading(path: str) -> Iterator[None]:
-    """Name the file in the message of whatever is wrong with it, and say so if it is no .twz."""
+    """Name the file in the message of whatever is wrong with it, and say what to do."""
+    from terrainwave.container.header import NotTwzError
     from terrainwave.container.sources.addresses import display_name
 
     try:
         yield
     except CorruptStreamError as error:
-        with suppress(OSError), Path(path).open("rb") as file:
-            start = file.read(4)
-            if start != b"\x89TWZ":
-                kind = "a TIFF" if start[:2] in (b"II", b"MM") else "something else"
-                raise CorruptStreamError(
-                    f"{path}: found {kind}, expected a .twz file; terrainwave compress makes one"
-                    " of a raster"
-                ) from error
-        raise type(error)(f"{display_name(path)}: {error}") from error
+        advice = (
+            "terrainwave compress makes one of a raster"
+            if isinstance(error, NotTwzError)
+            else "the file is damaged: copy or download it again"
+        )
+        raise type(error)(f"{display_name(path)}: {error}; {advice}") from error
 
 
 @contextmanager
@@ -117,19 +114,41 @@ def message_of(error: TerrainwaveError | TerrainwaveWarning) -> str:
 class Command(click.Command):
     """A command: an argument that cannot be is wrong usage, wherever that is found out."""
 
+    def get_short_help_str(self, limit: int = 0) -> str:  # noqa: ARG002  lines are wrapped
+        """Return the first sentence of the help, as the list of commands has it."""
+        sentence = (self.help or "").split("\n\n")[0].partition(". ")[0]
+        return " ".join(sentence.split()).rstrip(".") + "."
+
+    def pointer(self, ctx: click.Context, message: str) -> str:  # noqa: ARG002  of some commands
+        """Return the command that helps where `message` says what is wrong."""
+        return f"{ctx.command_path} --help"
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Read the arguments; what is wrong with them is wrong with this command."""
+        with _of_command(ctx):
+            return super().parse_args(ctx, args)
+
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command."""
         try:
-            return super().invoke(ctx)
+            with _of_command(ctx):
+                return super().invoke(ctx)
         except InvalidArgumentError as error:
             raise click.UsageError(message_of(error), ctx) from error
         except BrokenPipeError as error:  # click would end without a word
             if is_of_stdout(error):
                 raise
             raise StorageError(line_of(error)) from error
-        except click.UsageError as error:
-            error.ctx = error.ctx or ctx
-            raise
+
+
+@contextmanager
+def _of_command(ctx: click.Context) -> Iterator[None]:
+    """Let wrong usage name the command that it is of: click's parser does not say."""
+    try:
+        yield
+    except click.UsageError as error:
+        error.ctx = error.ctx or ctx
+        raise
 
 
 class Commands(click.Group):
@@ -149,10 +168,12 @@ class Commands(click.Group):
             error.show()
             sys.exit(2)
         except click.UsageError as error:
-            command = error.ctx.command_path if error.ctx else "terrainwave"
-            click.echo(
-                f"{command}: {plain(error.format_message())} (see {command} --help)", err=True
-            )
+            message = plain(error.format_message())
+            name = "terrainwave" if error.ctx is None else error.ctx.command_path
+            see = f"{name} --help"
+            if error.ctx is not None and isinstance(error.ctx.command, Command):
+                see = error.ctx.command.pointer(error.ctx, message)
+            click.echo(f"{name}: {message} (see {see})", err=True)
             sys.exit(2)
         except click.ClickException as error:
             print_error(error.format_message())
@@ -315,9 +336,9 @@ def announce_compiling(*, quiet: bool = False) -> None:
 @functools.cache
 def _announce_once() -> None:
     from terrainwave.coding.jit import on_first_compilation
-    from terrainwave.coding.kernel_places import Place
+    from terrainwave.coding.kernel_places import KernelPlace
 
-    def tell(place: Place) -> None:
+    def tell(place: KernelPlace) -> None:
         if place.kept_in is None:  # a note says why
             words = "compiling kernels, for this run alone: this takes some seconds"
         else:
@@ -360,6 +381,12 @@ def print_grid(header: list[str], rows: list[list[str]]) -> None:
 def print_json(fields: dict[str, Any]) -> None:
     """Print a result as JSON."""
     click.echo(json.dumps(plain_json(fields), indent=2, allow_nan=False))
+
+
+def print_json_line(fields: dict[str, Any]) -> None:
+    """Print a result of many as one line of JSON, at once."""
+    click.echo(json.dumps(plain_json(fields), allow_nan=False))
+    sys.stdout.flush()
 
 
 def plain_json(value: Any) -> Any:

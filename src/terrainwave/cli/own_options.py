@@ -4,17 +4,20 @@ One rule for both: an option that only one method or one kind of meshes has is g
 listed by the command's help where that method or kind is named.
 """
 
+import re
 from collections.abc import Callable, Sequence
-from typing import Any
+from contextlib import suppress
+from typing import Any, NamedTuple
 
 import click
+from click.core import ParameterSource
 
 from terrainwave.arguments import one_of
 from terrainwave.cli.options import METHOD
 from terrainwave.cli.output import Command, print_note
 from terrainwave.codec.method_options import chosen
 from terrainwave.codec.method_options import options_of as options_of_method
-from terrainwave.names import DEFAULT_EFFORT, DEFAULT_MESH, EFFORTS, MESH_KINDS, METHODS
+from terrainwave.names import DEFAULT_EFFORT, EFFORTS, MESH_KINDS, METHODS
 from terrainwave.option_sets import OptionSet, refuse_unknown
 from terrainwave.tri.mesh_options import MeshOptions, of_former_name
 from terrainwave.tri.mesh_options import options_of as options_of_mesh
@@ -22,7 +25,13 @@ from terrainwave.tri.mesh_options import options_of as options_of_mesh
 _ARGUMENTS = "terrainwave.arguments"
 _FORMER = "terrainwave.former"
 
-Words = dict[str, str | None]
+
+class _Word(NamedTuple):
+    """An option of a method or of a kind of meshes, and what was typed for it."""
+
+    name: str
+    value: str | None
+    typed: str
 
 
 def own_option(help: str) -> Callable[[Any], Any]:
@@ -63,18 +72,17 @@ _FLAG: dict[str, Any] = {"is_flag": True}
 def _take_former(ctx: click.Context, param: click.Parameter, value: Any) -> None:
     if not value or ctx.resilient_parsing:
         return
-    word = str(param.name) if value is True else f"{param.name}={value}"
+    name = str(param.name)
+    word, typed = name, param.opts[0]
+    if value is not True:
+        word, typed = f"{name}={value}", f"{typed} {value}"
     if word == "border_rings=1":
         _note_former("--border-rings 1", "nothing: 1 is the default")
         return
-    owners = [
-        name
-        for name in METHODS
-        if (kind := options_of_method(name)) is not None and param.name in kind.names()
-    ]
+    owners = [method for method in METHODS if name in options_of_method(method).names()]
     method = f"--method {owners[0]} " if len(owners) == 1 else ""
     _note_former(param.opts[0], f"{method}-o {word}")
-    ctx.meta.setdefault(_FORMER, []).append(word)
+    ctx.meta.setdefault(_FORMER, []).append(_Word(name, None if value is True else value, typed))
 
 
 def _note_former(former: str, new: str) -> None:
@@ -96,32 +104,32 @@ def with_own_options(own: Sequence[str], options: dict[str, Any]) -> dict[str, A
     click.UsageError, InvalidArgumentError
         If the method and the kind of meshes have no such option, or it cannot have the value.
     """
-    former = click.get_current_context().meta.get(_FORMER, [])
+    ctx = click.get_current_context()
     words = _words(own)
-    for name, value in _words(former).items():
-        if name in words:
-            option = f"--{name.replace('_', '-')}"
-            raise click.UsageError(f"found {option} and -o {name}, expected one of them")
-        words[name] = value
+    for word in ctx.meta.get(_FORMER, []):
+        if word.name in words:
+            option, other = word.typed.partition(" ")[0], words[word.name].typed
+            raise click.UsageError(f"found {option} and {other}, expected one of them")
+        words[word.name] = word
     mesh = options.get("mesh") or "auto"
     of_mesh = options_of_mesh(mesh) if isinstance(mesh, str) else None
     found: dict[str, Any] = {}
     taken = {name: words.pop(name) for name in list(words) if of_mesh and name in of_mesh.names()}
     if of_mesh is not None and taken:
-        found["mesh"] = of_mesh.from_words(taken)
+        found["mesh"] = of_mesh.from_words(_values(taken))
+    of_method = None
     if "method" in options:
-        method, effort = chosen(options["method"], options["effort"])
-        _refuse_others(words, options["method"], type(method), mesh, of_mesh)
-        if words:
-            found |= {"method": type(method).from_words(words), "effort": effort}
-    else:
-        _refuse_others(words, "", None, mesh, of_mesh)
+        method, effort, _, _ = chosen(options["method"], options["effort"])
+        of_method = type(method)
+    _refuse_others(ctx, words, of_method, of_mesh)
+    if of_method is not None and words:
+        found |= {"method": of_method.from_words(_values(words)), "effort": effort}
     return options | found
 
 
-def _words(own: Sequence[str]) -> Words:
+def _words(own: Sequence[str]) -> dict[str, _Word]:
     """Return the words of -o by their names."""
-    words: Words = {}
+    words: dict[str, _Word] = {}
     for text in own:
         name, sign, value = text.partition("=")
         name = name.replace("-", "_")
@@ -129,31 +137,44 @@ def _words(own: Sequence[str]) -> Words:
             raise click.UsageError(f"found -o {text or repr(text)}, expected NAME or NAME=VALUE")
         if name in words:
             raise click.UsageError(f"found -o {name} twice, expected it once")
-        words[name] = value if sign else None
+        words[name] = _Word(name, value if sign else None, f"-o {text}")
     return words
 
 
+def _values(words: dict[str, _Word]) -> dict[str, str | None]:
+    return {name: word.value for name, word in words.items()}
+
+
 def _refuse_others(
-    words: Words,
-    method: str,
+    ctx: click.Context,
+    words: dict[str, _Word],
     of_method: type[OptionSet] | None,
-    mesh: Any,
     of_mesh: type[OptionSet] | None,
 ) -> None:
     """Refuse options that neither the method nor the kind of meshes has, and say who has them."""
     known = [name for each in (of_method, of_mesh) if each is not None for name in each.names()]
     meshes = [kind for name in MESH_KINDS if (kind := options_of_mesh(name)) is not None]
     methods = [options_of_method(name) for name in METHODS]
-    for name in words:
+    for name, word in words.items():
         if name in known:
             continue
-        if any(name in kind.names() for kind in meshes):
-            found = mesh if isinstance(mesh, str) else mesh.former_name
-            refuse_unknown(name, "mesh", DEFAULT_MESH if found == "auto" else found, meshes)
-        if of_method is not None and any(name in kind.names() for kind in methods):
-            refuse_unknown(name, "method", method, methods)
-        expected = f"-o {one_of(known)}" if known else "no option of these meshes"
-        raise click.UsageError(f"found -o {name}, expected {expected}")
+        owners: list[tuple[str, Sequence[type[OptionSet]]]] = [("mesh", meshes)]
+        if of_method is not None:
+            owners.append(("method", methods))
+        for argument, sets in owners:
+            if any(name in kind.names() for kind in sets):
+                refuse_unknown(name, argument, sets, given=word.typed, found=_typed(ctx, argument))
+        kinds = one_of([kind.name for kind in meshes])
+        expected = f"-o {one_of(known)}" if known else f"an option of --mesh {kinds}"
+        raise click.UsageError(f"found {word.typed}, expected {expected}")
+
+
+def _typed(ctx: click.Context, argument: str) -> str:
+    """Return an option of the command as the user has given it, or that it is not given."""
+    if ctx.get_parameter_source(argument) is not ParameterSource.COMMANDLINE:
+        return f"no `{argument}`"
+    value = ctx.params[argument]
+    return f"`{argument}` {value.former_name if isinstance(value, MeshOptions) else value}"
 
 
 class CommandWithOwnOptions(Command):
@@ -167,10 +188,30 @@ class CommandWithOwnOptions(Command):
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options of the command, then those of -o."""
         super().format_options(ctx, formatter)
-        given, _, _ = self.make_parser(ctx).parse_args(list(ctx.meta.get(_ARGUMENTS, [])))
-        for kind in _named(given):
+        for kind in _named(self._given(ctx)):
             with formatter.section(f"Options of --{kind.argument} {kind.name}"):
                 formatter.write_dl([(f"-o {words}", help) for words, help in kind.described()])
+
+    def pointer(self, ctx: click.Context, message: str) -> str:
+        """Return the command that lists what `message` is about: -o, or all options."""
+        if not re.search(r"(?<!\S)'?-o\b", message):
+            return super().pointer(ctx, message)
+        named = dict(re.findall(r"expected --(method|mesh) (\w+)", message))
+        if not named:
+            named = {kind.argument: kind.name for kind in _named(self._given(ctx))}
+        if not named:
+            has_methods = any(option.name == "method" for option in self.params)
+            named = {"method": "METHOD"} if has_methods else {"mesh": "KIND"}
+        words = " ".join(f"--{argument} {name}" for argument, name in named.items())
+        return f"{ctx.command_path} {words} --help"
+
+    def _given(self, ctx: click.Context) -> dict[str, Any]:
+        """Return what the arguments say as far as they can be read, before any value is checked."""
+        args = list(ctx.meta.get(_ARGUMENTS, []))
+        for known in (args, args[:-1]):  # the last option may lack its value
+            with suppress(click.UsageError):
+                return self.make_parser(ctx).parse_args(list(known))[0]
+        return {}
 
 
 def _named(given: dict[str, Any]) -> list[type[OptionSet]]:
@@ -178,7 +219,7 @@ def _named(given: dict[str, Any]) -> list[type[OptionSet]]:
     found: list[type[OptionSet] | None] = []
     if given.get("method") in METHOD.choices:
         effort = given.get("effort")
-        method, _ = chosen(given["method"], effort if effort in EFFORTS else DEFAULT_EFFORT)
-        found.append(type(method))
+        choice = chosen(given["method"], effort if effort in EFFORTS else DEFAULT_EFFORT)
+        found.append(type(choice.own))
     found.append(options_of_mesh(given.get("mesh") or ""))
     return [kind for kind in found if kind is not None]

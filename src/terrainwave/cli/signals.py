@@ -31,7 +31,7 @@ def ending_by_signals() -> Iterator[None]:
     clearing up but SIGKILL, after which the next run clears up.
     """
 
-    def end(number: int, frame: FrameType | None) -> None:
+    def end(number: int, _: FrameType | None) -> None:
         for other in changed:
             signal.signal(other, signal.SIG_IGN)
         raise Terminated(number)

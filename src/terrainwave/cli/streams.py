@@ -27,7 +27,7 @@ def read_stream(ctx: click.Context) -> str:
 @contextmanager
 def _stdin_file() -> Iterator[Path]:
     # Imported here: help needs no numpy.
-    from terrainwave.container.publish import system_scratch
+    from terrainwave.container.targets.publication import system_scratch
 
     check_open("stdin")
     with system_scratch() as directory:
@@ -49,7 +49,7 @@ def written(target: str, ending: str) -> Iterator[str]:
     check_open("stdout")
     if sys.stdout.isatty():
         raise click.UsageError("found - and a terminal, expected stdout to be a pipe or a file")
-    from terrainwave.container.publish import system_scratch
+    from terrainwave.container.targets.publication import system_scratch
 
     with system_scratch() as directory:
         path = directory / f"stdout{ending}"

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import terrainwave
-from terrainwave.container.publish import system_scratch
+from terrainwave.container.targets.publication import system_scratch
 from terrainwave.errors import StorageError, TerrainwaveError, TerrainwaveWarning
 from terrainwave.names import (
     DEFAULT_METHOD,
@@ -26,7 +26,7 @@ from terrainwave.names import (
     WARMUP_TASKS,
 )
 from terrainwave.raster_io.geotiff.sink import RasterSink
-from terrainwave.raster_io.info import SUPPORTED_DTYPES, RasterInfo
+from terrainwave.raster_io.raster_info import SUPPORTED_DTYPES, RasterInfo
 
 # Rows and columns: several levels of the smallest blocks, with borders that end within one.
 _SHAPE = (200, 220)
@@ -105,15 +105,15 @@ def keep_kernels_in(path: Path, tasks: Sequence[str], *, quiet: bool) -> int:
     return sum(1 for _ in path.rglob("*.nbc"))
 
 
-def _hills(dtype: str, step: int = 1) -> NDArray[np.generic]:
+def _hills(dtype: str, quantum: int = 1) -> NDArray[np.generic]:
     """Return heights as a GeoTIFF of the Earth would have; of int32, sums need 64 bits.
 
-    Whole ones are multiples of `step`.
+    Whole ones are multiples of `quantum`.
     """
     rows, cols = np.mgrid[: _SHAPE[0], : _SHAPE[1]]
     heights = 100 + 40 * np.sin(rows / 19) * np.cos(cols / 17) + 5 * np.sin(rows * cols / 70)
     heights = heights * (1e6 if dtype == "int32" else 1)
-    return (heights if np.dtype(dtype).kind == "f" else heights // step * step).astype(dtype)
+    return (heights if np.dtype(dtype).kind == "f" else heights // quantum * quantum).astype(dtype)
 
 
 def _rasters(folder: Path) -> list[tuple[Path, float]]:
@@ -122,8 +122,8 @@ def _rasters(folder: Path) -> list[tuple[Path, float]]:
     for dtype in SUPPORTED_DTYPES:
         bound = 0.5 if np.dtype(dtype).kind == "f" else 0.0
         # In steps of two: a kernel makes whole heights of other quanta than 1.
-        for name, step in ((dtype, 1), (f"{dtype}-void", 2)):
-            rasters.append((_write(folder / f"{name}.tif", _hills(dtype, step)), bound))
+        for name, quantum in ((dtype, 1), (f"{dtype}-void", 2)):
+            rasters.append((_write(folder / f"{name}.tif", _hills(dtype, quantum)), bound))
     return rasters
 
 

@@ -31,7 +31,7 @@ from terrainwave.codec.refiner import (
     all_void,
     as_array,
 )
-from terrainwave.codec.remainders import decode_remainders, encode_remainders
+from terrainwave.codec.remainder_planes import decode_remainders, encode_remainders
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.grid.quadtree import Region

@@ -6,7 +6,7 @@ Each method has a class of its own, which its line in `names.METHODS` names.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 from terrainwave.arguments import check_choice, check_effort, shown
 from terrainwave.errors import InvalidArgumentError
@@ -15,6 +15,7 @@ from terrainwave.names import (
     DEFAULT_METHOD,
     EFFORTS,
     METHODS,
+    PLAIN_METHOD,
     SMALLEST_METHOD,
     Method,
 )
@@ -31,6 +32,32 @@ class MethodOptions(OptionSet):
     def method(self) -> Method:
         """Return the method."""
         return METHODS[self.name]
+
+    @property
+    def must_stay(self) -> bool:
+        """Say whether they ask for what no other method's files have."""
+        return False
+
+
+class MethodChoice(NamedTuple):
+    """Which method codes a raster, and why: decided once, by `chosen`.
+
+    Attributes
+    ----------
+    own : MethodOptions
+        The options of the method.
+    effort : str
+        The effort that its files state.
+    reason : str
+        Why it is this method.
+    other : Method, optional
+        What codes the raster instead if the method makes it no smaller; None: nothing does.
+    """
+
+    own: MethodOptions
+    effort: str
+    reason: str
+    other: Method | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,8 +79,8 @@ def options_of(name: str) -> type[MethodOptions]:
     return found
 
 
-def chosen(method: object, effort: str) -> tuple[MethodOptions, str]:
-    """Return the options of the method that is meant, and the effort that its files state.
+def chosen(method: object, effort: str) -> MethodChoice:
+    """Decide which method codes a raster.
 
     Parameters
     ----------
@@ -69,7 +96,7 @@ def chosen(method: object, effort: str) -> tuple[MethodOptions, str]:
     """
     check_effort(effort)
     if isinstance(method, MethodOptions):
-        return method, effort
+        return _choice(method, effort, "asked for with options")
     if not isinstance(method, str):
         raise InvalidArgumentError(
             f"found `method` {shown(method)}, expected a name, such as {DEFAULT_METHOD.name!r},"
@@ -77,24 +104,32 @@ def chosen(method: object, effort: str) -> tuple[MethodOptions, str]:
         )
     check_choice("method", method, ("auto", *METHODS))
     if method != "auto":
-        return options_of(method)(), effort
-    found = SMALLEST_METHOD if effort == EFFORTS[-1] else DEFAULT_METHOD
-    return options_of(found.name)(), effort if found.effort else DEFAULT_EFFORT
+        return _choice(options_of(method)(), effort, "asked for")
+    if effort == EFFORTS[-1]:
+        return _choice(options_of(SMALLEST_METHOD.name)(), effort, f"effort {effort}: for archives")
+    stated = effort if DEFAULT_METHOD.effort else DEFAULT_EFFORT
+    return _choice(options_of(DEFAULT_METHOD.name)(), stated, "the default")
+
+
+def _choice(own: MethodOptions, effort: str, reason: str) -> MethodChoice:
+    stays = own.must_stay or own.method == PLAIN_METHOD
+    return MethodChoice(own, effort, reason, None if stays else PLAIN_METHOD)
 
 
 def chosen_with(method: object, effort: str, given: Mapping[str, Any]) -> tuple[MethodOptions, str]:
-    """Return the same with options that were given one by one.
+    """Return the chosen method's options, some given one by one, and the effort files state.
 
     Raises
     ------
     InvalidArgumentError
         If the method has no such option.
     """
-    own, stated = chosen(method, effort)
+    own, stated, _, _ = chosen(method, effort)
     for name in given:
         if name not in own.names():
             asked = method if isinstance(method, str) else own.name
-            refuse_unknown(name, "method", asked, [options_of(each) for each in METHODS])
+            sets = [options_of(each) for each in METHODS]
+            refuse_unknown(name, "method", sets, given=f"`{name}`", found=f"`method` {asked}")
     return replace(own, **given), stated
 
 

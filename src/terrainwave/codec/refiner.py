@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.remainders import Remainders
-from terrainwave.grid.windows import HeightsOf, MaskOf
+from terrainwave.grid.sample_windows import HeightsOf, MaskOf
 
 Heights = NDArray[np.int32]
 Mask = NDArray[np.bool_]
@@ -71,7 +71,7 @@ class GroupSpec(CodecParameters):
     ) -> Self:
         """Return the spec of a unit that is part of no file, by default one without neighbours.
 
-        `codec.units.unit_spec` returns those of a file's units.
+        `codec.unit_specs.unit_spec` returns those of a file's units.
         """
         return cls(
             step, z_min, z_max, forbidden, 1, effort, level=1, core=core, region=region or core,

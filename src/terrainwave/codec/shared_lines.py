@@ -1,6 +1,6 @@
 """Lines that neighbouring groups share, coded from the line alone (FORMAT.md §7.3).
 
-D. Yusov, V. Turlapov 2010, §2.3 codes contours around each group for the same end. Here each line
+E. Yusov, V. Turlapov 2010, §2.3 codes contours around each group for the same end. Here each line
 is predicted in one dimension from the parent's decoded samples on it, which both neighbours hold
 identically, so both decode the same bits without seeing each other.
 """
@@ -39,7 +39,7 @@ _SYNTHESIS_BITS = 14
 _LIMITS = -MAX_HEIGHT, MAX_HEIGHT
 
 
-class Line(NamedTuple):
+class SharedLine(NamedTuple):
     """One line to code: its place in the region, and the place of the parent's lines under it.
 
     Samples run along rows (`is_column` False: a row) or columns; `place` is the fixed index.
@@ -59,7 +59,7 @@ class Plan(NamedTuple):
     """What is shared in a region: corner samples, then lines, in coding order."""
 
     corners: list[tuple[int, int]]
-    lines: list[Line]
+    lines: list[SharedLine]
 
 
 def plan_border(spec: GroupSpec) -> Plan:
@@ -83,7 +83,7 @@ def plan_border(spec: GroupSpec) -> Plan:
         for r in around(row, n_rows)
         for c in around(col, n_cols)
     )
-    lines: dict[Line, None] = {}
+    lines: dict[SharedLine, None] = {}
     for is_column, places, size, start, n, before, after in (
         (False, rows, n_rows, left, spec.core.n_cols, shared.left, shared.right),
         (True, cols, n_cols, top, spec.core.n_rows, shared.top, shared.bottom),
@@ -92,7 +92,7 @@ def plan_border(spec: GroupSpec) -> Plan:
         stop = n - reach - 1 if after else n
         for place in places:
             for p in around(place, size):
-                lines[Line(is_column, p, start, n, first, stop)] = None
+                lines[SharedLine(is_column, p, start, n, first, stop)] = None
     return Plan(list(corners), list(lines))
 
 
@@ -197,7 +197,7 @@ class _Parent:
         is_inherited = self._is_nested and not (r & 1 or c & 1)
         return total + int(heights[r1, c1]) + 2 >> 2, is_inherited
 
-    def predict_line(self, line: Line) -> tuple[NDArray[np.int64], bool]:
+    def predict_line(self, line: SharedLine) -> tuple[NDArray[np.int64], bool]:
         """Return a line from the two around it, and whether its even samples are the parent's."""
         along, across = self._row_offset, self._col_offset
         parents = self._heights.T

@@ -2,8 +2,9 @@
 
 Numba compiles a kernel to the end (optimised, turned into instructions, wrapped for Python, stored)
 before it links it into a kernel that calls it, where all of it but the wrapper is done once more.
-Here a kernel has two sides. What Python calls is numba's own; what kernels call, a `_Part`, is only
-typed and lowered, and optimised where it ends up: as fast, and two thirds of the time to compile.
+Here a kernel has two sides. What Python calls is numba's own; what kernels call, a `_Callee`, is
+only typed and lowered, and optimised where it ends up: as fast, and two thirds of the time to
+compile.
 
 The compiler is numba's, put together anew by its documented ways (pipelines of passes, classes for
 libraries), and by some attributes that are private: `dispatchers` says when it is used.
@@ -31,7 +32,7 @@ from terrainwave.coding.private_names import missing
 
 
 class Kernel(CPUDispatcher):
-    """What Python calls; kernels that call it get its `_Part`."""
+    """What Python calls; kernels that call it get its `_Callee`."""
 
     def __init__(
         self,
@@ -42,7 +43,7 @@ class Kernel(CPUDispatcher):
     ) -> None:
         super().__init__(py_func, locals, targetoptions, pipeline_class or _KernelCompiler)
         options = {**(targetoptions or {}), "no_cpython_wrapper": True}
-        self._part = _Part(py_func, locals, options, _PartCompiler)
+        self._part = _Callee(py_func, locals, options, _CalleeCompiler)
 
     def compile(self, sig: Any) -> Any:
         """Compile for some types, or load what has been compiled for them."""
@@ -69,7 +70,7 @@ class Kernel(CPUDispatcher):
         return self._compiling_counter or self._part._compiling_counter
 
 
-class _Part(CPUDispatcher):
+class _Callee(CPUDispatcher):
     """A kernel as others call it."""
 
     def compile(self, sig: Any) -> Any:
@@ -184,17 +185,17 @@ class _KernelCompiler(Compiler):
         return [_replaced(passes, _OF_KERNELS) for passes in super().define_pipelines()]
 
 
-class _PartCompiler(Compiler):
+class _CalleeCompiler(Compiler):
     """The same up to code that has not been optimised."""
 
     def define_pipelines(self) -> list[Any]:
         """Return numba's passes, with our own among them."""
-        return [_replaced(passes, _OF_PARTS) for passes in super().define_pipelines()]
+        return [_replaced(passes, _OF_CALLEES) for passes in super().define_pipelines()]
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
-class _PartLowering(NativeLowering):
-    """Lower into a `_PartLibrary`."""
+class _CalleeLowering(NativeLowering):
+    """Lower into a `_CalleeLibrary`."""
 
     _name = "part_lowering"
 
@@ -204,7 +205,7 @@ class _PartLowering(NativeLowering):
         def entry(*_: Any) -> None:
             raise AssertionError("a part of kernels is never called from Python")
 
-        state.library = _PartLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library = _CalleeLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
         state.flags.no_compile = True
         super().run_pass(state)
         lowered = state["cr"]
@@ -213,7 +214,7 @@ class _PartLowering(NativeLowering):
         return True
 
 
-class _PartLibrary(JITCodeLibrary):
+class _CalleeLibrary(JITCodeLibrary):
     """Code that is linked into that of others before it is optimised."""
 
     def add_llvm_module(self, module: Any) -> None:
@@ -235,7 +236,7 @@ class _PartLibrary(JITCodeLibrary):
 
 # What is left out is for operations on whole arrays, which kernels don't have.
 _OF_KERNELS: dict[type, type | None] = {InlineInlinables: _Inlining, NopythonRewrites: None}
-_OF_PARTS = {**_OF_KERNELS, NativeLowering: _PartLowering}
+_OF_CALLEES = {**_OF_KERNELS, NativeLowering: _CalleeLowering}
 
 
 class _Shortcut(NamedTuple):

@@ -15,7 +15,7 @@ from numba.core import config, event
 from numba.core.registry import CPUDispatcher
 
 from terrainwave.coding.dispatchers import COMPILER, WHY_NOT_KEPT, Kernel, KernelCache
-from terrainwave.coding.kernel_places import Place
+from terrainwave.coding.kernel_places import KernelPlace
 
 # Numba does not notice edits in a callee's file; switch caching off while editing.
 _CACHE = not WHY_NOT_KEPT
@@ -211,30 +211,30 @@ def _fields_of(arguments: Iterable[Any]) -> Iterator[tuple[str, ...]]:
             yield from _fields_of(inner)
 
 
-def place_of_kernels() -> Place:
+def place_of_kernels() -> KernelPlace:
     """Return where this package's kernels are kept, or why they are not."""
     if not _CACHE:
-        return Place((), reason=WHY_NOT_KEPT)
+        return KernelPlace((), reason=WHY_NOT_KEPT)
     return KernelCache(place_of_kernels, _digest, _key_of).place
 
 
 class _FirstCompilation(event.Listener):
     """Calls back once, when numba compiles a kernel rather than takes it from its cache."""
 
-    def __init__(self, callback: Callable[[Place], None]) -> None:
-        self._callback: Callable[[Place], None] | None = callback
+    def __init__(self, callback: Callable[[KernelPlace], None]) -> None:
+        self._callback: Callable[[KernelPlace], None] | None = callback
 
     def on_start(self, event: Any) -> None:
         dispatcher = event.data["dispatcher"]
         if self._callback is None or not isinstance(dispatcher, Kernel):
             return
         callback, self._callback = self._callback, None
-        callback(getattr(dispatcher._cache, "place", Place((), reason=WHY_NOT_KEPT)))
+        callback(getattr(dispatcher._cache, "place", KernelPlace((), reason=WHY_NOT_KEPT)))
 
     def on_end(self, event: Any) -> None:
         pass
 
 
-def on_first_compilation(callback: Callable[[Place], None]) -> None:
+def on_first_compilation(callback: Callable[[KernelPlace], None]) -> None:
     """Call `callback` once, if and when a kernel is compiled, with where it will be kept."""
     event.register("numba:compile", _FirstCompilation(callback))

@@ -14,7 +14,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLoca
 from numba.core.compiler import CompileResult
 from numba.core.registry import CPUDispatcher
 
-from terrainwave.coding.kernel_places import ADVICE, Place, keep, lose, place_of
+from terrainwave.coding.kernel_places import ADVICE, KernelPlace, keep, lose, place_of
 from terrainwave.coding.private_names import missing
 
 # Settings of numba that change the code which it makes of a kernel, and that its own key does not
@@ -147,14 +147,14 @@ class KernelCache:
             self._reason = f"{source} cannot be read ({reason}); install the package as files"
 
     @property
-    def place(self) -> Place:
+    def place(self) -> KernelPlace:
         """Where entries are."""
         return self._found[0]
 
     @cached_property
-    def _found(self) -> tuple[Place, tuple[_Entries, ...]]:
+    def _found(self) -> tuple[KernelPlace, tuple[_Entries, ...]]:
         if self._reason:
-            return Place((), reason=self._reason), ()
+            return KernelPlace((), reason=self._reason), ()
         if not getattr(config, "CACHE_LOCATOR_CLASSES", ""):
             place = place_of(self.function.__code__.co_filename)
             return place, tuple(_Entries(self, folder) for folder in place.folders)
@@ -162,8 +162,8 @@ class KernelCache:
             entries = _Entries(self, None)
         except RuntimeError as error:  # none of them finds a place
             reason = f"NUMBA_CACHE_LOCATOR_CLASSES is set, and {error}; unset it"
-            return Place((), reason=reason), ()
-        return Place((entries.cache_path,), entries.cache_path), (entries,)
+            return KernelPlace((), reason=reason), ()
+        return KernelPlace((entries.cache_path,), entries.cache_path), (entries,)
 
     @property
     def cache_path(self) -> str | None:

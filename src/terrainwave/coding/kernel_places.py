@@ -23,7 +23,7 @@ from terrainwave.errors import TerrainwaveWarning
 ADVICE = "set NUMBA_CACHE_DIR to a folder that you can write"
 
 
-class Place(NamedTuple):
+class KernelPlace(NamedTuple):
     """Where the kernels of a file of sources are."""
 
     # What has been compiled is looked for in these, in turn; if any is kept, in the last of them.
@@ -35,7 +35,7 @@ class Place(NamedTuple):
     reason: str = ""
 
 
-def place_of(source: str) -> Place:
+def place_of(source: str) -> KernelPlace:
     """Return where the kernels of a file are."""
     folder = os.path.dirname(os.path.abspath(source))
     # As numba names it: one for each folder of sources, so that installations don't meet.
@@ -47,12 +47,12 @@ def place_of(source: str) -> Place:
         named = usual = os.path.join(folder, "__pycache__")
     why = _why_not_written(usual)
     if not why:
-        return Place((usual,), named)
+        return KernelPlace((usual,), named)
     private = _private_folder()
     if private is None:
         reason = f"{named} cannot be written ({why}), nor any private folder instead; {ADVICE}"
-        return Place((usual,), reason=reason)
-    return Place((usual, os.path.join(private, subfolder)), private, named)
+        return KernelPlace((usual,), reason=reason)
+    return KernelPlace((usual, os.path.join(private, subfolder)), private, named)
 
 
 @lru_cache(None)

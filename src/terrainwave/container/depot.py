@@ -16,16 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
-from terrainwave.container.page import (
-    describe_head,
-    empty_page,
-    page_layout,
-    unpack_page,
-)
+from terrainwave.container.page import describe_head, empty_page, page_layout, unpack_page
 from terrainwave.container.reader import check_crc
 from terrainwave.container.segment import Segment, segment_of_page
+from terrainwave.container.sources.byte_source import ByteSource
 from terrainwave.container.sources.opening import open_source
-from terrainwave.container.sources.source import ByteSource
 from terrainwave.container.spool import storage_errors
 from terrainwave.extras import need
 from terrainwave.grid.quadtree import Block, Grid

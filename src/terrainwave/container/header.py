@@ -317,6 +317,26 @@ def pack_header(header: Header, extents: Extents) -> bytes:
     return body + _CRC.pack(zlib.crc32(body))
 
 
+# What other files begin with.
+_KINDS = {
+    b"II*\0": "a TIFF", b"MM\0*": "a TIFF", b"II+\0": "a TIFF", b"MM\0+": "a TIFF",
+    b"\x89PNG": "a PNG", b"PK\x03\x04": "a zip archive", b"\x1f\x8b": "a gzip file",
+    b"\x89HDF": "an HDF5 or NetCDF file", b"CDF": "a NetCDF file", b"GRIB": "a GRIB file",
+    b"<!DOCTYPE html": "a web page", b"<html": "a web page", b"<?xml": "an XML file",
+}  # fmt: skip
+
+
+class NotTwzError(CorruptStreamError):
+    """It is another kind of file, which no copy will mend."""
+
+
+def _kind_of(data: bytes) -> str:
+    """Return what a file is whose first bytes are not those of a .twz file."""
+    start = data[:32].lstrip().lower()
+    kinds = (kind for magic, kind in _KINDS.items() if start.startswith(magic.lower()))
+    return next(kinds, "another kind of file")
+
+
 def unpack_header(data: bytes) -> tuple[Header, Extents]:
     """Read and check the header at the start of `data` (FORMAT.md §4.1).
 
@@ -331,8 +351,14 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
     UnsupportedVersionError
         If a version, feature, method, data type or reserved field is not known.
     """
+    if not data:
+        raise TruncatedStreamError("found an empty file, expected a .twz file")
     if data[: len(MAGIC)] != MAGIC[: len(data)]:
-        raise CorruptStreamError("not a .twz file: it does not begin with the magic bytes")
+        if data[:4] == MAGIC[:4]:
+            raise CorruptStreamError(
+                "found a .twz file whose line ends were changed, as a transfer in text mode does"
+            )
+        raise NotTwzError(f"found {_kind_of(data)}, expected a .twz file")
     if len(data) < HEADER_SIZE:
         raise TruncatedStreamError(f"the file ends in its header, at byte {len(data)}")
     version = data[8]

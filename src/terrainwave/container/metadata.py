@@ -13,6 +13,8 @@ from terrainwave.errors import CorruptStreamError, InvalidHeightsError, Terrainw
 
 # What `compress` knows a file again by, if it keeps that; nothing is decoded by it.
 ORIGIN = "origin"
+# The .twz files that the heights went through before, each with its bound.
+EARLIER = "earlier"
 
 MAX_NESTING = 16
 MAX_MOVED = 1 << 31

@@ -21,9 +21,10 @@ from terrainwave.container.page import (
     unpack_page,
 )
 from terrainwave.container.segment import Segment, page_and_payloads, segment_of_page
+from terrainwave.container.sources.byte_source import ByteSource
+from terrainwave.container.sources.cut_file import CutFile
 from terrainwave.container.sources.ranges import ByteRange
 from terrainwave.container.sources.rounds import RoundReader
-from terrainwave.container.sources.source import ByteSource
 from terrainwave.errors import CorruptStreamError, TerrainwaveError, TruncatedStreamError
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid
 
@@ -44,6 +45,13 @@ class Container:
         Closed by `close`.
     cached_segments : int
         How many index pages to keep (about 50 kB each).
+    may_be_cut : bool
+        Open a file that ends too early, too: what is missing is damaged.
+
+    Attributes
+    ----------
+    n_missing : int
+        Bytes that such a file lacks; else 0.
 
     Raises
     ------
@@ -56,16 +64,22 @@ class Container:
     metadata up to 30 kB. Memory does not depend on the size of the raster.
     """
 
-    def __init__(self, source: ByteSource, cached_segments: int = 256) -> None:
-        self.source = source
+    def __init__(
+        self, source: ByteSource, cached_segments: int = 256, *, may_be_cut: bool = False
+    ) -> None:
         self._cached_segments = cached_segments
         self._segments: Cache[Block, Segment] = Cache(cached_segments)
         start = source.read(0, min(FIRST_READ, source.size))
         header, extents = unpack_header(start)
-        if source.size < extents.file_size:
+        self.n_missing = max(extents.file_size - source.size, 0)
+        if self.n_missing and not may_be_cut:
             raise TruncatedStreamError(
-                f"the file has {source.size} of its {extents.file_size} bytes"
+                f"the file has {source.size} of its {extents.file_size} bytes; on_error='mask'"
+                " (decompress --on-error mask) reads what is there"
             )
+        if self.n_missing:
+            source = CutFile(source, extents.file_size)
+        self.source = source
         if source.size > extents.file_size:
             left_over = source.size - extents.file_size
             raise CorruptStreamError(f"{left_over} bytes left over after the last section")
@@ -393,7 +407,7 @@ class Container:
         self.close()
 
     def __reduce__(self) -> tuple[type["Container"], tuple[ByteSource, int]]:
-        return Container, (self.source, self._cached_segments)
+        return Container, (self.source, self._cached_segments)  # a file cut short is a `CutFile`
 
 
 def _payload_places(

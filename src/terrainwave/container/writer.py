@@ -30,7 +30,7 @@ Spools = Mapping[Block | None, SegmentSpool]
 Segments = Mapping[Block | None, SegmentSpool | StoredSegment]
 
 
-class _Part(NamedTuple):
+class _Extent(NamedTuple):
     """What must be known of a segment before any byte is written; an absent one is all zero."""
 
     columns: bytes
@@ -38,7 +38,7 @@ class _Part(NamedTuple):
     length: int
 
 
-_ABSENT = _Part(b"", 0, 0)
+_ABSENT = _Extent(b"", 0, 0)
 
 
 def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
@@ -70,7 +70,7 @@ def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
     grid = header.grid
     levels: list[Sequence[Block | None]] = [[None]]
     levels += [grid.blocks(level) for level in grid.segment_levels()]
-    parts: dict[Block | None, _Part] = {}
+    parts: dict[Block | None, _Extent] = {}
     for heads in reversed(levels):
         for head in heads:
             parts[head] = _prepare(grid, head, segments, parts)
@@ -111,7 +111,7 @@ def store_segments(
     `heads` have parents before children. Children that are not among them count as absent: their
     lengths in a page are 0 until `assemble` knows better.
     """
-    parts: defaultdict[Block | None, _Part] = defaultdict(lambda: _ABSENT)
+    parts: defaultdict[Block | None, _Extent] = defaultdict(lambda: _ABSENT)
     for head in reversed(heads):
         parts[head] = _prepare(grid, head, spools, parts)
     places: dict[Block | None, StoredSegment] = {}
@@ -146,7 +146,7 @@ def _index_name(name: str) -> str:
 
 
 def _chunks(
-    segment: SegmentSpool | StoredSegment, layout: PageLayout, part: _Part, first_child: int
+    segment: SegmentSpool | StoredSegment, layout: PageLayout, part: _Extent, first_child: int
 ) -> Iterator[bytes]:
     """Yield the bytes of a segment whose children begin at `first_child` of the file."""
     if isinstance(segment, SegmentSpool):
@@ -159,13 +159,13 @@ def _chunks(
 
 
 def _prepare(
-    grid: Grid, head: Block | None, segments: Segments, parts: Mapping[Block | None, _Part]
-) -> _Part:
+    grid: Grid, head: Block | None, segments: Segments, parts: Mapping[Block | None, _Extent]
+) -> _Extent:
     if head not in segments:
         raise ValueError(f"{describe_head(head)} is missing")
     segment = segments[head]
     if isinstance(segment, StoredSegment):
-        return _Part(b"", segment.page_length, segment.length)
+        return _Extent(b"", segment.page_length, segment.length)
     layout = page_layout(grid, head)
     page = _page(grid, layout, segment, [parts[child] for child in layout.children])
     if head is not None and page.is_empty:
@@ -174,10 +174,10 @@ def _prepare(
     length = page_length(columns)
     if length > MAX_PAGE:
         raise AssertionError(f"page of {length} bytes")
-    return _Part(columns, length, length + page.body_length)
+    return _Extent(columns, length, length + page.body_length)
 
 
-def _page(grid: Grid, layout: PageLayout, spool: SegmentSpool, children: list[_Part]) -> Page:
+def _page(grid: Grid, layout: PageLayout, spool: SegmentSpool, children: list[_Extent]) -> Page:
     extra = set(spool.keys()) - set(layout.keys)
     if extra:
         raise ValueError(f"{describe_key(min(extra))} does not belong to this segment")

@@ -17,7 +17,7 @@ from terrainwave.place.crs import format_crs
 from terrainwave.place.position import place_of
 from terrainwave.place.units import height_unit
 from terrainwave.place.vertical import EllipsoidalHeights, on_own_datum
-from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.raster_info import RasterInfo
 
 # Metres per metre by which PROJ's way from one height to another may stretch a difference.
 _STRETCH = 1e-6

@@ -21,7 +21,7 @@ from terrainwave.raster_io.geotiff.sidecar import (
     remove_beside,
     write_beside,
 )
-from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.raster_info import RasterInfo
 
 _SAME_FACTOR = 1e-7
 

@@ -15,6 +15,8 @@ from terrainwave.arguments import (
     AS_IS,
     GEOTIFF_ENDINGS,
     HEIGHT_TILE_ENDINGS,
+    MASK,
+    RAISE,
     VOIDS,
     check_ending,
     check_flags,
@@ -23,7 +25,7 @@ from terrainwave.arguments import (
     one_of,
     shown,
 )
-from terrainwave.container.publish import refuse_own_source
+from terrainwave.container.targets.publication import refuse_own_source
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.export.ellipsoidal import AboveEllipsoid, above_ellipsoid
 from terrainwave.export.georeference import info_to_write, keep_place
@@ -36,9 +38,11 @@ from terrainwave.raster_io.geotiff.sink import RasterSink
 
 # Samples of one window: whole rows of groups where they fit, 32 MiB of float64.
 _WINDOW_SAMPLES = 4 << 20
+# Damaged blocks that warnings name.
+_MOST_NAMED = 10
 
 # Heights and validity.
-Part = tuple[NDArray[Any], NDArray[np.bool_]]
+_Samples = tuple[NDArray[Any], NDArray[np.bool_]]
 
 
 def decompress(
@@ -53,6 +57,7 @@ def decompress(
     voids: str | float | None = None,
     quality: float | None = None,
     vertical: str = AS_IS,
+    on_error: str = RAISE,
     threads: int | None = None,
     overwrite: bool = False,
     progress: ProgressCallback | None = None,
@@ -86,6 +91,9 @@ def decompress(
         ``"ellipsoid"`` converts heights from the CRS's vertical datum with PROJ's grid. It writes
         metres above the ellipsoid, as float32 or float64, and the CRS with ellipsoidal heights.
         The tag TERRAINWAVE_VERTICAL names the conversion, TERRAINWAVE_MAX_ERROR the bound.
+    on_error : {"raise", "mask"}
+        ``"mask"``: damaged blocks become void, and a warning names each of them; a file that ends
+        too early gives what is there. A raster that has no mark for voids gets a mask.
     threads : int, optional
         Threads that decode; the number of processors by default.
     overwrite : bool
@@ -115,12 +123,13 @@ def decompress(
     else:
         _check_geotiff(dst, voids, size)
     refuse_own_source(src, dst)
-    with TerrainFile(src, threads=threads) as terrain:
-        region = terrain.region(window, bounds=bounds, level=level)
-        if note := terrain.note_on_cut(window, bounds=bounds, level=level):
+    with TerrainFile(src, threads=threads, on_error=on_error) as terrain:
+        asked = terrain.checked_window(window, bounds=bounds, level=level)
+        region = asked.region
+        if note := asked.note_on_cut(terrain.res):
             warnings.warn(note, TerrainwaveWarning, stacklevel=2)
         if is_tile:
-            return write_height_tile(
+            path = write_height_tile(
                 terrain,
                 dst,
                 region,
@@ -130,15 +139,20 @@ def decompress(
                 overwrite=overwrite,
                 reporter=reporter,
             )
+            _warn_of_lost(terrain, level, region)
+            return path
+        info = info_to_write(terrain)
+        if on_error == MASK and info.mask_kind == "none":
+            info = replace(info, mask_kind="mask")
         info = replace(
-            info_to_write(terrain),
+            info,
             n_rows=region.n_rows,
             n_cols=region.n_cols,
             transform=terrain.transform_of(level, region)[:6],
         )
         wanted = None if voids is None else str(voids)
 
-        def read(part: Region) -> Part:
+        def read(part: Region) -> _Samples:
             if quality is None:
                 return terrain.read_with_mask(part, level=level, voids=wanted)
             return terrain.read_early(part, level=level, quality=quality, voids=wanted)[:2]
@@ -149,7 +163,42 @@ def decompress(
         with RasterSink(dst, info, cog=cog, overwrite=overwrite, n_threads=n_threads) as sink:
             _write(sink, read, region, 2 * terrain.grid.block, reporter)
         keep_place(dst, info)
+        _warn_of_lost(terrain, level, region)
     return os.fspath(dst)
+
+
+def _warn_of_lost(terrain: TerrainFile, level: int, region: Region) -> None:
+    """Name the damaged blocks that became void, the first of many."""
+    if terrain.container.n_missing:
+        n_bytes = terrain.container.extents.file_size
+        warnings.warn(
+            f"{terrain.name} has {n_bytes - terrain.container.n_missing:,} of its {n_bytes:,} bytes"
+            " and was read as far as it goes",
+            TerrainwaveWarning,
+            stacklevel=3,
+        )
+    index = terrain.level_index(level)
+    lost = [one for one in terrain.lost if one.level == index]
+    for one in lost[:_MOST_NAMED]:
+        warnings.warn(f"lost: {one}", TerrainwaveWarning, stacklevel=3)
+    if len(lost) > _MOST_NAMED:
+        warnings.warn(
+            f"lost: {len(lost) - _MOST_NAMED} more parts of level {index}, which verify lists",
+            TerrainwaveWarning,
+            stacklevel=3,
+        )
+    if lost:
+        n_lost = sum(_n_samples(Region(*one.window).intersect(region)) for one in lost)
+        share = 100 * min(n_lost / _n_samples(region), 1)
+        warnings.warn(
+            f"lost: {share:.3g} % of the samples, which are void now",
+            TerrainwaveWarning,
+            stacklevel=3,
+        )
+
+
+def _n_samples(region: Region) -> int:
+    return max(region.n_rows, 0) * max(region.n_cols, 0)
 
 
 def _check_height_tile(
@@ -184,15 +233,19 @@ def _check_geotiff(
 
 
 def _converted(
-    converted: AboveEllipsoid, read: Callable[[Region], Part], region: Region, part: Region
-) -> Part:
+    converted: AboveEllipsoid, read: Callable[[Region], _Samples], region: Region, part: Region
+) -> _Samples:
     """Return a part of a region above the ellipsoid."""
     heights, valid = read(part)
     return converted.heights(part, region, heights, valid), valid
 
 
 def _write(
-    sink: RasterSink, read: Callable[[Region], Part], region: Region, side: int, reporter: Reporter
+    sink: RasterSink,
+    read: Callable[[Region], _Samples],
+    region: Region,
+    side: int,
+    reporter: Reporter,
 ) -> None:
     """Write a region in parts along the borders of groups, so that each is decoded once."""
     n_rows = max(side, _WINDOW_SAMPLES // max(region.n_cols, 1) // side * side)

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from terrainwave._version import __version__
 from terrainwave.arguments import FILLINGS, checked_number, checked_whole
-from terrainwave.container.publish import publish
 from terrainwave.container.spool import cannot_write, storage_errors
+from terrainwave.container.targets.publication import publish
 from terrainwave.errors import (
     InvalidArgumentError,
     LimitExceededError,

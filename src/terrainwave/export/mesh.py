@@ -41,7 +41,7 @@ class Mesh(MeshData):
         vertical: str = AS_IS,
         overwrite: bool = False,
     ) -> SavedMesh:
-        """Write the mesh to a file; see `terrainwave.export.files.save_mesh`.
+        """Write the mesh to a file; see `terrainwave.export.mesh_files.save_mesh`.
 
         Parameters
         ----------
@@ -67,7 +67,7 @@ class Mesh(MeshData):
             If the extension is unknown, an option does not fit, a package is missing, or the file
             cannot be written; nothing is left behind.
         """
-        from terrainwave.export.files import save_mesh
+        from terrainwave.export.mesh_files import save_mesh
 
         return save_mesh(
             self,
@@ -82,13 +82,13 @@ class Mesh(MeshData):
 
     def to_trimesh(self) -> Any:
         """Return a `trimesh.Trimesh` with these vertices, without `origin`; needs trimesh."""
-        from terrainwave.export.files import to_trimesh
+        from terrainwave.export.mesh_files import to_trimesh
 
         return to_trimesh(self)
 
     def to_pyvista(self) -> Any:
         """Return a `pyvista.PolyData` with these vertices, without `origin`; needs pyvista."""
-        from terrainwave.export.files import to_pyvista
+        from terrainwave.export.mesh_files import to_pyvista
 
         return to_pyvista(self)
 

@@ -34,12 +34,16 @@ def colours_of_heights(
 ) -> Any:
     """Return the colour map of heights from `low` to `high`, of `unit` metres each.
 
-    None as `cmap` is gist_earth: its land alone, or on the Earth its sea below 0 too, where heights
-    are lower than all dry land.
+    `unit` is negative where numbers are depths: the largest is then the lowest place. None
+    as `cmap` is gist_earth: its land alone, or on the Earth its sea below 0 too, where heights are
+    lower than all dry land.
     """
     pyplot = need("matplotlib.pyplot", extra="demo")
     if cmap is not None:
         return pyplot.get_cmap(cmap)
+    if unit < 0:
+        turned = colours_of_heights(None, -high, -low, -unit, is_earth=is_earth)
+        return turned.reversed("heights")
     heights, whole = np.linspace(low, high, _N_COLOURS), pyplot.get_cmap("gist_earth")
     shares = np.interp(heights, (low, high), _LAND_SHARES)
     if is_earth and low * unit < _DEEPEST_LAND:

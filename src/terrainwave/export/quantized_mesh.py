@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from terrainwave._version import __version__
 from terrainwave.arguments import AS_IS
-from terrainwave.container.publish import publish
 from terrainwave.container.spool import storage_errors
+from terrainwave.container.targets.publication import publish
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.export.frames import (
     areas,

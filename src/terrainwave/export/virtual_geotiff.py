@@ -16,7 +16,7 @@ from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.geotiff.sink import TILE
 from terrainwave.raster_io.geotiff.sparse import Plane, sparse_geotiff
-from terrainwave.raster_io.info import stored_nodata
+from terrainwave.raster_io.raster_info import stored_nodata
 
 # Made tiles that are kept: GDAL reads heights and mask of one place after each other.
 _CACHE_BYTES = 32 << 20

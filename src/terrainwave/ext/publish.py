@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from terrainwave.container.publish import publish_directory
 from terrainwave.container.spool import storage_errors
+from terrainwave.container.targets.publication import publish_directory
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveWarning
 from terrainwave.ext.serve.catalog import describe, layer_names
 from terrainwave.file import TerrainFile

@@ -16,7 +16,7 @@ from terrainwave.errors import TerrainwaveWarning
 from terrainwave.file import TerrainFile
 from terrainwave.file.described import DEFAULT_CACHE_BYTES
 from terrainwave.place.position import axis_attributes
-from terrainwave.raster_io.info import stored_nodata
+from terrainwave.raster_io.raster_info import stored_nodata
 
 VARIABLE = "heights"
 GRID_MAPPING = "spatial_ref"

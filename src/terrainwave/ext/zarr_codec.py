@@ -29,9 +29,9 @@ from terrainwave.errors import (
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quantum import as_fraction
 from terrainwave.grid.steps import FixedSteps
-from terrainwave.raster_io.info import SUPPORTED_DTYPES, fit_nodata, stored_nodata
-from terrainwave.raster_io.marks import note_on_marks
+from terrainwave.raster_io.raster_info import SUPPORTED_DTYPES, fit_nodata, stored_nodata
 from terrainwave.raster_io.source import RasterSource
+from terrainwave.raster_io.undeclared_voids import note_on_marks
 from terrainwave.write.compress import compress_to_bytes
 
 CODEC_NAME = "terrainwave"

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.arguments import (
+    ON_ERROR,
     VOIDS,
     check_choice,
     check_flags,
@@ -21,6 +22,7 @@ from terrainwave.file.described import DescribedFile
 from terrainwave.file.info import Info, info_of
 from terrainwave.names import METHODS, methods_that
 from terrainwave.place.position import longitude_turn
+from terrainwave.read.lost import Lost
 from terrainwave.read.places import places_of, to_samples
 from terrainwave.read.resample import RESAMPLING, resample
 
@@ -30,8 +32,6 @@ if TYPE_CHECKING:
     from terrainwave.read.native import NativeFile
 
 DEFAULT_MAX_BYTES = 4 << 30
-# What becomes of damaged blocks.
-ON_ERROR = ("raise", "mask")
 # Heights in the dtype of the raster.
 RasterHeights = NDArray[np.integer[Any] | np.floating[Any]]
 
@@ -58,6 +58,10 @@ class TerrainFile(DescribedFile):
     native : bool
         Read heights with the native library if the package terrainwave-native is installed. The
         heights are the same. ``TERRAINWAVE_NATIVE=0`` in the environment turns it off everywhere.
+    on_error : str
+        What reads do where the file is damaged, unless they say otherwise: ``"raise"``, or
+        ``"mask"``, which leaves damaged blocks void and lists them in `lost`. A file that ends too
+        early opens with ``"mask"`` alone; it gives every level and block that is there.
 
     Raises
     ------
@@ -83,7 +87,7 @@ class TerrainFile(DescribedFile):
     def decoder(self) -> "TreeDecoder":
         """Return the decoder of the file's units, with its cache; heights are in quanta."""
         # Imported when heights are first read: opening a file and `info` need no numba.
-        from terrainwave.read.tiles import make_decoder
+        from terrainwave.read.tile_decoder import make_decoder
 
         return make_decoder(self.header, self.container.payloads, self._cache_bytes)
 
@@ -105,7 +109,8 @@ class TerrainFile(DescribedFile):
         """Return what reads the file by the native library; None where that is not to be used."""
         from terrainwave.read import native
 
-        library = native.installed() if self.is_native and native.is_wanted() else None
+        is_fit = self.is_native and not self.container.n_missing
+        library = native.installed() if is_fit and native.is_wanted() else None
         if library is None:
             return None
         return native.NativeFile(
@@ -125,7 +130,7 @@ class TerrainFile(DescribedFile):
         out_shape: tuple[int, int] | None = None,
         resampling: str = "nearest",
         masked: bool = False,
-        on_error: str = "raise",
+        on_error: str | None = None,
         voids: str | None = None,
         max_bytes: int = DEFAULT_MAX_BYTES,
     ) -> RasterHeights:
@@ -154,7 +159,8 @@ class TerrainFile(DescribedFile):
         masked : bool
             Return a masked array, as rasterio does.
         on_error : str
-            ``"raise"``, or ``"mask"``: damaged blocks are void, and the rest is returned.
+            ``"raise"``, or ``"mask"``: damaged blocks are void (`lost` lists them), and the rest
+            is returned. Default: as the file was opened.
         voids : str, optional
             Which samples of a coarse level are void. ``"exact"``: those where the full grid is
             void. ``"any"``: only those with nothing valid around them; others have a fill, a height
@@ -182,7 +188,7 @@ class TerrainFile(DescribedFile):
         CorruptStreamError
             If a block is damaged and `on_error` is ``"raise"``; the message names it.
         """
-        check_choice("on_error", on_error, ON_ERROR)
+        on_error = self._settled(on_error)
         check_choice("resampling", resampling, RESAMPLING)
         check_flags(masked=masked)
         max_bytes = checked_whole("max_bytes", max_bytes, least=0)
@@ -192,8 +198,9 @@ class TerrainFile(DescribedFile):
                 raise InvalidArgumentError(
                     f"found `out_shape` {shown(out_shape)}, expected at least (1, 1)"
                 )
-        index = self.level_index(level)
-        region = self.region(window, bounds=bounds, level=level)
+        _check_voids(voids)
+        asked = self.checked_window(window, bounds=bounds, level=level)
+        index, region = asked.level, asked.region
         self._check_size(out_shape or region.shape, max_bytes)
         if out_shape is None:
             heights, void = self._levels.read(index, region, on_error, voids)
@@ -220,17 +227,33 @@ class TerrainFile(DescribedFile):
         window: Any = None,
         *,
         level: int = -1,
-        on_error: str = "raise",
+        on_error: str | None = None,
         voids: str | None = None,
     ) -> tuple[RasterHeights, NDArray[np.bool_]]:
         """Return heights and validity of a window of a level; arguments as in `read`.
 
         For rasters whose voids are marked by a mask: their heights alone do not show voids.
         """
+        on_error = self._settled(on_error)
+        _check_voids(voids)
+        asked = self.checked_window(window, level=level)
+        return self._filled(*self._levels.read(asked.level, asked.region, on_error, voids))
+
+    def _settled(self, on_error: str | None) -> str:
+        """Return what becomes of damaged blocks: as a read says, else as the file was opened."""
+        if on_error is None:
+            return self.on_error
         check_choice("on_error", on_error, ON_ERROR)
-        region = self.region(window, level=level)
-        index = self.level_index(level)
-        return self._filled(*self._levels.read(index, region, on_error, voids))
+        return on_error
+
+    @property
+    def lost(self) -> list[Lost]:
+        """Return the damaged blocks that reads have left void so far, coarse levels first.
+
+        Each is ``(level, window, problem)``, with the window in samples of the level:
+        ``(first_row, first_col, n_rows, n_cols)``.
+        """
+        return self._levels.lost
 
     def _filled(
         self, heights: NDArray[Any], void: NDArray[np.bool_] | None
@@ -246,7 +269,7 @@ class TerrainFile(DescribedFile):
         *,
         quality: float,
         level: int = -1,
-        on_error: str = "raise",
+        on_error: str | None = None,
         voids: str | None = None,
     ) -> EarlyHeights:
         """Return the best heights of a window for a number of bits per sample.
@@ -265,10 +288,10 @@ class TerrainFile(DescribedFile):
             If the file is not of method cdf53, the only one whose streams can be read in part, or
             if `quality` is out of range.
         """
-        check_choice("on_error", on_error, ON_ERROR)
+        on_error = self._settled(on_error)
+        _check_voids(voids)
         quality = checked_number("quality", quality, above=0)
-        method, index = self.header.method, self.level_index(level)
-        region = self.region(window, level=level)
+        asked, method = self.checked_window(window, level=level), self.header.method
         if not METHODS[method].is_cuttable:
             fit = methods_that(lambda method: method.is_cuttable)
             raise InvalidArgumentError(
@@ -278,10 +301,10 @@ class TerrainFile(DescribedFile):
         from terrainwave.read.early import early_decoder
 
         decoder, payloads = early_decoder(
-            self.container, index, region, quality, cache_bytes=self._cache_bytes
+            self.container, asked.level, asked.region, quality, cache_bytes=self._cache_bytes
         )
-        found = self._filled(*self._levels.read(index, region, on_error, voids, decoder))
-        return EarlyHeights(*found, payloads.n_bytes)
+        found = self._levels.read(asked.level, asked.region, on_error, voids, decoder)
+        return EarlyHeights(*self._filled(*found), payloads.n_bytes)
 
     def sample(
         self,
@@ -307,8 +330,7 @@ class TerrainFile(DescribedFile):
             holds at samples, not between them.
         """
         places = places_of(points)
-        if voids is not None:
-            check_choice("voids", voids, VOIDS)
+        _check_voids(voids)
         index, turn = self.level_index(level), longitude_turn(self.crs)
         if turn is not None:
             places = turn.near(places, self.bounds)
@@ -366,6 +388,12 @@ class TerrainFile(DescribedFile):
                 f"the window holds {shape[0]} x {shape[1]} samples, {n_bytes:,} bytes; more than"
                 f" max_bytes = {max_bytes:,}: read a smaller window or a coarser level"
             )
+
+
+def _check_voids(voids: str | None) -> None:
+    """Refuse what is neither None nor one of `VOIDS`."""
+    if voids is not None:
+        check_choice("voids", voids, VOIDS)
 
 
 def _with_valid(

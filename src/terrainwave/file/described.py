@@ -10,7 +10,16 @@ import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
-from terrainwave.arguments import check_flags, checked_threads, checked_whole, in_one_line
+from terrainwave.arguments import (
+    MASK,
+    ON_ERROR,
+    RAISE,
+    check_choice,
+    check_flags,
+    checked_threads,
+    checked_whole,
+    in_one_line,
+)
 from terrainwave.codec.registry import check_file_tables, check_layout
 from terrainwave.container.codes import decode_error, decode_range
 from terrainwave.container.header import LAYOUT_FEATURES, Header
@@ -20,14 +29,14 @@ from terrainwave.container.sources.addresses import display_name
 from terrainwave.container.sources.opening import open_source
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.file.callable_transform import CallableTransform
-from terrainwave.grid.affine import EVEN, bounds, coordinates, is_turned, of_level, pixel_size
+from terrainwave.grid.affine import bounds, coordinates, is_turned, of_level, pixel_size
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.names import METHODS
 from terrainwave.place.units import HeightUnit
 from terrainwave.place.units import height_unit as unit_of
-from terrainwave.raster_io.info import RasterInfo
-from terrainwave.read.places import LevelPlace, region_of_window
+from terrainwave.raster_io.raster_info import RasterInfo
+from terrainwave.read.places import LevelPlace, LevelWindow, region_of_window
 
 DEFAULT_CACHE_BYTES = 256 << 20
 
@@ -42,15 +51,18 @@ class DescribedFile:
         cache_bytes: int = DEFAULT_CACHE_BYTES,
         threads: int | None = None,
         native: bool = True,
+        on_error: str = RAISE,
     ) -> None:
         check_flags(native=native)
+        check_choice("on_error", on_error, ON_ERROR)
         self.n_threads = checked_threads(threads)
         cache_bytes = checked_whole("cache_bytes", cache_bytes, least=0)
-        self._arguments = (source, cache_bytes, threads, native)
+        self._arguments = (source, cache_bytes, threads, native, on_error)
         self.is_native = native
+        self.on_error = on_error
         self._source = open_source(source)
         try:
-            self.container = Container(self._source)
+            self.container = Container(self._source, may_be_cut=on_error == MASK)
             header = self.container.header
             bits = LAYOUT_FEATURES.items()
             told = sum(layout for layout, bit in bits if header.features & bit)
@@ -84,10 +96,12 @@ class DescribedFile:
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        source, cache_bytes, threads, native = self._arguments
+        source, cache_bytes, threads, native, on_error = self._arguments
         if not isinstance(source, str | os.PathLike):
             raise TypeError("only what was opened by path or URL can be pickled")
-        made = partial(type(self), cache_bytes=cache_bytes, threads=threads, native=native)
+        made = partial(
+            type(self), cache_bytes=cache_bytes, threads=threads, native=native, on_error=on_error
+        )
         return made, (source,)
 
     def close(self) -> None:
@@ -228,7 +242,9 @@ class DescribedFile:
         InvalidArgumentError
             If there is no such level, or `window` is no window.
         """
-        row, col, _, _ = self.level_place(level).asked(window, None)
+        row, col = 0, 0
+        if window is not None:
+            row, col, _, _ = region_of_window(window, self.level_shape(level))
         a, b, c, d, e, f = self.level_place(level, row, col).transform
         return Affine(a, b, c, d, e, f)
 
@@ -236,7 +252,7 @@ class DescribedFile:
         """Return a level's shape and place, from one of its samples on, and the raster's bounds."""
         index = self.level_index(level)
         transform = of_level(self._raster.transform, self.grid.stride(index), row, col)
-        return LevelPlace(self.grid.level_shape(index), transform, self.bounds)
+        return LevelPlace(index, self.grid.level_shape(index), transform, self.bounds)
 
     def is_turned(self, level: int = -1) -> bool:
         """Say whether x or y changes along both the rows and the columns of a level."""
@@ -351,14 +367,14 @@ class DescribedFile:
         InvalidArgumentError
             If both are given, one is malformed, or they miss the level.
         """
-        return self.level_place(level).region(window, bounds)
+        return self.checked_window(window, bounds=bounds, level=level).region
 
-    def note_on_cut(
+    def checked_window(
         self, window: Any = None, *, bounds: Sequence[float] | None = None, level: int = -1
-    ) -> str | None:
-        """Say that a window or bounds reach beyond a level, and what is left of it; None if not.
+    ) -> LevelWindow:
+        """Return the part as `region` does, with its level and what was cut off.
 
-        `region` cuts them without a word, as `read` tells; who writes a file passes this on.
+        Arguments and errors are those of `region`, which see: here they are checked, and what is
+        below takes them as they are.
         """
-        slack = EVEN * min(self.res)  # what rounding of coordinates in text leaves out
-        return self.level_place(level).note_on_cut(window, bounds, slack)
+        return self.level_place(level).window(window, bounds)

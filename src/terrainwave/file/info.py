@@ -9,6 +9,7 @@ from terrainwave.codec.registry import newer_layout
 from terrainwave.container.header import Header
 from terrainwave.file.described import DescribedFile
 from terrainwave.names import EFFORTS, FORMATS
+from terrainwave.raster_io.earlier_loss import earlier_files
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,8 @@ class Info:
     `float_error` is how much more than `max_error` stored floats may differ: one float spacing if
     they stand for decimal numbers and the file is not strict, otherwise 0.
     `moved_error` is the part of `effective_error` that comes from patches or an earlier file.
+    `earlier` lists the .twz files that the heights went through before: ``"file"`` and its bound
+    from the original, ``"max_error"``.
     `units` is the unit of heights, and `units_from` its origin: the ``"band"`` or the ``"CRS"``.
     `units_of_crs` is the unit of the CRS's vertical axis, if the band names another one.
     `voids` is how the source marks voids: ``"none"``, a ``"nodata"`` value, ``"nan"`` or a
@@ -66,6 +69,7 @@ class Info:
     tags: dict[str, str]
     band_tags: dict[str, str]
     color_interpretation: str | None
+    earlier: tuple[dict[str, Any], ...]
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values; what JSON cannot say becomes a string."""
@@ -128,6 +132,7 @@ def info_of(terrain: DescribedFile) -> Info:
         tags=dict(raster.tags),
         band_tags=dict(raster.band_tags),
         color_interpretation=raster.color_interpretation,
+        earlier=tuple(file._asdict() for file in earlier_files(header.metadata)),
     )
 
 

@@ -23,8 +23,8 @@ from terrainwave.arguments import (
     checked_threads,
     checked_whole,
 )
-from terrainwave.container.publish import publish
 from terrainwave.container.spool import storage_errors
+from terrainwave.container.targets.publication import publish
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.extras import need
 from terrainwave.globe import terrain_rgb as tiling

@@ -16,8 +16,8 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from terrainwave.arguments import AS_IS, checked_threads
-from terrainwave.container.publish import publish_directory
 from terrainwave.container.spool import storage_errors
+from terrainwave.container.targets.publication import publish_directory
 from terrainwave.extras import need
 from terrainwave.globe.lonlat import Globe
 from terrainwave.globe.tile_heights import TileHeights

@@ -245,8 +245,8 @@ class Globe:
 
     def level_for(self, spacing: float) -> int:
         """Return the coarsest level whose samples are at most `spacing` metres apart."""
-        steps = math.floor(math.log2(max(spacing / self.pixel * (1 + 1e-6), 1.0)))
-        return max(self.terrain.grid.k_max - steps, 0)
+        n_coarser = math.floor(math.log2(max(spacing / self.pixel * (1 + 1e-6), 1.0)))
+        return max(self.terrain.grid.k_max - n_coarser, 0)
 
     def heights_at(self, rows: Numbers, cols: Numbers, level: int) -> tuple[Numbers, Window | None]:
         """Return the bilinear heights of a level at places of `to_samples`, and what was read.

@@ -10,10 +10,10 @@ from terrainwave.export.quantized_mesh import STEPS, tile_bytes
 from terrainwave.globe.tile_heights import UNIT, TileHeights, TileSamples
 from terrainwave.globe.tile_scheme import TileScheme
 from terrainwave.mesh.blocks import BlockSamples, SideTolerances, border_lines
+from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.halves.borders import beside_void
 from terrainwave.tri.halves.halves import triangulate
-from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
-from terrainwave.tri.surface import deviation_at_points
+from terrainwave.tri.mesh_distance import deviation_at_points
 
 _SMALLEST_STEP = 1.0 / (1 << FRACTION_BITS)
 

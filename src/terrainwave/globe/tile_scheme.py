@@ -136,9 +136,9 @@ class TileScheme:
         They follow from a line's number on the globe alone.
         """
         n_lines = self.cells << zoom
-        steps = np.arange(-1, self.cells + 2)
-        lon = -180 + 180 * (np.mod(x * self.cells + steps, 2 * n_lines) / n_lines)
-        line = (y + 1) * self.cells - steps
+        offsets = np.arange(-1, self.cells + 2)
+        lon = -180 + 180 * (np.mod(x * self.cells + offsets, 2 * n_lines) / n_lines)
+        line = (y + 1) * self.cells - offsets
         lat = np.where((line >= 0) & (line <= n_lines), -90 + 180 * (line / n_lines), np.nan)
         return lon, lat
 

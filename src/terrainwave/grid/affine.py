@@ -83,15 +83,15 @@ def of_level(transform: Transform, stride: int, row: float = 0, col: float = 0) 
 
     Samples stay where they are and pixels grow around them: the corner of the first one moves out.
     """
-    return of_steps(transform, row * stride, col * stride, stride, stride)
+    return of_strides(transform, row * stride, col * stride, stride, stride)
 
 
-def of_steps(
-    transform: Transform, row: float, col: float, row_step: int, col_step: int
+def of_strides(
+    transform: Transform, row: float, col: float, row_stride: int, col_stride: int
 ) -> Transform:
     """Return the transform of every so many samples of a grid, from one of them on."""
-    a, b, c, d, e, f = of_window(transform, row + (1 - row_step) / 2, col + (1 - col_step) / 2)
-    return a * col_step, b * row_step, c, d * col_step, e * row_step, f
+    a, b, c, d, e, f = of_window(transform, row + (1 - row_stride) / 2, col + (1 - col_stride) / 2)
+    return a * col_stride, b * row_stride, c, d * col_stride, e * row_stride, f
 
 
 def bounds(
@@ -117,14 +117,14 @@ EVEN = 0.01
 # And coordinates beside their own: 64 Gaussian latitudes, which are no grid, lie 0.011 beside one.
 _STRAIGHT = 0.001
 # As their text or type may have rounded them: digits are looked at up to here, and float32 may be
-# coarser than a step allows, but not so much that neighbours could change places.
+# coarser than a pixel allows, but not so much that neighbours could change places.
 _DECIMALS = 10
 _COARSEST = 0.25
 # What the package `affine`, and so rioxarray, takes for 0 in a turned transform.
 _EPSILON = 1e-5
 # Rows that are looked at together.
 _ROWS = 256
-# Significant digits with which somebody may have written a step.
+# Significant digits with which somebody may have written a pixel.
 _DIGITS = range(16, 2, -1)
 
 
@@ -141,13 +141,13 @@ class Fit(NamedTuple):
         return self.deviation <= self.allowed
 
 
-class Steps(NamedTuple):
-    """First row and column of samples on another grid, and the whole steps between them."""
+class Strides(NamedTuple):
+    """First row and column of samples on another grid, and the whole strides between them."""
 
     row: int
     col: int
-    row_step: int
-    col_step: int
+    row_stride: int
+    col_stride: int
 
 
 def coordinates(transform: Transform, rows: Numbers, cols: Numbers) -> tuple[Numbers, Numbers]:
@@ -177,7 +177,7 @@ def is_turned(transform: Transform, shape: tuple[int, int]) -> bool:
 def grid_of_axes(x: NDArray[np.generic], y: NDArray[np.generic]) -> tuple[Fit, Fit]:
     """Return the grid of columns at `x` and that of rows at `y`, each for its own axis.
 
-    A single coordinate has no step: its pixel is 0 wide.
+    A single coordinate has a pixel 0 wide.
     """
     a, c, x_deviation, x_allowed = _even_axis(x)
     e, f, y_deviation, y_allowed = _even_axis(y)
@@ -186,19 +186,21 @@ def grid_of_axes(x: NDArray[np.generic], y: NDArray[np.generic]) -> tuple[Fit, F
 
 
 def _even_axis(centres: NDArray[np.generic]) -> tuple[float, float, float, float]:
-    """Return step, edge of the first pixel, largest deviation from even steps, that allowed."""
+    """Return pixel, edge of the first, largest deviation from even ones, that allowed."""
     numbers = centres.astype(np.float64)
-    first, n_steps = float(numbers[0]), numbers.size - 1
+    first, n_pixels = float(numbers[0]), numbers.size - 1
     is_finite = bool(np.isfinite(numbers).all())
-    step = (float(numbers[-1]) - first) / n_steps if n_steps and is_finite else 0.0
-    if step == 0:
-        return 0.0, first, 0.0 if n_steps == 0 and is_finite else math.inf, _STRAIGHT
-    deviation = float(np.abs(numbers - (first + step * np.arange(numbers.size))).max() / abs(step))
-    step, edge = _written_axis(numbers, step)
-    return step, edge, deviation, _allowed(centres, abs(step))
+    pixel = (float(numbers[-1]) - first) / n_pixels if n_pixels and is_finite else 0.0
+    if pixel == 0:
+        return 0.0, first, 0.0 if n_pixels == 0 and is_finite else math.inf, _STRAIGHT
+    deviation = float(
+        np.abs(numbers - (first + pixel * np.arange(numbers.size))).max() / abs(pixel)
+    )
+    pixel, edge = _written_axis(numbers, pixel)
+    return pixel, edge, deviation, _allowed(centres, abs(pixel))
 
 
-def _allowed(centres: NDArray[np.generic], step: float) -> float:
+def _allowed(centres: NDArray[np.generic], pixel: float) -> float:
     """Return how far coordinates may lie beside their grid, in pixels: what rounding explains."""
     spacing = 0.0
     if centres.dtype.kind == "f":
@@ -206,25 +208,27 @@ def _allowed(centres: NDArray[np.generic], step: float) -> float:
     numbers = centres.astype(np.float64)
     for decimals in range(_DECIMALS):
         if np.abs(np.round(numbers, decimals) - numbers).max() <= spacing:
-            return max(_STRAIGHT, min(10.0**-decimals / step, EVEN), min(spacing / step, _COARSEST))
-    return max(_STRAIGHT, min(spacing / step, _COARSEST))
+            return max(
+                _STRAIGHT, min(10.0**-decimals / pixel, EVEN), min(spacing / pixel, _COARSEST)
+            )
+    return max(_STRAIGHT, min(spacing / pixel, _COARSEST))
 
 
-def _written_axis(centres: NDArray[np.float64], step: float) -> tuple[float, float]:
-    """Return step and edge, such that `coordinates` gives the very numbers where one does.
+def _written_axis(centres: NDArray[np.float64], pixel: float) -> tuple[float, float]:
+    """Return pixel and edge, such that `coordinates` gives the very numbers where one does.
 
-    A step of few digits that says the same is likelier than one that was computed by their ends,
+    A pixel of few digits that says the same is likelier than one that was computed by their ends,
     and so is one part of a whole number: 1/3600.
     """
     first, indices = float(centres[0]), np.arange(centres.size, dtype=np.float64)
     zeros = np.zeros_like(indices)
-    for candidate in (step, *_few_digits(step), *(1 / part for part in _few_digits(1 / step))):
+    for candidate in (pixel, *_few_digits(pixel), *(1 / part for part in _few_digits(1 / pixel))):
         edge = first - candidate * 0.5
         for corner in (edge, math.nextafter(edge, -math.inf), math.nextafter(edge, math.inf)):
             transform = (candidate, 0.0, corner, 0.0, 1.0, 0.0)
             if np.array_equal(coordinates(transform, zeros, indices)[0], centres):
                 return candidate, corner
-    return step, first - step / 2
+    return pixel, first - pixel / 2
 
 
 def _few_digits(number: float) -> list[float]:
@@ -264,11 +268,11 @@ def grid_of_places(
     return Fit(transform, deviation, allowed)
 
 
-def steps_on(transform: Transform, shape: tuple[int, int], other: Transform) -> Steps | None:
+def strides_on(transform: Transform, shape: tuple[int, int], other: Transform) -> Strides | None:
     """Return where all samples of a grid lie on the samples of another one; None if they don't.
 
-    Ends are compared, as a step that is nearly whole goes astray over many. Where there is one row
-    or column only, its step is 1.
+    Ends are compared, as a stride that is nearly whole goes astray over many. Where there is one
+    row or column only, its stride is 1.
     """
     if determinant(other) == 0:
         return None
@@ -279,13 +283,13 @@ def steps_on(transform: Transform, shape: tuple[int, int], other: Transform) -> 
     if not all(math.isfinite(number) for place in found for number in place):
         return None
     (row, col), (last_row, _), (_, last_col) = found
-    row_step = round((last_row - row) / (n_rows - 1)) if n_rows > 1 else 1
-    col_step = round((last_col - col) / (n_cols - 1)) if n_cols > 1 else 1
-    steps = Steps(round(row), round(col), row_step, col_step)
+    row_stride = round((last_row - row) / (n_rows - 1)) if n_rows > 1 else 1
+    col_stride = round((last_col - col) / (n_cols - 1)) if n_cols > 1 else 1
+    strides = Strides(round(row), round(col), row_stride, col_stride)
     whole = [
-        (steps.row + row_step * end_row, steps.col + col_step * end_col)
+        (strides.row + row_stride * end_row, strides.col + col_stride * end_col)
         for end_row, end_col in ends
     ]
-    if not row_step or not col_step or np.abs(np.subtract(found, whole)).max() > EVEN:
+    if not row_stride or not col_stride or np.abs(np.subtract(found, whole)).max() > EVEN:
         return None
-    return steps
+    return strides

@@ -42,8 +42,8 @@ from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.mesh.outlines import CoveredSamples, finest_outline
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.progress import ProgressCallback, Reporter
-from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
-from terrainwave.tri.surface import deviation_from_bilinear
+from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
+from terrainwave.tri.mesh_distance import deviation_from_bilinear
 
 # A budget of triangles is met within this ratio of the smallest error, and goes on to the next one
 # while more than a twentieth of it is left.
@@ -91,16 +91,16 @@ def mesh_area(
                 " zero trees alone say what the mesh is"
             )
         level = _level_with_trees(terrain, level)
-    index = terrain.level_index(level)
-    region = terrain.region(window, bounds=bounds, level=level)
-    if note := terrain.note_on_cut(window, bounds=bounds, level=level):
+    asked = terrain.checked_window(window, bounds=bounds, level=level)
+    region = asked.region
+    if note := asked.note_on_cut(terrain.res):
         warnings.warn(note, TerrainwaveWarning, stacklevel=3)
     if min(region.shape) < 2:
         raise InvalidArgumentError(
             f"found an area of {region.n_rows} x {region.n_cols} samples, expected at least"
             " 2 x 2: a mesh lies between samples"
         )
-    area = Area(terrain.grid, region, index, optimise)
+    area = Area(terrain.grid, region, asked.level, optimise)
     with ThreadPoolExecutor(terrain.n_threads, thread_name_prefix="terrainwave") as executor:
         extractor = _Extractor(terrain, area, kind, executor, Reporter(progress))
         if not guarantee:

@@ -1,7 +1,7 @@
 """Meshes of blocks from decoded heights, and their measured errors.
 
 A block's mesh follows from its decoded samples, the voids beside it, the error codes of the index
-and, for the kinds of `tri.stored`, the block's bytes in the mesh sections.
+and, for the kinds of `tri.stored_kinds`, the block's bytes in the mesh sections.
 """
 
 import math
@@ -20,18 +20,18 @@ from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.container.codes import decode_error, encode_error
 from terrainwave.container.header import MAX_MESH_TOLERANCE
 from terrainwave.errors import CorruptStreamError
-from terrainwave.grid.measure import with_outside
+from terrainwave.grid.block_stats import with_outside
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import DEFAULT_MAX_ERROR, Quantizer, as_fraction
 from terrainwave.grid.shares import shares_of
 from terrainwave.mesh.coefficients import BlockCoefficients
 from terrainwave.mesh.trees import ZeroTrees
 from terrainwave.names import UNBOUNDED_MESHES
+from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh, no_mesh
 from terrainwave.tri.halves.borders import beside_void, vertices_of_lines
 from terrainwave.tri.halves.halves import Lines, triangulate
-from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh, no_mesh
-from terrainwave.tri.stored import STORED_KINDS, has_triangles
-from terrainwave.tri.surface import largest_deviation
+from terrainwave.tri.mesh_distance import largest_deviation
+from terrainwave.tri.stored_kinds import STORED_KINDS, has_triangles
 from terrainwave.tri.zerotree.labels import Trees
 
 # Of a coarse block's error against the originals, the share its mesh may add (Y10 §2.8).
@@ -97,7 +97,7 @@ class BlockMesher:
     has_voids : bool
         Whether the raster may have voids; if so, neighbours are decoded for their masks.
     kind : str
-        ``"halves"`` or one of `tri.stored.STORED_KINDS`.
+        ``"halves"`` or one of `tri.stored_kinds.STORED_KINDS`.
     part : callable, optional
         The stored bytes of a block's mesh; kinds other than halves need them.
     trees : callable, optional

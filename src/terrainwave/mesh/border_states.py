@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.blocks import BlockMesher
-from terrainwave.tri.stored import STORED_KINDS, Draft, has_triangles
+from terrainwave.tri.stored_kinds import STORED_KINDS, Draft, has_triangles
 from terrainwave.tri.zerotree import agreement
 from terrainwave.tri.zerotree.agreement import BorderVertices
 
@@ -78,7 +78,7 @@ def _borders(arrays: Mapping[str, NDArray[Any]], name: str) -> dict[Block, Borde
 def draft_blocks(mesher: BlockMesher, demands: Demands) -> BorderState:
     """Triangulate blocks, each with at least the border vertices demanded; void ones are left out.
 
-    `mesher` is of a kind of `tri.stored`.
+    `mesher` is of a kind of `tri.stored_kinds`.
     """
     state = BorderState({}, {})
     for block, demanded in demands.items():

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from terrainwave.grid.quadtree import Block
 from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.read.decoder import TreeDecoder
-from terrainwave.read.tiles import with_coefficients
+from terrainwave.read.tile_decoder import with_coefficients
 
 # Magnitudes in quanta by the samples of a block that lie inside the raster.
 BlockCoefficients = Callable[[Block], NDArray[np.int64]]

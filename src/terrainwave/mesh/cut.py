@@ -15,7 +15,7 @@ from terrainwave.container.codes import decode_error
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.mesh.blocks import BlockMesher, BlockSamples, SideTolerances
-from terrainwave.tri.mesh import FRACTION_BITS
+from terrainwave.tri.block_mesh import FRACTION_BITS
 
 # Coarse blocks whose heights take at most this share of the error asked for are not refined.
 _COARSE_SHARE = 4
@@ -80,7 +80,7 @@ class Area(NamedTuple):
         )
 
 
-class Piece(NamedTuple):
+class CutBlock(NamedTuple):
     """A block of the cut: tolerances in 1/16 quanta, errors in quanta.
 
     `heights_error` is that of the block's heights (on coarse levels: of their bilinear surface),
@@ -115,22 +115,22 @@ class Errors:
             return self.coded
         return max(map(self.heights, self._area.blocks(self._area.level)))
 
-    def piece(self, block: Block, error: Fraction) -> Piece:
+    def piece(self, block: Block, error: Fraction) -> CutBlock:
         """Return a block as it has to be meshed for an error."""
         own, sides = self._left_over(block, error), []
         for row, col in TOWARDS.values():
             beside = Block(block.level, block.row + row, block.col + col)
             is_there = self._grid.contains(beside)
             sides.append(min(own, self._left_over(beside, error)) if is_there else own)
-        return Piece(own, SideTolerances(*sides), self.heights(block), error)
+        return CutBlock(own, SideTolerances(*sides), self.heights(block), error)
 
-    def stored_piece(self, block: Block, mesher: BlockMesher) -> Piece:
+    def stored_piece(self, block: Block, mesher: BlockMesher) -> CutBlock:
         """Return a block as the file's meshes have it."""
         tolerance = mesher.tolerance(block)
         error = Fraction(decode_error(self._container.codes(block)[3]))
         if block.level == self._grid.k_max and (self._area.sweeps or not self._has_meshes):
             error = self.coded + Fraction(tolerance, 1 << FRACTION_BITS)
-        return Piece(tolerance, mesher.side_tolerances(block), self.heights(block), error)
+        return CutBlock(tolerance, mesher.side_tolerances(block), self.heights(block), error)
 
     def _left_over(self, block: Block, error: Fraction) -> int:
         """Return the tolerance that a block's heights leave of an error, in 1/16 quanta."""
@@ -141,7 +141,7 @@ class Errors:
 class Cut:
     """Blocks to mesh beside one another; they cover an area and do not overlap."""
 
-    def __init__(self, area: Area, pieces: dict[Block, Piece]) -> None:
+    def __init__(self, area: Area, pieces: dict[Block, CutBlock]) -> None:
         self._area, self._grid = area, area.grid
         self.pieces = pieces
 

@@ -12,10 +12,10 @@ from terrainwave.cache import Cache
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.blocks import BlockMesher, BlockSamples, border_lines
 from terrainwave.mesh.cut import OPPOSITE, TOWARDS, Area, Cut, sides_of
+from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.halves.halves import Lines, triangulate
 from terrainwave.tri.halves.simplify import simplify
-from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
-from terrainwave.tri.surface import deviation_from_bilinear, largest_deviation
+from terrainwave.tri.mesh_distance import deviation_from_bilinear, largest_deviation
 
 # Tries to mesh a block of a coarse level that was asked for within the error. Other coarse blocks
 # have one before they are refined: finer ones take fewer triangles than a mesh that is tried again.
@@ -92,12 +92,12 @@ class BlockFitter:
         if block.level < self._area.level:
             forced = samples.locked.copy()
             for side, finer in cut.finer(block):
-                step = self._grid.block >> (finer.level - block.level)
+                spacing = self._grid.block >> (finer.level - block.level)
                 place = finer.row if side in ("left", "right") else finer.col
-                first = place * step
+                first = place * spacing
                 first -= (block.row if side in ("left", "right") else block.col) * self._grid.block
                 line = sides_of(forced)[side]
-                line[[first, min(first + step, len(line) - 1)]] = True
+                line[[first, min(first + spacing, len(line) - 1)]] = True
             samples = samples._replace(locked=forced)
         return border_lines(samples, cut.pieces[block].sides, self._grid.block)
 

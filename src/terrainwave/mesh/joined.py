@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.grid.quadtree import Block, Grid
-from terrainwave.tri.mesh import BlockMesh
+from terrainwave.tri.block_mesh import BlockMesh
 
 # Half samples; edges are shorter than its inverse.
 _NEAR = 2.0**-20

@@ -13,8 +13,8 @@ from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.mesh.trees import layer_source, tree_source
-from terrainwave.tri.mesh import BlockMesh, no_mesh
-from terrainwave.tri.stored import has_triangles
+from terrainwave.tri.block_mesh import BlockMesh, no_mesh
+from terrainwave.tri.stored_kinds import has_triangles
 from terrainwave.tri.zerotree.agreement import BorderVertices, Position, agree, border_of_cut
 from terrainwave.tri.zerotree.connect import LooseMesh, loose_mesh
 

@@ -12,7 +12,7 @@ from terrainwave.mesh.blocks import BlockMesher, LevelSamples
 from terrainwave.mesh.coefficients import coefficient_source
 from terrainwave.mesh.trees import ZeroTrees, tree_source
 from terrainwave.read.decoder import TreeDecoder, unit_key
-from terrainwave.tri.stored import STORED_KINDS, Draft
+from terrainwave.tri.stored_kinds import STORED_KINDS, Draft
 from terrainwave.tri.zerotree.agreement import BorderVertices, Position, agree
 
 _CACHED_SECTIONS = 64

@@ -7,14 +7,14 @@ import numpy as np
 from terrainwave.grid.quadtree import Block
 from terrainwave.read.decoder import TreeDecoder, unit_key
 from terrainwave.tri.zerotree.labels import Trees
-from terrainwave.tri.zerotree.layers import layer_trees
+from terrainwave.tri.zerotree.layer_trees import layer_trees
 
 # Of a block and its tolerance, in 1/16 quanta; None where nothing is known of the group below it.
 ZeroTrees = Callable[[Block, int], Trees | None]
 
 
 def layer_source(decoder: TreeDecoder) -> ZeroTrees:
-    """Return the trees of decoded difference layers (`tri.zerotree.layers`)."""
+    """Return the trees of decoded difference layers (`tri.zerotree.layer_trees`)."""
 
     def trees(block: Block, tolerance: int) -> Trees:
         grid = decoder.grid

@@ -9,15 +9,17 @@ import numpy as np
 from terrainwave.arguments import is_twz_name
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.affine import IDENTITY
-from terrainwave.raster_io.info import fit_nodata, stored_nodata
+from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.labelled import layer_of, variable_of
 from terrainwave.raster_io.labelled.voids import number_of, voids_of
+from terrainwave.raster_io.raster_info import fit_nodata, stored_nodata
 
 
 class ArrayBackend:
     """A 2-D array in memory, or anything sliced like one."""
 
     is_file = False
+    earlier: EarlierLoss | None = None
     name = "the array"
 
     def __init__(

@@ -15,20 +15,17 @@ from rasterio.enums import MaskFlags
 from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
 from rasterio.windows import Window
 
+from terrainwave.arguments import check_band
 from terrainwave.container.sources.addresses import display_name, without_secrets
 from terrainwave.errors import (
-    InvalidArgumentError,
     InvalidHeightsError,
     StorageError,
     TerrainwaveError,
 )
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.place.crs import format_crs, is_exact
-from terrainwave.raster_io.gdal import (
-    GDAL_ERRORS,
-    bounded_env,
-    one_line,
-)
+from terrainwave.raster_io.earlier_loss import EarlierLoss
+from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
 from terrainwave.raster_io.tags import PLAIN_COLORS, is_statistic, select_tags
 
 # What GDAL tells of a file rather than keeps in it, and places, which have a note of their own.
@@ -46,7 +43,7 @@ def open_dataset(path: str) -> Any:
     """Open `path` by rasterio; translate each failure into one line that says what to do."""
     local = Path(path)
     is_local = "://" not in path and not path.startswith("/vsi")
-    if is_local and _is_twz(local):
+    if is_local and is_twz(local):
         raise InvalidHeightsError(
             f"{path} is already a terrainwave file; expected a raster such as a GeoTIFF"
             " (terrainwave decompress makes one of it)"
@@ -64,6 +61,8 @@ def open_dataset(path: str) -> Any:
             raise StorageError(f"{path} is a directory; expected a raster file") from error
         if is_local and ":" not in path and not local.exists():
             raise StorageError(f"{path}: no such file") from error
+        if is_local and local.is_file() and not local.stat().st_size:
+            raise StorageError(f"{path} is empty; expected a raster file") from error
         problem = without_secrets(one_line(error))
         raise StorageError(
             f"{display_name(path)} is not a raster that GDAL can read: {problem}"
@@ -104,12 +103,12 @@ def _reason(error: BaseException) -> str:
     return reason
 
 
-def _is_twz(path: Path) -> bool:
-    """Tell a terrainwave file by its first bytes; by its name if it cannot be read."""
+def is_twz(path: str | os.PathLike[str]) -> bool:
+    """Tell a local terrainwave file by its first bytes."""
     try:
-        with path.open("rb") as file:
+        with Path(path).open("rb") as file:
             return b"TWZ" in file.read(8).upper()
-    except OSError:
+    except (OSError, ValueError):
         return False
 
 
@@ -162,6 +161,7 @@ class DatasetBackend:
     """A band of a rasterio dataset."""
 
     is_file = True
+    earlier: EarlierLoss | None = None
 
     def __init__(self, dataset: Any, band: int, *, owned: bool, georeference: bool = True) -> None:
         self._owned = owned
@@ -179,11 +179,7 @@ class DatasetBackend:
         if dataset.closed:
             raise InvalidHeightsError("the rasterio dataset is closed; expected an open one")
         self.name = str(dataset.name)
-        if not 1 <= band <= dataset.count:
-            bands = "1 band" if dataset.count == 1 else f"{dataset.count} bands"
-            raise InvalidArgumentError(
-                f"{self.name}: `band` {band} does not exist, the file has {bands}"
-            )
+        check_band(band, dataset.count, self.name)
         self.n_rows, self.n_cols = int(dataset.height), int(dataset.width)
         self.dtype = np.dtype(dataset.dtypes[band - 1])
         self.nodata = dataset.nodatavals[band - 1]

@@ -1,7 +1,8 @@
 """Several rasters of one grid as one: what a mosaic or its missing parts read as."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import product
 from typing import Any, NamedTuple, Self
 
@@ -14,8 +15,9 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.affine import determinant, of_window, places_to_pixels
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
-from terrainwave.raster_io.dataset import DatasetBackend, open_dataset
-from terrainwave.raster_io.info import SUPPORTED_DTYPES, fit_nodata, stored_nodata
+from terrainwave.raster_io.backend import RasterBackend
+from terrainwave.raster_io.earlier_loss import EarlierLoss
+from terrainwave.raster_io.raster_info import SUPPORTED_DTYPES, fit_nodata, stored_nodata
 from terrainwave.raster_io.tags import common_tags
 
 # Parts of a pixel by which grids may differ: tiles name their corners with ten digits or so.
@@ -80,7 +82,7 @@ _TURNS = tuple(_Turn(*turn) for turn in product((False, True), repeat=3))
 class _Member(NamedTuple):
     """One raster of a mosaic: its place in the mosaic and how its voids are told."""
 
-    source: Any  # a path, or an open dataset
+    source: Any  # a path, or an open dataset or .twz file
     name: str
     region: Region
     turn: _Turn
@@ -103,6 +105,7 @@ class _Description(NamedTuple):
     remarks: tuple[str, ...]
     asides: tuple[str, ...]
     is_lost: bool
+    earlier: EarlierLoss | None
     turn: _Turn = _Turn()
 
     def on_grid_of(self, first: Self) -> Self:
@@ -128,9 +131,10 @@ class MosaicBackend:
 
     Parameters
     ----------
-    sources : sequence of paths or rasterio datasets
-    band : int
-        Band of each.
+    sources : sequence
+        What `open_member` takes.
+    open_member : callable
+        Opens one of them as it is.
     nodata : int or float, optional
         Replaces the nodata value of each.
 
@@ -150,9 +154,14 @@ class MosaicBackend:
 
     is_file = True
 
-    def __init__(self, sources: Sequence[Any], band: int, nodata: int | float | None) -> None:
-        self._band = band
-        self._open: Cache[str, DatasetBackend] = Cache(_MAX_OPEN, drop=DatasetBackend.close)
+    def __init__(
+        self,
+        sources: Sequence[Any],
+        open_member: Callable[[Any], RasterBackend],
+        nodata: int | float | None,
+    ) -> None:
+        self._open_member = open_member
+        self._open: Cache[str, RasterBackend] = Cache(_MAX_OPEN, drop=lambda one: one.close())
         rasters = [self._describe(source) for source in sources]
         first = rasters[0]
         lost = [one for one in rasters if one.is_lost]
@@ -206,6 +215,8 @@ class MosaicBackend:
         if nodata is None:
             self._notes += _notes_on_nodata(rasters, self.nodata)
         self._nodata = self.nodata if nodata is None else nodata
+        losses = [one.earlier for one in rasters if one.earlier is not None]
+        self.earlier = max(losses, key=lambda loss: loss.max_error, default=None)
         self._n_covered = covered_samples([member.region for member in self._members])
         has_voids = self._has_gaps or any(one.has_mask for one in rasters)
         self.has_mask = self._nodata is None and self.dtype.kind != "f" and has_voids
@@ -235,16 +246,14 @@ class MosaicBackend:
             remarks=tuple(backend.remarks()),
             asides=tuple(backend.asides()),
             is_lost=backend.is_lost,
+            earlier=backend.earlier,
         )
 
-    def _backend(self, source: Any) -> DatasetBackend:
+    def _backend(self, source: Any) -> RasterBackend:
         """Return an open raster; of files, the one that was not read longest is closed."""
-        if hasattr(source, "read_masks"):
-            return DatasetBackend(source, self._band, owned=False)
-        path = str(source)
-        return self._open.get_or_make(
-            path, lambda: DatasetBackend(open_dataset(path), self._band, owned=True)
-        )
+        if not isinstance(source, str | os.PathLike):
+            return self._open_member(source)
+        return self._open.get_or_make(os.fspath(source), lambda: self._open_member(source))
 
     def notes(self) -> Iterator[str]:
         """Yield what is left out or was chosen, one sentence each."""

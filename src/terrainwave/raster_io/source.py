@@ -4,13 +4,21 @@ import math
 import os
 import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
 
-from terrainwave.arguments import check_flags, checked_path, checked_whole, number_of, shown
+from terrainwave.arguments import (
+    check_flags,
+    checked_path,
+    checked_whole,
+    is_twz_name,
+    number_of,
+    shown,
+)
 from terrainwave.errors import (
     InvalidArgumentError,
     InvalidHeightsError,
@@ -19,18 +27,20 @@ from terrainwave.errors import (
 from terrainwave.grid.affine import IDENTITY, Transform
 from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.arrays import ArrayBackend, Claim, LabelledBackend
-from terrainwave.raster_io.dataset import DatasetBackend, open_dataset
+from terrainwave.raster_io.backend import RasterBackend
+from terrainwave.raster_io.dataset import DatasetBackend, is_twz, open_dataset
+from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.gdal import (
     SCAN_SAMPLES,
     scan_windows,
 )
-from terrainwave.raster_io.info import (
+from terrainwave.raster_io.mosaic import MosaicBackend
+from terrainwave.raster_io.raster_info import (
     SUPPORTED_DTYPES,
     RasterInfo,
     fit_nodata,
     stored_nodata,
 )
-from terrainwave.raster_io.mosaic import MosaicBackend
 
 # What to convert an unsupported type to; the narrowest of ours that holds all of its values, or
 # the one that holds elevations in practice.
@@ -52,6 +62,8 @@ _GDAL_NAMES = {
 }
 
 
+# Opens a .twz file, given by its path or open already, as a raster.
+OpenTerrain = Callable[..., RasterBackend]
 # A window narrower than this fraction of the width decodes mostly samples it does not want.
 _NARROW_COLS = 1024
 
@@ -63,7 +75,8 @@ class RasterSource:
     ----------
     source : path, rasterio dataset, list of these, ndarray, masked array, DataArray or Dataset
         What to read. A list is a mosaic: rasters of one grid, of which the last counts where they
-        overlap. A dataset of rasterio is not closed; those of xarray may be lazy.
+        overlap. A dataset of rasterio is not closed; those of xarray may be lazy. With
+        `open_terrain` also .twz files, by their paths or open.
     band : int
         Number of the band, from 1. Band 1 of several is noted, as it may not be a choice.
     nodata : int or float, optional
@@ -72,6 +85,8 @@ class RasterSource:
         False leaves place and CRS out, whatever the source says of them.
     warn : bool
         Issue `notes` as warnings; tasks that open the same raster again don't.
+    open_terrain : callable, optional
+        Opens a .twz file as a raster (`file.raster`); without it they are refused.
 
     Attributes
     ----------
@@ -108,6 +123,7 @@ class RasterSource:
         nodata: int | float | None = None,
         georeference: bool = True,
         warn: bool = True,
+        open_terrain: OpenTerrain | None = None,
     ) -> None:
         check_flags(georeference=georeference)
         band = checked_whole("band", band, least=1)
@@ -118,7 +134,8 @@ class RasterSource:
                     f"found `nodata` {shown(given)}, expected a number, or nan"
                 )
         self._lock = threading.Lock()
-        self._backend = _open_backend(source, band, nodata, georeference=georeference)
+        opening = _Opening(band, nodata, georeference, open_terrain)
+        self._backend = opening.backend(source)
         self.name: str = self._backend.name
         try:
             notes = list(self._backend.notes())
@@ -176,6 +193,11 @@ class RasterSource:
             yield from (f"{self.name}: {aside}" for aside in backend.asides())
         elif isinstance(backend, MosaicBackend):
             yield from backend.asides()
+
+    @property
+    def earlier(self) -> EarlierLoss | None:
+        """Return what the heights of .twz files had lost, the most of several; None of others."""
+        return self._backend.earlier
 
     @property
     def claim(self) -> Claim | None:
@@ -283,36 +305,78 @@ def _check_dtype(dtype: np.dtype[Any], name: str) -> None:
     )
 
 
-def _open_backend(
-    source: Any, band: int, nodata: int | float | None, *, georeference: bool
-) -> "DatasetBackend | MosaicBackend | ArrayBackend":
-    if isinstance(source, list | tuple) and source and all(map(_is_raster, source)):
-        if len(source) > 1:
-            if not georeference:
-                raise InvalidArgumentError(
-                    f"found `georeference` False and {len(source)} rasters, expected one: a mosaic"
-                    " is put together by their places"
-                )
-            return MosaicBackend(source, band, nodata)
-        source = source[0]
-    if isinstance(source, str | os.PathLike):
-        dataset = open_dataset(checked_path(source))
-        return DatasetBackend(dataset, band, owned=True, georeference=georeference)
-    if _is_raster(source):
-        return DatasetBackend(source, band, owned=False, georeference=georeference)
-    if isinstance(source, np.ndarray):
-        return ArrayBackend(source)
-    if hasattr(source, "dims") and hasattr(source, "coords"):
-        return LabelledBackend(source, band, override=nodata, georeference=georeference)
-    if isinstance(source, list | tuple):
-        return ArrayBackend(np.asarray(source))
-    raise InvalidArgumentError(
-        f"found {shown(source)}, expected a path, a rasterio dataset, a 2-D array, an"
-        " xarray DataArray or Dataset, or a list of paths or datasets"
-    )
+@dataclass(frozen=True)
+class _Opening:
+    """How sources are opened: arguments of `RasterSource`."""
 
+    band: int
+    nodata: int | float | None
+    georeference: bool
+    open_terrain: OpenTerrain | None
 
-def _is_raster(source: Any) -> bool:
-    """Say whether `source` is the path of a raster or an open rasterio dataset."""
-    is_dataset = hasattr(source, "read_masks") and hasattr(source, "block_shapes")
-    return is_dataset or isinstance(source, str | os.PathLike)
+    def backend(self, source: Any) -> RasterBackend | MosaicBackend | ArrayBackend:
+        """Return the opened source.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If it is none that is understood.
+        """
+        if isinstance(source, list | tuple) and source and all(map(self._is_raster, source)):
+            if len(source) > 1:
+                if not self.georeference:
+                    raise InvalidArgumentError(
+                        f"found `georeference` False and {len(source)} rasters, expected one: a"
+                        " mosaic is put together by their places"
+                    )
+                return MosaicBackend(source, self._raster, self.nodata)
+            source = source[0]
+        if self._is_raster(source):
+            return self._raster(source)
+        if isinstance(source, np.ndarray):
+            return ArrayBackend(source)
+        if hasattr(source, "dims") and hasattr(source, "coords"):
+            return LabelledBackend(
+                source, self.band, override=self.nodata, georeference=self.georeference
+            )
+        if isinstance(source, list | tuple):
+            return ArrayBackend(np.asarray(source))
+        raise InvalidArgumentError(
+            f"found {shown(source)}, expected a path, a rasterio dataset, a 2-D array, an"
+            " xarray DataArray or Dataset, or a list of paths or datasets"
+        )
+
+    def _is_raster(self, source: Any) -> bool:
+        """Say whether it is the path of a raster, or something opened that lies somewhere."""
+        is_dataset = hasattr(source, "read_masks") and hasattr(source, "block_shapes")
+        return is_dataset or isinstance(source, str | os.PathLike) or self._is_terrain(source)
+
+    def _is_terrain(self, source: Any) -> bool:
+        """Say whether it is a .twz file that can be opened here."""
+        if self.open_terrain is None:
+            return False
+        if isinstance(source, str | os.PathLike):
+            return is_twz(source) or ("://" in os.fspath(source) and is_twz_name(source))
+        return hasattr(source, "read_with_mask") and hasattr(source, "raster_info")
+
+    def _raster(self, source: Any) -> RasterBackend:
+        if self._is_terrain(source):
+            assert self.open_terrain is not None
+            self._refuse_options_of_rasters(source)
+            return self.open_terrain(source, georeference=self.georeference)
+        is_path = isinstance(source, str | os.PathLike)
+        dataset = open_dataset(checked_path(source)) if is_path else source
+        return DatasetBackend(dataset, self.band, owned=is_path, georeference=self.georeference)
+
+    def _refuse_options_of_rasters(self, source: Any) -> None:
+        """Raise `InvalidArgumentError` where an option cannot be meant for a .twz file."""
+        name = shown(getattr(source, "name", source))
+        if self.band != 1:
+            raise InvalidArgumentError(
+                f"found `band` {self.band} and {name}, expected 1: a .twz file has one band"
+            )
+        if self.nodata is not None:
+            raise InvalidArgumentError(
+                f"found `nodata` {self.nodata:g} and {name}, expected none: a .twz file knows its"
+                " voids"
+            )

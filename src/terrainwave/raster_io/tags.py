@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
-from terrainwave.raster_io.info import Tags
+from terrainwave.raster_io.raster_info import Tags
 
 # UTF-8 bytes of the names and values of one set: files open with one short read.
 _MOST_BYTES = 16 << 10
@@ -16,14 +16,14 @@ _MEASURED = "STATISTICS_"
 _RESERVED = ("ns", "bidx")
 
 
-class Selection(NamedTuple):
+class KeptTags(NamedTuple):
     """The tags that are kept, and the names of those that are too long or no text."""
 
     kept: Tags
     left_out: tuple[str, ...]
 
 
-def select_tags(tags: Mapping[str, str]) -> Selection:
+def select_tags(tags: Mapping[str, str]) -> KeptTags:
     """Return the tags of a raster or a band that a file keeps, short ones before long ones."""
     sizes = {name: _size(name) + _size(value) for name, value in writable_tags(tags.items())}
     kept, room = [], _MOST_BYTES
@@ -33,7 +33,7 @@ def select_tags(tags: Mapping[str, str]) -> Selection:
             kept.append((name, tags[name]))
     names = {name for name, _ in kept}
     left_out = (name for name in tags if name not in names and not _is_own(name))
-    return Selection(tuple(sorted(kept)), tuple(left_out))
+    return KeptTags(tuple(sorted(kept)), tuple(left_out))
 
 
 def common_tags(sets: Iterable[Tags]) -> Tags:

@@ -7,30 +7,51 @@ import numpy as np
 from terrainwave.codec.refiner import Decoded
 from terrainwave.container.reader import Container
 from terrainwave.errors import CorruptStreamError
-from terrainwave.grid.quadtree import Block
+from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.read.decoder import TreeDecoder, unit_name
 
 
 def check_units(container: Container, decoder: TreeDecoder) -> Iterator[str]:
-    """Check all checksums and decode every unit; yield what is wrong, in plain words."""
+    """Check all checksums and decode every unit; yield what is wrong, in plain words.
+
+    At the end, how much of each level is lost, if anything is.
+    """
     yield from container.check()
-    seams = _Seams(decoder)
+    seams, lost = _Seams(decoder), list[Block]()
     for key in container.grid.root_keys():
-        yield from _check_below(container, decoder, seams, key)
+        yield from _check_below(container, decoder, seams, key, lost)
+    yield from _shares(container.grid, lost)
+
+
+def _shares(grid: Grid, lost: list[Block]) -> Iterator[str]:
+    """Yield how much of each level lies in or below units that cannot be read."""
+    for level in range(grid.k_max + 1):
+        n_rows, n_cols = grid.level_shape(level)
+        regions = [
+            grid.descendant_region(Block(max(key.level, 0), key.row, key.col), level)
+            for key in lost
+            if key.level < level
+        ]
+        # Neighbours share samples: each counts those before its end.
+        n_lost = sum(max(one.n_rows - 1, 1) * max(one.n_cols - 1, 1) for one in regions)
+        if n_lost:
+            share = 100 * min(n_lost / (max(n_rows - 1, 1) * max(n_cols - 1, 1)), 1)
+            yield f"level {level}: {share:.3g} % of the samples cannot be read"
 
 
 def _check_below(
-    container: Container, decoder: TreeDecoder, seams: "_Seams", key: Block
+    container: Container, decoder: TreeDecoder, seams: "_Seams", key: Block, lost: list[Block]
 ) -> Iterator[str]:
     try:
         decoder.unit(key)
     except CorruptStreamError as exc:
+        lost.append(key)
         yield str(exc)
         return  # what lies below cannot be decoded either
     yield from seams.differences(key)
     for block in container.grid.key_blocks(key):
         if block.level < container.grid.k_max and not _is_absent(container, block):
-            yield from _check_below(container, decoder, seams, block)
+            yield from _check_below(container, decoder, seams, block, lost)
 
 
 class _Seams:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner, Validity
-from terrainwave.codec.units import block_of_unit, unit_spec
+from terrainwave.codec.unit_specs import block_of_unit, unit_spec
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region, morton

@@ -11,19 +11,19 @@ from terrainwave.codec.cdf53.refiner import (
     prefix_length,
     unpack_head,
 )
-from terrainwave.codec.cdf53.tiles import TileLayout
+from terrainwave.codec.cdf53.tile_layout import TileLayout
 from terrainwave.container.reader import Container
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.read.decoder import TreeDecoder, unit_name, units_of
-from terrainwave.read.tiles import make_decoder
+from terrainwave.read.tile_decoder import make_decoder
 
 # Bytes of each payload that are read to see its head; more where that is longer.
 _FIRST_READ = 512
 
 
 @dataclass(frozen=True)
-class _Part:
+class _Begun:
     """A tile whose head has been read."""
 
     start: bytes
@@ -83,11 +83,11 @@ class EarlyPayloads:
                 key = self._layout.above(key)
         return list(tiles)
 
-    def _read_heads(self, keys: list[Block]) -> dict[Block, _Part]:
+    def _read_heads(self, keys: list[Block]) -> dict[Block, _Begun]:
         lengths = dict(zip(keys, self._container.payload_lengths(keys), strict=True))
         keys = [key for key in keys if lengths[key]]
         starts = dict.fromkeys(keys, b"")
-        parts: dict[Block, _Part] = {}
+        parts: dict[Block, _Begun] = {}
         n_first = _FIRST_READ
         while len(parts) < len(keys):
             missing = [key for key in keys if key not in parts]
@@ -106,11 +106,11 @@ class EarlyPayloads:
                         f"the tile of {unit_name(key)} is damaged: it takes {lengths[key]} bytes,"
                         f" not {n_head + packed_length(head.n_stream)}"
                     )
-                parts[key] = _Part(starts[key], head, n_head, spec.n_below)
+                parts[key] = _Begun(starts[key], head, n_head, spec.n_below)
             n_first *= 4
         return parts
 
-    def _read_rest(self, parts: dict[Block, _Part], position: float) -> dict[Block, bytes]:
+    def _read_rest(self, parts: dict[Block, _Begun], position: float) -> dict[Block, bytes]:
         payloads = {key: part.start for key, part in parts.items()}
         self._read_on(payloads, {key: part.n_bytes(position) for key, part in parts.items()})
         return payloads
@@ -124,7 +124,7 @@ class EarlyPayloads:
             self.n_bytes += len(data)
 
 
-def _search(parts: Collection[_Part], max_bytes: int) -> float:
+def _search(parts: Collection[_Begun], max_bytes: int) -> float:
     """Return the finest position at which `parts` take at most `max_bytes`."""
     coarsest = max((part.head.n_planes + part.n_below for part in parts), default=0)
     return finest_position(

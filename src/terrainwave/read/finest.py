@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.cdf53.refiner import LevelHeights, decode_masks, unpack_head
-from terrainwave.codec.cdf53.tiles import TileSpec
+from terrainwave.codec.cdf53.tile_layout import TileSpec
 from terrainwave.codec.group import read_head
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, all_void
 from terrainwave.container.header import Header
@@ -17,7 +17,7 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS
 from terrainwave.read.decoder import Groups, TreeDecoder, UnitSource
 from terrainwave.read.fetched import Payloads
-from terrainwave.read.tiles import Tile, Tiles
+from terrainwave.read.tile_decoder import Tile, Tiles
 
 # Payloads fetched ahead of decoding, in one coalesced request.
 _BATCH = 64

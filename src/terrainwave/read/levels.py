@@ -13,14 +13,15 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import VOIDS, check_choice
+from terrainwave.arguments import VOIDS
 from terrainwave.container.header import Header
 from terrainwave.errors import CorruptStreamError, TerrainwaveWarning
 from terrainwave.grid.quadtree import Region
 from terrainwave.read.decoder import TreeDecoder
 from terrainwave.read.fetched import Payloads
+from terrainwave.read.lost import Lost
 from terrainwave.read.native import NativeError, NativeFile
-from terrainwave.read.windows import WindowReader, bilinear
+from terrainwave.read.window_reader import WindowReader, bilinear
 
 if TYPE_CHECKING:
     from terrainwave.read.finest import FinestMasks
@@ -66,7 +67,7 @@ class LevelReader:
         self._name = name
         self._decoder = decoder
         self._native = native
-        self._windows = WindowReader(name, header.quantizer, n_threads)
+        self._windows = WindowReader(name, header.grid, header.quantizer, n_threads)
         self._header = header
         self._payloads = payloads
         self._may_have_voids = may_have_voids
@@ -78,6 +79,11 @@ class LevelReader:
         if self._native is not None:
             self._native.close()
 
+    @property
+    def lost(self) -> list[Lost]:
+        """Return the damaged units that reads have left void."""
+        return self._windows.lost.list()
+
     @cached_property
     def _finest(self) -> "FinestMasks":
         from terrainwave.read.finest import FinestMasks  # numba, which not every reader needs
@@ -85,15 +91,7 @@ class LevelReader:
         return FinestMasks(self._header, self._payloads)
 
     def _is_by_finest(self, level: int, voids: str | None) -> bool:
-        """Say whether the masks of the full grid have to be read.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If `voids` is neither None nor one of `VOIDS`.
-        """
-        if voids is not None:
-            check_choice("voids", voids, VOIDS)
+        """Say whether the masks of the full grid have to be read."""
         return voids == EXACT and self._is_untold(level)
 
     def _is_untold(self, level: int) -> bool:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from terrainwave.arguments import checked_numbers, shown
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
-from terrainwave.grid.affine import Transform, determinant, places_to_samples
+from terrainwave.grid.affine import EVEN, Transform, determinant, places_to_samples
 from terrainwave.grid.quadtree import Region
 
 # Samples: what coordinates that name pixel edges may be beside them, by rounding.
@@ -19,25 +19,28 @@ _FORGIVEN = 0.001
 class LevelPlace(NamedTuple):
     """A level whose parts windows and bounds name; `own` are the raster's bounds."""
 
+    level: int
     shape: tuple[int, int]
     transform: Transform
     own: tuple[float, float, float, float]
 
-    def asked(self, window: Any, bounds: Sequence[float] | None) -> Region:
-        """Return the part that a window or bounds name, not clipped; all by default."""
+    def window(self, window: Any, bounds: Sequence[float] | None) -> "LevelWindow":
+        """Return the part that a window or bounds name, checked; all by default."""
+        whole = Region(0, 0, *self.shape)
         if bounds is None:
-            whole = Region(0, 0, *self.shape)
-            return whole if window is None else region_of_window(window, self.shape)
-        if window is not None:
+            asked = whole if window is None else region_of_window(window, self.shape)
+        elif window is not None:
             raise InvalidArgumentError("found both `window` and `bounds`, expected one of them")
-        return region_of_bounds(bounds, self.transform)
-
-    def region(self, window: Any, bounds: Sequence[float] | None) -> Region:
-        """Return the part that a window or bounds name, clipped to the level."""
-        asked = self.asked(window, bounds)
-        region = asked.intersect(Region(0, 0, *self.shape))
+        else:
+            asked = region_of_bounds(bounds, self.transform)
+        region = asked.intersect(whole)
         if region.n_rows > 0 and region.n_cols > 0:
-            return region
+            return LevelWindow(self, region, asked, bounds)
+        if min(asked.n_rows, asked.n_cols) < 1 and bounds is None:
+            raise InvalidArgumentError(
+                f"found a `window` of {asked.n_rows} x {asked.n_cols} samples, expected at least 1"
+                " x 1"
+            )
         if bounds is not None:
             raise InvalidArgumentError(
                 f"the `bounds` {_in_words(bounds)} lie outside the raster's, {_in_words(self.own)}"
@@ -48,25 +51,42 @@ class LevelPlace(NamedTuple):
             f" lies outside the level, which has {self.shape[0]} x {self.shape[1]} samples"
         )
 
-    def note_on_cut(self, window: Any, bounds: Sequence[float] | None, slack: float) -> str | None:
-        """Say that a window or bounds reach beyond the level, and what is left; None if not.
 
-        `slack` is by how much bounds may.
+class LevelWindow(NamedTuple):
+    """A part of a level that a user has named: inside the level, and not empty.
+
+    Made once, by `LevelPlace.window`; whoever gets one need not check it. `asked` is what was
+    named, before it was clipped, by `bounds` or without.
+    """
+
+    place: LevelPlace
+    region: Region
+    asked: Region
+    bounds: Sequence[float] | None
+
+    @property
+    def level(self) -> int:
+        """Return the level, counted from 0."""
+        return self.place.level
+
+    def note_on_cut(self, pixel: tuple[float, float]) -> str | None:
+        """Say that more was named than the level has, and what is left; None if not.
+
+        `pixel` is the size of the finest pixels, of which rounding of coordinates leaves out some.
         """
-        region = self.region(window, bounds)
+        region, shape = self.region, self.place.shape
         left = (
             f"what lies inside it is taken, {region.n_rows} x {region.n_cols} samples from row"
             f" {region.row}, column {region.col} on"
         )
-        if bounds is not None:
-            beyond = np.subtract(self.own, bounds) * (1, 1, -1, -1)
-            if (beyond <= slack).all():
+        if self.bounds is not None:
+            beyond = np.subtract(self.place.own, self.bounds) * (1, 1, -1, -1)
+            if (beyond <= EVEN * min(pixel)).all():
                 return None
-            return f"the `bounds` reach beyond the raster's, {_in_words(self.own)}: {left}"
-        if self.asked(window, None) == region:
+            return f"the `bounds` reach beyond the raster's, {_in_words(self.place.own)}: {left}"
+        if self.asked == region:
             return None
-        size = f"{self.shape[0]} x {self.shape[1]}"
-        return f"the `window` reaches beyond the level's {size} samples: {left}"
+        return f"the `window` reaches beyond the level's {shape[0]} x {shape[1]} samples: {left}"
 
 
 def region_of_window(window: Any, shape: tuple[int, int]) -> Region:
@@ -75,11 +95,15 @@ def region_of_window(window: Any, shape: tuple[int, int]) -> Region:
     A window is (row, col, n_rows, n_cols), a rasterio Window, or a slice of rows and one of
     columns. Slices count as Python does: from the end if negative, at most to the end.
 
+    A `Region` has been checked.
+
     Raises
     ------
     InvalidArgumentError
         If it is none of them, or not in whole samples.
     """
+    if isinstance(window, Region):
+        return window
     if hasattr(window, "row_off"):  # rasterio.windows.Window
         return _of_rasterio(window)
     try:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.tri.mesh import FRACTION_BITS
+from terrainwave.tri.block_mesh import FRACTION_BITS
 
 MAX_SIDE = 4097
 # Tolerances are in 1/16 quanta; larger ones mean the same for heights below 2**30.

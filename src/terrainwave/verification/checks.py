@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.verification.checked_mesh import FLOAT_TOLERANCE, CheckedMesh
 from terrainwave.verification.pieces import (
     ABC,
     ABD,
@@ -24,13 +25,12 @@ from terrainwave.verification.pieces import (
     coverage,
     n_unions,
 )
-from terrainwave.verification.surface import FLOAT_TOLERANCE, Surface
 
 _MAX_LISTED = 5
 
 
 def problems_of(
-    surface: Surface,
+    surface: CheckedMesh,
     shape: tuple[int, int],
     expected: NDArray[np.uint8] | None = None,
     *,
@@ -92,7 +92,7 @@ def _first(where: NDArray[np.bool_]) -> tuple[int, int]:
     return row, col
 
 
-def _vertex_problems(surface: Surface, shape: tuple[int, int]) -> Iterator[str]:
+def _vertex_problems(surface: CheckedMesh, shape: tuple[int, int]) -> Iterator[str]:
     rows, cols = surface.rows, surface.cols
     if not len(rows):
         return
@@ -142,7 +142,7 @@ def _n_distinct(numbers: NDArray[np.integer]) -> int:
     return min(len(in_order), 1) + int(np.count_nonzero(in_order[1:] != in_order[:-1]))
 
 
-def _edge_problems(surface: Surface, pieces: NDArray[np.uint8]) -> Iterator[str]:
+def _edge_problems(surface: CheckedMesh, pieces: NDArray[np.uint8]) -> Iterator[str]:
     n_vertices = len(surface.rows)
     edges = _directed_edges(surface.triangles, n_vertices)
     n_again = len(edges) - _n_distinct(edges)
@@ -193,8 +193,8 @@ def _runs(
         return np.empty((0, 5)), 0, (0.0, 0.0)
     step_row, step_col = down / longest, right / longest
     slanted = np.zeros(len(longest), dtype=np.bool_)
-    for step in (step_row, step_col):
-        slanted |= np.abs(step - np.rint(step)) * longest > FLOAT_TOLERANCE
+    for part in (step_row, step_col):
+        slanted |= np.abs(part - np.rint(part)) * longest > FLOAT_TOLERANCE
     step_row, step_col = np.rint(step_row), np.rint(step_col)
     line = np.where(step_row == 0, rows[:, 0], step_row * cols[:, 0] - step_col * rows[:, 0])
     line = np.rint(line * 1e6) / 1e6
@@ -211,7 +211,7 @@ def _runs(
     return runs, int(np.count_nonzero(slanted)), (float(rows[at, 0]), float(cols[at, 0]))
 
 
-def _shape_problems(surface: Surface, pieces: NDArray[np.uint8]) -> Iterator[str]:
+def _shape_problems(surface: CheckedMesh, pieces: NDArray[np.uint8]) -> Iterator[str]:
     """Compare Euler characteristic and number of parts with those of the area."""
     triangles, n_vertices = surface.triangles, len(surface.rows)
     edges = _directed_edges(triangles, n_vertices)

@@ -14,6 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from terrainwave.arguments import (
+    MASK,
+    RAISE,
+    check_band,
     check_callback,
     check_flags,
     checked_error,
@@ -25,15 +28,17 @@ from terrainwave.arguments import (
 from terrainwave.errors import InvalidArgumentError, TerrainwaveError
 from terrainwave.names import METHODS
 from terrainwave.progress import Progress, ProgressCallback
-from terrainwave.verification.metadata import metadata_problems
 from terrainwave.verification.metrics import ErrorReport, ErrorSum
 from terrainwave.verification.original import Original, open_original, place_text
+from terrainwave.verification.raster_metadata import metadata_problems
 
 if TYPE_CHECKING:
-    from terrainwave.verification.meshes import MeshReport
+    from terrainwave.verification.mesh_walk import MeshReport
 
 # Problems of one kind are listed up to this number, then counted.
 _MAX_LISTED = 10
+# Damaged parts of a file that are listed.
+_MOST_LISTED = 100
 
 # An integer bound of 8 quanta stored as 0.1 * 8 may read 7.999999999999999 quanta.
 _SLACK = Fraction(1, 10**9)
@@ -62,6 +67,8 @@ class VerifyReport:
         0.02 … None without an original.
     mesh : MeshReport or None
         What was checked of the meshes, if that was asked for.
+    earlier : tuple of dict
+        The .twz files that the heights went through before, as `Info` has them.
     """
 
     path: str
@@ -73,6 +80,7 @@ class VerifyReport:
     problems: tuple[str, ...]
     is_strict: bool | None = None
     mesh: "MeshReport | None" = None
+    earlier: tuple[dict[str, Any], ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -153,17 +161,16 @@ def verify(
         checked_path(original)
     from terrainwave.terrain import Terrain
 
-    with Terrain(twz, threads=threads) as terrain:
+    # What is there of a file that ends too early is checked like the rest.
+    on_error = RAISE if original is not None else MASK
+    with Terrain(twz, threads=threads, on_error=on_error) as terrain:
         if original is None:
-            problems = tuple(terrain.check())
+            problems = tuple(_problems_of_bytes(terrain))
             bound = _bound(terrain, max_error)
             report = _report(terrain, twz, None, bound, None, problems)
             return _with_meshes(report, terrain, None, progress) if mesh else report
         with open_original(original) as dataset:
-            if not 1 <= band <= dataset.count:
-                raise InvalidArgumentError(
-                    f"`band` {band} does not exist, {original} has {dataset.count}"
-                )
+            check_band(band, dataset.count, str(original))
             raster = Original(dataset, band, nodata)
             report = _Comparison(terrain, raster, max_error).run(twz, original, progress)
             if not mesh or report.errors is None:  # of another size or type
@@ -171,12 +178,26 @@ def verify(
             return _with_meshes(report, terrain, raster.read, progress)
 
 
+def _problems_of_bytes(terrain: Any) -> Iterator[str]:
+    """Yield what is wrong with a file by itself, each once; of many problems the first and last."""
+    missing, n_bytes = terrain.container.n_missing, terrain.container.extents.file_size
+    if missing:
+        yield f"the file has {n_bytes - missing:,} of its {n_bytes:,} bytes"
+    problems = list(dict.fromkeys(terrain.check()))
+    # How much of each level is lost comes last.
+    first, last = problems[: -terrain.n_levels], problems[-terrain.n_levels :]
+    yield from first[:_MOST_LISTED]
+    if len(first) > _MOST_LISTED:
+        yield f"{len(first) - _MOST_LISTED:,} more like these"
+    yield from last
+
+
 def _with_meshes(
     report: VerifyReport, terrain: Any, read: Any, progress: ProgressCallback | None
 ) -> VerifyReport:
     """Add the checks of meshes to a report, unless the heights can't be read."""
     # Imported here: numba.
-    from terrainwave.verification.meshes import verify_meshes
+    from terrainwave.verification.mesh_walk import verify_meshes
 
     checked, problems = verify_meshes(
         terrain, None if read is None else lambda region: read(*region), progress
@@ -208,6 +229,7 @@ def _report(
         errors=errors,
         problems=problems,
         is_strict=is_strict,
+        earlier=terrain.info().earlier,
     )
 
 

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 from terrainwave.grid.affine import determinant, places_to_pixels, places_to_samples, without_shift
 from terrainwave.grid.quadtree import Block, Region
+from terrainwave.verification.checked_mesh import CheckedMesh
 from terrainwave.verification.checks import boundary_edges, problems_of
 from terrainwave.verification.pieces import NOTHING, pieces_of_mask, refined_pieces
-from terrainwave.verification.surface import Surface
 
 SIXTEENTHS = 16
 # Relative; what a decimal error loses as float64.
 _SLACK = 1e-9
 
 
-class Ruler:
+class QuantaScale:
     """Heights of a file in 1/16 quanta, by the numbers of its header alone."""
 
     def __init__(self, terrain: Any) -> None:
@@ -80,10 +80,10 @@ class Ruler:
 # One block
 
 
-def block_surface(terrain: Any, block: Block) -> Surface:
+def block_surface(terrain: Any, block: Block) -> CheckedMesh:
     """Return a block's stored mesh in half samples of its level, from the block's first sample."""
     mesh = terrain.block_mesh(block)
-    return Surface(
+    return CheckedMesh(
         mesh.rows.astype(np.int64), mesh.cols.astype(np.int64), mesh.heights, mesh.triangles
     )
 
@@ -95,14 +95,14 @@ def block_mask(terrain: Any, block: Block) -> NDArray[np.bool_]:
     """
     grid = terrain.grid
     region = grid.block_region(block)
-    _, mask = terrain.read_with_mask(tuple(region), level=block.level, voids="any")
+    _, mask = terrain.read_with_mask(region, level=block.level, voids="any")
     stride = grid.stride(block.level)
     full = grid.full_region(block)
     n_rows, n_cols = (-(-(n - 1) // stride) + 1 for n in (full.n_rows, full.n_cols))
     return np.pad(mask, ((0, n_rows - region.n_rows), (0, n_cols - region.n_cols)), mode="edge")
 
 
-def block_problems(terrain: Any, block: Block, surface: Surface) -> Iterator[str]:
+def block_problems(terrain: Any, block: Block, surface: CheckedMesh) -> Iterator[str]:
     """Check that a block's mesh covers once what its samples span."""
     mask = block_mask(terrain, block)
     if min(mask.shape) < 2:
@@ -112,7 +112,7 @@ def block_problems(terrain: Any, block: Block, surface: Surface) -> Iterator[str
     yield from problems_of(surface, mask.shape, pieces_of_mask(mask))
 
 
-class Line(NamedTuple):
+class BorderLine(NamedTuple):
     """What a mesh has on a border line: vertices, and edges as pairs of places along it."""
 
     places: NDArray[np.int64]
@@ -120,17 +120,17 @@ class Line(NamedTuple):
     edges: NDArray[np.int64]
 
 
-def border_line(surface: Surface, axis: int, at: int) -> Line:
+def border_line(surface: CheckedMesh, axis: int, at: int) -> BorderLine:
     """Return the line at row (`axis` 0) or column (1) `at`, in half samples."""
     across, along = (surface.rows, surface.cols) if axis == 0 else (surface.cols, surface.rows)
     on = np.flatnonzero(across == at)
     order = on[np.argsort(along[on], kind="stable")]
     edges = boundary_edges(surface.triangles, len(surface.rows))
     edges = edges[(across[edges] == at).all(axis=1)]
-    return Line(along[order], surface.heights[order], np.sort(along[edges], axis=1))
+    return BorderLine(along[order], surface.heights[order], np.sort(along[edges], axis=1))
 
 
-def line_problems(one: Line, other: Line) -> Iterator[str]:
+def line_problems(one: BorderLine, other: BorderLine) -> Iterator[str]:
     """Check that two meshes leave no gap along the line they share.
 
     Vertices at one place have one height, and none lies inside an edge of the other mesh. Where a
@@ -154,7 +154,7 @@ def line_problems(one: Line, other: Line) -> Iterator[str]:
 # A mesh of an area
 
 
-def surface_of_mesh(terrain: Any, mesh: Any, region: Region) -> Surface:
+def surface_of_mesh(terrain: Any, mesh: Any, region: Region) -> CheckedMesh:
     """Return a `Mesh` in half samples of the full grid, from the first sample of `region`.
 
     Integers where all vertices lie on half samples, else floats: where it was cut.
@@ -165,13 +165,13 @@ def surface_of_mesh(terrain: Any, mesh: Any, region: Region) -> Surface:
     down, right = places_to_pixels(without_shift(transform), *mesh.vertices[:, :2].T)
     cols = 2 * (right + round(centre_col) - region.col)
     rows = 2 * (down + round(centre_row) - region.row)
-    heights = Ruler(terrain).of_physical(mesh.vertices[:, 2] + mesh.origin[2])
+    heights = QuantaScale(terrain).of_physical(mesh.vertices[:, 2] + mesh.origin[2])
     triangles = mesh.triangles if determinant(transform) > 0 else mesh.triangles[:, ::-1]
-    surface = Surface(_snapped(rows), _snapped(cols), _snapped(heights), triangles)
+    surface = CheckedMesh(_snapped(rows), _snapped(cols), _snapped(heights), triangles)
     if not all((values == np.rint(values)).all() for values in surface[:3]):
         return surface
     whole = [values.astype(np.int64) for values in surface[:3]]
-    return Surface(whole[0], whole[1], whole[2], triangles)
+    return CheckedMesh(whole[0], whole[1], whole[2], triangles)
 
 
 def _snapped(values: NDArray[np.float64]) -> NDArray[Any]:
@@ -194,7 +194,7 @@ def area_pieces(terrain: Any, region: Region, level: int) -> NDArray[np.uint8]:
         min(last_row, n_rows - 1) - first_row + 1,
         min(last_col, n_cols - 1) - first_col + 1,
     )
-    _, mask = terrain.read_with_mask(tuple(inside), level=level, voids="any")
+    _, mask = terrain.read_with_mask(inside, level=level, voids="any")
     beyond = max(last_row - n_rows + 1, 0), max(last_col - n_cols + 1, 0)
     mask = np.pad(mask, ((0, beyond[0]), (0, beyond[1])), mode="edge")
     pieces = refined_pieces(pieces_of_mask(mask), stride)

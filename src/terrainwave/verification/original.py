@@ -39,6 +39,10 @@ def open_original(path: str | os.PathLike[str]) -> Any:
     except RasterioIOError as error:
         if "://" not in os.fspath(path) and not os.path.exists(path):
             raise StorageError(f"{path}: no such file") from error
+        if os.path.isdir(path):
+            raise StorageError(f"{path} is a directory; expected a raster file") from error
+        if os.path.exists(path) and not os.path.getsize(path):
+            raise StorageError(f"{path} is empty; expected a raster file") from error
         raise StorageError(f"{path} is not a raster that GDAL can read: {error}") from error
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.verification.surface import FLOAT_TOLERANCE, Surface
+from terrainwave.verification.checked_mesh import FLOAT_TOLERANCE, CheckedMesh
 
 # What a mesh covers of a quad a b (upper), d c (lower), seen from a downwards and to the right,
 # and from c upwards and to the left. All of it, or one of four triangles.
@@ -14,7 +14,7 @@ ABC, ACD, ABD, BCD = _A_RIGHT | _C_UP, _A_DOWN | _C_LEFT, _A_DOWN | _A_RIGHT, _C
 
 
 def coverage(
-    surface: Surface, shape: tuple[int, int]
+    surface: CheckedMesh, shape: tuple[int, int]
 ) -> tuple[NDArray[np.uint8], int, tuple[int, int] | None]:
     """Measure how much of each quad is covered, and how many places around samples are twice.
 

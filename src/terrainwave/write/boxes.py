@@ -83,11 +83,16 @@ def set_codes(
 
 
 def enclosing_boxes(
-    stats: Stats, errors: Mapping[Block, int], whole: Box, below: Mapping[Block, Box]
+    stats: Stats,
+    errors: Mapping[Block, int],
+    whole: Box,
+    below: Mapping[Block, Box],
+    moved: int = 0,
 ) -> dict[Block, Box]:
     """Return the range of originals and surfaces of each block and of all below it.
 
-    `below` are such ranges of what lies below blocks of `stats` and is not in `stats` itself.
+    `below` are such ranges of what lies below blocks of `stats` and is not in `stats` itself,
+    `moved` how far originals may be from the heights that `stats` are of, in quanta.
     """
     boxes = dict(below)
     for block in sorted(stats, reverse=True):  # the finest level first
@@ -95,7 +100,7 @@ def enclosing_boxes(
         if own.is_empty:
             continue
         # Decoded heights are clamped to the originals' range, so boxes are as well.
-        error = decode_error(errors[block])
+        error = decode_error(errors[block]) + moved
         low, high = (
             max(own.z_low - error, whole[0]),
             min(own.z_high + error, whole[1]),

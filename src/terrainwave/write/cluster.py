@@ -20,11 +20,11 @@ import numpy as np
 from terrainwave.codec.refiner import Heights, Mask, Refiner
 from terrainwave.container.depot import Depot, StoredSegment
 from terrainwave.container.page import N_CODES
-from terrainwave.container.sink import SpoolSink
+from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.writer import store_segments
 from terrainwave.errors import ClusterError, InvalidHeightsError
+from terrainwave.grid.block_stats import BlockStats
 from terrainwave.grid.digest import HeightDigest
-from terrainwave.grid.measure import BlockStats
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.grid.steps import FixedSteps
@@ -33,13 +33,13 @@ from terrainwave.progress import Reporter
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.decoder import TreeDecoder, groups_by
-from terrainwave.tri.stored import STORED_KINDS
+from terrainwave.tri.stored_kinds import STORED_KINDS
 from terrainwave.write.boxes import Box, enclosing_boxes, error_codes, set_codes
 from terrainwave.write.encoder import Stats, TreeEncoder, fitted_refiner
 from terrainwave.write.job import Job
 from terrainwave.write.passes.coding import Coded
 from terrainwave.write.passes.proof import measured_error
-from terrainwave.write.pyramid import Base, Part, Pyramid
+from terrainwave.write.pyramid import Base, Pyramid, SubtreeRegion
 from terrainwave.write.subtrees import (
     ABOVE,
     CODED,
@@ -275,7 +275,7 @@ class DistributedPasses:
     def _fills(self, site: Site, top: Pyramid, region: Region) -> tuple[Region, Heights]:
         """Return the fills that a part over a region of the full grid needs, and their place."""
         level_shape = site.grid.level_shape(site.level)
-        wanted = Part(region, site.shift).fill_region(site.shift)
+        wanted = SubtreeRegion(region, site.shift).fill_region(site.shift)
         wanted = wanted.intersect(Region(0, 0, *level_shape))
         return wanted, top.fills(site.shift, wanted)
 
@@ -421,7 +421,7 @@ class _TopCodes:
         self.errors = error_codes(below.stats, job.lost, job.recursion_bound, below.errors)
         self._grid = site.grid
         self._whole = quantizer.z_min, quantizer.z_max
-        self._boxes = enclosing_boxes(below.stats, self.errors, self._whole, below.boxes)
+        self._boxes = enclosing_boxes(below.stats, self.errors, self._whole, below.boxes, job.moved)
 
     def set(self, mesh_errors: Mapping[Block, int]) -> None:
         """Give every block its box and errors."""

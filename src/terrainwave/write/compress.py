@@ -6,10 +6,12 @@ disk with the ordinary decoder and compares every sample. Memory stays flat in a
 """
 
 import io
+import logging
 import os
+import tempfile
 import warnings
 from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import closing
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, cast
@@ -23,21 +25,25 @@ from terrainwave.arguments import (
 )
 from terrainwave.codec.method_options import MethodOptions
 from terrainwave.container.depot import Depot
-from terrainwave.container.publish import (
+from terrainwave.container.sources.addresses import display_name
+from terrainwave.container.targets.publication import (
     publish,
     refuse_own_source,
     scratch_directory,
     system_scratch,
 )
+from terrainwave.container.targets.unfinished import Part
+from terrainwave.container.targets.upload import uploaded
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
+from terrainwave.file.raster import raster_source
 from terrainwave.grid.quadtree import Grid
-from terrainwave.names import FORMATS, PLAIN_METHOD
+from terrainwave.names import FORMATS
 from terrainwave.place.units import height_unit
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
-from terrainwave.raster_io.marks import note_on_marks
 from terrainwave.raster_io.source import RasterSource
+from terrainwave.raster_io.undeclared_voids import note_on_marks
 from terrainwave.tri.mesh_options import MeshOptions
 from terrainwave.write.cluster import (
     TASK_SAMPLES,
@@ -46,12 +52,14 @@ from terrainwave.write.cluster import (
     shared_raster,
     task_level,
 )
-from terrainwave.write.earlier import earlier_error
-from terrainwave.write.job import fixed_steps, settled
+from terrainwave.write.compress_options import Options, taking_former
+from terrainwave.write.earlier import earlier_of, for_heights_of
+from terrainwave.write.job import Job, fixed_steps, settled
 from terrainwave.write.local import LocalPasses
-from terrainwave.write.options import Options, taking_former
-from terrainwave.write.passes.coding import smaller
+from terrainwave.write.passes.coding import Coded, smaller
 from terrainwave.write.subtrees import RasterPlace
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -106,14 +114,16 @@ def compress(
 
     Parameters
     ----------
-    src : path, rasterio dataset, list of these, ndarray, xarray DataArray or Dataset
+    src : path, rasterio dataset, Terrain, list of these, ndarray, xarray DataArray or Dataset
         One band of heights: uint8, int16, uint16, int32, float32 or float64. A list of rasters
         with the same CRS and grid makes a mosaic. Where they overlap, the last counts; where there
-        is none, the mosaic is void. A Dataset has one variable of heights (docs/integrations.md
-        lists what is read from labels).
+        is none, the mosaic is void. A path may be that of a .twz file: `max_error` is then the
+        bound from its original, and by default all heights stay as they are in the file. A Dataset
+        has one variable of heights (docs/integrations.md lists what is read from labels).
     dst : path
         The file to make. Its name ends in ``.twz``. It appears complete or not at all, and never
-        replaces a raster.
+        replaces a raster. Also the URL of storage that fsspec can write to, such as ``s3://``
+        (extra ``remote``): the file is made and proved on this machine, then uploaded.
     max_error : float, optional
         Largest allowed error (<=) in physical units, after scale and offset; >= 0. 0 keeps every
         bit. By default lossless if the heights are in whole steps (metres, centimetres, feet),
@@ -220,11 +230,7 @@ def compress(
     reporter = Reporter(progress)
     cluster = None
     if client is not None:
-        if not options.named_method.is_clusterable:
-            raise InvalidArgumentError(
-                f"found `method` {options.named_method.name} and a client, expected another method:"
-                f" only one machine codes the tiles of {options.named_method.name}"
-            )
+        _refuse_tiles(options)
         is_remote = temp_dir is not None and "://" in os.fspath(temp_dir)
         raster = shared_raster(src, band, nodata)
         url = temp_dir if is_remote else None
@@ -234,20 +240,28 @@ def compress(
         raise InvalidArgumentError(
             f"found `task_samples` {task_samples} without a client, expected both or none of them"
         )
-    check_ending(dst, TWZ_ENDINGS)
+    check_ending(dst, TWZ_ENDINGS, or_url=True)
     refuse_own_source(src, dst)
     refuse_raster(dst)
+    name = os.fspath(dst)
+    is_url = "://" in name
+    if is_url and cluster is not None:
+        raise InvalidArgumentError(
+            f"found a client and {display_name(name)} as `dst`, expected a path that all workers"
+            " can use"
+        )
+    beside = tempfile.gettempdir() if is_url else Path(name).absolute().parent
     with (
-        publish(dst, overwrite=overwrite) as part,
-        RasterSource(src, band=band, nodata=nodata, georeference=georeference) as source,
-        scratch_directory(temp_dir or Path(dst).absolute().parent, Path(dst).name) as directory,
+        _made(name, overwrite=overwrite, temp_dir=temp_dir) as part,
+        raster_source(src, band=band, nodata=nodata, georeference=georeference) as source,
+        scratch_directory(temp_dir or beside, Path(name).name) as directory,
     ):
         written = _write(part.file, part.path, source, options, directory, reporter, cluster)
         n_bytes = os.path.getsize(part.path)
     _warn_of(written.marks)
     n_samples = source.info.n_rows * source.info.n_cols
     return CompressResult(
-        path=os.fspath(dst),
+        path=display_name(name) if is_url else name,
         n_bytes=n_bytes,
         n_samples=n_samples,
         bits_per_sample=8 * n_bytes / n_samples,
@@ -297,12 +311,30 @@ def compress_to_bytes(
     )
     file = io.BytesIO()
     with (
-        RasterSource(src, nodata=nodata, georeference=georeference) as source,
+        raster_source(src, nodata=nodata, georeference=georeference) as source,
         system_scratch() as directory,
     ):
         written = _write(file, None, source, options, directory, Reporter(None))
     _warn_of(written.marks)
     return file.getvalue()
+
+
+def _refuse_tiles(options: Options) -> None:
+    """Raise `InvalidArgumentError` if a cluster cannot share the work of the method."""
+    if not options.named_method.is_clusterable:
+        raise InvalidArgumentError(
+            f"found `method` {options.named_method.name} and a client, expected another method:"
+            f" only one machine codes the tiles of {options.named_method.name}"
+        )
+
+
+def _made(
+    name: str, *, overwrite: bool, temp_dir: str | os.PathLike[str] | None
+) -> AbstractContextManager[Part]:
+    """Give a file to write that appears under its name, or at its URL, when the block ends."""
+    if "://" in name:
+        return uploaded(name, overwrite=overwrite, temp_dir=temp_dir)
+    return publish(name, overwrite=overwrite)
 
 
 def _warn_of(notes: list[str]) -> None:
@@ -341,18 +373,14 @@ def _write(
         with closing(
             _passes(source, grid, directory, executor, reporter, cluster, has_digest=has_digest)
         ) as passes:
-            scan = passes.scan(fixed_steps(options, source.info))
+            left = for_heights_of(source, options)
+            scan = passes.scan(fixed_steps(left, source.info))
             marks = note_on_marks(source, scan.minimum, scan.maximum)
-            earlier, earlier_notes = earlier_error(source)
-            job, notes = settled(options, scan, source.info, earlier)
-            notes += earlier_notes
-            coded = passes.encode(job)
-            is_large = coded.n_bytes > source.info.n_bytes
-            is_large = is_large and not (options.is_embedded or options.faithful)
-            if is_large and options.named_method != PLAIN_METHOD:
-                coded = smaller(coded, passes.encode(job.with_method(PLAIN_METHOD)))
-                if coded.job.options.named_method == PLAIN_METHOD:
-                    notes.append("the heights do not compress: stored as they are")
+            earlier = earlier_of(source, options, scan.steps)
+            job, notes = settled(left, scan, source.info, earlier)
+            coded = _coded(passes, job, source.info.n_bytes)
+            if coded.job.options.named_method != options.named_method:
+                notes.append("the heights do not compress: stored as they are")
             job = coded.job
             assemble(file, job.header(coded.file_tables), coded.segments)
             measured = None
@@ -369,6 +397,17 @@ def _write(
         notes=notes,
         marks=marks,
     )
+
+
+def _coded(passes: LocalPasses | DistributedPasses, job: Job, n_raw: int) -> Coded:
+    """Return the raster coded by the chosen method, or as the choice says for larger than raw."""
+    own, _, reason, other = job.options.choice
+    coded = passes.encode(job)
+    if other is not None and coded.n_bytes > n_raw:
+        reason = f"{own.name}, {reason}, takes {coded.n_bytes:,} bytes of {n_raw:,}"
+        coded = smaller(coded, passes.encode(job.with_method(other)))
+    _log.info("method %s: %s", coded.job.options.named_method.name, reason)
+    return coded
 
 
 class _Cluster(NamedTuple):

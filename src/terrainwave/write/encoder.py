@@ -15,8 +15,8 @@ from typing import Any, NamedTuple, Protocol
 from terrainwave.codec.group import encode_unit
 from terrainwave.codec.refiner import Decoded, FittingRefiner, GroupSpec, Heights, Mask, Refiner
 from terrainwave.codec.registry import refiner_by_name
-from terrainwave.codec.units import block_of_unit, unit_spec
-from terrainwave.grid.measure import (
+from terrainwave.codec.unit_specs import block_of_unit, unit_spec
+from terrainwave.grid.block_stats import (
     BlockStats,
     distance_of_children,
     measure_block,
@@ -24,7 +24,7 @@ from terrainwave.grid.measure import (
 )
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
-from terrainwave.grid.windows import HeightsOf, MaskOf
+from terrainwave.grid.sample_windows import HeightsOf, MaskOf
 from terrainwave.write.job import Job
 from terrainwave.write.pyramid import Pyramid
 

@@ -20,17 +20,25 @@ from terrainwave.container.header import (
     LAYOUT_FEATURES,
     Header,
 )
-from terrainwave.container.metadata import MAX_MOVED, ORIGIN
+from terrainwave.container.metadata import EARLIER, MAX_MOVED, ORIGIN
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid
-from terrainwave.grid.quantum import DEFAULT_MAX_ERROR, HeightScan, Quantizer, as_fraction
+from terrainwave.grid.quantum import (
+    DEFAULT_MAX_ERROR,
+    MAX_QUANTA,
+    HeightScan,
+    Quantizer,
+    as_fraction,
+)
 from terrainwave.grid.steps import FixedSteps
 from terrainwave.mesh.blocks import default_mesh_error, mesh_tolerance
 from terrainwave.names import Method, mesh_without_coefficients, methods_that
 from terrainwave.place.units import height_unit
-from terrainwave.raster_io.info import RasterInfo, stored_nodata
-from terrainwave.write.options import Options
+from terrainwave.raster_io.earlier_loss import NO_LOSS, EarlierLoss
+from terrainwave.raster_io.raster_info import RasterInfo, stored_nodata
+from terrainwave.write.compress_options import Options
+from terrainwave.write.earlier import NOTHING, Earlier
 
 # Heights on no grid are rounded to their range / 2^18 or so before a stream of them is cut.
 _FINE_BITS = 18
@@ -51,8 +59,9 @@ class Job:
     measured : float, optional
         The bound that holds where the quantizer does not tell it, in raw units: of an embedded
         file, once it is known, and where heights give way to the nodata value.
-    earlier : float
-        How far the raster itself may be from an original that it was made of, in physical units.
+    earlier : EarlierLoss
+        How far the raster itself may be from an original that it was made of; of heights that do
+        not move, beyond the file's own bound.
     origin : dict, optional
         What the file keeps of where it comes from (`origin_of`), if that was asked for.
     """
@@ -64,7 +73,7 @@ class Job:
     quantizer: Quantizer
     n_valid: int
     measured: float | None = None
-    earlier: float = 0.0
+    earlier: EarlierLoss = NO_LOSS
     origin: dict[str, Any] | None = None
 
     @property
@@ -75,7 +84,7 @@ class Job:
     @property
     def moved(self) -> int:
         """Return `earlier` in quanta, rounded up."""
-        quanta = as_fraction(self.earlier) / scale_of(self.info) / self._quantum
+        quanta = as_fraction(self.earlier.max_error) / scale_of(self.info) / self._quantum
         return int(-(-quanta // 1))
 
     @property
@@ -92,6 +101,23 @@ class Job:
         # That of a bounded file whose steps have this half.
         measured = replace(self.quantizer, step=2 * error + 1).effective_error
         return replace(self, measured=measured, bound=as_fraction(measured) * scale_of(self.info))
+
+    def with_range_of_original(self) -> "Job":
+        """Return the job with a range that holds the original's heights, too.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If it has more than 2^30 quanta.
+        """
+        low, high = self.quantizer.z_min - self.moved, self.quantizer.z_max + self.moved
+        if self.moved and high - low >= MAX_QUANTA:
+            raise InvalidHeightsError(
+                f"found heights within {self.earlier.max_error:g} of an original, in steps of"
+                f" {float(self._quantum):g}; expected a larger `max_error`: the original's range"
+                " may have more than 2^30 of these steps"
+            )
+        return replace(self, quantizer=replace(self.quantizer, z_min=low, z_max=high))
 
     def with_method(self, method: Method) -> "Job":
         """Return the job with another method; all that is settled stays.
@@ -134,7 +160,8 @@ class Job:
         if self.options.mesh == "none":
             return 0
         if self.options.mesh_error is None:
-            error = default_mesh_error(quantizer, self.effective_error, scale_of(self.info))
+            stated = self.effective_error + self.moved_error
+            error = default_mesh_error(quantizer, stated, scale_of(self.info))
         else:
             error = as_fraction(self.options.mesh_error) / scale_of(self.info)
         return mesh_tolerance(error, self._quantum)
@@ -158,6 +185,8 @@ class Job:
         metadata = metadata_of(info)
         if self.moved:
             metadata["moved"] = self.moved
+            if self.earlier.files:
+                metadata[EARLIER] = [file._asdict() for file in self.earlier.files]
         if self.origin is not None:
             metadata[ORIGIN] = self.origin
         has_heights = self.n_valid > 0
@@ -232,9 +261,11 @@ def fixed_steps(options: Options, info: RasterInfo) -> FixedSteps | None:
 
 
 def settled(
-    options: Options, scan: HeightScan, info: RasterInfo, earlier: float = 0.0
+    options: Options, scan: HeightScan, info: RasterInfo, earlier: Earlier = NOTHING
 ) -> tuple[Job, list[str]]:
     """Return the job for a raster that has been scanned, and what a user should know of it.
+
+    `options` have the bound from the raster, `earlier` what was asked of that from its original.
 
     Raises
     ------
@@ -268,15 +299,50 @@ def settled(
         quantizer, measured = _with_room_for_nodata(quantizer, info)
         measured = None if options.is_embedded else measured
     grid = Grid(info.n_rows, info.n_cols, options.block)
-    origin = origin_of(options, scan) if options.keep_origin else None
-    job = Job(options, info, grid, bound, quantizer, scan.n_valid, measured, earlier, origin)
+    origin = origin_of(earlier.asked or options, scan) if options.keep_origin else None
+    own = quantizer.effective_error * float(scale_of(info))
+    more, earlier_notes = earlier.beyond(own)
+    loss = EarlierLoss(more, earlier.files)
+    job = Job(options, info, grid, bound, quantizer, scan.n_valid, measured, loss, origin)
     if job.moved > MAX_MOVED:
         raise InvalidHeightsError(
-            f"the heights are within {earlier:g} of an original by what came with them, which is"
-            f" more than 2^31 steps of {float(job.bound):g}; expected a larger `max_error`, or an"
-            " array without the attribute max_error"
+            f"the heights are within {earlier.error:g} of an original by what came with them, which"
+            f" is more than 2^31 steps of {float(job.bound):g}; expected a larger `max_error`, or"
+            " an array without the attribute max_error"
         )
-    return job, notes
+    above = _above_limit(job, earlier)
+    if not above:
+        return job.with_range_of_original(), notes + earlier_notes
+    return settled(_with_smaller_bound(job, above, earlier), scan, info, earlier)
+
+
+def _above_limit(job: Job, earlier: Earlier) -> Fraction:
+    """Return by how much a bound from the original is above what was asked, in physical units.
+
+    The earlier loss is stated in whole quanta. 0 where nothing was asked of this bound.
+    """
+    if earlier.asked is None or earlier.asked.max_error is None or job.options.is_embedded:
+        return Fraction(0)
+    stated = job.bound + as_fraction(job.moved_error) * scale_of(job.info)
+    return max(stated - as_fraction(earlier.asked.max_error), Fraction(0))
+
+
+def _with_smaller_bound(job: Job, above: Fraction, earlier: Earlier) -> Options:
+    """Return the options with a bound that leaves more room for the earlier loss.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If it is 0 already.
+    """
+    if not job.bound:
+        asked = job.bound - above + as_fraction(job.moved_error) * scale_of(job.info)
+        raise InvalidHeightsError(
+            f"found `max_error` {float(asked):g} and heights within {earlier.error:g} of an"
+            f" original, expected at least {float(asked + above):g}: a file states what was lost"
+            " before in whole steps of its own heights"
+        )
+    return replace(job.options, max_error=float(max(job.bound - above, Fraction(0))))
 
 
 def _raw_bound(bound: Fraction, info: RasterInfo) -> Fraction:

@@ -10,35 +10,25 @@ from typing import Any
 
 import numpy as np
 
-from terrainwave.arguments import (
-    TWZ_ENDINGS,
-    check_ending,
-    checked_error,
-    checked_threads,
-)
+from terrainwave.arguments import TWZ_ENDINGS, check_ending, checked_error, checked_threads
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.container.metadata import without_origin
 from terrainwave.container.page import N_CODES
-from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
 from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.targets.publication import publish, refuse_own_source, scratch_directory
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import as_fraction
-from terrainwave.mesh.blocks import (
-    Originals,
-    default_mesh_error,
-    measure_meshes,
-    mesh_tolerance,
-)
+from terrainwave.mesh.blocks import Originals, default_mesh_error, measure_meshes, mesh_tolerance
 from terrainwave.mesh.sections import make_meshes
 from terrainwave.names import METHODS
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.tri.mesh_options import MeshOptions, check_mesh, stored_mesh
-from terrainwave.write.options import taking_former
+from terrainwave.write.compress_options import taking_former
 
 
 @taking_former()

@@ -4,13 +4,15 @@ import os
 from collections.abc import Iterator
 from typing import Any
 
-from terrainwave.container.metadata import ORIGIN, without_origin
+from terrainwave.container.metadata import EARLIER, ORIGIN, without_origin
 from terrainwave.errors import TerrainwaveError
 from terrainwave.file import TerrainFile
+from terrainwave.file.raster import raster_source
 from terrainwave.progress import ProgressCallback, Reporter
+from terrainwave.raster_io.earlier_loss import earlier_files
 from terrainwave.raster_io.source import RasterSource
+from terrainwave.write.compress_options import Options
 from terrainwave.write.job import metadata_of, origin_of
-from terrainwave.write.options import Options
 from terrainwave.write.passes.windows import Window, scan_windows
 
 
@@ -48,15 +50,19 @@ def difference(
         return "it does not say what it was made of"
     if origin.get("options") != asked.to_metadata():
         return "it was made with other options"
-    with RasterSource(
+    with raster_source(
         src, band=band, nodata=nodata, georeference=georeference, warn=False
     ) as source:
         info = source.info
         size = info.n_rows, info.n_cols, info.dtype
         metadata = without_origin(header.metadata)
         metadata.pop("software", None)
+        metadata.pop("moved", None)
+        files = earlier_files({EARLIER: metadata.pop(EARLIER, None)})
         if size != (header.n_rows, header.n_cols, header.dtype) or metadata != metadata_of(info):
             return "it was made of another raster"
+        if files != (source.earlier.files if source.earlier else ()):
+            return "it was made of another .twz file"
         scan = scan_windows(info, _windows(source), Reporter(progress), has_digest=True)
     return None if origin == origin_of(asked, scan) else "it was made of other heights"
 

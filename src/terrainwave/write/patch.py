@@ -23,9 +23,9 @@ import numpy as np
 from terrainwave.arguments import check_local, checked_path, checked_threads
 from terrainwave.container.header import HAS_CORRECTIONS as CORRECTIONS_FEATURE
 from terrainwave.container.header import Header
-from terrainwave.container.metadata import without_origin
-from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
-from terrainwave.container.sink import SpoolSink
+from terrainwave.container.metadata import EARLIER, without_origin
+from terrainwave.container.spool_sink import SpoolSink
+from terrainwave.container.targets.publication import publish, refuse_own_source, scratch_directory
 from terrainwave.container.writer import assemble
 from terrainwave.errors import BoundViolationError, InvalidHeightsError
 from terrainwave.file import TerrainFile
@@ -41,9 +41,9 @@ from terrainwave.write.passes.proof import (
     measured_error,
     proof_shares,
 )
-from terrainwave.write.patching.encoder import PatchEncoder
 from terrainwave.write.patching.index import PatchedIndex
 from terrainwave.write.patching.merged import Merged
+from terrainwave.write.patching.patch_encoder import PatchEncoder
 from terrainwave.write.pyramid import Pyramid
 
 
@@ -180,6 +180,10 @@ def _note_on_format(before: str, after: str) -> str:
     )
 
 
+# What the metadata say of losses before: known again where a patch covers all.
+_OF_BEFORE = ("moved", EARLIER)
+
+
 class _Patcher:
     """The passes over a file that is patched."""
 
@@ -240,7 +244,7 @@ class _Patcher:
         if not old.moved or not self._merged.covers(Region(0, 0, *self._terrain.shape)):
             return old
         # What earlier patches have moved is known again.
-        metadata = {key: value for key, value in old.metadata.items() if key != "moved"}
+        metadata = {key: value for key, value in old.metadata.items() if key not in _OF_BEFORE}
         bound = old.quantizer.effective_error
         return replace(
             old, metadata=metadata, max_error=max(self._asked_bound(), bound), effective_bound=bound

@@ -11,8 +11,8 @@ are int32 quanta and pure functions of the raster: neither window sizes nor thre
 * Voids are filled by push-pull: coarse levels average what is valid, fine ones interpolate it.
 
 The levels of a part of the raster can be made from that part alone, with a frame around it, and the
-fills of one coarse level (`Part`); those above a level from that level alone (`Base`). Values are
-the same: that is how machines share a raster.
+fills of one coarse level (`SubtreeRegion`); those above a level from that level alone (`Base`).
+Values are the same: that is how machines share a raster.
 """
 
 from collections.abc import Callable
@@ -24,7 +24,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from terrainwave.codec.cdf53.tiles import TileLayout
+from terrainwave.codec.cdf53.tile_layout import TileLayout
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.coding.filters import lowpass_analysis
 from terrainwave.coding.lifting53 import lowpass_window
@@ -50,7 +50,7 @@ class SourceWindows(Protocol):
         ...
 
 
-class Part(NamedTuple):
+class SubtreeRegion(NamedTuple):
     """A region of the full grid whose levels down to `shift` are made, each with an apron of 1.
 
     The frames grow from level to level by what a window of the next coarser one reaches: 5 samples
@@ -128,7 +128,7 @@ class Pyramid:
         has_voids: bool,
         directory: Path,
         executor: Executor,
-        part: Part | None = None,
+        part: SubtreeRegion | None = None,
         base: Base | None = None,
     ) -> None:
         self._source = source

@@ -22,13 +22,14 @@ from terrainwave.codec.refiner import Refiner
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.container.depot import Depot, StoredSegment, StoredSegments
 from terrainwave.container.page import N_CODES
-from terrainwave.container.publish import system_scratch
-from terrainwave.container.sink import SpoolSink
 from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.spool_sink import SpoolSink
+from terrainwave.container.targets.publication import system_scratch
 from terrainwave.container.writer import store_segments, stored_places
 from terrainwave.file import TerrainFile
+from terrainwave.file.raster import raster_source
+from terrainwave.grid.block_stats import BlockStats
 from terrainwave.grid.digest import HeightDigest
-from terrainwave.grid.measure import BlockStats
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.grid.steps import FixedSteps
@@ -39,18 +40,12 @@ from terrainwave.mesh.trees import tree_source
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.decoder import TreeDecoder, groups_by
-from terrainwave.tri.stored import STORED_KINDS
-from terrainwave.write.boxes import (
-    Box,
-    enclosing_boxes,
-    error_codes,
-    recursive_errors,
-    set_codes,
-)
+from terrainwave.tri.stored_kinds import STORED_KINDS
+from terrainwave.write.boxes import Box, enclosing_boxes, error_codes, recursive_errors, set_codes
 from terrainwave.write.encoder import Stats, TreeEncoder
 from terrainwave.write.job import Job
 from terrainwave.write.passes.proof import allowed_error, compare_window, proof_windows
-from terrainwave.write.pyramid import Part, Pyramid
+from terrainwave.write.pyramid import Pyramid, SubtreeRegion
 
 _CACHE_BYTES = 64 << 20
 _SCAN_SIDE = 2048
@@ -68,7 +63,7 @@ class RasterPlace:
     def open(self) -> RasterSource:
         """Open it; notes have been issued where the run began."""
         source = self.paths[0] if len(self.paths) == 1 else list(self.paths)
-        return RasterSource(source, band=self.band, nodata=self.nodata, warn=False)
+        return raster_source(source, band=self.band, nodata=self.nodata, warn=False)
 
 
 @dataclass(frozen=True)
@@ -145,7 +140,7 @@ class Site:
             has_voids=self.job.has_voids,
             directory=directory,
             executor=executor,
-            part=Part(region, self.shift),
+            part=SubtreeRegion(region, self.shift),
         )
 
 
@@ -276,7 +271,7 @@ def encode_subtree(site: Site, head: Block) -> EncodedSubtree:
             whole_tree = own | {head: ancestors.get(head, BlockStats())}
             error = recursive_errors(whole_tree, job.lost, job.recursion_bound).get(head, 0)
         whole = job.quantizer.z_min, job.quantizer.z_max
-        boxes = enclosing_boxes(own, errors, whole, {})
+        boxes = enclosing_boxes(own, errors, whole, {}, job.moved)
         box = boxes.pop(head, None)
         set_codes(grid, sink.spools, whole, boxes, errors, {})
         places = store_segments(site.depot, site.name(CODED, head), grid, heads, sink.spools)

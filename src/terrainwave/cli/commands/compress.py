@@ -1,5 +1,6 @@
 """The command compress: rasters become .twz files."""
 
+import threading
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, replace
 from typing import Any
@@ -8,7 +9,7 @@ import click
 from click.core import ParameterSource
 
 from terrainwave.arguments import TWZ_ENDINGS
-from terrainwave.cli.batch import Done, Job, refuse_options_of_batches, run_to
+from terrainwave.cli.batch import Done, FileJob, refuse_options_of_batches, run_to
 from terrainwave.cli.manifest import Manifest
 from terrainwave.cli.options import (
     EFFORT,
@@ -39,7 +40,8 @@ from terrainwave.cli.own_options import (
     own_option,
     with_own_options,
 )
-from terrainwave.cli.streams import printing_beside, written
+from terrainwave.cli.streams import STREAM, printing_beside, written
+from terrainwave.container.sources.addresses import display_name
 from terrainwave.names import (
     DEFAULT_EFFORT,
     DEFAULT_MESH,
@@ -137,7 +139,11 @@ def compress(
 
     Several SOURCEs are a mosaic: rasters of one CRS and grid. Samples that no raster covers are
     void; where rasters overlap, the last one counts. A SOURCE or TARGET - is stdin or stdout.
-    With --to DIR there is no TARGET: each SOURCE becomes a file of its own in DIR.
+    TARGET may be a URL of storage that takes files, such as s3://bucket/dem.twz. With --to DIR
+    there is no TARGET: each SOURCE becomes a file of its own in DIR.
+
+    A SOURCE may be a .twz file, for a coarser bound, another method, or a mosaic. --max-error is
+    then the bound from the original raster.
     """
     refuse_options_of_batches(to, skip_existing=skip_existing, overwrite=options["overwrite"])
     if no_mesh:
@@ -181,7 +187,8 @@ def _compress(
     ):
         result = terrainwave.compress(sources, path, client=client, progress=bar, **options)
     with printing_beside(target):
-        _print_result(replace(result, path=target), as_json=as_json, quiet=quiet)
+        name = target if target == STREAM else result.path
+        _print_result(replace(result, path=name), as_json=as_json, quiet=quiet)
 
 
 def _compress_each(
@@ -202,9 +209,17 @@ def _compress_each(
     if skips:
         options["overwrite"] = True  # a file that is not as asked for is made again
 
-    def compress_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
+    has_told = threading.Event()
+
+    def compress_one(job: FileJob, threads: int, progress: ProgressCallback) -> Done:
         changed = options | {"threads": threads, "keep_origin": True}
         result = terrainwave.compress(job.source, str(job.target), progress=progress, **changed)
+        if not result.units and not has_told.is_set():
+            has_told.set()
+            print_note(
+                f"{plain(display_name(job.source))} names no vertical unit: errors are in the unit"
+                " of its heights, as those of all rasters without one"
+            )
         return Done(_result_line(result), asdict(result))
 
     run_to(
@@ -221,7 +236,7 @@ _OF_RUN = ("temp_dir", "overwrite", "threads")
 
 def _asked(options: dict[str, Any]) -> Any:
     """Return the options of the file, checked."""
-    from terrainwave.write.options import Options
+    from terrainwave.write.compress_options import Options
 
     return Options(**{name: options[name] for name in options.keys() - {*_OF_SOURCE, *_OF_RUN}})
 
@@ -238,7 +253,7 @@ def _manifest(directory: str, options: dict[str, Any]) -> Manifest:
         {"command": "compress", **_asked(options).to_metadata(), **source},
         files_of=files_of,
         # Whatever the manifest says: heights that are the same need no second file.
-        compare=lambda source, target, known, progress: difference(
+        compare=lambda source, target, _, progress: difference(
             target, source, progress=progress, **of_files
         ),
     )
@@ -253,8 +268,10 @@ def _sources_and_target(paths: tuple[str, ...]) -> tuple[list[str], str]:
     target = paths[-1]
     try:
         # Not only a slip: with `*.tif` the last raster stands where the target does.
-        target = Target(TWZ_ENDINGS).convert(target, None, ctx)
+        target = Target(TWZ_ENDINGS, or_url=True).convert(target, None, ctx)
     except click.BadParameter as error:
+        if not target or "://" in target:  # it is no raster
+            raise click.BadParameter(error.message, param_hint="TARGET") from error
         raise click.UsageError(
             f"TARGET is the last name: {error.message}; to compress each raster to a file of its"
             " own, add --to DIR"

@@ -10,12 +10,15 @@ from terrainwave.arguments import (
     FILLINGS,
     GEOTIFF_ENDINGS,
     HEIGHT_TILE_ENDINGS,
+    ON_ERROR,
+    RAISE,
+    TWZ_ENDINGS,
     VOIDS,
     one_of,
 )
 from terrainwave.cli.batch import (
     Done,
-    Job,
+    FileJob,
     refuse_options_of_batches,
     refuse_unknown_raster,
     run_to,
@@ -23,6 +26,7 @@ from terrainwave.cli.batch import (
 from terrainwave.cli.manifest import UNKNOWN, Manifest
 from terrainwave.cli.options import (
     CUTTABLE,
+    LEVEL_OPTION,
     VERTICAL_OPTION,
     Input,
     Numbers,
@@ -34,7 +38,15 @@ from terrainwave.cli.options import (
     complete_files,
     writing,
 )
-from terrainwave.cli.output import Bar, Command, announce_compiling, plain, print_note, reading
+from terrainwave.cli.output import (
+    Bar,
+    Command,
+    announce_compiling,
+    plain,
+    print_json,
+    print_note,
+    reading,
+)
 from terrainwave.cli.streams import STREAM, printing_beside, written
 from terrainwave.progress import ProgressCallback
 
@@ -49,7 +61,7 @@ from terrainwave.progress import ProgressCallback
 @click.option(
     "--bounds", type=Numbers("left,bottom,right,top", float), help="Part to write, in the CRS."
 )
-@click.option("--level", type=int, default=-1, help="-1 full grid (default), -2 half, 0 coarsest.")
+@LEVEL_OPTION
 @click.option(
     "--quality",
     type=Positive(),
@@ -70,7 +82,16 @@ from terrainwave.progress import ProgressCallback
     " the height of their neighbours. Height of voids in a height tile: lowest (default), fill"
     " (that of their neighbours) or a number.",
 )
+@click.option(
+    "--on-error",
+    type=click.Choice(ON_ERROR),
+    default=RAISE,
+    show_default=True,
+    help="What to do with damaged blocks: stop, or leave them void and name them. mask also reads"
+    " a file that ends too early, as far as it goes.",
+)
 @VERTICAL_OPTION
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @batched
 @writing
 def decompress(paths: tuple[str, ...], to: str | None, skip_existing: bool, **options: Any) -> None:
@@ -88,7 +109,7 @@ def decompress(paths: tuple[str, ...], to: str | None, skip_existing: bool, **op
         _decompress_each(paths, to, skips=skip_existing, **options)
 
 
-def _decompress(source: str, target: str, *, quiet: bool, **options: Any) -> None:
+def _decompress(source: str, target: str, *, as_json: bool, quiet: bool, **options: Any) -> None:
     """Write one GeoTIFF or height tile."""
     import terrainwave
 
@@ -100,13 +121,21 @@ def _decompress(source: str, target: str, *, quiet: bool, **options: Any) -> Non
         n_bytes = Path(path).stat().st_size
         if target == STREAM and Path(f"{path}.aux.xml").exists():
             print_note("the GeoTIFF alone cannot hold the CRS: write to a file instead of stdout")
-    if not quiet:
-        with printing_beside(target):
+    with printing_beside(target):
+        if as_json:
+            print_json({"path": target, "n_bytes": n_bytes})
+        elif not quiet:
             click.echo(f"{plain(target)}: {n_bytes:,} bytes")
 
 
 def _decompress_each(
-    sources: tuple[str, ...], directory: str, *, skips: bool, quiet: bool, **options: Any
+    sources: tuple[str, ...],
+    directory: str,
+    *,
+    skips: bool,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
 ) -> None:
     """Write a GeoTIFF of each file, in a directory."""
     import terrainwave
@@ -114,17 +143,18 @@ def _decompress_each(
     if skips:
         options["overwrite"] = True
 
-    def decompress_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
+    def decompress_one(job: FileJob, threads: int, progress: ProgressCallback) -> Done:
         with reading(job.source):
             path = terrainwave.decompress(
                 job.source, str(job.target), progress=progress, **options | {"threads": threads}
             )
-        return Done(f"{plain(path)}: {Path(path).stat().st_size:,} bytes")
+        n_bytes = Path(path).stat().st_size
+        return Done(f"{plain(path)}: {n_bytes:,} bytes", {"path": path, "n_bytes": n_bytes})
 
     run_to(
-        sources, directory, ".tif", decompress_one, "decompressed",
+        sources, directory, ".tif", decompress_one, "decompressed", endings=TWZ_ENDINGS,
         manifest=_manifest(directory, options, skips=skips),
-        threads=options["threads"], as_json=False, quiet=quiet,
+        threads=options["threads"], as_json=as_json, quiet=quiet,
     )  # fmt: skip
 
 
@@ -137,7 +167,10 @@ def _source_and_target(paths: tuple[str, ...]) -> tuple[str, str]:
             " --to DIR"
         )
     ctx = click.get_current_context()
-    target = Target((*GEOTIFF_ENDINGS, *HEIGHT_TILE_ENDINGS)).convert(paths[1], None, ctx)
+    try:
+        target = Target((*GEOTIFF_ENDINGS, *HEIGHT_TILE_ENDINGS)).convert(paths[1], None, ctx)
+    except click.BadParameter as error:
+        raise click.BadParameter(error.message, param_hint="TARGET") from error
     return Input().convert(paths[0], None, ctx), target
 
 
@@ -172,7 +205,7 @@ def _manifest(directory: str, options: dict[str, Any], *, skips: bool) -> Manife
     """Return what tells which rasters of a batch of `decompress` are as asked for."""
     unrelated = ("overwrite", "threads")
 
-    def compare(source: str, target: str, known: str, progress: ProgressCallback) -> str:
+    def compare(_: str, target: str, known: str, __: ProgressCallback) -> str:
         if known == UNKNOWN:
             refuse_unknown_raster(target)
         return known

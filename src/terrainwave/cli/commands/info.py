@@ -6,9 +6,10 @@ from typing import Any, Self
 import click
 
 from terrainwave.arguments import count_of, crs_name
-from terrainwave.cli.options import Input
+from terrainwave.cli.options import THREADS_OPTION, Input
 from terrainwave.cli.output import (
     Command,
+    plain,
     print_grid,
     print_json,
     print_table,
@@ -39,11 +40,22 @@ from terrainwave.names import UNBOUNDED_MESHES
     help="List the triangles of each level, their bits and their zero trees (slow: makes all"
     " meshes).",
 )
-def info(file: str, as_json: bool, **more: Any) -> None:
+@click.option(
+    "--stac",
+    is_flag=True,
+    help="Print an item for a STAC catalogue instead: outline, CRS, resolution, bound, checksum.",
+)
+@THREADS_OPTION
+def info(file: str, as_json: bool, stac: bool, threads: int | None, **more: Any) -> None:
     """Show what FILE (.twz) contains."""
     import terrainwave
 
-    with reading(file), terrainwave.open(file) as terrain:
+    with reading(file), terrainwave.open(file, threads=threads) as terrain:
+        if stac:
+            from terrainwave.globe.stac import stac_item
+
+            print_json(stac_item(terrain))
+            return
         summary = terrain.info()
         found = _Found.of(terrain, **more | {"parts": more["parts"] or "://" not in file})
     if as_json:
@@ -95,6 +107,14 @@ class _Found:
             _print_level_errors(summary.level_shapes, self.level_errors)
         if self.meshes is not None:
             _print_mesh_levels(self.meshes)
+
+
+def files_before(earlier: Any) -> str:
+    """Return the .twz files that heights went through, the last one first."""
+    return ", from ".join(
+        f"{plain(file['file'])}, within {file['max_error']:.6g} of the original"
+        for file in reversed(earlier)
+    )
 
 
 def _voids_in_words(info: Any, n_voids: int | None) -> str:
@@ -176,6 +196,7 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
             if info.moved_error
             else "",
         ),
+        ("made from", files_before(info.earlier)),
         ("quantum", f"{info.quantum:.6g}{unit}"),
         ("heights", extent),
         ("unit", _unit_in_words(info)),

@@ -9,6 +9,7 @@ import click
 
 from terrainwave.arguments import TWZ_ENDINGS, check_ending, count_of
 from terrainwave.cli.options import (
+    LEVEL_OPTION,
     RADIUS_OPTION,
     VERTICAL_OPTION,
     Bound,
@@ -37,6 +38,7 @@ from terrainwave.cli.own_options import (
     own_option,
     with_own_options,
 )
+from terrainwave.errors import InvalidArgumentError
 
 # What --store takes, what it shares with meshes in files of their own, and what these take that
 # have a goal.
@@ -56,7 +58,7 @@ _GOALS = {"max_error", "max_triangles", "optimise"}
 )
 @click.option("--max-triangles", type=click.IntRange(min=1), metavar="N",
               help="Make the mesh of smallest error with at most N triangles.")  # fmt: skip
-@click.option("--level", type=int, default=-1, help="-1 full grid (default), -2 half, 0 coarsest.")
+@LEVEL_OPTION
 @click.option("--window", type=Numbers("row,col,n_rows,n_cols", int), help="Part, in samples.")
 @click.option("--bounds", type=Numbers("left,bottom,right,top", float), help="Part, in the CRS.")
 @click.option(
@@ -77,7 +79,13 @@ _GOALS = {"max_error", "max_triangles", "optimise"}
     help="Coordinates: metres from the middle (local), those of the CRS (native), or geocentric"
     " (ecef). Default: local where the CRS has degrees, else native.",
 )
-@click.option("--z-scale", type=Positive(), default=1.0, help="Multiply heights by this factor.")
+@click.option(
+    "--z-scale",
+    type=Positive(),
+    default=1.0,
+    show_default=True,
+    help="Multiply heights by this factor.",
+)
 @click.option(
     "--solid",
     type=Finite(),
@@ -91,11 +99,16 @@ _GOALS = {"max_error", "max_triangles", "optimise"}
     is_flag=True,
     help="Make a copy of FILE with meshes stored in it; TARGET is a .twz.",
 )
-@click.option("--mesh", type=MeshKind(), help="With --store: kind of the meshes.")
+@click.option("--mesh", type=MeshKind(), help="With --store: kind of the meshes. Default: halves.")
 @own_option(
     "With --store: set an option of the kind of meshes. To list them, name it: --mesh KIND --help."
 )
-@click.option("--mesh-error", type=Bound(), help="With --store: as for compress.")
+@click.option(
+    "--mesh-error",
+    type=Bound(),
+    help="With --store: largest distance of the finest meshes from the decoded heights. Default: as"
+    " for compress.",
+)
 @click.option(
     "--original", type=Input(), help="With --store: the raster to measure the errors against."
 )
@@ -106,7 +119,7 @@ def mesh(context: click.Context, /, file: str, target: str, stores: bool, **opti
     """Write a crack-free mesh of FILE (.twz) to TARGET, within the bound of the original.
 
     TARGET's extension selects the format: .ply, .obj, .stl, .glb, .gltf, .vtu, .vtk, or .terrain, a
-    Cesium quantized-mesh tile.
+    Cesium quantized-mesh tile. With --store it is .twz: a copy of FILE with meshes of all blocks.
     """
     _refuse_unfit(context, stores=stores, loose=options["loose"])
     if stores:
@@ -126,7 +139,11 @@ def _refuse_unfit(context: click.Context, *, stores: bool, loose: bool) -> None:
     } - {"file", "target", "stores"}
     unfit = given - _COMMON_OPTIONS - _STORE_OPTIONS if stores else given & _STORE_OPTIONS
     if unfit:
-        raise click.UsageError(f"found {_flags(unfit)} {'with' if stores else 'without'} --store")
+        expected = "expected none of them: they are for a mesh in a file of its own"
+        if not stores:
+            expected = "expected --store with it, which stores meshes in a copy of FILE"
+        where = "with" if stores else "without"
+        raise click.UsageError(f"found {_flags(unfit)} {where} --store, {expected}")
     if loose and given & _GOALS:
         raise click.UsageError(
             f"found {_flags(given & _GOALS)} with --loose, expected none of them: the zero trees"
@@ -182,11 +199,14 @@ def _export_mesh(
     **options: Any,
 ) -> None:
     import terrainwave
-    from terrainwave.container.publish import refuse_own_source
-    from terrainwave.export.files import check_extension, prepare
+    from terrainwave.container.targets.publication import refuse_own_source
+    from terrainwave.export.mesh_files import check_extension, prepare
 
     check_one_area(options)
-    extension = check_extension(target)
+    try:
+        extension = check_extension(target)
+    except InvalidArgumentError as error:
+        raise click.UsageError(f"{error}, or in .twz with --store") from error
     if extension == ".terrain" and (frame or z_scale != 1 or solid is not None):
         raise click.UsageError(
             "found --frame, --z-scale or --solid, expected none of them: a .terrain tile has a"
@@ -234,7 +254,7 @@ def _mesh_for(
     Rounding in the file adds to a mesh's error: the mesh is made again with so much less.
     """
     from terrainwave.errors import InvalidHeightsError
-    from terrainwave.export.files import file_rounding
+    from terrainwave.export.mesh_files import file_rounding
 
     first = surface = make(bound)
     if bound is None:

@@ -13,7 +13,7 @@ from terrainwave.names import TILE_ENCODINGS
 
 
 @click.command(cls=Command)
-@click.argument("files", nargs=-1, required=True, type=NamedInput())
+@click.argument("files", nargs=-1, type=NamedInput())
 @click.argument("directory", type=Directory())
 @RADIUS_OPTION
 @click.option(
@@ -35,6 +35,8 @@ def publish(
 
     The page reads the files by byte ranges and makes map tiles in the browser.
     """
+    if not files:
+        raise click.UsageError(f"found {plain(directory)} alone, expected FILES and DIRECTORY")
     from terrainwave.ext.publish import publish_site
     from terrainwave.place.system import need_pyproj
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from terrainwave.arguments import PICTURE_ENDINGS, count_of
 from terrainwave.cli.drawing import (
@@ -16,7 +17,7 @@ from terrainwave.cli.drawing import (
     style_of,
     suggest_exaggeration,
 )
-from terrainwave.cli.options import Input, Numbers, Target
+from terrainwave.cli.options import Input, Target
 from terrainwave.cli.output import Bar, Command, announce_compiling, plain, print_note, reading
 from terrainwave.cli.streams import STREAM, printing_beside, written
 
@@ -25,9 +26,6 @@ from terrainwave.cli.streams import STREAM, printing_beside, written
 @click.argument("file", type=Input())
 @click.argument("target", type=Target(PICTURE_ENDINGS))
 @drawing
-@click.option(
-    "--bounds", type=Numbers("left,bottom,right,top", float), help="Area to show, in the CRS."
-)
 @click.option("--legend", is_flag=True, help="Draw a legend of the colours, with units.")
 @click.option("--scale-bar", is_flag=True, help="Draw a scale bar, for the middle of the picture.")
 @click.option("--samples", type=click.IntRange(0, 16), default=4, show_default=True,
@@ -58,6 +56,7 @@ def render(
         raise click.UsageError(
             "found - as TARGET and --flight, expected a name: there are several pictures"
         )
+    _refuse_unfit_for_flights(flight, options)
     announce_compiling(quiet=quiet)
     if not quiet:
         announce_preparation(options)
@@ -71,6 +70,16 @@ def render(
     if not quiet:
         with printing_beside(target):
             _print_picture(names[-1], drawn[-1], time.perf_counter() - started)
+
+
+def _refuse_unfit_for_flights(flight: Any, options: dict[str, Any]) -> None:
+    """Refuse cameras beside those of a flight, and a number of pictures without one."""
+    source = click.get_current_context().get_parameter_source("n_frames")
+    if flight is None and source is ParameterSource.COMMANDLINE:
+        raise click.UsageError("found --frames without --flight, expected both")
+    for name in ("camera", "bounds"):
+        if flight is not None and options[name] is not None:
+            raise click.UsageError(f"found --flight and --{name}, expected one of them")
 
 
 def _draw(
@@ -95,16 +104,16 @@ def _draw(
     from terrainwave.render.look.marks import check_marks
     from terrainwave.render.scene.frame import check_drawable
     from terrainwave.render.window.pictures import (
+        area_within,
         choose_camera,
         fly_through,
-        heights_within,
         read_flight,
     )
 
     all_drawn = []
     with reading(file), terrainwave.open(file) as terrain, ExitStack() as stack:
         check_drawable(terrain)
-        within = None if bounds is None else heights_within(terrain, bounds)
+        area = None if bounds is None else area_within(terrain, bounds)
         style = style_of(options)
         check_marks(size, style, legend=legend, scale_bar=scale_bar)
         with Bar(quiet=quiet) as bar:
@@ -115,7 +124,7 @@ def _draw(
         suggest_exaggeration(frame)
         note_dry_land(canvas, style)
         if flight is None:
-            cameras = [choose_camera(frame, canvas.viewport, camera, bounds, within)]
+            cameras = [choose_camera(frame, canvas.viewport, camera, area)]
         else:
             cameras = read_flight(flight.read(), frame)
         pictures = fly_through(
@@ -154,7 +163,7 @@ def _write_png(target: str, image: Any, overwrite: bool) -> None:
 
 
 def _write(target: str, data: bytes, overwrite: bool) -> None:
-    from terrainwave.container.publish import publish
+    from terrainwave.container.targets.publication import publish
 
     with publish(target, overwrite) as part:
         part.file.write(data)

@@ -12,7 +12,12 @@ from typing import Any
 import click
 
 from terrainwave.arguments import count_of
-from terrainwave.cli.options import PAGE_SEA_LEVEL_OPTION, RADIUS_OPTION, NamedInput
+from terrainwave.cli.options import (
+    PAGE_SEA_LEVEL_OPTION,
+    RADIUS_OPTION,
+    NamedInput,
+    vertical_option,
+)
 from terrainwave.cli.output import Command, announce_compiling, message_of, plain_json, print_note
 from terrainwave.cli.signals import Terminated
 from terrainwave.errors import StorageError, TerrainwaveError
@@ -45,6 +50,7 @@ def _host_names(_: Any, __: Any, names: tuple[str, ...]) -> tuple[str, ...]:
 @click.option("--threads", "n_decoding", type=click.IntRange(1, 64), default=2, show_default=True,
               help="Requests that decode at the same time.")  # fmt: skip
 @RADIUS_OPTION
+@vertical_option("Heights of NAME/mesh")
 @click.option(
     "--encoding",
     type=click.Choice(TILE_ENCODINGS),
@@ -111,7 +117,7 @@ def _app(files: tuple[str, ...], host: str, hosts: tuple[str, ...], **options: A
 
 def _serve(app: Any, n_files: int, listener: socket.socket, address: str | None) -> None:
     """Answer until the server ends; with an address, serve files that stdin names, too."""
-    from terrainwave.ext.serve.connections import server_of
+    from terrainwave.ext.serve.client_limits import server_of
 
     server = server_of(app, n_files=n_files)
     if address is not None:
@@ -169,6 +175,12 @@ def _listen(host: str, port: int) -> socket.socket:
     """
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    except OSError as error:
+        raise StorageError(
+            f"cannot listen on {host}: {error.strerror or error}; expected an address of this"
+            " machine, such as 127.0.0.1, or 0.0.0.0 for all of them"
+        ) from error
+    try:
         # By this number asyncio knows connections that it must switch Nagle's algorithm off for: a
         # client would wait 40 ms for a short answer's body.
         listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)

@@ -131,7 +131,10 @@ def _write_directory(
         ("transparent_voids", transparent_voids or None),
     ):
         if value is not None:
-            raise InvalidArgumentError(f"`{name}` is for an archive ({ARCHIVE_ENDING})")
+            raise InvalidArgumentError(
+                f"found `{name}` for a directory, expected none: it is for an archive, whose name"
+                f" ends in {ARCHIVE_ENDING}"
+            )
     return write_tiles(terrain, target, void_height=void_height or 0.0, **options)
 
 

@@ -4,9 +4,11 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from terrainwave.arguments import TWZ_ENDINGS, count_of
-from terrainwave.cli.batch import Done, Job, find_original, finish, run
+from terrainwave.cli.batch import Done, FileJob, find_original, finish, run, with_files_of_folders
+from terrainwave.cli.commands.info import files_before
 from terrainwave.cli.options import THREADS_OPTION, Bound, Input, Nodata, complete_files
 from terrainwave.cli.output import (
     Bar,
@@ -42,14 +44,16 @@ from terrainwave.progress import ProgressCallback
 def verify(paths: tuple[str, ...], originals: str | None, **options: Any) -> None:
     """Compare FILE (.twz) with its ORIGINAL raster; without ORIGINAL, check all of FILE.
 
-    Several FILEs, all of them .twz, are checked one by one. With --originals DIR each is compared
-    with the raster of its name in DIR.
+    Several FILEs, all of them .twz, are checked one by one; a folder stands for the .twz files
+    below it. With --originals DIR each is compared with the raster of its name in DIR, or in the
+    same folder below it.
     """
     if not paths:
         raise click.UsageError("Missing argument 'FILE'.")
+    is_folder = Path(paths[0]).is_dir()
     are_files = all(Path(path).suffix.lower() in TWZ_ENDINGS for path in paths)
-    if originals is not None or (are_files and len(paths) > 1):
-        _verify_all(paths, originals, **options)
+    if originals is not None or is_folder or (are_files and len(paths) > 1):
+        _verify_all(paths, None if originals is None else Path(originals), **options)
     elif len(paths) > 2:
         raise click.UsageError(
             f"found {len(paths)} names that are not all .twz, expected FILE and ORIGINAL, or"
@@ -66,6 +70,8 @@ def _verify(
     import terrainwave
 
     ctx = click.get_current_context()
+    if original is None:
+        _refuse_unfit_without_original(ctx)
     file = Input().convert(path, None, ctx)
     raster = None if original is None else Input().convert(original, None, ctx)
     announce_compiling(quiet=quiet)
@@ -78,9 +84,19 @@ def _verify(
     finish(int(not report.ok))
 
 
+def _refuse_unfit_without_original(ctx: click.Context) -> None:
+    """Refuse options that say how to read or compare the original."""
+    for name in ("band", "nodata", "max_error"):
+        if ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+            option = f"--{name}".replace("_", "-")
+            raise click.UsageError(
+                f"found {option} without ORIGINAL, expected both: nothing is compared otherwise"
+            )
+
+
 def _verify_all(
     files: tuple[str, ...],
-    originals: str | None,
+    originals: Path | None,
     *,
     threads: int | None,
     quiet: bool,
@@ -89,8 +105,9 @@ def _verify_all(
 ) -> None:
     import terrainwave
 
-    def verify_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
-        original = None if originals is None else find_original(job.source, originals)
+    def verify_one(job: FileJob, threads: int, progress: ProgressCallback) -> Done:
+        folder = folders[job.source]
+        original = None if originals is None else find_original(job.source, originals / folder)
         with reading(job.source):
             report = terrainwave.verify(
                 job.source, original, threads=threads, progress=progress, **options
@@ -106,14 +123,16 @@ def _verify_all(
             f"{plain(display_name(job.source))}: {found}", report.to_dict(), is_good=report.ok
         )
 
+    if originals is None:
+        _refuse_unfit_without_original(click.get_current_context())
     announce_compiling(quiet=quiet)
-    found, status = run(
-        [Job(file) for file in dict.fromkeys(files)], verify_one, word="ok", threads=threads,
-        quiet=quiet or as_json,
+    folders = dict(with_files_of_folders(files, TWZ_ENDINGS))
+    finish(
+        run(
+            [FileJob(file) for file in folders], verify_one, word="ok", threads=threads,
+            as_json=as_json, quiet=quiet,
+        )
     )  # fmt: skip
-    if as_json:
-        print_json({"files": found})
-    finish(status)
 
 
 def _print_report(report: Any) -> None:
@@ -121,21 +140,26 @@ def _print_report(report: Any) -> None:
         click.echo(f"problem: {plain(problem)}")
     if report.errors is not None:
         errors = report.errors
+        measured = (
+            f": max error {errors.max_error:.6g} (bound {report.bound:.6g}), RMSE {errors.rmse:.6g}"
+        )
         click.echo(
-            f"{count_of(errors.n_valid, 'height')} compared: max error {errors.max_error:.6g}"
-            f" (bound {report.bound:.6g}), RMSE {errors.rmse:.6g}"
+            f"{count_of(errors.n_valid, 'height')} compared{measured * (errors.n_valid > 0)}"
         )
         if not report.problems and not report.is_strict:
             click.echo(
-                "the bound holds of the numbers that floats stand for; stored floats differ by up"
-                " to one float spacing more (compress --strict)"
+                "every height is within the bound as a decimal number (such as 0.01); the float"
+                " nearest to it may be off by one float spacing more (compress --strict avoids"
+                " this)"
             )
         elif report.is_strict and errors.n_valid:
-            click.echo("the bound holds of the stored values themselves")
-    if report.errors is not None and not report.errors.n_valid:
+            click.echo("every height is within the bound")
+    if report.ok and report.errors is not None and not report.errors.n_valid:
         print_note("no height was compared: there is none that is valid in both")
     if report.original is None:
         click.echo("no heights compared: give the ORIGINAL raster for that")
+        if report.earlier:
+            click.echo(f"made from {files_before(report.earlier)}")
     if report.mesh is not None:
         _print_meshes(report.mesh)
     click.echo("ok" if report.ok else "not ok")

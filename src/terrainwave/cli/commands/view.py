@@ -24,16 +24,23 @@ from terrainwave.cli.output import Command, announce_compiling, reading
     help="Raise the pixel error if a frame takes longer than this, in milliseconds.",
 )
 @click.option("--fullscreen", is_flag=True, help="Fill the screen.")
+@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
 def view(
-    file: str, camera: str | None, max_pixel_error: float, memory: int, **options: Any
+    file: str,
+    camera: str | None,
+    max_pixel_error: float,
+    memory: int,
+    quiet: bool,
+    **options: Any,
 ) -> None:
     """Open a window and fly over FILE (.twz) or its URL; H shows the keys and settings."""
     import terrainwave
     from terrainwave.render.scene.frame import frame_of
     from terrainwave.render.window.viewer import run
 
-    announce_compiling()
-    announce_preparation(options)
+    announce_compiling(quiet=quiet)
+    if not quiet:
+        announce_preparation(options)
     with reading(file), terrainwave.open(file) as terrain:
         if options["exaggeration"] == 1.0:
             suggest_exaggeration(frame_of(terrain, radius=options["radius"]))
@@ -45,4 +52,5 @@ def view(
             max_bytes=memory << 20,
             **options,
         )
-    click.echo(f"--camera {line}")
+    if not quiet:
+        click.echo(f"--camera {line}")

@@ -33,5 +33,11 @@ class Cdf53(MethodOptions):
         super().__post_init__()
         if self.rate is not None and self.psnr is not None:
             raise InvalidArgumentError(
-                "found `rate` and `psnr`, expected one of them: a stream is cut in one place"
+                f"found `rate`={self.rate:g} and `psnr`={self.psnr:g}, expected one of them: a"
+                " stream is cut in one place"
             )
+
+    @property
+    def must_stay(self) -> bool:
+        """Say whether streams are to be cut, which those of other methods can't be."""
+        return self.rate is not None or self.psnr is not None

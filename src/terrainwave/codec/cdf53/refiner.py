@@ -14,7 +14,7 @@ import numpy as np
 
 from terrainwave.codec.cdf53.spiht import MAX_PLANES, decode_field, encode_field
 from terrainwave.codec.cdf53.tile_border import decode_borders, encode_borders
-from terrainwave.codec.cdf53.tiles import TileSpec
+from terrainwave.codec.cdf53.tile_layout import TileSpec
 from terrainwave.codec.group import voids_below
 from terrainwave.codec.masks import decode_mask, encode_mask
 from terrainwave.codec.own_masks import Above, Sections, decode_validity, encode_validity

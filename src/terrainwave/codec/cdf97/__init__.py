@@ -24,3 +24,8 @@ class Cdf97(BlockMethodOptions):
     name = "cdf97"
 
     faithful: bool = flag("Follow Yusov & Turlapov (2010) to the letter. Files become larger.")
+
+    @property
+    def must_stay(self) -> bool:
+        """Say whether files are to follow the paper, which those of other methods don't."""
+        return self.faithful

@@ -16,7 +16,7 @@ from terrainwave.codec.cdf97.residual import (
     FRAME,
     KNOWN,
     VOID,
-    Scratch,
+    ResidualRows,
     code_residuals,
     frame_base,
     new_scratch,
@@ -98,7 +98,7 @@ class Coding(NamedTuple):
     raw_base: int = 0
 
 
-class Workspace(NamedTuple):
+class RegionArrays(NamedTuple):
     """Scratch arrays for one region."""
 
     field: NDArray[np.int64]
@@ -106,10 +106,10 @@ class Workspace(NamedTuple):
     high: NDArray[np.int64]
     nodes: Nodes
     base: NDArray[np.int64]
-    rows: Scratch
+    rows: ResidualRows
 
 
-def _workspace(shape: tuple[int, int]) -> Workspace:
+def _workspace(shape: tuple[int, int]) -> RegionArrays:
     rows, cols = (shape[0] + 1) >> 1, (shape[1] + 1) >> 1
     offsets = np.zeros(32, dtype=np.int64)
     n_levels = node_offsets(*shape, offsets)
@@ -120,7 +120,7 @@ def _workspace(shape: tuple[int, int]) -> Workspace:
         np.zeros((2, 3, rows + FRAME_ROWS, cols + FRAME_COLS), dtype=np.uint8),
         np.zeros((3, rows, cols), dtype=np.int64),
     )
-    return Workspace(
+    return RegionArrays(
         np.zeros(shape, dtype=np.int64),
         np.zeros(cols + 3, dtype=np.int64),
         np.zeros(cols + 3, dtype=np.int64),
@@ -130,7 +130,7 @@ def _workspace(shape: tuple[int, int]) -> Workspace:
     )
 
 
-class Cdf97:
+class Cdf97Refiner:
     """Wavelet refiner; see `Refiner`."""
 
     name = "cdf97"
@@ -372,7 +372,7 @@ def _predict(spec: GroupSpec, parent: Heights | None) -> tuple[Heights, NDArray[
     return heights, np.zeros(heights.shape, dtype=np.bool_)
 
 
-def _measure_parent(spec: GroupSpec, parent: Heights | None, work: Workspace) -> None:
+def _measure_parent(spec: GroupSpec, parent: Heights | None, work: RegionArrays) -> None:
     """Fill the roughness of the nodes; zeros in a root block."""
     if parent is not None:
         assert spec.parent_region is not None

@@ -103,7 +103,7 @@ def rounding_of(step: int, *, is_coarse: bool) -> Rounding:
     return Rounding(half, 0, half >> 1, 1) if is_coarse else Rounding(step, half, 0, 0)
 
 
-class Scratch(NamedTuple):
+class ResidualRows(NamedTuple):
     """Rows to work in; those of samples have a frame of two."""
 
     wide: NDArray[np.int32]
@@ -115,10 +115,10 @@ class Scratch(NamedTuple):
     expected: NDArray[np.int64]
 
 
-def new_scratch(n_cols: int) -> Scratch:
+def new_scratch(n_cols: int) -> ResidualRows:
     """Return scratch rows for regions of `n_cols` columns."""
     framed = n_cols + 2 * FRAME
-    return Scratch(
+    return ResidualRows(
         np.zeros((2, N_TERMS, n_cols), dtype=np.int32),
         np.zeros((N_CURVES, n_cols), dtype=np.int32),
         np.zeros((3, framed), dtype=np.int32),

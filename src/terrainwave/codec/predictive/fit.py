@@ -48,7 +48,7 @@ from terrainwave.codec.predictive.passes import (
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.coding.jit import kernel
 from terrainwave.grid.quadtree import Grid, Region
-from terrainwave.grid.windows import HeightsOf, MaskOf
+from terrainwave.grid.sample_windows import HeightsOf, MaskOf
 
 # Levels below the full grid that share a stencil.
 _CLASSES = ((0,), (1,), (2, 3, 4))

@@ -78,7 +78,7 @@ from terrainwave.coding.status import raise_for_status
 from terrainwave.coding.zerotrees import grow_zero_trees
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.grid.quadtree import Grid, Region
-from terrainwave.grid.windows import HeightsOf, MaskOf
+from terrainwave.grid.sample_windows import HeightsOf, MaskOf
 
 _MIXED, _CLAMP = 1, 2
 # A prediction's own fraction alone gives up to 16 of 32.
@@ -143,7 +143,7 @@ class _Scratch(NamedTuple):
     rows: _Rows
 
 
-class _Workspace(threading.local):
+class _Memory(threading.local):
     """Memory of a thread that lattices take turns with: fresh pages cost as much as decoding."""
 
     def __init__(self) -> None:
@@ -171,10 +171,10 @@ class _Workspace(threading.local):
         return _Scratch(Arrays(planes, errors, activity, bends), rows)
 
 
-_WORKSPACE = _Workspace()
+_WORKSPACE = _Memory()
 
 
-class Predictive:
+class PredictiveRefiner:
     """The nested refiner; see `Refiner`."""
 
     name = "predictive"
@@ -192,7 +192,7 @@ class Predictive:
         mask: MaskOf,
         *,
         may_have_reach: bool = True,  # noqa: ARG002, as all readers know these tables
-    ) -> "Predictive":
+    ) -> "PredictiveRefiner":
         """Return a refiner with tables fitted to a raster, where they are worth their bytes.
 
         `heights` and `mask` return targets and validity of a region of a level.
@@ -201,7 +201,7 @@ class Predictive:
         windows = windows_of(grid, 0, heights, mask, _WINDOW)
         e_weights = _fit_e_weights(added, windows, step, grid.n_rows * grid.n_cols)
         added = added._replace(e_weights=e_weights)
-        return Predictive(pack_file_tables(added), added)
+        return PredictiveRefiner(pack_file_tables(added), added)
 
     def encode(
         self,

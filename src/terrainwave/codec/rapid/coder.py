@@ -21,8 +21,8 @@ from terrainwave.codec.rapid.layout import (
     arranged_weights,
     new_workspace,
 )
+from terrainwave.codec.rapid.line_coder import plan_lines
 from terrainwave.codec.rapid.magnitude import N_CONTEXTS, scale_of, scaled_features
-from terrainwave.codec.rapid.shared_lines import plan_lines
 from terrainwave.codec.rapid.symbols import (
     BIT_POS,
     COUNT,
@@ -460,10 +460,10 @@ def _flat(heights: Heights) -> tuple[Heights, int]:
     if heights.flags.c_contiguous:
         return heights.ravel(), heights.shape[1]
     if isinstance(owner, np.ndarray) and (owner.ndim, owner.dtype) == (1, heights.dtype):
-        row_step, col_step = (step // owner.itemsize for step in heights.strides)
-        if owner.flags.c_contiguous and col_step == 1:
+        row_spacing, col_spacing = (size // owner.itemsize for size in heights.strides)
+        if owner.flags.c_contiguous and col_spacing == 1:
             first = (_address(heights) - _address(owner)) // owner.itemsize
-            return owner[first:], row_step
+            return owner[first:], row_spacing
     copied = new_heights(heights.shape)
     copied[:] = heights
     return copied.ravel(), heights.shape[1]

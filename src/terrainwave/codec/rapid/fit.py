@@ -34,7 +34,7 @@ from terrainwave.codec.rapid.trained import N_STEPS, family_of
 from terrainwave.codec.refiner import GroupSpec, Heights, Mask
 from terrainwave.coding.rans import N_SLOTS, SYMBOL_BITS
 from terrainwave.grid.quadtree import Grid, Region
-from terrainwave.grid.windows import HeightsOf, MaskOf, spread_windows
+from terrainwave.grid.sample_windows import HeightsOf, MaskOf, spread_windows
 
 # Samples a side of a window, and samples of the raster for one; from 2 to 36 windows in all.
 _WINDOW = 257

@@ -46,7 +46,7 @@ _MOST_SQUARED = 16777216.0
 _WORTH = 1.5
 
 
-class Samples(NamedTuple):
+class FitSamples(NamedTuple):
     """Taps less the core's mean, then what they are to predict: shape (n, MAX_TAPS + 1).
 
     In whole 1/64 steps. Each stands for `every` samples of the windows.
@@ -101,7 +101,7 @@ def _stencils(chosen: dict[tuple[int, int], FileStencil]) -> Stencils:
     )
 
 
-def gather(plane: int, windows: Heights, masks: Mask, which: int, step: int) -> Samples | None:
+def gather(plane: int, windows: Heights, masks: Mask, which: int, step: int) -> FitSamples | None:
     """Collect samples of a plane and class from windows; None if there are too few."""
     offsets = _offsets(plane)
     n_taps = len(offsets)
@@ -133,14 +133,14 @@ def gather(plane: int, windows: Heights, masks: Mask, which: int, step: int) -> 
     values[:, :n_taps], values[:, MAX_TAPS] = near_heights[:, :n_taps], near_heights[:, n_taps]
     np.rint(values, out=values)
     np.clip(values, -_MOST, _MOST, out=values)
-    return Samples(values, n_places / n_found)
+    return FitSamples(values, n_places / n_found)
 
 
-def judged(samples: Samples) -> Samples:
+def judged(samples: FitSamples) -> FitSamples:
     """Return some of the samples: enough to compare stencils by."""
     every = max(1, len(samples.goals) // _JUDGED)
     n = len(samples.goals) // (every * _AT_A_TIME) * _AT_A_TIME * every
-    return Samples(
+    return FitSamples(
         np.ascontiguousarray(samples.values[:n:every]),
         samples.every * len(samples.goals) * every / n,
     )
@@ -178,7 +178,7 @@ def _offsets(plane: int) -> NDArray[np.int64]:
     )
 
 
-def _errors(samples: Samples, weights: NDArray[np.int64]) -> Reals:
+def _errors(samples: FitSamples, weights: NDArray[np.int64]) -> Reals:
     """Return the errors of weights, shape (sets, taps), in steps: shape (sets, n)."""
     n_sets, n_taps = weights.shape
     parts = samples.values.reshape(-1, _AT_A_TIME, MAX_TAPS + 1)
@@ -188,7 +188,7 @@ def _errors(samples: Samples, weights: NDArray[np.int64]) -> Reals:
     return errors.transpose(1, 0, 2).reshape(n_sets, -1)
 
 
-def costs_of(samples: Samples, weights: NDArray[np.int64], noises: Reals) -> NDArray[np.int64]:
+def costs_of(samples: FitSamples, weights: NDArray[np.int64], noises: Reals) -> NDArray[np.int64]:
     """Return about what each set of weights makes samples cost, in 1/64 bit, with its noise.
 
     Half the logarithm of the squared error, as exponent and mantissa of float32 tell it.
@@ -206,13 +206,13 @@ def costs_of(samples: Samples, weights: NDArray[np.int64], noises: Reals) -> NDA
     return costs // (1 << 24) * COST_UNIT + costs % (1 << 24) * COST_UNIT // (1 << 24)
 
 
-def _best(plane: int, samples: Samples) -> int:
+def _best(plane: int, samples: FitSamples) -> int:
     """Return the trained set that predicts best."""
     sets = _trained(plane)
     return int(costs_of(samples, sets, np.zeros(len(sets))).argmin())
 
 
-def _noise(samples: dict[tuple[int, int], Samples], best: dict[tuple[int, int], int]) -> float:
+def _noise(samples: dict[tuple[int, int], FitSamples], best: dict[tuple[int, int], int]) -> float:
     """Return the variance of decoded samples around those given, in steps squared.
 
     What is left of a prediction's error when the nearest multiple of the step is taken off.
@@ -227,7 +227,7 @@ def _noise(samples: dict[tuple[int, int], Samples], best: dict[tuple[int, int], 
 
 
 def fit_weights(
-    samples: dict[tuple[int, int], Samples], noises: list[float]
+    samples: dict[tuple[int, int], FitSamples], noises: list[float]
 ) -> list[dict[tuple[int, int], NDArray[np.int64]]]:
     """Return for each noise weights fitted to samples, by class and plane.
 
@@ -268,7 +268,7 @@ def fit_weights(
     ]
 
 
-def _normal(samples: Samples, weights: Reals | None, every: int) -> tuple[Reals, float]:
+def _normal(samples: FitSamples, weights: Reals | None, every: int) -> tuple[Reals, float]:
     """Return the normal equations of a turn, and what a unit of noise adds to them.
 
     The right side is the last column. `weights` are those of the turn before.
@@ -352,7 +352,7 @@ def _trained(plane: int) -> NDArray[np.int64]:
 
 def _cheapest(
     plane: int,
-    samples: Samples,
+    samples: FitSamples,
     base: int,
     fitted: list[NDArray[np.int64] | None],
     noises: list[float],

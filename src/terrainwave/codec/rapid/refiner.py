@@ -10,10 +10,10 @@ from terrainwave.codec.rapid.file_tables import (
     parse_file_tables,
 )
 from terrainwave.grid.quadtree import Grid
-from terrainwave.grid.windows import HeightsOf, MaskOf
+from terrainwave.grid.sample_windows import HeightsOf, MaskOf
 
 
-class Rapid(UnitCoder):
+class RapidRefiner(UnitCoder):
     """The refiner; see `Refiner`."""
 
     name = "rapid"
@@ -31,7 +31,7 @@ class Rapid(UnitCoder):
         mask: MaskOf,
         *,
         may_have_reach: bool = True,
-    ) -> "Rapid":
+    ) -> "RapidRefiner":
         """Return a refiner with tables fitted to a raster.
 
         `heights` and `mask` return targets and validity of a region of a level.
@@ -39,7 +39,7 @@ class Rapid(UnitCoder):
         from terrainwave.codec.rapid.fit import fit_tables
 
         tables = fit_tables(grid, step, heights, mask, may_have_reach=may_have_reach)
-        return Rapid(pack_file_tables(tables), tables)
+        return RapidRefiner(pack_file_tables(tables), tables)
 
 
 @lru_cache(maxsize=8)

@@ -61,11 +61,11 @@ def load_coarse_row(m, to, row, source, grid, origin, shape, scale):
     n_rows, n_cols = shape
     n = np.uint64((n_cols + 1) >> 1)
     cast = m.dtype.type
-    first = np.uint64(grid.start + (reflect(2 * row, n_rows) >> 1) * grid.row_step)
-    step = np.uint64(grid.col_step)
+    first = np.uint64(grid.start + (reflect(2 * row, n_rows) >> 1) * grid.row_spacing)
+    spacing = np.uint64(grid.col_spacing)
     low, high = cast(scale.low), cast(scale.high)
     for j in range(n):
-        height = cast(np.int64(source[first + j * step]) - origin)
+        height = cast(np.int64(source[first + j * spacing]) - origin)
         m[to + j] = min(max(height, low), high)
     for k in range(-3, 4):
         col = k if k < 0 else ((n_cols + 1) >> 1) - 1 + k
@@ -199,22 +199,22 @@ def _look_around(m, at, n, plane):
 def store_rows(m, at, row, out, grid, origin, shape):
     """Write lattice rows 2·row and 2·row + 1 (where there is one) to `out`."""
     n_rows, n_cols = shape
-    step = np.uint64(grid.col_step)
+    spacing = np.uint64(grid.col_spacing)
     for parity in range(2):
         if 2 * row + parity >= n_rows:
             continue
-        to = np.uint64(grid.start + (2 * row + parity) * grid.row_step)
+        to = np.uint64(grid.start + (2 * row + parity) * grid.row_spacing)
         even = at + (_LH if parity else _A)
         odd = at + (_HH if parity else _HL)
-        if step == _U1:  # all but root blocks: known, it makes a loop of vectors
+        if spacing == _U1:  # all but root blocks: known, it makes a loop of vectors
             for j in range(np.uint64(n_cols >> 1)):
                 out[to + _U2 * j] = m[even + j] + origin
                 out[to + _U2 * j + _U1] = m[odd + j] + origin
         else:
             for j in range(np.uint64(n_cols >> 1)):
-                k = to + _U2 * j * step
+                k = to + _U2 * j * spacing
                 out[k] = m[even + j] + origin
-                out[k + step] = m[odd + j] + origin
+                out[k + spacing] = m[odd + j] + origin
         if n_cols & 1:
             last = np.uint64(n_cols >> 1)
-            out[to + _U2 * last * step] = m[even + last] + origin
+            out[to + _U2 * last * spacing] = m[even + last] + origin

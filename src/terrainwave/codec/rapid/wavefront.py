@@ -24,6 +24,7 @@ from terrainwave.codec.rapid.layout import (
     WEIGHTS,
     place,
 )
+from terrainwave.codec.rapid.line_coder import MOST_CORNERS, prepare_shared
 from terrainwave.codec.rapid.magnitude import fill_contexts
 from terrainwave.codec.rapid.rows import (
     copy_row,
@@ -35,7 +36,6 @@ from terrainwave.codec.rapid.rows import (
     store_rows,
     surround,
 )
-from terrainwave.codec.rapid.shared_lines import MOST_CORNERS, prepare_shared
 from terrainwave.codec.rapid.symbols import code_details, note_errors
 from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.jit import kernel, kernel_part
@@ -53,8 +53,8 @@ class Lattice(NamedTuple):
     """Where the samples of a lattice lie in a flat array."""
 
     start: int
-    row_step: int
-    col_step: int
+    row_spacing: int
+    col_spacing: int
 
 
 class Known(NamedTuple):
@@ -131,10 +131,10 @@ def code_rows(
                     base = advance(m, t, base, out, source, grid, coarse, shape, origin, scale)
                 if row < 0 or row >= n_own_rows:
                     continue
-                start = grid.start + lattice_row * grid.row_step + col * grid.col_step
-                step, stop = 2 * grid.col_step, (n_cols + 1 - col) >> 1
+                start = grid.start + lattice_row * grid.row_spacing + col * grid.col_spacing
+                spacing, stop = 2 * grid.col_spacing, (n_cols + 1 - col) >> 1
             else:
-                start, step, stop = prepare_shared(
+                start, spacing, stop = prepare_shared(
                     m, out, source, corners, lines, index, origin, scale
                 )
             if stop <= 0:
@@ -148,40 +148,32 @@ def code_rows(
                 stop = max(stop - ((known.right + 1 - ((n_cols - 1 - col) & 1)) >> 1), first)
                 if lattice_row < known.top or lattice_row >= n_rows - known.bottom:
                     first = stop = np.int64(n)
-                _load_known(m, own, out, start, step, origin, first, stop, np.int64(n), scale)
+                _load_known(m, own, out, start, spacing, origin, first, stop, np.int64(n), scale)
             fill_contexts(m, workspace.reals, workspace.bits_of_reals, n, plane, scale)
             if is_corner:
                 _take_corners(m, goal, valid, corners, start, stop, origin, is_encoding, has_void)
             elif is_encoding or has_void:
-                _take_row(m, goal, valid, start, step, first, stop, origin, is_encoding, has_void)
-            if stop > first:
-                code_details(
-                    m,
-                    np.uint64(first),
-                    np.uint64(stop - first),
-                    own,
-                    is_encoding,
-                    has_void,
-                    scale,
-                    s,
+                _take_row(
+                    m, goal, valid, start, spacing, first, stop, origin, is_encoding, has_void
                 )
+            if stop > first:
+                n_coded = np.uint64(stop - first)
+                code_details(m, np.uint64(first), n_coded, own, is_encoding, has_void, scale, s)
                 if added.shape[0] > 0:
                     _correct(
-                        m, own, kept, added, corners, is_corner, start, step, first, stop, origin,
-                        scale,
+                        m, own, kept, added, corners, is_corner, start, spacing, first, stop,
+                        origin, scale,
                     )  # fmt: skip
             if is_lattice:
                 make_readable(m, own, row, n_own_rows, n)
             else:
-                for j in range(stop):
-                    k = np.uint64(corners[start + j, 0] if is_corner else start + j * step)
-                    out[k] = m[RESULT + np.uint64(j)] + origin
+                _store_shared(m, out, corners, is_corner, start, spacing, stop, origin)
 
 
 @kernel_part
 def _each(grid, stride):
     """Return where each `stride`-th sample of a lattice lies."""
-    return Lattice(grid.start, grid.row_step * stride, grid.col_step * stride)
+    return Lattice(grid.start, grid.row_spacing * stride, grid.col_spacing * stride)
 
 
 @kernel
@@ -225,18 +217,26 @@ def make_readable(m, own, row, n_rows, n):
 
 
 @kernel
-def _correct(m, own, kept, added, corners, is_corner, start, step, first, stop, origin, scale):
+def _correct(m, own, kept, added, corners, is_corner, start, spacing, first, stop, origin, scale):
     """Put coded samples `first` … ``stop - 1`` of a row back; an encoder finds what that takes."""
     cast = m.dtype.type
     is_encoding = kept.shape[0] > 0
     limits = np.int64(scale.low) + origin, np.int64(scale.high) + origin
     for j in range(first, stop):
-        k = np.uint64(corners[start + j, 0] if is_corner else start + j * step)
+        k = np.uint64(corners[start + j, 0] if is_corner else start + j * spacing)
         if added[k] == 0 and not is_encoding:
             continue  # nearly all, in nearly all units
         at = own + np.uint64(j)
         height = corrected(np.int64(m[at]) + origin, kept, added, k, limits, limits)
         m[at] = cast(height - origin)
+
+
+@kernel_part
+def _store_shared(m, out, corners, is_corner, start, spacing, n, origin):
+    """Store a row of shared samples, which `RESULT` holds."""
+    for j in range(n):
+        k = np.uint64(corners[start + j, 0] if is_corner else start + j * spacing)
+        out[k] = m[RESULT + np.uint64(j)] + origin
 
 
 @kernel_part
@@ -251,21 +251,21 @@ def _take_corners(m, goal, valid, corners, start, n, origin, is_encoding, has_vo
 
 
 @kernel_part
-def _take_row(m, goal, valid, start, step, first, stop, origin, is_encoding, has_void):
+def _take_row(m, goal, valid, start, spacing, first, stop, origin, is_encoding, has_void):
     """Fill `GOAL` and `VALID` of any other row, each in a loop of its own, which is faster."""
     if is_encoding:
         for j in range(first, stop):
-            m[GOAL + np.uint64(j)] = np.int64(goal[np.uint64(start + j * step)]) - origin
+            m[GOAL + np.uint64(j)] = np.int64(goal[np.uint64(start + j * spacing)]) - origin
     if has_void:
         for j in range(first, stop):
-            m[VALID + np.uint64(j)] = valid[np.uint64(start + j * step)]
+            m[VALID + np.uint64(j)] = valid[np.uint64(start + j * spacing)]
 
 
 @kernel_part
-def _load_known(m, own, out, start, step, origin, first, stop, n, scale):
+def _load_known(m, own, out, start, spacing, origin, first, stop, n, scale):
     """Take known samples of a row, all but `first` … ``stop - 1``, from `out`."""
     cast = m.dtype.type
     for k in range(first + n - stop):
         j = k if k < first else k - first + stop
-        height = np.int64(out[np.uint64(start + j * step)]) - origin
+        height = np.int64(out[np.uint64(start + j * spacing)]) - origin
         m[own + np.uint64(j)] = cast(min(max(height, scale.low), scale.high))

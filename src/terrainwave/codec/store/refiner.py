@@ -16,7 +16,7 @@ _HEAD = struct.Struct("<iB")
 _MAX_BITS = 31
 
 
-class Store:
+class StoreRefiner:
     """The trivial refiner: what the parent lacks, as fixed-width indices."""
 
     name = "store"

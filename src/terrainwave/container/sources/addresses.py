@@ -77,7 +77,9 @@ def web_address(url: str) -> SplitResult:
             " in a password are written %2F, %3F and %23)"
         ) from error
     if not host:
-        raise StorageError(f"{display_name(url)}: no host in the URL")
+        raise StorageError(
+            f"{display_name(url)}: found no host, expected a URL such as https://example.org/a.twz"
+        )
     login, at, _ = parts.netloc.rpartition("@")
     if at and "@" in parts.path + parts.query + parts.fragment:
         # What follows the first @ may be the rest of a password, and no host.

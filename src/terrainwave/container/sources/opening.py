@@ -4,7 +4,7 @@ import os
 from typing import BinaryIO, TypeAlias
 
 from terrainwave.arguments import checked_path, shown
-from terrainwave.container.sources.source import BufferSource, ByteSource, FileSource
+from terrainwave.container.sources.byte_source import BufferSource, ByteSource, FileSource
 from terrainwave.errors import InvalidArgumentError
 
 SourceLike: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO | ByteSource

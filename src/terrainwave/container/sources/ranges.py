@@ -59,14 +59,14 @@ def budget_of(n_wanted: int, n_requests: int = 0, n_wasted: int = 0) -> Budget:
     return Budget(AIMED_REQUESTS - n_requests, waste - n_wasted, most_waste - n_wasted)
 
 
-class Merged(NamedTuple):
+class MergedRange(NamedTuple):
     """A range to request, and the numbers of the wanted ranges inside it."""
 
     span: ByteRange
     members: list[int]
 
 
-def merge_ranges(ranges: Sequence[ByteRange], budget: Budget | None = None) -> list[Merged]:
+def merge_ranges(ranges: Sequence[ByteRange], budget: Budget | None = None) -> list[MergedRange]:
     """Return requests that cover `ranges`, in order of place, up to 16 MiB in one.
 
     The shortest gaps are bridged, none above 512 KiB, within `budget`; by default that of these
@@ -74,29 +74,29 @@ def merge_ranges(ranges: Sequence[ByteRange], budget: Budget | None = None) -> l
     """
     order = [number for number in range(len(ranges)) if ranges[number].length]
     order.sort(key=lambda number: ranges[number])
-    runs: list[Merged] = []
+    runs: list[MergedRange] = []
     for member in order:
         wanted = ranges[member]
         if not runs or not _extend(runs, wanted, [member], max_gap=0):
-            runs.append(Merged(wanted, [member]))
+            runs.append(MergedRange(wanted, [member]))
     if budget is None:
         budget = budget_of(sum(span.length for span, _ in runs))
     bridged = _gaps_to_bridge([span for span, _ in runs], budget)
-    merged: list[Merged] = []
+    merged: list[MergedRange] = []
     for number, (span, members) in enumerate(runs):
         if number not in bridged or not _extend(merged, span, members, MAX_GAP):
-            merged.append(Merged(span, members))
+            merged.append(MergedRange(span, members))
     return merged
 
 
-def _extend(merged: list[Merged], span: ByteRange, members: list[int], max_gap: int) -> bool:
+def _extend(merged: list[MergedRange], span: ByteRange, members: list[int], max_gap: int) -> bool:
     """Say whether `span` fits into the last request; if so, it is in it from now on."""
     last = merged[-1].span
     end = max(last.end, span.end)
     if span.offset - last.end > max_gap or end - last.offset > MAX_REQUEST:
         return False
     joined = ByteRange(last.offset, end - last.offset)
-    merged[-1] = Merged(joined, merged[-1].members + members)
+    merged[-1] = MergedRange(joined, merged[-1].members + members)
     return True
 
 
@@ -113,7 +113,7 @@ def _gaps_to_bridge(runs: Sequence[ByteRange], budget: Budget) -> set[int]:
 
 
 def split_merged(
-    ranges: Sequence[ByteRange], merged: Sequence[Merged], spans: Sequence[bytes]
+    ranges: Sequence[ByteRange], merged: Sequence[MergedRange], spans: Sequence[bytes]
 ) -> list[bytes]:
     """Return the bytes of each of `ranges` out of the bytes of the requests that cover them."""
     result = [b""] * len(ranges)

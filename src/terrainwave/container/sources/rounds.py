@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
+from terrainwave.container.sources.byte_source import ByteSource
 from terrainwave.container.sources.ranges import ByteRange, FetchedBytes, budget_of, merge_ranges
-from terrainwave.container.sources.source import ByteSource
 
 
 class RoundReader:

@@ -39,7 +39,12 @@ from terrainwave.container.sources.addresses import (
     web_address,
     without_secrets,
 )
-from terrainwave.container.sources.archive import open_member
+from terrainwave.container.sources.byte_source import (
+    MAX_WHOLE,
+    ByteSource,
+    FileSource,
+    MergingSource,
+)
 from terrainwave.container.sources.connections import (
     N_CONNECTIONS,
     Connections,
@@ -47,7 +52,7 @@ from terrainwave.container.sources.connections import (
     proxy_of,
 )
 from terrainwave.container.sources.ranges import ByteRange
-from terrainwave.container.sources.source import MAX_WHOLE, ByteSource, FileSource, MergingSource
+from terrainwave.container.sources.zip_member import open_member
 from terrainwave.errors import (
     SourceUnavailableError,
     StorageError,
@@ -89,7 +94,12 @@ def open_url(url: str) -> ByteSource:
         return HttpSource(url)
     if scheme.lower() == "file":
         return FileSource(urllib.request.url2pathname(urlsplit(url).path))
-    if scheme.lower() == "zip" and rest:
+    if scheme.lower() == "zip":
+        if not rest:
+            raise StorageError(
+                f"{display_name(url)}: found no archive, expected zip://FILE::ARCHIVE, such as"
+                " zip://a.twz::archive.zip"
+            )
         return open_member(name, open_url(rest) if "://" in rest else FileSource(rest))
     return FsspecSource(url)
 
@@ -382,6 +392,10 @@ def _changed(name: str) -> StorageError:
 
 def _unreadable(name: str, error: Exception) -> StorageError:
     problem = without_secrets(str(error).split("\n")[0]) or type(error).__name__
+    if isinstance(error, OSError) and error.strerror:
+        problem = without_secrets(error.strerror)  # without its number
+    if problem.startswith("Protocol not known"):  # fsspec's words
+        problem += "; expected a path, or a URL of https or of another protocol that fsspec knows"
     may_pass = isinstance(error, OSError | http.client.HTTPException)
     if isinstance(error, ssl.SSLCertVerificationError):
         problem += (

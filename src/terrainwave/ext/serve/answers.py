@@ -12,9 +12,9 @@ from fastapi.responses import FileResponse, JSONResponse, StreamingResponse
 from fastapi.routing import APIRoute
 
 from terrainwave.container.header import MEDIA_TYPE
+from terrainwave.ext.serve.byte_range import asked_span, is_same
 from terrainwave.ext.serve.catalog import describe
 from terrainwave.ext.serve.layers import Layer, Raster, Shelf, named
-from terrainwave.ext.serve.ranges import asked_span, is_same
 from terrainwave.ext.serve.sending import PART, Ahead, Desk, begun, parts
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.terrain_rgb import Look

@@ -16,7 +16,7 @@ from fastapi.responses import JSONResponse
 from fastapi.staticfiles import StaticFiles
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
-from terrainwave.arguments import in_one_line
+from terrainwave.arguments import AS_IS, in_one_line
 from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.ext.serve.answers import STATIC, Answers
 from terrainwave.ext.serve.guards import Guarded, guards_of
@@ -24,6 +24,7 @@ from terrainwave.ext.serve.layers import Shelf, open_layers
 from terrainwave.ext.serve.sending import Desk
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.terrain_rgb import Look
+from terrainwave.place.vertical import note_as_is
 from terrainwave.render.look.colorings import AUTO
 from terrainwave.render.look.style import check_sea_level
 
@@ -38,6 +39,7 @@ def make_app(
     cors: bool = False,
     n_decoding: int = 2,
     radius: float | None = None,
+    vertical: str = AS_IS,
     encoding: str = tiling.MAPBOX,
     transparent_voids: bool = False,
     sea_level: str | float = AUTO,
@@ -56,6 +58,8 @@ def make_app(
         Requests that decode at a time.
     radius : float, optional
         Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
+    vertical : {"as-is", "ellipsoid"}
+        Heights of Cesium's tiles, as in `TilePyramid`.
     encoding : {"mapbox", "terrarium"}
         Of terrain-RGB tiles where a request names none, and of the page's; a warning names each
         file with heights that it cannot hold.
@@ -75,8 +79,10 @@ def make_app(
     check_sea_level(sea_level)
     look = Look(tiling.encoding_of(encoding).name, transparent_voids)
     desk = Desk(n_decoding)
-    layers = open_layers(paths, radius) if paths else {}
+    layers = open_layers(paths, radius, vertical) if paths else {}
     for layer in layers.values():
+        if vertical == AS_IS:
+            note_as_is(layer.terrain.crs)
         if note := tiling.note_on_range(layer.globe, encoding):
             warnings.warn(TerrainwaveWarning(f"{layer.name}: {note}"), stacklevel=2)
     shelf = Shelf(layers.values())

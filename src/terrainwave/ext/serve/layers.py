@@ -52,13 +52,19 @@ class Raster:
 class Layer(Raster):
     """One file with its place on the globe."""
 
-    def __init__(self, name: str, path: str, cache_bytes: int, radius: float | None) -> None:
+    def __init__(
+        self, name: str, path: str, cache_bytes: int, radius: float | None, vertical: str
+    ) -> None:
         super().__init__(name, path, cache_bytes)
         with ExitStack() as stack:
             stack.enter_context(self.terrain)
             try:
                 self.globe = Globe(self.terrain, radius=radius)
-                self.tiles = TilePyramid(self.globe, void_height=tiling.height_of_voids(self.globe))
+                self.tiles = TilePyramid(
+                    self.globe,
+                    void_height=tiling.height_of_voids(self.globe),
+                    vertical=vertical,
+                )
             except (InvalidHeightsError, CorruptStreamError) as error:
                 raise type(error)(f"{path}: {error}") from error
             stack.pop_all()
@@ -85,7 +91,7 @@ class Layer(Raster):
 _Served = TypeVar("_Served", bound=Raster)
 
 
-def open_layers(paths: list[str], radius: float | None) -> dict[str, Layer]:
+def open_layers(paths: list[str], radius: float | None, vertical: str) -> dict[str, Layer]:
     """Return {name in URLs: file} of what can be served; a warning names each file that cannot.
 
     Raises
@@ -101,7 +107,7 @@ def open_layers(paths: list[str], radius: float | None) -> dict[str, Layer]:
     with ExitStack() as opened:
         for name, path in layer_names(paths).items():
             try:
-                layers[name] = Layer(name, path, cache_bytes, radius)
+                layers[name] = Layer(name, path, cache_bytes, radius, vertical)
             except TerrainwaveError as error:
                 refused.append(error)
                 continue

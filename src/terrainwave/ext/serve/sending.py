@@ -14,7 +14,7 @@ from typing import Any, Self
 from fastapi import HTTPException
 
 from terrainwave.errors import TerrainwaveError
-from terrainwave.ext.serve.ranges import Span
+from terrainwave.ext.serve.byte_range import Span
 
 # Requests that wait for their turn: some seconds of work, after which a client would have given up.
 N_WAITING = 64

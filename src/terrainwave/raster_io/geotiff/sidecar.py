@@ -13,8 +13,8 @@ from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 
-from terrainwave.container.publish import publish
 from terrainwave.container.spool import storage_errors
+from terrainwave.container.targets.publication import publish
 from terrainwave.raster_io.gdal import bounded_env
 
 SIDECAR = ".aux.xml"

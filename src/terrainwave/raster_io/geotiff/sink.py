@@ -20,12 +20,9 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
-from terrainwave.container.publish import beside, publish, scratch
 from terrainwave.container.spool import cannot_write
-from terrainwave.errors import (
-    CorruptStreamError,
-    StorageError,
-)
+from terrainwave.container.targets.publication import beside, publish, scratch
+from terrainwave.errors import CorruptStreamError, StorageError
 from terrainwave.forks import renew_after_fork
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
@@ -36,7 +33,7 @@ from terrainwave.raster_io.gdal import (
     one_line,
     scan_windows,
 )
-from terrainwave.raster_io.info import RasterInfo, stored_nodata
+from terrainwave.raster_io.raster_info import RasterInfo, stored_nodata
 from terrainwave.raster_io.tags import PLAIN_COLORS, writable_tags
 
 # Samples a side of a GeoTIFF's tile.

@@ -20,7 +20,7 @@ from rasterio.windows import Window
 
 from terrainwave.raster_io.gdal import bounded_env
 from terrainwave.raster_io.geotiff.sink import geotiff_profile, write_description
-from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.raster_info import RasterInfo
 
 # Tags of a directory (TIFF 6.0, sections 8 and 15) and the types of their values.
 _SUBFILE_TYPE, _WIDTH, _LENGTH, _BITS, _COMPRESSION = 254, 256, 257, 258, 259

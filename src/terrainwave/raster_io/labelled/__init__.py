@@ -9,7 +9,8 @@ import contextlib
 import re
 from typing import Any, NamedTuple
 
-from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
+from terrainwave.arguments import check_band
+from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.affine import IDENTITY, Transform
 from terrainwave.place.crs import format_crs
 from terrainwave.raster_io.labelled.place import crs_of, stored_transform, transform_of
@@ -31,7 +32,7 @@ _DEPTHS = (
 )
 
 
-class Layer(NamedTuple):
+class LabelledArray(NamedTuple):
     """Rows and columns of one array, and what its coordinates, attributes and accessor say."""
 
     array: Any  # rows, then columns
@@ -40,7 +41,7 @@ class Layer(NamedTuple):
     notes: list[str]
 
 
-def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> Layer:
+def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> LabelledArray:
     """Return the one layer of heights that a DataArray holds; `source` is what it was taken from.
 
     Raises
@@ -65,7 +66,7 @@ def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> Layer
             " along each: choose another part"
         )
     if not georeference:
-        return Layer(layer, IDENTITY, None, [*band_notes, *depth_notes])
+        return LabelledArray(layer, IDENTITY, None, [*band_notes, *depth_notes])
     transform = transform_of(layer, crs)
     notes = [*band_notes, *depth_notes, *notes]
     if transform is None:
@@ -74,8 +75,8 @@ def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> Layer
                 f"no transform says where the samples of {title(array)} lie, so its CRS is"
                 " dropped: give it coordinates, or a transform by array.rio.write_transform"
             )
-        return Layer(layer, IDENTITY, None, notes)
-    return Layer(layer, transform, format_crs(crs), notes)
+        return LabelledArray(layer, IDENTITY, None, notes)
+    return LabelledArray(layer, transform, format_crs(crs), notes)
 
 
 # Which variable.
@@ -218,10 +219,7 @@ def _only_layer(array: Any, roles: dict[str, Any], band: int) -> tuple[Any, list
         if dim in roles.values():
             key.append(slice(None))
         elif dim == "band":
-            if not 1 <= band <= size:
-                raise InvalidArgumentError(
-                    f"`band` {band} does not exist, {title(array)} has {size}"
-                )
+            check_band(band, size, title(array))
             if size > 1 and band == 1:
                 notes.append(f"{title(array)} has {size} bands; using band 1 (choose with `band`)")
             key.append(band - 1)
@@ -233,6 +231,6 @@ def _only_layer(array: Any, roles: dict[str, Any], band: int) -> tuple[Any, list
                 f"{title(array)} has the dimensions {sizes_of(array)}; expected rows and columns:"
                 f" choose one layer of {dim}, for example array.isel({dim}=0)"
             )
-    if band != 1 and not has_bands:
-        raise InvalidArgumentError(f"`band` {band} does not exist, {title(array)} has 1")
+    if not has_bands:
+        check_band(band, 1, title(array))
     return (array if len(key) == 2 else array[tuple(key)]), notes

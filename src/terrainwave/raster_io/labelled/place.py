@@ -18,8 +18,8 @@ from terrainwave.grid.affine import (
     grid_of_axes,
     grid_of_places,
     is_turned,
-    of_steps,
-    steps_on,
+    of_strides,
+    strides_on,
 )
 from terrainwave.place.crs import crs_of_grid_mapping, format_crs, parse_crs
 from terrainwave.place.description import describe_quietly
@@ -134,10 +134,10 @@ def transform_of(array: Any, crs: CRS | None) -> Transform | None:
         fit, y_fit = grid_of_axes(x, y)
         _check_even(array, f"{x_name} is", fit)
         _check_even(array, f"{y_name} is", y_fit)
-    steps = None if stored is None else steps_on(fit.transform, shape, stored)
-    if stored is not None and steps is not None:
+    strides = None if stored is None else strides_on(fit.transform, shape, stored)
+    if stored is not None and strides is not None:
         # The identity is what rasterio gives where a file has none.
-        return None if stored == IDENTITY else of_steps(stored, *steps)
+        return None if stored == IDENTITY else of_strides(stored, *strides)
     for size, dim in zip(shape, array.dims):
         if size == 1:
             raise InvalidHeightsError(

@@ -6,9 +6,9 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.render.gpu.layers import HEIGHTS, SLOPES, LayeredTextures
 from terrainwave.render.gpu.shaders import TERRAIN_FRAGMENT
 from terrainwave.render.gpu.surface import OWN_UNIT, release_all, set_uniforms
+from terrainwave.render.gpu.texture_layers import HEIGHTS, SLOPES, LayeredTextures
 from terrainwave.render.scene.selection import View
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def grid_mesh(n: int) -> tuple[NDArray[np.uint16], NDArray[np.uint32]]:
 
 
 class BlockStore:
-    """A `Store` of regular blocks: a layer each."""
+    """A `PieceStore` of regular blocks: a layer each."""
 
     def __init__(self, context: Any, side: int, *, max_bytes: int) -> None:
         self.layers = LayeredTextures(context, side + 3, [SLOPES, HEIGHTS], max_bytes=max_bytes)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.errors import TerrainwaveError
+from terrainwave.errors import InvalidArgumentError, TerrainwaveError
 from terrainwave.extras import need
 from terrainwave.render import DEFAULT_MAX_BYTES
 from terrainwave.render.gpu.shaders import SOLID_ALPHA
@@ -16,13 +16,13 @@ from terrainwave.render.modes.mode import Frames
 from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import Camera, Viewport, focal_length, ray
 from terrainwave.render.scene.selection import View
-from terrainwave.render.scene.solid import build_solid
+from terrainwave.render.scene.walls import build_solid
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
     from terrainwave.raster_io.drape import Drape, Photo
     from terrainwave.render.look.style import Style
-    from terrainwave.render.scene.solid import Solid
+    from terrainwave.render.scene.walls import Solid
 
 _HELP = (
     "terrainwave render needs EGL and an OpenGL 3.3 driver; on Debian and Ubuntu: apt-get install"
@@ -157,7 +157,9 @@ class Canvas:
         """Draw pictures of another size from now on."""
         limit = int(self.context.info["GL_MAX_VIEWPORT_DIMS"][0])
         if not (1 <= min(size) and max(size) <= limit):
-            raise TerrainwaveError(f"found size {size[0]}x{size[1]}, expected 1 to {limit} pixels")
+            raise InvalidArgumentError(
+                f"found `size` {size[0]}x{size[1]}, expected at most {limit} pixels each way"
+            )
         self._release_framebuffers()
         self.viewport = Viewport(*size)
         self._target = self._framebuffer(size, self._samples)

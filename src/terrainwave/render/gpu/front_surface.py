@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Any
 import moderngl
 import numpy as np
 
-from terrainwave.render.gpu.layers import SLOPES, LayeredTextures
 from terrainwave.render.gpu.shaders import TERRAIN_FRAGMENT
 from terrainwave.render.gpu.surface import OWN_UNIT, release_all, set_uniforms
+from terrainwave.render.gpu.texture_layers import SLOPES, LayeredTextures
 from terrainwave.render.scene.selection import View
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ void main() {
 
 
 class FrontStore:
-    """A `Store` of the slopes of patches: a layer each. It counts their meshes, too.
+    """A `PieceStore` of the slopes of patches: a layer each. It counts their meshes, too.
 
     Parameters
     ----------

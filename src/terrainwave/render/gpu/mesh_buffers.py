@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.render.gpu.arena import Arena
-from terrainwave.render.gpu.layers import SLOPES, LayeredTextures
+from terrainwave.render.gpu.texture_layers import SLOPES, LayeredTextures
 from terrainwave.render.scene.patches import VERTEX, Patch
 
 _FIRST_VERTICES = 1 << 18
@@ -37,7 +37,7 @@ class Slot(NamedTuple):
 
 
 class GpuStore:
-    """A `Store` on the GPU, within `max_bytes`.
+    """A `PieceStore` on the GPU, within `max_bytes`.
 
     Buffers and textures grow by doubling. Indices count from the buffer's first vertex, so that a
     driver without base vertices can draw them too.

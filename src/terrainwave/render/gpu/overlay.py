@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.render.gpu.surface import release_all
-from terrainwave.render.look.marks import FONT_SIZE, WHITE, Ink
+from terrainwave.render.look.marks import FONT_SIZE, WHITE, Ink, pillow
 from terrainwave.render.scene.camera import Camera, Viewport, project
 from terrainwave.render.scene.measure import Profile, distance_text
 
@@ -98,9 +98,7 @@ def draw_overlay(
 
     `metres_per_pixel` is that of the middle of the picture; None leaves the scale bar out.
     """
-    from PIL import Image
-
-    image = Image.new("RGBA", (viewport.width, viewport.height), (0, 0, 0, 0))
+    image = pillow("Image").new("RGBA", (viewport.width, viewport.height), (0, 0, 0, 0))
     ink = Ink(image)
     draw, font = ink.draw, ink.font
     if lines:
@@ -173,11 +171,9 @@ def _draw_profile(ink: Ink, profile: Profile) -> None:
 
 def _draw_help(draw: Any, viewport: Viewport, lines: list[tuple[str, str]]) -> None:
     """Draw two columns in the middle, in smaller letters where they would not fit."""
-    from PIL import ImageFont
-
     gap = 24
     for size in range(FONT_SIZE, _LEAST_FONT - 1, -1):
-        font = ImageFont.load_default(size)
+        font = pillow("ImageFont").load_default(size)
         widths = [max(draw.textlength(line[k], font=font) for line in lines) for k in (0, 1)]
         width, pitch = widths[0] + gap + widths[1], 1.45 * size
         height = pitch * len(lines)

@@ -33,7 +33,7 @@ from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import projection_matrix, slant, view_matrix
 from terrainwave.render.scene.scales import HeightTexels
 from terrainwave.render.scene.selection import View
-from terrainwave.render.scene.solid import Solid, distance_to_walls, haze_of
+from terrainwave.render.scene.walls import Solid, distance_to_walls, haze_of
 
 _CLIP_DISTANCE_0 = 0x3000
 _NEAREST = 1e-5  # of the farthest
@@ -66,7 +66,7 @@ class _WaterTexture:
     def __init__(self, context: Any, water: Water) -> None:
         n_rows, n_cols = water.cells.shape
         self.lowest = water.lowest
-        self.place = (float(water.step), 1 / n_cols, 1 / n_rows)
+        self.place = (float(water.stride), 1 / n_cols, 1 / n_rows)
         data = np.ascontiguousarray(water.cells).tobytes()
         self.texture = context.texture((n_cols, n_rows), 1, data, alignment=1)
         self.texture.repeat_x = self.texture.repeat_y = False

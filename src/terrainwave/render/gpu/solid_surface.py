@@ -8,7 +8,7 @@ from terrainwave.render.gpu import shaders
 from terrainwave.render.gpu.surface import release_all, set_uniforms
 from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.selection import View
-from terrainwave.render.scene.solid import Solid
+from terrainwave.render.scene.walls import Solid
 
 # Pixels from stripe to stripe in a picture of 853 lines.
 _HATCH, _HATCH_LINES = 11.0, 853.0

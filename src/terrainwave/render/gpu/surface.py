@@ -7,7 +7,7 @@ from terrainwave.render.scene.selection import View
 
 if TYPE_CHECKING:
     from terrainwave.render.modes.mode import Frames
-    from terrainwave.render.paging.scene import Scene, Store
+    from terrainwave.render.paging.scene import PieceStore, Scene
 
 # Texture units; a mode's own begin at OWN_UNIT.
 RAMP_UNIT, DRAPE_UNIT, OWN_UNIT = 0, 1, 2
@@ -26,7 +26,7 @@ class Surface(Protocol):
     n_clip_distances: int
 
     @property
-    def store(self) -> "Store":
+    def store(self) -> "PieceStore":
         """Return where pieces are kept."""
 
     def submit(self, scene: "Scene", view: View, frames: "Frames") -> int:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from terrainwave.render.modes.front import FrontPatch, Sides
     from terrainwave.render.modes.mode import Frames
     from terrainwave.render.paging.scene import Scene
-    from terrainwave.tri.dynamic.dynamic import Eye, Followed
+    from terrainwave.tri.followed import Eye, Followed
 
 _SLOPES, _HEIGHTS, _BOUNDS, _MARKS = OWN_UNIT, OWN_UNIT + 1, OWN_UNIT + 2, OWN_UNIT + 3
 _VOID = np.float32(-1e38)
@@ -206,7 +206,7 @@ def _levels(
 
 
 class TreeStore(FrontStore):
-    """A `Store` of slopes, and of trees as textures."""
+    """A `PieceStore` of slopes, and of trees as textures."""
 
     def __init__(self, context: Any, *, max_bytes: int) -> None:
         super().__init__(context, max_bytes=max_bytes)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidArgumentError
+from terrainwave.extras import need
 from terrainwave.place.units import unit_text
 from terrainwave.render.look.ramps import N_LATITUDES, Palette
 from terrainwave.render.look.style import Style
@@ -17,7 +18,7 @@ FONT_SIZE = 14
 _LONGEST_BAR = 170  # pixels
 _LEAST_SIZE = (240, 180)
 # Of a legend: the bar's pixels, and how many intervals its labels leave at most.
-_BAR_WIDTH, _BAR_HEIGHT, _MOST_STEPS = 16, 130, 6
+_BAR_WIDTH, _BAR_HEIGHT, _MOST_INTERVALS = 16, 130, 6
 _HATCH = ((204, 204, 201, 255), (153, 153, 153, 255))
 
 
@@ -34,7 +35,8 @@ class Legend(NamedTuple):
     title : str
         What they say, and its unit.
     colors : ndarray of uint8, shape (n, 3)
-        From the lowest value to the highest.
+        From the bar's lower end to its upper one: from the lowest value to the highest, of depths
+        the other way round.
     labels : list of (float, str)
         Shares of the way up, and the values there.
     has_voids : bool
@@ -81,35 +83,41 @@ def legend_of(
     units : str, optional
         The file's unit of heights.
     """
-    per_unit, title = frame.metres[2], f"height, {unit_text(units)}"
+    per_unit = frame.metres[2]
+    title = f"{'depth' if per_unit < 0 else 'height'}, {unit_text(units)}"
     low, high = sorted(frame.heights)
     if style.coloring == "slope":
         per_unit, title = 1.0, "slope, degrees"
         _, _, low, high = palette.ranges
     elif style.coloring == "error":
-        title = f"error, {unit_text(units)}"
+        per_unit, title = frame.error_metres, f"error, {unit_text(units)}"
         low, high = (value / per_unit for value in palette.ranges[2:])
     shown = np.linspace(low, high, 2 * _BAR_HEIGHT) * per_unit
     colors = palette.color_of(shown, min(N_LATITUDES // 2, len(palette.colors) - 1))
     if not high > low:
         return Legend(title, colors, [(0.5, f"{low:g}")], has_voids)
-    step = round_length((high - low) / 2)
-    while (high - low) / (step / 2) <= _MOST_STEPS:
-        step = round_length(step / 2)
-    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-    ticks = [number * step for number in range(first, last + 1)]
+    interval = round_length((high - low) / 2)
+    while (high - low) / (interval / 2) <= _MOST_INTERVALS:
+        interval = round_length(interval / 2)
+    first, last = math.ceil(low / interval - 1e-9), math.floor(high / interval + 1e-9)
+    ticks = [number * interval for number in range(first, last + 1)]
     labels = [((tick - low) / (high - low), f"{tick:.10g}") for tick in ticks]
+    if per_unit < 0:  # the deepest lies below
+        colors, labels = colors[::-1], [(1 - share, text) for share, text in labels]
     return Legend(title, colors, labels, has_voids)
+
+
+def pillow(module: str) -> Any:
+    """Return a module of Pillow, which draws text."""
+    return need(f"PIL.{module}", extra="view", purpose="text in a picture")
 
 
 class Ink:
     """Draws into an RGBA image of Pillow."""
 
     def __init__(self, image: Any) -> None:
-        from PIL import ImageDraw, ImageFont
-
-        self.image, self.draw = image, ImageDraw.Draw(image)
-        self.font = ImageFont.load_default(FONT_SIZE)
+        self.image, self.draw = image, pillow("ImageDraw").Draw(image)
+        self.font = pillow("ImageFont").load_default(FONT_SIZE)
 
     def text(self, x: float, y: float, words: str) -> None:
         """Write lines on a shade."""
@@ -166,14 +174,13 @@ def draw_marks(
     pixels: NDArray[np.uint8], *, legend: Legend | None, metres_per_pixel: float | None
 ) -> NDArray[np.uint8]:
     """Return a picture, uint8 (height, width, 3), with a legend and a scale bar; a copy."""
-    from PIL import Image
-
+    images = pillow("Image")
     height, width, _ = pixels.shape
-    over = Image.new("RGBA", (width, height), (0, 0, 0, 0))
+    over = images.new("RGBA", (width, height), (0, 0, 0, 0))
     ink = Ink(over)
     if legend is not None:
         ink.legend(legend)
     if metres_per_pixel is not None:
         ink.scale_bar(metres_per_pixel)
-    picture = Image.fromarray(pixels).convert("RGBA")
-    return np.asarray(Image.alpha_composite(picture, over).convert("RGB"))
+    picture = images.fromarray(pixels).convert("RGBA")
+    return np.asarray(images.alpha_composite(picture, over).convert("RGB"))

@@ -3,9 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from terrainwave.errors import (
-    InvalidArgumentError,
-)
+from terrainwave.errors import InvalidArgumentError
 from terrainwave.place.bodies import EARTH, MARS, MOON, OTHER, UNKNOWN
 from terrainwave.render.look.colorings import AUTO, NO_SEA, RAMP_NAMES
 

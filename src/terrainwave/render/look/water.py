@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from terrainwave.place.bodies import EARTH, UNKNOWN
 from terrainwave.render.look.ramps import DEEPEST_LAND
-from terrainwave.render.scene.solid import level_within, read_metres
+from terrainwave.render.scene.walls import level_within, read_metres
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
@@ -37,12 +37,12 @@ class Water(NamedTuple):
     Parameters
     ----------
     cells : ndarray of uint8, shape (n_rows, n_cols)
-        `LAND`, `LEVEL` or `DEEP` around every `step`-th sample of the full grid.
+        `LAND`, `LEVEL` or `DEEP` around every `stride`-th sample of the full grid.
     step : int
     """
 
     cells: NDArray[np.uint8]
-    step: int
+    stride: int
 
     def lowest(self, sea: float) -> float:
         """Return the lowest height that is water somewhere; infinite where none is."""
@@ -61,13 +61,13 @@ def waves_of(terrain: "TerrainFile", frame: "Frame") -> float:
 
     What decodes to 0 within the bound is; a float32 on the way has rounded it.
     """
-    error = terrain.effective_error * frame.metres[2]
+    error = terrain.effective_error * frame.error_metres
     return min(error, _MOST_WAVES) + _ROUNDED
 
 
 def may_have_water(terrain: "TerrainFile", frame: "Frame") -> bool:
     """Say whether `read_water` has anything to look for."""
-    lowest = min(frame.heights) * frame.metres[2]
+    lowest = float(frame.box[0][2]) / frame.exaggeration
     return frame.body in (EARTH, UNKNOWN) and lowest <= waves_of(terrain, frame)
 
 
@@ -83,8 +83,8 @@ def read_water(terrain: "TerrainFile", frame: "Frame") -> Water:
         return NOWHERE
     level = level_within(terrain, _SIDE)
     heights, valid = read_metres(terrain, frame, None, level)
-    step = 1 << (terrain.n_levels - 1 - level)
-    return Water(find_water(heights, valid, waves_of(terrain, frame)), step)
+    stride = 1 << (terrain.n_levels - 1 - level)
+    return Water(find_water(heights, valid, waves_of(terrain, frame)), stride)
 
 
 def find_water(

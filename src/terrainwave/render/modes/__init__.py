@@ -7,9 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from terrainwave.arguments import one_of
-from terrainwave.errors import (
-    InvalidArgumentError,
-)
+from terrainwave.errors import InvalidArgumentError
 
 if TYPE_CHECKING:
     from terrainwave.render.modes.mode import Mode
@@ -21,7 +19,7 @@ _CLASSES = {
     "dynamic": ("dynamic", "Dynamic"),
     "full": ("full", "Full"),
     "loose": ("loose", "Loose"),
-    "rqt": ("rqt", "Rqt"),
+    "rqt": ("rqt", "RqtMode"),
     "vertex-texture": ("vertex_texture", "VertexTexture"),
 }
 MODES = tuple(_CLASSES)

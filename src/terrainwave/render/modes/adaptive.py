@@ -1,20 +1,16 @@
 """Each block from its own guaranteed mesh (Yusov & Turlapov 2010, §2.8): the default."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.mesh.level_errors import recursive_errors
-from terrainwave.progress import ProgressCallback, Reporter
+from terrainwave.progress import Reporter
 from terrainwave.render.modes.bounded import BoundedMode
-from terrainwave.render.scene.frame import Frame
+from terrainwave.render.modes.mode import ModeNeeds
 from terrainwave.render.scene.patches import Patch, PatchBuilder
 from terrainwave.render.scene.selection import NodeInfo, Piece
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 
 class Adaptive(BoundedMode):
@@ -27,18 +23,10 @@ class Adaptive(BoundedMode):
     options: tuple[str, ...] = ("orientation",)
     is_loose = False
 
-    def __init__(
-        self,
-        terrain: "TerrainFile",
-        frame: Frame,
-        *,
-        error: str = "measured",
-        progress: ProgressCallback | None = None,
-        orientation: bool = False,
-    ) -> None:
-        super().__init__(terrain, frame, error=error, orientation=orientation)
+    def __init__(self, needs: ModeNeeds, *, orientation: bool = False) -> None:
+        super().__init__(needs, orientation=orientation)
         self.builder = PatchBuilder(
-            terrain, frame, recursive=self._recursive_errors(progress), is_loose=self.is_loose
+            self.terrain, self.frame, recursive=self._recursive_errors(), is_loose=self.is_loose
         )
 
     @classmethod
@@ -48,14 +36,12 @@ class Adaptive(BoundedMode):
             return None
         return "following the error recursion of Yusov & Turlapov: this decodes the whole file once"
 
-    def _recursive_errors(
-        self, progress: ProgressCallback | None
-    ) -> list[NDArray[np.float64]] | None:
+    def _recursive_errors(self) -> list[NDArray[np.float64]] | None:
         """Return Err_Appr of every block by the paper's recursion, where it is asked for."""
         if self.error != "paper":
             return None
         n_rows, n_cols = self.terrain.shape
-        count = Reporter(progress).counter("errors", n_rows * n_cols, 4)
+        count = Reporter(self.progress).counter("errors", n_rows * n_cols, 4)
         return recursive_errors(self.terrain, as_printed=True, count=count)
 
     def roots(self) -> list[NodeInfo]:

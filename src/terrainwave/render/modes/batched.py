@@ -8,37 +8,33 @@ from the coarser level's with the distance (eqs. 11, 12). With ``error="measured
 a bound on the error of its surface, and τ is kept as in the adaptive mode.
 
 The loading scheme is theirs in both (§4.2): roots near to far, children in view breadth first until
-M blocks, eviction by w, and once all are here what P₂ = 2 P₁ − P₀ sees. One departure: blocks that
-the criterion needs come first, because breadth first alone would fill M with distant ones. Another
-is the pyramid: theirs is made from the finest level up, so that a coarse block is made of all data
-beneath it, and it is stored (docs/decisions/0017-neville-levels-on-demand.md).
+M blocks, eviction by w. Three departures: blocks that the criterion needs come first, because
+breadth first alone would fill M with distant ones; what a camera will see is asked for seconds
+ahead (`paging.motion`; theirs one frame, eq. 15); and the pyramid: theirs is made from the finest
+level up by the filter of eq. (1), so that a coarse block is made of all data beneath it, and it is
+stored (docs/decisions/0017-neville-levels-on-demand.md).
 """
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.grid.measure import with_outside
+from terrainwave.grid.block_stats import with_outside
 from terrainwave.grid.quadtree import Block, Region
-from terrainwave.progress import ProgressCallback
 from terrainwave.read.decoder import unit_key, units_of
 from terrainwave.render.modes.bounded import BoundedMode
-from terrainwave.render.modes.mode import Frames
+from terrainwave.render.modes.mode import Frames, ModeNeeds
 from terrainwave.render.modes.neville import ORDERS, filtered
 from terrainwave.render.modes.regular import fill_parent_heights, largest_deviation
 from terrainwave.render.scene.camera import Camera, Viewport, focal_length
-from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.patches import Cancelled, PatchBuilder
 from terrainwave.render.scene.scales import FLOAT32_ROUNDING, HeightScale
 from terrainwave.render.scene.selection import NodeInfo, NodeTable, Piece, Selection, View
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 # μ of ε_l = μ g_l where none is asked for; they show 0.5 and 1.
 MU = 0.5
@@ -96,16 +92,14 @@ class Batched(BoundedMode):
 
     def __init__(
         self,
-        terrain: "TerrainFile",
-        frame: Frame,
+        needs: ModeNeeds,
         *,
-        error: str = "measured",
-        progress: ProgressCallback | None = None,
         detail: float | None = None,
         order: int = 4,
         orientation: bool = False,
     ) -> None:
-        super().__init__(terrain, frame, error=error, orientation=orientation)
+        super().__init__(needs, orientation=orientation)
+        terrain, frame = self.terrain, self.frame
         self._mu = self._checked_detail(detail)
         if order not in ORDERS:
             raise InvalidArgumentError(f"found `order` {order}, expected 2 or 4")
@@ -146,7 +140,7 @@ class Batched(BoundedMode):
         xy = self.frame.samples_to_local(np.repeat(rows, 2), np.tile(cols, 2))
         (left, bottom), (right, top) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
         low, high = self._limits(block)
-        error = self._bound(block, self.terrain.block_error(block) * self.frame.metres[2])
+        error = self._bound(block, self.terrain.block_error(block) * self.frame.error_metres)
         spacing = self.frame.spacing * self.terrain.grid.stride(block.level)
         return NodeInfo(Piece(*block), (left, bottom, low), (right, top, high), error, spacing)
 
@@ -225,7 +219,7 @@ class Batched(BoundedMode):
         grid, finest = self.terrain.grid, self.terrain.grid.k_max
         coarse, mask = self._samples(unit_key(block), grid.block_region(block))
         if block.level == finest:
-            error = self.terrain.quanta_error * self.frame.metres[2]
+            error = self.terrain.quanta_error * self.frame.error_metres
             heights = np.where(mask, self._metres(coarse), np.nan)
             return BlockGrid(heights.astype(np.float32), self._plus(error))
         fine, valid = self._samples(block, grid.group_region(block))
@@ -262,7 +256,7 @@ class Batched(BoundedMode):
             for number, n in zip((child.row, child.col), self._reach(child), strict=True)
         )
         apart = largest_deviation(vertices, fine, valid, rows, cols, not is_finest)
-        return own * self.frame.metres[2] + apart
+        return own * self.frame.error_metres + apart
 
     def _reach(self, block: Block) -> tuple[int, int]:
         """Return rows and columns of a block, with those past the raster's edge."""

@@ -1,18 +1,11 @@
 """Frames of pieces whose errors are bounds: morphs and skirts that keep the promise of τ pixels."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.progress import ProgressCallback
-from terrainwave.render.modes.mode import Frames, Mode
-from terrainwave.render.scene.frame import Frame
+from terrainwave.render.modes.mode import Frames, Mode, ModeNeeds
 from terrainwave.render.scene.selection import NodeTable, Selection, View
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 # A block is drawn a little before its parent's error reaches τ, and moves from there to its place.
 MORPH_START = 1.25
@@ -27,19 +20,11 @@ class BoundedMode(Mode):
         Errors count by the direction they are seen from (`kernels.oriented_distance`).
     """
 
-    def __init__(
-        self,
-        terrain: "TerrainFile",
-        frame: Frame,
-        *,
-        error: str = "measured",
-        progress: ProgressCallback | None = None,
-        orientation: bool = False,
-    ) -> None:
-        super().__init__(terrain, frame, error=error, progress=progress)
-        if orientation and error != "measured":
+    def __init__(self, needs: ModeNeeds, *, orientation: bool = False) -> None:
+        super().__init__(needs)
+        if orientation and self.error != "measured":
             raise InvalidArgumentError(
-                f"found `orientation` and `error` {error!r}, expected `error` 'measured'"
+                f"found `orientation` and `error` {self.error!r}, expected `error` 'measured'"
             )
         self.is_oriented = orientation
 

@@ -4,27 +4,14 @@ Each patch has a Haar quadtree of its own, over some samples of its neighbours a
 raster goes on, a mesh ends short of its last samples, over a neighbour's, with skirts.
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.grid.quadtree import Region
-from terrainwave.progress import ProgressCallback
-from terrainwave.render.modes.front import (
-    MORPH,
-    Drawn,
-    FrontMode,
-    FrontPatch,
-    PatchFrame,
-    Sides,
-)
-from terrainwave.render.scene.frame import Frame
+from terrainwave.render.modes.front import MORPH, Drawn, FrontMode, FrontPatch, PatchFrame, Sides
+from terrainwave.render.modes.mode import ModeNeeds
 from terrainwave.render.scene.selection import Piece
-from terrainwave.tri.dynamic.dynamic import DynamicMesh, Eye, Followed
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
+from terrainwave.tri.dynamic.dynamic import DynamicMesh
+from terrainwave.tri.followed import Eye, Followed
 
 
 class Dynamic(FrontMode):
@@ -47,22 +34,13 @@ class Dynamic(FrontMode):
     cells = 31 * apron
     sample_bytes = 11
 
-    def __init__(
-        self,
-        terrain: "TerrainFile",
-        frame: Frame,
-        *,
-        error: str = "measured",
-        progress: ProgressCallback | None = None,
-        stepwise: bool = False,
-    ) -> None:
-        super().__init__(terrain, frame, error=error)
+    def __init__(self, needs: ModeNeeds, *, stepwise: bool = False) -> None:
+        super().__init__(needs)
         self._is_stepwise = stepwise
 
     def make_mesh(
         self,
         piece: Piece,
-        region: Region,
         heights: NDArray[np.float64],
         matrix: tuple[float, ...],
         base_error: float,
@@ -89,8 +67,8 @@ class Dynamic(FrontMode):
         """
         if level < self.n_levels - 1:
             return 0.0  # trees have measured it
-        steps = (np.abs(np.diff(heights, axis=axis)) for axis in (0, 1))
-        return sum(float(np.max(step, initial=0.0, where=~np.isnan(step))) for step in steps)
+        rises = (np.abs(np.diff(heights, axis=axis)) for axis in (0, 1))
+        return sum(float(np.max(rise, initial=0.0, where=~np.isnan(rise))) for rise in rises)
 
     def follow(self, patch: FrontPatch, eye: Eye, tau: float, max_vertices: int) -> Followed:
         """Bring the marks of a patch up to date with a view."""

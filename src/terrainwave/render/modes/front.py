@@ -14,31 +14,21 @@ are not here yet: it is drawn with a τ that its level is worth, not with all of
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.grid.quadtree import Block, Region
-from terrainwave.progress import ProgressCallback
 from terrainwave.read.decoder import units_of
-from terrainwave.render.modes.mode import Frames, Mode
+from terrainwave.render.modes.mode import Frames, Mode, ModeNeeds
 from terrainwave.render.scene.camera import Camera, focal_length, slant
-from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.patches import Cancelled
-from terrainwave.render.scene.scales import (
-    FLOAT32_ROUNDING,
-    HeightScale,
-    Texels,
-)
+from terrainwave.render.scene.scales import FLOAT32_ROUNDING, HeightScale, Texels
 from terrainwave.render.scene.selection import NodeInfo, NodeTable, Piece, Selection, View
-from terrainwave.tri.dynamic.budget import Pressure
-from terrainwave.tri.dynamic.dynamic import Eye, Followed
-from terrainwave.tri.rqt.errors import twist_of
+from terrainwave.tri.followed import Eye, Followed, Pressure
+from terrainwave.tri.rqt.vertex_errors import twist_of
 from terrainwave.tri.scratch import Scratch
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 MAX_VERTICES = 4_000_000
 # λ: vertices move while errors go from τ / λ to τ.
@@ -92,7 +82,7 @@ class PatchFrame(NamedTuple):
     error: float
 
 
-class Samples(NamedTuple):
+class PatchSamples(NamedTuple):
     """A rectangle of a level.
 
     Parameters
@@ -121,7 +111,7 @@ class FrontPatch:
     matrix : tuple of float
         How its samples lie in local metres, counted from its first.
     slopes : ndarray of float16, shape (n_rows, n_cols, 3)
-        See `Samples`.
+        See `PatchSamples`.
     mesh : object, optional
         None where there is nothing to draw.
     error : float
@@ -198,15 +188,9 @@ class FrontMode(Mode):
     apron: int = 0
     sample_bytes: int
 
-    def __init__(
-        self,
-        terrain: "TerrainFile",
-        frame: Frame,
-        *,
-        error: str = "measured",
-        progress: ProgressCallback | None = None,
-    ) -> None:
-        super().__init__(terrain, frame, error=error)
+    def __init__(self, needs: ModeNeeds) -> None:
+        super().__init__(needs)
+        terrain, frame = self.terrain, self.frame
         self._scale = HeightScale.of(terrain, frame)
         self._texels = Texels(frame, self._scale)
         self._patches: dict[Piece, FrontPatch] = {}
@@ -300,7 +284,7 @@ class FrontMode(Mode):
         if level < self.n_levels - 1:
             error = max(terrain.block_error(block) for block in blocks)
         largest = max(abs(height) for height in self.frame.heights)
-        return (error + largest * FLOAT32_ROUNDING) * self.frame.metres[2]
+        return (error + largest * FLOAT32_ROUNDING) * self.frame.error_metres
 
     # In worker threads
 
@@ -321,14 +305,18 @@ class FrontMode(Mode):
         if min(region.shape) > 1 and not np.isnan(samples.heights).all():
             if piece.level < self.n_levels - 1:  # originals lie between samples, too
                 error += twist_of(samples.heights)
-            mesh = self.make_mesh(piece, region, samples.heights, matrix, error, open_sides)
+            mesh = self.make_mesh(piece, samples.heights, matrix, error, open_sides)
         side = self.side
         return FrontPatch(
             piece, region, open_sides, matrix, samples.slopes, mesh, error, children, side,
             self.sample_bytes * side * side, self.between(piece.level, samples.heights),
         )  # fmt: skip
 
-    def between(self, level: int, heights: NDArray[np.float64]) -> float:
+    def between(
+        self,
+        level: int,  # noqa: ARG002, as modes whose coarse levels lack originals need both
+        heights: NDArray[np.float64],  # noqa: ARG002
+    ) -> float:
         """Return how much further triangles may be from originals between samples than at them.
 
         For skirts alone: where levels have all originals, these are at samples.
@@ -339,7 +327,6 @@ class FrontMode(Mode):
     def make_mesh(
         self,
         piece: Piece,
-        region: Region,
         heights: NDArray[np.float64],
         matrix: tuple[float, ...],
         base_error: float,
@@ -347,7 +334,7 @@ class FrontMode(Mode):
     ) -> Any:
         """Return the mesh of a patch. Thread-safe."""
 
-    def read(self, level: int, region: Region) -> Samples:
+    def read(self, level: int, region: Region) -> PatchSamples:
         """Return samples of a level. Thread-safe."""
         terrain = self.terrain
         whole = Region(0, 0, *terrain.grid.level_shape(level))
@@ -361,7 +348,7 @@ class FrontMode(Mode):
         slopes = self._texels.of(
             (quanta, mask), first, region.shape, region.shape, terrain.grid.stride(level)
         )
-        return Samples(region, heights, slopes)
+        return PatchSamples(region, heights, slopes)
 
     # As pieces come and go
 

@@ -1,6 +1,5 @@
 """Every finest block, a part at a time: the reference that the others are compared with."""
 
-from terrainwave.progress import ProgressCallback
 from terrainwave.render.modes.adaptive import Adaptive
 
 
@@ -12,13 +11,13 @@ class Full(Adaptive):
     is_partwise = True
 
     @classmethod
-    def preparation(cls, error: str) -> str | None:
+    def preparation(cls, error: str) -> str | None:  # noqa: ARG003, as in `Mode`
         """Return None: errors choose nothing here."""
         return None
 
-    def _recursive_errors(self, progress: ProgressCallback | None) -> None:
+    def _recursive_errors(self) -> None:
         """Return no errors: they choose nothing here."""
 
-    def split_error(self, tau: float) -> float:
+    def split_error(self, tau: float) -> float:  # noqa: ARG002, as in `Mode`
         """Return a negative error: all pieces are split."""
         return -1.0

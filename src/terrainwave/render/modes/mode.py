@@ -18,9 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.errors import (
-    InvalidArgumentError,
-)
+from terrainwave.errors import InvalidArgumentError
 from terrainwave.progress import ProgressCallback
 from terrainwave.render.scene.camera import Camera, Viewport, gamma_guaranteed, gamma_paper
 from terrainwave.render.scene.frame import Frame
@@ -61,8 +59,8 @@ class Frames(NamedTuple):
     n_missing: int
 
 
-class Mode(ABC):
-    """A way to draw a terrain. Thread-safe where it says so.
+class ModeNeeds(NamedTuple):
+    """What every mode needs.
 
     Parameters
     ----------
@@ -70,10 +68,20 @@ class Mode(ABC):
     frame : Frame
         Local metres; its exaggeration is not used: the GPU applies it.
     error : str
-        One of `errors`: errors and γ that hold everywhere ("measured"), those of its paper
-        ("paper"), or the file's wavelet coefficients ("coefficient").
+        One of the mode's `errors`: errors and γ that hold everywhere ("measured"), those of its
+        paper ("paper"), or the file's wavelet coefficients ("coefficient").
     progress : callable, optional
         Called with a `Progress` where the mode prepares for long.
+    """
+
+    terrain: "TerrainFile"
+    frame: Frame
+    error: str = ERRORS[0]
+    progress: ProgressCallback | None = None
+
+
+class Mode(ABC):
+    """A way to draw a terrain. Thread-safe where it says so.
 
     Attributes
     ----------
@@ -102,24 +110,17 @@ class Mode(ABC):
     is_oriented = False
     max_triangles = MAX_TRIANGLES
 
-    def __init__(
-        self,
-        terrain: "TerrainFile",
-        frame: Frame,
-        *,
-        error: str = "measured",
-        progress: ProgressCallback | None = None,
-    ) -> None:
-        if error not in self.errors:
+    def __init__(self, needs: ModeNeeds) -> None:
+        if needs.error not in self.errors:
             raise InvalidArgumentError(
-                f"found `error` {error!r} in mode {self.name}, expected one of"
+                f"found `error` {needs.error!r} in mode {self.name}, expected one of"
                 f" {', '.join(self.errors)}"
             )
-        self.terrain, self.frame, self.error = terrain, frame, error
-        self.n_levels = terrain.n_levels
+        self.terrain, self.frame, self.error, self.progress = needs
+        self.n_levels = self.terrain.n_levels
 
     @classmethod
-    def preparation(cls, error: str) -> str | None:
+    def preparation(cls, error: str) -> str | None:  # noqa: ARG003, as some modes need it
         """Say what is decoded before the first picture, and what for; None if that is little."""
         return None
 
@@ -180,7 +181,12 @@ class Mode(ABC):
         """Return the nodes to have in memory for a camera, the most urgent first."""
         return table.wanted(view, max_blocks, tau, camera)
 
-    def spare(self, table: NodeTable, view: View, max_blocks: int) -> NDArray[np.int32]:
+    def spare(
+        self,
+        table: NodeTable,  # noqa: ARG002, as modes that read ahead need all three
+        view: View,  # noqa: ARG002
+        max_blocks: int,  # noqa: ARG002
+    ) -> NDArray[np.int32]:
         """Return the pieces to have besides, once all that is wanted is here."""
         return np.empty(0, dtype=np.int32)
 

@@ -1,10 +1,11 @@
-"""Neville filters of order 2 or 4 (Kovačević, Sweldens 2000) as Zhang et al. 2012, §1, have them.
+"""Neville filters of order 2 or 4 (Kovačević, Sweldens 2000), weighted as by Zhang et al. 2012.
 
-They predict a sample from those around it: on a line from the two beside it by ½, or from four by
-9/16 and -1/16; in the middle of four by ¼ each, or by 10/32 each less 1/32 of the eight beside
-those (Zhang et al., fig. 2). A level is made of the finer one by their update, a quarter of the
-transposed filters: half of it on a line. Samples of levels then nest as the file's do, and no level
-has to be made of the finest one: that of one block needs the file's next finer level under it.
+Theirs make a sample of the 4 x 4 around it (§1, eq. 1). Here they predict a sample from those
+around it: on a line from the two beside it by ½, or from four by 9/16 and -1/16; in the middle of
+four by ¼ each, or by 10/32 each less 1/32 of the eight beside those (fig. 2). A level is made of
+the finer one by their update, a quarter of the transposed filters: half of it on a line. Samples of
+levels then nest as the file's do, and no level has to be made of the finest one: that of one block
+needs the file's next finer level under it.
 
 Zhang, Zhang, Zhang: GPU-based real-time terrain rendering algorithm using batched LOD. Journal of
 Image and Graphics 17(4), 2012, pp. 582–588. Kovačević, Sweldens: Wavelet families of increasing

@@ -4,26 +4,18 @@ Their tiles are patches here: they are read and decoded by workers as they come 
 parent that is not good enough, which stands in for them until they are here.
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.grid.quadtree import Region
-from terrainwave.progress import ProgressCallback
-from terrainwave.read.tiles import Tiles, with_coefficients
+from terrainwave.read.tile_decoder import Tiles, with_coefficients
 from terrainwave.render.modes.front import Drawn, FrontMode, FrontPatch, PatchFrame, Sides
-from terrainwave.render.modes.mode import ERRORS
-from terrainwave.render.scene.frame import Frame
+from terrainwave.render.modes.mode import ERRORS, ModeNeeds
 from terrainwave.render.scene.selection import Piece
-from terrainwave.tri.dynamic.dynamic import Eye, Followed
+from terrainwave.tri.followed import Eye, Followed
 from terrainwave.tri.rqt.view import RestrictedMesh
 
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
-
-class Rqt(FrontMode):
+class RqtMode(FrontMode):
     """A restricted quadtree of one tile for each patch."""
 
     name = "rqt"
@@ -31,23 +23,15 @@ class Rqt(FrontMode):
     cells = 256
     sample_bytes = 12
 
-    def __init__(
-        self,
-        terrain: "TerrainFile",
-        frame: Frame,
-        *,
-        error: str = "measured",
-        progress: ProgressCallback | None = None,
-    ) -> None:
-        super().__init__(terrain, frame, error=error)
+    def __init__(self, needs: ModeNeeds) -> None:
+        super().__init__(needs)
         self._tiles: Tiles | None = None
-        if error == "coefficient":
-            self._tiles = with_coefficients(terrain.decoder)
+        if self.error == "coefficient":
+            self._tiles = with_coefficients(self.terrain.decoder)
 
     def make_mesh(
         self,
         piece: Piece,
-        region: Region,
         heights: NDArray[np.float64],
         matrix: tuple[float, ...],
         base_error: float,
@@ -60,16 +44,17 @@ class Rqt(FrontMode):
             sample_matrix=matrix,
             error=self.error,
             base_error=base_error,
-            coefficients=self._coefficients(piece.level, region),
+            coefficients=self._coefficients(piece),
             open_sides=open_sides,
             scratch=self.scratch,
         )
 
-    def _coefficients(self, level: int, region: Region) -> NDArray[np.float64] | None:
+    def _coefficients(self, piece: Piece) -> NDArray[np.float64] | None:
         """Return the magnitudes of the file's coefficients in metres; None without `error`."""
         if self._tiles is None:
             return None
-        quanta = self._tiles.coefficients(level, region)
+        region, _ = self.region(piece)
+        quanta = self._tiles.coefficients(piece.level, region)
         return np.multiply(quanta, abs(self._scale.per_quantum), dtype=np.float64)
 
     def frame_of(self, patch: FrontPatch, eye: Eye, followed: Followed) -> PatchFrame:

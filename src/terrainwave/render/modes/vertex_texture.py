@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.render.modes.dynamic import Dynamic
-from terrainwave.tri.dynamic.dynamic import Eye
+from terrainwave.tri.followed import Eye
 
 
 class VertexTexture(Dynamic):

@@ -46,12 +46,12 @@ class Motion:
         """Say whether the camera is somewhere else than its motion, or its rest, explains."""
         first, last = self._seen[0], self._seen[-1]
         seconds = last[0] - first[0]
-        step = float(np.linalg.norm(camera.eye - last[1].eye))
+        way = float(np.linalg.norm(camera.eye - last[1].eye))
         if len(self._seen) < _LEAST_MOTIONS or seconds <= 0:
             return False
         speed = float(np.linalg.norm(last[1].eye - first[1].eye)) / seconds
         steady = speed * max(now - last[0], 1e-3)
-        return step > _JUMP * steady and speed > 0
+        return way > _JUMP * steady and speed > 0
 
     def ahead(self) -> list[Camera]:
         """Return where the camera will be after `AHEAD` seconds if it goes on; none if it rests."""

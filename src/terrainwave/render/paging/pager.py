@@ -12,7 +12,7 @@ from terrainwave.render.scene.patches import Cancelled
 _KEPT_TIMES = 4096
 
 
-class Outcome(NamedTuple):
+class Arrival(NamedTuple):
     """A result, or why there is none."""
 
     key: Any
@@ -56,7 +56,7 @@ class Pager:
         self._max_ready = max_ready
         self._queue: deque[Hashable] = deque()
         self._running: dict[Hashable, _Running] = {}
-        self._ready: deque[Outcome] = deque()
+        self._ready: deque[Arrival] = deque()
         self._ready_keys: set[Hashable] = set()
         self._changed = threading.Condition()
         self._is_closed = False
@@ -83,7 +83,7 @@ class Pager:
             )
             self._changed.notify_all()
 
-    def take(self, max_items: int) -> list[Outcome]:
+    def take(self, max_items: int) -> list[Arrival]:
         """Return finished results, at most `max_items`; never waits for work."""
         with self._changed:
             outcomes = [self._ready.popleft() for _ in range(min(max_items, len(self._ready)))]
@@ -138,11 +138,11 @@ class Pager:
                     self._ready_keys.add(key)
                 self._changed.notify_all()
 
-    def _attempt(self, key: Hashable, running: _Running) -> Outcome | None:
+    def _attempt(self, key: Hashable, running: _Running) -> Arrival | None:
         try:
             value = self._build(key, lambda: not running.is_wanted)
         except Cancelled:
             return None
         except Exception as error:  # noqa: BLE001  the thread that draws decides what it means
-            return Outcome(key, None, error)
-        return Outcome(key, value, None)
+            return Arrival(key, None, error)
+        return Arrival(key, value, None)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from terrainwave.errors import LimitExceededError, TerrainwaveError
 from terrainwave.progress import ProgressCallback
 from terrainwave.render.modes import mode_class, options_of
-from terrainwave.render.modes.mode import MAX_TRIANGLES, Frames, Mode
+from terrainwave.render.modes.mode import MAX_TRIANGLES, Frames, Mode, ModeNeeds
 from terrainwave.render.paging.motion import Motion
-from terrainwave.render.paging.pager import Outcome, Pager
+from terrainwave.render.paging.pager import Arrival, Pager
 from terrainwave.render.paging.problems import Problems, replies_of
 from terrainwave.render.paging.read_ahead import PATIENCE, read_ahead_of
 from terrainwave.render.scene.camera import Camera, Viewport
@@ -50,7 +50,7 @@ _MOST_ASKED = 64
 _NO_ROOM = "a block does not fit the memory allowed for pictures"
 
 
-class Store(Protocol):
+class PieceStore(Protocol):
     """Where what `Mode.build` returns is kept to be drawn: the GPU, or a list in tests."""
 
     @property
@@ -120,7 +120,7 @@ class Scene:
     def __init__(
         self,
         terrain: "TerrainFile",
-        store: Store,
+        store: PieceStore,
         *,
         mode: str = "adaptive",
         error: str = "measured",
@@ -142,9 +142,8 @@ class Scene:
         self.options = given = options_of(
             mode, detail=detail, order=order, stepwise=stepwise, orientation=orientation
         )
-        self.mode: Mode = mode_class(mode)(
-            terrain, self.frame, error=error, progress=progress, **given
-        )
+        needs = ModeNeeds(terrain, self.frame, error, progress)
+        self.mode: Mode = mode_class(mode)(needs, **given)
         self.store = store
         self.table = NodeTable()
         self.mode.max_triangles = max_triangles
@@ -347,7 +346,7 @@ class Scene:
                 self._requested = []  # what could not be kept is asked for again
             self._take_in(view, taken[0], needs)
 
-    def _take_in(self, view: View, outcome: Outcome, needs: NDArray[np.int8]) -> None:
+    def _take_in(self, view: View, outcome: Arrival, needs: NDArray[np.int8]) -> None:
         """Keep what was built, or note why it could not be."""
         piece, built, error = outcome
         node = self.table.find(piece)

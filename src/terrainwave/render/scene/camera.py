@@ -11,9 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.errors import (
-    InvalidArgumentError,
-)
+from terrainwave.errors import InvalidArgumentError
 from terrainwave.render.scene.frame import Frame
 
 Vector = NDArray[np.float64]

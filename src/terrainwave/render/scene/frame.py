@@ -1,7 +1,6 @@
 """Local metres: x east, y north, z up, from the middle of the raster."""
 
 import math
-import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -9,11 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.errors import (
-    InvalidArgumentError,
-    InvalidHeightsError,
-    TerrainwaveWarning,
-)
+from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.grid.affine import IDENTITY, pixels_to_places, samples_to_places
 from terrainwave.place.bodies import UNKNOWN
 from terrainwave.place.position import LocalAxes, place_of
@@ -41,7 +36,8 @@ class Frame:
     centre : tuple of float
         x, y in the CRS of the local origin.
     metres : tuple of float
-        Metres per unit of x, y and height, without exaggeration; all > 0.
+        Metres per unit of x, y and height, without exaggeration; > 0, but for heights that are
+        depths: up is positive in local metres.
     sample_matrix : tuple of float
         (a, b, c, d, e, f): local x = a col + b row + c, y = d col + e row + f of full-grid samples.
     shape : tuple of int
@@ -79,6 +75,11 @@ class Frame:
         low, high = np.array([*xy.min(axis=0), z.min()]), np.array([*xy.max(axis=0), z.max()])
         low.flags.writeable = high.flags.writeable = False
         return low, high
+
+    @property
+    def error_metres(self) -> float:
+        """Return the metres per unit of an error: > 0, of depths, too."""
+        return abs(self.metres[2])
 
     @cached_property
     def spacing(self) -> float:
@@ -179,7 +180,7 @@ class Frame:
 def round_length(largest: float) -> float:
     """Return the largest of 1, 2, 5 times a power of ten that is not above `largest` (> 0)."""
     power = 10.0 ** math.floor(math.log10(largest))
-    return max(step * power for step in (1, 2, 5) if step * power <= largest * (1 + 1e-12))
+    return max(digit * power for digit in (1, 2, 5) if digit * power <= largest * (1 + 1e-12))
 
 
 def check_drawable(terrain: "TerrainFile") -> None:
@@ -229,15 +230,10 @@ def frame_of(
     first = axes.matrix @ np.array([x[0] - centre_x, y[0] - centre_y])
     info = terrain.info()
     unit = height_unit(raster.units, raster.crs)
-    if unit.metres < 0:
-        warnings.warn(
-            "the coordinate reference system counts depths downwards; they are drawn as heights",
-            TerrainwaveWarning,
-            stacklevel=2,
-        )
+    unit.note_depths()
     frame = Frame(
         (centre_x, centre_y),
-        (*axes.lengths, abs(unit.metres)),
+        (*axes.lengths, unit.metres),
         (*linear[0].tolist(), float(first[0]), *linear[1].tolist(), float(first[1])),
         terrain.shape,
         (info.minimum or 0.0, info.maximum or 0.0),

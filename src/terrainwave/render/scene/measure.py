@@ -84,19 +84,19 @@ class Ruler:
             terrain.crs, terrain.bounds, is_placed=is_placed, radius=radius
         )
 
-    def steps(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    def lengths(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the metres from each place to the next, which is near it; shape (n - 1,).
 
         On an ellipsoid by its radii of curvature halfway.
         """
-        steps = np.diff(places, axis=0) * self._place.unit
+        lengths = np.diff(places, axis=0) * self._place.unit
         axis = self._place.longitude_axis
         if axis is None:
-            return np.hypot(steps[:, 0], steps[:, 1])
+            return np.hypot(lengths[:, 0], lengths[:, 1])
         middles = (places[:-1, 1 - axis] + places[1:, 1 - axis]) / 2 * self._place.unit
         radii = np.array([self._place.ellipsoid.radii(latitude) for latitude in middles])
-        east = np.radians(steps[:, axis]) * radii[:, 1] * np.cos(np.radians(middles))
-        return np.hypot(east, np.radians(steps[:, 1 - axis]) * radii[:, 0])
+        east = np.radians(lengths[:, axis]) * radii[:, 1] * np.cos(np.radians(middles))
+        return np.hypot(east, np.radians(lengths[:, 1 - axis]) * radii[:, 0])
 
 
 def read_profile(
@@ -117,7 +117,7 @@ def read_profile(
         n = max(math.ceil(pixels), 1)
         parts.append(start + (end - start) * (np.arange(1, n + 1) / n)[:, None])
     places = np.concatenate(parts)
-    distances = np.concatenate([[0.0], np.cumsum(ruler.steps(places))])
+    distances = np.concatenate([[0.0], np.cumsum(ruler.lengths(places))])
     per_height = abs(height_unit(terrain.raster_info.units, terrain.crs).metres)
     return Profile(places, distances, terrain.sample(places), per_height)
 

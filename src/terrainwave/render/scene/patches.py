@@ -23,8 +23,8 @@ from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.patch_kernels import SKIRT_FLAG, bilinear_at, border_edges, surface_at
 from terrainwave.render.scene.scales import FLOAT32_ROUNDING, HeightScale, Texels
 from terrainwave.render.scene.selection import NodeInfo, Piece
-from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
-from terrainwave.tri.surface import deviation_from_bilinear
+from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
+from terrainwave.tri.mesh_distance import deviation_from_bilinear
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
@@ -158,7 +158,7 @@ class PatchBuilder:
         tolerance = (
             self._variant_tolerance(variant) / (1 << FRACTION_BITS) * abs(self._scale.per_quantum)
         )
-        return self._terrain.quanta_error * self._frame.metres[2] + tolerance
+        return self._terrain.quanta_error * self._frame.error_metres + tolerance
 
     def _variant_tolerance(self, variant: int) -> int:
         own = max(self._terrain.header.mesh_tolerance, 1 << FRACTION_BITS)
@@ -187,7 +187,7 @@ class PatchBuilder:
         if piece.variant:
             return self._variant_error(piece.variant)
         terrain, block = self._terrain, piece.block
-        per_unit = self._frame.metres[2]
+        per_unit = self._frame.error_metres
         is_unbounded = terrain.mesh_kind in UNBOUNDED_MESHES
         if is_unbounded or (self._recursive is None and terrain.mesh_kind != "none"):
             return terrain.mesh_error(block) * per_unit
@@ -269,7 +269,7 @@ class PatchBuilder:
         samples = self._mesher.samples(block)
         stride = terrain.grid.stride(block.level)
         apart = deviation_from_bilinear(mesh, stride, samples.heights, samples.mask)
-        bilinear = terrain.block_error(block) * self._frame.metres[2]
+        bilinear = terrain.block_error(block) * self._frame.error_metres
         return bilinear + apart / (1 << FRACTION_BITS) * abs(self._scale.per_quantum)
 
     def _parent_heights(

@@ -11,7 +11,7 @@ from terrainwave.coding.jit import kernel
 N_PLANES = 5
 
 
-class Nodes(NamedTuple):
+class NodeArrays(NamedTuple):
     """What kernels know of nodes, by number: boxes and errors in metres, children or -1."""
 
     low: NDArray[np.float64]
@@ -93,7 +93,7 @@ def oriented_distance(eye, low_x, low_y, low_z, high_x, high_y, high_z):
 
 # What `View.lens` holds: pixels per unit of tangent, the largest (distance / depth)² in view, the
 # largest K² there (see `pixels_per_metre`), the view's direction.
-LENS_SCALE, LENS_SLANT, LENS_STEP, LENS_X, LENS_Y, LENS_Z = range(6)
+LENS_SCALE, LENS_SLANT, LENS_RISE, LENS_X, LENS_Y, LENS_Z = range(6)
 # Pixels per metre that count as none.
 LEAST_SCALE = 1e-12
 
@@ -133,20 +133,20 @@ def pixels_per_metre(eye, low_x, low_y, low_z, high_x, high_y, high_z, lens, is_
     half_x, half_y, half_z = (high_x - low_x) / 2, (high_y - low_y) / 2, (high_z - low_z) / 2
     depth = x * lens[LENS_X] + y * lens[LENS_Y] + z * lens[LENS_Z]
     depth -= half_x * abs(lens[LENS_X]) + half_y * abs(lens[LENS_Y]) + half_z * abs(lens[LENS_Z])
-    step = lens[LENS_STEP]
+    rise = lens[LENS_RISE]
     if depth > 0:
-        step = min(step, _largest_step(x, y, z, half_x, half_y, half_z, lens))
+        rise = min(rise, _largest_rise(x, y, z, half_x, half_y, half_z, lens))
     if not is_oriented:
-        step = max(step, 1.0)
+        rise = max(rise, 1.0)
     depth = max(depth, distance / np.sqrt(lens[LENS_SLANT]))
-    least = np.sqrt(step) / depth if depth > 0 else np.inf
+    least = np.sqrt(rise) / depth if depth > 0 else np.inf
     if is_oriented:
         least = min(least, lens[LENS_SLANT] / oriented)
     return lens[LENS_SCALE] * least
 
 
 @kernel
-def _largest_step(x, y, z, half_x, half_y, half_z, lens):
+def _largest_rise(x, y, z, half_x, half_y, half_z, lens):
     """Return the largest K² of a box before the eye, given by its centre and halves."""
     largest, sine = 0.0, lens[LENS_Z]
     for k in range(8):

@@ -17,7 +17,7 @@ from terrainwave.grid.quadtree import Block
 from terrainwave.render.scene.camera import Camera, Viewport, focal_length, gamma_guaranteed, slant
 from terrainwave.render.scene.frustum import frustum_planes
 from terrainwave.render.scene.select_kernels import (
-    Nodes,
+    NodeArrays,
     Sight,
     bounded_errors,
     fine_nodes,
@@ -143,8 +143,8 @@ class View:
         scale = focal_length(self.camera, self.viewport)
         up, right = self.viewport.height / 2 / scale, self.viewport.width / 2 / scale
         sine, cosine = forward[2], math.hypot(*forward[:2])
-        step = (right * sine) ** 2 + (cosine + abs(sine) * up) ** 2
-        return np.array([scale, slant(self.camera, self.viewport) ** 2, step, *forward])
+        rise = (right * sine) ** 2 + (cosine + abs(sine) * up) ** 2
+        return np.array([scale, slant(self.camera, self.viewport) ** 2, rise, *forward])
 
     def tolerance(self, tau: float | None = None) -> NDArray[np.float64]:
         """Return what `select_kernels.is_fine` takes, of another τ than the view's."""
@@ -249,8 +249,10 @@ class NodeTable:
         self.errors[node], self.n_triangles[node] = built.error, built.n_triangles
         self.bases[node], self.morphs[node] = built.base, built.morph
 
-    def _arrays(self) -> Nodes:
-        return Nodes(self.low, self.high, self.errors, self.spacings, self.children, self.is_known)
+    def _arrays(self) -> NodeArrays:
+        return NodeArrays(
+            self.low, self.high, self.errors, self.spacings, self.children, self.is_known
+        )
 
     def boxes(
         self, nodes: NDArray[np.int32], exaggeration: float

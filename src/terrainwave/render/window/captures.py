@@ -6,7 +6,7 @@ import threading
 import time
 from pathlib import Path
 
-from terrainwave.container.publish import publish
+from terrainwave.container.targets.publication import publish
 from terrainwave.errors import StorageError
 
 # A flight is a key in each such time, so that `render --flight` flies it evenly.

@@ -186,14 +186,14 @@ class Controls:
         else:
             self.camera = orbit(self.camera, self._pivot, dx * _ORBIT_SPEED, -dy * _ORBIT_SPEED)
 
-    def scroll(self, steps: float, point: Vector | None) -> None:
+    def scroll(self, notches: float, point: Vector | None) -> None:
         """Zoom to a point, or change the speed; positive is away from the user."""
         if self.is_flying:
-            self.pace = min(max(self.pace * _SPEED_STEP**steps, _SLOWEST), _FASTEST)
+            self.pace = min(max(self.pace * _SPEED_STEP**notches, _SLOWEST), _FASTEST)
         elif point is not None:
-            self.camera = zoom(self.camera, point, _ZOOM_STEP**steps)
+            self.camera = zoom(self.camera, point, _ZOOM_STEP**notches)
         else:
-            self.camera = fly(self.camera, 0.0, 0.0, self.speed * 0.5 * steps)
+            self.camera = fly(self.camera, 0.0, 0.0, self.speed * 0.5 * notches)
 
 
 def _next(names: list[str], name: str) -> str:

@@ -3,15 +3,12 @@
 import json
 import time
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.errors import (
-    InvalidArgumentError,
-    InvalidHeightsError,
-)
+from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.marks import draw_marks, legend_of
 from terrainwave.render.modes.mode import Frames
@@ -30,63 +27,70 @@ if TYPE_CHECKING:
     from terrainwave.render.look.style import Style
 
 _MAX_KEYS = 100_000
+_FLIGHT = 'a JSON list of cameras: ["x,y,z,heading,pitch,fov", ...]'
 _OVERVIEW_SIDE = 257
+
+
+class ShownArea(NamedTuple):
+    """A part of a terrain: bounds in its CRS, and the lowest and highest height within."""
+
+    bounds: tuple[float, float, float, float]
+    heights: tuple[float, float]
 
 
 def choose_camera(
     frame: Frame,
     viewport: Viewport,
     camera: str | None = None,
-    bounds: Sequence[float] | None = None,
-    heights: tuple[float, float] | None = None,
+    area: ShownArea | None = None,
 ) -> Camera:
-    """Return the camera that a line describes, or one that shows bounds (CRS) or everything.
-
-    `heights` are the lowest and highest within `bounds`, in the file's unit.
+    """Return the camera that a line describes, or one that shows an area or everything.
 
     Raises
     ------
     InvalidArgumentError
-        If the line is none, both are given, or the bounds are empty.
+        If the line is none, or both are given.
     """
     if camera is not None:
-        if bounds is not None:
+        if area is not None:
             raise InvalidArgumentError("found both `camera` and `bounds`, expected one of them")
         return parse_camera(camera, frame)
     low, high = frame.solid_box
-    if bounds is not None:
-        left, bottom, right, top = bounds
-        if not (left < right and bottom < top):
-            raise InvalidArgumentError(
-                f"found `bounds` {tuple(bounds)}, expected left < right and bottom < top"
-            )
+    if area is not None:
+        left, bottom, right, top = area.bounds
         ends = frame.to_local(np.array([[left, bottom, 0.0], [right, top, 0.0]]))
-        if heights is not None:
-            low[2], high[2] = np.sort(np.array(heights) * frame.metres[2] * frame.exaggeration)
-        low, high = np.array([*ends[0, :2], low[2]]), np.array([*ends[1, :2], high[2]])
+        z = np.sort(np.array(area.heights) * frame.metres[2] * frame.exaggeration)
+        low, high = np.array([*ends[0, :2], z[0]]), np.array([*ends[1, :2], z[1]])
     return home((low, high), viewport)
 
 
-def heights_within(terrain: "TerrainFile", bounds: Sequence[float]) -> tuple[float, float]:
-    """Return the lowest and highest height within bounds, physical; of an overview: about.
+def area_within(terrain: "TerrainFile", bounds: Sequence[float]) -> ShownArea:
+    """Return the area within bounds; its heights are physical ones of an overview: about.
 
     Raises
     ------
+    InvalidArgumentError
+        If the bounds are empty.
     InvalidHeightsError
-        If the bounds miss the raster, or all within them is void.
+        If they miss the raster, or all within them is void.
     """
+    left, bottom, right, top = bounds
+    if not (left < right and bottom < top):
+        raise InvalidArgumentError(
+            f"found `bounds` {tuple(bounds)}, expected left < right and bottom < top"
+        )
     level = -1
     region = terrain.region(bounds=bounds, level=level)
     while max(region.shape) > _OVERVIEW_SIDE and level > -terrain.n_levels:
         level -= 1
         region = terrain.region(bounds=bounds, level=level)
     # A coarse sample is void only if all around it is.
-    raw, valid = terrain.read_with_mask(tuple(region), level=level, on_error="mask", voids="any")
+    raw, valid = terrain.read_with_mask(region, level=level, on_error="mask", voids="any")
     if not valid.any():
         raise InvalidHeightsError("the picture would show no terrain: all within `bounds` is void")
     raster = terrain.raster_info
     found = raw[valid].astype(np.float64) * raster.scale + raster.offset
-    return float(found.min()), float(found.max())
+    return ShownArea((left, bottom, right, top), (float(found.min()), float(found.max())))
 
 
 def read_flight(text: str, frame: Frame) -> list[Camera]:
@@ -100,15 +104,15 @@ def read_flight(text: str, frame: Frame) -> list[Camera]:
     try:
         keys = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InvalidHeightsError(f"the flight is not JSON: {error}") from error
+        raise InvalidHeightsError(
+            f"found a flight that is not JSON ({error}), expected {_FLIGHT}"
+        ) from error
     if (
         not isinstance(keys, list)
         or not 1 <= len(keys) <= _MAX_KEYS
         or not all(isinstance(key, str) for key in keys)
     ):
-        raise InvalidHeightsError(
-            'expected a flight as a JSON list of cameras: ["x,y,z,heading,pitch,fov", ...]'
-        )
+        raise InvalidHeightsError(f"found a flight of another form, expected {_FLIGHT}")
     return [parse_camera(key, frame) for key in keys]
 
 
@@ -119,7 +123,6 @@ def fly_through(
     style: "Style",
     max_pixel_error: float,
     *,
-    settle: bool = True,
     legend: bool = False,
     scale_bar: bool = False,
 ) -> Iterator[tuple[NDArray[np.uint8], dict[str, Any]]]:
@@ -133,9 +136,7 @@ def fly_through(
     for number in range(n_frames):
         camera = along(cameras, number / max(n_frames - 1, 1))
         started = time.perf_counter()
-        image, frames = canvas.picture(
-            camera, style, max_pixel_error=max_pixel_error, settle=settle
-        )
+        image, frames = canvas.picture(camera, style, max_pixel_error=max_pixel_error)
         seconds = time.perf_counter() - started
         if n_frames == 1 and canvas.is_blank():
             raise InvalidHeightsError(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.arguments import PICTURE_ENDINGS, check_ending
-from terrainwave.container.publish import publish
+from terrainwave.container.targets.publication import publish
 from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.export.plot import add_colour_bar, colours_of_heights, label_axes
 from terrainwave.extras import need
@@ -112,6 +112,7 @@ def view(
     *,
     size: tuple[int, int],
     camera: str | None,
+    bounds: Any,
     style: "Style",
     max_pixel_error: float,
     **options: Any,
@@ -123,8 +124,8 @@ def view(
     if not _in_notebook():
         try:
             run(
-                terrain, size=size, camera=camera, style=style, max_pixel_error=max_pixel_error,
-                **options,
+                terrain, size=size, camera=camera, bounds=bounds, style=style,
+                max_pixel_error=max_pixel_error, **options,
             )  # fmt: skip
             return None
         except TerrainwaveError:
@@ -132,12 +133,13 @@ def view(
             pass
     from terrainwave.render.gpu.canvas import Canvas
     from terrainwave.render.scene.camera import format_camera
-    from terrainwave.render.window.pictures import choose_camera
+    from terrainwave.render.window.pictures import area_within, choose_camera
 
+    area = None if bounds is None else area_within(terrain, bounds)
     with Canvas(terrain, size, **options) as canvas:
         frame = canvas.scene.frame
         style.check_body(frame.body)
-        chosen = choose_camera(frame, canvas.viewport, camera)
+        chosen = choose_camera(frame, canvas.viewport, camera, area)
         pixels, _ = canvas.picture(chosen, style, max_pixel_error=max_pixel_error)
     return Picture(pixels, format_camera(chosen, frame))
 

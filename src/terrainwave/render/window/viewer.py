@@ -4,6 +4,7 @@ import os
 import sys
 import time
 from collections import deque
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,9 +19,9 @@ from terrainwave.render.modes.mode import Frames
 from terrainwave.render.paging.background import Background, Outcome
 from terrainwave.render.paging.problems import replies_of
 from terrainwave.render.scene.frame import check_drawable
-from terrainwave.render.scene.solid import build_solid
+from terrainwave.render.scene.walls import build_solid
 from terrainwave.render.window.controls import HELP, Controls
-from terrainwave.render.window.pictures import choose_camera
+from terrainwave.render.window.pictures import area_within, choose_camera
 from terrainwave.render.window.session import Session
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ def run(
     *,
     size: tuple[int, int],
     camera: str | None,
+    bounds: Sequence[float] | None = None,
     style: "Style",
     max_pixel_error: float,
     max_bytes: int = DEFAULT_MAX_BYTES,
@@ -68,6 +70,7 @@ def run(
         If there is no display or no OpenGL 3.3; one line that says what to do.
     """
     check_drawable(terrain)
+    area = None if bounds is None else area_within(terrain, bounds)
     toolkit: Any = need("moderngl_window", extra="view", purpose="a window")
 
     arguments = ["--vsync", "true"] + (["--fullscreen"] if fullscreen else [])
@@ -89,7 +92,7 @@ def run(
         **options,
     ) as canvas:
         style.check_body(canvas.scene.frame.body)
-        first = choose_camera(canvas.scene.frame, canvas.viewport, camera)
+        first = choose_camera(canvas.scene.frame, canvas.viewport, camera, area)
         controls = Controls(canvas.scene, first, style, max_pixel_error)
         session = Session(canvas.scene, controls, _say, radius=options.get("radius"))
         viewer = config.viewer = Viewer(config.wnd, canvas, session, max_bytes)
@@ -335,9 +338,9 @@ class Viewer:
         """Take a movement with a button down into account."""
         self.controls.drag(dx, dy, is_right=bool(self._window.mouse_states.right))
 
-    def scroll(self, steps: float) -> None:
+    def scroll(self, notches: float) -> None:
         """Take the wheel into account."""
-        self.controls.scroll(steps, self._pick(*self.cursor))
+        self.controls.scroll(notches, self._pick(*self.cursor))
 
     def _pick(self, x: float, y: float) -> Any:
         ratio = self._window.pixel_ratio

@@ -28,10 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import inlined_kernel, kernel
-from terrainwave.errors import InvalidHeightsError
-from terrainwave.tri.dynamic.budget import Pressure, check_budget
 from terrainwave.tri.dynamic.haar import (
-    CLOSED,
     ERROR,
     FIRST,
     HIGH,
@@ -41,6 +38,7 @@ from terrainwave.tri.dynamic.haar import (
     HaarTree,
     build_tree,
 )
+from terrainwave.tri.followed import CLOSED, Eye, Followed, Pressure, check_budget, check_update
 from terrainwave.tri.scratch import Scratch
 
 # NotNullNode, NullSubTreeRoot, NullSubTreeSubNode: what is above roots, roots, what is below them.
@@ -54,73 +52,6 @@ _FIRST_CAPACITY = 4096
 # Sides of a cell in the order of fans, and where the neighbour lies.
 _TOP, _LEFT, _BOTTOM, _RIGHT = 0, 1, 2, 3
 _DOWN, _ACROSS = (-1, 0, 1, 0), (0, -1, 0, 1)
-
-
-class Eye(NamedTuple):
-    """What errors on screen depend on.
-
-    Parameters
-    ----------
-    position : ndarray of float64, shape (3,)
-        In the units of the mesh.
-    forward : ndarray of float64, shape (3,)
-        Unit vector along the axis of the view.
-    planes : ndarray of float64, shape (n_planes, 4)
-        Inward planes of what is in view: n·p + w >= 0 inside. Without any, all is.
-    focal : float
-        Focal length in pixels, the paper's f = d_near s / r_near: half the picture's diagonal over
-        the tangent of half its angle.
-    slant : float
-        Largest distance / depth in view, that of the picture's corners.
-    z_scale : float
-        Factor of heights.
-    """
-
-    position: NDArray[np.float64]
-    forward: NDArray[np.float64]
-    planes: NDArray[np.float64]
-    focal: float
-    slant: float
-    z_scale: float = 1.0
-
-
-def check_update(tau: float, morph: float) -> None:
-    """Check what meshes that follow a camera are asked for.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If τ is not > 0 or λ is not >= 1.
-    """
-    if not tau > 0 or not morph >= 1:
-        raise InvalidHeightsError(f"found tau {tau} and morph {morph}, expected > 0 and >= 1")
-
-
-class Followed(NamedTuple):
-    """What marks say after they have followed a view.
-
-    Parameters
-    ----------
-    threshold : float
-        Errors on screen below this were merged, pixels: τ, or τ / λ with a morph.
-    tau : float
-        Pixels; above what was asked for if the budget demands it.
-    within : float
-        What the mesh keeps with measured errors, pixels: τ, or more while steps lag behind.
-    n_vertices : int
-        Roots that are not void.
-    n_touched : int
-        Nodes that marking looked at.
-    n_changed : int
-        Nodes that became a root or ceased to be one; 0 where marks have settled.
-    """
-
-    threshold: float
-    tau: float
-    within: float
-    n_vertices: int
-    n_touched: int
-    n_changed: int
 
 
 class DynamicFrame(NamedTuple):

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.tri.followed import CLOSED
 
 # Rows of `HaarTree.layout`, one per height: first node, rows and columns of nodes.
 FIRST, N_ROWS, N_COLS = 0, 1, 2
@@ -41,7 +42,6 @@ ERROR, LOW, HIGH = 0, 1, 2
 # In place of an error: the node touches the outline.
 OUTLINE = -1.0
 MAX_TOP = 12
-CLOSED = False, False, False, False
 # A float32 is within this share of what it was rounded from.
 _ROUNDING = 2.0**-23
 

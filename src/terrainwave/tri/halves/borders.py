@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.tri.mesh import FRACTION_BITS
+from terrainwave.tri.block_mesh import FRACTION_BITS
 
 # Vertices on borders keep within 7/10 of the tolerance, to leave some to the triangles beside them.
 _SHARE_NUM, _SHARE_DEN = 7, 10

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
+from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh, no_mesh
 from terrainwave.tri.halves.certificates import refusal_stands, test_of
-from terrainwave.tri.halves.fit import scale_of
+from terrainwave.tri.halves.height_fit import scale_of
 from terrainwave.tri.halves.star import MAX_PROGRAM_HEIGHT, fit_rest, fit_star
 from terrainwave.tri.halves.workspace import (
     FREE,
@@ -35,7 +36,6 @@ from terrainwave.tri.halves.workspace import (
     fill_workspace,
     finished_mesh,
 )
-from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh, no_mesh
 
 # More than any interval of heights: no condition.
 _FAR = np.int64(1) << 40
@@ -275,8 +275,8 @@ def _move(work, plane, pitch, cell, place, height, sweep):
     top, bottom, left, right = cell
     vertices, sweeps = PLANES + VERTEX * plane, PLANES + SWEEP * plane
     for row in range(top, bottom + 1):
-        step = right - left if top < row < bottom and right - left >= WIDE else 1
-        for at in range(row * pitch + left, row * pitch + right + 1, step):
+        skip = right - left if top < row < bottom and right - left >= WIDE else 1
+        for at in range(row * pitch + left, row * pitch + right + 1, skip):
             work[np.uint64(vertices + 2 * at)] = place
             work[np.uint64(vertices + 2 * at + 1)] = height
             work[np.uint64(sweeps + at)] = sweep

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.tri.halves.fit import fit_triangle, scaled_heights
-from terrainwave.tri.mesh import BlockMesh
+from terrainwave.tri.block_mesh import BlockMesh
+from terrainwave.tri.halves.height_fit import fit_triangle, scaled_heights
 
 _MAX_DEGREE = 24
 # The degree of vertices with more triangles: these are not listed, the vertex stays as it is.

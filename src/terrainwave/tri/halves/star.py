@@ -8,7 +8,7 @@ import numpy as np
 
 from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
 from terrainwave.tri.halves.certificates import NO_TEST, ring_pair, write_refusal
-from terrainwave.tri.halves.fit import fit_triangle
+from terrainwave.tri.halves.height_fit import fit_triangle
 from terrainwave.tri.halves.workspace import (
     COL_MASK,
     FREE,
@@ -16,8 +16,8 @@ from terrainwave.tri.halves.workspace import (
     HIGH,
     LEVEL,
     LOW,
+    N_ENTRIES,
     N_SLOTS_LOG2,
-    N_STEPS,
     N_USED,
     OFFSETS,
     OTHERS,
@@ -35,9 +35,9 @@ _REACH, _REACH_BITS = 32, 6
 _IS_KEY = 1 << (4 * _REACH_BITS + 2)
 _HASH = 0x9E3779B1  # 2^32 over the golden ratio
 
-# A program: its first step and, in the low bits, how many it has; or a triangle without one.
+# A program: its first entry and, in the low bits, how many it has; or a triangle without one.
 _COUNT_BITS = 6
-_MAX_STEPS = (1 << _COUNT_BITS) - 1
+_MAX_ENTRIES = (1 << _COUNT_BITS) - 1
 _NO_PROGRAM = -1
 
 # Programs find the bounds (h * area - w_1 * z_1 - w_2 * z_2 -+ tolerance * area) / w_0 in float64.
@@ -85,9 +85,9 @@ def fit_star(work, floats, plane, pitch, has_table, cell, are_unmoved_known, tol
     low_pair = high_pair = ring_pair(home, at, at)
     n_others = 0
     for side in range(4):
-        step, count, at = _side_of(side, at, pitch, width, height)
+        stride, count, at = _side_of(side, at, pitch, width, height)
         for _ in range(count):
-            at += step
+            at += stride
             other = np.int64(work[np.uint64(vertices + 2 * at)])
             if other == place:
                 is_known_1 = False  # a vertex that a border line's samples share
@@ -136,7 +136,7 @@ def fit_star(work, floats, plane, pitch, has_table, cell, are_unmoved_known, tol
 def _by_program(work, floats, centre, program, z_1, z_2, tolerance, low, high):
     """Narrow an interval by the samples of a triangle that has a program."""
     first = program >> _COUNT_BITS
-    for k in range(first, first + (program & _MAX_STEPS)):
+    for k in range(first, first + (program & _MAX_ENTRIES)):
         offset = np.int64(work[np.uint64(OFFSETS + k)])
         ratio = floats[np.uint64(RATIOS + 3 * k)]
         middle = float(work[np.uint64(centre + offset)]) * ratio
@@ -151,7 +151,7 @@ def _by_program(work, floats, centre, program, z_1, z_2, tolerance, low, high):
 
 @inlined_kernel
 def _side_of(side, at, pitch, width, height):
-    """Return the step along a side of the ring, how many, and the place before the first one.
+    """Return the stride along a side of the ring, how many, and the place before the first one.
 
     To the right, down, to the left, up; past the corner that is left out.
     """
@@ -230,7 +230,7 @@ def _slot_of(key):
 
 @kernel
 def _write_program(work, floats, pitch, slot, key, place, second, third):
-    """Write the steps of a triangle into the table: a sample and three ratios of weights each.
+    """Write the entries of a triangle into the table: a sample and three ratios of weights each.
 
     Samples on the edge to the triangle's last vertex are left to the next triangle of the star.
     """
@@ -247,14 +247,14 @@ def _write_program(work, floats, pitch, slot, key, place, second, third):
             weight_2 = area - weight_0 - weight_1
             if weight_0 <= 0 or weight_1 < 0 or weight_2 < 0 or (weight_1 == 0 and weight_2 > 0):
                 continue
-            step = first + count
-            if count == _MAX_STEPS or step == N_STEPS:
+            entry = first + count
+            if count == _MAX_ENTRIES or entry == N_ENTRIES:
                 work[slot], work[slot + 1] = key, _NO_PROGRAM
                 return
-            work[OFFSETS + step] = (row - (row_0 >> 1)) * pitch + col - (col_0 >> 1)
-            floats[RATIOS + 3 * step] = float(area) / float(weight_0)
-            floats[RATIOS + 3 * step + 1] = float(weight_1) / float(weight_0)
-            floats[RATIOS + 3 * step + 2] = float(weight_2) / float(weight_0)
+            work[OFFSETS + entry] = (row - (row_0 >> 1)) * pitch + col - (col_0 >> 1)
+            floats[RATIOS + 3 * entry] = float(area) / float(weight_0)
+            floats[RATIOS + 3 * entry + 1] = float(weight_1) / float(weight_0)
+            floats[RATIOS + 3 * entry + 2] = float(weight_2) / float(weight_0)
             count += 1
     work[slot], work[slot + 1] = key, first << _COUNT_BITS | count
     work[N_USED] = first + count

@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import inlined_kernel, kernel
-from terrainwave.tri.mesh import BlockMesh
+from terrainwave.tri.block_mesh import BlockMesh
 
-# The table of triangles (`star`): pairs of a key and a program, how many steps programs have, and
-# the samples of the steps.
-N_SLOTS_LOG2, N_STEPS = 15, 1 << 16
+# The table of triangles (`star`): pairs of a key and a program, how many entries programs have,
+# and the samples of the entries.
+N_SLOTS_LOG2, N_ENTRIES = 15, 1 << 16
 TABLE = 0
 N_USED = TABLE + (2 << N_SLOTS_LOG2)
 OFFSETS = N_USED + 8
-PLANES = OFFSETS + N_STEPS
-# In floats: the interval that a test has found, and three ratios per step.
+PLANES = OFFSETS + N_ENTRIES
+# In floats: the interval that a test has found, and three ratios per entry.
 LOW, HIGH, RATIOS = 0, 1, 2
 
 # Planes, by sample: its height; the place of its vertex and the vertex's height; its cell's level;
@@ -50,7 +50,7 @@ _MIN_CELLS, _PADDING = 256, 8
 _MAX_KEPT = 1 << 19
 
 
-class Workspace(NamedTuple):
+class MeshArrays(NamedTuple):
     """A thread's arrays for rectangles of up to `plane` samples, `pitch` from row to row.
 
     `work` and `floats` have named places; the others take a mesh before it is copied.
@@ -70,9 +70,9 @@ class _Memory(threading.local):
     """The workspace of a thread, which keeps the table of triangles from mesh to mesh."""
 
     def __init__(self) -> None:
-        self._kept: Workspace | None = None
+        self._kept: MeshArrays | None = None
 
-    def workspace(self, n_rows: int, n_cols: int) -> Workspace:
+    def workspace(self, n_rows: int, n_cols: int) -> MeshArrays:
         """Return a workspace for a rectangle; its planes hold anything."""
         pitch = max(_MIN_CELLS, 1 << (n_cols - 2).bit_length()) + _PADDING
         plane = n_rows * pitch
@@ -85,14 +85,14 @@ class _Memory(threading.local):
         return found
 
 
-def _new_workspace(pitch: int, plane: int) -> Workspace:
+def _new_workspace(pitch: int, plane: int) -> MeshArrays:
     work = np.empty(PLANES + _N_PLANES * plane, dtype=np.int32)
     work[:OFFSETS] = 0
-    return Workspace(
+    return MeshArrays(
         pitch,
         plane,
         work,
-        floats=np.empty(RATIOS + 3 * N_STEPS, dtype=np.float64),
+        floats=np.empty(RATIOS + 3 * N_ENTRIES, dtype=np.float64),
         rows=np.empty(plane, dtype=np.int32),
         cols=np.empty(plane, dtype=np.int32),
         heights=np.empty(plane, dtype=np.int64),
@@ -136,15 +136,15 @@ def fill_workspace(heights, mask, locked, lines, base, bits, work, plane, pitch)
         work[np.uint64(levels + first + n_cols - 1)] = LOCKED
     first = 0
     for line in range(4):
-        count, step, start = n_cols, 1, 0
+        count, stride, start = n_cols, 1, 0
         if line == 1:
             start = (n_rows - 1) * pitch
         elif line >= 2:
-            count, step = n_rows, pitch
+            count, stride = n_rows, pitch
             start = 0 if line == 2 else n_cols - 1
         last = start
         for k in range(count):
-            at = start + k * step
+            at = start + k * stride
             if lines[first + k]:
                 last = at
             else:
@@ -266,7 +266,7 @@ def drop_unused(n_vertices, n_triangles, rows, cols, heights, triangles, number)
 
 
 def finished_mesh(
-    space: Workspace, shape: tuple[int, int], base: int, shift: int, *, has_voids: bool
+    space: MeshArrays, shape: tuple[int, int], base: int, shift: int, *, has_voids: bool
 ) -> BlockMesh:
     """Return the mesh of a workspace, copied; `base` and `shift` as for `read_mesh`."""
     arrays = space.rows, space.cols, space.heights, space.triangles

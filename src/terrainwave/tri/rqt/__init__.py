@@ -36,7 +36,8 @@ class Rqt(MeshOptions):
             return self.name
         if not method.is_tiled:
             raise InvalidArgumentError(
-                f"found `select` coefficient and `method` {method.name}, expected `method`"
-                f" {methods_that(lambda method: method.is_tiled)}, whose coefficients it follows"
+                f"found `select`={self.select} for a file of method {method.name}, expected one of"
+                f" method {methods_that(lambda method: method.is_tiled)}, whose coefficients it"
+                " follows"
             )
         return f"{self.name}-{self.select}"

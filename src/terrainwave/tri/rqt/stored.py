@@ -25,10 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
+from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
+from terrainwave.tri.quads import Keep, build_mesh, corner_of_quad, triangles_of_quad, void_edges
 from terrainwave.tri.triangle import area_of, check_block, check_tolerance, fits
-from terrainwave.tri.zerotree.connect import build_mesh, corner_of_quad, triangles_of_quad
-from terrainwave.tri.zerotree.labels import Keep, top_height, void_edges
 
 Selection = NDArray[np.uint8]
 
@@ -93,7 +92,7 @@ def _new_stack(n: int) -> NDArray[np.int64]:
 
 def virtual_places(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the sample row of each virtual row, and the sample column of each virtual column."""
-    n_cells = 1 << int(top_height(*shape))
+    n_cells = 1 << (max(*shape, 2) - 2).bit_length()
     places = np.arange(n_cells + 1, dtype=np.int64)
     return places * (shape[0] - 1) // n_cells, places * (shape[1] - 1) // n_cells
 

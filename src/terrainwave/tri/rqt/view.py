@@ -36,18 +36,16 @@ from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.tri.dynamic.budget import Pressure, check_budget
-from terrainwave.tri.dynamic.dynamic import Eye, Followed, check_update
-from terrainwave.tri.dynamic.haar import CLOSED
-from terrainwave.tri.rqt.errors import (
+from terrainwave.tri.followed import CLOSED, Eye, Followed, Pressure, check_budget, check_update
+from terrainwave.tri.rqt.morph import number_vertices, place_vertices
+from terrainwave.tri.rqt.stored import neighbours
+from terrainwave.tri.rqt.vertex_errors import (
     is_corner,
     measure_tile,
     needs_of,
     rounding_of,
     widen_everywhere,
 )
-from terrainwave.tri.rqt.morph import number_vertices, place_vertices
-from terrainwave.tri.rqt.stored import neighbours
 from terrainwave.tri.scratch import Scratch
 from terrainwave.tri.triangle import area_of
 

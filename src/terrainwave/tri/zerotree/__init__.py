@@ -36,7 +36,7 @@ class Zerotree(MeshOptions):
         """Return the kind of meshes that a file of a method holds."""
         if self.labels == "coded" and not is_faithful:
             raise InvalidArgumentError(
-                "found `labels` coded for a file that codes no zero trees, expected `labels` layer,"
+                "found `labels`=coded for a file that codes no zero trees, expected `labels`=layer,"
                 " which follows those of the decoded heights, or a file made with `faithful`"
             )
         usual = "plain" if not method.has_layers else "coded" if is_faithful else "layer"

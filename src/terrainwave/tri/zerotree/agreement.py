@@ -31,7 +31,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.tri.zerotree.labels import Cut, Keep, root_along
+from terrainwave.tri.quads import Keep
+from terrainwave.tri.zerotree.labels import Cut, root_along
 
 Flags = NDArray[np.bool_]
 Result = TypeVar("Result")

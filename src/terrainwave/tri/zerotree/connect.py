@@ -14,17 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
+from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
+from terrainwave.tri.quads import Keep, build_mesh, corner_of_quad, triangles_of_quad, void_edges
 from terrainwave.tri.triangle import area_of, check_block, deviation
-from terrainwave.tri.zerotree.labels import (
-    Cut,
-    Keep,
-    Trees,
-    promote,
-    root_along,
-    set_node,
-    void_edges,
-)
+from terrainwave.tri.zerotree.labels import Cut, Trees, promote, root_along, set_node
 from terrainwave.tri.zerotree.labels import zero_tree_cut as _zero_tree_cut
 
 
@@ -99,23 +92,6 @@ def mesh_of_cut(heights: NDArray[np.int32], mask: NDArray[np.bool_], cut: Cut) -
     return build_mesh(heights, vertex_of, corners[:n_triangles])
 
 
-def build_mesh(
-    heights: NDArray[np.int32], vertex_of: NDArray[np.int32], corners: NDArray[np.int64]
-) -> BlockMesh:
-    """Return a mesh from triangles of samples (flat indices); `vertex_of` >= 0 marks their samples.
-
-    Changes `vertex_of` to the number of each vertex.
-    """
-    rows, cols = np.nonzero(vertex_of >= 0)
-    vertex_of[rows, cols] = np.arange(len(rows), dtype=np.int32)
-    return BlockMesh(
-        (2 * rows).astype(np.int32),
-        (2 * cols).astype(np.int32),
-        heights[rows, cols].astype(np.int64) << FRACTION_BITS,
-        vertex_of.reshape(-1)[corners].astype(np.int32).reshape(-1, 3),
-    )
-
-
 def mesh_error(heights: NDArray[np.int32], mesh: BlockMesh) -> int:
     """Return the largest vertical deviation of covered samples, in 1/16 quanta, rounded up.
 
@@ -125,32 +101,6 @@ def mesh_error(heights: NDArray[np.int32], mesh: BlockMesh) -> int:
         np.ascontiguousarray(heights), mesh.rows >> 1, mesh.cols >> 1, mesh.triangles
     )
     return int(worst)
-
-
-@kernel
-def triangles_of_quad(mask, row, col):
-    """Return a number of bits: which triangles the quad at (row, col) of the full grid has.
-
-    Corners a (row, col), b right of it, c below b, d below a. 1: a b c, 2: a c d, and where just
-    one corner is void 4: b c d, 8: a b d.
-    """
-    a, b = mask[row, col], mask[row, col + 1]
-    c, d = mask[row + 1, col + 1], mask[row + 1, col]
-    if a and c:
-        return (1 if b else 0) | (2 if d else 0)
-    if b and d:
-        return (4 if c else 0) | (8 if a else 0)
-    return 0
-
-
-@kernel
-def corner_of_quad(kind, corner):
-    """Return (down, right) of corner 0, 1 or 2 of a kind of triangle (1, 2, 4, 8)."""
-    if corner == 0:
-        return 0, (1 if kind == 4 else 0)
-    if corner == 1:
-        return (0, 1) if kind == 1 or kind == 8 else (1, 1)
-    return (1, 1) if kind == 1 else (1, 0)
 
 
 @kernel

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
+from terrainwave.tri.quads import Keep, void_edges
 from terrainwave.tri.triangle import check_block, check_tolerance, fits
 from terrainwave.tri.zerotree.labels import (
     Cut,
-    Keep,
     Trees,
     axis_nodes,
     ceilings,
@@ -31,7 +31,6 @@ from terrainwave.tri.zerotree.labels import (
     first_sample,
     second_child,
     top_height,
-    void_edges,
 )
 
 _ROW_SHIFT = 16

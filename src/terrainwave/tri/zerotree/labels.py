@@ -10,20 +10,16 @@ raster's edge. Merging stops where 2 x 2 nodes are left.
 A *cut* is a uint8 array over the samples: the height of the node each sample moves to. It says all
 about the labels of the guaranteed triangulation: the node of height h whose first sample is f is S
 where ``cut[f] < h``, TR where equal, TC where greater. A node with a single child is as its child.
-
-Voids: a quad of the grid has its triangles only where their samples are valid, and one whose
-corners are valid but for one keeps the triangle of the other three. Samples that touch a missing
-triangle stay vertices in every cut (`void_edges`), so void edges are exact.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
+from terrainwave.tri.quads import Keep
 
 Trees = NDArray[np.uint8]
 Cut = NDArray[np.uint8]
-Keep = NDArray[np.bool_]
 
 
 @kernel
@@ -64,18 +60,6 @@ def second_child(first, n, height):
     """Return the first sample of the second child along an axis; `first` itself if it has one."""
     second = first + (1 << (height - 1))
     return second if first < n - 1 and second < n - 1 else first
-
-
-def void_edges(mask: NDArray[np.bool_]) -> Keep:
-    """Return which samples must stay vertices: void ones and those of a quad with a void corner."""
-    keep = ~mask
-    rows, cols = mask.shape
-    if rows > 1 and cols > 1 and keep.any():
-        holed = ~(mask[:-1, :-1] & mask[:-1, 1:] & mask[1:, :-1] & mask[1:, 1:])
-        for row in (0, 1):
-            for col in (0, 1):
-                keep[row : rows - 1 + row, col : cols - 1 + col] |= holed
-    return keep
 
 
 def zero_tree_cut(trees: Trees, keep: Keep) -> Cut:

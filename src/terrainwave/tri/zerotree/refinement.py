@@ -25,7 +25,8 @@ from terrainwave.coding.rangecoder import (
 )
 from terrainwave.coding.status import raise_for_status
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
-from terrainwave.tri.mesh import FRACTION_BITS
+from terrainwave.tri.block_mesh import FRACTION_BITS
+from terrainwave.tri.quads import void_edges
 from terrainwave.tri.triangle import check_block, check_tolerance
 from terrainwave.tri.zerotree.labels import (
     Cut,
@@ -37,7 +38,6 @@ from terrainwave.tri.zerotree.labels import (
     second_child,
     set_node,
     top_height,
-    void_edges,
 )
 
 BY_HEIGHT, BY_ROUGHNESS = 0, 1

@@ -9,15 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from terrainwave.codec.refiner import Decoded
+from terrainwave.codec.refiner import Decoded, Refiner
 from terrainwave.container.depot import StoredSegment
-from terrainwave.container.sink import SpoolSink
 from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.blocks import measure_meshes
 from terrainwave.mesh.sections import make_meshes
 from terrainwave.progress import Reporter
-from terrainwave.read.tiles import make_decoder
+from terrainwave.read.decoder import TreeDecoder
+from terrainwave.read.tile_decoder import make_decoder
 from terrainwave.write.boxes import enclosing_boxes, error_codes, set_codes
 from terrainwave.write.encoder import Stats, TreeEncoder, fitted_refiner
 from terrainwave.write.job import Job
@@ -91,41 +92,46 @@ def encode(
                     n_levels=job.grid.k_max + 1,
                 )
 
-        file_tables = b""
+        refiner, file_tables = None, b""
         units: dict[Block, Decoded] = {}
         if job.options.named_method.is_tiled:
             # Imported here: compiling costs seconds that other methods need not pay.
-            from terrainwave.write.tiles import encode_tiles
+            from terrainwave.write.tile_encoder import encode_tiles
 
             stats = encode_tiles(job, pyramid, sink, directory, on_samples, executor)
         else:
-            file_tables, stats, units = _encode_units(job, pyramid, sink, on_samples, executor)
+            refiner, file_tables = fitted_refiner(job, pyramid.heights, pyramid.mask)
+            stats, units = _encode_units(job, refiner, pyramid, sink, on_samples, executor)
         if job.options.is_embedded:
             job = job.with_measured(_finest_error(job, stats))
         errors = error_codes(stats, job.lost, job.recursion_bound)
-        mesh_errors = _mesh_errors(
-            job, file_tables, pyramid, sink, units, errors, executor, reporter
-        )
+        mesh_errors = {}
+        if job.options.mesh != "none":
+            header = job.header(file_tables)
+            decoder = make_decoder(header, sink.payloads, _MESH_CACHE_BYTES, refiner=refiner)
+            while units:  # which are not decoded again
+                decoder.put(*units.popitem())
+            mesh_errors = _mesh_errors(job, decoder, pyramid, sink, errors, executor, reporter)
     finally:
         pyramid.close()
     whole = job.quantizer.z_min, job.quantizer.z_max
-    boxes = enclosing_boxes(stats, errors, whole, {})
+    boxes = enclosing_boxes(stats, errors, whole, {}, job.moved)
     set_codes(job.grid, sink.spools, whole, boxes, errors, mesh_errors)
     return Coded(file_tables, {**sink.spools}, sink.n_bytes + len(file_tables), job)
 
 
 def _encode_units(
     job: Job,
+    refiner: Refiner,
     pyramid: Pyramid,
     sink: SpoolSink,
     on_samples: Callable[[int], None],
     executor: Executor,
-) -> tuple[bytes, Stats, dict[Block, Decoded]]:
-    """Code every unit; return the tables of the file and what was measured.
+) -> tuple[Stats, dict[Block, Decoded]]:
+    """Code every unit; return what was measured.
 
     And what the units decode to, where meshes are to be made of it and all of it fits in memory.
     """
-    refiner, file_tables = fitted_refiner(job, pyramid.heights, pyramid.mask)
     units: dict[Block, Decoded] = {}
     # Heights and masks of all levels: four thirds of five bytes for each sample.
     is_kept = 20 * job.grid.n_rows * job.grid.n_cols <= 3 * _MESH_CACHE_BYTES
@@ -133,7 +139,7 @@ def _encode_units(
         job.grid, refiner, job.parameters, pyramid, sink, on_samples,
         on_unit=units.__setitem__ if is_kept and job.options.mesh != "none" else None,
     )  # fmt: skip
-    return file_tables, encoder.run(executor), units
+    return encoder.run(executor), units
 
 
 def _finest_error(job: Job, stats: Stats) -> int:
@@ -144,24 +150,15 @@ def _finest_error(job: Job, stats: Stats) -> int:
 
 def _mesh_errors(
     job: Job,
-    file_tables: bytes,
+    decoder: TreeDecoder,
     pyramid: Pyramid,
     sink: SpoolSink,
-    units: dict[Block, Decoded],
     errors: dict[Block, int],
     executor: Executor,
     reporter: Reporter,
 ) -> dict[Block, int]:
-    """Return the error code of every block's mesh against the originals.
-
-    `units` are not decoded again, and taken out.
-    """
-    if job.options.mesh == "none":
-        return {}
+    """Make the meshes; return the error code of every block's mesh against the originals."""
     grid = job.grid
-    decoder = make_decoder(job.header(file_tables), sink.payloads, _MESH_CACHE_BYTES)
-    while units:
-        decoder.put(*units.popitem())
     size = grid.n_rows * grid.n_cols, np.dtype(job.info.dtype).itemsize
     mesher, sections = make_meshes(
         grid,

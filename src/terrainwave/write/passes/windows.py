@@ -15,7 +15,7 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.grid.steps import FixedSteps
 from terrainwave.progress import Reporter
-from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import MEMORY_LIMIT, Spool
 from terrainwave.write.pyramid import SourceWindows

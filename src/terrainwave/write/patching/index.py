@@ -10,18 +10,18 @@ from fractions import Fraction
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.container.codes import decode_error, decode_range, encode_error, encode_range
 from terrainwave.container.header import Header
-from terrainwave.container.sink import SpoolSink
+from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.mesh.blocks import measure_meshes, mesh_codes
 from terrainwave.mesh.sections import make_meshes
 from terrainwave.mesh.trees import tree_source
 from terrainwave.read.decoder import unit_key
-from terrainwave.read.tiles import make_decoder
+from terrainwave.read.tile_decoder import make_decoder
 from terrainwave.write.boxes import Box, enclosing_boxes
 from terrainwave.write.encoder import Stats
-from terrainwave.write.patching.encoder import PatchEncoder
 from terrainwave.write.patching.merged import Merged
+from terrainwave.write.patching.patch_encoder import PatchEncoder
 from terrainwave.write.pyramid import Pyramid
 
 _CACHE_BYTES = 128 << 20

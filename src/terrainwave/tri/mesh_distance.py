@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import inlined_kernel, kernel
-from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
+from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.triangle import area_of
 
 _MAX_EXACT_AREA = 1 << 25
@@ -46,24 +46,24 @@ def largest_deviation(
 
 
 @kernel
-def _covered(weight_0, step_0, weight_1, step_1, weight_2, step_2, last):
+def _covered(weight_0, growth_0, weight_1, growth_1, weight_2, growth_2, last):
     """Return from which to which place, 0 ... last, no weight is negative.
 
     Weights, at place 0, grow by their steps from place to place. They are below 2^53, so that the
-    float64 quotients round to the right floor and ceiling (`tri.halves.fit`), faster than integers
-    divide.
+    float64 quotients round to the right floor and ceiling (`tri.halves.height_fit`), faster than
+    integers divide.
     """
     first = np.int64(0)
     for k in range(3):
         weight = weight_0 if k == 0 else (weight_1 if k == 1 else weight_2)
-        step = step_0 if k == 0 else (step_1 if k == 1 else step_2)
-        if step > 0:
+        growth = growth_0 if k == 0 else (growth_1 if k == 1 else growth_2)
+        if growth > 0:
             if weight < 0:
-                first = max(first, np.int64(np.ceil(float(-weight) / float(step))))
+                first = max(first, np.int64(np.ceil(float(-weight) / float(growth))))
         elif weight < 0:
             last = np.int64(-1)
-        elif step < 0:
-            last = min(last, np.int64(np.floor(float(weight) / float(-step))))
+        elif growth < 0:
+            last = min(last, np.int64(np.floor(float(weight) / float(-growth))))
     return first, last
 
 
@@ -110,18 +110,18 @@ def _largest_deviation(rows, cols, heights, triangles, stride, samples, mask, fi
         rise_1, rise_2 = heights[p_1] - z_0, heights[p_2] - z_0
         # Integers while products of an area and a difference of heights, below 2^36, fit.
         is_exact = area < _MAX_EXACT_AREA
-        step_0, step_1 = -2 * (row_2 - row_1), -2 * (row_0 - row_2)
-        step_2 = -(step_0 + step_1)
+        growth_0, growth_1 = -2 * (row_2 - row_1), -2 * (row_0 - row_2)
+        growth_2 = -(growth_0 + growth_1)
         fall_1, fall_2 = float(rise_1) / float(area), float(rise_2) / float(area)
-        slope = step_1 * fall_1 + step_2 * fall_2
+        slope = growth_1 * fall_1 + growth_2 * fall_2
         for row in range(top, bottom + 1):
             weight_0 = area_of(2 * row, 2 * left, row_1, col_1, row_2, col_2)
             weight_1 = area_of(row_0, col_0, 2 * row, 2 * left, row_2, col_2)
             weight_2 = area - weight_0 - weight_1
             skip, most = _covered(
-                weight_0, step_0, weight_1, step_1, weight_2, step_2, right - left
+                weight_0, growth_0, weight_1, growth_1, weight_2, growth_2, right - left
             )
-            share_1, share_2 = weight_1 + skip * step_1, weight_2 + skip * step_2
+            share_1, share_2 = weight_1 + skip * growth_1, weight_2 + skip * growth_2
             level = float(z_0) + (share_1 * fall_1 + share_2 * fall_2)
             if not _exceeds(
                 samples, mask, row, left + skip, most - skip + 1, level, slope,
@@ -131,7 +131,7 @@ def _largest_deviation(rows, cols, heights, triangles, stride, samples, mask, fi
             for place in range(skip, most + 1):
                 if not mask[row, left + place]:
                     continue
-                share_1, share_2 = weight_1 + place * step_1, weight_2 + place * step_2
+                share_1, share_2 = weight_1 + place * growth_1, weight_2 + place * growth_2
                 sample = (np.int64(samples[row, left + place]) << FRACTION_BITS) - z_0
                 if is_exact:
                     apart = abs(share_1 * rise_1 + share_2 * rise_2 - sample * area)
@@ -188,14 +188,14 @@ def _largest_from_bilinear(rows, cols, heights, triangles, stride, samples, is_w
         left, right = (min(col_0, col_1, col_2) + 1) >> 1, max(col_0, col_1, col_2) >> 1
         z_0 = float(heights[p_0])
         rise_1, rise_2 = float(heights[p_1]) - z_0, float(heights[p_2]) - z_0
-        step_0, step_1 = -2 * (row_2 - row_1), -2 * (row_0 - row_2)
-        step_2 = -(step_0 + step_1)
+        growth_0, growth_1 = -2 * (row_2 - row_1), -2 * (row_0 - row_2)
+        growth_2 = -(growth_0 + growth_1)
         for row in range(top, bottom + 1):
             weight_0 = area_of(2 * row, 2 * left, row_1, col_1, row_2, col_2)
             weight_1 = area_of(row_0, col_0, 2 * row, 2 * left, row_2, col_2)
             weight_2 = area - weight_0 - weight_1
             skip, most = _covered(
-                weight_0, step_0, weight_1, step_1, weight_2, step_2, right - left
+                weight_0, growth_0, weight_1, growth_1, weight_2, growth_2, right - left
             )
             cell_row = min(row // stride, n_rows - 1)
             down = row - cell_row * stride
@@ -209,8 +209,8 @@ def _largest_from_bilinear(rows, cols, heights, triangles, stride, samples, is_w
                 lower = np.int64(samples[cell_row + 1, cell]) * (stride - place)
                 lower += np.int64(samples[cell_row + 1, cell + 1]) * place
                 bilinear = float(upper * (stride - down) + lower * down) * share
-                share_1 = float(weight_1 + (col - left) * step_1)
-                share_2 = float(weight_2 + (col - left) * step_2)
+                share_1 = float(weight_1 + (col - left) * growth_1)
+                share_2 = float(weight_2 + (col - left) * growth_2)
                 surface = z_0 + (share_1 * rise_1 + share_2 * rise_2) / float(area)
                 largest = max(largest, abs(surface - bilinear))
     return np.ceil(largest + _ROUNDING)

@@ -91,7 +91,7 @@ def build_solid(terrain: "TerrainFile", frame: Frame) -> Solid:
     )
 
 
-_Part = tuple[NDArray[np.void], NDArray[np.int64]]
+_Faces = tuple[NDArray[np.void], NDArray[np.int64]]
 
 
 def level_within(terrain: "TerrainFile", side: int) -> int:
@@ -166,14 +166,14 @@ def _vertices(col: Any, row: Any, height: Any, kind: float, normal: Any = 0.0) -
     return vertices
 
 
-def _floor(shape: tuple[int, int]) -> _Part:
+def _floor(shape: tuple[int, int]) -> _Faces:
     n_rows, n_cols = shape
     cols = np.array([0, n_cols - 1, n_cols - 1, 0])
     rows = np.array([0, 0, n_rows - 1, n_rows - 1])
     return _vertices(cols, rows, 0.0, FLOOR), np.array([[0, 1, 2], [0, 2, 3]])
 
 
-def _walls(terrain: "TerrainFile", frame: Frame, overview: _Overview | None) -> list[_Part]:
+def _walls(terrain: "TerrainFile", frame: Frame, overview: _Overview | None) -> list[_Faces]:
     """Return the walls on the four sides."""
     level = level_within(terrain, _WALL_SIDE)
     n_rows, n_cols = terrain.grid.level_shape(level)
@@ -218,7 +218,7 @@ def _along(
     return np.interp(rows, overview.rows, line)
 
 
-def _lid(overview: _Overview) -> _Part:
+def _lid(overview: _Overview) -> _Faces:
     """Return the triangles over voids.
 
     A void sample of a coarse level makes void all that lies between it and its neighbours

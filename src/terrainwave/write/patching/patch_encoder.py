@@ -9,7 +9,7 @@ from terrainwave.codec.group import HAS_CORRECTIONS
 from terrainwave.codec.refiner import FREE, Decoded, GroupSpec, Heights, Mask
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.shared_lines import shared_samples
-from terrainwave.codec.units import block_of_unit
+from terrainwave.codec.unit_specs import block_of_unit
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.remainders import Remainders

@@ -14,7 +14,7 @@ _LEAST_LAYERS = 8
 _FIRST_BYTES = 64 << 20  # growing copies through this side: seldom
 
 
-class Texels(NamedTuple):
+class TexelType(NamedTuple):
     """What a texture holds: numbers per texel, moderngl's type, bytes per texel."""
 
     n_components: int
@@ -24,8 +24,8 @@ class Texels(NamedTuple):
 
 
 # Slopes to the east and north, height; drivers give three numbers the room of four.
-SLOPES = Texels(3, "f2", 8, True)
-HEIGHTS = Texels(2, "f4", 8, False)
+SLOPES = TexelType(3, "f2", 8, True)
+HEIGHTS = TexelType(2, "f4", 8, False)
 
 
 class LayeredTextures:
@@ -40,7 +40,9 @@ class LayeredTextures:
         Of all textures; some layers are kept even where it is less than they take.
     """
 
-    def __init__(self, context: Any, size: int, kinds: Sequence[Texels], *, max_bytes: int) -> None:
+    def __init__(
+        self, context: Any, size: int, kinds: Sequence[TexelType], *, max_bytes: int
+    ) -> None:
         self._context, self._size, self._kinds = context, size, kinds
         self._layer_bytes = size * size * sum(kind.n_bytes for kind in kinds)
         allowed = int(context.info.get("GL_MAX_ARRAY_TEXTURE_LAYERS", 256))
@@ -50,7 +52,7 @@ class LayeredTextures:
         self._free = Arena(min(first, self.max_layers))
         self.textures = [self._new(kind, self._free.capacity) for kind in kinds]
 
-    def _new(self, kind: Texels, n_layers: int) -> Any:
+    def _new(self, kind: TexelType, n_layers: int) -> Any:
         shape = self._size, self._size, n_layers
         texture = self._context.texture_array(
             shape, kind.n_components, dtype=kind.dtype, alignment=4

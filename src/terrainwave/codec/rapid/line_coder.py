@@ -16,10 +16,10 @@ from terrainwave.codec.shared_lines import plan_border
 from terrainwave.coding.jit import kernel, kernel_part
 from terrainwave.grid.quadtree import Region
 
-# Fields of a line in `Plan`: place of its first sample and step in the region; samples; those coded
-# are first … stop - 1; the parent's lines at or before and at or after it, and the step along them;
-# whether the even samples are the parent's.
-START, STEP, LENGTH, FIRST, STOP, BEFORE, AFTER, PARENT_STEP, INHERITED = range(9)
+# Fields of a line in `Plan`: place of its first sample and spacing in the region; samples; those
+# coded are first … stop - 1; the parent's lines at or before and at or after it, and the spacing on
+# them; whether the even samples are the parent's.
+START, SPACING, LENGTH, FIRST, STOP, BEFORE, AFTER, PARENT_SPACING, INHERITED = range(9)
 # Fields of a corner: its place in the region, then the four parent samples around.
 _N_AROUND = 4
 # Corners are coded in rows of so many.
@@ -76,17 +76,17 @@ def _plan(
         if line.first >= line.stop:
             continue
         across, along = offset if not line.is_column else offset[::-1]
-        step, between = (shape[1], 1) if line.is_column else (1, shape[1])
-        parent_step, parent_between = (pitch, 1) if line.is_column else (1, pitch)
+        spacing, between = (shape[1], 1) if line.is_column else (1, shape[1])
+        parent_spacing, parent_between = (pitch, 1) if line.is_column else (1, pitch)
         last_line = last[1] if line.is_column else last[0]
         place, begin = line.place + across, (line.start + along) >> 1
         before, after = min(place >> 1, last_line), min((place + 1) >> 1, last_line)
         lines.append(
             [
-                line.place * between + line.start * step, step, line.n, line.first, line.stop,
-                before * parent_between + begin * parent_step,
-                after * parent_between + begin * parent_step,
-                parent_step, int(not place & 1),
+                line.place * between + line.start * spacing, spacing, line.n, line.first, line.stop,
+                before * parent_between + begin * parent_spacing,
+                after * parent_between + begin * parent_spacing,
+                parent_spacing, int(not place & 1),
             ]
         )  # fmt: skip
     return (
@@ -97,7 +97,7 @@ def _plan(
 
 @kernel
 def prepare_shared(m, out, parent, corners, lines, index, origin, scale):
-    """Predict a row of shared samples; return its first place in `out`, the step, and how many.
+    """Predict a row of shared samples; return its first place in `out`, the spacing, and how many.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def prepare_shared(m, out, parent, corners, lines, index, origin, scale):
         _predict_corners(m, parent, corners, first, n, origin, scale)
         return first, np.int64(1), n
     line, is_odd = (index - n_corner_rows) >> 1, (index - n_corner_rows) & 1
-    start, step = lines[line, START], lines[line, STEP]
+    start, spacing = lines[line, START], lines[line, SPACING]
     first, stop = lines[line, FIRST], lines[line, STOP]
     skipped = (first + 1 - is_odd) >> 1
     n = ((stop + 1 - is_odd) >> 1) - skipped
@@ -127,7 +127,7 @@ def prepare_shared(m, out, parent, corners, lines, index, origin, scale):
         n = np.int64(0)
     else:
         _predict_even(m, parent, lines, line, skipped, n, origin, scale)
-    return start + (2 * skipped + is_odd) * step, 2 * step, n
+    return start + (2 * skipped + is_odd) * spacing, 2 * spacing, n
 
 
 @kernel_part
@@ -156,21 +156,21 @@ def _load_line(m, out, parent, lines, line, is_odd, origin, scale):
 
     Those that are the parent's go to `out`.
     """
-    start, step = lines[line, START], 2 * lines[line, STEP]
+    start, spacing = lines[line, START], 2 * lines[line, SPACING]
     first, stop = lines[line, FIRST], lines[line, STOP]
     before, after = lines[line, BEFORE], lines[line, AFTER]
-    parent_step = lines[line, PARENT_STEP]
+    parent_spacing = lines[line, PARENT_SPACING]
     is_inherited = lines[line, INHERITED] != 0
     n = (lines[line, LENGTH] + 1) >> 1
     for j in range(n):
         is_coded = is_odd and not is_inherited
-        height = out[start + j * step] if is_coded else parent[before + j * parent_step]
+        height = out[start + j * spacing] if is_coded else parent[before + j * parent_spacing]
         value = min(max(np.int64(height) - origin, scale.low), scale.high)
         if is_inherited:
             if first <= 2 * j < stop:
-                out[start + j * step] = height
+                out[start + j * spacing] = height
         elif not is_odd:
-            other = np.int64(parent[after + j * parent_step]) - origin
+            other = np.int64(parent[after + j * parent_spacing]) - origin
             value += min(max(other, scale.low), scale.high)
         m[LINE + np.uint64(j)] = value
     m[LINE - _U1] = m[LINE + np.uint64(min(1, n - 1))]
@@ -183,11 +183,11 @@ def _load_line(m, out, parent, lines, line, is_odd, origin, scale):
 def _predict_even(m, parent, lines, line, skipped, n, origin, scale):
     """Predict a line's even samples from the parent's lines on both sides."""
     cast = m.dtype.type
-    parent_step = lines[line, PARENT_STEP]
-    before = lines[line, BEFORE] + skipped * parent_step
+    parent_spacing = lines[line, PARENT_SPACING]
+    before = lines[line, BEFORE] + skipped * parent_spacing
     for j in range(n):
         k, at = np.uint64(j), LINE + np.uint64(j + skipped)
-        a = np.int64(parent[before + j * parent_step]) - origin
+        a = np.int64(parent[before + j * parent_spacing]) - origin
         a = min(max(a, scale.low), scale.high)
         b = m[at] - a
         m[LEAST + k], m[MOST + k] = min(a, b), max(a, b)

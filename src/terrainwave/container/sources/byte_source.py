@@ -109,6 +109,8 @@ class FileSource(MergingSource):
         try:
             self._file: BinaryIO | None = open(self.name, "rb", buffering=0)
             self.size = self._file.seek(0, os.SEEK_END)
+        except IsADirectoryError as error:
+            raise StorageError(f"{self.name} is a directory; expected a .twz file") from error
         except OSError as error:
             raise StorageError(f"cannot read {self.name}: {error.strerror or error}") from error
 

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
 from terrainwave.codec.cdf53.refiner import LevelHeights, decode_tile
-from terrainwave.codec.cdf53.tiles import TileLayout, TileSpec
-from terrainwave.codec.refiner import Decoded, as_array
+from terrainwave.codec.cdf53.tile_layout import TileLayout, TileSpec
+from terrainwave.codec.refiner import Decoded, Refiner, as_array
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.coding.lifting53 import forward_transform, places_of
 from terrainwave.container.header import Header
@@ -153,15 +153,17 @@ def make_decoder(
     payloads: Payloads,
     cache_bytes: int,
     *,
+    refiner: Refiner | None = None,
     are_prefixes: bool = False,
 ) -> TreeDecoder:
     """Return the decoder of a file that has this header.
 
-    `are_prefixes` says whether payloads may end early (`Terrain.read_early`).
+    Its tables are parsed, unless their `refiner` is at hand. `are_prefixes` says whether payloads
+    may end early (`Terrain.read_early`).
     """
     grid, parameters = header.grid, header.codec_parameters
     if not METHODS[header.method].is_tiled:
-        refiner = refiner_by_name(header.method, header.file_tables)
+        refiner = refiner or refiner_by_name(header.method, header.file_tables)
         return TreeDecoder(grid, parameters, groups_by(refiner, payloads), cache_bytes)
     # Half for units, half for tiles.
     decode = partial(decode_tile, is_prefix=are_prefixes)

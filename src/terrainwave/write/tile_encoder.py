@@ -19,13 +19,13 @@ from terrainwave.codec.cdf53.refiner import (
     plane_cut,
     unpack_tile,
 )
-from terrainwave.codec.cdf53.tiles import TileLayout, TileSpec
+from terrainwave.codec.cdf53.tile_layout import TileLayout, TileSpec
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Validity
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
-from terrainwave.read.tiles import final_heights
+from terrainwave.read.tile_decoder import final_heights
 from terrainwave.write.encoder import PayloadSink, Stats, UnitEncoder
 from terrainwave.write.job import Job
 from terrainwave.write.pyramid import Pyramid

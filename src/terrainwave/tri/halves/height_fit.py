@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import inlined_kernel
-from terrainwave.tri.mesh import FRACTION_BITS
+from terrainwave.tri.block_mesh import FRACTION_BITS
 
 _MAX_RANGE = 1 << 30
 # Columns of a triangle up to which it pays to look at all samples of its rectangle.
 _NARROW = 6
 
 
-class Scale(NamedTuple):
+class FixedPoint(NamedTuple):
     """How heights are held: ``value = (quanta - base) << bits``.
 
     `tolerance` is in this unit, as are `lowest` and `highest`, between which vertices stay.
@@ -40,7 +40,7 @@ class Scale(NamedTuple):
         return whole.astype(np.float64)
 
 
-def scale_of(lowest: int, highest: int, tolerance: int) -> Scale:
+def scale_of(lowest: int, highest: int, tolerance: int) -> FixedPoint:
     """Return the scale for valid heights between two, in quanta; `tolerance` is in 1/16 quanta.
 
     Sixteenths of a quantum where the range of valid heights leaves room for them, else whole ones.
@@ -49,12 +49,12 @@ def scale_of(lowest: int, highest: int, tolerance: int) -> Scale:
     bits = FRACTION_BITS if (highest - lowest) << FRACTION_BITS < _MAX_RANGE else 0
     slack = min(tolerance >> (FRACTION_BITS - bits), _MAX_RANGE)
     least, most = ((lowest - base) << bits) - slack, ((highest - base) << bits) + slack
-    return Scale(base, bits, float(slack), float(least), float(most))
+    return FixedPoint(base, bits, float(slack), float(least), float(most))
 
 
 def scaled_heights(
     heights: NDArray[np.int32], mask: NDArray[np.bool_], tolerance: int
-) -> tuple[NDArray[np.int32], Scale]:
+) -> tuple[NDArray[np.int32], FixedPoint]:
     """Return heights as values, and the scale; `tolerance` is in 1/16 quanta."""
     valid = heights[mask]
     scale = scale_of(int(valid.min()), int(valid.max()), tolerance)
@@ -82,9 +82,9 @@ def fit_triangle(heights, start, pitch, place, second, third, tolerance, low, hi
     slack = tolerance * scale
     first_col, last_col = (min(col_0, col_1, col_2) + 1) >> 1, max(col_0, col_1, col_2) >> 1
     first_row, last_row = (min(row_0, row_1, row_2) + 1) >> 1, max(row_0, row_1, row_2) >> 1
-    step_0, step_1 = -2 * (row_2 - row_1), -2 * (row_0 - row_2)
-    step_2 = -(step_0 + step_1)
-    rise = float(step_1) * z_1 + float(step_2) * z_2
+    growth_0, growth_1 = -2 * (row_2 - row_1), -2 * (row_0 - row_2)
+    growth_2 = -(growth_0 + growth_1)
+    rise = float(growth_1) * z_1 + float(growth_2) * z_2
     is_wide = last_col - first_col > _NARROW
     # From the end nearer to vertex 0: the samples there narrow the interval most.
     down, top = 1, first_row
@@ -100,16 +100,16 @@ def fit_triangle(heights, start, pitch, place, second, third, tolerance, low, hi
         skip, most = 0, last_col - first_col
         if is_wide:
             # From where to where no weight is negative, and that of vertex 0 is none.
-            skip, most = _cut(weight_0 - 1, step_0, skip, most)
-            skip, most = _cut(weight_1, step_1, skip, most)
-            skip, most = _cut(weight_2, step_2, skip, most)
-            weight_0 += skip * step_0
-            weight_1 += skip * step_1
-            weight_2 += skip * step_2
+            skip, most = _cut(weight_0 - 1, growth_0, skip, most)
+            skip, most = _cut(weight_1, growth_1, skip, most)
+            skip, most = _cut(weight_2, growth_2, skip, most)
+            weight_0 += skip * growth_0
+            weight_1 += skip * growth_1
+            weight_2 += skip * growth_2
         fixed = float(weight_1) * z_1 + float(weight_2) * z_2
         if is_wide and not _narrows(
             heights, at + skip, most - skip + 1, scale, slack, (fixed, rise),
-            (float(weight_0), float(step_0)), low, high,
+            (float(weight_0), float(growth_0)), low, high,
         ):  # fmt: skip
             most = -1
         for col in range(at + skip, at + most + 1):
@@ -120,9 +120,9 @@ def fit_triangle(heights, start, pitch, place, second, third, tolerance, low, hi
                     low = np.ceil((rest - slack) / share)
                 if rest + slack < high * share:
                     high = np.floor((rest + slack) / share)
-            weight_0 += step_0
-            weight_1 += step_1
-            weight_2 += step_2
+            weight_0 += growth_0
+            weight_1 += growth_1
+            weight_2 += growth_2
             fixed += rise
         if low > high:
             break
@@ -140,25 +140,25 @@ def _narrows(heights, at, count, scale, slack, fixed_line, share_line, low, high
     All of it is exact, as in `fit_triangle`: so are weights times heights and their differences.
     """
     fixed, rise = fixed_line
-    share, step = share_line
+    share, growth = share_line
     n_beyond = 0
     for k in range(count):
         place = float(np.int32(k))
         rest = float(heights[np.uint64(at + k)]) * scale - (fixed + place * rise)
-        own = share + place * step
+        own = share + place * growth
         is_beyond = (rest - slack > low * own) | (rest + slack < high * own)
         n_beyond += 1 if is_beyond else 0
     return n_beyond > 0
 
 
 @inlined_kernel
-def _cut(weight, step, skip, most):
+def _cut(weight, growth, skip, most):
     """Shorten the places `skip` … `most` to those where weight + place * step >= 0."""
-    if step > 0:
+    if growth > 0:
         if weight < 0:
-            skip = max(skip, int(np.ceil(float(-weight) / float(step))))
+            skip = max(skip, int(np.ceil(float(-weight) / float(growth))))
     elif weight < 0:
         most = -1
-    elif step < 0:
-        most = min(most, int(np.floor(float(weight) / float(-step))))
+    elif growth < 0:
+        most = min(most, int(np.floor(float(weight) / float(-growth))))
     return skip, most

@@ -15,7 +15,7 @@ from typing import BinaryIO
 
 from terrainwave.arguments import check_flags, check_local
 from terrainwave.container.spool import storage_errors
-from terrainwave.container.unfinished import (
+from terrainwave.container.targets.unfinished import (
     RETRIES,
     Part,
     can_rename_open_files,
@@ -120,8 +120,8 @@ def refuse_own_source(
         return
     try:
         is_same = os.path.samefile(path, target)
-    except (OSError, ValueError):  # one of them is missing, or no path at all
-        return
+    except (OSError, ValueError):  # one of them is missing, or no path at all: a URL
+        is_same = "://" in os.fspath(target) and os.fspath(path) == os.fspath(target)
     if is_same:
         raise StorageError(f"{os.fspath(target)} {problem}")
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from terrainwave._version import __version__
 from terrainwave.arguments import AS_IS, check_ending, check_flags
-from terrainwave.container.publish import check_target, publish, scratch
 from terrainwave.container.spool import storage_errors
+from terrainwave.container.targets.publication import check_target, publish, scratch
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
 from terrainwave.export.frames import areas, find_place, longest_edge, steepest, to_frame
 from terrainwave.export.saved import SavedMesh

@@ -18,7 +18,7 @@ _FLOAT_LOSS = 2.0**-8
 _MAX_PRODUCT = 1 << 61
 
 
-class Surface(NamedTuple):
+class CheckedMesh(NamedTuple):
     """A mesh as it is checked.
 
     Parameters
@@ -36,7 +36,7 @@ class Surface(NamedTuple):
     heights: NDArray[Any]
     triangles: NDArray[np.integer]
 
-    def on_grid(self, stride: int) -> "Surface":
+    def on_grid(self, stride: int) -> "CheckedMesh":
         """Return the same surface in half samples of a grid `stride` times finer."""
         return self._replace(rows=self.rows * stride, cols=self.cols * stride)
 
@@ -65,7 +65,7 @@ class Deviation:
 
 
 def deviation(
-    surface: Surface,
+    surface: CheckedMesh,
     samples: NDArray[np.int64],
     valid: NDArray[np.bool_],
     limit: float,
@@ -73,7 +73,7 @@ def deviation(
 ) -> Deviation:
     """Return the largest vertical distance of valid samples from a surface.
 
-    Exact, rounded up, where `Surface.is_exact`; else it may be up to 2^-8 less than it is.
+    Exact, rounded up, where `CheckedMesh.is_exact`; else it may be up to 2^-8 less than it is.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def deviation(
     loss = 0 if surface.is_exact else _FLOAT_LOSS
     covered = np.zeros(samples.shape, dtype=np.bool_)
     beyond = np.zeros(samples.shape, dtype=np.bool_)
-    typed = Surface(
+    typed = CheckedMesh(
         surface.rows.astype(kind), surface.cols.astype(kind), surface.heights.astype(kind),
         np.ascontiguousarray(surface.triangles),
     )  # fmt: skip

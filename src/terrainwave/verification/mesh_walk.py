@@ -16,9 +16,10 @@ from terrainwave.grid.affine import determinant
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.progress import Progress, ProgressCallback
+from terrainwave.verification.checked_mesh import CheckedMesh, Deviation, deviation
 from terrainwave.verification.on_grid import (
-    Line,
-    Ruler,
+    BorderLine,
+    QuantaScale,
     block_mask,
     block_problems,
     block_surface,
@@ -28,7 +29,6 @@ from terrainwave.verification.on_grid import (
     must_be_covered,
     surface_of_mesh,
 )
-from terrainwave.verification.surface import Deviation, Surface, deviation
 
 # Meshes of areas are checked in windows of this many samples a side.
 _WINDOW_SIDE = 2048
@@ -128,12 +128,12 @@ class MeshVerification:
         self._has_original = read is not None
         self._read = read or self._decoded
         self._progress = progress
-        self._ruler = Ruler(terrain)
+        self._ruler = QuantaScale(terrain)
         # Of kinds that state what was measured and promise nothing more.
         self._is_unbounded = terrain.mesh_kind in UNBOUNDED_MESHES
         self._allowed = self._ruler.slack + (0 if read else self._ruler.coded)
         self._checks = Checks()
-        self._lines: dict[tuple[Block, int], Line] = {}
+        self._lines: dict[tuple[Block, int], BorderLine] = {}
         n_levels = terrain.n_levels
         self._n_blocks, self._n_triangles = [0] * n_levels, [0] * n_levels
         self._stored, self._measured = [0.0] * n_levels, [0.0] * n_levels
@@ -163,7 +163,7 @@ class MeshVerification:
         return MeshReport(terrain.mesh_kind, against, levels, areas), self._checks.all()
 
     def _decoded(self, region: Region) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:
-        raw, valid = self._terrain.read_with_mask(tuple(region))
+        raw, valid = self._terrain.read_with_mask(region)
         return raw, valid
 
     def _report(self, n_samples: int) -> None:
@@ -176,7 +176,7 @@ class MeshVerification:
 
     # Stored meshes
 
-    def _visit(self, block: Block, chain: list[tuple[Block, Surface]]) -> None:
+    def _visit(self, block: Block, chain: list[tuple[Block, CheckedMesh]]) -> None:
         where = f"mesh of block {tuple(block)}"
         try:
             surface = block_surface(self._terrain, block)
@@ -202,7 +202,7 @@ class MeshVerification:
                 self._checks.add(where, [str(error)])
             self._report(region.n_rows * region.n_cols)
 
-    def _measure(self, region: Region, chain: list[tuple[Block, Surface]]) -> None:
+    def _measure(self, region: Region, chain: list[tuple[Block, CheckedMesh]]) -> None:
         raw, valid = self._read(region)
         samples = self._ruler.sixteenths(raw, valid)
         for block, surface in chain:
@@ -226,7 +226,7 @@ class MeshVerification:
             if block.level == self._grid.k_max and not self._is_unbounded:
                 self._checks.add(where, self._tolerance_problems(surface, region))
 
-    def _tolerance_problems(self, surface: Surface, region: Region) -> Iterator[str]:
+    def _tolerance_problems(self, surface: CheckedMesh, region: Region) -> Iterator[str]:
         """Check a finest mesh against the decoded heights, which it is made from."""
         raw, valid = self._decoded(region)
         tolerance = self._ruler.in_sixteenths(self._terrain.info().mesh_tolerance)
@@ -254,7 +254,7 @@ class MeshVerification:
                 f" {self._ruler.physical(errors.worst):g}"
             )
 
-    def _check_lines(self, block: Block, surface: Surface) -> None:
+    def _check_lines(self, block: Block, surface: CheckedMesh) -> None:
         """Compare borders with neighbours that came before; keep those of the ones to come."""
         grid = self._grid
         mask_shape = block_mask(self._terrain, block).shape

@@ -3,7 +3,7 @@
 import functools
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ParamSpec, TypeVar
 
 from terrainwave.arguments import (
@@ -14,7 +14,13 @@ from terrainwave.arguments import (
     checked_threads,
     checked_whole,
 )
-from terrainwave.codec.method_options import MethodOptions, chosen, chosen_with, with_method
+from terrainwave.codec.method_options import (
+    MethodChoice,
+    MethodOptions,
+    chosen,
+    chosen_with,
+    with_method,
+)
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.names import DEFAULT_EFFORT, EFFORTS, FORMATS, Method, methods_that
 from terrainwave.tri.mesh_options import MeshOptions, check_mesh, of_former_name, stored_mesh
@@ -44,6 +50,7 @@ class Options:
     keep_origin: bool = False
     verify: bool = True
     threads: int | None = None
+    choice: MethodChoice = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         blocks = f"one of {', '.join(map(str, BLOCKS))}"
@@ -59,12 +66,12 @@ class Options:
         flags = [field.name for field in fields(self) if isinstance(field.default, bool)]
         check_flags(**{name: getattr(self, name) for name in flags})
         check_choice("format", self.format, FORMATS)
-        settled["method"], settled["effort"] = chosen(self.method, self.effort)
+        choice = chosen(self.method, self.effort)
+        settled |= {"method": choice.own, "effort": choice.effort, "choice": choice}
         if not _is_settled(self.mesh):
             check_mesh(self.mesh, or_none=True)
-            own = settled["method"]
             settled["mesh"] = stored_mesh(
-                self.mesh, own.method, is_faithful=getattr(own, "faithful", False)
+                self.mesh, choice.own.method, is_faithful=getattr(choice.own, "faithful", False)
             )
         for name, value in settled.items():
             object.__setattr__(self, name, value)
@@ -100,7 +107,7 @@ class Options:
 
     def to_metadata(self) -> dict[str, Any]:
         """Return what files are made differently by, or checked; plain values for JSON."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        values = {field.name: getattr(self, field.name) for field in fields(self) if field.init}
         values |= {name: getattr(self, name) for name in _OF_METHODS}
         values["method"] = self.named_method.name
         return {
@@ -112,18 +119,12 @@ class Options:
 
     def with_method(self, method: Method, mesh: str) -> "Options":
         """Return the options with another method and other stored meshes; all else stays."""
-        return replace(self, method=with_method(self._own, method), mesh=mesh)
-
-    @property
-    def _own(self) -> MethodOptions:
-        """Return the method's own options."""
-        assert isinstance(self.method, MethodOptions)
-        return self.method
+        return replace(self, method=with_method(self.choice.own, method), mesh=mesh)
 
     @property
     def named_method(self) -> Method:
         """Return the method."""
-        return self._own.method
+        return self.choice.own.method
 
     @property
     def mesh_kind(self) -> str:
@@ -174,14 +175,21 @@ class Options:
     @property
     def notes(self) -> list[str]:
         """Return remarks on options that change nothing."""
+        notes = []
+        if self.mesh_error is not None and self.mesh_kind == "none":
+            notes.append("the mesh error changes nothing: the file gets no meshes")
         if self.effort == DEFAULT_EFFORT:
-            return []
+            return notes
         if self.faithful:
-            return [f"effort {self.effort} changes nothing: faithful files have one wavelet step"]
+            return [
+                *notes,
+                f"effort {self.effort} changes nothing: faithful files have one wavelet step",
+            ]
         if self.named_method.effort:
-            return []
+            return notes
         return [
-            f"effort {self.effort} changes nothing: method {self.named_method.name} has no efforts"
+            *notes,
+            f"effort {self.effort} changes nothing: method {self.named_method.name} has no efforts",
         ]
 
 

@@ -22,7 +22,7 @@ from terrainwave.coding.rangecoder import (
 )
 from terrainwave.coding.status import raise_for_status
 from terrainwave.errors import CorruptStreamError
-from terrainwave.tri.mesh import BlockMesh
+from terrainwave.tri.block_mesh import BlockMesh
 from terrainwave.tri.rqt.stored import Selection, rqt_mesh, select_vertices, vertices_of
 from terrainwave.tri.zerotree.agreement import BorderVertices, border_of, border_of_cut
 from terrainwave.tri.zerotree.connect import mesh_of_cut
@@ -101,7 +101,7 @@ def _kept(samples: Samples, demanded: BorderVertices | None) -> NDArray[np.bool_
     return samples.locked | demanded.keep(samples.mask.shape)
 
 
-class Zerotree:
+class StoredZerotree:
     """Algorithm I; the bytes are its refinement labels (`zerotree.refinement`).
 
     With zero trees the mesh is nowhere coarser than they are, and labels tell the difference.
@@ -138,7 +138,7 @@ def _select(samples: Samples, tolerance: int, keep: NDArray[np.bool_]) -> Select
     )
 
 
-class Rqt:
+class StoredRqt:
     """The restricted quadtree; the bytes are the border vertices that only neighbours need.
 
     With coefficients these select vertices, and the tolerance is no bound.
@@ -182,11 +182,11 @@ class Rqt:
 
 
 STORED_KINDS: dict[str, StoredKind] = {
-    "zerotree-plain": Zerotree(),
-    "zerotree-layer": Zerotree(),
-    "zerotree-coded": Zerotree(),
-    "rqt": Rqt(),
-    "rqt-coefficient": Rqt(),
+    "zerotree-plain": StoredZerotree(),
+    "zerotree-layer": StoredZerotree(),
+    "zerotree-coded": StoredZerotree(),
+    "rqt": StoredRqt(),
+    "rqt-coefficient": StoredRqt(),
 }
 
 

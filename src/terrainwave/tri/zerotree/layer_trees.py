@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from terrainwave.coding.filters import BAND_GAINS, forward_transform, synthesise
 from terrainwave.coding.jit import kernel
 from terrainwave.coding.zerotrees import mark_zero_trees
-from terrainwave.tri.mesh import FRACTION_BITS
+from terrainwave.tri.block_mesh import FRACTION_BITS
 from terrainwave.tri.zerotree.labels import Trees
 
 # A coefficient is significant from this share of Err_Tri on, in 1/16.

@@ -12,13 +12,13 @@ import zlib
 from collections.abc import Sequence
 
 from terrainwave.arguments import size_of
-from terrainwave.container.sources.ranges import ByteRange
-from terrainwave.container.sources.source import (
+from terrainwave.container.sources.byte_source import (
     MAX_WHOLE,
     BufferSource,
     ByteSource,
     MergingSource,
 )
+from terrainwave.container.sources.ranges import ByteRange
 from terrainwave.errors import StorageError, TerrainwaveWarning, TruncatedStreamError
 
 _TAIL = 1 << 16  # the directory of small archives, and all that may come after one

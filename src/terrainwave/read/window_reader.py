@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from terrainwave.codec.refiner import Decoded
 from terrainwave.errors import CorruptStreamError, StorageError
 from terrainwave.forks import renew_after_fork
-from terrainwave.grid.quadtree import Block, Region
+from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.grid.remainders import restored
 from terrainwave.read.decoder import TreeDecoder, unit_key
+from terrainwave.read.lost import LostUnits
 from terrainwave.read.schedule import run_after_parents
 
 # Payloads fetched ahead of decoding, in one coalesced request.
@@ -33,8 +34,9 @@ class WindowReader:
         Threads that decode; none are started for one.
     """
 
-    def __init__(self, name: str, quantizer: Quantizer, n_threads: int) -> None:
+    def __init__(self, name: str, grid: Grid, quantizer: Quantizer, n_threads: int) -> None:
         self._name = name
+        self.lost = LostUnits(grid)
         self._quantizer = quantizer
         self._dtype = np.dtype(quantizer.dtype)
         self._n_threads = n_threads
@@ -73,9 +75,10 @@ class WindowReader:
                 there, unit = decoder.part_once(key, region)
                 self._fill(unit, heights[there])
                 voids.note(there, unit.validity.own_mask if is_own else unit.validity.mask)
-            except CorruptStreamError:
+            except CorruptStreamError as error:
                 if on_error == "raise":
                     raise
+                self.lost.note(key, error)
 
         keys = decoder.keys(level, region)
         for first in range(0, len(keys), _BATCH):

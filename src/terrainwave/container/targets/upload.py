@@ -1,0 +1,120 @@
+"""Targets by URL: a file is made and proved on this machine, then uploaded as a whole."""
+
+import os
+import secrets
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from terrainwave.arguments import check_flags
+from terrainwave.container.sources.addresses import display_name, without_secrets
+from terrainwave.container.spool import storage_errors
+from terrainwave.container.targets.publication import scratch_directory
+from terrainwave.container.targets.unfinished import Part
+from terrainwave.errors import InvalidArgumentError, StorageError, TerrainwaveError
+from terrainwave.extras import need
+
+# They show a file only once all of it is there; elsewhere it is renamed at the end.
+_OBJECT_STORES = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oss", "oci", "r2"}
+_READ_ONLY = {"http", "https", "zip", "tar", "github", "reference"}
+
+
+@contextmanager
+def uploaded(
+    url: str, *, overwrite: bool = False, temp_dir: str | os.PathLike[str] | None = None
+) -> Iterator[Part]:
+    """Give a file to write that appears at a URL when the block ends without exception.
+
+    Parameters
+    ----------
+    url : str
+        Where fsspec can write.
+    overwrite : bool
+        Whether a file that is there may be replaced.
+    temp_dir : path, optional
+        Where the file is made; by default among the system's temporary files.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If nothing can be written to URLs of this kind.
+    StorageError
+        Before the block: if the file exists and `overwrite` is false, or its storage cannot be
+        reached. After it: if it cannot be uploaded; the finished file then stays on this machine,
+        and the message says where.
+    """
+    check_flags(overwrite=overwrite)
+    target = _Target(url)
+    if not overwrite and target.exists():
+        raise StorageError(
+            f"{target.name} already exists and is left as it is; `overwrite` replaces it"
+        )
+    parent = Path(temp_dir or tempfile.gettempdir())
+    with scratch_directory(parent, "terrainwave") as directory:
+        path = directory / "upload.twz"
+        with storage_errors(f"cannot write {path}"), path.open("w+b") as file:
+            yield Part(path, file)
+            file.flush()
+        try:
+            target.put(path)
+        except TerrainwaveError as error:
+            kept = parent / f"{Path(target.path).stem}-{secrets.token_hex(4)}.twz"
+            with storage_errors(f"cannot write {kept}"):
+                shutil.move(path, kept)
+            raise StorageError(f"{error}; the finished file is {kept}: upload it") from error
+
+
+class _Target:
+    """A file that is not there yet, in one of fsspec's file systems."""
+
+    def __init__(self, url: str) -> None:
+        self.name = display_name(url)
+        scheme = url.partition("://")[0].lower()
+        if scheme in _READ_ONLY or "::" in url:
+            raise InvalidArgumentError(
+                f"found {self.name}, expected a path, or the URL of storage that takes files, such"
+                " as s3://, gs://, az:// or sftp://"
+            )
+        fsspec = need("fsspec.core", extra="remote", purpose=f"writing {self.name}")
+        self._fs, self.path = self._call(fsspec.url_to_fs, url)
+        protocols = self._fs.protocol
+        self._is_object_store = bool(
+            _OBJECT_STORES & set([protocols] if isinstance(protocols, str) else protocols)
+        )
+
+    def exists(self) -> bool:
+        """Say whether there is a file of this name."""
+        return bool(self._call(self._fs.exists, self.path))
+
+    def put(self, path: Path) -> None:
+        """Upload a file: all of it appears, or nothing."""
+        if self._is_object_store:
+            self._call(self._fs.put_file, os.fspath(path), self.path)
+        else:
+            unfinished = f"{self.path}.{secrets.token_hex(8)}.twz-part"
+            try:
+                self._call(self._fs.put_file, os.fspath(path), unfinished)
+                self._call(self._fs.mv, unfinished, self.path)
+            except BaseException:
+                with suppress(Exception):  # it may not be there
+                    self._fs.rm_file(unfinished)
+                raise
+        self._fs.invalidate_cache()
+        found, expected = self._call(self._fs.size, self.path), path.stat().st_size
+        if found != expected:
+            raise StorageError(
+                f"cannot write {self.name}: found {found} bytes there, expected {expected}"
+            )
+
+    def _call(self, function: Callable[..., Any], *args: Any) -> Any:
+        # File systems raise what their libraries raise; few of those are OSErrors.
+        try:
+            return function(*args)
+        except TerrainwaveError:
+            raise
+        except Exception as error:
+            reason = without_secrets(" ".join(str(error).split())) or type(error).__name__
+            raise StorageError(f"cannot write {self.name}: {reason}") from error

@@ -1,0 +1,92 @@
+"""A .twz file as a source of heights, as a GeoTIFF is one: for another bound, method, or mosaic."""
+
+import os
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.file import TerrainFile
+from terrainwave.grid.affine import IDENTITY
+from terrainwave.raster_io.earlier_loss import EarlierFile, EarlierLoss, earlier_files
+from terrainwave.raster_io.source import RasterSource
+
+
+def raster_source(source: Any, **options: Any) -> RasterSource:
+    """Return a `RasterSource` that opens .twz files, too; options as it has them."""
+    return RasterSource(source, open_terrain=TerrainBackend, **options)
+
+
+class TerrainBackend:
+    """A .twz file, whose decoded heights are read (`raster_io.backend`).
+
+    Parameters
+    ----------
+    source : path, URL or TerrainFile
+        An open file is not closed.
+    georeference : bool
+        False leaves place and CRS out.
+    """
+
+    is_file = True
+
+    def __init__(self, source: Any, *, georeference: bool = True) -> None:
+        self._owned = not isinstance(source, TerrainFile)
+        terrain: TerrainFile = TerrainFile(source) if self._owned else source
+        self._terrain = terrain
+        info = self._info = terrain.raster_info
+        self.name = str(terrain.name)
+        self.n_rows: int = terrain.shape[0]
+        self.n_cols: int = terrain.shape[1]
+        self.dtype: np.dtype[Any] = terrain.dtype
+        self.nodata: Any = info.nodata
+        side = 2 * terrain.grid.block
+        self.block_shape = (side, side)
+        self.is_lost = info.crs is None and tuple(info.transform) == IDENTITY
+        self._is_placed = georeference and not self.is_lost
+        self.transform: tuple[float, ...] = tuple(info.transform) if self._is_placed else IDENTITY
+        self.crs: Any = info.rasterio_crs() if self._is_placed else None
+        self.has_mask = info.mask_kind == "mask"
+        bound = terrain.effective_error
+        own = EarlierFile(os.path.basename(self.name), bound)
+        files = (*earlier_files(terrain.header.metadata), own) if bound else ()
+        self.earlier: EarlierLoss | None = EarlierLoss(bound, files)
+
+    def notes(self) -> Iterator[str]:
+        """Yield what is left out or was chosen, one sentence each."""
+        return (f"{self.name}: {remark}" for remark in self.remarks())
+
+    def remarks(self) -> Iterator[str]:
+        """Yield the notes without the file's name: none."""
+        return iter(())
+
+    def asides(self) -> Iterator[str]:
+        """Yield what is no reason for a warning: none."""
+        return iter(())
+
+    def tags(self) -> dict[str, Any]:
+        """Return the fields of RasterInfo that do not bear on the heights."""
+        info = self._info
+        return {
+            "crs": info.crs if self._is_placed else None,
+            "units": info.units,
+            "scale": info.scale,
+            "offset": info.offset,
+            "area_or_point": info.area_or_point,
+            "description": info.description,
+            "color_interpretation": info.color_interpretation,
+            "tags": info.tags,
+            "band_tags": info.band_tags,
+        }
+
+    def read(
+        self, row: int, col: int, n_rows: int, n_cols: int
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Return decoded heights and False where they are void."""
+        return self._terrain.read_with_mask((row, col, n_rows, n_cols))
+
+    def close(self) -> None:
+        """Close what was opened here."""
+        if self._owned:
+            self._terrain.close()

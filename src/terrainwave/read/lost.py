@@ -1,0 +1,59 @@
+"""What of a damaged file could not be read."""
+
+import threading
+from typing import NamedTuple
+
+from terrainwave.errors import CorruptStreamError
+from terrainwave.forks import renew_after_fork
+from terrainwave.grid.quadtree import Block, Grid
+
+
+class Lost(NamedTuple):
+    """A unit that is damaged, or lies below one that is: a level, a window of it, and why.
+
+    The window is ``(first_row, first_col, n_rows, n_cols)``, in samples of the level.
+    """
+
+    level: int
+    window: tuple[int, int, int, int]
+    problem: str
+
+    def __str__(self) -> str:
+        row, col, n_rows, n_cols = self.window
+        return (
+            f"level {self.level}, rows {row} to {row + n_rows - 1}, columns {col} to"
+            f" {col + n_cols - 1}: {self.problem}"
+        )
+
+
+class LostUnits:
+    """Gathers what is lost, each unit once; from any number of threads."""
+
+    def __init__(self, grid: Grid) -> None:
+        self._grid = grid
+        self._problems: dict[Block, str] = {}
+        self._lock = threading.Lock()
+        renew_after_fork(self)
+
+    def renew(self) -> None:
+        """Begin anew after a fork."""
+        self._lock = threading.Lock()
+
+    def note(self, key: Block, error: CorruptStreamError) -> None:
+        """Note that a unit cannot be read."""
+        with self._lock:
+            self._problems.setdefault(key, str(error))
+
+    def list(self) -> list[Lost]:
+        """Return what is lost, coarse levels first."""
+        with self._lock:
+            found = sorted(self._problems.items())
+        return [self._lost(key, problem) for key, problem in found]
+
+    def _lost(self, key: Block, problem: str) -> Lost:
+        if key.is_root_key:
+            region = self._grid.block_region(Block(0, key.row, key.col))
+        else:
+            region = self._grid.group_region(key)
+        window = int(region.row), int(region.col), int(region.n_rows), int(region.n_cols)
+        return Lost(key.level + 1, window, problem)

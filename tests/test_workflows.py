@@ -1,0 +1,109 @@
+"""What workflows and hooks run: names that there are. Whether they pass is for machines to say."""
+
+import ast
+import re
+import shutil
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+from _pytest.mark.expression import Expression
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
+
+
+def lines_run():
+    """Yield the name of a job, its shell and the lines of each of its steps."""
+    for path in sorted((ROOT / ".github" / "workflows").glob("*.yml")):
+        jobs = yaml.safe_load(path.read_text(encoding="utf-8"))["jobs"]
+        for name, job in jobs.items():
+            shell = job.get("defaults", {}).get("run", {}).get("shell", "bash")
+            for step in job["steps"]:
+                if "run" in step:
+                    yield f"{path.stem}-{name}", shell, re.sub(r"\$\{\{.*?\}\}", "X", step["run"])
+    yield "ci-run", "bash", (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+
+
+LINES = list(lines_run())
+each = pytest.mark.parametrize(("job", "shell", "text"), LINES, ids=[line[0] for line in LINES])
+
+
+def test_there_are_steps_of_each_workflow():
+    assert {job.partition("-")[0] for job, _, _ in LINES} == {
+        *(path.stem for path in (ROOT / ".github" / "workflows").glob("*.yml")), "ci",
+    }  # fmt: skip
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
+@each
+def test_lines_are_written_as_their_shell_reads_them(job, shell, text):
+    if shell == "bash":
+        assert subprocess.run(["bash", "-n", "-c", text], check=False).returncode == 0, job
+
+
+@each
+def test_targets_of_make_are_in_the_makefile(job, shell, text):
+    for words in re.findall(r"^\s*make ([\w -]+)$", text, re.MULTILINE):
+        for target in words.split():
+            assert re.search(rf"^[\w -]*\b{target}\b[\w -]*:", MAKEFILE, re.MULTILINE), target
+
+
+@each
+def test_files_that_are_named_are_there(job, shell, text):
+    named = re.findall(
+        r"(?:^|[\s\"'])((?:tests|native|src|docs)(?:[/\\][\w.-]+)*)", text, re.MULTILINE
+    )
+    for name in named:
+        assert (ROOT / name.replace("\\", "/")).exists(), name
+
+
+@each
+def test_pytest_is_given_marks_that_there_are(job, shell, text):
+    marks = {line.partition(":")[0] for line in PROJECT["tool"]["pytest"]["ini_options"]["markers"]}
+    for quoted, plain in re.findall(r"pytest\b.* -m (?:\"([^\"]+)\"|(\w+))", text):
+        names = set(re.findall(r"\w+", quoted or plain)) - {"not", "and", "or"}
+        assert names <= marks
+        Expression.compile(quoted or plain)
+
+
+@each
+def test_extras_that_are_installed_are_those_of_the_project(job, shell, text):
+    for names in re.findall(r"pip install .*\"\.\[([\w,]+)\]\"", text):
+        assert set(names.split(",")) <= PROJECT["project"]["optional-dependencies"].keys()
+
+
+@each
+def test_options_of_cmake_are_in_its_list(job, shell, text):
+    known = "".join(path.read_text("utf-8") for path in (ROOT / "native").rglob("CMakeLists.txt"))
+    known += "".join(path.read_text("utf-8") for path in (ROOT / "native").rglob("*.cmake"))
+    for name in re.findall(r"-D(TWZ_\w+)=", text):
+        assert re.search(rf"\b{name}\b", known), name
+
+
+ONLY_POSIX = {"fcntl", "grp", "posix", "pty", "pwd", "resource", "termios"}
+
+
+def test_what_tests_import_is_there_on_every_system():
+    """Windows lacks some of Python's own modules: tests would not even be collected there."""
+    for folder in ("src", "tests", "benchmarks", "fuzz", "tools", "examples"):
+        for path in (ROOT / folder).rglob("*.py"):
+            if path.relative_to(ROOT) == Path("fuzz", "worker.py"):  # that no test imports
+                continue
+            for node in ast.parse(path.read_text(encoding="utf-8")).body:
+                names = [alias.name for alias in getattr(node, "names", ())]
+                is_import = isinstance(node, ast.Import | ast.ImportFrom)
+                found = {getattr(node, "module", None), *names} & ONLY_POSIX
+                assert not (is_import and found), path
+
+
+def test_hooks_run_what_make_lint_does():
+    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))
+    (repository,) = hooks["repos"]
+    entries = {hook["entry"].removeprefix(".venv/bin/") for hook in repository["hooks"]}
+    lint = MAKEFILE.split("\nlint:")[1].split("\n\n")[0]
+    commands = re.findall(r"\$\(BIN\)/(.+)", lint)
+    assert entries == {command.replace(" --check", "").removesuffix(" .") for command in commands}
