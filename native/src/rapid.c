@@ -295,12 +295,14 @@ static twz_status open_unit(rapid_unit *u, const job *j, const reader *bytes, sc
   c->most_detail = ((int64_t)c->high - c->low) / n + 1;
   /* Sums of details times steps must fit 32 bits, too, or 64 are used: the heights are the same. */
   u->is_wide = is_wide || max_i64(c->most_detail, ZERO_SYMBOL) * n >= (int64_t)1 << 30;
+  /* Stencils sum to 4096: heights less another origin are predicted the same, as long as sums fit. */
+  int32_t change = j->file->heights.origin - c->origin;
+  int64_t low = (int64_t)c->low - change, high = (int64_t)c->high - change;
   u->is_short = j->out->shorts && j->file->kernels->decode_rapid_short && !u->is_wide && j->parent.layer &&
-                !j->parent.is_void && 32768 * u->tables->widest <= MOST_SUM;
-  if (u->is_short) { /* stencils sum to 4096: heights less another origin are predicted the same */
-    int32_t change = j->file->heights.origin - c->origin;
-    c->low -= change;
-    c->high -= change;
+                !j->parent.is_void && max_i64(-low, high) * u->tables->widest <= MOST_SUM;
+  if (u->is_short) {
+    c->low = (int32_t)low;
+    c->high = (int32_t)high;
     c->origin += change;
   }
   /* Row 2 i of the lattice is stored in turn i + 1, the one below it in the next. */

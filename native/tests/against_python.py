@@ -1,8 +1,8 @@
 """Hold `twz` against the Python package on more than the conformance set has: python … TWZ.
 
 Rasters of many equal units, which the library decodes up to four at a time, with and without voids,
-and rasters at the border of what 16 bits hold: all levels and windows, each kind of kernels, one
-thread and three.
+rasters at the border of what 16 bits hold, and plateaus far apart by tables with large weights: all
+levels and windows, each kind of kernels, one thread and three.
 """
 
 import subprocess
@@ -13,6 +13,9 @@ from pathlib import Path
 import numpy as np
 
 import terrainwave as tw
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fuzz"))
+import forced
 
 WAYS = (["--kernels", "baseline"], ["--kernels", "avx2"], [], ["--threads", "3"])
 OPTIONS = (
@@ -43,6 +46,14 @@ def of_range(span):
     heights = (heights - heights.min()) % (span + 1)
     heights[40:90, 30:170] = np.where(heights[40:90, 30:170] % 3 == 0, 0, span)
     return heights - 1_000_000
+
+
+def plateaus():
+    """Return heights near each other within units; sums of all of them do not fit 32 bits."""
+    heights = terrain(False).astype(np.int32)[:300, :300] // 100
+    heights[:130] -= 30_000
+    heights[130:] += 30_000
+    return heights.astype(np.int16)
 
 
 def is_readable(twz, way, path):
@@ -113,7 +124,12 @@ def main():
                 tw.compress(terrain(has_voids), path, block=64, mesh="none", **options)
                 found += disagreements(twz, path)
                 n_files += 1
-        for span in (65_534, 65_535, 65_536):
+        path = str(Path(folder) / "plateaus.twz")
+        with forced.tables(np.random.default_rng(5), has_weights=True):
+            tw.compress(plateaus(), path, max_error=0, block=32, mesh="none", method="rapid")
+        found += disagreements(twz, path)
+        n_files += 1
+        for span in (65_533, 65_534, 65_536):
             for bound in (0, 3):  # the ends of the range are kept: cliffs lie on them
                 path = str(Path(folder) / f"{span}-{bound}.twz")
                 tw.compress(of_range(span), path, max_error=bound, block=32, mesh="none")
