@@ -21,6 +21,7 @@ import terrainwave
 from terrainwave.codec.unit_specs import unit_spec
 from terrainwave.errors import (
     CorruptStreamError,
+    InvalidArgumentError,
     InvalidHeightsError,
     LimitExceededError,
     StorageError,
@@ -101,10 +102,15 @@ def test_a_window_beyond_the_far_corner_is_clipped(terrain):
     np.testing.assert_array_equal(terrain.read((R - 3, C - 2, 99, 99)), HEIGHTS[-3:, -2:])
 
 
-@pytest.mark.parametrize("window", [(R, 0, 1, 1), (0, C, 9, 9), (-9, 0, 9, 9), (0, 0, 0, 5)])
+@pytest.mark.parametrize("window", [(R, 0, 1, 1), (0, C, 9, 9), (-9, 0, 9, 9)])
 def test_a_window_that_misses_the_raster_is_refused(terrain, window):
     with pytest.raises(InvalidHeightsError, match="lies outside"):
         terrain.read(window)
+
+
+def test_a_window_without_samples_is_refused(terrain):
+    with pytest.raises(InvalidArgumentError, match="of 0 x 5 samples, expected at least 1 x 1"):
+        terrain.read((0, 0, 0, 5))
 
 
 @pytest.mark.parametrize(
@@ -684,7 +690,10 @@ def test_check_finds_nothing_in_a_sound_file(store_data):
 @pytest.mark.large
 def test_check_names_the_damaged_group(store_data):
     with Terrain(broken_at(store_data, Block(3, 1, 0))) as terrain:
-        assert all("level 3, row 1" in line for line in terrain.check())
+        *damaged, share = terrain.check()
+        assert all("level 3, row 1" in line for line in damaged)
+        assert share.startswith("level 4: ")
+        assert share.endswith(" % of the samples cannot be read")
 
 
 # Threads, pickles, closing

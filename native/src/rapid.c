@@ -242,7 +242,9 @@ static twz_status close_streams(const rapid_unit *u, twz_error *error) {
   return TWZ_OK;
 }
 
-/* R.2. */
+/* R.2: what fits 32 bits. */
+static const int64_t MOST_SUM = ((int64_t)1 << 31) - 64;
+
 static void find_limits(rapid_unit *u, int is_wide) {
   const header *h = &u->job->file->header;
   const parent *p = &u->job->parent;
@@ -250,9 +252,9 @@ static void find_limits(rapid_unit *u, int is_wide) {
   c->low = h->z_min;
   c->high = h->z_max;
   if (is_wide) return;
-  const int64_t most = ((int64_t)1 << 31) - 64, widest = u->tables->widest;
-  int64_t origin = 0, reach = most / widest;
-  if (p->layer && max_i64(-(int64_t)h->z_min, h->z_max) * widest > most) {
+  const int64_t widest = u->tables->widest;
+  int64_t origin = 0, reach = MOST_SUM / widest;
+  if (p->layer && max_i64(-(int64_t)h->z_min, h->z_max) * widest > MOST_SUM) {
     int32_t low = INT32_MAX, high = INT32_MIN;
     for (int32_t r = 0; r < p->n_rows; r++) {
       for (int32_t i = 0; i < p->n_cols; i++) {
@@ -293,7 +295,8 @@ static twz_status open_unit(rapid_unit *u, const job *j, const reader *bytes, sc
   c->most_detail = ((int64_t)c->high - c->low) / n + 1;
   /* Sums of details times steps must fit 32 bits, too, or 64 are used: the heights are the same. */
   u->is_wide = is_wide || max_i64(c->most_detail, ZERO_SYMBOL) * n >= (int64_t)1 << 30;
-  u->is_short = j->out->shorts && j->file->kernels->decode_rapid_short && !u->is_wide && j->parent.layer && !j->parent.is_void;
+  u->is_short = j->out->shorts && j->file->kernels->decode_rapid_short && !u->is_wide && j->parent.layer &&
+                !j->parent.is_void && 32768 * u->tables->widest <= MOST_SUM;
   if (u->is_short) { /* stencils sum to 4096: heights less another origin are predicted the same */
     int32_t change = j->file->heights.origin - c->origin;
     c->low -= change;

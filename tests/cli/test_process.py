@@ -388,7 +388,7 @@ LAYERS = {
         "write.pyramid.Pyramid.build",
         "write.encoder.TreeEncoder.run",
         "write.passes.coding.measure_meshes",
-        "container.sink.SpoolSink.__init__",
+        "container.spool_sink.SpoolSink.__init__",
         "write.compress.assemble",
         "write.passes.proof.compare_window",
         "container.reader.Container.__init__",
@@ -399,7 +399,10 @@ LAYERS = {
         "read.decoder.TreeDecoder.unit",
         "grid.quantum.Quantizer.dequantize",
     ],
-    "info": ["container.reader.Container.__init__", "raster_io.info.RasterInfo.from_metadata"],
+    "info": [
+        "container.reader.Container.__init__",
+        "raster_io.raster_info.RasterInfo.from_metadata",
+    ],
     "verify": ["verification.heights.open_original", "read.decoder.TreeDecoder.unit"],
     "mesh": ["container.reader.Container.payloads", "export.mesh.Mesh.save"],
 }

@@ -28,6 +28,8 @@ class FakeTerrain:
         self.crs = changes.pop("crs", None)
         self._transform = Affine(*changes.pop("transform", (1, 0, 0, 0, 1, 0)))
         self.bad_row = changes.pop("bad_row", None)
+        self.n_levels = 1
+        self.container = SimpleNamespace(n_missing=0, extents=SimpleNamespace(file_size=0))
         self.problems = changes.pop("problems", ())
         fields = {
             "units": None,
@@ -37,6 +39,7 @@ class FakeTerrain:
             "area_or_point": "Area",
             "rounding_error": 0.05,
             "method": "rapid",
+            "earlier": (),
         }
         self._info = SimpleNamespace(**(fields | changes))
 
