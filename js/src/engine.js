@@ -4,6 +4,7 @@
  */
 
 import { Core } from "./core.js";
+import { SourceError } from "./errors.js";
 
 export class Engine {
   #module;
@@ -36,7 +37,11 @@ export class Engine {
 
   async #more(missing, held, fetch) {
     const found = await fetch(missing);
-    missing.forEach(({ start }, i) => held.push({ start, bytes: found[i] }));
+    missing.forEach(({ start, end }, i) => {
+      // Or the same would be missing for ever.
+      if (found[i]?.length !== end - start) throw new SourceError(`bytes ${start} to ${end} did not come`);
+      held.push({ start, bytes: found[i] });
+    });
   }
 
   /** Return the file's decoder; a new one, where the last one broke off. */

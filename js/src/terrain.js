@@ -228,7 +228,8 @@ export class Terrain {
   #workers() {
     const { file, fetch, nWorkers, signal } = this.#given;
     if (nWorkers === 0) return null;
-    this.#pool ??= WorkerPool.start(nWorkers, file, fetch).catch((error) => {
+    const own = { ...file, cacheBytes: Math.floor(file.cacheBytes / nWorkers) };
+    this.#pool ??= WorkerPool.start(nWorkers, own, fetch).catch((error) => {
       if (signal?.aborted) return null;
       console.warn(`terrainwave: no workers, the page itself decodes: ${error.message}`);
       return null;

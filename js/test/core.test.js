@@ -5,7 +5,7 @@ import { test } from "node:test";
 
 import { Core } from "../src/core.js";
 import { Engine } from "../src/engine.js";
-import { CorruptStreamError, TerrainwaveError, open } from "../src/index.js";
+import { CorruptStreamError, SourceError, TerrainwaveError, open } from "../src/index.js";
 import { loadModule } from "../src/module.js";
 import { golden } from "../testing/files.js";
 
@@ -79,4 +79,12 @@ test("a closed file leaves its memory empty to the next one", async (context) =>
     await terrain.close();
   }
   assert.equal(instantiate.mock.callCount(), 0);
+});
+
+test("bytes that do not come are an error, not another request for ever", async () => {
+  const bytes = await golden("rapid-int16-halves");
+  const engine = new Engine({ module: await loadModule(), size: bytes.length, start: bytes.subarray(0, 100), cacheBytes: 0 });
+  await assert.rejects(engine.describe(async (ranges) => ranges.map(() => new Uint8Array(3))), SourceError);
+  const about = await engine.describe(async (ranges) => ranges.map(({ start, end }) => bytes.subarray(start, end)));
+  assert.equal(about.nRows, 110); // another try
 });
