@@ -204,6 +204,8 @@ def test_an_existing_picture_is_kept_unless_told(file, tmp_path):
 
 
 def test_pictures_with_text_name_the_library_that_is_missing(monkeypatch, file, tmp_path):
+    for name in [name for name in sys.modules if name.startswith("PIL.")]:
+        monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "PIL", None)
     done = run("render", file, tmp_path / "x.png", "--size", "300x200", "--legend")
     assert done.exit_code == 1
