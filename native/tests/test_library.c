@@ -355,7 +355,7 @@ static void no_memory_is_an_error(memory *m) {
 static void own_samples_of_parts_are_those_of_the_window(memory *m) {
   twz_file *file = open_memory(m, NULL);
   for (int level = 0; level < twz_file_info(file)->n_levels; level++) {
-    twz_window *window;
+    twz_window *window = NULL;
     twz_level size;
     CHECK(twz_file_level(file, level, &size, NULL) == TWZ_OK && twz_window_new(file, level, NULL, &window, NULL) == TWZ_OK);
     CHECK(twz_window_load(window, fetch, m, NULL) == TWZ_OK && twz_window_decode(window, NULL, NULL) == TWZ_OK);
