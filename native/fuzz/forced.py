@@ -26,7 +26,7 @@ from terrainwave.codec.rapid.file_tables import (
     rest_symbols,
     weights_of,
 )
-from terrainwave.codec.rapid.refiner import Rapid
+from terrainwave.codec.rapid.refiner import RapidRefiner
 from terrainwave.codec.refiner import FREE
 from terrainwave.container.header import HAS_CORRECTIONS
 from terrainwave.errors import CorruptStreamError
@@ -130,16 +130,16 @@ def any_kept(share, seed):
 @contextmanager
 def tables(rng, *, has_weights):
     """Let rapid have any tables within the `with` block."""
-    before = Rapid.fitted
+    before = RapidRefiner.fitted
 
     def fitted(_self, grid, *_rest, **_options):
-        return Rapid(pack_file_tables(any_tables(rng, grid.k_max, has_weights)))
+        return RapidRefiner(pack_file_tables(any_tables(rng, grid.k_max, has_weights)))
 
-    Rapid.fitted = fitted
+    RapidRefiner.fitted = fitted
     try:
         yield
     finally:
-        Rapid.fitted = before
+        RapidRefiner.fitted = before
 
 
 @contextmanager
