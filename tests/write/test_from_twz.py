@@ -172,7 +172,20 @@ def test_a_bound_that_no_file_can_state_names_the_next(tmp_path):
     try:
         result = made(tmp_path / "a.twz", tmp_path / "b.twz", before, method="rapid")
     except InvalidHeightsError as error:
-        least = float(str(error).split("expected at least ")[1].split(":")[0])
-        result = made(tmp_path / "a.twz", tmp_path / "b.twz", least * 1.00001, method="rapid")
-        before = least * 1.00001
+        before = float(str(error).split("expected at least ")[1].split(":")[0])
+        result = made(tmp_path / "a.twz", tmp_path / "b.twz", before, method="rapid")
     assert result.effective_error <= before
+
+
+def test_any_bound_of_small_heights_is_settled(tmp_path):
+    """Quanta of many digits: the bound that is left differs from the one before in the last one."""
+    rng = np.random.default_rng(0)
+    for _ in range(12):
+        size = 10 ** rng.uniform(-6, 1)
+        heights = np.cumsum(rng.normal(size=(9, 9)), 0) * size
+        made(heights, tmp_path / "a.twz", size * 10 ** rng.uniform(-3, -0.5))
+        with Terrain(tmp_path / "a.twz") as terrain:
+            before = terrain.effective_error
+        for bound in before * rng.uniform(2, 3000, 6):
+            result = made(tmp_path / "a.twz", tmp_path / "b.twz", float(bound))
+            assert result.effective_error <= result.max_error <= bound * (1 + 1e-15)

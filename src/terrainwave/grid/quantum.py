@@ -379,7 +379,7 @@ class HeightScan:
             raise InvalidHeightsError(
                 "these heights lie on no common vertical grid, so this method cannot store them"
                 f" losslessly or this exactly: found `max_error` {float(max_error):g}, expected at"
-                f" least {_rounded_up(smallest)} (raw units), or method {fit}, which can"
+                f" least {rounded_up(smallest)} (raw units), or method {fit}, which can"
             )
         # A bound beyond the range buys nothing, and heights must be exact in float64 before they
         # are rounded to the output's type.
@@ -459,7 +459,7 @@ def _on_grid(heights: NDArray[np.generic], wide: NDArray[np.float64], p: Fractio
     return True
 
 
-def _rounded_up(value: Fraction) -> str:
+def rounded_up(value: Fraction) -> str:
     """Return a decimal number of six digits that is not below `value`: a bound to type in."""
     upward = Context(prec=6, rounding=ROUND_CEILING)
     return f"{float(upward.divide(Decimal(value.numerator), Decimal(value.denominator))):g}"

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from terrainwave.errors import InvalidArgumentError, TerrainwaveError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import strides_on
-from terrainwave.grid.quantum import as_fraction
+from terrainwave.grid.quantum import as_fraction, rounded_up
 from terrainwave.grid.steps import FixedSteps
 from terrainwave.raster_io.earlier_loss import EarlierFile, earlier_files
 from terrainwave.raster_io.source import RasterSource
@@ -89,8 +89,9 @@ def for_heights_of(source: RasterSource, options: Options) -> Options:
     if left < 0:
         raise InvalidArgumentError(
             f"found `max_error` {options.max_error:g} and heights of {source.name} within"
-            f" {loss.max_error:g} of their original, expected at least {loss.max_error:g}: what is"
-            " lost does not come back; a smaller bound needs the original raster"
+            f" {loss.max_error:g} of their original, expected at least"
+            f" {rounded_up(as_fraction(loss.max_error))}: what is lost does not come back; a"
+            " smaller bound needs the original raster"
         )
     return replace(options, max_error=float(left))
 

@@ -30,6 +30,7 @@ from terrainwave.grid.quantum import (
     HeightScan,
     Quantizer,
     as_fraction,
+    rounded_up,
 )
 from terrainwave.grid.steps import FixedSteps
 from terrainwave.mesh.blocks import default_mesh_error, mesh_tolerance
@@ -91,6 +92,11 @@ class Job:
     def moved_error(self) -> float:
         """Return what the file's bounds are larger by than those from the raster, in raw units."""
         return float(self.moved * self._quantum)
+
+    @property
+    def stated_bound(self) -> Fraction:
+        """Return the bound from the original that the file states, in physical units."""
+        return self.bound + self.moved * self._quantum * scale_of(self.info)
 
     @property
     def _quantum(self) -> Fraction:
@@ -323,8 +329,7 @@ def _above_limit(job: Job, earlier: Earlier) -> Fraction:
     """
     if earlier.asked is None or earlier.asked.max_error is None or job.options.is_embedded:
         return Fraction(0)
-    stated = job.bound + as_fraction(job.moved_error) * scale_of(job.info)
-    return max(stated - as_fraction(earlier.asked.max_error), Fraction(0))
+    return max(job.stated_bound - as_fraction(earlier.asked.max_error), Fraction(0))
 
 
 def _with_smaller_bound(job: Job, above: Fraction, earlier: Earlier) -> Options:
@@ -336,13 +341,17 @@ def _with_smaller_bound(job: Job, above: Fraction, earlier: Earlier) -> Options:
         If it is 0 already.
     """
     if not job.bound:
-        asked = job.bound - above + as_fraction(job.moved_error) * scale_of(job.info)
+        least = rounded_up(job.stated_bound)
         raise InvalidHeightsError(
-            f"found `max_error` {float(asked):g} and heights within {earlier.error:g} of an"
-            f" original, expected at least {float(asked + above):g}: a file states what was lost"
-            " before in whole steps of its own heights"
+            f"found `max_error` {float(job.stated_bound - above):g} and heights within"
+            f" {earlier.error:g} of an original, expected at least {least}: a file states what was"
+            " lost before in whole steps of its own heights"
         )
-    return replace(job.options, max_error=float(max(job.bound - above, Fraction(0))))
+    limit = max(job.bound - above, Fraction(0))
+    smaller = float(limit)
+    while as_fraction(smaller) > limit:  # its digits may be those of the bound that was too large
+        smaller = math.nextafter(smaller, 0)
+    return replace(job.options, max_error=smaller)
 
 
 def _raw_bound(bound: Fraction, info: RasterInfo) -> Fraction:
