@@ -90,6 +90,8 @@ RASTER_ENDINGS = (
     ".tif", ".tiff", ".vrt", ".img", ".hgt", ".asc", ".dem", ".bil", ".flt", ".nc", ".dt0",
     ".dt1", ".dt2", ".twz",
 )  # fmt: skip
+# Of GDAL's formats whose rasters are folders.
+_FOLDERS_THAT_ARE_RASTERS = (".zarr", ".gdb")
 
 
 def plan(
@@ -106,6 +108,10 @@ def plan(
         If two would write the same file, one is a stream, or a folder holds no such file.
     """
     jobs: dict[str, FileJob] = {}
+    if STREAM in sources:
+        raise click.UsageError(
+            "found - and --to, expected names of files: targets get their names from them"
+        )
     for source, folder in with_files_of_folders(sources, endings, directory):
         stem = Path(path_in_url(source)).stem
         job = FileJob(source, os.path.join(directory, folder, stem + ending))
@@ -128,13 +134,9 @@ def with_files_of_folders(
     Raises
     ------
     click.UsageError
-        If one is a stream, or a folder holds no such file.
+        If a folder holds no such file.
     """
     for source in sources:
-        if source == STREAM:
-            raise click.UsageError(
-                "found - and --to, expected names of files: targets get their names from them"
-            )
         checked_path(source)
         if not os.path.isdir(source) or source.lower().endswith(_FOLDERS_THAT_ARE_RASTERS):
             yield source, ""
@@ -146,10 +148,6 @@ def with_files_of_folders(
                 " the names of the files themselves"
             )
         yield from found
-
-
-# Of GDAL's formats whose rasters are folders.
-_FOLDERS_THAT_ARE_RASTERS = (".zarr", ".gdb")
 
 
 def _files_below(

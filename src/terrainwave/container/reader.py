@@ -8,6 +8,8 @@ import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 from terrainwave.cache import Cache
 from terrainwave.container.header import Extents, Header, unpack_header
@@ -67,7 +69,7 @@ class Container:
     def __init__(
         self, source: ByteSource, cached_segments: int = 256, *, may_be_cut: bool = False
     ) -> None:
-        self._cached_segments = cached_segments
+        self._arguments = source, cached_segments
         self._segments: Cache[Block, Segment] = Cache(cached_segments)
         start = source.read(0, min(FIRST_READ, source.size))
         header, extents = unpack_header(start)
@@ -406,8 +408,8 @@ class Container:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def __reduce__(self) -> tuple[type["Container"], tuple[ByteSource, int]]:
-        return Container, (self.source, self._cached_segments)  # a file cut short is a `CutFile`
+    def __reduce__(self) -> tuple[Any, ...]:
+        return partial(Container, may_be_cut=self.n_missing > 0), self._arguments
 
 
 def _payload_places(

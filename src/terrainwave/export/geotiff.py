@@ -178,17 +178,18 @@ def _warn_of_lost(terrain: TerrainFile, level: int, region: Region) -> None:
             stacklevel=3,
         )
     index = terrain.level_index(level)
-    lost = [one for one in terrain.lost if one.level == index]
+    lost = terrain.lost
     for one in lost[:_MOST_NAMED]:
         warnings.warn(f"lost: {one}", TerrainwaveWarning, stacklevel=3)
     if len(lost) > _MOST_NAMED:
         warnings.warn(
-            f"lost: {len(lost) - _MOST_NAMED} more parts of level {index}, which verify lists",
+            f"lost: {len(lost) - _MOST_NAMED} more parts, which verify lists",
             TerrainwaveWarning,
             stacklevel=3,
         )
-    if lost:
-        n_lost = sum(_n_samples(Region(*one.window).intersect(region)) for one in lost)
+    windows = [Region(*one.window) for one in lost if one.level == index]
+    if windows:
+        n_lost = sum(_n_samples(window.intersect(region)) for window in windows)
         share = 100 * min(n_lost / _n_samples(region), 1)
         warnings.warn(
             f"lost: {share:.3g} % of the samples, which are void now",

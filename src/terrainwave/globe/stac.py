@@ -3,6 +3,7 @@
 import hashlib
 import os
 import re
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -68,7 +69,7 @@ def stac_item(terrain: "TerrainFile", href: str | None = None) -> dict[str, Any]
         "sampling": (info.area_or_point or "Area").lower(),
     }
     properties = {
-        "datetime": _datetime(terrain, name),
+        "datetime": _datetime(info.tags, name),
         "gsd": metres,
         **_crs(terrain),
         "proj:shape": [info.n_rows, info.n_cols],
@@ -112,9 +113,8 @@ def _without_nothing(fields: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in fields.items() if value is not None}
 
 
-def _datetime(terrain: "TerrainFile", name: str) -> str:
+def _datetime(tags: Mapping[str, str], name: str) -> str:
     """Return when the raster was made, if a tag says so; else when the file was, or is read."""
-    tags = terrain.info().tags
     for key in _DATES:
         for form in ("%Y:%m:%d %H:%M:%S", "%Y-%m-%d %H:%M:%S", "%Y-%m-%d"):
             try:

@@ -17,6 +17,7 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS
 from terrainwave.read.decoder import Groups, TreeDecoder, UnitSource
 from terrainwave.read.fetched import Payloads
+from terrainwave.read.lost import LostUnits
 from terrainwave.read.tile_decoder import Tile, Tiles
 
 # Payloads fetched ahead of decoding, in one coalesced request.
@@ -53,7 +54,8 @@ class FinestMasks:
     For levels above the full grid alone.
     """
 
-    def __init__(self, header: Header, payloads: Payloads) -> None:
+    def __init__(self, header: Header, payloads: Payloads, lost: LostUnits) -> None:
+        self._lost = lost
         grid, parameters = header.grid, header.codec_parameters
         self._grid = grid
         source: UnitSource = Groups(payloads, _unit_mask)
@@ -91,9 +93,10 @@ class FinestMasks:
             for key, here, at in batch:
                 try:
                     _, unit = self._decoder.part(key, here)
-                except CorruptStreamError:
+                except CorruptStreamError as error:
                     if on_error == "raise":
                         raise
+                    self._lost.note(key, error)
                     continue
                 own[at] = unit.mask[::stride, ::stride]
         own &= mask

@@ -88,7 +88,7 @@ class LevelReader:
     def _finest(self) -> "FinestMasks":
         from terrainwave.read.finest import FinestMasks  # numba, which not every reader needs
 
-        return FinestMasks(self._header, self._payloads)
+        return FinestMasks(self._header, self._payloads, self._windows.lost)
 
     def _is_by_finest(self, level: int, voids: str | None) -> bool:
         """Say whether the masks of the full grid have to be read."""

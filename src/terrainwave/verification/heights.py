@@ -185,11 +185,10 @@ def _problems_of_bytes(terrain: Any) -> Iterator[str]:
         yield f"the file has {n_bytes - missing:,} of its {n_bytes:,} bytes"
     problems = list(dict.fromkeys(terrain.check()))
     # How much of each level is lost comes last.
-    first, last = problems[: -terrain.n_levels], problems[-terrain.n_levels :]
-    yield from first[:_MOST_LISTED]
-    if len(first) > _MOST_LISTED:
-        yield f"{len(first) - _MOST_LISTED:,} more like these"
-    yield from last
+    n_left_out = len(problems) - _MOST_LISTED - terrain.n_levels
+    if n_left_out > 0:
+        problems[_MOST_LISTED : -terrain.n_levels] = [f"{n_left_out:,} more like these"]
+    yield from problems
 
 
 def _with_meshes(

@@ -23,7 +23,7 @@ from terrainwave.arguments import (
     checked_path,
     checked_whole,
 )
-from terrainwave.codec.method_options import MethodOptions
+from terrainwave.codec.method_options import MethodChoice, MethodOptions
 from terrainwave.container.depot import Depot
 from terrainwave.container.sources.addresses import display_name
 from terrainwave.container.targets.publication import (
@@ -378,7 +378,7 @@ def _write(
             marks = note_on_marks(source, scan.minimum, scan.maximum)
             earlier = earlier_of(source, options, scan.steps)
             job, notes = settled(left, scan, source.info, earlier)
-            coded = _coded(passes, job, source.info.n_bytes)
+            coded = _coded(passes, job, options.choice, source.info.n_bytes)
             if coded.job.options.named_method != options.named_method:
                 notes.append("the heights do not compress: stored as they are")
             job = coded.job
@@ -399,9 +399,11 @@ def _write(
     )
 
 
-def _coded(passes: LocalPasses | DistributedPasses, job: Job, n_raw: int) -> Coded:
+def _coded(
+    passes: LocalPasses | DistributedPasses, job: Job, choice: MethodChoice, n_raw: int
+) -> Coded:
     """Return the raster coded by the chosen method, or as the choice says for larger than raw."""
-    own, _, reason, other = job.options.choice
+    own, _, reason, other = choice
     coded = passes.encode(job)
     if other is not None and coded.n_bytes > n_raw:
         reason = f"{own.name}, {reason}, takes {coded.n_bytes:,} bytes of {n_raw:,}"

@@ -51,6 +51,3 @@ class CutFile:
     def close(self) -> None:
         """Close what there is."""
         self._source.close()
-
-    def __reduce__(self) -> tuple[type["CutFile"], tuple[ByteSource, int]]:
-        return CutFile, (self._source, self.size)

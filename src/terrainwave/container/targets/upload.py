@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from terrainwave.arguments import check_flags
+from terrainwave.arguments import check_flags, in_one_line
 from terrainwave.container.sources.addresses import display_name, without_secrets
 from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import scratch_directory
@@ -81,8 +81,8 @@ class _Target:
         fsspec = need("fsspec.core", extra="remote", purpose=f"writing {self.name}")
         self._fs, self.path = self._call(fsspec.url_to_fs, url)
         protocols = self._fs.protocol
-        self._is_object_store = bool(
-            _OBJECT_STORES & set([protocols] if isinstance(protocols, str) else protocols)
+        self._is_object_store = not _OBJECT_STORES.isdisjoint(
+            [protocols] if isinstance(protocols, str) else protocols
         )
 
     def exists(self) -> bool:
@@ -116,5 +116,5 @@ class _Target:
         except TerrainwaveError:
             raise
         except Exception as error:
-            reason = without_secrets(" ".join(str(error).split())) or type(error).__name__
+            reason = without_secrets(in_one_line(error)) or type(error).__name__
             raise StorageError(f"cannot write {self.name}: {reason}") from error
