@@ -50,6 +50,32 @@ def test_no_gap_shows_where_the_full_terrain_has_none(context, rough, mode):
         assert len(counts) > 4
 
 
+@pytest.mark.parametrize("n_cols", [209, 213, 216])  # where coarse levels end short of it
+@pytest.mark.parametrize("error", ["measured", "paper"])
+@pytest.mark.parametrize("mode", MODES)
+def test_the_terrain_reaches_its_outline_and_no_further(
+    context, small_patches, mode, error, n_cols
+):
+    """Seen from above, at errors that are bounds and at those that are none."""
+    heights = np.round(hills(150, n_cols, 3, amplitude=20)).astype(np.int16)
+    style = Style(background=LOUD, coloring="flat")
+    options = {"samples": 0, "context": context}
+    with (
+        terrain_of(heights, max_error=0) as terrain,
+        Canvas(terrain, SIZE, mode="full", **options) as full,
+        Canvas(terrain, SIZE, mode=mode, error=error, **options) as coarse,
+    ):
+        camera = top_view(full.scene.frame.box, full.viewport)
+        reference, _ = full.picture(camera, style)
+        levels = set()
+        for tau in (0.3, 1.0, 4.0, 30.0):
+            image, _ = coarse.picture(camera, style, max_pixel_error=tau)
+            assert (loud(image) & eroded(~loud(reference), 1)).sum() == 0
+            assert (~loud(image) & eroded(loud(reference), 1)).sum() == 0
+            levels |= {patch.piece.level for patch in coarse.scene.mode.shown}
+        assert len(levels) > 1
+
+
 @pytest.mark.parametrize("mode", MODES)
 def test_no_gap_shows_while_patches_come_and_go(context, gentle, small_patches, mode):
     """On the way, with what stands in for others, and when all is here: levels side by side."""
@@ -92,8 +118,9 @@ def test_skirts_of_the_vertex_shader_are_those_of_the_dynamic_mesh(context, gent
     assert (np.abs(pictures[0] - pictures[1]) > 1e-5).mean() < 0.01
 
 
+@pytest.mark.parametrize("error", ["measured", "paper"])
 @pytest.mark.parametrize("mode", MODES)
-def test_voids_are_as_in_the_full_terrain(context, mode):
+def test_voids_are_as_in_the_full_terrain(context, mode, error):
     heights = np.round(hills(70, 80, 2)).astype(np.int16)
     heights[20:40, 30:55] = -32768
     style = Style(background=LOUD, coloring="flat")
@@ -101,7 +128,7 @@ def test_voids_are_as_in_the_full_terrain(context, mode):
     with (
         terrain_of(heights, max_error=0, nodata=-32768) as terrain,
         Canvas(terrain, SIZE, mode="full", **options) as full,
-        Canvas(terrain, SIZE, mode=mode, **options) as coarse,
+        Canvas(terrain, SIZE, mode=mode, error=error, **options) as coarse,
     ):
         camera = top_view(full.scene.frame.box, full.viewport)
         reference, _ = full.picture(camera, style)
@@ -158,9 +185,9 @@ def test_the_vertex_shader_puts_each_sample_where_the_dynamic_mesh_has_its_root(
                  (surface.trees, "4f4/i", "in_tree")],
             )  # fmt: skip
             program["z_scale"] = 1.0
-            buffer = context.buffer(reserve=n * side * side * 16)
+            buffer = context.buffer(reserve=n * side * side * 32)
             array.transform(buffer, instances=n)
-            parts = np.frombuffer(buffer.read(), dtype=np.float32).reshape(n, side, side, 4)
+            parts = np.frombuffer(buffer.read(), dtype=np.float32).reshape(n, side, side, 8)
             places = np.frombuffer(surface.trees.read(n * 16), dtype=np.float32).reshape(n, 4)
             buffer.release()
             array.release()
@@ -169,7 +196,7 @@ def test_the_vertex_shader_puts_each_sample_where_the_dynamic_mesh_has_its_root(
             expected = drawn_samples(placed, shape) - camera.eye
             found = np.full((*shape, 4), np.nan)
             for part, (col, row) in zip(parts, places[:, 2:].astype(int), strict=True):
-                found[row : row + side - 1, col : col + side - 1] = part[:-1, :-1]
+                found[row : row + side - 1, col : col + side - 1] = part[:-1, :-1, :4]
             expected[np.isnan(found[..., 0])] = np.nan  # trees out of view
             found, is_drawn = found[..., :3], found[..., 3] > 0
             np.testing.assert_array_equal(is_drawn, ~np.isnan(expected[..., 0]))

@@ -119,7 +119,8 @@ def surfaces_at(frame, x, y):
     with np.errstate(invalid="ignore", divide="ignore"):
         one = ((x - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (y - a[:, 1])) / whole
         two = ((b[:, 0] - a[:, 0]) * (y - a[:, 1]) - (x - a[:, 0]) * (b[:, 1] - a[:, 1])) / whole
-    is_over = (np.abs(whole) > 1e-9) & (one >= -1e-9) & (two >= -1e-9) & (one + two <= 1 + 1e-9)
+        is_inside = (one >= -1e-9) & (two >= -1e-9) & (one + two <= 1 + 1e-9)
+    is_over = (np.abs(whole) > 1e-9) & is_inside
     one, two, a, b, c = (values[is_over] for values in (one, two, a, b, c))
     return a[:, 2] + one * (b[:, 2] - a[:, 2]) + two * (c[:, 2] - a[:, 2])
 

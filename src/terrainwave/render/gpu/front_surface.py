@@ -24,6 +24,19 @@ VERTEX = np.dtype(
     [("place", "<f4", 3), ("sample", "<f4", 2), ("grid", "<f4", 2), ("about", "<f4", 3)]
 )
 
+# Meshes may reach beyond the raster's outline.
+CUT_OFF = """
+uniform vec2 last;          // column and row of the full grid
+
+void cut_off(int k, vec2 grid) {
+    vec2 inside = last - grid;
+    gl_ClipDistance[k] = grid.x + 1e-3;
+    gl_ClipDistance[k + 1] = grid.y + 1e-3;
+    gl_ClipDistance[k + 2] = inside.x + 1e-3;
+    gl_ClipDistance[k + 3] = inside.y + 1e-3;
+}
+"""
+
 _VERTEX_SHADER = """
 #version 330 core
 in vec3 in_place;           // relative to the eye
@@ -36,6 +49,8 @@ out vec2 v_sample;
 flat out ivec2 v_layers;
 out vec2 v_grid;
 flat out vec4 v_parent;     // unused, unused, size, error
+out float gl_ClipDistance[4];
+CUT_OFF
 void main() {
     v_seen = in_place;
     v_sample = in_sample;
@@ -43,8 +58,9 @@ void main() {
     v_grid = in_grid;
     v_parent = vec4(0.0, 0.0, in_about.yz);
     gl_Position = view_projection * vec4(in_place, 1.0);
+    cut_off(0, in_grid);
 }
-"""
+""".replace("CUT_OFF", CUT_OFF)
 
 
 class FrontStore:
@@ -91,7 +107,7 @@ class FrontStore:
         if layer is None:
             return False
         # The ring around a patch repeats its border.
-        content = np.pad(built.slopes, ((1, 1), (1, 1), (0, 0)), mode="edge")
+        content = np.pad(built.slopes, ((1, 2), (1, 2), (0, 0)), mode="edge")
         self._layers.write(layer, [content])
         self.layer_of[node] = layer
         return True
@@ -125,7 +141,7 @@ class FrontSurface:
         OpenGL 3.3 core or newer.
     """
 
-    n_clip_distances = 0
+    n_clip_distances = 4
 
     def __init__(self, context: Any, *, max_bytes: int) -> None:
         self._context = context

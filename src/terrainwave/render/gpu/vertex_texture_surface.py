@@ -7,7 +7,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.render.gpu.front_surface import FrontStore
+from terrainwave.render.gpu.front_surface import CUT_OFF, FrontStore
 from terrainwave.render.gpu.shaders import TERRAIN_FRAGMENT
 from terrainwave.render.gpu.surface import OWN_UNIT, release_all, set_uniforms
 from terrainwave.render.modes.front import eye_of
@@ -16,7 +16,7 @@ from terrainwave.tri.dynamic.dynamic import DynamicMesh
 from terrainwave.tri.dynamic.haar import FIRST, HIGH, LOW, N_COLS, N_ROWS, HaarTree
 
 if TYPE_CHECKING:
-    from terrainwave.render.modes.front import FrontPatch, Sides
+    from terrainwave.render.modes.front import FrontPatch
     from terrainwave.render.modes.mode import Frames
     from terrainwave.render.paging.scene import Scene
     from terrainwave.tri.followed import Eye, Followed
@@ -30,6 +30,7 @@ VERTEX_SHADER = """
 #version 330 core
 in uvec2 in_place;              // column and row in a tree; the column's top bit marks skirts
 in vec4 in_tree;                // its first sample relative to the eye (x, y); column, row
+uniform vec2 lead;              // columns and rows of samples before those of the patch
 uniform sampler2D heights;      // level h: nodes of height h
 uniform sampler2D bounds;       // level h - 1: error, low, high
 uniform sampler2D marks;        // level h - 1: 0 above roots
@@ -49,7 +50,8 @@ out vec2 v_sample;
 flat out ivec2 v_layers;
 out vec2 v_grid;
 flat out vec4 v_parent;
-out float gl_ClipDistance[1];
+out float gl_ClipDistance[5];
+CUT_OFF
 
 vec2 across(vec2 place) {
     return in_tree.xy + vec2(dot(level_axes.xy, place), dot(level_axes.zw, place));
@@ -70,7 +72,9 @@ float screen_error(int h, ivec2 node, vec2 middle) {
     vec3 near = max(abs(away) - extent, vec3(0.0));
     float distance = length(near);
     if (distance == 0.0) return 1e30;
+    float size = length(vec3(extent.xy, 2.0 * extent.z));
     if (!is_bound) {
+        if (b.x < 0.0) return focal * size / distance;
         float z = texelFetch(heights, node, h).r * z_scale - eye_z;
         float flat_way = length(away.xy);
         return focal * b.x * z_scale * flat_way / max(length(vec2(flat_way, z)), distance)
@@ -80,7 +84,7 @@ float screen_error(int h, ivec2 node, vec2 middle) {
     float depth = max(dot(forward, away) - dot(abs(forward), extent), distance / slant);
     float scale = focal * min(length(far) / depth, slant) / depth;
     float base = base_error * z_scale;
-    if (b.x < 0.0) return scale * (length(vec3(extent.xy, 2.0 * extent.z)) + base);
+    if (b.x < 0.0) return scale * (size + base);
     return scale * (b.x * z_scale + base) * length(far.xy) / length(vec3(far.xy, near.z));
 }
 
@@ -111,15 +115,16 @@ void main() {
     }
     if (is_void) drawn.z = 0.0;
     v_seen = vec3(across(drawn.xy), drawn.z * z_scale - eye_z - (is_skirt ? skirt : 0.0));
-    v_sample = drawn.xy + vec2(first);
+    v_sample = drawn.xy + vec2(first) - lead;
     v_layers = ivec2(int(layer), -1);
     v_grid = v_sample * stride + first_grid;
     v_parent = vec4(0.0, 0.0, float(h) + first_size, base_error);
     // A triangle with a void corner shrinks to nothing beside the others.
     gl_ClipDistance[0] = is_void ? -1e9 : 1.0;
+    cut_off(1, v_grid);
     gl_Position = view_projection * vec4(v_seen, 1.0);
 }
-"""
+""".replace("CUT_OFF", CUT_OFF)
 
 
 def tree_grid(side: int) -> Grid:
@@ -132,16 +137,14 @@ def tree_grid(side: int) -> Grid:
     return np.column_stack([cols, rows]).astype(np.uint16), triangles
 
 
-def skirt_grid(shape: tuple[int, int], open_sides: "Sides") -> Grid:
-    """Return vertices (column, row) and triangles of skirts below the open sides of a raster."""
+def skirt_grid(shape: tuple[int, int]) -> Grid:
+    """Return vertices (column, row) and triangles of skirts below the sides of a raster."""
     (n_rows, n_cols), places, triangles = shape, [], []
     rows, cols = np.arange(n_rows), np.arange(n_cols)
     none, last = (0 * cols, 0 * rows), (0 * cols + n_rows - 1, 0 * rows + n_cols - 1)
     lines = (cols, none[0]), (none[1], rows), (cols, last[0]), (last[1], rows)
     n_before = 0
-    for places_along, is_open in zip(lines, open_sides, strict=True):
-        if not is_open:
-            continue
+    for places_along in lines:
         line = np.column_stack(places_along)
         n = len(line)
         places += [line, np.add(line, (_SKIRT, 0))]
@@ -240,7 +243,7 @@ class VertexTextureSurface:
         OpenGL 3.3 core or newer.
     """
 
-    n_clip_distances = 1
+    n_clip_distances = 5
 
     def __init__(self, context: Any, *, max_bytes: int) -> None:
         self._context = context
@@ -264,11 +267,9 @@ class VertexTextureSurface:
                 continue
             set_uniforms(self.program, {"skirt": depth})
             self._draw_grid(tree_grid, 1 << patch.mesh.tree.top, n=n)
-            n_calls += 1
-            if any(patch.open_sides):
-                self._fill_trees(np.zeros((1, 2), dtype=np.int64), patch, eye)
-                self._draw_grid(skirt_grid, patch.region.shape, patch.open_sides, n=1)
-                n_calls += 1
+            self._fill_trees(np.zeros((1, 2), dtype=np.int64), patch, eye)
+            self._draw_grid(skirt_grid, patch.mesh.shape, n=1)
+            n_calls += 2
         return n_calls
 
     def _draw_grid(self, make: Callable[..., Grid], *arguments: Any, n: int) -> None:
@@ -294,7 +295,7 @@ class VertexTextureSurface:
     ) -> int:
         """Fill buffers, textures and uniforms for a patch; return how many trees are in view."""
         mesh: DynamicMesh = patch.mesh
-        trees = _trees_in_view(mesh.tree, patch.matrix, eye)
+        trees = _trees_in_view(mesh.tree, mesh.matrix, eye)
         if not len(trees):
             return 0
         self._fill_trees(trees, patch, eye)
@@ -315,6 +316,7 @@ class VertexTextureSurface:
             "reach": mesh.tree.reach, "focal": eye.focal, "slant": eye.slant,
             "is_bound": scene.mode.error == "measured", "forward": tuple(eye.forward),
             "planes": [tuple(plane) for plane in planes.tolist()], "z_scale": eye.z_scale,
+            "lead": patch.lead[::-1],
         }  # fmt: skip
         set_uniforms(program, values)
         for unit, texture in (
@@ -325,7 +327,7 @@ class VertexTextureSurface:
         return len(trees)
 
     def _fill_trees(self, trees: NDArray[np.int64], patch: "FrontPatch", eye: "Eye") -> None:
-        a, b, c, d, e, f = patch.matrix
+        a, b, c, d, e, f = patch.mesh.matrix
         rows, cols = (trees << patch.mesh.tree.top).T
         places = np.column_stack([a * cols + b * rows + c, d * cols + e * rows + f])
         content = np.column_stack([places - eye.position[:2], cols, rows]).astype("<f4")

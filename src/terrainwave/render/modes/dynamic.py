@@ -1,13 +1,13 @@
 """The dynamic triangulation of Yusov & Turlapov 2006 (`tri.dynamic.dynamic`), frame by frame.
 
-Each patch has a Haar quadtree of its own, over some samples of its neighbours as well: where the
-raster goes on, a mesh ends short of its last samples, over a neighbour's, with skirts.
+Each patch has a Haar quadtree of its own, over some samples of its neighbours as well, or some
+beyond the outline: a mesh ends short of its last samples, over a neighbour's, with skirts.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.render.modes.front import MORPH, Drawn, FrontMode, FrontPatch, PatchFrame, Sides
+from terrainwave.render.modes.front import ALL_OPEN, MORPH, Drawn, FrontMode, FrontPatch, PatchFrame
 from terrainwave.render.modes.mode import ModeNeeds
 from terrainwave.render.scene.selection import Piece
 from terrainwave.tri.dynamic.dynamic import DynamicMesh
@@ -44,7 +44,6 @@ class Dynamic(FrontMode):
         heights: NDArray[np.float64],
         matrix: tuple[float, ...],
         base_error: float,
-        open_sides: Sides,
     ) -> DynamicMesh:
         """Return the tree of a patch. Thread-safe."""
         return DynamicMesh(
@@ -53,7 +52,7 @@ class Dynamic(FrontMode):
             patch=self.tree,
             error=self.error,
             base_error=base_error,
-            open_sides=open_sides,
+            open_sides=ALL_OPEN,
             is_surface=piece.level < self.n_levels - 1,
             scratch=self.scratch,
         )

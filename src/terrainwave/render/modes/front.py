@@ -5,6 +5,9 @@ coarsest holds all of it, the finest ones its full grid. They come and go as blo
 taken where the error of its level is at most `_LEVEL_SHARE` of τ on screen; its mesh follows the
 camera within it, so that both errors together are within τ.
 
+A mesh may end short of its samples, and the samples of a coarse level short of the raster. Where a
+patch has a part of the outline, its heights go on beyond it, and shaders cut the mesh off there.
+
 Neighbours may be of any level, and none knows of the other. What is drawn of both ends in skirts:
 at every place of a border each is within its own error of the originals, so that skirts as deep as
 both errors together leave no gap. A patch that is coarser than τ asks for stands in for others that
@@ -43,7 +46,8 @@ _STEP, _MOST_SHORT, _WELL_FILLED = 1.1, 16.0, 0.95
 # What τ is said to be where nothing is promised, pixels.
 _NO_PROMISE = 1e6
 
-Sides = tuple[bool, bool, bool, bool]
+# Neighbours, or samples beyond the outline, go on beyond all sides of a mesh.
+ALL_OPEN = (True, True, True, True)
 
 
 class Drawn(NamedTuple):
@@ -98,6 +102,21 @@ class PatchSamples(NamedTuple):
     slopes: NDArray[np.float16]
 
 
+class Continued(NamedTuple):
+    """The heights of a patch, and of samples beyond the raster's outline.
+
+    Parameters
+    ----------
+    heights : ndarray of float64, shape (n_rows, n_cols)
+        Metres; NaN in voids.
+    lead : tuple of int
+        Rows and columns before those of the patch.
+    """
+
+    heights: NDArray[np.float64]
+    lead: tuple[int, int]
+
+
 @dataclass(frozen=True)
 class FrontPatch:
     """What `build` returns: a mesh that follows the camera over samples of one level.
@@ -106,14 +125,14 @@ class FrontPatch:
     ----------
     region : Region
         Of the level.
-    open_sides : tuple of bool
-        Whether neighbours go on beyond its first row and column, its last row and column.
     matrix : tuple of float
         How its samples lie in local metres, counted from its first.
     slopes : ndarray of float16, shape (n_rows, n_cols, 3)
         See `PatchSamples`.
     mesh : object, optional
-        None where there is nothing to draw.
+        Over `Continued.heights`; None where there is nothing to draw.
+    lead : tuple of int
+        As of `Continued`.
     error : float
         Largest distance of originals from triangles between all samples, metres.
     children : list of NodeInfo
@@ -128,10 +147,10 @@ class FrontPatch:
 
     piece: Piece
     region: Region
-    open_sides: Sides
     matrix: tuple[float, ...]
     slopes: NDArray[np.float16]
     mesh: Any  # a DynamicMesh or a RestrictedMesh
+    lead: tuple[int, int]
     error: float
     children: list[NodeInfo]
     side: int
@@ -168,8 +187,10 @@ class FrontMode(Mode):
     cells : int
         Of a patch, per side.
     apron : int
-        Samples that patches reach beyond their first row and column, where there are any; twice as
-        many beyond the last ones.
+        Samples that patches reach beyond their first row and column; twice as many beyond the last
+        ones.
+    tree : int
+        Meshes have so many samples a side, or a multiple of it.
     sample_bytes : int
         Of a mesh, at most.
     scratch : Scratch
@@ -186,6 +207,7 @@ class FrontMode(Mode):
 
     cells: int
     apron: int = 0
+    tree: int = 1
     sample_bytes: int
 
     def __init__(self, needs: ModeNeeds) -> None:
@@ -209,6 +231,11 @@ class FrontMode(Mode):
     def side(self) -> int:
         """Return the samples of the largest patches, a side."""
         return min(self.cells + max(3 * self.apron, 1), max(self.terrain.shape))
+
+    @property
+    def _mesh_side(self) -> int:
+        """Return the samples of the largest meshes, a side."""
+        return self.side + 1 + 3 * self.apron
 
     def _n_pieces(self, level: int) -> tuple[int, int]:
         grid = self.terrain.grid
@@ -235,18 +262,35 @@ class FrontMode(Mode):
             if row < n_rows and col < n_cols
         ]
 
-    def region(self, piece: Piece) -> tuple[Region, Sides]:
-        """Return the samples of a piece, and on which sides its level goes on."""
+    def region(self, piece: Piece) -> Region:
+        """Return the samples of a piece that its level has."""
         reach = self.cells + max(3 * self.apron, 1)
         level = Region(0, 0, *self.terrain.grid.level_shape(piece.level))
-        row, col = (max(k * self.cells - self.apron, 0) for k in (piece.row, piece.col))
-        region = Region(row, col, reach, reach).intersect(level)
-        return region, (
-            region.row > 0,
-            region.col > 0,
-            region.row + region.n_rows < level.n_rows,
-            region.col + region.n_cols < level.n_cols,
-        )
+        row, col = (k * self.cells - self.apron for k in (piece.row, piece.col))
+        return Region(row, col, reach, reach).intersect(level)
+
+    def _continue(self, level: int, region: Region, heights: NDArray[np.float64]) -> Continued:
+        """Continue the heights of a patch beyond the outline, where it has a part of that.
+
+        A mesh may end short of its last samples, and a coarse level ends short of the raster. So
+        that all of the raster is covered: shaders cut off what is outside.
+        """
+        lead, reach = [], self.cells + max(3 * self.apron, 1)
+        stride, n_all = self.terrain.grid.stride(level), self.terrain.grid.level_shape(level)
+        for axis, first in enumerate(region[:2]):
+            n_before = self.apron if first == 0 else 0
+            n_after = 0
+            n_samples = heights.shape[axis]
+            if first + n_samples == n_all[axis] and n_before + n_samples < reach:
+                if (n_all[axis] - 1) * stride < self.terrain.shape[axis] - 1:
+                    heights = _one_more(heights, axis)
+                n_after = self.apron
+                n_after += -(n_before + heights.shape[axis] + n_after) % self.tree
+            pads = [(0, 0), (0, 0)]
+            pads[axis] = n_before, n_after
+            heights = np.pad(heights, pads, mode="edge")
+            lead.append(n_before)
+        return Continued(heights, (lead[0], lead[1]))
 
     def _blocks(self, level: int, region: Region) -> list[Block]:
         """Return the blocks whose cells a region of samples has; it may end before its level."""
@@ -265,7 +309,7 @@ class FrontMode(Mode):
     def _info(self, piece: Piece) -> NodeInfo:
         """Return box and error of a piece, as the index has them."""
         terrain = self.terrain
-        region, _ = self.region(piece)
+        region = self.region(piece)
         stride, per_unit = terrain.grid.stride(piece.level), self.frame.metres[2]
         blocks = self._blocks(piece.level, region)
         error = self._level_error(piece.level, blocks)
@@ -290,7 +334,7 @@ class FrontMode(Mode):
 
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> FrontPatch:
         """Return the patch of a piece. Thread-safe."""
-        region, open_sides = self.region(piece)
+        region = self.region(piece)
         info = self._info(piece)
         children = self.children(piece)
         samples = self.read(piece.level, region)
@@ -301,15 +345,18 @@ class FrontMode(Mode):
         row, col = region.row * stride, region.col * stride
         x, y = a * col + b * row + c, d * col + e * row + f
         matrix = a * stride, b * stride, x, d * stride, e * stride, y
-        error, mesh = info.error, None
-        if min(region.shape) > 1 and not np.isnan(samples.heights).all():
+        error, mesh, (heights, lead) = (
+            info.error,
+            None,
+            self._continue(piece.level, region, samples.heights),
+        )
+        if min(self.terrain.shape) > 1 and not np.isnan(samples.heights).all():
             if piece.level < self.n_levels - 1:  # originals lie between samples, too
-                error += twist_of(samples.heights)
-            mesh = self.make_mesh(piece, samples.heights, matrix, error, open_sides)
-        side = self.side
+                error += twist_of(heights)
+            mesh = self.make_mesh(piece, heights, _moved(matrix, lead), error)
         return FrontPatch(
-            piece, region, open_sides, matrix, samples.slopes, mesh, error, children, side,
-            self.sample_bytes * side * side, self.between(piece.level, samples.heights),
+            piece, region, matrix, samples.slopes, mesh, lead, error, children, self.side,
+            self.sample_bytes * self._mesh_side ** 2, self.between(piece.level, heights),
         )  # fmt: skip
 
     def between(
@@ -330,9 +377,8 @@ class FrontMode(Mode):
         heights: NDArray[np.float64],
         matrix: tuple[float, ...],
         base_error: float,
-        open_sides: Sides,
     ) -> Any:
-        """Return the mesh of a patch. Thread-safe."""
+        """Return the mesh of a patch: neighbours go on beyond all its sides. Thread-safe."""
 
     def read(self, level: int, region: Region) -> PatchSamples:
         """Return samples of a level. Thread-safe."""
@@ -443,13 +489,12 @@ class FrontMode(Mode):
         return max(kept, default=tau)
 
     def _max_vertices(self) -> int:
-        """Return the budget of a frame: a mesh has less than two triangles per vertex.
+        """Return the budget of a frame: a mesh has less than three triangles per vertex.
 
-        With skirts, two more per edge on borders: less than three.
+        Two and, with skirts, two more per edge on borders.
         """
-        per_vertex = 3 if any(any(patch.open_sides) for patch in self.shown) else 2
         least = sum(patch.mesh.least_vertices for patch in self.shown)
-        return max(min(self.max_triangles // per_vertex, MAX_VERTICES), least)
+        return max(min(self.max_triangles // 3, MAX_VERTICES), least)
 
     def follow(self, patch: FrontPatch, eye: Eye, tau: float, max_vertices: int) -> Followed:
         """Bring the mesh of a patch up to date."""
@@ -484,7 +529,7 @@ class FrontMode(Mode):
         and the largest of those that touch it.
         """
         own = np.array([patch.error + patch.between for patch in self.shown]) + errors
-        own *= [any(patch.open_sides) * eye.z_scale for patch in self.shown]
+        own *= eye.z_scale
         if not own.any():
             return own
         slack = 1e-6 * (high - low).max()
@@ -504,6 +549,23 @@ class FrontMode(Mode):
             starts.append(starts[-1] + len(part.vertices))
         self.first_vertices = starts
         self.drawn = Drawn(*map(np.concatenate, zip(*parts, strict=True))) if parts else None
+
+
+def _one_more(heights: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+    """Append the samples that follow linearly from the last two (FORMAT.md §5.1), along an axis.
+
+    Where one of those is void, as the last.
+    """
+    last = np.take(heights, [-1], axis)
+    before = np.take(heights, [max(heights.shape[axis] - 2, 0)], axis)
+    more = 2 * last - before
+    return np.concatenate([heights, np.where(np.isnan(more), last, more)], axis)
+
+
+def _moved(matrix: tuple[float, ...], lead: tuple[int, int]) -> tuple[float, ...]:
+    """Return how samples lie, counted from one so many rows and columns before the first."""
+    (a, b, c, d, e, f), (rows, cols) = matrix, lead
+    return a, b, c - a * cols - b * rows, d, e, f - d * cols - e * rows
 
 
 def _with_skirts(frame: PatchFrame, depth: float) -> Drawn:

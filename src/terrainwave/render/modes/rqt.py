@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.read.tile_decoder import Tiles, with_coefficients
-from terrainwave.render.modes.front import Drawn, FrontMode, FrontPatch, PatchFrame, Sides
+from terrainwave.render.modes.front import ALL_OPEN, Drawn, FrontMode, FrontPatch, PatchFrame
 from terrainwave.render.modes.mode import ERRORS, ModeNeeds
 from terrainwave.render.scene.selection import Piece
 from terrainwave.tri.followed import Eye, Followed
@@ -35,7 +35,6 @@ class RqtMode(FrontMode):
         heights: NDArray[np.float64],
         matrix: tuple[float, ...],
         base_error: float,
-        open_sides: Sides,
     ) -> RestrictedMesh:
         """Return the quadtree of a patch, of one tile. Thread-safe."""
         return RestrictedMesh(
@@ -44,18 +43,23 @@ class RqtMode(FrontMode):
             sample_matrix=matrix,
             error=self.error,
             base_error=base_error,
-            coefficients=self._coefficients(piece),
-            open_sides=open_sides,
+            coefficients=self._coefficients(piece, heights.shape),
+            open_sides=ALL_OPEN,
             scratch=self.scratch,
         )
 
-    def _coefficients(self, piece: Piece) -> NDArray[np.float64] | None:
-        """Return the magnitudes of the file's coefficients in metres; None without `error`."""
+    def _coefficients(self, piece: Piece, shape: tuple[int, ...]) -> NDArray[np.float64] | None:
+        """Return the magnitudes of the file's coefficients in metres, 0 beyond the outline.
+
+        None if `error` does not need them.
+        """
         if self._tiles is None:
             return None
-        region, _ = self.region(piece)
+        region = self.region(piece)
+        magnitudes = np.zeros(shape)
         quanta = self._tiles.coefficients(piece.level, region)
-        return np.multiply(quanta, abs(self._scale.per_quantum), dtype=np.float64)
+        magnitudes[: region.n_rows, : region.n_cols] = quanta
+        return magnitudes * abs(self._scale.per_quantum)
 
     def frame_of(self, patch: FrontPatch, eye: Eye, followed: Followed) -> PatchFrame:
         """Return the mesh of a patch."""

@@ -105,6 +105,8 @@ class DynamicMesh:
 
     Attributes
     ----------
+    matrix : tuple of float
+        `sample_matrix`.
     marks : ndarray of uint8, shape (n_nodes,)
         `INNER`, `ROOT` or, somewhere below a root, anything.
     has_changed : ndarray of uint8, shape (patch rows, patch columns)
@@ -141,8 +143,8 @@ class DynamicMesh:
         self.marks[layout[-1, FIRST] :] = ROOT
         self._is_bound, self._open_sides = error == "measured", open_sides
         self.base_error = base_error + self.tree.rounding if self._is_bound else 0.0
-        self._matrix = tuple(float(value) for value in sample_matrix)
-        self._is_mirrored = self._matrix[0] * self._matrix[4] < self._matrix[1] * self._matrix[3]
+        self.matrix = tuple(float(value) for value in sample_matrix)
+        self._is_mirrored = self.matrix[0] * self.matrix[4] < self.matrix[1] * self.matrix[3]
         self._scratch = scratch or Scratch()
         self._stack = np.empty((4 * len(layout), 3), dtype=np.int64)
         self._places = np.empty((4 * len(layout), 4))
@@ -152,6 +154,12 @@ class DynamicMesh:
         self._n_vertices = 0
         self._is_marked = False
         self._pressure = Pressure()
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Return rows and columns of samples, those that fill the last patches up too."""
+        n_rows, n_cols = self.tree.layout[0, N_ROWS:].tolist()
+        return n_rows, n_cols
 
     @property
     def n_nodes(self) -> int:
@@ -312,7 +320,7 @@ class DynamicMesh:
             *eye.position, *eye.forward, eye.focal, eye.slant, eye.z_scale, self.base_error,
             self.tree.reach, self._is_bound,
         )  # fmt: skip
-        return np.array([*numbers, *self._matrix], dtype=np.float64)
+        return np.array([*numbers, *self.matrix], dtype=np.float64)
 
 
 # Errors on screen
@@ -350,7 +358,11 @@ def screen_error(height, row, col, layout, z, bounds, view, planes):
     distance = np.sqrt(near_x * near_x + near_y * near_y + near_z * near_z)
     if distance == 0:
         return np.inf
+    half_z = (high - low) / 2
+    size = np.sqrt(half_x * half_x + half_y * half_y + 4 * half_z * half_z)
     if view[_IS_BOUND] == 0:
+        if error < 0:
+            return view[_FOCAL] * size / distance
         across = np.sqrt(apart_x * apart_x + apart_y * apart_y)
         along = middle * z_scale - view[_Z]
         sine = across / max(np.sqrt(across * across + along * along), distance)
@@ -358,7 +370,6 @@ def screen_error(height, row, col, layout, z, bounds, view, planes):
     far_x, far_y = apart_x + half_x, apart_y + half_y
     far_z = max(high - view[_Z], view[_Z] - low)
     across = far_x * far_x + far_y * far_y
-    half_z = (high - low) / 2
     depth = view[_FORWARD] * away_x + view[_FORWARD + 1] * away_y
     depth += view[_FORWARD + 2] * (low + half_z - view[_Z])
     depth -= abs(view[_FORWARD]) * half_x + abs(view[_FORWARD + 1]) * half_y
@@ -367,7 +378,6 @@ def screen_error(height, row, col, layout, z, bounds, view, planes):
     scale = view[_FOCAL] * ratio / depth
     base = view[_BASE] * z_scale
     if error < 0:
-        size = np.sqrt(half_x * half_x + half_y * half_y + 4 * half_z * half_z)
         return scale * (size + base)
     return scale * (error * z_scale + base) * np.sqrt(across / (across + near_z * near_z))
 

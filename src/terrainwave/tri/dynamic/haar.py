@@ -21,7 +21,8 @@ Two errors of a node, what is lost where it stands for all samples below it:
   smaller than their children's.
 
 Where the mesh ends, at voids and the raster's outline, it ends at the centres of cells. A node
-that touches the outline therefore has the diagonal of its box as its error (`OUTLINE`). Where the
+that touches the outline therefore has the diagonal of its box as its error (`OUTLINE`). So has one
+that touches a void with the paper's errors, which know no voids. Where the
 raster goes on (`open_sides`) the mesh ends short of its last samples, by half a patch at most, and
 there is no outline: whoever draws the neighbour lets both overlap.
 """
@@ -136,11 +137,14 @@ def build_tree(
     rounding = float(np.abs(heights[valid]).max(initial=0)) * _ROUNDING
     bounds = np.empty((len(z) - leaves.size, 3), dtype=np.float32)
     is_near_void = np.empty(len(z), dtype=np.bool_)
-    _mark_near_voids(leaves, open_sides, is_near_void)
+    if error == "paper":  # which has nothing to say of the outline
+        _mark_near_voids(leaves, heights.shape, (True, True, True, True), is_near_void)
+    else:
+        _mark_near_voids(leaves, leaves.shape, open_sides, is_near_void)
     for height in range(1, len(layout)):
         _average(height, layout, z, is_near_void)
         if error == "paper":
-            _haar_errors(height, layout, z, bounds)
+            _haar_errors(height, layout, z, is_near_void, bounds)
         else:
             _measured_errors(height, is_surface, layout, z, is_near_void, bounds)
     return HaarTree(layout, z, bounds, 0.5 if error == "paper" else 1.0, rounding)
@@ -160,9 +164,13 @@ def _layout(shape: tuple[int, ...], patch: int) -> NDArray[np.int64]:
 
 
 @kernel
-def _mark_near_voids(leaves, open_sides, is_near_void):
-    """Say of each sample whether it or one of the eight around it is void or outside."""
-    n_rows, n_cols = leaves.shape
+def _mark_near_voids(leaves, shape, open_sides, is_near_void):
+    """Say of each sample whether it or one of the eight around it is void or outside.
+
+    Not of what lies beyond `shape`.
+    """
+    is_near_void[: leaves.size] = False
+    n_rows, n_cols = shape
     for row in range(n_rows):
         for col in range(n_cols):
             is_near = (row == 0 and not open_sides[0]) or (col == 0 and not open_sides[1])
@@ -172,7 +180,7 @@ def _mark_near_voids(leaves, open_sides, is_near_void):
                 for r in range(max(row - 1, 0), min(row + 2, n_rows)):
                     for c in range(max(col - 1, 0), min(col + 2, n_cols)):
                         is_near = is_near or np.isnan(leaves[r, c])
-            is_near_void[row * n_cols + col] = is_near
+            is_near_void[row * leaves.shape[1] + col] = is_near
 
 
 @kernel
@@ -195,7 +203,7 @@ def _average(height, layout, z, is_near_void):
 
 
 @kernel
-def _haar_errors(height, layout, z, bounds):
+def _haar_errors(height, layout, z, is_near_void, bounds):
     """Fill the paper's errors; a void child counts as the mean of the others.
 
     The box holds the samples below the node.
@@ -220,7 +228,8 @@ def _haar_errors(height, layout, z, bounds):
             a, b, c, d = values
             largest = max(abs(a - b + c - d), abs(a + b - c - d), abs(a - b - c + d)) / 4
             inner = node - first_inner
-            bounds[inner, ERROR] = 0.0 if np.isnan(z[node]) else largest
+            error = OUTLINE if is_near_void[node] else largest
+            bounds[inner, ERROR] = 0.0 if np.isnan(z[node]) else error
             bounds[inner, LOW], bounds[inner, HIGH] = low, high
 
 
