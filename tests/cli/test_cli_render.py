@@ -240,3 +240,46 @@ def test_help_needs_no_heavy_library(library):
         f"sys.exit({library!r} in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("mode", ["adaptive", "batched", "dynamic", "full", "rqt"])
+def test_the_measured_error_of_a_picture_is_within_its_promise(file, tmp_path, mode):
+    stats = tmp_path / "a.json"
+    done = run("render", file, tmp_path / "a.png", "--size", "200x150", "--mode", mode,
+               "--max-pixel-error", "2", "--measure", "--stats", stats)  # fmt: skip
+    assert done.exit_code == 0, done.output
+    said = json.loads(stats.read_text())
+    within, measured = said["max_pixel_error"], said["measured_pixel_error"]
+    # Skirts count, too; `full` has the meshes of the file, which say nothing of pixels.
+    assert 0.05 < measured <= 2 * max(within, 0.7)
+    assert f"within {within:.3g} pixels; measured {measured:.3g} pixels" in done.output
+
+
+@pytest.mark.parametrize("mode", ["batched", "dynamic", "rqt", "adaptive"])
+def test_no_pixels_are_promised_where_errors_are_no_bounds(file, tmp_path, mode):
+    stats = tmp_path / "a.json"
+    done = run("render", file, tmp_path / "a.png", "--size", "200x150", "--mode", mode,
+               "--error", "paper", "--stats", stats)  # fmt: skip
+    assert done.exit_code == 0, done.output
+    said = json.loads(stats.read_text())
+    assert said["max_pixel_error"] is said["measured_pixel_error"] is None
+    assert "error in pixels not bounded" in done.output
+    assert "within" not in done.output
+    done = run("render", file, tmp_path / "b.png", "--size", "200x150", "--mode", mode,
+               "--error", "paper", "--measure")  # fmt: skip
+    assert "error in pixels not bounded; measured " in done.output
+
+
+def test_loose_meshes_are_drawn_and_their_error_is_said(file, tmp_path):
+    stats = {}
+    for mode in ("adaptive", "loose"):
+        path = tmp_path / f"{mode}.json"
+        done = run("render", file, tmp_path / f"{mode}.png", "--size", "200x150", "--mode", mode,
+                   "--max-pixel-error", "6", "--stats", path, "--measure")  # fmt: skip
+        assert done.exit_code == 0, done.output
+        stats[mode] = json.loads(path.read_text())
+    loose, adaptive = stats["loose"], stats["adaptive"]
+    assert loose["n_blocks"] == adaptive["n_blocks"]
+    assert loose["n_triangles"] != adaptive["n_triangles"]
+    assert loose["max_pixel_error"] > 7 > adaptive["max_pixel_error"]
+    assert loose["measured_pixel_error"] <= 2 * loose["max_pixel_error"]

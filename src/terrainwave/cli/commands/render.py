@@ -35,6 +35,9 @@ from terrainwave.cli.streams import STREAM, printing_beside, written
     type=Target((".json",), or_stdout=False),
     help="Write numbers about the picture to this JSON file.",
 )
+@click.option("--measure", is_flag=True,
+              help="Measure how far the picture is from the decoded heights, in pixels. This reads"
+              " all heights in view.")  # fmt: skip
 @click.option("--flight", type=click.File("r", encoding="utf-8"),
               help="JSON list of cameras to fly along; pictures get numbers.")  # fmt: skip
 @click.option("--frames", "n_frames", type=click.IntRange(1), default=60, show_default=True,
@@ -94,6 +97,7 @@ def _draw(
     memory: int,
     legend: bool,
     scale_bar: bool,
+    measure: bool,
     overwrite: bool,
     quiet: bool,
     **options: Any,
@@ -128,8 +132,9 @@ def _draw(
         else:
             cameras = read_flight(flight.read(), frame)
         pictures = fly_through(
-            canvas, cameras, len(names), style, max_pixel_error, legend=legend, scale_bar=scale_bar
-        )
+            canvas, cameras, len(names), style, max_pixel_error,
+            legend=legend, scale_bar=scale_bar, measure=measure,
+        )  # fmt: skip
         for name, (image, drawn) in zip(names, pictures, strict=True):
             with written(name, ".png") as path:
                 _write_png(path, image, overwrite)
@@ -138,9 +143,13 @@ def _draw(
 
 
 def _print_picture(name: str, drawn: dict[str, Any], seconds: float) -> None:
+    bound, measured = drawn["max_pixel_error"], drawn["measured_pixel_error"]
+    errors = [f"within {bound:.3g} pixels" if bound is not None else "error in pixels not bounded"]
+    if measured is not None:
+        errors.append(f"measured {measured:.3g} pixels")
     click.echo(
         f"{plain(name)}: {count_of(drawn['n_triangles'], 'triangle')} of"
-        f" {count_of(drawn['n_blocks'], 'block')} within {drawn['max_pixel_error']:.3g} pixels,"
+        f" {count_of(drawn['n_blocks'], 'block')}, {'; '.join(errors)},"
         f" {seconds:.1f} s on {drawn['renderer']}"
     )
     click.echo(f"--camera {drawn['camera']}")

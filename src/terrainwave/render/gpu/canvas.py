@@ -14,7 +14,7 @@ from terrainwave.render.look.water import read_water
 from terrainwave.render.modes import mode_class
 from terrainwave.render.modes.mode import Frames
 from terrainwave.render.paging.scene import Scene
-from terrainwave.render.scene.camera import Camera, Viewport, focal_length, ray
+from terrainwave.render.scene.camera import Camera, Viewport, focal_length
 from terrainwave.render.scene.selection import View
 from terrainwave.render.scene.walls import build_solid
 
@@ -197,23 +197,38 @@ class Canvas:
         self._target.release()
 
     def draw(
-        self, camera: Camera, style: "Style", *, max_pixel_error: float = 1.0, settle: bool = True
+        self,
+        camera: Camera,
+        style: "Style",
+        *,
+        max_pixel_error: float = 1.0,
+        settle: bool = True,
+        is_smooth: bool = True,
     ) -> Frames:
         """Draw a picture and leave it on the GPU, in `framebuffer`; return what was drawn.
 
-        `settle` waits until all that the view needs has been read.
+        `settle` waits until all that the view needs has been read. Where it `is_smooth`, a pixel
+        has several samples: its colour is their mean, and its depth one of theirs or a mean, too.
         """
         view = self.scene.view(camera, self.viewport, max_pixel_error)
-        self._target.use()
+        target = self._target if is_smooth else self._resolved
+        target.use()
         if self.scene.mode.is_partwise:
             frames = self._draw_parts(view, style)
         else:
             frames = self.scene.settle(view) if settle else self.scene.update(view)
             self.renderer.draw(view, frames, style)
         self._drawn = view, self.renderer.depth_range(view, frames)
-        if self._resolved is not self._target:
-            self.context.copy_framebuffer(self._resolved, self._target)
+        if self._resolved is not target:
+            self.context.copy_framebuffer(self._resolved, target)
         return frames
+
+    @property
+    def camera(self) -> Camera:
+        """Return the camera of the last picture."""
+        if self._drawn is None:
+            raise AssertionError("a picture has been drawn")
+        return self._drawn[0].camera
 
     @property
     def framebuffer(self) -> Any:
@@ -257,15 +272,34 @@ class Canvas:
             0 <= x < self.viewport.width and 0 <= y < self.viewport.height
         ):
             return None
+        _, places = self.places_seen((int(x), self.viewport.height - 1 - int(y), 1, 1))
+        return places[0] if len(places) else None
+
+    def places_seen(
+        self, part: tuple[int, int, int, int] | None = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the middles of the last picture's pixels that show terrain, and the places there.
+
+        Pixels (x right, y down), shape (n, 2), and local metres, shape (n, 3). Of all of it, or of
+        a part: its left and lower pixel, counted upwards, width and height. Waits for the GPU.
+        """
+        if self._drawn is None:
+            raise AssertionError("a picture has been drawn")
         view, (near, far) = self._drawn
-        place = (int(x), self.viewport.height - 1 - int(y), 1, 1)
-        data = self._resolved.read(place, components=1, attachment=-1, dtype="f4")
-        depth = float(np.frombuffer(data, dtype=np.float32)[0])
-        if not self._shows_terrain(place).all():
-            return None
+        part = part or (0, 0, self.viewport.width, self.viewport.height)
+        data = self._resolved.read(part, components=1, attachment=-1, dtype="f4")
+        shown = np.flatnonzero(self._shows_terrain(part))
+        depth = np.frombuffer(data, dtype=np.float32)[shown].astype(np.float64)
         depth = 2 * near * far / (far + near - (2 * depth - 1) * (far - near))
-        towards = ray(view.camera, self.viewport, int(x) + 0.5, int(y) + 0.5)
-        return view.camera.eye + towards * (depth / float(towards @ view.camera.forward))
+        up, right = np.divmod(shown, part[2])
+        x, y = part[0] + right + 0.5, self.viewport.height - (part[1] + up + 0.5)
+        focal = focal_length(view.camera, self.viewport)
+        across = np.column_stack([
+            (x - self.viewport.width / 2) / focal, (self.viewport.height / 2 - y) / focal,
+            np.ones(len(shown)),
+        ])  # fmt: skip
+        places = view.camera.eye + (across * depth[:, None]) @ view.camera.axes
+        return np.column_stack([x, y]), places
 
     def metres_per_pixel(self) -> float | None:
         """Return the scale of the last picture: in its middle, else of the raster's middle.
@@ -284,12 +318,15 @@ class Canvas:
     def _draw_parts(self, view: View, style: "Style") -> Frames:
         """Draw all finest blocks in view, as many at a time as memory holds."""
         self.renderer.clear(view, style)
-        nodes, n_triangles = [np.empty(0, dtype=np.int32)], 0
         none = np.empty(0)
-        frames = Frames(nodes[0], none, none, none, 0, 0.0, 0)
+        frames = Frames(np.empty(0, dtype=np.int32), none, none, none, 0, 0.0, 0)
+        nodes, distances, n_triangles = [frames.nodes], [none], 0
         for frames in self.scene.parts(view):
             self.renderer.draw_terrain(view, frames, style)
             nodes.append(frames.nodes)
+            distances.append(frames.distances)
             n_triangles += frames.n_triangles
         self.renderer.draw_solid(view, frames, style)
-        return Frames(np.concatenate(nodes), none, none, none, n_triangles, 0.0, 0)
+        return Frames(
+            np.concatenate(nodes), np.concatenate(distances), none, none, n_triangles, 0.0, 0
+        )

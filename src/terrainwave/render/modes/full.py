@@ -10,6 +10,11 @@ class Full(Adaptive):
     options = ()
     is_partwise = True
 
+    @property
+    def is_bound(self) -> bool:
+        """Say yes: errors choose nothing here."""
+        return True
+
     @classmethod
     def preparation(cls, error: str) -> str | None:  # noqa: ARG003, as in `Mode`
         """Return None: errors choose nothing here."""

@@ -1,14 +1,43 @@
 """Each block from its zero trees alone (Yusov & Turlapov 2010, §2.4)."""
 
+from typing import Any
+
+import numpy as np
+
 from terrainwave.render.modes.adaptive import Adaptive
+from terrainwave.render.modes.mode import Frames, ModeNeeds
+from terrainwave.render.scene.selection import NodeTable, Piece, Selection, View
 
 
 class Loose(Adaptive):
-    """`Adaptive` with non-guaranteed meshes above the finest level.
+    """The blocks of `Adaptive`, those above the finest level with their non-guaranteed meshes.
 
-    What such a mesh is worth is measured when it is built. A block whose mesh turns out too far off
-    is split then, so that pictures keep to τ here as well.
+    They are selected as if they had their guaranteed ones. What a mesh is worth is measured when it
+    is built: `Frames.tau` is the largest of that on screen, most often far above the τ asked for.
     """
 
     name = "loose"
     is_loose = True
+
+    def __init__(self, needs: ModeNeeds, *, orientation: bool = False) -> None:
+        super().__init__(needs, orientation=orientation)
+        self._drawn_errors: dict[Piece, float] = {}
+
+    def keep(self, piece: Piece, built: Any) -> None:
+        """Take down what a mesh is worth."""
+        self._drawn_errors[piece] = built.drawn_error
+
+    def drop(self, piece: Piece) -> None:
+        """Forget it."""
+        del self._drawn_errors[piece]
+
+    def frames(
+        self, table: NodeTable, view: View, selection: Selection, tau: float, n_missing: int
+    ) -> Frames:
+        """Return how to draw a selection, with the largest error of its meshes on screen."""
+        frames = super().frames(table, view, selection, tau, n_missing)
+        errors = np.array([self._drawn_errors[table.pieces[node]] for node in frames.nodes])
+        above = np.maximum(errors - table.errors[frames.nodes], 0.0)
+        skirts = frames.skirts + (above + above.max(initial=0.0)) * view.exaggeration
+        on_screen = table.on_screen(view, frames.nodes, errors).max(initial=0.0)
+        return frames._replace(skirts=skirts, tau=max(frames.tau, float(on_screen)))

@@ -167,6 +167,11 @@ class Mode(ABC):
         return formula(camera, viewport)
 
     @property
+    def is_bound(self) -> bool:
+        """Say whether pictures are within `Frames.tau` pixels of the terrain for certain."""
+        return self.error == "measured"
+
+    @property
     def is_exact(self) -> bool:
         """Say whether errors count as each piece's place in the picture has it (`View`)."""
         return self.error == "measured"

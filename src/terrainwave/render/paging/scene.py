@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 # Pieces that one frame takes, and seconds of processor time.
 _UPLOADS_PER_FRAME, _UPLOAD_S = 6, 0.0005
 _READY_PER_WORKER = 4
-# Depth planes where all is drawn in parts: one for all of them.
-_NEAREST_PART = 0.0
 # Where what is needed does not fit, τ is raised by steps; it sinks again as the camera moves on.
 _PRESSURE, _RELIEF = 1.1, 1.02
 # How much a piece is needed: not, soon, now.
@@ -411,6 +409,8 @@ class Scene:
     def parts(self, view: View) -> Iterator[Frames]:
         """Yield all finest pieces in view, as many at a time as the store holds."""
         nodes = self.finest_in_view(view)
+        # One for all parts: they share their depths.
+        nearest = self.table.distances(view, np.array(nodes, dtype=np.int32)).min(initial=np.inf)
         for node in np.flatnonzero(self.table.is_resident[: len(self.table)]).tolist():
             self._drop(node)
         n_done = 0
@@ -427,7 +427,7 @@ class Scene:
                 raise LimitExceededError(_NO_ROOM)
             selection = Selection(
                 np.array(batch, dtype=np.int32),
-                np.full(len(batch), _NEAREST_PART),
+                np.full(len(batch), nearest),
                 int(self.table.n_triangles[batch].sum()),
             )
             yield self.mode.frames(self.table, view, selection, 0.0, 0)

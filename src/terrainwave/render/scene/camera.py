@@ -165,14 +165,6 @@ def project(camera: Camera, viewport: Viewport, points: Vector) -> Vector:
     )
 
 
-def ray(camera: Camera, viewport: Viewport, x: float, y: float) -> Vector:
-    """Return the unit vector from the eye through a pixel (y down)."""
-    tangent = math.tan(math.radians(camera.fov) / 2) / (viewport.height / 2)
-    right, up = (x - viewport.width / 2) * tangent, (viewport.height / 2 - y) * tangent
-    vector: Vector = np.array([right, up, 1.0]) @ camera.axes
-    return vector / np.linalg.norm(vector)
-
-
 # As one line
 
 

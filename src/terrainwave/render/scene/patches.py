@@ -57,7 +57,10 @@ class Patch(NamedTuple):
     base : float
         Height of z = 0, metres.
     error : float
-        No valid original is further from the surface, metres.
+        By which it is selected: no valid original is further from the surface, metres; from the
+        guaranteed one where `PatchBuilder.is_loose`.
+    drawn_error : float
+        No valid original is further from what is drawn, metres.
     morph : float
         Largest distance between the surface and its parent's at vertices, metres.
     children : list of NodeInfo
@@ -69,6 +72,7 @@ class Patch(NamedTuple):
     slopes: NDArray[np.float16]
     base: float
     error: float
+    drawn_error: float
     morph: float
     children: list[NodeInfo]
 
@@ -94,8 +98,8 @@ class PatchBuilder:
         Err_Appr of every block (`level_errors.recursive_errors`): errors are then Err_Appr +
         Err_Tri, Yusov & Turlapov 2010, eq. (3). By default they are those stored for meshes.
     is_loose : bool
-        Blocks above the finest level have their non-guaranteed meshes (`mesh.loose`): their errors
-        are known once they are built.
+        Blocks above the finest level are drawn with their non-guaranteed meshes (`mesh.loose`),
+        whose errors are known once they are built.
     """
 
     def __init__(
@@ -249,16 +253,21 @@ class PatchBuilder:
         )
         morph = float(np.abs(z - z_parent).max(initial=0))
         error = self.error(piece)
-        is_unmeasured = terrain.mesh_kind == "none" or self._loose is not None
-        if is_unmeasured and block.level < terrain.n_levels - 1:
-            error = self._derived_error(block, mesh)
+        drawn_error = error
+        if block.level < terrain.n_levels - 1:
+            if terrain.mesh_kind == "none" or self._loose is not None:
+                drawn_error = self._derived_error(block, mesh)
+            if self._loose is None:
+                error = drawn_error
+        rounding = largest * FLOAT32_ROUNDING
         return Patch(
             piece,
             vertices,
             triangles,
             self.slopes(block),
             base,
-            error + largest * FLOAT32_ROUNDING,
+            error + rounding,
+            drawn_error + rounding,
             morph,
             children,
         )

@@ -261,6 +261,14 @@ class NodeTable:
         scale = np.array([1.0, 1.0, exaggeration])
         return self.low[nodes] * scale, self.high[nodes] * scale
 
+    def distances(self, view: View, nodes: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Return how far nodes are from the eye at least, local metres."""
+        low, high = self.boxes(nodes, view.exaggeration)
+        eye = view.camera.eye
+        beside: NDArray[np.float64] = np.maximum(np.maximum(low - eye, eye - high), 0.0)
+        away: NDArray[np.float64] = np.linalg.norm(beside, axis=1)
+        return away
+
     def scales(self, view: View, nodes: NDArray[np.int32]) -> NDArray[np.float64]:
         """Return pixels on screen per metre of nodes' errors; inf where the eye is in their box."""
         scales = np.empty(len(nodes))

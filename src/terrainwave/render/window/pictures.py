@@ -19,6 +19,7 @@ from terrainwave.render.scene.camera import (
     format_camera,
     home,
     parse_camera,
+    project,
 )
 from terrainwave.render.scene.frame import Frame
 
@@ -125,8 +126,11 @@ def fly_through(
     *,
     legend: bool = False,
     scale_bar: bool = False,
+    measure: bool = False,
 ) -> Iterator[tuple[NDArray[np.uint8], dict[str, Any]]]:
     """Yield pictures along a flight, with what `statistics` says of each.
+
+    `measure` adds `distance_on_screen`.
 
     Raises
     ------
@@ -143,9 +147,12 @@ def fly_through(
                 "the picture would show no terrain: what is in view is void, or `camera` looks"
                 " elsewhere"
             )
+        drawn = statistics(canvas, camera, frames, seconds)
+        if measure:
+            drawn["measured_pixel_error"] = distance_on_screen(canvas, style, max_pixel_error)
         if legend or scale_bar:
             image = with_marks(canvas, image, frames, style, legend=legend, scale_bar=scale_bar)
-        yield image, statistics(canvas, camera, frames, seconds)
+        yield image, drawn
 
 
 def with_marks(
@@ -183,6 +190,25 @@ def with_marks(
     return draw_marks(image, legend=explained, metres_per_pixel=scale)
 
 
+def distance_on_screen(canvas: Canvas, style: "Style", max_pixel_error: float) -> float:
+    """Return how far the last picture is from the decoded heights, pixels.
+
+    The largest distance of what the middles of its pixels show from the bilinear surface of the
+    finest level above or below it, as the camera sees it. A pixel may show the skirt between two
+    blocks, which reaches as far down as both their errors. Draws the picture again, without smooth
+    edges, and reads the finest level of all that is in view.
+    """
+    canvas.draw(canvas.camera, style, max_pixel_error=max_pixel_error, is_smooth=False)
+    frame = canvas.scene.frame
+    pixels, places = canvas.places_seen()
+    world = frame.to_world(places)
+    world[:, 2] = canvas.scene.terrain.sample(world[:, :2], voids="any")
+    known = ~np.isnan(world[:, 2])
+    camera = canvas.camera
+    seen = project(camera, canvas.viewport, frame.to_local(world[known]))[:, :2]
+    return float(np.linalg.norm(seen - pixels[known], axis=1).max(initial=0.0))
+
+
 def statistics(canvas: Canvas, camera: Camera, frames: Frames, seconds: float) -> dict[str, Any]:
     """Return the statistics of a drawn picture, as plain values."""
     scene, info = canvas.scene, canvas.context.info
@@ -193,7 +219,8 @@ def statistics(canvas: Canvas, camera: Camera, frames: Frames, seconds: float) -
         "camera": format_camera(camera, scene.frame),
         "mode": scene.mode.name,
         "error": scene.mode.error,
-        "max_pixel_error": frames.tau,
+        "max_pixel_error": frames.tau if scene.mode.is_bound else None,
+        "measured_pixel_error": None,
         "n_triangles": frames.n_triangles,
         "n_blocks": len(frames.nodes),
         "n_draw_calls": canvas.renderer.n_draw_calls,

@@ -227,9 +227,10 @@ class Session:
         scene, controls = self._scene, self.controls
         style, mode = controls.style, scene.mode
         ramp = "" if style.is_absolute(scene.frame.body) else f", {style.ramp_on(scene.frame.body)}"
+        kept = f"{frames.tau:.3g} drawn" if mode.is_bound else "not bounded"
         found: dict[str, Any] = {
             "mode": f"{mode.name}, error {mode.error}",
-            "pixel error": f"{controls.max_pixel_error:.3g} asked, {frames.tau:.3g} drawn",
+            "pixel error": f"{controls.max_pixel_error:.3g} asked, {kept}",
             "exaggeration": f"{scene.frame.exaggeration:.3g}",
             "coloring": style.coloring + ramp,
             "sun, haze": f"{style.sun[0]:g}°, {style.sun[1]:g}° high; {style.haze:g}",

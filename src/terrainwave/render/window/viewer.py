@@ -360,11 +360,14 @@ class Viewer:
         viewport, scene = canvas.viewport, canvas.scene
         seconds = float(np.mean(self._times)) if self._times else 0.0
         raised = "" if frames.tau <= controls.max_pixel_error * 1.01 else " (raised)"
+        within = f"within {frames.tau:.2g} pixels{raised}"
+        if not scene.mode.is_bound:
+            within = "error in pixels not bounded"
         loading = f", {frames.n_missing} to come" if frames.n_missing else ""
         lines = [
             f"{1 / max(seconds, 1e-6):.0f} fps, {frames.n_triangles:,} triangles in"
             f" {len(frames.nodes)} blocks{loading}",
-            f"GPU {canvas.n_bytes / 2**20:.0f} MiB, within {frames.tau:.2g} pixels{raised}",
+            f"GPU {canvas.n_bytes / 2**20:.0f} MiB, {within}",
         ]
         lines += [f"speed {controls.speed:.3g} m/s"] if controls.is_flying else []
         under = self._pick(*self.cursor)
