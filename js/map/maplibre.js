@@ -1,6 +1,6 @@
 /** MapLibre GL JS: a protocol whose tiles are made in the browser. */
 
-import { TileMaker, publishedTerrains } from "./tiles.js";
+import { TileMaker, heldBounds, publishedTerrains } from "./tiles.js";
 
 export { TileMaker, publishedTerrains };
 
@@ -49,7 +49,7 @@ export function demSource(terrain, { rim = 4, encoding = encodingOf(terrain) } =
     encoding,
     tileSize: 256,
     tiles: [`${address}?rim=${rim}&encoding=${encoding}`],
-    bounds: bounds[2] > 180 ? [-180, bounds[1], 180, bounds[3]] : bounds,
+    bounds: heldBounds(bounds),
     maxzoom,
   };
 }

@@ -22,12 +22,13 @@ export const longitudeOf = (z, x) => (x / 2 ** z) * 360 - 180;
 export const latitudeOf = (z, y) =>
   (Math.atan(Math.sinh(Math.PI * (1 - (2 * y) / 2 ** z))) * 180) / Math.PI;
 
-function levelFor(globe, z, y) {
+/** Return metres between places of a tile of which n lie on its side, in its middle. */
+export function spacingOf(globe, z, y, n) {
   const [, south, , north] = globe.extent;
   const held = (latitude, low, high) => Math.min(Math.max(latitude, low), high);
   const latitude = held(held(latitudeOf(z, y + 0.5), south, north), -MAX_LATITUDE, MAX_LATITUDE);
   const around = 2 * Math.PI * globe.axis * Math.cos((latitude * Math.PI) / 180);
-  return globe.levelFor(around / (TILE_SIZE * 2 ** z));
+  return around / (n * 2 ** z);
 }
 
 function codeOf(height, { lowest, step }) {
@@ -49,7 +50,7 @@ function codeOf(height, { lowest, step }) {
  */
 export async function rgbTile(globe, z, x, y, rim = 0, look = {}) {
   const encoding = encodingOf(look);
-  const level = levelFor(globe, z, y);
+  const level = globe.levelFor(spacingOf(globe, z, y, TILE_SIZE));
   // Pixel centres are the odd places of a grid twice as fine, which is what errors are taken at.
   const n = 2 * (TILE_SIZE + 2 * rim) - 1;
   const fine = Array.from({ length: n }, (_, i) => (i / 2 + 0.5 - rim) / TILE_SIZE);

@@ -47,4 +47,11 @@ export class TileMaker {
   ask(terrain: PublishedTerrain, what: "heightmap",
     args: [z: number, x: number, y: number, size: number],
     signal?: AbortSignal): Promise<{ heights: Float32Array } & TileErrors>;
+  /** In deck.gl's common space: see mesh.js. */
+  ask(terrain: PublishedTerrain, what: "mesh",
+    args: [z: number, x: number, y: number, size: number],
+    signal?: AbortSignal): Promise<{
+      positions: Float32Array; normals: Float32Array; places: Float32Array; indices: Uint32Array;
+      lowest: number; highest: number;
+    } & TileErrors>;
 }

@@ -3,6 +3,7 @@
 import { open } from "../src/index.js";
 import { Globe } from "./globe.js";
 import { heightmap } from "./heightmap.js";
+import { gridMesh } from "./mesh.js";
 import { TILE_SIZE, rgbTile, voidPixels } from "./terrain-rgb.js";
 
 const N_KEPT = 32;
@@ -60,6 +61,9 @@ const WORK = {
   async heightmap(globe, name, z, x, y, size) {
     return heightmap(globe, z, x, y, size);
   },
+  async mesh(globe, name, z, x, y, size) {
+    return gridMesh(globe, z, x, y, size);
+  },
   async height(globe, name, lon, lat) {
     const { heights } = await globe.heightsAt(globe.places.toSamples([lon], [lat]), globe.kMax);
     const height = Number.isNaN(heights[0]) ? null : heights[0];
@@ -71,7 +75,9 @@ self.onmessage = async ({ data: { id, terrain, what, args } }) => {
   try {
     const globe = await openGlobe(terrain);
     const found = await WORK[what](globe, terrain.name, ...args);
-    const moved = [found?.image, found?.heights?.buffer].filter(Boolean);
+    // What can be moved is not copied.
+    const moved = Object.values(found ?? {}).map((value) => (ArrayBuffer.isView(value) ? value.buffer : value))
+      .filter((value) => value instanceof ArrayBuffer || value instanceof ImageBitmap);
     self.postMessage({ id, found }, moved);
   } catch (error) {
     self.postMessage({ id, error: { name: error.name, message: error.message } });
