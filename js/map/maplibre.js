@@ -27,10 +27,10 @@ export function addTerrains(maplibre, terrains, maker = new TileMaker()) {
     const encoding = told.get("encoding") ?? encodingOf(terrain);
     if (what === "voids") {
       const color = parseInt(told.get("color") ?? "ffffff", 16);
-      args.push([(color >> 16) & 255, (color >> 8) & 255, color & 255], { encoding });
-    } else {
-      args.push({ encoding, transparentVoids: told.get("voids") === "transparent" });
+      args.push([(color >> 16) & 255, (color >> 8) & 255, color & 255]);
     }
+    // Both kinds ask for the same: what one made, the other finds.
+    args.push({ encoding, transparentVoids: told.get("voids") === "transparent", errors: false });
     const answer = await maker.ask(terrain, what, args, signal);
     return { data: answer?.image ?? null };
   });
