@@ -1,4 +1,4 @@
-"""Do the example pages of examples/web draw the terrain, from a published folder and npm's packages?"""
+"""Do the pages of examples/web draw the terrain, from a published folder and npm's packages?"""
 
 import shutil
 from pathlib import Path
@@ -75,7 +75,9 @@ def check_requests(server):
 def test_maplibre_draws_the_terrain(twz, folder, browser):
     with static_server(folder) as server:
         shown(browser, server, "maplibre")
-        wait_until(browser, "globalThis.map?.loaded?.() && map.areTilesLoaded() && map.isStyleLoaded()")
+        wait_until(
+            browser, "globalThis.map?.loaded?.() && map.areTilesLoaded() && map.isStyleLoaded()"
+        )
         check_heights(twz, lambda *place: browser.execute_script(
             f"return map.queryTerrainElevation({list(place)})"
         ))  # fmt: skip
@@ -87,7 +89,11 @@ def test_cesium_draws_the_terrain(twz, folder, browser):
     with static_server(folder) as server:
         shown(browser, server, "cesium")
         asked = "return widget.scene.globe.getHeight(Cesium.Cartographic.fromDegrees({}, {}))"
-        wait_until(browser, f"globalThis.widget?.scene.globe.tilesLoaded && (() => {{ {asked.format(*POINTS[0])} }})()")
+        first = asked.format(*POINTS[0])
+        wait_until(
+            browser,
+            f"globalThis.widget?.scene.globe.tilesLoaded && (() => {{ {first} }})()",
+        )
         check_heights(twz, lambda *place: browser.execute_script(asked.format(*place)))
         check_picture(browser)
         check_requests(server)
