@@ -102,12 +102,12 @@ def write_geotiff(raster: Raster, path: Path) -> None:
         sink.write(raster.heights, 1)
 
 
-def write_cog(source: Path, target: Path, max_error: float) -> Path:
+def write_cog(source: Path, target: Path, max_error: float, compression: str = "LERC_ZSTD") -> Path:
     """Make a COG of a GeoTIFF as `gdal_translate` does, in its own type, by one thread."""
     import rasterio.shutil
 
     rasterio.shutil.copy(
-        source, target, driver="COG", COMPRESS="LERC_ZSTD", MAX_Z_ERROR=repr(max_error),
+        source, target, driver="COG", COMPRESS=compression, MAX_Z_ERROR=repr(max_error),
         BLOCKSIZE="512", OVERVIEWS="AUTO",
     )  # fmt: skip
     return target

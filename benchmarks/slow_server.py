@@ -6,6 +6,7 @@ replies share one line. `is_down` cuts every connection and refuses new ones, as
 
 import contextlib
 import math
+import mimetypes
 import os
 import re
 import socket
@@ -23,6 +24,13 @@ _CHUNK = 8192
 
 # One request: start and end of its reply in seconds of `time.monotonic`, and what was asked for.
 Exchange = namedtuple("Exchange", "start end n_bytes path user_agent")
+
+
+def _type_of(name: str) -> str:
+    """Return the media type of a file: browsers run nothing that is no JavaScript."""
+    if name.endswith((".js", ".mjs")):
+        return "text/javascript"
+    return mimetypes.guess_type(name)[0] or "application/octet-stream"
 
 
 class _Line:
@@ -74,6 +82,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_response(404 if body is None else 206 if match else 200)
         self.send_header("Content-Length", str(len(body or b"")))
         self.send_header("Accept-Ranges", "bytes")
+        self.send_header("Content-Type", _type_of(name))
         self.send_header("ETag", f'"{size}"')
         if match:
             self.send_header("Content-Range", f"bytes {first}-{first + len(body) - 1}/{size}")

@@ -43,13 +43,8 @@ export class Globe {
     const cells = new Cells(this, level, rows, cols);
     if (cells.count === 0) return { heights, window: null };
     const window = await cells.read();
-    cells.interpolate(window, heights, this.scaling());
+    cells.interpolate(window, heights);
     return { heights, window };
-  }
-
-  scaling() {
-    const { scale, offset } = this.terrain;
-    return (raw) => (raw * scale + offset) * this.metres;
   }
 
   /** Return how far originals can be from the bilinear surface of what was read, in metres. */
@@ -73,88 +68,103 @@ export class Globe {
 /** The cells of a level that places lie in. */
 class Cells {
   constructor(globe, level, rows, cols) {
-    this.terrain = globe.terrain;
-    this.level = level;
+    Object.assign(this, { globe, level, rows, cols, terrain: globe.terrain });
     this.stride = 2 ** (globe.kMax - level);
     this.shape = this.terrain.shape(level);
     this.round = globe.places.goesRound ? globe.terrain.nCols / this.stride : null;
-    this.top = new Int32Array(rows.length);
-    this.left = new Int32Array(rows.length);
-    this.right = new Int32Array(rows.length);
-    this.down = new Float64Array(rows.length).fill(NaN);
-    this.across = new Float64Array(rows.length);
-    this.count = 0;
-    for (let i = 0; i < rows.length; i++) if (!Number.isNaN(rows[i])) this.put(i, rows[i], cols[i]);
+    this.count = rows.reduce((n, row) => n + (row === row), 0);
   }
 
-  put(i, row, col) {
-    const { nRows, nCols } = this.shape;
-    const y = row / this.stride;
-    this.top[i] = Math.min(Math.max(Math.floor(y), 0), Math.max(nRows - 2, 0));
-    this.down[i] = nRows > 1 ? y - this.top[i] : 0;
+  /** Return the first column of a place's cell, its second one, and how far across the cell the place is. */
+  across(col) {
+    const { nCols } = this.shape;
     let x = col / this.stride;
     if (this.round === null) {
-      this.left[i] = Math.min(Math.max(Math.floor(x), 0), Math.max(nCols - 2, 0));
-      this.across[i] = nCols > 1 ? x - this.left[i] : 0;
-      this.right[i] = Math.min(this.left[i] + 1, nCols - 1);
-    } else {
-      x -= this.round * Math.floor(x / this.round);
-      const left = Math.min(Math.floor(x), nCols - 1);
-      const isLast = left === nCols - 1;
-      this.left[i] = left;
-      this.across[i] = isLast ? (x - left) / (this.round - left) : x - left;
-      this.right[i] = isLast ? 0 : left + 1;
+      const left = Math.min(Math.max(Math.floor(x), 0), Math.max(nCols - 2, 0));
+      return [left, Math.min(left + 1, nCols - 1), nCols > 1 ? x - left : 0];
     }
-    this.count++;
+    x -= this.round * Math.floor(x / this.round);
+    const left = Math.min(Math.floor(x), nCols - 1);
+    if (left < nCols - 1) return [left, left + 1, x - left];
+    return [left, 0, (x - left) / (this.round - left)];
   }
 
   /** Read the samples: one window, or two where columns are needed at both ends of a round. */
   async read() {
-    const middle = this.round === null ? 0 : this.shape.nCols / 2;
+    const { rows, cols, shape } = this;
+    const [low, high] = rangeOf(rows);
+    const lastTop = Math.max(shape.nRows - 2, 0);
+    const topOf = (row) => Math.min(Math.max(Math.floor(row / this.stride), 0), lastTop);
+    const first = topOf(low);
+    const last = Math.min(topOf(high) + 1, shape.nRows - 1);
     const halves = [[Infinity, -Infinity], [Infinity, -Infinity]];
-    let [first, last] = [Infinity, -Infinity];
-    for (let i = 0; i < this.top.length; i++) {
-      if (Number.isNaN(this.down[i])) continue;
-      first = Math.min(first, this.top[i]);
-      last = Math.max(last, this.top[i] + 1);
-      for (const col of [this.left[i], this.right[i]]) {
-        const half = halves[col < middle ? 0 : 1];
-        half[0] = Math.min(half[0], col);
-        half[1] = Math.max(half[1], col);
+    const need = (half, col) => {
+      half[0] = Math.min(half[0], col);
+      half[1] = Math.max(half[1], col);
+    };
+    if (this.round === null) {
+      for (const end of rangeOf(cols)) this.across(end).slice(0, 2).forEach((col) => need(halves[0], col));
+    } else {
+      const middle = shape.nCols / 2;
+      for (let i = 0; i < cols.length; i++) {
+        if (Number.isNaN(cols[i])) continue;
+        this.across(cols[i]).slice(0, 2).forEach((col) => need(halves[col < middle ? 0 : 1], col));
       }
     }
-    last = Math.min(last, this.shape.nRows - 1);
     const place = { row: first, nRows: last - first + 1 };
-    const parts = await Promise.all(halves.filter(([low, high]) => low <= high).map(
-      ([low, high]) => this.terrain.read(
-        this.level, { ...place, col: low, nCols: high - low + 1 }, { voids: "any" },
+    const parts = await Promise.all(halves.filter(([from, to]) => from <= to).map(
+      ([from, to]) => this.terrain.read(
+        this.level, { ...place, col: from, nCols: to - from + 1 }, { voids: "any" },
       ),
     ));
     return { level: this.level, ...place, parts };
   }
 
-  interpolate({ row, parts }, heights, toMetres) {
+  /** The innermost loops of tiles: hence no function is called for each place of a plain raster. */
+  interpolate({ row, parts }, heights) {
+    const { rows, cols, stride, round } = this;
+    const { nRows, nCols } = this.shape;
+    const { scale, offset } = this.terrain;
+    const { metres } = this.globe;
     const [one, other] = [parts[0], parts.at(-1)];
-    const bottom = this.shape.nRows - 1;
+    const [lastTop, lastLeft] = [Math.max(nRows - 2, 0), Math.max(nCols - 2, 0)];
+    const [down, right1] = [nRows > 1 ? 1 : 0, nCols > 1 ? 1 : 0];
     for (let i = 0; i < heights.length; i++) {
-      const v = this.down[i];
-      if (Number.isNaN(v)) continue;
-      const u = this.across[i];
-      let sum = 0;
-      for (let corner = 0; corner < 4; corner++) {
-        const weight = (corner & 2 ? v : 1 - v) * (corner & 1 ? u : 1 - u);
-        if (weight === 0) continue;
-        const col = corner & 1 ? this.right[i] : this.left[i];
-        const part = col < other.col ? one : other;
-        const y = Math.min(this.top[i] + (corner >> 1), bottom) - row;
-        const at = y * part.nCols + col - part.col;
-        if (!part.valid[at]) {
-          sum = NaN;
-          break;
-        }
-        sum += weight * toMetres(part.heights[at]);
+      if (Number.isNaN(rows[i])) continue;
+      const y = rows[i] / stride;
+      const top = Math.min(Math.max(Math.floor(y), 0), lastTop);
+      const v = down ? y - top : 0;
+      let [left, right, u] = [0, 0, 0];
+      if (round === null) {
+        const x = cols[i] / stride;
+        left = Math.min(Math.max(Math.floor(x), 0), lastLeft);
+        right = left + right1;
+        u = right1 ? x - left : 0;
+      } else {
+        [left, right, u] = this.across(cols[i]);
       }
+      const [west, east] = [left < other.col ? one : other, right < other.col ? one : other];
+      const a = (top - row) * west.nCols + left - west.col;
+      const b = (top - row) * east.nCols + right - east.col;
+      const [c, d] = [a + down * west.nCols, b + down * east.nCols];
+      // Where a weight is 0, the sample does not count, valid or not.
+      let sum = 0;
+      const [ofA, ofB, ofC, ofD] = [(1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u];
+      if (ofA !== 0) sum = west.valid[a] ? ofA * ((west.heights[a] * scale + offset) * metres) : NaN;
+      if (ofB !== 0) sum = east.valid[b] ? sum + ofB * ((east.heights[b] * scale + offset) * metres) : NaN;
+      if (ofC !== 0) sum = west.valid[c] ? sum + ofC * ((west.heights[c] * scale + offset) * metres) : NaN;
+      if (ofD !== 0) sum = east.valid[d] ? sum + ofD * ((east.heights[d] * scale + offset) * metres) : NaN;
       heights[i] = sum;
     }
   }
+}
+
+/** Return the least and the greatest number of those that are numbers. */
+function rangeOf(numbers) {
+  let [low, high] = [Infinity, -Infinity];
+  for (let i = 0; i < numbers.length; i++) {
+    if (numbers[i] < low) low = numbers[i];
+    if (numbers[i] > high) high = numbers[i];
+  }
+  return [low, high];
 }

@@ -31,15 +31,26 @@ export async function heightmap(globe, z, x, y, size) {
   const lon = Array.from({ length: n }, (_, i) => west + share(i) * (east - west));
   const lat = Array.from({ length: n }, (_, i) => north - share(i) * (north - south));
   const spacing = ((north - south) / (size - 1) / 180) * Math.PI * globe.axis;
+  const { known, ...errors } = await sampledGrid(globe, lon, lat, size, spacing);
+  const ofVoids = globe.lowest - VOID_DEPTH;
+  const heights = Float32Array.from(known, (height) => (Number.isNaN(height) ? ofVoids : height));
+  return { heights, ...errors };
+}
+
+/**
+ * Return { known, error, terrainError }: size x size heights, single precision, NaN where void, at every
+ * second of the places, of samples at most `spacing` metres apart; the errors of `heightmap`.
+ */
+export async function sampledGrid(globe, lon, lat, size, spacing) {
+  const n = 2 * size - 1;
   const places = globe.places.toSamples(lon, lat);
   const { heights: surface, window } = await globe.heightsAt(places, globe.levelFor(spacing));
   const known = new Float64Array(size * size);
   for (let i = 0; i < size; i++) {
     for (let j = 0; j < size; j++) known[i * size + j] = Math.fround(surface[2 * i * n + 2 * j]);
   }
-  const ofVoids = globe.lowest - VOID_DEPTH;
   return {
-    heights: Float32Array.from(known, (height) => (Number.isNaN(height) ? ofVoids : height)),
+    known,
     error: largestDistance(known, surface, n),
     terrainError: window === null ? null : await globe.heightsError(window),
   };

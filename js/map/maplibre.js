@@ -1,6 +1,6 @@
 /** MapLibre GL JS: a protocol whose tiles are made in the browser. */
 
-import { TileMaker, publishedTerrains } from "./tiles.js";
+import { TileMaker, heldBounds, publishedTerrains } from "./tiles.js";
 
 export { TileMaker, publishedTerrains };
 
@@ -27,10 +27,10 @@ export function addTerrains(maplibre, terrains, maker = new TileMaker()) {
     const encoding = told.get("encoding") ?? encodingOf(terrain);
     if (what === "voids") {
       const color = parseInt(told.get("color") ?? "ffffff", 16);
-      args.push([(color >> 16) & 255, (color >> 8) & 255, color & 255], { encoding });
-    } else {
-      args.push({ encoding, transparentVoids: told.get("voids") === "transparent" });
+      args.push([(color >> 16) & 255, (color >> 8) & 255, color & 255]);
     }
+    // Both kinds ask for the same: what one made, the other finds.
+    args.push({ encoding, transparentVoids: told.get("voids") === "transparent", errors: false });
     const answer = await maker.ask(terrain, what, args, signal);
     return { data: answer?.image ?? null };
   });
@@ -49,7 +49,7 @@ export function demSource(terrain, { rim = 4, encoding = encodingOf(terrain) } =
     encoding,
     tileSize: 256,
     tiles: [`${address}?rim=${rim}&encoding=${encoding}`],
-    bounds: bounds[2] > 180 ? [-180, bounds[1], 180, bounds[3]] : bounds,
+    bounds: heldBounds(bounds),
     maxzoom,
   };
 }

@@ -54,14 +54,18 @@ export class Places {
       const place = west + modulo(degrees - west, 360);
       return place <= east ? basis(place, west, east, this.nLon) : null;
     });
+    // Of many rasters, rows follow from the latitude alone, and columns from the longitude.
+    const [isRowOfLat, isColOfLon] = [this.rows[0].length === 1, this.cols.length === 1];
+    const colsOfLon = isColOfLon && across.map((terms) => terms && this.column(product(this.cols[0], terms)));
     for (let i = 0; i < lat.length; i++) {
       if (!(lat[i] >= south && lat[i] <= north)) continue;
       const down = basis(lat[i], south, north, Math.max(this.rows.length, this.cols.length));
       const [ofRow, ofCol] = [this.rows, this.cols].map((table) => along(table, down));
+      const rowOfLat = isRowOfLat && this.clamped(ofRow[0], this.nRows);
       for (let j = 0; j < lon.length; j++) {
         if (across[j] === null) continue;
-        const row = this.clamped(product(ofRow, across[j]), this.nRows);
-        const col = this.column(product(ofCol, across[j]));
+        const row = isRowOfLat ? rowOfLat : this.clamped(product(ofRow, across[j]), this.nRows);
+        const col = isColOfLon ? colsOfLon[j] : this.column(product(ofCol, across[j]));
         if (row === null || col === null) continue;
         rows[i * lon.length + j] = row;
         cols[i * lon.length + j] = col;

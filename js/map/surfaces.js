@@ -14,22 +14,41 @@ export function without(values, n, margin) {
 
 /** Return heights that reach `times` samples into NaN: there, the mean of known neighbours. */
 export function growInto(heights, n, times) {
-  let from = heights;
-  for (let time = 0; time < times; time++) {
-    const to = from.slice();
-    for (let at = 0; at < from.length; at++) {
-      if (Number.isNaN(from[at])) to[at] = meanAround(from, n, at);
+  const to = heights.slice();
+  // What one round fills is used by the next one only, which fills what lies beside it.
+  let wanted = [];
+  for (let at = 0; at < to.length && times > 0; at++) if (Number.isNaN(to[at])) wanted.push(at);
+  for (let time = 0; time < times && wanted.length > 0; time++) {
+    const [filled, values] = [[], []];
+    for (const at of wanted) {
+      if (!Number.isNaN(to[at])) continue; // named by two neighbours
+      const mean = meanAround(to, n, at);
+      if (Number.isNaN(mean)) continue;
+      filled.push(at);
+      values.push(mean);
     }
-    from = to;
+    wanted = [];
+    filled.forEach((at, i) => { to[at] = values[i]; });
+    for (const at of filled) for (const beside of around(n, at)) if (Number.isNaN(to[beside])) wanted.push(beside);
   }
-  return from;
+  return to;
+}
+
+/** Return the places beside one. */
+function around(n, at) {
+  const [row, col, found] = [Math.floor(at / n), at % n, []];
+  for (let i = Math.max(row - 1, 0); i <= Math.min(row + 1, n - 1); i++) {
+    for (let j = Math.max(col - 1, 0); j <= Math.min(col + 1, n - 1); j++) found.push(i * n + j);
+  }
+  return found;
 }
 
 function meanAround(heights, n, at) {
   const [row, col] = [Math.floor(at / n), at % n];
+  const [lastRow, lastCol] = [Math.min(row + 1, n - 1), Math.min(col + 1, n - 1)];
   let [sum, count] = [0, 0];
-  for (let i = Math.max(row - 1, 0); i <= Math.min(row + 1, n - 1); i++) {
-    for (let j = Math.max(col - 1, 0); j <= Math.min(col + 1, n - 1); j++) {
+  for (let i = Math.max(row - 1, 0); i <= lastRow; i++) {
+    for (let j = Math.max(col - 1, 0); j <= lastCol; j++) {
       const height = heights[i * n + j];
       if (Number.isNaN(height)) continue;
       sum += height;

@@ -22,12 +22,13 @@ export const longitudeOf = (z, x) => (x / 2 ** z) * 360 - 180;
 export const latitudeOf = (z, y) =>
   (Math.atan(Math.sinh(Math.PI * (1 - (2 * y) / 2 ** z))) * 180) / Math.PI;
 
-function levelFor(globe, z, y) {
+/** Return metres between places of a tile of which n lie on its side, in its middle. */
+export function spacingOf(globe, z, y, n) {
   const [, south, , north] = globe.extent;
   const held = (latitude, low, high) => Math.min(Math.max(latitude, low), high);
   const latitude = held(held(latitudeOf(z, y + 0.5), south, north), -MAX_LATITUDE, MAX_LATITUDE);
   const around = 2 * Math.PI * globe.axis * Math.cos((latitude * Math.PI) / 180);
-  return globe.levelFor(around / (TILE_SIZE * 2 ** z));
+  return around / (n * 2 ** z);
 }
 
 function codeOf(height, { lowest, step }) {
@@ -49,33 +50,67 @@ function codeOf(height, { lowest, step }) {
  */
 export async function rgbTile(globe, z, x, y, rim = 0, look = {}) {
   const encoding = encodingOf(look);
-  const level = levelFor(globe, z, y);
-  // Pixel centres are the odd places of a grid twice as fine, which is what errors are taken at.
-  const n = 2 * (TILE_SIZE + 2 * rim) - 1;
-  const fine = Array.from({ length: n }, (_, i) => (i / 2 + 0.5 - rim) / TILE_SIZE);
-  const lon = fine.map((at) => longitudeOf(z, x + at));
-  const lat = fine.map((at) => latitudeOf(z, y + at));
-  const { heights, window } = await globe.heightsAt(globe.places.toSamples(lon, lat), level);
-  if (window === null) return null;
-  const surface = without(heights, n, 2 * rim);
-  const side = n - 4 * rim;
+  const surface = await fineSurface(globe, z, x, y, rim);
+  if (surface === null) return null;
+  const { heights, n, level, window } = surface;
   const nPixels = TILE_SIZE + 2 * rim;
   const centres = new Float64Array(nPixels * nPixels);
   for (let i = 0; i < nPixels; i++) {
     for (let j = 0; j < nPixels; j++) centres[i * nPixels + j] = heights[2 * i * n + 2 * j];
   }
+  const pixels = drawn(globe, centres, rim, look);
+  if (pixels === null) return null;
   const inner = without(centres, nPixels, rim);
   const { lowest, step } = encoding;
   const codes = Float64Array.from(inner, (height) => codeOf(height, encoding) * step + lowest);
-  const drawn = without(growInto(centres, nPixels, rim), nPixels, rim);
-  if (drawn.every(Number.isNaN)) return null;
   return {
-    pixels: encode(globe, drawn, look),
+    pixels,
     voids: shareOfVoids(heights, n, rim),
-    error: largestDistance(codes, surface, side),
+    error: largestDistance(codes, without(heights, n, 2 * rim), n - 4 * rim),
     terrainError: await globe.heightsError(window),
     level,
   };
+}
+
+/**
+ * Return { pixels, isWhole } of a tile, those of `rgbTile`, in a quarter of the time; null where there is no
+ * terrain. `isWhole`: nothing is void, not even between pixels.
+ */
+export async function rgbPixels(globe, z, x, y, rim = 0, look = {}) {
+  const surface = await surfaceAt(globe, z, x, y, rim, 1);
+  const pixels = surface && drawn(globe, surface.heights, rim, look);
+  const isWhole = () => !surface.heights.some(Number.isNaN)
+    && surface.window.parts.every(({ valid }) => !valid.includes(0));
+  return pixels && { pixels, isWhole: isWhole() };
+}
+
+/** Return the voids of `rgbTile`. */
+export async function voidsOf(globe, z, x, y, rim = 0) {
+  const surface = await fineSurface(globe, z, x, y, rim);
+  return shareOfVoids(surface.heights, surface.n, rim);
+}
+
+/** Return the heights of pixel centres, and of places halfway between them, which errors are taken at. */
+function fineSurface(globe, z, x, y, rim) {
+  return surfaceAt(globe, z, x, y, rim, 2);
+}
+
+/** Return { heights, n, level, window }: n x n heights, `times` in a pixel's width; null where nothing is. */
+async function surfaceAt(globe, z, x, y, rim, times) {
+  const level = globe.levelFor(spacingOf(globe, z, y, TILE_SIZE));
+  const n = times * (TILE_SIZE + 2 * rim) - times + 1;
+  const at = Array.from({ length: n }, (_, i) => (i / times + 0.5 - rim) / TILE_SIZE);
+  const lon = at.map((place) => longitudeOf(z, x + place));
+  const lat = at.map((place) => latitudeOf(z, y + place));
+  const { heights, window } = await globe.heightsAt(globe.places.toSamples(lon, lat), level);
+  return window && { heights, n, level, window };
+}
+
+/** Return the pixels of heights at the centres of pixels, with a rim; null where nothing is within it. */
+function drawn(globe, centres, rim, look) {
+  const nPixels = TILE_SIZE + 2 * rim;
+  const heights = without(growInto(centres, nPixels, rim), nPixels, rim);
+  return heights.every(Number.isNaN) ? null : encode(globe, heights, look);
 }
 
 /** Return the pixels of a tile without terrain. */

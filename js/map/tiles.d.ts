@@ -39,12 +39,19 @@ export class TileMaker {
   constructor(options?: { worker?: Worker });
   ask(terrain: PublishedTerrain, what: "height", args: [lon: number, lat: number],
     signal?: AbortSignal): Promise<{ lon: number; lat: number; height: number | null; max_error: number }>;
-  /** By default in the encoding "mapbox", with opaque voids. */
+  /** By default in the encoding "mapbox", with opaque voids, and with errors, which take most of the time. */
   ask(terrain: PublishedTerrain, what: "rgb",
     args: [z: number, x: number, y: number, rim: number,
-      look?: { encoding?: Encoding; transparentVoids?: boolean }],
+      look?: { encoding?: Encoding; transparentVoids?: boolean; errors?: boolean }],
     signal?: AbortSignal): Promise<({ image: ImageBitmap } & TileErrors) | null>;
   ask(terrain: PublishedTerrain, what: "heightmap",
     args: [z: number, x: number, y: number, size: number],
     signal?: AbortSignal): Promise<{ heights: Float32Array } & TileErrors>;
+  /** In deck.gl's common space: see mesh.js. */
+  ask(terrain: PublishedTerrain, what: "mesh",
+    args: [z: number, x: number, y: number, size: number],
+    signal?: AbortSignal): Promise<{
+      positions: Float32Array; normals: Float32Array; places: Float32Array; indices: Uint32Array;
+      lowest: number; highest: number;
+    } & TileErrors>;
 }

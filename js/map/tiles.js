@@ -24,7 +24,7 @@ export class TileMaker {
   }
 
   /**
-   * Return what the worker answers: `what` is rgb, voids, heightmap or height; `terrain` is
+   * Return what the worker answers: `what` is rgb, voids, heightmap, mesh or height; `terrain` is
    * { name, url, described }, described as in terrains.json.
    */
   ask(terrain, what, args, signal) {
@@ -64,4 +64,9 @@ export async function publishedTerrains(url = "terrains.json") {
   return (await answer.json()).map((described) => ({
     name: described.name, url: new URL(described.file, at), described,
   }));
+}
+
+/** Return west, south, east, north as maps take them: all the way round where they reach beyond 180 degrees. */
+export function heldBounds([west, south, east, north]) {
+  return east > 180 ? [-180, south, 180, north] : [west, south, east, north];
 }

@@ -21,6 +21,8 @@ const SIDE = 2048;
 const PARTS_AT_ONCE = 3;
 /** Smaller windows are read here: workers take their time to start. */
 const FEWEST_UNITS_FOR_WORKERS = 3;
+/** Where nobody asked for workers, they start with a window that takes longer than they need to start. */
+const FEWEST_SAMPLES_TO_START = 2 ** 21;
 
 /** Open a .twz file: a URL, a File or Blob, bytes, or an object { size, read(start, end) }. */
 export async function open(from, options = {}) {
@@ -44,7 +46,8 @@ export async function open(from, options = {}) {
   };
   const engine = new Engine(file);
   const about = await engine.describe(fetch);
-  return new Terrain({ file, engine, fetch, nWorkers, maxSamples, signal }, about);
+  const fewestSamples = workers === undefined ? FEWEST_SAMPLES_TO_START : 0;
+  return new Terrain({ file, engine, fetch, nWorkers, fewestSamples, maxSamples, signal }, about);
 }
 
 /** Split a window at multiples of `side`: units lie between them, the last one with a line more. */
@@ -199,12 +202,13 @@ export class Terrain {
 
   /** Return what reads parts of a window, `side` samples each and `nAtOnce` at once: workers, or we. */
   async #reader(level, { row, col, nRows, nCols }) {
-    const { engine, fetch } = this.#given;
+    const { engine, fetch, fewestSamples } = this.#given;
     const unit = 2 * this.blockSize;
     const nUnits = (first, n) => Math.floor((first + n - 1) / unit) - Math.floor(first / unit) + 1;
     const n = nUnits(row, nRows) * nUnits(col, nCols);
     let side = Math.max(unit, SIDE);
-    const pool = n < FEWEST_UNITS_FOR_WORKERS ? null : await this.#workers();
+    const isSmall = n < FEWEST_UNITS_FOR_WORKERS || (!this.#pool && nRows * nCols < fewestSamples);
+    const pool = isSmall ? null : await this.#workers();
     if (!pool) {
       const read = (place, _, take) => engine.read(place, fetch, take);
       if (nRows * nCols <= MOST_AT_ONCE) side = Infinity;

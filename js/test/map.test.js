@@ -3,6 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
+import { gridMesh } from "../map/mesh.js";
 import { Places } from "../map/places.js";
 import { growInto, largestDistance, shareOfVoids, without } from "../map/surfaces.js";
 import { BLOCK, BlockSource } from "../src/blocks.js";
@@ -135,4 +136,52 @@ test("heights go on into voids as means, and voids are shares of pixels", () => 
   assert.deepEqual([...shareOfVoids(heights, 3, 0)], [64, 255, 207, 255]);
   const coarse = Float64Array.of(0, 2, 2, 4);
   assert.equal(largestDistance(coarse, Float64Array.of(0, 1, 2, 1, 5, 3, 2, NaN, 4), 3), 3);
+});
+
+/** A globe whose heights are 1000 m and 10 m more with each degree east and 20 m with each north, void in the west. */
+function slantingGlobe(firstLongitude = -Infinity) {
+  const toSamples = (lon, lat) => ({ lon, lat });
+  const heightOf = (lon, lat) => (lon < firstLongitude ? NaN : 1000 + 10 * lon + 20 * lat);
+  return {
+    axis: 6378137, extent: [-180, -90, 180, 90], lowest: 0, places: { toSamples }, levelFor: () => 3,
+    heightsAt: async ({ lon, lat }) => ({
+      heights: Float64Array.from(lat.flatMap((y) => lon.map((x) => heightOf(x, y)))), window: {},
+    }),
+    heightsError: async () => 5,
+  };
+}
+
+test("a mesh covers its tile once, at the heights, and skirts hang from its edges", async () => {
+  const n = 5;
+  const { positions, normals, indices, lowest, highest } = await gridMesh(slantingGlobe(), 2, 2, 1, n);
+  const at = (i) => [...positions.subarray(3 * i, 3 * i + 3)];
+  let [area, nSkirts] = [0, 0];
+  for (let k = 0; k < indices.length; k += 3) {
+    const [a, b, c] = [...indices.subarray(k, k + 3)].map(at);
+    const twice = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]);
+    assert.ok(twice >= 0); // counterclockwise, seen from above
+    area += twice / 2;
+    if (twice === 0) nSkirts++;
+  }
+  // Tile 2/2/1 is the quarter turn east of Greenwich and north of the equator: 128 of 512 units wide.
+  assert.equal(area, 128 ** 2);
+  assert.equal(nSkirts, 4 * 2 * (n - 1));
+  assert.deepEqual(at(n * (n - 1)), [256, 256, 1000]); // 0 degrees, 0 degrees
+  assert.equal(at(n * n - 1)[2], 1900); // 90 degrees east
+  assert.ok(Math.abs(highest - (1900 + 20 * 66.513)) < 0.1);
+  const bottoms = positions.filter((_, i) => i % 3 === 2 && i >= 3 * n * n);
+  assert.ok(Math.min(...bottoms) <= 1000 - 2 * 5);
+  assert.equal(lowest, 1000);
+  const [east, north, up] = normals.subarray(3 * n * (n - 1));
+  assert.ok(east < 0 && north < 0 && up > 0); // it rises to the north-east, also at its corner
+});
+
+test("cells with a void corner are in no mesh, and a tile without heights has no triangle", async () => {
+  const some = await gridMesh(slantingGlobe(29.9), 2, 2, 1, 4);
+  const used = [...some.indices].map((i) => some.positions[3 * i]);
+  assert.ok(Math.min(...used) > 256 + 128 / 3 - 1e-3 && some.indices.length > 0);
+  assert.ok(some.positions.every(Number.isFinite));
+  const none = await gridMesh(slantingGlobe(200), 2, 2, 1, 4);
+  assert.equal(none.indices.length, 0);
+  assert.deepEqual([none.lowest, none.highest], [0, 0]);
 });

@@ -6,6 +6,7 @@ the browser. What that needs PROJ for is computed here and written into terrains
 
 import json
 import os
+import re
 import shutil
 import warnings
 from contextlib import ExitStack
@@ -31,6 +32,8 @@ _STATIC = Path(__file__).parent / "serve" / "static"
 # The reader's folders, as they lie in js/ of the repository; an installed package has a copy.
 _READER = ("src", "map")
 _PART = 8 << 20
+_END_OF_HEAD = "</head>"
+_IMPORT = re.compile(r'^(?:import|export)\b[^;"]* from "(\.[^"]+)";', re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -136,11 +139,39 @@ def _opened(opened: ExitStack, path: str, radius: float | None) -> tuple[Globe, 
 
 def _write_page(new: Path) -> None:
     _copy_tree(_STATIC, new / "static")
-    (new / "static" / "index.html").replace(new / "index.html")
+    (new / "static" / "index.html").unlink()
     reader, copy = reader_directory(), new / "terrainwave"
     for name in _READER:
         _copy_tree(reader / name, copy / name, ignored=".d.ts")
     shutil.copyfile(reader / "LICENSE", copy / "LICENSE")
+    text = (_STATIC / "index.html").read_text(encoding="utf-8")
+    (new / "index.html").write_text(text.replace(_END_OF_HEAD, _early(new)), encoding="utf-8")
+
+
+def _early(new: Path) -> str:
+    """Return what the page of a published folder has at the end of its head.
+
+    Browsers then ask for all modules at once, not for each when another one names it, and the
+    worker begins while MapLibre is on its way.
+    """
+    modules = [*_modules(new / "static" / "published.mjs"), *_modules(new / "static" / "page.mjs")]
+    lines = [
+        f'<link rel="preload" as="fetch" crossorigin href="{LIST}" />',
+        *(
+            f'<link rel="modulepreload" href="{module.relative_to(new).as_posix()}" />'
+            for module in dict.fromkeys(modules)
+        ),
+        '<script type="module" src="static/published.mjs"></script>',
+    ]
+    return "".join(f"  {line}\n  " for line in lines) + _END_OF_HEAD
+
+
+def _modules(module: Path) -> list[Path]:
+    """Return a module and all that it imports."""
+    found = [module]
+    for name in _IMPORT.findall(module.read_text(encoding="utf-8")):
+        found += _modules((module.parent / name).resolve())
+    return found
 
 
 def _copy_tree(source: Path, target: Path, ignored: str | None = None) -> None:

@@ -3,10 +3,11 @@
 // Tiles and heights come from a server (`served.mjs`) or are made here (`published.mjs`).
 // `state` is what the page shows. Each terrain that is shown is a new generation: what was asked
 // for an earlier one (styles, heights) is dropped when it comes.
-import { Map, NavigationControl, ScaleControl } from "./maplibre/maplibre-gl.mjs";
+import { Map, NavigationControl, ScaleControl, addProtocol } from "./maplibre/maplibre-gl.mjs";
 import { gradientOf, reliefOf, ticksOf, written } from "./colours.mjs";
 import { copyable } from "./copying.mjs";
 import * as permalink from "./permalink.mjs";
+import { terrains as listed } from "./terrains.mjs";
 
 const ASKING = "Point at the terrain or tap it for a height.";
 const PITCH = 62;
@@ -317,10 +318,9 @@ function connect() {
 
 async function start() {
   element("panel").open = !isNarrow;
-  const answer = await fetch("terrains.json");
-  if (!answer.ok) throw new Error(`the server answered ${answer.status}`);
-  terrains = await answer.json();
+  terrains = await listed;
   source = await import(terrains.some(({ file }) => file) ? "./published.mjs" : "./served.mjs");
+  source.connect({ addProtocol });
   element("terrain").replaceChildren(...terrains.map(({ name }) => new Option(name, name)));
   element("terrain").hidden = terrains.length < 2;
   map = new Map({

@@ -1,11 +1,22 @@
 // Tiles and heights made in the browser, of files that `terrainwave publish` put on a web server.
-import { addProtocol } from "./maplibre/maplibre-gl.mjs";
-import { SCHEME, addTerrains, publishedTerrains } from "../terrainwave/map/maplibre.js";
+//
+// The page of a published folder runs this before MapLibre has come: meanwhile the worker opens the file.
+import * as permalink from "./permalink.mjs";
+import { terrains as listed } from "./terrains.mjs";
+import { SCHEME, TileMaker, addTerrains } from "../terrainwave/map/maplibre.js";
 
-const terrains = new Map(
-  (await publishedTerrains("terrains.json")).map((terrain) => [terrain.name, terrain]),
-);
-const maker = addTerrains({ addProtocol }, [...terrains.values()]);
+const maker = new TileMaker();
+const terrains = new Map((await listed).map((described) => {
+  const { name, file } = described;
+  return [name, { name, url: new URL(file, document.baseURI), described }];
+}));
+const first = terrains.get(permalink.read(location.hash).terrain) ?? terrains.values().next().value;
+maker.ask(first, "open", []).catch(() => {}); // whoever wants a tile is told
+
+/** Let a map use the tiles. */
+export function connect(maplibre) {
+  addTerrains(maplibre, [...terrains.values()], maker);
+}
 
 /** Return the addresses of a terrain's tiles, "rgb" or "voids", for a style. */
 export function tilesOf({ name }, kind, query) {

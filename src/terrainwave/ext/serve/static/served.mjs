@@ -1,5 +1,8 @@
 // Tiles and heights from `terrainwave serve`.
 
+/** Let a map use the tiles: it can already. */
+export function connect() {}
+
 const at = (terrain, path) => new URL(`${terrain.name}${path}`, document.baseURI).href;
 
 /** Return the addresses of a terrain's tiles, "rgb" or "voids", for a style. */
