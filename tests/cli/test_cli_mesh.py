@@ -14,7 +14,7 @@ from tri.meshes import grid_mesh
 
 import terrainwave
 from terrainwave.cli import main
-from terrainwave.export.mesh_files import EXTENSIONS
+from terrainwave.export.mesh_formats import EXTENSIONS
 from terrainwave.terrain import Terrain
 
 

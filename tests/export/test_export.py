@@ -14,10 +14,11 @@ from quantized_mesh import metadata, read_tile
 from tri.meshes import grid_mesh, hills
 
 from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveError
-from terrainwave.export import mesh_files as export
 from terrainwave.export.frames import areas, steepest, to_frame
 from terrainwave.export.mesh import Mesh
-from terrainwave.export.mesh_files import EXTENSIONS, save_mesh, vertex_normals
+from terrainwave.export.mesh_files import save_mesh
+from terrainwave.export.mesh_formats import EXTENSIONS, WRITERS, vertex_normals
+from terrainwave.export.solid import solidify
 
 UTM = (30.0, 0.0, 400000.0, 0.0, -30.0, 4000000.0)
 SECONDS = (1 / 3600, 0.0, 10.0, 0.0, -1 / 3600, 45.0)
@@ -341,8 +342,8 @@ def test_a_writer_that_fails_leaves_nothing(tmp_path, monkeypatch):
     def fail(*args):
         raise MemoryError
 
-    writer = replace(export._WRITERS[".ply"], write=fail)
-    monkeypatch.setitem(export._WRITERS, ".ply", writer)
+    writer = replace(WRITERS[".ply"], write=fail)
+    monkeypatch.setitem(WRITERS, ".ply", writer)
     with pytest.raises(MemoryError):
         save_mesh(utm_mesh(), tmp_path / "area.ply")
     assert list(tmp_path.iterdir()) == []
@@ -374,7 +375,7 @@ def test_solid_is_watertight_in_the_file(tmp_path, suffix, frame):
 
 def test_volume_of_a_solid_is_that_below_the_surface():
     mesh = grid_mesh(np.full((3, 4), 10.0), (2.0, 0, 0, 0, -2.0, 0))
-    body = export.solidify(mesh, 4.0)
+    body = solidify(mesh, 4.0)
     # 3 x 2 cells of 2 x 2, 6 high
     assert body.to_trimesh().volume == pytest.approx(6 * 4 * 6)
     assert body.points[:, 2].min() == 4.0
@@ -382,7 +383,7 @@ def test_volume_of_a_solid_is_that_below_the_surface():
 
 def test_solid_follows_z_scale_and_feet():
     mesh = grid_mesh(np.full((3, 4), 10.0), (2.0, 0, 0, 0, -2.0, 0), units="ft", is_placed=False)
-    body = to_frame(export.solidify(mesh, 4.0), "local", z_scale=3)
+    body = to_frame(solidify(mesh, 4.0), "local", z_scale=3)
     assert np.unique(body.points[:, 2]) == pytest.approx([4 * 0.3048 * 3, 10 * 0.3048 * 3])
 
 
@@ -400,7 +401,7 @@ def test_parts_that_touch_in_one_vertex_are_pulled_apart_a_little(tmp_path):
         mesh.origin,
         mesh.error,
     )
-    body = export.solidify(touching, 0.0)
+    body = solidify(touching, 0.0)
     assert 0 < body.attributes["solid"]["moved"] < 1e-3
     assert body.to_trimesh().is_watertight
     merged = trimesh.Trimesh(body.vertices, body.triangles, process=True)

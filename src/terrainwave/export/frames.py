@@ -39,7 +39,7 @@ def to_frame(
     mesh : MeshData
         In the coordinates of its CRS.
     frame : {"local", "native", "ecef"}, optional
-        ``local``: metres from the middle of the mesh, x to the east, y to the north, z the height.
+        ``local``: metres from the middle of the area, x to the east, y to the north, z the height.
         Degrees are scaled by the ellipsoid's radii of curvature there; feet become metres; axes to
         the west or south are turned. ``native``: coordinates of the CRS, heights in the file's
         unit. ``ecef``: geocentric metres, on WGS 84 for the Earth, else on the ellipsoid of the
@@ -99,7 +99,7 @@ def _native(mesh: MeshData, z_scale: float) -> MeshData:
 
 
 def _local(mesh: MeshData, place: Place, z_scale: float) -> MeshData:
-    left, bottom, right, top = mesh.bounds
+    left, bottom, right, top = mesh.area
     centre = ((left + right) / 2, (bottom + top) / 2)
     axes = place.local_axes(*centre)
     unit = height_unit(mesh.units, mesh.crs)
@@ -134,7 +134,9 @@ def _ecef(mesh: MeshData, place: Place, z_scale: float, vertical: str) -> MeshDa
     points = placed.points.copy()
     points[:, 2] *= z_scale
     vertices = place.globe_ellipsoid.geocentric(points)
-    centre = np.round((vertices.min(axis=0) + vertices.max(axis=0)) / 2)
+    centre = mesh.attributes.get("geocentric_centre")
+    if centre is None:
+        centre = np.round((vertices.min(axis=0) + vertices.max(axis=0)) / 2)
     attributes = _attributes(mesh, "ecef", z_scale, "m")
     attributes["frame"]["vertical"] = placed.about
     return replace(
