@@ -254,3 +254,26 @@ def longest_edge(mesh: MeshData) -> float:
     corners = mesh.vertices[mesh.triangles]
     edges = corners - np.roll(corners, 1, axis=1)
     return float(np.linalg.norm(edges, axis=2).max())
+
+
+def vertex_normals(mesh: MeshData) -> NDArray[np.float64]:
+    """Return a unit vector for each vertex: those of its triangles, weighted by their areas.
+
+    The lower vertices of skirts have those above them, so that skirts are lit as the ground is.
+    """
+    skirts = mesh.attributes.get("skirts")
+    triangles = mesh.triangles if skirts is None else mesh.triangles[: skirts.n_triangles]
+    corners = mesh.vertices[triangles]
+    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.column_stack(
+        [
+            np.bincount(triangles.ravel(), np.repeat(crosses[:, axis], 3), mesh.n_vertices)
+            for axis in range(3)
+        ]
+    )
+    if skirts is not None:
+        normals[mesh.n_vertices - len(skirts.above) :] = normals[skirts.above]
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    up = np.array([0.0, 1.0, 0.0] if mesh.attributes.get("up") == "y" else [0.0, 0.0, 1.0])
+    # A vertex that is in no triangle looks upwards.
+    return np.where(lengths > 0, normals / np.maximum(lengths, np.finfo(np.float64).tiny), up)

@@ -225,6 +225,14 @@ def mesh_for_file(
     return first, False
 
 
+def note_on_rounding(max_error: float) -> str:
+    """Say that a file cannot keep to an error, and which can."""
+    return (
+        f"rounding of coordinates in the file makes the error larger than {max_error:g};"
+        " .ply, .obj and .vtu keep the bound"
+    )
+
+
 def _to_write(
     mesh: MeshData, extension: str, shape: Shape
 ) -> tuple[MeshData, NDArray[np.float64], float]:

@@ -1,7 +1,7 @@
 """The formats of mesh files: each writer returns the bytes of a file.
 
-trimesh and meshio write them, except OBJ, whose few lines are written here: trimesh would name a
-file of a material that there is not.
+trimesh and meshio write them, except OBJ and glTF: of their writers, none has the normals and the
+places in a picture without a further file or a remark of the format's validator.
 """
 
 import io
@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import scratch
+from terrainwave.export.frames import vertex_normals
+from terrainwave.export.gltf import glb_bytes, gltf_bytes
 from terrainwave.extras import need
 from terrainwave.mesh.mesh_data import MeshData
 
@@ -29,29 +31,6 @@ _DIGITS = 5
 _DIGITS_OF_DEGREES = 10
 # Of parts of a unit vector and of a picture, as float32 holds them.
 _DIGITS_OF_PARTS = 7
-
-
-def vertex_normals(mesh: MeshData) -> NDArray[np.float64]:
-    """Return a unit vector for each vertex: those of its triangles, weighted by their areas.
-
-    The lower vertices of skirts have those above them, so that skirts are lit as the ground is.
-    """
-    skirts = mesh.attributes.get("skirts")
-    triangles = mesh.triangles if skirts is None else mesh.triangles[: skirts.n_triangles]
-    corners = mesh.vertices[triangles]
-    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.column_stack(
-        [
-            np.bincount(triangles.ravel(), np.repeat(crosses[:, axis], 3), mesh.n_vertices)
-            for axis in range(3)
-        ]
-    )
-    if skirts is not None:
-        normals[mesh.n_vertices - len(skirts.above) :] = normals[skirts.above]
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    up = np.array([0.0, 1.0, 0.0] if mesh.attributes.get("up") == "y" else [0.0, 0.0, 1.0])
-    # A vertex that is in no triangle looks upwards.
-    return np.where(lengths > 0, normals / np.maximum(lengths, np.finfo(np.float64).tiny), up)
 
 
 def to_trimesh(mesh: MeshData) -> Any:
@@ -124,32 +103,6 @@ def _write_stl(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
     return header.ljust(_STL_HEADER) + data[_STL_HEADER:]
 
 
-def _scene(mesh: MeshData, about: dict[str, Any]) -> Any:
-    trimesh = need("trimesh", extra=EXTRA)
-    from trimesh.visual import TextureVisuals
-    from trimesh.visual.material import PBRMaterial
-
-    uv = mesh.attributes.get("uv")
-    surface = trimesh.Trimesh(
-        vertices=mesh.vertices,
-        faces=mesh.triangles,
-        vertex_normals=None if uv is None else vertex_normals(mesh),
-        process=False,
-    )
-    # Without a material viewers take polished metal.
-    material = PBRMaterial(
-        name="ground",
-        baseColorFactor=[0.75, 0.72, 0.66, 1.0],
-        metallicFactor=0.0,
-        roughnessFactor=1.0,
-        doubleSided=False,
-    )
-    surface.visual = TextureVisuals(uv=uv, material=material)
-    surface.metadata["terrainwave"] = about
-    lod = about.get("lod")
-    return trimesh.Scene({"terrain" if lod is None else f"terrain_lod{lod}": surface})
-
-
 def turned_y_up(mesh: MeshData) -> MeshData:
     """Return a mesh whose y points upwards, and z to the south.
 
@@ -160,17 +113,11 @@ def turned_y_up(mesh: MeshData) -> MeshData:
 
 
 def _write_glb(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
-    from trimesh.exchange.gltf import export_glb
-
-    return bytes(export_glb(_scene(mesh, about), include_normals="uv" in mesh.attributes))
+    return glb_bytes(mesh, about)
 
 
 def _write_gltf(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
-    from trimesh.exchange.gltf import export_gltf
-
-    scene, has_normals = _scene(mesh, about), "uv" in mesh.attributes
-    files = export_gltf(scene, include_normals=has_normals, embed_buffers=True)
-    return bytes(files["model.gltf"])
+    return gltf_bytes(mesh, about)
 
 
 def _meshio_mesh(mesh: MeshData) -> Any:
@@ -220,8 +167,8 @@ WRITERS = {
     ".ply": Writer("meshio", False, _write_ply),
     ".obj": Writer(None, False, _write_obj, has_normals=True),
     ".stl": Writer("trimesh", True, _write_stl),
-    ".glb": Writer("trimesh", True, _write_glb, has_normals=True, up="y"),
-    ".gltf": Writer("trimesh", True, _write_gltf, has_normals=True, up="y"),
+    ".glb": Writer(None, True, _write_glb, has_normals=True, up="y"),
+    ".gltf": Writer(None, True, _write_gltf, has_normals=True, up="y"),
     ".vtu": Writer("meshio", False, _write_vtu),
     ".vtk": Writer("meshio", False, _write_vtk),
 }
