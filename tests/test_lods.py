@@ -221,6 +221,17 @@ def test_edges_of_neighbouring_tiles_have_the_same_vertices(tmp_path, heights, m
             assert len(one) >= 2
 
 
+def test_edges_through_blocks_beside_coarse_ones_have_the_same_vertices(tmp_path):
+    """The block that both tiles cut had a coarse neighbour in one of them, which moved its mesh."""
+    heights = terrain_like(130, 320).astype(np.float32)
+    heights[:, 128:] *= 0.01
+    with terrainwave.open(made(tmp_path, heights)) as terrain:
+        for at in (108, 122):
+            meshes = [terrain.mesh(w, max_error=8) for w in tiles(at, 1, heights.shape)]
+            one, other = borders(*meshes, 1)
+            assert one == other
+
+
 def test_the_same_edges_match_in_files(tmp_path):
     path = made(tmp_path, relief())
     found = []
