@@ -57,6 +57,8 @@ MAY_IMPORT = {
     "terrain": ROOT | {"grid", "tri", "raster_io", "file", "mesh", "export", "render", "ext"},
     # Knows nothing of what made a file: neither mesh nor write.
     "verification": GRID | {"raster_io", "place", "terrain"},
+    # Meshes, checked by what knows nothing of them before they are written.
+    "lods": ROOT | {"container", "export", "terrain", "verification"},
 }
 # What the packages inside of a room may import of one another; "" are the modules beside them. A
 # method imports no method, and a mode of the viewer no surface. `codec.registry` and `render.modes`
@@ -110,7 +112,7 @@ LONG = {"_sweep_cells", "code_pass", "code_residuals"}
 WIDE = {
     "options of a user": {
         "compress", "compress_to_bytes", "decompress", "write_pmtiles", "write_tiles", "_draw",
-        "view", "_export_mesh", "Scene.__init__",
+        "view", "_export_mesh", "save_lods", "Scene.__init__",
     },
     "arrays of one unit, and where in them: an array in a tuple counts references in every row": {
         "_add_spread", "_code", "_code_line", "_code_node", "_code_tables", "_correct", "_encode",

@@ -95,7 +95,12 @@ WRONG = {
     },
     "Mesh.save": {
         "path": PATH, "frame": WORD, "z_scale": NUMBER, "solid": NUMBER, "radius": NUMBER,
-        "vertical": WORD, "overwrite": FLAG,
+        "skirts": [*NUMBER, 0, -1], "up": WORD, "vertical": WORD, "overwrite": FLAG,
+    },
+    "save_lods": OF_FILES | {
+        "src": [5, None, ""], "dst": PATH, "n_lods": [*WHOLE, 0, 17], "max_error": [*NUMBER, 0],
+        "window": FOUR, "bounds": FOUR, "optimise": WHOLE, "frame": WORD, "z_scale": NUMBER,
+        "solid": NUMBER, "skirts": [*NUMBER, 0], "radius": NUMBER, "vertical": WORD, "up": WORD,
     },
 }  # fmt: skip
 
@@ -127,6 +132,7 @@ def call(name, folder, data, early, argument, value):
         "patch": {"path": file, "src": HEIGHTS},
         "verify": {"twz": file},
         "store_meshes": {"src": file, "dst": target},
+        "save_lods": {"src": file, "dst": folder / "a.ply"},
         "Terrain": {"source": file},
         "Mesh.save": {"path": folder / "a.ply"},
         "Terrain.read_early": {"quality": 1.0},

@@ -32,7 +32,9 @@ if TYPE_CHECKING:
     from terrainwave.codec.store import Store
     from terrainwave.export.geotiff import decompress
     from terrainwave.export.mesh import Mesh
+    from terrainwave.export.saved import SavedMesh
     from terrainwave.file.info import Info
+    from terrainwave.lods import save_lods
     from terrainwave.progress import Progress
     from terrainwave.terrain import Terrain
     from terrainwave.tri.rqt import Rqt
@@ -59,6 +61,7 @@ __all__ = [
     "Progress",
     "Rapid",
     "Rqt",
+    "SavedMesh",
     "SourceUnavailableError",
     "StorageError",
     "Store",
@@ -75,6 +78,7 @@ __all__ = [
     "decompress",
     "open",
     "patch",
+    "save_lods",
     "store_meshes",
     "verify",
 ]
@@ -100,6 +104,8 @@ _LAZY = {
     "Info": "file.info",
     "Terrain": "terrain",
     "Mesh": "export.mesh",
+    "SavedMesh": "export.saved",
+    "save_lods": "lods",
     "VerifyReport": "verification.heights",
     "verify": "verification.heights",
 }

@@ -1,6 +1,7 @@
 """`terrainwave mesh` and height tiles on the command line: words, numbers, exit status."""
 
 import json
+import re
 import sys
 
 import meshio
@@ -14,7 +15,7 @@ from tri.meshes import grid_mesh
 
 import terrainwave
 from terrainwave.cli import main
-from terrainwave.export.mesh_files import EXTENSIONS
+from terrainwave.export.mesh_formats import EXTENSIONS
 from terrainwave.terrain import Terrain
 
 
@@ -131,6 +132,45 @@ def test_solid_makes_a_closed_body(tmp_path, twz, asked):
     body = trimesh.load(tmp_path / "a.stl")
     assert body.is_watertight
     assert body.bounds[0][2] == -50
+
+
+def test_levels_of_detail_print_a_row_each(tmp_path, twz):
+    result = run("mesh", twz, tmp_path / "a.glb", "--lods", "3", "--max-error", "2")
+    assert result.exit_code == 0, result.output
+    *lines, last = result.stdout.splitlines()
+    pattern = r"(.*): [\d,]+ triangles, [\d,]+ bytes, guaranteed error ([\d.]+) m"
+    found = [re.fullmatch(pattern, line).groups() for line in lines]
+    assert [name for name, _ in found] == [str(tmp_path / f"a_lod{k}.glb") for k in range(3)]
+    assert [float(error) <= 2 * 2**k for k, (_, error) in enumerate(found)] == [True] * 3
+    assert last == "frame native"
+    assert {path.name for path in tmp_path.glob("*.glb")} == {f"a_lod{k}.glb" for k in range(3)}
+
+
+def test_json_of_levels_of_detail_has_each(tmp_path, twz):
+    words = ("mesh", twz, tmp_path / "a.obj", "--lods", "2", "--json", "--up", "y", "--skirts", 9)
+    lods = json.loads(run(*words).stdout)["lods"]
+    assert [one["path"] for one in lods] == [str(tmp_path / f"a_lod{k}.obj") for k in range(2)]
+    assert lods[0]["error"] <= lods[1]["error"]
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("--lods 2 --max-triangles 9", "found --max-triangles with --lods, expected none"),
+        ("--lods 2 --level -2", "found --level with --lods, expected none"),
+        ("--lods 2 --loose", "found --loose with --lods, expected none"),
+        ("--lods 2 --max-error 0", "found --max-error 0 for several levels of detail"),
+        ("--lods 0", "0 is not in the range 1<=x<=16"),
+        ("--store --lods 2", "found --lods with --store"),
+        ("--up z", "found --up z for .glb, expected y or none"),
+        ("--skirts 0", "found 0, expected a finite number > 0"),
+        ("--skirts 3 --solid -9", "found --solid and --skirts, expected one of them"),
+    ],
+)
+def test_levels_of_detail_that_cannot_be_are_one_line(tmp_path, twz, words, line):
+    before = set(tmp_path.iterdir())
+    assert line in one_line(run("mesh", twz, tmp_path / "a.glb", *words.split()), 2)
+    assert set(tmp_path.iterdir()) == before
 
 
 def test_json_of_mesh_is_complete(tmp_path, twz, asked):

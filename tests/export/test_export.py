@@ -10,17 +10,27 @@ import meshio
 import numpy as np
 import pytest
 import trimesh
+from pyproj import CRS
 from quantized_mesh import metadata, read_tile
 from tri.meshes import grid_mesh, hills
 
-from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveError
-from terrainwave.export import mesh_files as export
-from terrainwave.export.frames import areas, steepest, to_frame
+from terrainwave.errors import (
+    InvalidArgumentError,
+    InvalidHeightsError,
+    StorageError,
+    TerrainwaveError,
+    TerrainwaveWarning,
+)
+from terrainwave.export.frames import areas, steepest, to_frame, vertex_normals
 from terrainwave.export.mesh import Mesh
-from terrainwave.export.mesh_files import EXTENSIONS, save_mesh, vertex_normals
+from terrainwave.export.mesh_files import save_mesh
+from terrainwave.export.mesh_formats import EXTENSIONS, WRITERS
+from terrainwave.export.solid import border_edges, solidify
 
 UTM = (30.0, 0.0, 400000.0, 0.0, -30.0, 4000000.0)
 SECONDS = (1 / 3600, 0.0, 10.0, 0.0, -1 / 3600, 45.0)
+# Heights are depths below the mean sea level.
+DEPTHS = CRS("EPSG:32633+5715").to_wkt()
 FORMATS = [name for name in EXTENSIONS if name != ".terrain"]
 DOUBLES = [".ply", ".obj", ".vtu", ".vtk"]
 FLOATS = [".stl", ".glb", ".gltf"]
@@ -192,6 +202,126 @@ def test_gltf_has_normals_and_places_in_a_picture(tmp_path):
     np.testing.assert_allclose(attribute(tmp_path / "area.gltf", "TEXCOORD_0", 2), uv, atol=1e-6)
 
 
+def numbers(path, word):
+    """Return the numbers behind a word in a file of lines."""
+    lines = [line.split() for line in path.read_text().splitlines()]
+    return np.array([[float(part) for part in words] for w, *words in lines if w == word])
+
+
+def test_obj_has_normals_and_places_in_a_picture(tmp_path):
+    mesh = utm_mesh()
+    path = tmp_path / "area.obj"
+    save_mesh(mesh, path)
+    np.testing.assert_allclose(numbers(path, "vn"), vertex_normals(mesh), atol=1e-6)
+    left, bottom, right, top = mesh.bounds
+    # (0, 0) is the lower left: OBJ counts from the bottom of a picture.
+    uv = (mesh.points[:, :2] - (left, bottom)) / (right - left, top - bottom)
+    np.testing.assert_allclose(numbers(path, "vt"), uv, atol=1e-6)
+    assert (numbers(path, "vt")[np.argmin(mesh.points[:, 0] + mesh.points[:, 1])] == 0).all()
+    corners_ = [words[1:] for words in map(str.split, path.read_text().splitlines())]
+    corners_ = [words for words in corners_ if words and "/" in words[0]]
+    # Each vertex with its own normal and place, by one number; they count from 1.
+    assert corners_ == [
+        [f"{k + 1}/{k + 1}/{k + 1}" for k in triangle] for triangle in mesh.triangles.tolist()
+    ]
+
+
+def test_places_in_a_picture_span_the_area_beyond_voids_at_its_edges(tmp_path):
+    mesh = utm_mesh()
+    left, bottom, right, top = mesh.bounds
+    area = left - 60, bottom, right + 30, top + 90
+    mesh = replace(mesh, attributes=mesh.attributes | {"area": area})
+    save_mesh(mesh, tmp_path / "area.obj")
+    found = numbers(tmp_path / "area.obj", "vt")
+    width, height = area[2] - area[0], area[3] - area[1]
+    assert found.min(axis=0) == pytest.approx([60 / width, 0], abs=1e-6)
+    assert found.max(axis=0) == pytest.approx([1 - 30 / width, 1 - 90 / height], abs=1e-6)
+
+
+@pytest.mark.parametrize("frame", ["native", "local"])
+@pytest.mark.parametrize("suffix", [name for name in FORMATS if name not in (".glb", ".gltf")])
+def test_y_points_upwards_where_it_is_asked_to(tmp_path, suffix, frame):
+    mesh = utm_mesh()
+    path = tmp_path / f"area{suffix}"
+    saved = save_mesh(mesh, path, frame=frame, up="y")
+    points, triangles = read_back(path)
+    # (x, y, z) of the frame is (x, z, -y) in the file, and triangles keep their sense.
+    back = points[:, [0, 2, 1]] * (1, -1, 1) + np.asarray(saved.origin)
+    expected = to_frame(mesh, frame)
+    np.testing.assert_allclose(
+        corners(back, triangles), corners(expected.points, expected.triangles), rtol=0, atol=1e-3
+    )
+    if suffix == ".obj":
+        normals = numbers(path, "vn")
+        np.testing.assert_allclose(
+            normals[:, [0, 2, 1]] * (1, -1, 1), vertex_normals(mesh), atol=1e-6
+        )
+    if suffix in (".obj", ".ply"):
+        assert b'"up": "y"' in path.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "words"),
+    [
+        ("a.glb", {"up": "z"}, "found up z for .glb, expected y"),
+        ("a.obj", {"up": "y", "frame": "ecef"}, "geocentric coordinates"),
+        ("a.ply", {"up": "x"}, "found up 'x', expected y or z"),
+        ("a.terrain", {"up": "y"}, "frame of its own"),
+        ("a.terrain", {"skirts": 1.0}, "frame of its own"),
+        ("a.ply", {"skirts": 1.0, "solid": -9.0}, "found solid and skirts"),
+        ("a.ply", {"skirts": 0.0}, "found skirts 0"),
+    ],
+)
+def test_what_does_not_go_together_is_one_line(tmp_path, name, options, words):
+    with pytest.raises(InvalidArgumentError, match=words):
+        save_mesh(utm_mesh(), tmp_path / name, **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_y_is_what_gltf_has_anyway(tmp_path):
+    for name, options in (("a.glb", {}), ("b.glb", {"up": "y"})):
+        save_mesh(utm_mesh(), tmp_path / name, **options)
+    assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
+
+
+def test_skirts_hang_from_every_border_and_face_outwards(tmp_path):
+    mesh = grid_mesh(hills(9, 10), UTM, valid=voids(), crs="EPSG:32633", units="m")
+    plain, skirted = tmp_path / "plain.obj", tmp_path / "skirted.obj"
+    saved = save_mesh(mesh, skirted, skirts=25.0)
+    save_mesh(mesh, plain)
+    points = numbers(skirted, "v")
+    lines = [line.split()[1:] for line in skirted.read_text().splitlines() if line[0] == "f"]
+    triangles = np.array([[int(corner.split("/")[0]) - 1 for corner in line] for line in lines])
+    n, n_triangles = mesh.n_vertices, mesh.n_triangles
+    edges = border_edges(mesh.triangles)
+    assert saved.n_triangles == n_triangles + 2 * len(edges)
+    assert saved.error == mesh.error + saved.rounding
+    lower = points[n:]
+    upper = points[np.unique(edges)]
+    assert lower[:, :2] == pytest.approx(upper[:, :2])
+    assert upper[:, 2] - lower[:, 2] == pytest.approx(25)
+    # Each border edge has a wall, whose two triangles use it the other way round.
+    walls = triangles[n_triangles:]
+    beside = {(int(b), int(a)) for a, b in edges.tolist()}
+    assert {(int(a), int(b)) for a, b, _ in walls[: len(edges)].tolist()} == beside
+    body = trimesh.Trimesh(points, triangles, process=False)
+    assert body.is_winding_consistent
+    # They are lit as the ground above them, and show its colour.
+    for word in ("vn", "vt"):
+        found = numbers(skirted, word)
+        assert (found[:n] == numbers(plain, word)).all()
+        assert (found[n:] == found[np.unique(edges)]).all()
+
+
+def test_skirts_of_depths_hang_down_in_metres(tmp_path):
+    depths = replace(utm_mesh(), crs=DEPTHS)
+    with pytest.warns(TerrainwaveWarning, match="counts depths downwards"):
+        save_mesh(depths, tmp_path / "a.ply", frame="local", skirts=25.0)
+    points, _ = read_back(tmp_path / "a.ply")
+    upper = points[np.unique(border_edges(depths.triangles))]
+    assert upper[:, 2] - points[depths.n_vertices :, 2] == pytest.approx(25)
+
+
 def test_normals_of_a_plane_are_the_planes():
     x, y = (grid.ravel().astype(float) for grid in np.meshgrid(np.arange(3), np.arange(3)))
     triangles = [(k, k + 1, k + 3) for k in (0, 1, 3, 4)]
@@ -326,7 +456,7 @@ def test_an_existing_file_is_kept_without_overwrite(tmp_path, suffix):
     assert path.read_bytes() != b"mine"
 
 
-@pytest.mark.parametrize(("suffix", "package"), [(".ply", "meshio"), (".glb", "trimesh")])
+@pytest.mark.parametrize(("suffix", "package"), [(".ply", "meshio"), (".stl", "trimesh")])
 def test_a_missing_package_is_one_line_that_says_what_to_install(
     tmp_path, monkeypatch, suffix, package
 ):
@@ -341,8 +471,8 @@ def test_a_writer_that_fails_leaves_nothing(tmp_path, monkeypatch):
     def fail(*args):
         raise MemoryError
 
-    writer = replace(export._WRITERS[".ply"], write=fail)
-    monkeypatch.setitem(export._WRITERS, ".ply", writer)
+    writer = replace(WRITERS[".ply"], write=fail)
+    monkeypatch.setitem(WRITERS, ".ply", writer)
     with pytest.raises(MemoryError):
         save_mesh(utm_mesh(), tmp_path / "area.ply")
     assert list(tmp_path.iterdir()) == []
@@ -374,7 +504,7 @@ def test_solid_is_watertight_in_the_file(tmp_path, suffix, frame):
 
 def test_volume_of_a_solid_is_that_below_the_surface():
     mesh = grid_mesh(np.full((3, 4), 10.0), (2.0, 0, 0, 0, -2.0, 0))
-    body = export.solidify(mesh, 4.0)
+    body = solidify(mesh, 4.0)
     # 3 x 2 cells of 2 x 2, 6 high
     assert body.to_trimesh().volume == pytest.approx(6 * 4 * 6)
     assert body.points[:, 2].min() == 4.0
@@ -382,7 +512,7 @@ def test_volume_of_a_solid_is_that_below_the_surface():
 
 def test_solid_follows_z_scale_and_feet():
     mesh = grid_mesh(np.full((3, 4), 10.0), (2.0, 0, 0, 0, -2.0, 0), units="ft", is_placed=False)
-    body = to_frame(export.solidify(mesh, 4.0), "local", z_scale=3)
+    body = to_frame(solidify(mesh, 4.0), "local", z_scale=3)
     assert np.unique(body.points[:, 2]) == pytest.approx([4 * 0.3048 * 3, 10 * 0.3048 * 3])
 
 
@@ -400,7 +530,7 @@ def test_parts_that_touch_in_one_vertex_are_pulled_apart_a_little(tmp_path):
         mesh.origin,
         mesh.error,
     )
-    body = export.solidify(touching, 0.0)
+    body = solidify(touching, 0.0)
     assert 0 < body.attributes["solid"]["moved"] < 1e-3
     assert body.to_trimesh().is_watertight
     merged = trimesh.Trimesh(body.vertices, body.triangles, process=True)

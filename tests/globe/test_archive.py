@@ -123,7 +123,10 @@ def test_a_failure_leaves_no_file(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("target", "options", "line"),
     [
-        ("t", "--min-zoom 3", "found --min-zoom for a directory"),
+        ("t", "--min-zoom 9 --max-zoom 4", "found --min-zoom 9, expected 0 … 4, the finest zoom"),
+        ("t", "--max-zoom 99", "found --max-zoom 99, expected 0 … "),
+        ("t.pmtiles", "--max-zoom 99", "found --max-zoom 99, expected 0 … "),
+        ("t", "--min-zoom -1", "-1 is not in the range x>=0"),
         ("t", "--rim 3", "found --rim for a directory"),
         ("t.pmtiles", "--max-zoom 22", "found --max-zoom 22, expected 0 … "),
         ("t.pmtiles", "--min-zoom 3 --max-zoom 2", "found --min-zoom 3, expected 0 … 2"),

@@ -361,3 +361,118 @@ def test_command_refuses_a_zoom_beyond_the_samples(tmp_path):
     assert result.exit_code == 2
     assert "found --max-zoom 20, expected 0 … " in result.stderr
     assert not (tmp_path / "tiles").exists()
+
+
+# The finest zoom
+
+
+def hills(n_rows, n_cols):
+    """Return hills of some hundred metres with steep slopes, to whole decimetres."""
+    row, col = np.mgrid[:n_rows, :n_cols]
+    return np.round(300 * np.sin(row / 6) * np.cos(col / 7) + 40 * np.sin(row + col), 1)
+
+
+def nearest_samples(terrain, pyramid, zoom, x, y):
+    """Return longitudes, latitudes and heights of the samples in a tile, by PROJ through GDAL.
+
+    Not of the two outermost rows and columns: triangles there touch what is outside.
+    """
+    heights = terrain.read().astype(np.float64)[2:-2, 2:-2]
+    row, col = np.mgrid[2 : heights.shape[0] + 2, 2 : heights.shape[1] + 2]
+    a, b, c, d, e, f = terrain.transform[:6]
+    col, row = col.ravel() + 0.5, row.ravel() + 0.5
+    east, north = a * col + b * row + c, d * col + e * row + f
+    lon, lat = map(np.asarray, transform(CRS.from_string(terrain.crs), "EPSG:4326", east, north))
+    size = 180 / (1 << zoom)
+    inside = (lon > -180 + x * size) & (lon < -180 + (x + 1) * size)
+    inside &= (lat > -90 + y * size) & (lat < -90 + (y + 1) * size)
+    return lon[inside], lat[inside], heights.ravel()[inside]
+
+
+@pytest.mark.parametrize("max_error", [0, 0.5, 3])
+@pytest.mark.parametrize("matrix", [UTM, Affine(150, 60, 4e5, 60, -150, 4e6)])
+def test_the_finest_zoom_states_the_files_own_error_and_what_tiles_need(
+    tmp_path, max_error, matrix
+):
+    """It was as coarse as its cells: several times this on hills."""
+    heights = hills(60, 60).astype(np.float32)
+    crs, coded = "EPSG:32633", {"max_error": max_error, "method": "rapid"}
+    with open_terrain(tmp_path, heights, matrix, crs, **coded) as terrain:
+        pyramid = TilePyramid(terrain, cells=32)
+        zoom = pyramid.max_zoom
+        bound = terrain.effective_error
+        step = pyramid._heights.edge_step(zoom) / 256
+        # Half of the bound or the step of heights for the mesh; half a step for rounding; what
+        # rounding of places to 1/32767 of the tile does on the steepest slope (measured, gradient).
+        slope = max(np.abs(np.gradient(heights, 150)).max() * 2, 0.1)
+        moved = 180 / (1 << zoom) * 111_000 / 32767
+        allowed = max(bound / 2, step) + step / 2 + slope * moved
+        n_seen = 0
+        (tiles,) = pyramid.available(zoom)
+        for x, y in tiles.tiles():
+            tile = pyramid.tile(zoom, x, y)
+            if tile.error is None:
+                continue
+            assert tile.error == pytest.approx(tile.surface_error + bound)
+            points, triangles, about = surface(tile)
+            assert about["geometricerror"] == tile.error
+            lon, lat, there = nearest_samples(terrain, pyramid, zoom, x, y)
+            found = heights_at(points, triangles, lon, lat)
+            apart = np.abs(found - there)
+            assert apart.max(initial=0) <= tile.surface_error + 1e-3
+            # Edges of tiles, and triangles that touch voids, have no vertices but at cells' corners:
+            # samples nearer to them than 16 steps are as far off as these are, by the bend of a
+            # pixel's slopes within a cell at most.
+            west, south, east, north = about["bounds"]
+            across = np.stack([lon - west, east - lon, lat - south, north - lat]).min(axis=0)
+            is_inner = across > 16 * (east - west) / 32767
+            assert apart[is_inner].max(initial=0) <= allowed
+            assert tile.surface_error <= allowed + slope * 150 / 4
+            n_seen += len(lon)
+        assert n_seen == 56 * 56
+
+
+def test_finest_tiles_cover_their_square_once_and_agree_on_edges(tmp_path):
+    heights = hills(60, 60).astype(np.float32)
+    mask = np.full(heights.shape, 255, dtype=np.uint8)
+    mask[20:30, 25:40] = 0
+    for crs, matrix in (
+        ("EPSG:32633", UTM),
+        ("EPSG:4326", Affine(1 / 512, 0, 10, 0, -1 / 512, 46)),
+    ):
+        # Degrees whose samples lie on the cells' own lines, too.
+        with open_terrain(tmp_path, heights, matrix, crs, max_error=0, mask=mask) as terrain:
+            pyramid = TilePyramid(terrain, cells=CELLS)
+            zoom = pyramid.max_zoom
+            (found,) = pyramid.available(zoom)
+            for x, y in found.tiles():
+                twice = areas_in_steps(pyramid.tile(zoom, x, y))
+                assert (twice > 0).all()
+                assert twice.sum() == 2 * 32767**2
+            x, y = found.first_x, found.first_y
+            pairs = [((x, y), (x + 1, y), "east", "west"), ((x, y), (x, y + 1), "north", "south")]
+            assert_edges_agree(pyramid, zoom, pairs)
+
+
+def test_zooms_that_are_asked_for_are_written_and_listed(tmp_path):
+    with open_terrain(tmp_path, steep(40, 40), UTM, "EPSG:32633") as terrain:
+        whole = TilePyramid(terrain).available
+        written = write_tiles(terrain, tmp_path / "t", min_zoom=4, max_zoom=6, threads=1)
+        expected = {zoom: whole(zoom) for zoom in (0, 4, 5, 6)}
+    assert [one.zoom for one in written] == [0, 4, 5, 6]
+    layer = json.loads((tmp_path / "t" / "layer.json").read_text())
+    assert (layer["minzoom"], layer["maxzoom"]) == (4, 6)
+    assert [len(tiles) for tiles in layer["available"]] == [1, 0, 0, 0, 1, 1, 1]
+    listed = {
+        (zoom, x, y)
+        for zoom, tiles in enumerate(layer["available"])
+        for one in tiles
+        for x in range(one["startX"], one["endX"] + 1)
+        for y in range(one["startY"], one["endY"] + 1)
+    }
+    there = {
+        tuple(map(int, path.relative_to(tmp_path / "t").with_suffix("").parts))
+        for path in (tmp_path / "t").rglob("*.terrain")
+    }
+    assert listed == there
+    assert len(there) == sum(tiles.n_tiles for one in expected.values() for tiles in one)

@@ -39,7 +39,7 @@ def to_frame(
     mesh : MeshData
         In the coordinates of its CRS.
     frame : {"local", "native", "ecef"}, optional
-        ``local``: metres from the middle of the mesh, x to the east, y to the north, z the height.
+        ``local``: metres from the middle of the area, x to the east, y to the north, z the height.
         Degrees are scaled by the ellipsoid's radii of curvature there; feet become metres; axes to
         the west or south are turned. ``native``: coordinates of the CRS, heights in the file's
         unit. ``ecef``: geocentric metres, on WGS 84 for the Earth, else on the ellipsoid of the
@@ -99,7 +99,7 @@ def _native(mesh: MeshData, z_scale: float) -> MeshData:
 
 
 def _local(mesh: MeshData, place: Place, z_scale: float) -> MeshData:
-    left, bottom, right, top = mesh.bounds
+    left, bottom, right, top = mesh.area
     centre = ((left + right) / 2, (bottom + top) / 2)
     axes = place.local_axes(*centre)
     unit = height_unit(mesh.units, mesh.crs)
@@ -134,7 +134,9 @@ def _ecef(mesh: MeshData, place: Place, z_scale: float, vertical: str) -> MeshDa
     points = placed.points.copy()
     points[:, 2] *= z_scale
     vertices = place.globe_ellipsoid.geocentric(points)
-    centre = np.round((vertices.min(axis=0) + vertices.max(axis=0)) / 2)
+    centre = mesh.attributes.get("geocentric_centre")
+    if centre is None:
+        centre = np.round((vertices.min(axis=0) + vertices.max(axis=0)) / 2)
     attributes = _attributes(mesh, "ecef", z_scale, "m")
     attributes["frame"]["vertical"] = placed.about
     return replace(
@@ -252,3 +254,26 @@ def longest_edge(mesh: MeshData) -> float:
     corners = mesh.vertices[mesh.triangles]
     edges = corners - np.roll(corners, 1, axis=1)
     return float(np.linalg.norm(edges, axis=2).max())
+
+
+def vertex_normals(mesh: MeshData) -> NDArray[np.float64]:
+    """Return a unit vector for each vertex: those of its triangles, weighted by their areas.
+
+    The lower vertices of skirts have those above them, so that skirts are lit as the ground is.
+    """
+    skirts = mesh.attributes.get("skirts")
+    triangles = mesh.triangles if skirts is None else mesh.triangles[: skirts.n_triangles]
+    corners = mesh.vertices[triangles]
+    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.column_stack(
+        [
+            np.bincount(triangles.ravel(), np.repeat(crosses[:, axis], 3), mesh.n_vertices)
+            for axis in range(3)
+        ]
+    )
+    if skirts is not None:
+        normals[mesh.n_vertices - len(skirts.above) :] = normals[skirts.above]
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    up = np.array([0.0, 1.0, 0.0] if mesh.attributes.get("up") == "y" else [0.0, 0.0, 1.0])
+    # A vertex that is in no triangle looks upwards.
+    return np.where(lengths > 0, normals / np.maximum(lengths, np.finfo(np.float64).tiny), up)

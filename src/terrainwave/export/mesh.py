@@ -37,8 +37,10 @@ class Mesh(MeshData):
         frame: str | None = None,
         z_scale: float = 1.0,
         solid: float | None = None,
+        skirts: float | None = None,
         radius: float | None = None,
         vertical: str = AS_IS,
+        up: str | None = None,
         overwrite: bool = False,
     ) -> SavedMesh:
         """Write the mesh to a file; see `terrainwave.export.mesh_files.save_mesh`.
@@ -53,11 +55,17 @@ class Mesh(MeshData):
             Heights are multiplied by it; > 0.
         solid : float, optional
             Close the mesh with walls and a flat base at this height, in the file's unit.
+        skirts : float, optional
+            Hang walls of this height, in the file's unit, from all borders; > 0. They hide gaps
+            beside meshes of another error.
         radius : float, optional
             Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
         vertical : {"as-is", "ellipsoid"}
             For geocentric coordinates and .terrain: use heights as if they were above the
             ellipsoid, or convert them from the CRS's vertical datum with PROJ's grid.
+        up : {"y", "z"}, optional
+            The axis that points upwards in the file; y means coordinates (x, z, -y). By default y
+            in glTF, which has no other, and z in other formats.
         overwrite : bool
             Replace an existing file.
 
@@ -75,20 +83,22 @@ class Mesh(MeshData):
             frame=frame,
             z_scale=z_scale,
             solid=solid,
+            skirts=skirts,
             radius=radius,
             vertical=vertical,
+            up=up,
             overwrite=overwrite,
         )
 
     def to_trimesh(self) -> Any:
         """Return a `trimesh.Trimesh` with these vertices, without `origin`; needs trimesh."""
-        from terrainwave.export.mesh_files import to_trimesh
+        from terrainwave.export.mesh_formats import to_trimesh
 
         return to_trimesh(self)
 
     def to_pyvista(self) -> Any:
         """Return a `pyvista.PolyData` with these vertices, without `origin`; needs pyvista."""
-        from terrainwave.export.mesh_files import to_pyvista
+        from terrainwave.export.mesh_formats import to_pyvista
 
         return to_pyvista(self)
 

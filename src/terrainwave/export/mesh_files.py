@@ -1,38 +1,99 @@
-"""Meshes to files of other programs; trimesh, meshio and quantized-mesh-encoder write them."""
+"""Meshes to files of other programs: in which frame, how far rounding moves them, written whole."""
 
-import io
-import json
 import os
-import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave._version import __version__
-from terrainwave.arguments import AS_IS, check_ending, check_flags
+from terrainwave.arguments import AS_IS, check_choice, check_ending, check_flags
 from terrainwave.container.spool import storage_errors
-from terrainwave.container.targets.publication import check_target, publish, scratch
+from terrainwave.container.targets.publication import check_target, publish
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
 from terrainwave.export.frames import areas, find_place, longest_edge, steepest, to_frame
+from terrainwave.export.mesh_formats import (
+    EXTENSIONS,
+    EXTRA,
+    TILE,
+    WRITERS,
+    obj_digits,
+    turned_y_up,
+)
 from terrainwave.export.saved import SavedMesh
-from terrainwave.export.solid import solidify
+from terrainwave.export.solid import add_skirts, solidify
 from terrainwave.extras import need
 from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.place.position import Place
 from terrainwave.place.units import height_unit
 
-# Installs what writes the files.
-_EXTRA = "mesh"
-_STL_HEADER = 80
-_VTK_TITLE = 255
-# Digits after the point of an OBJ file: of metres or feet, and of what may be degrees.
-_DIGITS = 5
-_DIGITS_OF_DEGREES = 10
+UPWARDS = ("y", "z")
+# Tries to make a mesh that keeps to its bound in the file, and how much more than the rounding of
+# the last try each of them leaves for it.
+_TRIES = 3
+_ROUNDING_SLACK = 1.25
+
+Made = TypeVar("Made", bound=MeshData)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """How a mesh is to be in a file: options of `save_mesh`, told there.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If two of them do not go together.
+    """
+
+    frame: str | None = None
+    z_scale: float = 1.0
+    solid: float | None = None
+    skirts: float | None = None
+    radius: float | None = None
+    vertical: str = AS_IS
+    up: str | None = None
+
+    def check(self, extension: str) -> None:
+        """Refuse what does not go together, or not with a format.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If something does not.
+        """
+        if self.solid is not None and self.skirts is not None:
+            raise InvalidArgumentError(
+                "found `solid` and `skirts`, expected one of them: the walls of a body reach its"
+                " base"
+            )
+        if self.up is not None:
+            check_choice("up", self.up, UPWARDS)
+        if extension == TILE:
+            if replace(self, radius=None, vertical=AS_IS) != Shape():
+                raise InvalidArgumentError(
+                    "a .terrain tile has a frame of its own: expected no `frame`, `z_scale`,"
+                    " `solid`, `skirts` or `up`"
+                )
+            return
+        if self.up is not None and self.frame == "ecef":
+            raise InvalidArgumentError(
+                f"found `up` {self.up} with `frame` ecef, expected none: no axis of geocentric"
+                " coordinates points upwards"
+            )
+        if self.up == "z" and WRITERS[extension].up == "y":
+            raise InvalidArgumentError(
+                f"found `up` z for {extension}, expected y or none: in glTF y points upwards, and"
+                " programs turn the mesh if theirs is another axis"
+            )
+
+    def axis_up(self, extension: str) -> str:
+        """Return the axis that points upwards in the file."""
+        return self.up or WRITERS[extension].up
 
 
 def save_mesh(
@@ -42,8 +103,10 @@ def save_mesh(
     frame: str | None = None,
     z_scale: float = 1.0,
     solid: float | None = None,
+    skirts: float | None = None,
     radius: float | None = None,
     vertical: str = AS_IS,
+    up: str | None = None,
     overwrite: bool = False,
 ) -> SavedMesh:
     """Write a mesh; the extension of `path` tells the format.
@@ -60,6 +123,11 @@ def save_mesh(
         As in `to_frame`; a ``.terrain`` tile takes `vertical` too.
     solid : float, optional
         Close the mesh with walls and a flat base at this height, in the file's unit.
+    skirts : float, optional
+        Hang walls of this height, in the file's unit, from all borders; > 0.
+    up : {"y", "z"}, optional
+        The axis that points upwards in the file: with ``y`` the coordinates are (x, z, -y) of the
+        frame's. By default ``y`` in glTF, which has no other, and ``z`` in other formats.
     overwrite : bool
         Replace an existing file.
 
@@ -74,23 +142,27 @@ def save_mesh(
     """
     extension = check_extension(path)
     check_flags(overwrite=overwrite)
-    if extension == ".terrain":
-        _refuse_frame(frame, z_scale, solid)
-        need("quantized_mesh_encoder", extra=_EXTRA)
+    shape = Shape(frame, z_scale, solid, skirts, radius, vertical, up)
+    shape.check(extension)
+    if extension == TILE:
+        need("quantized_mesh_encoder", extra=EXTRA)
         from terrainwave.export.quantized_mesh import save_tile
 
         return save_tile(mesh, path, radius=radius, vertical=vertical, overwrite=overwrite)
-    writer = _WRITERS[extension]
-    need(writer.package, extra=_EXTRA)
-    framed, written, rounding = _to_write(mesh, extension, frame, z_scale, solid, radius, vertical)
+    writer = WRITERS[extension]
+    if writer.package is not None:
+        need(writer.package, extra=EXTRA)
+    framed, written, rounding = _to_write(mesh, extension, shape)
     about = describe(framed, framed.error + rounding)
-    if writer.has_texture and solid is None:
-        # A body's walls have no place in a picture from above, and its edges are sharp.
-        framed = replace(framed, attributes=framed.attributes | {"uv": _texture_places(mesh)})
-        about["texture_bounds"] = list(mesh.bounds)
+    framed_file = replace(framed, vertices=written)
+    if shape.axis_up(extension) == "y":
+        framed_file = turned_y_up(framed_file)
+        about["up"] = "y"
+    if "uv" in framed.attributes:
+        about["texture_bounds"] = list(mesh.area)
     # Libraries count on numpy's own settings, which callers may have changed.
     with np.errstate(all="ignore"):
-        data = writer.write(replace(framed, vertices=written), about, Path(path))
+        data = writer.write(framed_file, about, Path(path))
     with publish(path, overwrite) as part, storage_errors(f"cannot write {path}"):
         part.file.write(data)
     return SavedMesh(
@@ -108,64 +180,97 @@ def save_mesh(
     )
 
 
-def file_rounding(
-    mesh: MeshData,
-    path: str | os.PathLike[str],
-    *,
-    frame: str | None = None,
-    z_scale: float = 1.0,
-    solid: float | None = None,
-    radius: float | None = None,
-    vertical: str = AS_IS,
-) -> float:
+def file_rounding(mesh: MeshData, path: str | os.PathLike[str], **options: Any) -> float:
     """Return the error that rounding in the file adds to the mesh's, without writing it.
 
-    The arguments are those of `save_mesh`; whoever has a bound to keep asks for a mesh that leaves
-    room for this.
+    The options are those of `save_mesh`.
     """
-    extension = check_extension(path)
-    if extension == ".terrain":
-        _refuse_frame(frame, z_scale, solid)
+    extension, shape = check_extension(path), Shape(**options)
+    shape.check(extension)
+    if extension == TILE:
         from terrainwave.export.quantized_mesh import tile_rounding
 
-        return tile_rounding(mesh, radius=radius, vertical=vertical)
-    framed, _, rounding = _to_write(mesh, extension, frame, z_scale, solid, radius, vertical)
+        return tile_rounding(mesh, radius=shape.radius, vertical=shape.vertical)
+    framed, _, rounding = _to_write(mesh, extension, shape)
     return framed.error - mesh.error + rounding
 
 
-def _refuse_frame(frame: str | None, z_scale: float, solid: float | None) -> None:
-    if frame is not None or z_scale != 1 or solid is not None:
-        raise InvalidArgumentError(
-            "a .terrain tile has a frame of its own: expected no `frame`, `z_scale` or `solid`"
-        )
+def mesh_for_file(
+    make: Callable[[float], Made],
+    path: str | os.PathLike[str],
+    max_error: float,
+    **options: Any,
+) -> tuple[Made, bool]:
+    """Return a mesh for a file, and whether it keeps to the error in the file, too.
+
+    Rounding in the file adds to a mesh's error: the mesh is made again with so much less.
+
+    Parameters
+    ----------
+    make : callable
+        Returns the mesh for an error.
+    path, options
+        Of `save_mesh`.
+    """
+    first = surface = make(max_error)
+    for _ in range(_TRIES):
+        rounding = file_rounding(surface, path, **options)
+        if surface.error + rounding <= max_error:
+            return surface, True
+        try:
+            # The next mesh is another one: its rounding may be somewhat more.
+            surface = make(max_error - _ROUNDING_SLACK * rounding)
+        except InvalidHeightsError:
+            break
+    return first, False
+
+
+def note_on_rounding(max_error: float) -> str:
+    """Say that a file cannot keep to an error, and which can."""
+    return (
+        f"rounding of coordinates in the file makes the error larger than {max_error:g};"
+        " .ply, .obj and .vtu keep the bound"
+    )
 
 
 def _to_write(
-    mesh: MeshData,
-    extension: str,
-    frame: str | None,
-    z_scale: float,
-    solid: float | None,
-    radius: float | None,
-    vertical: str,
+    mesh: MeshData, extension: str, shape: Shape
 ) -> tuple[MeshData, NDArray[np.float64], float]:
-    """Return the mesh in its frame, its vertices as the file holds them, and their rounding."""
-    if solid is not None and frame != "native" and height_unit(mesh.units, mesh.crs).metres < 0:
-        raise InvalidHeightsError(
-            "found `solid` and a coordinate reference system that counts depths downwards: the base"
-            " would lie above the ground; expected `frame` native"
-        )
-    whole = mesh if solid is None else solidify(mesh, solid)
-    framed = to_frame(whole, frame, z_scale=z_scale, radius=radius, vertical=vertical)
-    if _WRITERS[extension].is_float32:
+    """Return the mesh in its frame, its vertices as the file holds them, and their rounding.
+
+    Its attribute ``uv`` holds places in a picture of its area, if the format has them.
+    """
+    whole = mesh
+    if shape.solid is not None:
+        if _is_downward(mesh, shape):
+            raise InvalidHeightsError(
+                "found `solid` and a coordinate reference system that counts depths downwards: the"
+                " base would lie above the ground; expected `frame` native"
+            )
+        whole = solidify(mesh, shape.solid)
+    elif shape.skirts is not None:
+        whole = add_skirts(mesh, shape.skirts, is_downward=_is_downward(mesh, shape))
+    writer = WRITERS[extension]
+    if writer.has_normals and shape.solid is None:
+        # A body's walls have no place in a picture from above, and its edges are sharp.
+        whole = replace(whole, attributes=whole.attributes | {"uv": _texture_places(whole)})
+    framed = to_frame(
+        whole, shape.frame, z_scale=shape.z_scale, radius=shape.radius, vertical=shape.vertical
+    )
+    if writer.is_float32:
         framed = _recentred(framed)
         written = framed.vertices.astype(np.float32).astype(np.float64)
     else:
         framed = replace(framed, vertices=framed.points, origin=(0.0, 0.0, 0.0))
         written = framed.vertices
         if extension == ".obj":
-            written = np.round(written, _obj_digits(framed))
-    return framed, written, _rounding(mesh, framed, written, radius)
+            written = np.round(written, obj_digits(framed))
+    return framed, written, _rounding(mesh, framed, written, shape.radius)
+
+
+def _is_downward(mesh: MeshData, shape: Shape) -> bool:
+    """Say whether heights are depths that the frame turns over."""
+    return shape.frame != "native" and height_unit(mesh.units, mesh.crs).metres < 0
 
 
 def check_extension(path: str | os.PathLike[str]) -> str:
@@ -189,9 +294,9 @@ def prepare(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         If the extension is unknown, its package missing, or the file exists and is to be kept.
     """
     extension = check_extension(path)
-    is_tile = extension == ".terrain"
-    package = "quantized_mesh_encoder" if is_tile else _WRITERS[extension].package
-    need(package, extra=_EXTRA)
+    package = "quantized_mesh_encoder" if extension == TILE else WRITERS[extension].package
+    if package is not None:
+        need(package, extra=EXTRA)
     check_target(path, overwrite)
 
 
@@ -204,32 +309,16 @@ def describe(mesh: MeshData, error: float) -> dict[str, Any]:
         about["error_unit"] = mesh.units
     if mesh.crs:
         about["crs"] = mesh.crs
+    about |= mesh.attributes.get("about", {})
     return about
 
 
 def _texture_places(mesh: MeshData) -> NDArray[np.float64]:
-    """Return where vertices lie in a picture of the mesh's bounds: (0, 0) is its lower left."""
-    left, bottom, right, top = mesh.bounds
+    """Return where vertices lie in a picture of the mesh's area: (0, 0) is its lower left."""
+    left, bottom, right, top = mesh.area
     size = np.maximum((right - left, top - bottom), np.finfo(np.float64).tiny)
     places: NDArray[np.float64] = (mesh.points[:, :2] - (left, bottom)) / size
     return places
-
-
-def vertex_normals(mesh: MeshData) -> NDArray[np.float64]:
-    """Return a unit vector for each vertex: those of its triangles, weighted by their areas."""
-    corners = mesh.vertices[mesh.triangles]
-    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.column_stack(
-        [
-            np.bincount(
-                mesh.triangles.ravel(), np.repeat(crosses[:, axis], 3), minlength=mesh.n_vertices
-            )
-            for axis in range(3)
-        ]
-    )
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    up = np.array([0.0, 0.0, 1.0])  # of a vertex that is in no triangle
-    return np.where(lengths > 0, normals / np.maximum(lengths, np.finfo(np.float64).tiny), up)
 
 
 def _recentred(mesh: MeshData) -> MeshData:
@@ -239,7 +328,7 @@ def _recentred(mesh: MeshData) -> MeshData:
     """
     if mesh.attributes["frame"]["name"] != "native":
         return mesh
-    left, bottom, right, top = mesh.bounds
+    left, bottom, right, top = mesh.area
     x, y = (round((low + high) / 2, 3) for low, high in ((left, right), (bottom, top)))
     shift = np.array([mesh.origin[0] - x, mesh.origin[1] - y, mesh.origin[2]])
     return replace(mesh, vertices=mesh.vertices + shift, origin=(x, y, 0.0))
@@ -305,153 +394,3 @@ def _quiet_place(mesh: MeshData, radius: float | None) -> Place:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TerrainwaveWarning)
         return find_place(mesh, radius=radius)
-
-
-# The formats. Each function returns the bytes of a file.
-
-
-def to_trimesh(mesh: MeshData) -> Any:
-    """Return a `trimesh.Trimesh` with the mesh's vertices, relative to its origin."""
-    trimesh = need("trimesh", extra=_EXTRA)
-    return trimesh.Trimesh(vertices=mesh.vertices, faces=mesh.triangles, process=False)
-
-
-def to_pyvista(mesh: MeshData) -> Any:
-    """Return a `pyvista.PolyData` with the mesh's vertices, relative to its origin."""
-    pyvista = need("pyvista", extra="pyvista")
-    faces = np.empty((mesh.n_triangles, 4), dtype=np.int64)
-    faces[:, 0] = 3
-    faces[:, 1:] = mesh.triangles
-    return pyvista.PolyData(mesh.vertices, faces.ravel())
-
-
-def _one_line(about: dict[str, Any]) -> str:
-    return json.dumps(about, allow_nan=False)
-
-
-def _write_ply(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
-    out = io.BytesIO()
-    _meshio_mesh(mesh).write(out, file_format="ply")
-    # meshio's comment holds the time, which would make equal files differ.
-    header, end, body = out.getvalue().partition(b"end_header\n")
-    comment = f"comment terrainwave {_one_line(about)}\n".encode()
-    header = re.sub(rb"comment [^\n]*\n", lambda _: comment, header, count=1)
-    return header + end + body
-
-
-def _write_obj(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
-    from trimesh.exchange.obj import export_obj
-
-    header = f"terrainwave {_one_line(about)}"
-    text = export_obj(
-        to_trimesh(mesh), include_normals=False, digits=_obj_digits(mesh), header=header
-    )
-    return str(text).encode()
-
-
-def _obj_digits(mesh: MeshData) -> int:
-    width = float(np.ptp(mesh.vertices[:, 0]))
-    may_be_degrees = mesh.attributes["frame"]["name"] == "native" and width <= 360
-    return _DIGITS_OF_DEGREES if may_be_degrees else _DIGITS
-
-
-def _write_stl(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
-    from trimesh.exchange.stl import export_stl
-
-    data = bytes(export_stl(to_trimesh(mesh)))
-    # Not `solid`: that begins a text file. 80 bytes have room for the origin, not for more.
-    origin = " ".join(f"{value:.15g}" for value in about["frame"].get("centre", mesh.origin))
-    header = f"terrainwave origin {origin}".encode()[:_STL_HEADER]
-    return header.ljust(_STL_HEADER) + data[_STL_HEADER:]
-
-
-def _scene(mesh: MeshData, about: dict[str, Any]) -> Any:
-    trimesh = need("trimesh", extra=_EXTRA)
-    from trimesh.visual import TextureVisuals
-    from trimesh.visual.material import PBRMaterial
-
-    # glTF has y upwards: (x, y, z) to (x, z, −y) is a rotation, triangles keep their sense.
-    uv = mesh.attributes.get("uv")
-    surface = trimesh.Trimesh(
-        vertices=_y_up(mesh.vertices),
-        faces=mesh.triangles,
-        vertex_normals=None if uv is None else _y_up(vertex_normals(mesh)),
-        process=False,
-    )
-    # Without a material viewers take polished metal.
-    material = PBRMaterial(
-        name="ground",
-        baseColorFactor=[0.75, 0.72, 0.66, 1.0],
-        metallicFactor=0.0,
-        roughnessFactor=1.0,
-        doubleSided=False,
-    )
-    surface.visual = TextureVisuals(uv=uv, material=material)
-    surface.metadata["terrainwave"] = about
-    return trimesh.Scene({"terrain": surface})
-
-
-def _y_up(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    return vectors[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
-
-
-def _write_glb(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
-    from trimesh.exchange.gltf import export_glb
-
-    return bytes(export_glb(_scene(mesh, about), include_normals="uv" in mesh.attributes))
-
-
-def _write_gltf(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
-    from trimesh.exchange.gltf import export_gltf
-
-    scene, has_normals = _scene(mesh, about), "uv" in mesh.attributes
-    files = export_gltf(scene, include_normals=has_normals, embed_buffers=True)
-    return bytes(files["model.gltf"])
-
-
-def _meshio_mesh(mesh: MeshData) -> Any:
-    meshio = need("meshio", extra=_EXTRA)
-    return meshio.Mesh(np.ascontiguousarray(mesh.vertices), [("triangle", mesh.triangles)])
-
-
-def _write_vtu(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
-    data = _written_by_path(mesh, path, "vtu")
-    # XML forbids two dashes inside a comment.
-    comment = _one_line(about).replace("--", "-\\u002d")
-    start = data.index(b"<VTKFile")
-    return data[:start] + f"<!-- terrainwave {comment} -->\n".encode() + data[start:]
-
-
-def _write_vtk(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
-    version, _, rest = _written_by_path(mesh, path, "vtk").split(b"\n", 2)
-    title = f"terrainwave {_one_line(about)}"
-    if len(title) > _VTK_TITLE:
-        title = f"terrainwave {_one_line(about | {'crs': None})}"[:_VTK_TITLE]
-    return b"\n".join([version, title.encode(), rest])
-
-
-def _written_by_path(mesh: MeshData, path: Path, name: str) -> bytes:
-    """Let meshio write where it insists on a path."""
-    with scratch(path) as part, storage_errors(f"cannot write {path}"):
-        _meshio_mesh(mesh).write(part.path, file_format=name)
-        return part.path.read_bytes()
-
-
-@dataclass(frozen=True)
-class _Writer:
-    package: str
-    is_float32: bool
-    write: Callable[[MeshData, dict[str, Any], Path], bytes]
-    has_texture: bool = False
-
-
-_WRITERS = {
-    ".ply": _Writer("meshio", False, _write_ply),
-    ".obj": _Writer("trimesh", False, _write_obj),
-    ".stl": _Writer("trimesh", True, _write_stl),
-    ".glb": _Writer("trimesh", True, _write_glb, has_texture=True),
-    ".gltf": _Writer("trimesh", True, _write_gltf, has_texture=True),
-    ".vtu": _Writer("meshio", False, _write_vtu),
-    ".vtk": _Writer("meshio", False, _write_vtk),
-}
-EXTENSIONS = (*_WRITERS, ".terrain")

@@ -1,6 +1,7 @@
-"""A closed body from a surface: walls down to a flat base, for printing."""
+"""Walls below a surface: of a closed body with a flat base, for printing, or skirts."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,18 +54,75 @@ def solidify(mesh: MeshData, base: float) -> MeshData:
     below = vertices.copy()
     below[:, 2] = base - mesh.origin[2]
     starts, ends = border_edges(triangles).T
-    walls = np.concatenate(
-        [
-            np.column_stack([ends, starts, starts + n_top]),
-            np.column_stack([ends, starts + n_top, ends + n_top]),
-        ]
-    )
+    walls = _walls(starts, ends, starts + n_top, ends + n_top)
     bottom = triangles[:, ::-1] + n_top
     return replace(
         mesh,
         vertices=np.concatenate([vertices, below]),
         triangles=np.concatenate([triangles, walls, bottom]).astype(np.int32),
         attributes=mesh.attributes | {"solid": {"base": float(base), "moved": moved}},
+    )
+
+
+class Skirts(NamedTuple):
+    """Of a mesh with skirts: its last vertices lie below those named by `above`.
+
+    Its first `n_triangles` triangles are the surface.
+    """
+
+    above: NDArray[np.int64]
+    n_triangles: int
+
+
+def add_skirts(mesh: MeshData, depth: float, *, is_downward: bool = False) -> MeshData:
+    """Hang walls from all borders of a mesh, those of voids too: they hide gaps to other meshes.
+
+    Parameters
+    ----------
+    mesh : MeshData
+        Counter-clockwise seen from above.
+    depth : float
+        Height of the walls in the file's unit; > 0.
+    is_downward : bool
+        Heights are depths: what lies lower has a larger one.
+
+    Returns
+    -------
+    mesh : MeshData
+        ``attributes["skirts"]`` holds its `Skirts`.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If `depth` is not above 0.
+    """
+    depth = checked_number("skirts", depth, above=0)
+    starts, ends = border_edges(mesh.triangles).T
+    above, places = np.unique(np.concatenate([starts, ends]), return_inverse=True)
+    below = mesh.vertices[above].copy()
+    below[:, 2] += depth if is_downward else -depth
+    lower = mesh.n_vertices + places.reshape(2, -1)
+    walls = _walls(starts, ends, *lower)
+    return replace(
+        mesh,
+        vertices=np.concatenate([mesh.vertices, below]),
+        triangles=np.concatenate([mesh.triangles, walls]).astype(np.int32),
+        attributes=mesh.attributes | {"skirts": Skirts(above, mesh.n_triangles)},
+    )
+
+
+def _walls(
+    starts: NDArray[np.int64],
+    ends: NDArray[np.int64],
+    starts_below: NDArray[np.int64],
+    ends_below: NDArray[np.int64],
+) -> NDArray[np.int64]:
+    """Return the two triangles of a wall below each edge, facing outwards."""
+    return np.concatenate(
+        [
+            np.column_stack([ends, starts, starts_below]),
+            np.column_stack([ends, starts_below, ends_below]),
+        ]
     )
 
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 from terrainwave.export.frames import to_frame
-from terrainwave.export.mesh_files import to_pyvista
+from terrainwave.export.mesh_formats import to_pyvista
 from terrainwave.file import TerrainFile
 from terrainwave.mesh.area import mesh_area
 from terrainwave.mesh.mesh_data import MeshData

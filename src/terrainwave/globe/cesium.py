@@ -49,7 +49,10 @@ class TilePyramid(TileScheme):
         Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid; a `Globe`
         has its own.
     max_zoom : int, optional
-        The finest zoom; by default the first one whose cells are no larger than pixels.
+        The finest zoom; by default, and at most, the first one whose cells are no larger than
+        pixels. Its tiles are within the file's own error of every sample, and what they need more.
+    min_zoom : int
+        The coarsest zoom besides zoom 0, which Cesium begins with.
     vertical : {"as-is", "ellipsoid"}
         Take heights as above the ellipsoid, or convert them from the CRS's vertical datum by PROJ's
         grid.
@@ -58,7 +61,7 @@ class TilePyramid(TileScheme):
     ------
     InvalidHeightsError
         If the raster has no place on a globe, heights cannot be converted or are beyond ±4000 km,
-        or (when tiles are asked for) `max_zoom` is out of range.
+        or (when tiles are asked for) a zoom is out of range.
 
     Notes
     -----
@@ -73,10 +76,11 @@ class TilePyramid(TileScheme):
         cells: int = CELLS,
         radius: float | None = None,
         max_zoom: int | None = None,
+        min_zoom: int = 0,
         vertical: str = AS_IS,
     ) -> None:
         globe = terrain if isinstance(terrain, Globe) else Globe(terrain, radius=radius)
-        super().__init__(globe, cells, max_zoom)
+        super().__init__(globe, cells, max_zoom, min_zoom)
         self._heights = TileHeights(self, void_height, vertical)
         self._mesher = TileMesher(self, self._heights)
 
@@ -110,7 +114,7 @@ class TilePyramid(TileScheme):
             "tiles": ["{z}/{x}/{y}.terrain?v={version}"],
             "projection": "EPSG:4326",
             "bounds": [west, south, east, north],
-            "minzoom": 0,
+            "minzoom": self.min_zoom,
             "maxzoom": self.max_zoom,
             "metadataAvailability": self.max_zoom + 1,
             "available": self.availability(0),
@@ -199,6 +203,7 @@ def write_tiles(
     terrain: "TerrainFile",
     directory: str | os.PathLike[str],
     *,
+    min_zoom: int = 0,
     max_zoom: int | None = None,
     void_height: float = 0.0,
     cells: int = CELLS,
@@ -216,9 +221,7 @@ def write_tiles(
     terrain : TerrainFile
     directory : path
         ``{z}/{x}/{y}.terrain`` and ``layer.json``; it appears complete or not at all.
-    max_zoom : int, optional
-        The finest zoom; by default the first one whose cells are no larger than pixels.
-    void_height, cells, radius, vertical
+    min_zoom, max_zoom, void_height, cells, radius, vertical
         As in `TilePyramid`.
     attribution : str
         For ``layer.json``: whose data these are.
@@ -245,20 +248,21 @@ def write_tiles(
         cells=cells,
         radius=radius,
         max_zoom=max_zoom,
+        min_zoom=min_zoom,
         vertical=vertical,
     )
     if vertical == AS_IS:
         note_as_is(terrain.crs)
-    last = pyramid.max_zoom
+    zooms = pyramid.zooms
     n_threads = checked_threads(threads)
-    total = sum(pyramid.n_tiles(zoom) for zoom in range(last + 1))
+    total = sum(map(pyramid.n_tiles, zooms))
     reporter, n_done, summaries = Reporter(progress), 0, []
     with (
         publish_directory(directory, LAYER, overwrite) as new,
         ThreadPoolExecutor(n_threads, thread_name_prefix="terrainwave") as executor,
         storage_errors(f"cannot write {os.fspath(directory)}"),
     ):
-        for zoom in range(last + 1):
+        for zoom in zooms:
             n_tiles, n_triangles, n_bytes = 0, 0, 0
             surface_errors, errors = [], []
             for x, y, tile in _tiles_of(pyramid, zoom, executor, _AHEAD * n_threads):

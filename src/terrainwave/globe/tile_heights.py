@@ -70,6 +70,18 @@ class TileHeights:
         of_range = (self._high - self._low) * UNIT / _RANGE_SHARE
         return min(self._scheme.geometric_error(zoom) / _TOLERANCE_SHARE, of_range)
 
+    def edge_tolerance(self, zoom: int) -> float:
+        """Return how far a tile's mesh may be from the heights on its edges, in metres.
+
+        On the finest zoom also from the raster's samples within: by half of the file's bound, or by
+        what a tile can tell.
+        """
+        tolerance = self.tolerance(zoom)
+        if not self._scheme.is_finest(zoom):
+            return tolerance
+        needed = max(self._globe.effective_error / 2, self.edge_step(zoom) * UNIT)
+        return min(tolerance, needed)
+
     def samples(self, zoom: int, x: int, y: int) -> TileSamples:
         """Return a tile's heights, those of its edges the same in all tiles beside it."""
         lon, lat = self._scheme.places(zoom, x, y)

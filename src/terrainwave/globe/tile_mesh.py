@@ -1,4 +1,8 @@
-"""The mesh of a tile: made of its heights, counted in the steps of its file, and measured."""
+"""The mesh of a tile: made of its heights, counted in the steps of its file, and measured.
+
+On the finest zoom the raster's own samples are put into it where it is too far from them. Edges
+stay, so that tiles beside one another agree.
+"""
 
 import math
 from typing import Any, NamedTuple
@@ -13,6 +17,7 @@ from terrainwave.mesh.blocks import BlockSamples, SideTolerances, border_lines
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.halves.borders import beside_void
 from terrainwave.tri.halves.halves import triangulate
+from terrainwave.tri.insertion import insert_points
 from terrainwave.tri.mesh_distance import deviation_at_points
 
 _SMALLEST_STEP = 1.0 / (1 << FRACTION_BITS)
@@ -28,7 +33,8 @@ class TileMesh(NamedTuple):
     n_vertices, n_triangles : int
     surface_error : float or None
         Metres. No sample of the level read, and no bilinear height at the tile's cells, is further
-        from the tile's surface; None where no triangle has valid heights at all its corners.
+        from the tile's surface; on the finest zoom no sample of the full grid. None where no
+        triangle has valid heights at all its corners.
     error : float or None
         The same, and what originals can be from the level's bilinear surface.
     """
@@ -59,9 +65,11 @@ class TileMesher:
         spacing = self._scheme.lattice(zoom)
         locked[::spacing, ::spacing] = True
         tolerance = math.floor(self._heights.tolerance(zoom) / UNIT * (1 << FRACTION_BITS))
+        # Nothing is put into edges later.
+        at_edges = math.floor(self._heights.edge_tolerance(zoom) / UNIT * (1 << FRACTION_BITS))
         lines = border_lines(
             BlockSamples(heights, samples.valid[inner, inner], locked),
-            SideTolerances(tolerance, tolerance, tolerance, tolerance),
+            SideTolerances(at_edges, at_edges, at_edges, at_edges),
             self._scheme.cells,
         )
         everywhere = np.ones_like(locked)
@@ -74,7 +82,17 @@ class TileMesher:
     def tile(self, zoom: int, x: int, y: int) -> TileMesh:
         """Return a tile."""
         samples = self._heights.samples(zoom, x, y)
-        mesh = _in_order_of_use(self._mesh(samples, zoom))
+        mesh = self._mesh(samples, zoom)
+        # A vertex of a merged cell stands for valid heights only, or for voids only.
+        places = (np.rint(values).astype(np.int64) >> 1 for values in (mesh.rows, mesh.cols))
+        is_valid = samples.valid[1:-1, 1:-1][*places]
+        if self._scheme.is_finest(zoom) and samples.window is not None:
+            found = self._heights.samples_in_tile(samples.window, zoom, x, y)
+            mesh = self._with_samples(mesh, is_valid, *found, self._heights.edge_tolerance(zoom))
+            n_more = len(mesh.rows) - len(is_valid)
+            is_valid = np.concatenate([is_valid, np.ones(n_more, dtype=np.bool_)])
+        mesh, order = _in_order_of_use(mesh)
+        is_valid = is_valid[order]
         size = 180 / (1 << zoom)
         west, south = -180 + x * size, -90 + y * size
         low, step = self._height_steps(mesh, zoom)
@@ -92,7 +110,7 @@ class TileMesher:
             ],
             axis=1,
         )
-        surface_error, error = self._errors(mesh, samples, zoom, x, y)
+        surface_error, error = self._errors(mesh, is_valid, samples, zoom, x, y)
         heights = low * UNIT, (low + STEPS * step) * UNIT
         about: dict[str, Any] = {
             "bounds": [west, south, west + size, south + size],
@@ -123,29 +141,62 @@ class TileMesher:
             step /= 2
         return low, step
 
+    def _with_samples(
+        self,
+        mesh: BlockMesh,
+        is_valid: NDArray[np.bool_],
+        places: tuple[NDArray[np.float64], NDArray[np.float64]],
+        heights: NDArray[np.float64],
+        tolerance: float,
+    ) -> BlockMesh:
+        """Return a mesh with the samples that it is further from than the tolerance, in metres.
+
+        `places` are rows and columns in cells; vertices come behind the mesh's own.
+        """
+        cells = self._scheme.cells
+        scale, fine = STEPS / (2 * cells), 1 << FRACTION_BITS
+        rounded = _rounded(mesh, cells)
+        # The places that a tile can tell; its v counts from the south.
+        own = np.rint(np.stack([rounded.cols, rounded.rows], axis=1) * scale).astype(np.int64)
+        rows, cols = places
+        points = np.stack([np.rint(cols * 2 * scale), STEPS - np.rint(STEPS - rows * 2 * scale)], 1)
+        inserted, triangles = insert_points(
+            own, mesh.heights.astype(np.float64), mesh.triangles,
+            _all_of(is_valid, mesh.triangles), points.astype(np.int64), heights / UNIT * fine,
+            tolerance / UNIT * fine,
+        )  # fmt: skip
+        found = points[inserted] / scale
+        more = np.rint(heights[inserted] / UNIT * fine).astype(mesh.heights.dtype)
+        return BlockMesh(
+            np.concatenate([rounded.rows, found[:, 1]]),
+            np.concatenate([rounded.cols, found[:, 0]]),
+            np.concatenate([mesh.heights, more]),
+            triangles,
+        )
+
     def _errors(
-        self, mesh: BlockMesh, samples: TileSamples, zoom: int, x: int, y: int
+        self,
+        mesh: BlockMesh,
+        is_valid: NDArray[np.bool_],
+        samples: TileSamples,
+        zoom: int,
+        x: int,
+        y: int,
     ) -> tuple[float | None, float | None]:
         """Return `TileMesh.surface_error` and `TileMesh.error` of a mesh as it is written."""
         if samples.window is None:
             return None, None
-        inner = slice(1, -1)
-        rows, cols = np.nonzero(samples.valid[inner, inner])
-        at_cells = rows.astype(np.float64), cols.astype(np.float64)
-        at_samples, heights = self._heights.samples_in_tile(samples.window, zoom, x, y)
-        rows_, cols_ = (np.concatenate(pair) for pair in zip(at_cells, at_samples, strict=True))
-        there = np.concatenate([samples.exact[inner, inner][rows, cols], heights])
-        # A vertex of a merged cell stands for valid heights only, or for voids only.
-        places = (
-            np.rint(mesh.rows).astype(np.int64) >> 1,
-            np.rint(mesh.cols).astype(np.int64) >> 1,
-        )
-        is_valid = samples.valid[inner, inner][places]
+        (rows_, cols_), there = self._heights.samples_in_tile(samples.window, zoom, x, y)
+        if not (self._scheme.is_finest(zoom) and len(rows_)):
+            inner = slice(1, -1)
+            rows, cols = np.nonzero(samples.valid[inner, inner])
+            rows_, cols_ = np.concatenate([rows, rows_]), np.concatenate([cols, cols_])
+            there = np.concatenate([samples.exact[inner, inner][rows, cols], there])
         worst, n_points = deviation_at_points(
             mesh,
-            is_valid[mesh.triangles].all(axis=1),
-            rows_,
-            cols_,
+            _all_of(is_valid, mesh.triangles),
+            rows_.astype(np.float64),
+            cols_.astype(np.float64),
             there / UNIT * (1 << FRACTION_BITS),
             self._scheme.cells,
         )
@@ -169,13 +220,20 @@ def _areas(mesh: BlockMesh) -> NDArray[np.float64]:
     return areas
 
 
-def _in_order_of_use(mesh: BlockMesh) -> BlockMesh:
-    """Return a mesh whose vertices come as triangles, turned over, first use them."""
+def _all_of(is_so: NDArray[np.bool_], triangles: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Say of which triangles all corners are so."""
+    a, b, c = (is_so[triangles[:, corner]] for corner in range(3))
+    found: NDArray[np.bool_] = a & b & c
+    return found
+
+
+def _in_order_of_use(mesh: BlockMesh) -> tuple[BlockMesh, NDArray[np.int32]]:
+    """Return a mesh whose vertices come as triangles, turned over, first use them; their order."""
     turned = mesh.triangles[:, ::-1]
     used, first, places = np.unique(turned.ravel(), return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty(len(order), dtype=np.int32)
     rank[order] = np.arange(len(order), dtype=np.int32)
     triangles = rank[places.reshape(-1, 3)][:, ::-1]
-    at = used[order]
-    return BlockMesh(mesh.rows[at], mesh.cols[at], mesh.heights[at], triangles)
+    at = used[order].astype(np.int32)
+    return BlockMesh(mesh.rows[at], mesh.cols[at], mesh.heights[at], triangles), at

@@ -45,15 +45,15 @@ class TileRange:
 
 
 class TileScheme:
-    """Tiles of `cells` x `cells` cells on each zoom, up to the one that is asked for."""
+    """Tiles of `cells` x `cells` cells on zoom 0, and on those from one to another asked for."""
 
-    def __init__(self, globe: Globe, cells: int, asked_zoom: int | None) -> None:
+    def __init__(self, globe: Globe, cells: int, asked_zoom: int | None, min_zoom: int = 0) -> None:
         expected = "a power of two, 2 … 1024"
         self.cells = checked_whole("cells", cells, least=2, most=1024, expected=expected)
         if self.cells & (self.cells - 1):
             raise InvalidArgumentError(f"found `cells` {self.cells}, expected {expected}")
         self.globe = globe
-        self._asked = asked_zoom
+        self._asked, self._min_asked = asked_zoom, min_zoom
 
     @property
     def extent(self) -> Extent:
@@ -70,8 +70,21 @@ class TileScheme:
         finest = self._finest
         if self._asked is None:
             return finest
-        expected = f"0 … {finest}: cells of the last are no larger than pixels"
+        expected = f"0 … {finest}: tiles of the last hold every sample within its error"
         return checked_whole("max_zoom", self._asked, least=0, most=finest, expected=expected)
+
+    @cached_property
+    def min_zoom(self) -> int:
+        """Return the coarsest zoom besides zoom 0."""
+        expected = f"0 … {self.max_zoom}, the finest zoom"
+        return checked_whole(
+            "min_zoom", self._min_asked, least=0, most=self.max_zoom, expected=expected
+        )
+
+    @property
+    def zooms(self) -> list[int]:
+        """Return the zooms that have tiles: Cesium needs those of zoom 0 to begin with."""
+        return sorted({0, *range(self.min_zoom, self.max_zoom + 1)})
 
     @cached_property
     def _finest(self) -> int:
@@ -80,6 +93,10 @@ class TileScheme:
         while self.cell_size(zoom) > self.globe.pixel * 1.001 and zoom < MAX_ZOOM:
             zoom += 1
         return zoom
+
+    def is_finest(self, zoom: int) -> bool:
+        """Say whether a zoom is the one whose cells are no larger than the raster's pixels."""
+        return zoom == self._finest
 
     def geometric_error(self, zoom: int) -> float:
         """Return the error in metres that Cesium takes a tile of this zoom to have.
@@ -93,7 +110,7 @@ class TileScheme:
         """Return the tiles of a zoom that there are; on zoom 0 both, as Cesium needs them."""
         if zoom == 0:
             return [TileRange(0, 0, 1, 0)]
-        if not 0 < zoom <= self.max_zoom:
+        if not max(self.min_zoom, 1) <= zoom <= self.max_zoom:
             return []
         extent, n_x, n_y = self.extent, 2 << zoom, 1 << zoom
         size = 180 / n_y

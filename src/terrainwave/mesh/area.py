@@ -100,7 +100,8 @@ def mesh_area(
             f"found an area of {region.n_rows} x {region.n_cols} samples, expected at least"
             " 2 x 2: a mesh lies between samples"
         )
-    area = Area(terrain.grid, region, asked.level, optimise)
+    # A budget is met by another error in each area: their edges do not match anyway.
+    area = Area(terrain.grid, region, asked.level, optimise, is_tile=max_triangles is None)
     with ThreadPoolExecutor(terrain.n_threads, thread_name_prefix="terrainwave") as executor:
         extractor = _Extractor(terrain, area, kind, executor, Reporter(progress))
         if not guarantee:
@@ -334,5 +335,8 @@ class _Extractor(Generic[Made]):
             triangles = np.ascontiguousarray(triangles[:, ::-1])
         origin = (*samples_to_places(raster.transform, float(row_0), float(col_0)), 0.0)
         # An array without a place: its columns and rows are no degrees.
-        attributes = {"is_placed": raster.transform != IDENTITY}
+        attributes: dict[str, Any] = {"is_placed": raster.transform != IDENTITY}
+        corners = np.array([(r, c) for r in (first_row, last_row) for c in (first_col, last_col)])
+        x, y = samples_to_places(raster.transform, *(corners.T / 2))
+        attributes["area"] = (float(x.min()), float(y.min()), float(x.max()), float(y.max()))
         return self._kind(points, triangles, origin, error, crs, self._terrain.units, attributes)

@@ -2,6 +2,10 @@
 
 Coarse blocks where the index says that their heights take no more than a quarter of the error,
 blocks of the area's level elsewhere. No void lies where levels meet.
+
+Along edges of a tile that are no edges of the raster, all blocks are of the area's level, and so
+are their neighbours: then the meshes there, and the vertices on these edges, depend on the heights
+and the error alone. The mesh of the tile beyond has the same.
 """
 
 from collections.abc import Callable, Iterator
@@ -26,13 +30,15 @@ OPPOSITE = {"top": "bottom", "bottom": "top", "left": "right", "right": "left"}
 class Area(NamedTuple):
     """What part of a terrain to mesh, and how.
 
-    `region` is in samples of `level`; `sweeps` counts sweeps of collapses.
+    `region` is in samples of `level`; `sweeps` counts sweeps of collapses. `is_tile` says that the
+    mesh is to have the vertices of the areas beyond on its edges.
     """
 
     grid: Grid
     region: Region
     level: int
     sweeps: int = 0
+    is_tile: bool = False
 
     @property
     def is_finest(self) -> bool:
@@ -67,6 +73,26 @@ class Area(NamedTuple):
             else:
                 waiting += self.children(block)
         return found
+
+    def touches_cut_edge(self, block: Block) -> bool:
+        """Say whether a block holds one of the area's level that lies at an edge within the raster.
+
+        Also counted are neighbours of blocks that such an edge runs through: their border lines are
+        those blocks', too.
+        """
+        region, (n_rows, n_cols) = self.region, self.grid.level_shape(self.level)
+        span = 1 << (self.level - block.level)
+        for first, count, n_samples, number in (
+            (region.row, region.n_rows, n_rows, block.row),
+            (region.col, region.n_cols, n_cols, block.col),
+        ):
+            for edge in (first, first + count - 1):
+                at, inside = divmod(edge, self.grid.block)
+                near = range(at - 1, at + 2 if inside else at + 1)
+                if 0 < edge < n_samples - 1 and near.start < (number + 1) * span:
+                    if number * span < near.stop:
+                        return True
+        return False
 
     def meets(self, block: Block) -> bool:
         """Say whether cells of the block lie in the area."""
@@ -215,7 +241,9 @@ class ErrorCut(Cut):
 
     def _is_usable(self, block: Block) -> bool:
         """Say whether a coarse block's stored mesh may stand beside finer ones."""
-        return self._are_nested and self._errors.heights(block) * _COARSE_SHARE <= self._error
+        if not self._are_nested or (self._area.is_tile and self._area.touches_cut_edge(block)):
+            return False
+        return self._errors.heights(block) * _COARSE_SHARE <= self._error
 
     def _close(self) -> None:
         """Split coarse blocks until no void lies where levels meet.

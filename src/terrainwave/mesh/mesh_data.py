@@ -13,7 +13,8 @@ from terrainwave.arguments import count_of, crs_name, in_one_line
 class MeshData:
     """A triangulated surface in world coordinates: the fields of `export.mesh.Mesh`, told there.
 
-    `attributes` are passed on with the mesh: ``is_placed`` tells whether its x and y are places.
+    `attributes` are passed on with the mesh: ``is_placed`` tells whether its x and y are places,
+    ``area`` what `area` returns.
     """
 
     vertices: NDArray[np.float64]
@@ -58,3 +59,13 @@ class MeshData:
             raise ValueError("the mesh is empty: it has no bounds")
         low, high = self.points.min(axis=0), self.points.max(axis=0)
         return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+    @property
+    def area(self) -> tuple[float, float, float, float]:
+        """Return (left, bottom, right, top) of the area that the mesh is of, in the CRS.
+
+        Between the centres of its outermost pixels. Voids there make `bounds` smaller, and other
+        meshes of the area have other bounds then. By default those are returned.
+        """
+        area = self.attributes.get("area")
+        return self.bounds if area is None else area

@@ -4,7 +4,7 @@ Walks the blocks of all levels depth first and holds a chain of ancestors, one w
 and the border lines of blocks whose neighbours have not come yet.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,7 +16,13 @@ from terrainwave.grid.affine import determinant
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.progress import Progress, ProgressCallback
-from terrainwave.verification.checked_mesh import CheckedMesh, Deviation, deviation
+from terrainwave.verification.area_mesh import (
+    ReadOriginal,
+    area_problems,
+    error_problems,
+    missing_samples,
+)
+from terrainwave.verification.checked_mesh import CheckedMesh, deviation
 from terrainwave.verification.on_grid import (
     BorderLine,
     QuantaScale,
@@ -25,9 +31,7 @@ from terrainwave.verification.on_grid import (
     block_surface,
     border_line,
     line_problems,
-    mesh_problems,
     must_be_covered,
-    surface_of_mesh,
 )
 
 # Meshes of areas are checked in windows of this many samples a side.
@@ -35,10 +39,6 @@ _WINDOW_SIDE = 2048
 # Factors of the smallest error at which meshes of areas are checked.
 _FACTORS = (2, 24)
 _MAX_LISTED = 20
-# Relative; what a decimal error loses as float64.
-_SLACK = 1e-9
-
-ReadOriginal = Callable[[Region], tuple[NDArray[np.generic], NDArray[np.bool_]]]
 
 
 @dataclass(frozen=True)
@@ -132,6 +132,7 @@ class MeshVerification:
         # Of kinds that state what was measured and promise nothing more.
         self._is_unbounded = terrain.mesh_kind in UNBOUNDED_MESHES
         self._allowed = self._ruler.slack + (0 if read else self._ruler.coded)
+        self._what = "heights" if read else "decoded heights"
         self._checks = Checks()
         self._lines: dict[tuple[Block, int], BorderLine] = {}
         n_levels = terrain.n_levels
@@ -218,11 +219,11 @@ class MeshVerification:
             )
             self._measured[block.level] = max(self._measured[block.level], errors.worst)
             where = f"mesh of block {tuple(block)}"
-            self._checks.add(where, self._error_problems(errors, stored, region))
+            self._checks.add(where, error_problems(self._ruler, errors, stored, region, self._what))
             # Coarse meshes lie over all valid samples below them.
             wanted = must_be_covered(valid) if block.level == self._grid.k_max else valid
             if min(valid.shape) > 1:
-                self._checks.add(where, _missing(errors, wanted, region))
+                self._checks.add(where, missing_samples(errors, wanted, region))
             if block.level == self._grid.k_max and not self._is_unbounded:
                 self._checks.add(where, self._tolerance_problems(surface, region))
 
@@ -240,16 +241,6 @@ class MeshVerification:
             yield (
                 f"{errors.n_beyond} decoded heights are further from it than the tolerance"
                 f" {self._ruler.physical(tolerance):g}; the worst, at row"
-                f" {region.row + errors.row}, column {region.col + errors.col}, by"
-                f" {self._ruler.physical(errors.worst):g}"
-            )
-
-    def _error_problems(self, errors: Deviation, stored: float, region: Region) -> Iterator[str]:
-        if errors.n_beyond:
-            what = "heights" if self._has_original else "decoded heights"
-            yield (
-                f"{errors.n_beyond} {what} are further from it than the stated error"
-                f" {self._ruler.physical(stored):g}; the worst, at row"
                 f" {region.row + errors.row}, column {region.col + errors.col}, by"
                 f" {self._ruler.physical(errors.worst):g}"
             )
@@ -292,6 +283,7 @@ class MeshVerification:
             yield Region(cells.row, cells.col, cells.n_rows + 1, cells.n_cols + 1)
 
     def _check_areas(self, max_error: float | None, optimise: int) -> AreaMeshes:
+        terrain = self._terrain
         n_windows = n_triangles = 0
         stated = measured = 0.0
         for region in self._windows():
@@ -299,8 +291,10 @@ class MeshVerification:
             where = f"mesh at {asked} of window {tuple(region)}"
             n_windows += 1
             try:
-                mesh = self._terrain.mesh(tuple(region), max_error=max_error, optimise=optimise)
-                problems, worst = self._check_area(mesh, region, max_error)
+                mesh = terrain.mesh(tuple(region), max_error=max_error, optimise=optimise)
+                problems, worst = area_problems(
+                    terrain, mesh, region, max_error, self._read if self._has_original else None
+                )
             except TerrainwaveError as error:
                 self._checks.add(where, [str(error)])
                 continue
@@ -309,40 +303,7 @@ class MeshVerification:
             self._checks.add(where, problems)
             n_triangles += mesh.n_triangles
             stated, measured = max(stated, mesh.error), max(measured, worst)
-        return AreaMeshes(
-            max_error, optimise, n_windows, n_triangles, stated, self._ruler.physical(measured)
-        )
-
-    def _check_area(
-        self, mesh: Any, region: Region, max_error: float | None
-    ) -> tuple[list[str], float]:
-        terrain = self._terrain
-        problems = []
-        if max_error is not None and mesh.error > max_error * (1 + _SLACK):
-            problems.append(f"it states an error of {mesh.error:g}")
-        level = terrain.n_levels - 1 if max_error is None else None
-        problems += mesh_problems(terrain, mesh, region, level)
-        raw, valid = self._read(region)
-        stated = self._ruler.in_sixteenths(mesh.error)
-        errors = deviation(
-            surface_of_mesh(terrain, mesh, region),
-            self._ruler.sixteenths(raw, valid),
-            valid,
-            stated * (1 + _SLACK) + self._allowed,
-        )
-        problems += self._error_problems(errors, stated, region)
-        problems += _missing(errors, must_be_covered(valid), region)
-        return problems, errors.worst
-
-
-def _missing(errors: Deviation, wanted: NDArray[np.bool_], region: Region) -> Iterator[str]:
-    missing = wanted & ~errors.is_covered
-    if missing.any():
-        row, col = np.argwhere(missing)[0].tolist()
-        yield (
-            f"{np.count_nonzero(missing)} valid samples are not covered, one at row"
-            f" {region.row + row}, column {region.col + col}"
-        )
+        return AreaMeshes(max_error, optimise, n_windows, n_triangles, stated, measured)
 
 
 def verify_meshes(

@@ -1,6 +1,6 @@
 """The command mesh: a mesh of a .twz file, or a copy of the file with meshes."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -45,6 +45,9 @@ from terrainwave.errors import InvalidArgumentError
 _STORE_OPTIONS = {"mesh", "own", "mesh_error", "original"}
 _COMMON_OPTIONS = {"threads", "overwrite", "quiet", "as_json"}
 _GOALS = {"max_error", "max_triangles", "optimise"}
+# What levels of detail follow from, so that it cannot be asked for, too.
+_OF_ONE_MESH = {"max_triangles", "level", "loose"}
+UPWARDS = ("y", "z")
 
 
 @click.command(cls=CommandWithOwnOptions)
@@ -91,8 +94,29 @@ _GOALS = {"max_error", "max_triangles", "optimise"}
     type=Finite(),
     help="Write a watertight body with a flat base at this height, in the file's unit, to print.",
 )
+@click.option(
+    "--skirts",
+    type=Positive(),
+    metavar="HEIGHT",
+    help="Hang walls of this height, in the file's unit, from all borders. They hide gaps beside"
+    " meshes of another error.",
+)
+@click.option(
+    "--up",
+    type=click.Choice(UPWARDS),
+    help="Axis that points upwards. Default: y in .glb and .gltf, which allow no other, z in other"
+    " formats.",
+)
 @RADIUS_OPTION
 @VERTICAL_OPTION
+@click.option(
+    "--lods",
+    type=click.IntRange(1, 16),
+    metavar="N",
+    help="Write N levels of detail, each to a file of its own: TARGET hills.glb stands for"
+    " hills_lod0.glb (the finest, within --max-error), hills_lod1.glb (within twice that) and so"
+    " on.",
+)
 @click.option(
     "--store",
     "stores",
@@ -119,9 +143,10 @@ def mesh(context: click.Context, /, file: str, target: str, stores: bool, **opti
     """Write a crack-free mesh of FILE (.twz) to TARGET, within the bound of the original.
 
     TARGET's extension selects the format: .ply, .obj, .stl, .glb, .gltf, .vtu, .vtk, or .terrain, a
-    Cesium quantized-mesh tile. With --store it is .twz: a copy of FILE with meshes of all blocks.
+    Cesium quantized-mesh tile. With --lods N, N files have twice the error of the one before each.
+    With --store TARGET is a .twz: a copy of FILE with meshes of all blocks.
     """
-    _refuse_unfit(context, stores=stores, loose=options["loose"])
+    _refuse_unfit(context, stores=stores, loose=options["loose"], lods=options["lods"])
     if stores:
         names = _COMMON_OPTIONS | _STORE_OPTIONS
         _store_meshes(file, target, **{name: options[name] for name in names})
@@ -130,7 +155,7 @@ def mesh(context: click.Context, /, file: str, target: str, stores: bool, **opti
         _export_mesh(file, target, **{name: options[name] for name in names})
 
 
-def _refuse_unfit(context: click.Context, *, stores: bool, loose: bool) -> None:
+def _refuse_unfit(context: click.Context, *, stores: bool, loose: bool, lods: int | None) -> None:
     """Refuse options that are for meshes in files of their own with --store, and so on."""
     given = {
         name
@@ -144,6 +169,11 @@ def _refuse_unfit(context: click.Context, *, stores: bool, loose: bool) -> None:
             expected = "expected --store with it, which stores meshes in a copy of FILE"
         where = "with" if stores else "without"
         raise click.UsageError(f"found {_flags(unfit)} {where} --store, {expected}")
+    if lods is not None and given & _OF_ONE_MESH:
+        raise click.UsageError(
+            f"found {_flags(given & _OF_ONE_MESH)} with --lods, expected none of them: --max-error"
+            " is that of the finest level of detail, and each next one has twice the error"
+        )
     if loose and given & _GOALS:
         raise click.UsageError(
             f"found {_flags(given & _GOALS)} with --loose, expected none of them: the zero trees"
@@ -188,8 +218,11 @@ def _export_mesh(
     frame: str | None,
     z_scale: float,
     solid: float | None,
+    skirts: float | None,
     radius: float | None,
     vertical: str,
+    up: str | None,
+    lods: int | None,
     optimise: bool,
     loose: bool,
     overwrite: bool,
@@ -198,85 +231,106 @@ def _export_mesh(
     quiet: bool,
     **options: Any,
 ) -> None:
-    import terrainwave
-    from terrainwave.container.targets.publication import refuse_own_source
-    from terrainwave.export.mesh_files import check_extension, prepare
-
-    check_one_area(options)
-    try:
-        extension = check_extension(target)
-    except InvalidArgumentError as error:
-        raise click.UsageError(f"{error}, or in .twz with --store") from error
-    if extension == ".terrain" and (frame or z_scale != 1 or solid is not None):
-        raise click.UsageError(
-            "found --frame, --z-scale or --solid, expected none of them: a .terrain tile has a"
-            " frame of its own"
-        )
-    refuse_own_source(file, target)
-    prepare(target, overwrite=overwrite)
-    if vertical == "ellipsoid" and frame != "ecef" and extension != ".terrain":
-        raise click.UsageError(
-            "found --vertical ellipsoid, expected --frame ecef or a .terrain tile with it: other"
-            " coordinates keep the file's datum"
-        )
     shape = {
-        "frame": frame, "z_scale": z_scale, "solid": solid, "radius": radius, "vertical": vertical,
+        "frame": frame, "z_scale": z_scale, "solid": solid, "skirts": skirts, "radius": radius,
+        "vertical": vertical, "up": up,
     }  # fmt: skip
-    announce_compiling(quiet=quiet)
-    with (
-        reading(file),
-        terrainwave.open(file, threads=threads) as terrain,
-        Bar(quiet=quiet) as bar,
-    ):
-        surface = _mesh_for(
-            target,
-            lambda max_error: terrain.mesh(
-                optimise=int(optimise and not loose),
-                guarantee=not loose,
-                progress=bar,
-                **options | {"max_error": max_error},
-            ),
-            options["max_error"],
-            shape,
-        )
-    saved = surface.save(target, overwrite=overwrite, **shape)
+    check_one_area(options)
+    _check_shape(target, shape)
+    if lods is not None:
+        del options["level"], options["max_triangles"]
+        made = _save_lods(
+            file, target, lods, shape | options, optimise=int(optimise), threads=threads,
+            overwrite=overwrite, quiet=quiet,
+        )  # fmt: skip
+        if as_json:
+            print_json({"lods": [asdict(saved) for saved in made]})
+        elif not quiet:
+            _print_lods(made)
+        return
+    options |= {"optimise": int(optimise and not loose), "guarantee": not loose}
+    saved = _save_mesh(
+        file, target, options, shape, threads=threads, overwrite=overwrite, quiet=quiet
+    )
     if as_json:
         print_json(asdict(saved))
     elif not quiet:
         _print_saved(saved, "measured" if loose else "guaranteed")
 
 
-def _mesh_for(
-    target: str, make: Callable[[float | None], Any], bound: float | None, shape: dict[str, Any]
+def _check_shape(target: str, shape: dict[str, Any]) -> None:
+    """Refuse options that do not go together, or not with the format, before the file is read."""
+    from terrainwave.export.mesh_files import Shape, check_extension
+
+    try:
+        extension = check_extension(target)
+    except InvalidArgumentError as error:
+        raise click.UsageError(f"{error}, or in .twz with --store") from error
+    if shape["vertical"] == "ellipsoid" and shape["frame"] != "ecef" and extension != ".terrain":
+        raise click.UsageError(
+            "found --vertical ellipsoid, expected --frame ecef or a .terrain tile with it: other"
+            " coordinates keep the file's datum"
+        )
+    Shape(**shape).check(extension)
+
+
+def _save_mesh(
+    file: str,
+    target: str,
+    options: dict[str, Any],
+    shape: dict[str, Any],
+    *,
+    threads: int | None,
+    overwrite: bool,
+    quiet: bool,
 ) -> Any:
-    """Return a mesh whose error keeps the bound in the file too, where that can be had.
+    import terrainwave
+    from terrainwave.container.targets.publication import refuse_own_source
+    from terrainwave.export.mesh_files import mesh_for_file, note_on_rounding, prepare
 
-    Rounding in the file adds to a mesh's error: the mesh is made again with so much less.
-    """
-    from terrainwave.errors import InvalidHeightsError
-    from terrainwave.export.mesh_files import file_rounding
+    refuse_own_source(file, target)
+    prepare(target, overwrite=overwrite)
+    announce_compiling(quiet=quiet)
+    with (
+        reading(file),
+        terrainwave.open(file, threads=threads) as terrain,
+        Bar(quiet=quiet) as bar,
+    ):
 
-    first = surface = make(bound)
-    if bound is None:
-        return first
-    for _ in range(_MESH_ATTEMPTS):
-        rounding = file_rounding(surface, target, **shape)
-        if surface.error + rounding <= bound:
-            return surface
-        try:
-            # The next mesh is another one: its rounding may be somewhat more.
-            surface = make(bound - _ROUNDING_SLACK * rounding)
-        except InvalidHeightsError:
-            break
-    print_note(
-        f"rounding of coordinates in the file makes the error larger than {bound:g};"
-        " .ply, .obj and .vtu keep the bound"
-    )
-    return first
+        def make(max_error: float | None) -> Any:
+            return terrain.mesh(progress=bar, **options | {"max_error": max_error})
+
+        bound = options["max_error"]
+        if bound is None:
+            surface = make(None)
+        else:
+            surface, is_within = mesh_for_file(make, target, bound, **shape)
+            if not is_within:
+                print_note(note_on_rounding(bound))
+    return surface.save(target, overwrite=overwrite, **shape)
 
 
-_MESH_ATTEMPTS = 3
-_ROUNDING_SLACK = 1.25
+def _save_lods(
+    file: str, target: str, n_lods: int, options: dict[str, Any], *, quiet: bool, **others: Any
+) -> list[Any]:
+    import terrainwave
+
+    announce_compiling(quiet=quiet)
+    with reading(file), Bar(quiet=quiet) as bar:
+        return terrainwave.save_lods(file, target, n_lods, progress=bar, **options, **others)
+
+
+def _print_lods(made: list[Any]) -> None:
+    for saved in made:
+        error = f"{saved.error:.6g}{unit_behind(saved.units)}"
+        click.echo(
+            f"{plain(saved.path)}: {count_of(saved.n_triangles, 'triangle')},"
+            f" {saved.n_bytes:,} bytes, guaranteed error {error}"
+        )
+    first = made[0]
+    click.echo(f"frame {first.frame}{_heights_of(first)}")
+    note_unit(first.units)
+    _note_curvature(max(saved.curvature for saved in made))
 
 
 def _print_saved(saved: Any, kind_of_error: str) -> None:
@@ -285,14 +339,21 @@ def _print_saved(saved: Any, kind_of_error: str) -> None:
         f" {saved.n_vertices:,} vertices,"
         f" {saved.n_bytes:,} bytes"
     )
-    heights = "" if saved.vertical is None else f", heights {vertical_in_words(saved.vertical)}"
     click.echo(
         f"{kind_of_error} error {saved.error:.6g}{unit_behind(saved.units)},"
-        f" frame {saved.frame}{heights}"
+        f" frame {saved.frame}{_heights_of(saved)}"
     )
     note_unit(saved.units)
-    if saved.curvature:
+    _note_curvature(saved.curvature)
+
+
+def _heights_of(saved: Any) -> str:
+    return "" if saved.vertical is None else f", heights {vertical_in_words(saved.vertical)}"
+
+
+def _note_curvature(metres: float) -> None:
+    if metres:
         print_note(
-            f"between their vertices, flat triangles are up to {saved.curvature:.3g} m below the"
-            " curved surface; the error does not include this"
+            f"between their vertices, flat triangles are up to {metres:.3g} m below the curved"
+            " surface; the error does not include this"
         )

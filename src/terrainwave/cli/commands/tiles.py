@@ -36,9 +36,16 @@ from terrainwave.names import TILE_ENCODINGS
 @click.option(
     "--max-zoom",
     type=click.IntRange(min=0),
-    help="Finest zoom. Default: the first one whose cells are no larger than pixels.",
+    help="Finest zoom. Default, and the finest there is: the first one whose cells, or pixels of"
+    " .pmtiles, are no larger than the raster's pixels.",
 )
-@click.option("--min-zoom", type=click.IntRange(min=0), help="For .pmtiles: coarsest zoom.")
+@click.option(
+    "--min-zoom",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Coarsest zoom. A directory has the two tiles of zoom 0 as well, which CesiumJS needs.",
+)
 @click.option(
     "--rim",
     type=click.IntRange(min=0),
@@ -94,7 +101,6 @@ def _write_archive(
     terrain: Any,
     target: str,
     *,
-    min_zoom: int | None,
     encoding: str | None,
     vertical: str,
     **options: Any,
@@ -108,14 +114,13 @@ def _write_archive(
         )
     options["rim"] = options["rim"] or 0
     options["encoding"] = encoding or TILE_ENCODINGS[0]
-    return write_pmtiles(terrain, target, min_zoom=min_zoom or 0, **options)
+    return write_pmtiles(terrain, target, **options)
 
 
 def _write_directory(
     terrain: Any,
     target: str,
     *,
-    min_zoom: int | None,
     rim: int | None,
     encoding: str | None,
     transparent_voids: bool,
@@ -125,7 +130,6 @@ def _write_directory(
     from terrainwave.globe.cesium import write_tiles
 
     for name, value in (
-        ("min_zoom", min_zoom),
         ("rim", rim),
         ("encoding", encoding),
         ("transparent_voids", transparent_voids or None),

@@ -1,0 +1,176 @@
+"""The formats of mesh files: each writer returns the bytes of a file.
+
+trimesh and meshio write them, except OBJ and glTF: of their writers, none has the normals and the
+places in a picture without a further file or a remark of the format's validator.
+"""
+
+import io
+import json
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.container.spool import storage_errors
+from terrainwave.container.targets.publication import scratch
+from terrainwave.export.frames import vertex_normals
+from terrainwave.export.gltf import glb_bytes, gltf_bytes
+from terrainwave.extras import need
+from terrainwave.mesh.mesh_data import MeshData
+
+# Installs what writes the files.
+EXTRA = "mesh"
+_STL_HEADER = 80
+_VTK_TITLE = 255
+# Digits after the point of an OBJ file: of metres or feet, and of what may be degrees.
+_DIGITS = 5
+_DIGITS_OF_DEGREES = 10
+# Of parts of a unit vector and of a picture, as float32 holds them.
+_DIGITS_OF_PARTS = 7
+
+
+def to_trimesh(mesh: MeshData) -> Any:
+    """Return a `trimesh.Trimesh` with the mesh's vertices, relative to its origin."""
+    trimesh = need("trimesh", extra=EXTRA)
+    return trimesh.Trimesh(vertices=mesh.vertices, faces=mesh.triangles, process=False)
+
+
+def to_pyvista(mesh: MeshData) -> Any:
+    """Return a `pyvista.PolyData` with the mesh's vertices, relative to its origin."""
+    pyvista = need("pyvista", extra="pyvista")
+    faces = np.empty((mesh.n_triangles, 4), dtype=np.int64)
+    faces[:, 0] = 3
+    faces[:, 1:] = mesh.triangles
+    return pyvista.PolyData(mesh.vertices, faces.ravel())
+
+
+def _one_line(about: dict[str, Any]) -> str:
+    return json.dumps(about, allow_nan=False)
+
+
+def _write_ply(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
+    out = io.BytesIO()
+    _meshio_mesh(mesh).write(out, file_format="ply")
+    # meshio's comment holds the time, which would make equal files differ.
+    header, end, body = out.getvalue().partition(b"end_header\n")
+    comment = f"comment terrainwave {_one_line(about)}\n".encode()
+    header = re.sub(rb"comment [^\n]*\n", lambda _: comment, header, count=1)
+    return header + end + body
+
+
+def _write_obj(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
+    uv = mesh.attributes.get("uv")
+    parts = [f"# terrainwave {_one_line(about)}\n", _lines("v", mesh.vertices, obj_digits(mesh))]
+    corner = "%d"
+    if uv is not None:
+        parts += [
+            _lines("vt", uv, _DIGITS_OF_PARTS),
+            _lines("vn", vertex_normals(mesh), _DIGITS_OF_PARTS),
+        ]
+        corner = "%d/%d/%d"
+    # Vertices count from 1; each has its own normal and place in the picture.
+    numbers = np.repeat(mesh.triangles.astype(np.int64) + 1, corner.count("%"), axis=1)
+    line = f"f {corner} {corner} {corner}\n"
+    parts.append(line * mesh.n_triangles % tuple(numbers.ravel().tolist()))
+    return "".join(parts).encode()
+
+
+def _lines(word: str, values: NDArray[np.float64], digits: int) -> str:
+    """Return a line for each row of numbers, behind a word."""
+    line = word + f" %.{digits}f" * values.shape[1] + "\n"
+    rounded = np.round(values, digits) + 0.0  # no -0
+    return line * len(values) % tuple(rounded.ravel().tolist())
+
+
+def obj_digits(mesh: MeshData) -> int:
+    """Return how many digits after the point the coordinates of an OBJ file have."""
+    width = float(np.ptp(mesh.vertices[:, 0]))
+    may_be_degrees = mesh.attributes["frame"]["name"] == "native" and width <= 360
+    return _DIGITS_OF_DEGREES if may_be_degrees else _DIGITS
+
+
+def _write_stl(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
+    from trimesh.exchange.stl import export_stl
+
+    data = bytes(export_stl(to_trimesh(mesh)))
+    # Not `solid`: that begins a text file. 80 bytes have room for the origin, not for more.
+    origin = " ".join(f"{value:.15g}" for value in about["frame"].get("centre", mesh.origin))
+    header = f"terrainwave origin {origin}".encode()[:_STL_HEADER]
+    return header.ljust(_STL_HEADER) + data[_STL_HEADER:]
+
+
+def turned_y_up(mesh: MeshData) -> MeshData:
+    """Return a mesh whose y points upwards, and z to the south.
+
+    (x, y, z) to (x, z, −y) is a rotation: triangles keep their sense.
+    """
+    vertices = mesh.vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0) + 0.0  # no -0
+    return replace(mesh, vertices=vertices, attributes=mesh.attributes | {"up": "y"})
+
+
+def _write_glb(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
+    return glb_bytes(mesh, about)
+
+
+def _write_gltf(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
+    return gltf_bytes(mesh, about)
+
+
+def _meshio_mesh(mesh: MeshData) -> Any:
+    meshio = need("meshio", extra=EXTRA)
+    return meshio.Mesh(np.ascontiguousarray(mesh.vertices), [("triangle", mesh.triangles)])
+
+
+def _write_vtu(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
+    data = _written_by_path(mesh, path, "vtu")
+    # XML forbids two dashes inside a comment.
+    comment = _one_line(about).replace("--", "-\\u002d")
+    start = data.index(b"<VTKFile")
+    return data[:start] + f"<!-- terrainwave {comment} -->\n".encode() + data[start:]
+
+
+def _write_vtk(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
+    version, _, rest = _written_by_path(mesh, path, "vtk").split(b"\n", 2)
+    title = f"terrainwave {_one_line(about)}"
+    if len(title) > _VTK_TITLE:
+        title = f"terrainwave {_one_line(about | {'crs': None})}"[:_VTK_TITLE]
+    return b"\n".join([version, title.encode(), rest])
+
+
+def _written_by_path(mesh: MeshData, path: Path, name: str) -> bytes:
+    """Let meshio write where it insists on a path."""
+    with scratch(path) as part, storage_errors(f"cannot write {path}"):
+        _meshio_mesh(mesh).write(part.path, file_format=name)
+        return part.path.read_bytes()
+
+
+@dataclass(frozen=True)
+class Writer:
+    """How a format is written: by which package, and what it holds.
+
+    `has_normals` says that surfaces have normals and places in a picture; `up` is the axis that
+    points upwards unless another one is asked for.
+    """
+
+    package: str | None
+    is_float32: bool
+    write: Callable[[MeshData, dict[str, Any], Path], bytes]
+    has_normals: bool = False
+    up: str = "z"
+
+
+WRITERS = {
+    ".ply": Writer("meshio", False, _write_ply),
+    ".obj": Writer(None, False, _write_obj, has_normals=True),
+    ".stl": Writer("trimesh", True, _write_stl),
+    ".glb": Writer(None, True, _write_glb, has_normals=True, up="y"),
+    ".gltf": Writer(None, True, _write_gltf, has_normals=True, up="y"),
+    ".vtu": Writer("meshio", False, _write_vtu),
+    ".vtk": Writer("meshio", False, _write_vtk),
+}
+TILE = ".terrain"
+EXTENSIONS = (*WRITERS, TILE)

@@ -1,0 +1,88 @@
+"""The check of one `Mesh` over an area of the full grid: a surface, within its error everywhere."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.grid.quadtree import Region
+from terrainwave.verification.checked_mesh import Deviation, deviation
+from terrainwave.verification.on_grid import (
+    QuantaScale,
+    mesh_problems,
+    must_be_covered,
+    surface_of_mesh,
+)
+
+# Relative; what a decimal error loses as float64.
+_SLACK = 1e-9
+# Heights are read and compared in strips of about this many samples.
+_STRIP_SAMPLES = 1 << 24
+
+ReadOriginal = Callable[[Region], tuple[NDArray[np.generic], NDArray[np.bool_]]]
+
+
+def area_problems(
+    terrain: Any,
+    mesh: Any,
+    region: Region,
+    max_error: float | None,
+    read: ReadOriginal | None = None,
+) -> tuple[list[str], float]:
+    """Return what is wrong with a `Mesh`, and the largest distance of samples from it.
+
+    Parameters
+    ----------
+    terrain : Terrain
+    mesh : Mesh
+        Of `region`, which is one of the full grid.
+    max_error : float, optional
+        What was asked for; None for the stored meshes.
+    read : callable, optional
+        Returns raw originals and validity of a region. Without it errors are measured from the
+        decoded heights, and may exceed what the mesh states by the file's own bound.
+    """
+    ruler, problems, worst = QuantaScale(terrain), [], 0
+    if max_error is not None and mesh.error > max_error * (1 + _SLACK):
+        problems.append(f"it states an error of {mesh.error:g}")
+    level = terrain.n_levels - 1 if max_error is None else None
+    problems += mesh_problems(terrain, mesh, region, level)
+    surface, stated = surface_of_mesh(terrain, mesh, region), ruler.in_sixteenths(mesh.error)
+    limit = stated * (1 + _SLACK) + ruler.slack + (0 if read else ruler.coded)
+    for strip in region.tiles(max(_STRIP_SAMPLES // region.n_cols, 2), region.n_cols):
+        # A row more at the end: quads are covered between rows.
+        last = min(strip.row + strip.n_rows + 1, region.row + region.n_rows)
+        strip = strip._replace(n_rows=last - strip.row)
+        raw, valid = (read or terrain.read_with_mask)(strip)
+        place = strip.row - region.row, 0
+        errors = deviation(surface, ruler.sixteenths(raw, valid), valid, limit, place)
+        what = "heights" if read else "decoded heights"
+        problems += error_problems(ruler, errors, stated, strip, what)
+        problems += missing_samples(errors, must_be_covered(valid), strip)
+        worst = max(worst, errors.worst)
+    return problems, ruler.physical(worst)
+
+
+def error_problems(
+    ruler: QuantaScale, errors: Deviation, stated: float, region: Region, what: str
+) -> Iterator[str]:
+    """Yield a line where samples are further from a mesh than it states, in 1/16 quanta."""
+    if errors.n_beyond:
+        yield (
+            f"{errors.n_beyond} {what} are further from it than the stated error"
+            f" {ruler.physical(stated):g}; the worst, at row"
+            f" {region.row + errors.row}, column {region.col + errors.col}, by"
+            f" {ruler.physical(errors.worst):g}"
+        )
+
+
+def missing_samples(errors: Deviation, wanted: NDArray[np.bool_], region: Region) -> Iterator[str]:
+    """Yield a line where samples that a mesh has to cover are not."""
+    missing = wanted & ~errors.is_covered
+    if missing.any():
+        row, col = np.argwhere(missing)[0].tolist()
+        yield (
+            f"{np.count_nonzero(missing)} valid samples are not covered, one at row"
+            f" {region.row + row}, column {region.col + col}"
+        )
