@@ -177,6 +177,7 @@ def save_mesh(
         frame=str(framed.attributes["frame"]["name"]),
         origin=framed.origin,
         curvature=_curvature(mesh, framed, radius),
+        share=mesh.share,
     )
 
 

@@ -232,6 +232,7 @@ def save_tile(
         origin=(0.0, 0.0, 0.0),
         curvature=curvature(globe),
         vertical=globe.mesh.attributes["vertical"],
+        share=mesh.share,
     )
 
 

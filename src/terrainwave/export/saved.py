@@ -31,6 +31,9 @@ class SavedMesh:
     vertical : dict, optional
         Of geocentric coordinates: what heights are (``heights``: ``"as-is"`` or ``"ellipsoid"``),
         the CRS's ``datum``, or PROJ's ``operation`` and its ``grids``.
+    share : float, optional
+        Of meshes without a guarantee: the share of samples within the tolerance that guaranteed
+        meshes have.
     """
 
     path: str
@@ -44,3 +47,4 @@ class SavedMesh:
     origin: tuple[float, float, float]
     curvature: float = 0.0
     vertical: dict[str, Any] | None = None
+    share: float | None = None

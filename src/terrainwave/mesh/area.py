@@ -53,6 +53,9 @@ _LEAST_USED = Fraction(95, 100)
 _OUTLINE_SHARE = 4
 _OUTLINE_SWEEPS = 8
 _ROUNDING = 2.0**-48
+# Of the samples under a mesh of zero trees: within tolerance "almost everywhere", as Yusov &
+# Turlapov 2010, §2.4, say. Thresholds of significance sink until then, in so many steps at most.
+_LOOSE_SHARE, _MOST_STEPS = 0.95, 10
 
 Made = TypeVar("Made", bound=MeshData)
 
@@ -185,7 +188,14 @@ class _Extractor(Generic[Made]):
         """Return the mesh of the zero trees alone, with the error that it turns out to have."""
         level = self._area.level
         stride = self._grid.stride(level)
-        meshes = LooseMesher(self._terrain).meshes(self._area.blocks(level), self._executor.map)
+        for n_steps in range(_MOST_STEPS + 1):
+            loose = LooseMesher(self._terrain, n_steps)
+            meshes = loose.meshes(self._area.blocks(level), self._executor.map)
+            counts = list(self._executor.map(loose.samples_within, meshes, meshes.values()))
+            n_covered, n_within = (sum(column) for column in zip((0, 0), *counts, strict=True))
+            share = n_within / max(n_covered, 1)
+            if share >= _LOOSE_SHARE or not loose.has_threshold:
+                break
 
         def measured(block: Block) -> MeshedBlock:
             samples, mesh = self._fitter.samples_of(block), meshes[block]
@@ -193,7 +203,9 @@ class _Extractor(Generic[Made]):
             error = self._errors.heights(block) + Fraction(apart, 1 << FRACTION_BITS)
             return MeshedBlock(mesh, error)
 
-        return self._assemble(dict(self._each(measured, list(meshes))))
+        made = self._assemble(dict(self._each(measured, list(meshes))))
+        made.attributes["share"] = share if n_covered else None
+        return made
 
     def _each(
         self, build: Callable[[Block], MeshedBlock], blocks: list[Block]

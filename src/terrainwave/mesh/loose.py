@@ -13,18 +13,51 @@ from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.mesh.trees import layer_source, tree_source
-from terrainwave.tri.block_mesh import BlockMesh, no_mesh
+from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh, no_mesh
+from terrainwave.tri.mesh_surface import surface_at
 from terrainwave.tri.stored_kinds import has_triangles
 from terrainwave.tri.zerotree.agreement import BorderVertices, Position, agree, border_of_cut
 from terrainwave.tri.zerotree.connect import LooseMesh, loose_mesh
+from terrainwave.tri.zerotree.labels import Trees
 
 
 class LooseMesher:
-    """The non-guaranteed mesh of any block above the finest level of a file."""
+    """The non-guaranteed mesh of any block above the finest level of a file.
 
-    def __init__(self, file: TerrainFile) -> None:
-        source = tree_source(file.header.mesh, file.decoder) or layer_source(file.decoder)
-        self._mesher = mesher_of(file, trees=source)
+    Parameters
+    ----------
+    n_steps : int
+        How often the threshold from which details of decoded layers are significant becomes three
+        quarters of what it was.
+
+    Attributes
+    ----------
+    has_threshold : bool
+        Trees follow a threshold; else the file has coded them.
+    """
+
+    def __init__(self, file: TerrainFile, n_steps: int = 0) -> None:
+        coded = tree_source(file.header.mesh, file.decoder)
+        self.has_threshold = coded is None or file.header.mesh == "zerotree-layer"
+        of_layers = layer_source(file.decoder)
+
+        def source(block: Block, tolerance: int) -> Trees | None:
+            return of_layers(block, max(tolerance * 3**n_steps >> 2 * n_steps, 1))
+
+        self._mesher = mesher_of(file, trees=source if self.has_threshold else coded)
+
+    def samples_within(self, block: Block, mesh: BlockMesh) -> tuple[int, int]:
+        """Return how many samples of a block a mesh covers, and how many within its tolerance."""
+        samples = self._mesher.stored_samples(block)
+        surface = np.full(samples.mask.size, np.nan)
+        n_rows, n_cols = samples.mask.shape
+        numbers = np.full((2 * n_rows - 1, 2 * n_cols - 1), -1, dtype=np.int32)  # half samples
+        numbers[::2, ::2] = np.arange(n_rows * n_cols).reshape(n_rows, n_cols)
+        surface_at(mesh.rows, mesh.cols, mesh.heights, mesh.triangles, 1, 0, 0, numbers, surface)
+        heights = samples.heights.ravel() * float(1 << FRACTION_BITS)
+        is_covered = samples.mask.ravel() & ~np.isnan(surface)
+        apart = np.abs(surface - heights)[is_covered]
+        return len(apart), int((apart <= self._mesher.tolerance(block)).sum())
 
     def mesh(self, block: Block) -> BlockMesh:
         """Return the mesh of a block alone; its borders may differ from its neighbours'."""

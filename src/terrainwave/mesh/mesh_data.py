@@ -14,7 +14,7 @@ class MeshData:
     """A triangulated surface in world coordinates: the fields of `export.mesh.Mesh`, told there.
 
     `attributes` are passed on with the mesh: ``is_placed`` tells whether its x and y are places,
-    ``area`` what `area` returns.
+    ``area`` what `area` returns, ``share`` what `share` does.
     """
 
     vertices: NDArray[np.float64]
@@ -59,6 +59,15 @@ class MeshData:
             raise ValueError("the mesh is empty: it has no bounds")
         low, high = self.points.min(axis=0), self.points.max(axis=0)
         return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+    @property
+    def share(self) -> float | None:
+        """Return the share of samples within tolerance; None of meshes that guarantee it.
+
+        Of the samples of the mesh's level under it, and the tolerance that guaranteed meshes of
+        its blocks have.
+        """
+        return self.attributes.get("share")
 
     @property
     def area(self) -> tuple[float, float, float, float]:

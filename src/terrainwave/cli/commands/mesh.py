@@ -343,6 +343,10 @@ def _print_saved(saved: Any, kind_of_error: str) -> None:
         f"{kind_of_error} error {saved.error:.6g}{unit_behind(saved.units)},"
         f" frame {saved.frame}{_heights_of(saved)}"
     )
+    if saved.share is not None:
+        click.echo(
+            f"{saved.share:.1%} of the samples are within the tolerance of guaranteed meshes"
+        )
     note_unit(saved.units)
     _note_curvature(saved.curvature)
 

@@ -20,11 +20,12 @@ from terrainwave.mesh.loose import LooseMesher
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.render.scene.frame import Frame
-from terrainwave.render.scene.patch_kernels import SKIRT_FLAG, bilinear_at, border_edges, surface_at
+from terrainwave.render.scene.patch_kernels import SKIRT_FLAG, bilinear_at, border_edges
 from terrainwave.render.scene.scales import FLOAT32_ROUNDING, HeightScale, Texels
 from terrainwave.render.scene.selection import NodeInfo, Piece
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.mesh_distance import deviation_from_bilinear
+from terrainwave.tri.mesh_surface import surface_at
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
