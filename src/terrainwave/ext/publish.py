@@ -17,6 +17,7 @@ from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import publish_directory
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveWarning
 from terrainwave.ext.serve.catalog import describe, layer_names
+from terrainwave.extras import with_extra
 from terrainwave.file import TerrainFile
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
@@ -54,6 +55,7 @@ class PublishedTerrain:
     place_error: float
 
 
+@with_extra("publish")
 def publish_site(
     paths: list[str],
     directory: str | os.PathLike[str],

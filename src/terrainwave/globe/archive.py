@@ -26,7 +26,7 @@ from terrainwave.arguments import (
 from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import publish
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
-from terrainwave.extras import need
+from terrainwave.extras import need, with_extra
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
 from terrainwave.progress import ProgressCallback, Reporter
@@ -58,6 +58,7 @@ class ArchivedZoom:
     terrain_error: float
 
 
+@with_extra("pmtiles")
 def write_pmtiles(
     terrain: "TerrainFile",
     target: str | os.PathLike[str],
