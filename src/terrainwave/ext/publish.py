@@ -5,6 +5,7 @@ the browser. What that needs PROJ for is computed here and written into terrains
 """
 
 import json
+import logging
 import os
 import shutil
 import warnings
@@ -25,6 +26,8 @@ from terrainwave.globe.polynomials import FittedPlaces, fit_places
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.render.look.colorings import AUTO
 from terrainwave.render.look.style import check_sea_level
+
+_log = logging.getLogger(__name__)
 
 # What every such folder has.
 LIST = "terrains.json"
@@ -121,6 +124,7 @@ def publish_site(
             descriptions.append(
                 describe(name, globe, encoding, sea_level) | {"file": file, "placed": placed}
             )
+            _log.info("%s: %d bytes", file, source.size)
             published.append(PublishedTerrain(name, file, source.size, places.error))
         reporter.report("copying", total, total)
         _write_list(new / LIST, descriptions)

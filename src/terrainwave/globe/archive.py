@@ -4,6 +4,7 @@ The package ``pmtiles`` of the format's authors writes directories and header. T
 order of the format's curve, so that readers take neighbours in one request.
 """
 
+import logging
 import math
 import os
 import warnings
@@ -33,6 +34,8 @@ from terrainwave.progress import ProgressCallback, Reporter
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
+
+_log = logging.getLogger(__name__)
 
 # Tiles under work or waiting to be written, per thread.
 _AHEAD = 4
@@ -155,6 +158,7 @@ def write_pmtiles(
                 reporter.report("writing tiles", n_done, total)
             if written:
                 n_bytes, errors, terrain_errors = zip(*written, strict=True)
+                _log.info("zoom %d: %d tiles, %d bytes", zoom, len(written), sum(n_bytes))
                 summaries.append(
                     ArchivedZoom(zoom, len(written), sum(n_bytes), max(errors), max(terrain_errors))
                 )
