@@ -1,16 +1,22 @@
 """What is said where an optional package is missing."""
 
 import ast
+import json
+import pickle
 import re
+import subprocess
 import sys
 import tomllib
 from itertools import chain
 from pathlib import Path
 
 import pytest
+from rasterio.transform import Affine
+from strategies import terrain_like, write_geotiff
 
 from terrainwave.errors import TerrainwaveError
-from terrainwave.extras import need
+from terrainwave.extras import EXTRAS, need, with_extra
+from terrainwave.write.compress import compress
 
 PACKAGE = Path(__file__).parent.parent / "src" / "terrainwave"
 
@@ -85,3 +91,104 @@ def test_what_is_imported_is_required_and_the_other_way_round():
     optional = installed_names(chain(*project()["optional-dependencies"].values()))
     of_fastapi = {"anyio", "starlette"}
     assert always <= imported <= always | optional | of_fastapi
+
+
+# Each command names the extra that has all it needs.
+
+COMMANDS = {
+    "view": ("view", ["view", "TWZ"]),
+    "render": ("view", ["render", "TWZ", "a.png"]),
+    "serve": ("serve", ["serve", "TWZ"]),
+    "publish": ("publish", ["publish", "TWZ", "site"]),
+    "archive": ("pmtiles", ["tiles", "TWZ", "a.pmtiles"]),
+    "tiles": ("mesh", ["tiles", "TWZ", "tiles"]),
+    "mesh of metres": ("mesh", ["mesh", "TWZ", "a.stl"]),
+    "mesh of degrees": ("mesh", ["mesh", "TWZ", "a.glb"]),
+    "demo": ("demo", ["demo", "demo"]),
+    "remote": ("remote", ["info", "s3://bucket/a.twz"]),
+    "upload": ("remote", ["compress", "TIF", "s3://bucket/a.twz"]),
+    "distributed": ("distributed", ["compress", "TIF", "b.twz", "--scheduler", "tcp://[::1]:9"]),
+}
+RUN = """
+import json, os, sys
+from click.testing import CliRunner
+
+class Hidden:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in json.loads(sys.argv[1]):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Hidden())
+from terrainwave.cli import main
+
+for words in json.loads(sys.argv[2]):
+    result = CliRunner().invoke(main, words, prog_name="terrainwave")
+    print(json.dumps([result.exit_code, result.stderr.splitlines(), sorted(os.listdir("."))]))
+"""
+
+
+def run_without(packages, folder):
+    """Return (status, lines, files) of each command in a process that lacks packages."""
+    twz, tif = folder / "dem.twz", folder / "dem.tif"
+    write_geotiff(
+        tif, terrain_like(33, 40), units=("m",), crs="EPSG:4326",
+        transform=Affine(0.01, 0, 8, 0, -0.01, 46),
+    )  # fmt: skip
+    compress(tif, twz, max_error=0, method="store", block=32, verify=False)
+    named = {"TWZ": str(twz), "TIF": str(tif)}
+    words = [[named.get(word, word) for word in words] for _, words in COMMANDS.values()]
+    (folder / "here").mkdir()
+    done = subprocess.run(
+        [sys.executable, "-c", RUN, json.dumps(sorted(packages)), json.dumps(words)],
+        capture_output=True, text=True, check=True, cwd=folder / "here",
+    )  # fmt: skip
+    found = map(json.loads, done.stdout.splitlines())
+    return dict(zip(COMMANDS, found, strict=True))
+
+
+def optional_packages():
+    extras = project()["optional-dependencies"]
+    users = ("demo", "view", "mesh", "remote", "distributed", "serve", "pmtiles")
+    return set().union(*(set(installed_names(extras[name])) for name in users))
+
+
+@pytest.mark.parametrize("hidden", ["all", "pyproj", "PIL"])
+def test_each_command_names_the_extra_that_has_all_it_needs(tmp_path, hidden):
+    """`view` named the extra of meshes, as that has pyproj, too."""
+    packages = optional_packages() if hidden == "all" else {hidden}
+    found = run_without(packages, tmp_path)
+    for name, (extra, _) in COMMANDS.items():
+        status, lines, files = found[name]
+        if hidden != "all" and "pip install" not in " ".join(lines):
+            continue
+        line = [one for one in lines if not one.startswith(("compiling", "note"))]
+        assert status == 1, (name, lines)
+        assert len(line) == 1, (name, lines)
+        assert line[0].endswith(f'pip install "terrainwave[{extra}]"'), (name, line)
+        assert files == [], name
+    said = {name for name, (_, lines, _) in found.items() if "pip install" in " ".join(lines)}
+    expected = {
+        "all": set(COMMANDS),
+        "pyproj": {"view", "render", "serve", "publish", "archive", "tiles", "mesh of degrees"},
+        "PIL": {"serve", "archive"},
+    }
+    assert said >= expected[hidden]
+
+
+def test_extras_for_a_task_are_those_of_the_project():
+    extras = project()["optional-dependencies"]
+    for name, packages in EXTRAS.items():
+        assert {re.match(r"[\w-]+", one)[0] for one in extras[name]} == set(packages)
+
+
+def test_a_package_that_the_extra_does_not_have_keeps_its_own(monkeypatch):
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    with pytest.raises(TerrainwaveError, match=r"terrainwave\[mesh\]"), with_extra("view"):
+        need("trimesh", extra="mesh")
+
+
+def test_the_error_travels_between_processes(monkeypatch):
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    with pytest.raises(TerrainwaveError) as caught:
+        need("trimesh", extra="mesh")
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)

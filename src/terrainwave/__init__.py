@@ -6,6 +6,7 @@
 >>> heights = terrain.read()                                  # doctest: +SKIP
 """
 
+import logging
 from typing import TYPE_CHECKING, Any
 
 from terrainwave._version import __version__
@@ -23,6 +24,9 @@ from terrainwave.errors import (
     TruncatedStreamError,
     UnsupportedVersionError,
 )
+
+# Loggers are named after modules; they say nothing unless an application asks them to.
+logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 if TYPE_CHECKING:
     from terrainwave.codec.cdf53 import Cdf53

@@ -1,5 +1,7 @@
 """Optional packages: imported where something needs them, named where they are missing."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
 
@@ -7,6 +9,45 @@ from terrainwave.errors import TerrainwaveError
 
 # Packages that are installed by another name.
 _INSTALLED_AS = {"PIL": "pillow", "socks": "pysocks"}
+
+# What the extras for one task have in common with others: a package is named with the extra of the
+# task at hand, which has all that the task needs.
+EXTRAS = {
+    "demo": ("matplotlib", "pyproj"),
+    "view": ("moderngl", "moderngl-window", "pillow", "pyproj"),
+    "serve": ("fastapi", "uvicorn", "pillow", "pyproj"),
+    "publish": ("pyproj",),
+    "pmtiles": ("pmtiles", "pillow", "pyproj"),
+}
+
+
+class _MissingPackageError(TerrainwaveError):
+    """A package is missing."""
+
+    def __init__(self, purpose: str, name: str, extra: str) -> None:
+        super().__init__(f'{purpose} needs {name}: pip install "terrainwave[{extra}]"')
+        self.purpose, self.name = purpose, name
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # As an error of the public class, which is what a worker's caller can count on.
+        return TerrainwaveError, (str(self),)
+
+
+@contextmanager
+def with_extra(extra: str) -> Iterator[None]:
+    """Let errors of missing packages name this extra where it has the package; decorates, too.
+
+    Raises
+    ------
+    TerrainwaveError
+        Instead of the one of `need`.
+    """
+    try:
+        yield
+    except _MissingPackageError as error:
+        if error.name not in EXTRAS[extra]:
+            raise
+        raise _MissingPackageError(error.purpose, error.name, extra) from error
 
 
 def need(package: str, *, extra: str, purpose: str = "this") -> Any:
@@ -37,6 +78,4 @@ def need(package: str, *, extra: str, purpose: str = "this") -> Any:
         # What is missing may be a package that this one needs.
         root = (error.name or package).split(".")[0]
         name = _INSTALLED_AS.get(root, root.replace("_", "-"))
-        raise TerrainwaveError(
-            f'{purpose} needs {name}: pip install "terrainwave[{extra}]"'
-        ) from error
+        raise _MissingPackageError(purpose, name, extra) from error

@@ -4,6 +4,7 @@ Each is a file of its own: few programs read glTF's extension MSFT_lod, which wo
 (docs/how-to/games.md).
 """
 
+import logging
 import os
 import warnings
 from collections.abc import Sequence
@@ -26,6 +27,8 @@ from terrainwave.export.saved import SavedMesh
 from terrainwave.progress import ProgressCallback
 from terrainwave.terrain import Terrain
 from terrainwave.verification.area_mesh import area_problems
+
+_log = logging.getLogger(__name__)
 
 # Each may have twice the error of the one before: beyond these nothing is left to leave out.
 MOST_LODS = 16
@@ -138,6 +141,7 @@ def save_lods(
                     f"LOD {number} is not what it states, and nothing was written: {problems[0]};"
                     " please report this with the file"
                 )
+            _log.info("LOD %d: %d triangles within %g", number, mesh.n_triangles, mesh.error)
             about = {"lod": number, "n_lods": n_lods}
             meshes.append(replace(mesh, attributes=mesh.attributes | {"about": about}))
     saved: list[SavedMesh] = []

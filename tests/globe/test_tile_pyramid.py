@@ -420,7 +420,7 @@ def test_the_finest_zoom_states_the_files_own_error_and_what_tiles_need(
             found = heights_at(points, triangles, lon, lat)
             apart = np.abs(found - there)
             assert apart.max(initial=0) <= tile.surface_error + 1e-3
-            # Edges of tiles, and triangles that touch voids, have no vertices but at cell corners:
+            # Edges of tiles, and triangles at voids, have no vertices but at corners of cells:
             # samples nearer to them than 16 steps are as far off as these are, by the bend of a
             # pixel's slopes within a cell at most.
             west, south, east, north = about["bounds"]

@@ -4,6 +4,7 @@ A locator is numba's way to say where the cache of a function lies and what it h
 is private to numba is checked before any of it is used (`missing_names`).
 """
 
+import logging
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cached_property
@@ -32,6 +33,8 @@ _SETTINGS = (
     "ENABLE_PROFILING",
     "JIT_COVERAGE",
 )
+
+_log = logging.getLogger(__name__)
 
 
 def _settings() -> tuple[str, ...]:
@@ -195,6 +198,7 @@ class KernelCache:
             reason = error.strerror or error
             lose(f"{self.place.kept_in} cannot be written ({reason}); {ADVICE}")
         else:
+            _log.debug("compiled a kernel and kept it in %s", self.place.kept_in)
             keep()
 
     def flush(self) -> None:

@@ -4,6 +4,7 @@ Untrusted bytes are believed in this order: magic, version, header and its check
 size, metadata, index pages and where their segments lie, checksums of payloads (FORMAT.md §3.5).
 """
 
+import logging
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -29,6 +30,8 @@ from terrainwave.container.sources.ranges import ByteRange
 from terrainwave.container.sources.rounds import RoundReader
 from terrainwave.errors import CorruptStreamError, TerrainwaveError, TruncatedStreamError
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid
+
+_log = logging.getLogger(__name__)
 
 FIRST_READ = 16 * 1024
 _CHECK_BATCH = 4 * 1024 * 1024
@@ -250,6 +253,8 @@ class Container:
             places = _payload_places(heads, known)
             reader.fetch([*pages, *places.values()])
             payloads = {key: reader.take(place) for key, place in places.items()}
+            n_bytes = sum(map(len, payloads.values()))
+            _log.debug("read %d payloads, %d bytes", len(keys), n_bytes)
             for key, head in heads.items():
                 crcs = known[head].page.payload_crcs
                 check_crc(payloads[key], crcs[known[head].key_rows[key]], "payload", key)

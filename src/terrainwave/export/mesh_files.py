@@ -1,5 +1,6 @@
 """Meshes to files of other programs: in which frame, how far rounding moves them, written whole."""
 
+import logging
 import os
 import warnings
 from collections.abc import Callable
@@ -30,6 +31,8 @@ from terrainwave.extras import need
 from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.place.position import Place
 from terrainwave.place.units import height_unit
+
+_log = logging.getLogger(__name__)
 
 UPWARDS = ("y", "z")
 # Tries to make a mesh that keeps to its bound in the file, and how much more than the rounding of
@@ -165,6 +168,7 @@ def save_mesh(
         data = writer.write(framed_file, about, Path(path))
     with publish(path, overwrite) as part, storage_errors(f"cannot write {path}"):
         part.file.write(data)
+    _log.info("%s: %d triangles, %d bytes", path, framed.n_triangles, len(data))
     return SavedMesh(
         path=os.fspath(path),
         n_bytes=len(data),

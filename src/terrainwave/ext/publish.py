@@ -5,6 +5,7 @@ the browser. What that needs PROJ for is computed here and written into terrains
 """
 
 import json
+import logging
 import os
 import re
 import shutil
@@ -18,6 +19,7 @@ from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import publish_directory
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveWarning
 from terrainwave.ext.serve.catalog import describe, layer_names
+from terrainwave.extras import with_extra
 from terrainwave.file import TerrainFile
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
@@ -25,6 +27,8 @@ from terrainwave.globe.polynomials import FittedPlaces, fit_places
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.render.look.colorings import AUTO
 from terrainwave.render.look.style import check_sea_level
+
+_log = logging.getLogger(__name__)
 
 # What every such folder has.
 LIST = "terrains.json"
@@ -57,6 +61,7 @@ class PublishedTerrain:
     place_error: float
 
 
+@with_extra("publish")
 def publish_site(
     paths: list[str],
     directory: str | os.PathLike[str],
@@ -122,6 +127,7 @@ def publish_site(
             descriptions.append(
                 describe(name, globe, encoding, sea_level) | {"file": file, "placed": placed}
             )
+            _log.info("%s: %d bytes", file, source.size)
             published.append(PublishedTerrain(name, file, source.size, places.error))
         reporter.report("copying", total, total)
         _write_list(new / LIST, descriptions)

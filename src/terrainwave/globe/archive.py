@@ -4,6 +4,7 @@ The package ``pmtiles`` of the format's authors writes directories and header. T
 order of the format's curve, so that readers take neighbours in one request.
 """
 
+import logging
 import math
 import os
 import warnings
@@ -26,13 +27,15 @@ from terrainwave.arguments import (
 from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import publish
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
-from terrainwave.extras import need
+from terrainwave.extras import need, with_extra
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
 from terrainwave.progress import ProgressCallback, Reporter
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
+
+_log = logging.getLogger(__name__)
 
 # Tiles under work or waiting to be written, per thread.
 _AHEAD = 4
@@ -58,6 +61,7 @@ class ArchivedZoom:
     terrain_error: float
 
 
+@with_extra("pmtiles")
 def write_pmtiles(
     terrain: "TerrainFile",
     target: str | os.PathLike[str],
@@ -154,6 +158,7 @@ def write_pmtiles(
                 reporter.report("writing tiles", n_done, total)
             if written:
                 n_bytes, errors, terrain_errors = zip(*written, strict=True)
+                _log.info("zoom %d: %d tiles, %d bytes", zoom, len(written), sum(n_bytes))
                 summaries.append(
                     ArchivedZoom(zoom, len(written), sum(n_bytes), max(errors), max(terrain_errors))
                 )

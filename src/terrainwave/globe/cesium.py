@@ -8,6 +8,7 @@ lines follow from these alone, so both have the same vertices on it.
 """
 
 import json
+import logging
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -28,6 +29,8 @@ from terrainwave.progress import ProgressCallback, Reporter
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
+
+_log = logging.getLogger(__name__)
 
 LAYER = "layer.json"
 # Tiles under work or waiting to be written, per thread.
@@ -277,6 +280,7 @@ def write_tiles(
                     errors.append(tile.error)
                 n_done += 1
                 reporter.report("writing tiles", n_done, total)
+            _log.info("zoom %d: %d tiles, %d bytes", zoom, n_tiles, n_bytes)
             summaries.append(
                 ZoomSummary(
                     zoom,

@@ -11,6 +11,7 @@ With a budget of triangles the outlines of voids are those of a level that the b
 (`mesh.outlines`): all originals are covered, and small voids may be.
 """
 
+import logging
 import warnings
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -44,6 +45,8 @@ from terrainwave.mesh.sections import mesher_of
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.mesh_distance import deviation_from_bilinear
+
+_log = logging.getLogger(__name__)
 
 # A budget of triangles is met within this ratio of the smallest error, and goes on to the next one
 # while more than a twentieth of it is left.
@@ -235,6 +238,10 @@ class _Extractor(Generic[Made]):
         built = self._build_all(cut, n_most)
         while True:
             failed = sorted(block for block, mesh in built.items() if mesh.error is None)
+            _log.debug(
+                "meshed %d blocks within %g; %d need finer ones",
+                len(built), error * self._quantum, len(failed),
+            )  # fmt: skip
             if not failed:
                 return self._assemble(built)
             if not self._area.is_finest and any(block.level == level for block in failed):

@@ -6,6 +6,7 @@ it cannot read, and what is damaged, is left to that one: it says what is wrong,
 
 import ctypes
 import importlib
+import logging
 import os
 import threading
 import warnings
@@ -24,6 +25,8 @@ from terrainwave.container.sources.ranges import ByteRange
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.forks import renew_after_fork
 from terrainwave.grid.quadtree import Region
+
+_log = logging.getLogger(__name__)
 
 PACKAGE = "terrainwave_native"
 SWITCH = "TERRAINWAVE_NATIVE"  # 0 in the environment: not used
@@ -177,6 +180,7 @@ def installed() -> Library | None:
     if unknown:
         _tell(f"terrainwave-native does not know features {unknown:#x} of the format")
         return None
+    _log.info("the native library reads heights: %s", path)
     return library
 
 

@@ -1,6 +1,7 @@
 """Windows and places of a level as users get them: units decoded in threads, quanta converted."""
 
 import contextlib
+import logging
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -18,6 +19,8 @@ from terrainwave.grid.remainders import restored
 from terrainwave.read.decoder import TreeDecoder, unit_key
 from terrainwave.read.lost import LostUnits
 from terrainwave.read.schedule import run_after_parents
+
+_log = logging.getLogger(__name__)
 
 # Payloads fetched ahead of decoding, in one coalesced request.
 _BATCH = 64
@@ -78,9 +81,11 @@ class WindowReader:
             except CorruptStreamError as error:
                 if on_error == "raise":
                     raise
+                _log.info("read as void: %s", error)
                 self.lost.note(key, error)
 
         keys = decoder.keys(level, region)
+        _log.debug("level %d, window %s: %d units", level, tuple(region), len(keys))
         for first in range(0, len(keys), _BATCH):
             batch = keys[first : first + _BATCH]
             needed = list(dict.fromkeys([*decoder.prefetch(batch), *batch]))

@@ -1,5 +1,6 @@
 """Add meshes to a finished file, without coding its heights again."""
 
+import logging
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -29,6 +30,8 @@ from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.tri.mesh_options import MeshOptions, check_mesh, stored_mesh
 from terrainwave.write.compress_options import taking_former
+
+_log = logging.getLogger(__name__)
 
 
 @taking_former()
@@ -114,6 +117,7 @@ def store_meshes(
         assemble(part.file, header, spools)
         for spool in spools.values():
             spool.close()
+        _log.info("%s: stored meshes of kind %s", dst, header.mesh)
     return os.fspath(dst)
 
 

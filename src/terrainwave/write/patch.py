@@ -11,6 +11,7 @@ come back as it is: where predictions have changed, corrections put it back (FOR
 docs/decisions/0023).
 """
 
+import logging
 import os
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import nullcontext
@@ -45,6 +46,8 @@ from terrainwave.write.patching.index import PatchedIndex
 from terrainwave.write.patching.merged import Merged
 from terrainwave.write.patching.patch_encoder import PatchEncoder
 from terrainwave.write.pyramid import Pyramid
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -157,6 +160,7 @@ def patch(
         else:
             error = patcher.prove(final)
         patcher.close()
+        _log.info("%s: coded %d units, kept %d", path, n_recoded, n_copied)
         scale = abs(terrain.raster_info.scale)
         before, after = (format_of(header) for header in (terrain.header, patcher.header))
     return PatchResult(

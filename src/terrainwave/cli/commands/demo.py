@@ -4,11 +4,13 @@ import click
 
 from terrainwave.cli.options import Directory
 from terrainwave.cli.output import Bar, Command, announce_compiling, plain, print_grid
+from terrainwave.extras import with_extra
 
 
 @click.command(cls=Command)
 @click.argument("directory", type=Directory(), default="terrainwave-demo")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
+@with_extra("demo")
 def demo(directory: str, quiet: bool) -> None:
     """Compress a real elevation model at four bounds, check each, draw a picture; in DIRECTORY."""
     from terrainwave.cli.demo import BOUNDS, run_demo

@@ -20,6 +20,7 @@ from terrainwave.cli.drawing import (
 from terrainwave.cli.options import Input, Target
 from terrainwave.cli.output import Bar, Command, announce_compiling, plain, print_note, reading
 from terrainwave.cli.streams import STREAM, printing_beside, written
+from terrainwave.extras import with_extra
 
 
 @click.command(cls=Command)
@@ -44,6 +45,7 @@ from terrainwave.cli.streams import STREAM, printing_beside, written
               help="Pictures of a flight.")  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace existing files.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
+@with_extra("view")
 def render(
     file: str,
     target: str,

@@ -21,7 +21,7 @@ from terrainwave.cli.options import (
 from terrainwave.cli.output import Command, announce_compiling, message_of, plain_json, print_note
 from terrainwave.cli.signals import Terminated
 from terrainwave.errors import StorageError, TerrainwaveError
-from terrainwave.extras import need
+from terrainwave.extras import need, with_extra
 from terrainwave.names import TILE_ENCODINGS
 
 # A name, an address, all names below one, or any; without a port.
@@ -70,6 +70,7 @@ def _host_names(_: Any, __: Any, names: tuple[str, ...]) -> tuple[str, ...]:
               help="For programs: read names of further files from stdin, one a line, answer each"
               " with one line of JSON, and stop at the end of stdin.")  # fmt: skip
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
+@with_extra("serve")
 def serve(
     files: tuple[str, ...],
     host: str,

@@ -13,6 +13,7 @@ from terrainwave.cli.drawing import (
 )
 from terrainwave.cli.options import Input
 from terrainwave.cli.output import Command, announce_compiling, reading
+from terrainwave.extras import with_extra
 
 
 @click.command(cls=Command)
@@ -25,6 +26,7 @@ from terrainwave.cli.output import Command, announce_compiling, reading
 )
 @click.option("--fullscreen", is_flag=True, help="Fill the screen.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
+@with_extra("view")
 def view(
     file: str,
     camera: str | None,

@@ -11,6 +11,7 @@ bytes are others, and `check_unchanged` says why.
 """
 
 import http.client
+import logging
 import math
 import re
 import socket
@@ -61,6 +62,8 @@ from terrainwave.errors import (
 )
 from terrainwave.extras import need
 from terrainwave.forks import renew_after_fork
+
+_log = logging.getLogger(__name__)
 
 FIRST_REQUEST = 16 * 1024
 TIMEOUT = 30.0  # seconds without a byte
@@ -306,11 +309,14 @@ class HttpSource(MergingSource):
                 if reply.status not in _BUSY:
                     return reply
                 delay = max(delay, min(reply.seconds_to_wait, MAX_WAIT))
+                reason = f"status {reply.status}"
             except _LASTING as error:
                 raise _unreadable(self.name, error) from error
             except (OSError, http.client.HTTPException) as error:
                 if isinstance(error, TerrainwaveError):
                     raise
+                reason = type(error).__name__
+            _log.info("%s: %s, asking again in %g s", self.name, reason, delay)
             self._wait(delay)
         try:
             return self._ask_once(wanted)
@@ -347,6 +353,8 @@ class HttpSource(MergingSource):
         def take(response: Any) -> _Reply:
             reply = _read_reply(response, url.geturl(), wanted, takes_whole=self.size == -1)
             self.n_replies += 1
+            part = "all" if wanted is None else f"bytes {wanted.offset} to {wanted.end}"
+            _log.debug("%s: %s, status %d", self.name, part, reply.status)
             return reply
 
         try:
@@ -506,6 +514,8 @@ class FsspecSource(MergingSource):
                 is_passing = isinstance(error, ConnectionError | TimeoutError)
                 if delay is None or not is_passing or isinstance(error, _LASTING):
                     raise _unreadable(self.name, error) from error
+                reason = type(error).__name__
+                _log.info("%s: %s, asking again in %g s", self.name, reason, delay)
                 time.sleep(delay)
         raise AssertionError("the last attempt returns or raises")
 
@@ -514,6 +524,8 @@ class FsspecSource(MergingSource):
 
     def _read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
         asked = [span for span in spans if span.length]
+        n_bytes = sum(span.length for span in asked)
+        _log.debug("%s: %d ranges, %d bytes", self.name, len(asked), n_bytes)
         replies = self._call(
             self._fs.cat_ranges,
             [self._path] * len(asked),

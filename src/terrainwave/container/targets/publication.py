@@ -3,6 +3,7 @@
 What a killed run leaves behind is removed by the next one, once its lock is free.
 """
 
+import logging
 import os
 import shutil
 import stat
@@ -26,6 +27,8 @@ from terrainwave.container.targets.unfinished import (
     taken,
 )
 from terrainwave.errors import StorageError
+
+_log = logging.getLogger(__name__)
 
 SUFFIX = ".twz-part"
 SCRATCH_SUFFIX = ".twz-scratch"
@@ -82,6 +85,7 @@ def publish(target: str | os.PathLike[str], overwrite: bool = False) -> Iterator
             part.file.close()
         _replace(part.path, final)
         is_published = True
+        _log.debug("wrote %s", final)
         _sync_directory(final.parent)
     finally:
         dispose(part, [] if is_published else created)
@@ -307,6 +311,7 @@ def _replace(part: Path, final: Path) -> None:
             except PermissionError:
                 if not _ON_WINDOWS:
                     raise
+                _log.info("%s is in use, trying again in %g s", final, delay)
                 time.sleep(delay)
                 delay = min(2 * delay, 1.0)
         os.replace(part, final)

@@ -1,5 +1,6 @@
 """Targets by URL: a file is made and proved on this machine, then uploaded as a whole."""
 
+import logging
 import os
 import secrets
 import shutil
@@ -16,6 +17,8 @@ from terrainwave.container.targets.publication import scratch_directory
 from terrainwave.container.targets.unfinished import Part
 from terrainwave.errors import InvalidArgumentError, StorageError, TerrainwaveError
 from terrainwave.extras import need
+
+_log = logging.getLogger(__name__)
 
 # They show a file only once all of it is there; elsewhere it is renamed at the end.
 _OBJECT_STORES = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oss", "oci", "r2"}
@@ -103,6 +106,7 @@ class _Target:
                     self._fs.rm_file(unfinished)
                 raise
         self._fs.invalidate_cache()
+        _log.info("uploaded %s", self.name)
         found, expected = self._call(self._fs.size, self.path), path.stat().st_size
         if found != expected:
             raise StorageError(

@@ -22,6 +22,7 @@ from terrainwave.ext.serve.answers import STATIC, Answers
 from terrainwave.ext.serve.guards import Guarded, guards_of
 from terrainwave.ext.serve.layers import Shelf, open_layers
 from terrainwave.ext.serve.sending import Desk
+from terrainwave.extras import with_extra
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.terrain_rgb import Look
 from terrainwave.place.vertical import note_as_is
@@ -32,6 +33,7 @@ LOCAL_HOSTS = ("127.0.0.1", "localhost", "[::1]")
 _log = logging.getLogger(__name__)
 
 
+@with_extra("serve")
 def make_app(
     paths: list[str],
     *,

@@ -14,7 +14,7 @@ from terrainwave.arguments import PICTURE_ENDINGS, check_ending
 from terrainwave.container.targets.publication import publish
 from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.export.plot import add_colour_bar, colours_of_heights, label_axes
-from terrainwave.extras import need
+from terrainwave.extras import need, with_extra
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.place.bodies import EARTH
 from terrainwave.place.position import axis_labels
@@ -107,6 +107,7 @@ def plot(terrain: "TerrainFile", ax: Any, *, cmap: str | None, shade: float, bou
     return ax
 
 
+@with_extra("view")
 def view(
     terrain: "TerrainFile",
     *,

@@ -1,0 +1,154 @@
+"""The library's logs: named after its modules, and silent until somebody asks for them."""
+
+import ast
+import logging
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ext.static_server import static_server
+from rasterio.transform import Affine
+from strategies import terrain_like, write_geotiff
+
+import terrainwave
+from terrainwave.ext.publish import publish_site
+from terrainwave.globe.archive import write_pmtiles
+from terrainwave.globe.cesium import write_tiles
+
+REPOSITORY = Path(__file__).parent.parent
+PACKAGE = REPOSITORY / "src" / "terrainwave"
+TRANSFORM = Affine(0.01, 0, 8, 0, -0.01, 46)
+
+
+@pytest.fixture(scope="module")
+def twz(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs")
+    write_geotiff(
+        folder / "dem.tif", terrain_like(40, 50), units=("m",), crs="EPSG:4326",
+        transform=TRANSFORM,
+    )  # fmt: skip
+    terrainwave.compress(folder / "dem.tif", folder / "dem.twz", max_error=1, block=32)
+    return folder / "dem.twz"
+
+
+def mended(folder, twz):
+    """Return a copy to patch, and what to patch it with."""
+    heights = terrain_like(40, 50)
+    heights[3, 4] += 2
+    copy, newer = folder / "copy.twz", folder / "newer.tif"
+    copy.write_bytes(twz.read_bytes())
+    write_geotiff(newer, heights, units=("m",), crs="EPSG:4326", transform=TRANSFORM)
+    return copy, newer
+
+
+def over_http(twz, folder):
+    (folder / "site").mkdir()
+    (folder / "site" / "dem.twz").write_bytes(twz.read_bytes())
+    with static_server(folder / "site") as server:
+        opened(f"{server.address}/dem.twz", lambda terrain: terrain.read())
+
+
+def opened(twz, do):
+    with terrainwave.open(twz, native=False) as terrain:
+        return do(terrain)
+
+
+WHAT = {
+    "compress": (
+        lambda twz, folder: terrainwave.compress(
+            np.arange(1600.0).reshape(40, 40), folder / "a.twz", max_error=1
+        ),
+        {"write.compress", "container.targets.publication"},
+    ),
+    "read": (
+        lambda twz, folder: opened(twz, lambda terrain: terrain.read()),
+        {"read.window_reader", "container.reader"},
+    ),
+    "patch": (
+        lambda twz, folder: terrainwave.patch(*mended(folder, twz)),
+        {"write.patch", "container.targets.publication"},
+    ),
+    "store": (
+        lambda twz, folder: terrainwave.store_meshes(twz, folder / "b.twz"),
+        {"write.meshes"},
+    ),
+    "lods": (
+        lambda twz, folder: terrainwave.save_lods(twz, folder / "a.obj", 2, max_error=4),
+        {"lods", "mesh.area", "export.mesh_files"},
+    ),
+    "tiles": (
+        lambda twz, folder: opened(twz, lambda it: write_tiles(it, folder / "tiles", max_zoom=1)),
+        {"globe.cesium"},
+    ),
+    "archive": (
+        lambda twz, folder: opened(twz, lambda it: write_pmtiles(it, folder / "a.pmtiles")),
+        {"globe.archive"},
+    ),
+    "publish": (lambda twz, folder: publish_site([str(twz)], folder / "out"), {"ext.publish"}),
+    "http": (over_http, {"container.sources.url"}),
+}
+
+
+@pytest.mark.filterwarnings("ignore::terrainwave.TerrainwaveWarning")
+@pytest.mark.parametrize("what", WHAT)
+def test_what_happens_is_logged_by_the_module_it_happens_in(caplog, tmp_path, twz, what):
+    do, expected = WHAT[what]
+    with caplog.at_level(logging.DEBUG, logger="terrainwave"):
+        do(twz, tmp_path)
+    names = {record.name for record in caplog.records}
+    assert {f"terrainwave.{name}" for name in expected} <= names
+    assert all(find_spec(name) is not None for name in names)
+    assert all("\n" not in record.getMessage() for record in caplog.records)
+    assert {record.levelno for record in caplog.records} <= {logging.DEBUG, logging.INFO}
+
+
+def run(code, *words):
+    command = [sys.executable, "-c", code, *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, check=True)
+
+
+READ = """
+import sys, logging
+CONFIGURE
+import terrainwave
+with terrainwave.open(sys.argv[1], native=False) as terrain:
+    terrain.read()
+logging.getLogger("terrainwave.ext.serve.app").warning("a warning")
+"""
+
+
+def test_nothing_is_printed_and_nothing_changed_unless_asked(twz):
+    check = "before = logging.root.handlers[:], logging.root.level"
+    after = "assert before == (logging.root.handlers, logging.root.level)"
+    level = 'assert logging.getLogger("terrainwave").level == logging.NOTSET'
+    done = run(READ.replace("CONFIGURE", check) + f"{after}\n{level}\n", twz)
+    assert (done.stdout, done.stderr) == ("", "")
+
+
+def test_debug_shows_names_of_modules(twz):
+    configure = """
+logging.basicConfig(format="%(name)s %(levelname)s")
+logging.getLogger("terrainwave").setLevel(logging.DEBUG)
+"""
+    done = run(READ.replace("CONFIGURE", configure), twz)
+    assert "terrainwave.read.window_reader DEBUG" in done.stderr.splitlines()
+
+
+def test_every_logger_is_named_after_its_module():
+    """By `__name__`, but for the one of uvicorn that is filtered."""
+    found = {}
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "getLogger":
+                name = str(path.relative_to(PACKAGE).with_suffix("")).replace("/", ".")
+                found.setdefault(name, []).append(ast.unparse(node.args[0]))
+    assert found.pop("ext.serve.client_limits") == ["'uvicorn.error'"]
+    assert {name: calls for name, calls in found.items() if calls != ["__name__"]} == {}
+    # The page lists all of them, and no other.
+    page = (REPOSITORY / "docs" / "logging.md").read_text(encoding="utf-8")
+    table = page.partition("| logger |")[2]
+    listed = {part for part in table.split("`")[1::2] if part.startswith("terrainwave.")}
+    assert listed == {f"terrainwave.{name}" for name in found if name != "__init__"}
