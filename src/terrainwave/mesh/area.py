@@ -43,7 +43,6 @@ from terrainwave.mesh.outlines import CoveredSamples, finest_outline
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
-from terrainwave.tri.mesh_distance import deviation_from_bilinear
 
 # A budget of triangles is met within this ratio of the smallest error, and goes on to the next one
 # while more than a twentieth of it is left.
@@ -171,26 +170,24 @@ class _Extractor(Generic[Made]):
                 )
             return self._mesh_within(self._errors.coded + max(self._errors.coded, Fraction(1)))
         blocks = sorted(self._area.blocks(self._area.level))
-        pieces = {block: self._errors.stored_piece(block, self._mesher) for block in blocks}
         if self._area.is_finest and self._area.sweeps:
+            pieces = {block: self._errors.stored_piece(block, self._mesher) for block in blocks}
             return self._assemble(self._build_all(Cut(self._area, pieces)))
 
         def build(block: Block) -> MeshedBlock:
-            return MeshedBlock(self._mesher.mesh(block), pieces[block].error)
+            mesh = self._mesher.mesh(block)
+            return MeshedBlock(mesh, self._errors.of_mesh(block, mesh, self._mesher))
 
         return self._assemble(dict(self._each(build, blocks)))
 
     def loose_mesh(self) -> Made:
         """Return the mesh of the zero trees alone, with the error that it turns out to have."""
         level = self._area.level
-        stride = self._grid.stride(level)
         meshes = LooseMesher(self._terrain).meshes(self._area.blocks(level), self._executor.map)
 
         def measured(block: Block) -> MeshedBlock:
-            samples, mesh = self._fitter.samples_of(block), meshes[block]
-            apart = deviation_from_bilinear(mesh, stride, samples.heights, samples.mask)
-            error = self._errors.heights(block) + Fraction(apart, 1 << FRACTION_BITS)
-            return MeshedBlock(mesh, error)
+            error = self._mesher.derived_error(block, meshes[block])
+            return MeshedBlock(meshes[block], Fraction(error, 1 << FRACTION_BITS))
 
         return self._assemble(dict(self._each(measured, list(meshes))))
 
