@@ -71,6 +71,17 @@ def terrain(kind, shape, seed):
         return (row * phase[0] - col * phase[1]) / (sum(shape) * 60)
     if kind == "steps":
         return np.floor(6 * smooth) / 6
+    if kind == "ridges":
+        # Askew: coarse samples miss their tops, or meet them, and meshes rise above both.
+        folds = 0.4 * np.abs((row + 2 * col) % 23 - 11) / 11, np.abs((3 * row - col) % 37 - 18) / 18
+        return folds[0] + 0.6 * folds[1]
+    if kind == "roofs":
+        # Ridges two samples wide of the level with a quarter of the samples, which has no error of
+        # its own; between two such samples, a vertex that meets both slopes lies above them. All on
+        # a slope: no vertex is higher than the highest sample.
+        knots = np.arange(0, sum(shape) + 8, 4)
+        folds = (np.interp(at, knots, knots // 8 % 2) for at in (row, col))
+        return next(folds) + 0.25 * next(folds) + row / 20
     if kind == "graded":
         # Curved everywhere, so that long border lines have vertices, and rough in one corner.
         far = np.hypot(row / shape[0] - rng.choice([0, 1]), col / shape[1] - rng.choice([0, 1]))

@@ -45,8 +45,8 @@ OF_VOIDS = {"on_error": WORD, "voids": WORD}
 
 WRONG = {
     "compress": OF_RASTERS | OF_CODING | OF_FILES | {
-        "dst": PATH, "mesh_error": NUMBER, "keep_origin": FLAG, "temp_dir": PATH,
-        "task_samples": WHOLE, "client": ANYTHING,
+        "dst": PATH, "mesh_error": NUMBER, "measure_meshes": FLAG, "keep_origin": FLAG,
+        "temp_dir": PATH, "task_samples": WHOLE, "client": ANYTHING,
     },
     "compress_to_bytes": {name: OF_RASTERS[name] for name in ("src", "nodata", "georeference")}
     | OF_CODING,

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from terrainwave.render.window.static import Picture
     from terrainwave.tri.block_mesh import BlockMesh
 
+_NO_MESHES = "the file has no meshes: add them with terrainwave mesh"
+
 
 class Terrain(TerrainFile):
     """An open .twz file: windows of heights at any level, meshes, pictures; decoded on demand.
@@ -120,12 +122,31 @@ class Terrain(TerrainFile):
         Rows and columns count from the block's first sample. The mesh may extend past the raster.
         """
         if self.mesh_kind == "none":
-            raise InvalidHeightsError("the file has no meshes: add them with terrainwave mesh")
+            raise InvalidHeightsError(_NO_MESHES)
         if not isinstance(block, Block) or not self.grid.contains(block):
             raise InvalidArgumentError(
                 f"found `block` {shown(block)}, expected a Block of the file's levels"
             )
         return self._mesher.mesh(block)
+
+    def mesh_error(self, block: Block) -> float:
+        """Return a bound of the error of a block's mesh, in physical units.
+
+        No valid original that the mesh covers is further from it. The file's, or where it does not
+        state any (`compress`, `measure_meshes`) one that follows from the mesh, which is then made.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If the file has no meshes.
+        """
+        if self.mesh_kind == "none":
+            raise InvalidHeightsError(_NO_MESHES)
+        stored = self.stored_mesh_error(block)
+        if stored is not None:
+            return stored
+        sixteenths = self._mesher.derived_error(block, self._mesher.mesh(block))
+        return sixteenths / 16 * self.quantizer.quantum * abs(self.raster_info.scale)
 
     # To other libraries.
 

@@ -419,9 +419,13 @@ def with_mesh_code(path, target, block, code):
 @pytest.mark.large
 @pytest.mark.parametrize("level", [0, 1, 2])
 def test_an_understated_error_is_found(level, tmp_path):
-    case = make_case("rough patch", "none", (100, 100), 2, amplitude=900.0, max_error=3, block=32)
+    case = make_case(
+        "rough patch", "none", (100, 100), 2, amplitude=900.0, max_error=3, block=32,
+        measure_meshes=True,
+    )  # fmt: skip
     path = write_case(case, tmp_path)
     with terrainwave.open(path) as terrain:
+        assert terrain.has_measured_meshes
         block = max(
             (b for b in terrain.grid.blocks(level)),
             key=lambda b: terrain.container.codes(b)[3],

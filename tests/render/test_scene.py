@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mesh_cases import terrain as mesh_terrain
 from render.scenes import (
     ListStore,
     apart_on_screen,
@@ -15,6 +16,7 @@ from render.scenes import (
 
 from terrainwave.errors import CorruptStreamError, LimitExceededError
 from terrainwave.mesh.sections import mesher_of
+from terrainwave.render.modes.bounded import MORPH_START
 from terrainwave.render.paging.motion import AHEAD, Motion
 from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import Camera, Viewport, fly, focal_length, home, look, project
@@ -23,6 +25,11 @@ from terrainwave.render.scene.selection import Piece
 pytestmark = pytest.mark.large
 
 VIEWPORT = Viewport(480, 320)
+
+
+def folds(shape, amplitude):
+    """Ridges above which meshes of coarse levels rise (`mesh_cases.terrain`)."""
+    return np.round(amplitude * mesh_terrain("ridges", shape, 0)).astype(np.int16)
 
 
 def rasters():
@@ -36,6 +43,8 @@ def rasters():
         "voids": (with_voids, {"max_error": 2, "nodata": -32768}),
         "floats": (smooth, {"max_error": 0.5}),
         "trees": (smooth, {"max_error": 0.5, "method": "cdf97", "mesh": "zerotree"}),
+        "measured": (rough, {"max_error": 0, "measure_meshes": True}),
+        "ridges": (folds((161, 129), 60), {"max_error": 1, "block": 32}),
         "no meshes": (rough[:100, :90], {"max_error": 1, "mesh": "none"}),
     }
 
@@ -122,7 +131,7 @@ def test_a_flat_raster_is_shown_by_a_sample_for_each_pixel_and_within_tau(mode):
 def test_paper_errors_follow_equations_2_and_3():
     """Err = max Err of the children + Err_Int + δ, plus Err_Tri; checked sample by sample."""
     heights = np.round(hills(70, 90, 11)).astype(np.int16)
-    with terrain_of(heights, max_error=2) as terrain:
+    with terrain_of(heights, max_error=2, measure_meshes=True) as terrain:
         builder = Scene(terrain, ListStore(), error="paper").mode.builder
         grid, delta = terrain.grid, terrain.effective_error
 
@@ -149,6 +158,41 @@ def test_paper_errors_follow_equations_2_and_3():
                 assert error == pytest.approx(appr(block) + tolerance)
                 # What is measured is less: an upper bound stays one.
                 assert error >= terrain.mesh_error(block) - 1e-9
+
+
+def test_a_block_whose_mesh_is_worse_than_was_thought_is_split():
+    with terrain_of(folds((129, 129), 160), max_error=0, block=32) as terrain:
+        with Scene(terrain, ListStore()) as scene:
+            view = scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT, 1000.0)
+            (root,) = scene.table.roots.tolist()
+            thought = scene.table.errors[root]
+            frames = scene.settle(view)
+            assert frames.nodes.tolist() == [root]
+            derived = scene.table.errors[root]
+            assert derived > 1.3 * thought > 0
+            between = np.array([(thought + derived) / 2])
+            tau = MORPH_START * scene.table.on_screen(view, frames.nodes, between)[0]
+        with Scene(terrain, ListStore()) as scene:
+            view = scene.view(view.camera, VIEWPORT, tau)
+            assert scene.table.are_fine(view, scene.table.roots, tau / MORPH_START).all()
+            frames = scene.settle(view)
+            assert root not in frames.nodes.tolist()
+            assert scene.drawn_error(view, frames) <= view.max_pixel_error * (1 + 1e-9)
+
+
+def test_boxes_of_pieces_reach_as_far_as_their_errors_once_these_are_known():
+    with (
+        terrain_of(folds((129, 129), 160), max_error=0, block=32) as terrain,
+        Scene(terrain, ListStore()) as scene,
+    ):
+        scene.settle(scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT, 0.05))
+        table = scene.table
+        coarse = [n for n in scene.store.patches if table.pieces[n].level < terrain.n_levels - 1]
+        assert len(coarse) == 5
+        for node in coarse:
+            low, high = terrain.block_box(table.pieces[node].block)
+            assert table.low[node, 2] <= low - table.errors[node] + 1e-6
+            assert table.high[node, 2] >= high + table.errors[node] - 1e-6
 
 
 def test_a_morph_never_takes_more_than_the_error_leaves(original_and_terrain):

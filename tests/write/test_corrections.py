@@ -181,7 +181,7 @@ def test_patches_move_nothing_beside_them(tmp_path, name, method, n_patches):
     ],
 )
 def test_errors_of_stored_meshes_hold_after_patches(tmp_path, method, mesh, n_patches):
-    patched = Patched(tmp_path, "voids", method=method, mesh=mesh)
+    patched = Patched(tmp_path, "voids", method=method, mesh=mesh, measure_meshes=True)
     for _ in range(n_patches):
         patched.check(patched.patch())
         patched.write(tmp_path / "all.tif", patched.heights)

@@ -75,6 +75,13 @@ def test_meshes_are_those_of_a_local_run(tmp_path, cluster, mesh):
 
 
 @pytest.mark.large
+@pytest.mark.parametrize("name", ["voids", "strip"])
+def test_measured_meshes_are_those_of_a_local_run(tmp_path, cluster, name):
+    here, there = both(tmp_path, cluster, name, measure_meshes=True)
+    assert there == here
+
+
+@pytest.mark.large
 @pytest.mark.parametrize("method", ["rapid", "predictive", "cdf97", "store"])
 def test_other_methods_give_the_bytes_of_a_local_run(tmp_path, cluster, method):
     here, there = both(tmp_path, cluster, "voids", method=method, border_rings=3, mesh="none")

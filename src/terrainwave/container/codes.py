@@ -1,5 +1,9 @@
 """The eight-bit codes of errors and boxes of blocks (FORMAT.md §4.4)."""
 
+# Of a mesh above the finest level: nobody has measured its error, and whoever makes the mesh finds
+# a bound. As an error it is more than any mesh can have, as the format asks (FORMAT.md §4.4).
+UNMEASURED = 255
+
 
 # An error code c stands for (8 + c % 8) * 2^(c // 8) / 8, rounded down: eight steps an octave.
 def encode_error(error: int) -> int:

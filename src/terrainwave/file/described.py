@@ -21,13 +21,12 @@ from terrainwave.arguments import (
     in_one_line,
 )
 from terrainwave.codec.registry import check_file_tables, check_layout
-from terrainwave.container.codes import decode_error, decode_range
+from terrainwave.container.codes import UNMEASURED, decode_error, decode_range
 from terrainwave.container.header import LAYOUT_FEATURES, Header
 from terrainwave.container.parts import Parts, parts_of
 from terrainwave.container.reader import Container
 from terrainwave.container.sources.addresses import display_name
 from terrainwave.container.sources.opening import open_source
-from terrainwave.errors import InvalidHeightsError
 from terrainwave.file.callable_transform import CallableTransform
 from terrainwave.grid.affine import bounds, coordinates, is_turned, of_level, pixel_size
 from terrainwave.grid.quadtree import Block, Region
@@ -333,19 +332,21 @@ class DescribedFile:
         """Return the kind of the file's meshes, ``"none"`` if it has none."""
         return self.header.mesh
 
-    def mesh_error(self, block: Block) -> float:
+    @property
+    def has_measured_meshes(self) -> bool:
+        """Say whether the file states errors of the meshes of all its levels."""
+        if self.mesh_kind == "none":
+            return False
+        return not (self.container.segment(None).page.codes[:, 3] == UNMEASURED).any()
+
+    def stored_mesh_error(self, block: Block) -> float | None:
         """Return the stored error of a block's mesh, an upper bound, in physical units.
 
-        No valid original that the mesh covers is further from it.
-
-        Raises
-        ------
-        InvalidHeightsError
-            If the file has no meshes.
+        No valid original that the mesh covers is further from it. None if the file does not say.
         """
-        if self.mesh_kind == "none":
-            raise InvalidHeightsError("the file has no meshes: add them with terrainwave mesh")
-        code = self.container.codes(block)[3]
+        code = UNMEASURED if self.mesh_kind == "none" else self.container.codes(block)[3]
+        if code == UNMEASURED:
+            return None
         return decode_error(code) * self.quantizer.quantum * abs(self._raster.scale)
 
     def level_errors(self) -> list[float]:

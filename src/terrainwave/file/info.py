@@ -53,6 +53,7 @@ class Info:
     border_rings: int
     mesh: str
     mesh_tolerance: float
+    measured_meshes: bool
     n_levels: int
     level_shapes: tuple[tuple[int, int], ...]
     crs: str | None
@@ -80,7 +81,7 @@ class Info:
 
 
 def info_of(terrain: DescribedFile) -> Info:
-    """Return a summary of the file, from its header alone."""
+    """Return a summary of the file, from its header and its first index page."""
     header, raster = terrain.header, terrain.raster_info
     n_samples = header.n_rows * header.n_cols
     quantum = terrain.quantizer.quantum * abs(raster.scale)
@@ -116,6 +117,7 @@ def info_of(terrain: DescribedFile) -> Info:
         border_rings=header.border_rings,
         mesh=header.mesh,
         mesh_tolerance=header.mesh_tolerance / 16 * quantum,
+        measured_meshes=terrain.has_measured_meshes,
         n_levels=terrain.n_levels,
         level_shapes=tuple(terrain.grid.level_shape(level) for level in range(terrain.n_levels)),
         crs=raster.crs,

@@ -18,12 +18,14 @@ class BlockStats:
 
     In quanta; an empty block (all void) has ``z_low > z_high``. `apart`, in 1/4 quanta, is how far
     the next level is from the block's surface (`distance_of_children`), where that is asked for.
+    `has_mesh`: its decoded samples have triangles.
     """
 
     z_low: int = 1 << 31
     z_high: int = -(1 << 31)
     error: int = 0
     apart: int = 0
+    has_mesh: bool = False
 
     @property
     def is_empty(self) -> bool:
@@ -36,6 +38,7 @@ class BlockStats:
         self.z_high = max(self.z_high, other.z_high)
         self.error = max(self.error, other.error)
         self.apart = max(self.apart, other.apart)
+        self.has_mesh |= other.has_mesh
 
 
 def with_outside(heights: Heights, n_rows: int, n_cols: int) -> Heights:

@@ -44,7 +44,6 @@ from terrainwave.mesh.outlines import CoveredSamples, finest_outline
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
-from terrainwave.tri.mesh_distance import deviation_from_bilinear
 
 _log = logging.getLogger(__name__)
 
@@ -178,19 +177,19 @@ class _Extractor(Generic[Made]):
                 )
             return self._mesh_within(self._errors.coded + max(self._errors.coded, Fraction(1)))
         blocks = sorted(self._area.blocks(self._area.level))
-        pieces = {block: self._errors.stored_piece(block, self._mesher) for block in blocks}
         if self._area.is_finest and self._area.sweeps:
+            pieces = {block: self._errors.stored_piece(block, self._mesher) for block in blocks}
             return self._assemble(self._build_all(Cut(self._area, pieces)))
 
         def build(block: Block) -> MeshedBlock:
-            return MeshedBlock(self._mesher.mesh(block), pieces[block].error)
+            mesh = self._mesher.mesh(block)
+            return MeshedBlock(mesh, self._errors.of_mesh(block, mesh, self._mesher))
 
         return self._assemble(dict(self._each(build, blocks)))
 
     def loose_mesh(self) -> Made:
         """Return the mesh of the zero trees alone, with the error that it turns out to have."""
         level = self._area.level
-        stride = self._grid.stride(level)
         for n_steps in range(_MOST_STEPS + 1):
             loose = LooseMesher(self._terrain, n_steps)
             meshes = loose.meshes(self._area.blocks(level), self._executor.map)
@@ -201,10 +200,8 @@ class _Extractor(Generic[Made]):
                 break
 
         def measured(block: Block) -> MeshedBlock:
-            samples, mesh = self._fitter.samples_of(block), meshes[block]
-            apart = deviation_from_bilinear(mesh, stride, samples.heights, samples.mask)
-            error = self._errors.heights(block) + Fraction(apart, 1 << FRACTION_BITS)
-            return MeshedBlock(mesh, error)
+            error = self._mesher.derived_error(block, meshes[block])
+            return MeshedBlock(meshes[block], Fraction(error, 1 << FRACTION_BITS))
 
         made = self._assemble(dict(self._each(measured, list(meshes))))
         made.attributes["share"] = share if n_covered else None

@@ -6,7 +6,7 @@ and, for the kinds of `tri.stored_kinds`, the block's bytes in the mesh sections
 
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor
 from fractions import Fraction
 from functools import partial
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
 from terrainwave.codec.refiner import Heights, Mask
-from terrainwave.container.codes import decode_error, encode_error
+from terrainwave.container.codes import UNMEASURED, decode_error, encode_error
 from terrainwave.container.header import MAX_MESH_TOLERANCE
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.block_stats import with_outside
@@ -30,13 +30,17 @@ from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh, no_mesh
 from terrainwave.tri.halves.borders import beside_void, vertices_of_lines
 from terrainwave.tri.halves.halves import Lines, triangulate
-from terrainwave.tri.mesh_distance import largest_deviation
+from terrainwave.tri.mesh_distance import deviation_from_bilinear, largest_deviation
 from terrainwave.tri.stored_kinds import STORED_KINDS, has_triangles
 from terrainwave.tri.zerotree.labels import Trees
 
 # Of a coarse block's error against the originals, the share its mesh may add (Y10 §2.8).
 _MESH_SHARE = 4
 _MAX_TOLERANCE = 1 << 40
+# Of meshes that are made for views, above the finest level: by how much they are looser, and how
+# far vertices between samples may be from the bilinear surface, in tolerances (decision 29).
+_LOOSER = 2
+_LEASH = Fraction(3, 2)
 _CACHED_MESHES = 64
 
 ErrorCode = Callable[[Block], int]
@@ -182,10 +186,7 @@ class BlockMesher:
 
     def _full_shape(self, block: Block) -> tuple[int, int]:
         """Return the block's numbers of samples with those past the raster's edge."""
-        grid, stride = self._grid, self._grid.stride(block.level)
-        n_rows = min(grid.block, -(-(grid.n_rows - 1) // stride) - block.row * grid.block) + 1
-        n_cols = min(grid.block, -(-(grid.n_cols - 1) // stride) - block.col * grid.block) + 1
-        return n_rows, n_cols
+        return full_shape(self._grid, block)
 
     def stored_samples(self, block: Block) -> StoredSamples:
         """Return the samples of a block, with the zero trees that its stored mesh follows."""
@@ -255,9 +256,33 @@ class BlockMesher:
         return {block: max(code, self._sum_code(block)) for block, code in codes.items()}
 
     def _sum_code(self, block: Block) -> int:
-        """Return the code of Err_Appr + Err_Tri, rounded up."""
-        own = decode_error(self._error_code(block)) << FRACTION_BITS
-        return encode_error(-(-(own + self.tolerance(block)) // (1 << FRACTION_BITS)))
+        return _sum_code(self._error_code(block), self.tolerance(block))
+
+    def derived_error(self, block: Block, mesh: BlockMesh) -> int:
+        """Return a bound for a mesh of a coarse block that nobody has measured, in 1/16 quanta.
+
+        The block's own error, from the originals, and how far the mesh is from the surface that
+        this error is of. Own error and tolerance are no bound: between samples, meshes are further
+        from the surface than at samples.
+        """
+        samples = self.samples(block)
+        apart = deviation_from_bilinear(mesh, samples.heights, samples.mask)
+        return (decode_error(self._error_code(block)) << FRACTION_BITS) + apart
+
+    def view_tolerance(self, block: Block) -> int:
+        """Return the tolerance of `view_mesh`, in 1/16 quanta."""
+        own = self.tolerance(block)
+        return own if block.level == self._grid.k_max else min(_LOOSER * own, _MAX_TOLERANCE)
+
+    def view_mesh(self, block: Block) -> BlockMesh:
+        """Return a mesh of a coarse block that takes few triangles for its `derived_error`.
+
+        Of kind `halves`, whatever the file's kind is, and not the file's mesh.
+        """
+        sides = (min(_LOOSER * side, _MAX_TOLERANCE) for side in self.side_tolerances(block))
+        tolerance, samples = self.view_tolerance(block), self.samples(block)
+        lines = border_lines(samples, SideTolerances(*sides), self._grid.block)
+        return triangulate(*samples, lines, tolerance, leash=int(_LEASH * tolerance))
 
     def mesh(self, block: Block) -> BlockMesh:
         """Return the block's stored mesh; places count from the block's first sample.
@@ -296,6 +321,20 @@ class BlockMesher:
                 raise CorruptStreamError(f"{block} has no mesh, but bytes of one")
             return no_mesh()
         return STORED_KINDS[self.kind].mesh(samples, self.tolerance(block), data)
+
+
+def full_shape(grid: Grid, block: Block) -> tuple[int, int]:
+    """Return a block's numbers of rows and columns with those past the raster's edge."""
+    stride = grid.stride(block.level)
+    n_rows = min(grid.block, -(-(grid.n_rows - 1) // stride) - block.row * grid.block) + 1
+    n_cols = min(grid.block, -(-(grid.n_cols - 1) // stride) - block.col * grid.block) + 1
+    return n_rows, n_cols
+
+
+def has_mesh(grid: Grid, block: Block, mask: Mask) -> bool:
+    """Say whether a block has a mesh, of the validity of its samples inside the raster."""
+    outside = [(0, n - own) for n, own in zip(full_shape(grid, block), mask.shape, strict=True)]
+    return has_triangles(np.pad(mask, outside, mode="edge"))
 
 
 def _with_outside_mask(beyond: Mask, n_outside: int) -> Mask:
@@ -338,6 +377,33 @@ def mesh_tolerance(error: Fraction, quantum: Fraction) -> int:
 
 
 # Errors
+
+
+def _sum_code(error_code: int, tolerance: int) -> int:
+    """Return the code of Err_Appr + Err_Tri, rounded up."""
+    own = decode_error(error_code) << FRACTION_BITS
+    return encode_error(-(-(own + tolerance) // (1 << FRACTION_BITS)))
+
+
+def unmeasured_codes(
+    grid: Grid, meshed: Iterable[Block], errors: Mapping[Block, int], tolerance: int
+) -> dict[Block, int]:
+    """Return the codes of errors of meshes that nobody has made, of the blocks that have one.
+
+    On the finest level own error and tolerance are a bound. On coarse ones they are none: codes
+    leave it to who makes the mesh (`BlockMesher.derived_error`).
+
+    Parameters
+    ----------
+    errors : mapping
+        Error codes of blocks.
+    tolerance : int
+        Of the finest meshes, in 1/16 quanta.
+    """
+    return {
+        block: _sum_code(errors[block], tolerance) if block.level == grid.k_max else UNMEASURED
+        for block in meshed
+    }
 
 
 def mesh_codes(errors: dict[Block, int], lost: Fraction) -> dict[Block, int]:

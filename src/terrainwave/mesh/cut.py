@@ -15,11 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.container.codes import decode_error
+from terrainwave.container.codes import UNMEASURED, decode_error
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.mesh.blocks import BlockMesher, BlockSamples, SideTolerances
-from terrainwave.tri.block_mesh import FRACTION_BITS
+from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 
 # Coarse blocks whose heights take at most this share of the error asked for are not refined.
 _COARSE_SHARE = 4
@@ -125,7 +125,6 @@ class Errors:
     def __init__(self, terrain: TerrainFile, area: Area) -> None:
         header = terrain.header
         self._container, self._grid, self._area = terrain.container, terrain.grid, area
-        self._has_meshes = header.mesh != "none"
         # What the codec and patches take.
         self.coded = Fraction(header.coded_error) + Fraction(header.rho) / header.quantum
 
@@ -151,12 +150,17 @@ class Errors:
         return CutBlock(own, SideTolerances(*sides), self.heights(block), error)
 
     def stored_piece(self, block: Block, mesher: BlockMesher) -> CutBlock:
-        """Return a block as the file's meshes have it."""
+        """Return a finest block as the file's meshes have it."""
         tolerance = mesher.tolerance(block)
-        error = Fraction(decode_error(self._container.codes(block)[3]))
-        if block.level == self._grid.k_max and (self._area.sweeps or not self._has_meshes):
-            error = self.coded + Fraction(tolerance, 1 << FRACTION_BITS)
+        error = self.coded + Fraction(tolerance, 1 << FRACTION_BITS)
         return CutBlock(tolerance, mesher.side_tolerances(block), self.heights(block), error)
+
+    def of_mesh(self, block: Block, mesh: BlockMesh, mesher: BlockMesher) -> Fraction:
+        """Return a bound of the error of a block's own mesh: the file's, if it states any."""
+        code = self._container.codes(block)[3]
+        if code != UNMEASURED:
+            return Fraction(decode_error(code))
+        return Fraction(mesher.derived_error(block, mesh), 1 << FRACTION_BITS)
 
     def _left_over(self, block: Block, error: Fraction) -> int:
         """Return the tolerance that a block's heights leave of an error, in 1/16 quanta."""

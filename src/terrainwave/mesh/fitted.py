@@ -56,10 +56,10 @@ class BlockFitter:
             # Samples on a coarser neighbour's border keep to the error, not to the tolerance.
             error = piece.heights_error + Fraction(measured, 1 << FRACTION_BITS)
             return MeshedBlock(mesh, min(error, piece.error))
-        stride, tolerance = self._grid.stride(block.level), piece.tolerance
+        tolerance = piece.tolerance
         for _ in range(_TRIES if block.level == self._area.level else 1):
             mesh = self._triangulated(block, samples, lines, tolerance)
-            measured = deviation_from_bilinear(mesh, stride, samples.heights, samples.mask)
+            measured = deviation_from_bilinear(mesh, samples.heights, samples.mask)
             if measured <= piece.tolerance:
                 error = piece.heights_error + Fraction(measured, 1 << FRACTION_BITS)
                 return MeshedBlock(mesh, error)

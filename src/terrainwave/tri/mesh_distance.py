@@ -1,5 +1,7 @@
 """How far samples are from a mesh, measured at every sample it covers."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -146,12 +148,12 @@ def _largest_deviation(rows, cols, heights, triangles, stride, samples, mask, fi
 
 
 def deviation_from_bilinear(
-    mesh: BlockMesh, stride: int, heights: NDArray[np.int32], mask: NDArray[np.bool_]
+    mesh: BlockMesh, heights: NDArray[np.int32], mask: NDArray[np.bool_]
 ) -> int:
     """Return the largest distance of a mesh from its samples' bilinear surface, rounded up.
 
-    Looked at are the places of all full-grid samples, `stride` per sample of the mesh's level, in
-    cells without voids: with the error of the bilinear surface this bounds the error of the mesh.
+    At valid samples, and everywhere in cells without voids: with the error of the bilinear surface
+    this bounds the error of the mesh, whatever lies between the samples.
 
     Parameters
     ----------
@@ -162,32 +164,35 @@ def deviation_from_bilinear(
     -------
     int
         In 1/16 quanta.
+
+    Notes
+    -----
+    In a triangle's part of a cell the distance is a saddle: it is largest on the edge of that part,
+    and along lines of the grid at their ends. So samples and the edges of triangles are looked at,
+    along which the distance is a parabola from one line of the grid to the next.
     """
     whole = mask[:-1, :-1] & mask[:-1, 1:] & mask[1:, :-1] & mask[1:, 1:]
-    return int(
-        _largest_from_bilinear(
-            mesh.rows, mesh.cols, mesh.heights, mesh.triangles, stride, heights, whole
-        )
-    )
+    arrays = mesh.rows, mesh.cols, mesh.heights, mesh.triangles
+    at_samples = _largest_at_samples(*arrays, heights, mask)
+    along_edges = _largest_along_edges(*arrays, heights, whole)
+    return math.ceil(max(at_samples, along_edges) + _ROUNDING)
 
 
 @kernel
-def _largest_from_bilinear(rows, cols, heights, triangles, stride, samples, is_whole):
-    n_rows, n_cols = is_whole.shape
+def _largest_at_samples(rows, cols, heights, triangles, samples, mask):
     largest = 0.0
-    share = float(1 << FRACTION_BITS) / (float(stride) * float(stride))
     for t in range(triangles.shape[0]):
         p_0, p_1, p_2 = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        row_0, col_0 = np.int64(rows[p_0]) * stride, np.int64(cols[p_0]) * stride
-        row_1, col_1 = np.int64(rows[p_1]) * stride, np.int64(cols[p_1]) * stride
-        row_2, col_2 = np.int64(rows[p_2]) * stride, np.int64(cols[p_2]) * stride
+        row_0, row_1, row_2 = np.int64(rows[p_0]), np.int64(rows[p_1]), np.int64(rows[p_2])
+        col_0, col_1, col_2 = np.int64(cols[p_0]), np.int64(cols[p_1]), np.int64(cols[p_2])
         area = area_of(row_0, col_0, row_1, col_1, row_2, col_2)
         if area <= 0:
             continue
         top, bottom = (min(row_0, row_1, row_2) + 1) >> 1, max(row_0, row_1, row_2) >> 1
         left, right = (min(col_0, col_1, col_2) + 1) >> 1, max(col_0, col_1, col_2) >> 1
         z_0 = float(heights[p_0])
-        rise_1, rise_2 = float(heights[p_1]) - z_0, float(heights[p_2]) - z_0
+        fall_1 = (float(heights[p_1]) - z_0) / float(area)
+        fall_2 = (float(heights[p_2]) - z_0) / float(area)
         growth_0, growth_1 = -2 * (row_2 - row_1), -2 * (row_0 - row_2)
         growth_2 = -(growth_0 + growth_1)
         for row in range(top, bottom + 1):
@@ -197,23 +202,77 @@ def _largest_from_bilinear(rows, cols, heights, triangles, stride, samples, is_w
             skip, most = _covered(
                 weight_0, growth_0, weight_1, growth_1, weight_2, growth_2, right - left
             )
-            cell_row = min(row // stride, n_rows - 1)
-            down = row - cell_row * stride
-            for col in range(left + skip, left + most + 1):
-                cell = min(col // stride, n_cols - 1)
-                if not is_whole[cell_row, cell]:
+            for place in range(skip, most + 1):
+                if not mask[row, left + place]:
                     continue
-                place = col - cell * stride
-                upper = np.int64(samples[cell_row, cell]) * (stride - place)
-                upper += np.int64(samples[cell_row, cell + 1]) * place
-                lower = np.int64(samples[cell_row + 1, cell]) * (stride - place)
-                lower += np.int64(samples[cell_row + 1, cell + 1]) * place
-                bilinear = float(upper * (stride - down) + lower * down) * share
-                share_1 = float(weight_1 + (col - left) * growth_1)
-                share_2 = float(weight_2 + (col - left) * growth_2)
-                surface = z_0 + (share_1 * rise_1 + share_2 * rise_2) / float(area)
-                largest = max(largest, abs(surface - bilinear))
-    return np.ceil(largest + _ROUNDING)
+                rise = float(weight_1 + place * growth_1) * fall_1
+                rise += float(weight_2 + place * growth_2) * fall_2
+                sample = float(np.int64(samples[row, left + place]) << FRACTION_BITS)
+                largest = max(largest, abs(z_0 + rise - sample))
+    return largest
+
+
+@inlined_kernel
+def _to_next_line(start, change):
+    """Return the shares of an edge up to the first line of the grid, and from line to line.
+
+    It begins at a place, and ends after a change, both in half samples.
+    """
+    if change > 0:
+        return float(2 * (start >> 1) + 2 - start) / float(change), 2.0 / float(change)
+    if change < 0:
+        return float(start - 2 * ((start - 1) >> 1)) / float(-change), 2.0 / float(-change)
+    return 2.0, 0.0
+
+
+@kernel
+def _largest_along_edges(rows, cols, heights, triangles, samples, is_whole):
+    n_rows, n_cols = is_whole.shape
+    unit = float(1 << FRACTION_BITS)
+    largest = 0.0
+    for t in range(triangles.shape[0]):
+        for k in range(3):
+            p, q = triangles[t, k], triangles[t, (k + 1) % 3]
+            row, col = np.int64(rows[p]), np.int64(cols[p])
+            down, right = np.int64(rows[q]) - row, np.int64(cols[q]) - col
+            z, rise = float(heights[p]), float(heights[q]) - float(heights[p])
+            next_row, step_row = _to_next_line(row, down)
+            next_col, step_col = _to_next_line(col, right)
+            # An edge on a line of the grid belongs to the cells on both sides.
+            above = 1 if down == 0 and row & 1 == 0 else 0
+            beside = 1 if right == 0 and col & 1 == 0 else 0
+            start = 0.0
+            while start < 1.0:
+                end = min(next_row, next_col, 1.0)
+                middle = 0.5 * (start + end)
+                cell_row = np.int64(np.floor((float(row) + middle * float(down)) * 0.5))
+                cell_col = np.int64(np.floor((float(col) + middle * float(right)) * 0.5))
+                cell_row = min(max(cell_row, 0), n_rows - 1)
+                cell_col = min(max(cell_col, 0), n_cols - 1)
+                if not is_whole[cell_row, cell_col]:
+                    cell_row, cell_col = max(cell_row - above, 0), max(cell_col - beside, 0)
+                if is_whole[cell_row, cell_col]:
+                    a = float(samples[cell_row, cell_col])
+                    b = float(samples[cell_row, cell_col + 1]) - a
+                    d = float(samples[cell_row + 1, cell_col]) - a
+                    twist = float(samples[cell_row + 1, cell_col + 1]) - a - b - d
+                    y = (float(row) + start * float(down)) * 0.5 - float(cell_row)
+                    x = (float(col) + start * float(right)) * 0.5 - float(cell_col)
+                    first = z + start * rise - unit * (a + b * x + d * y + twist * x * y)
+                    y_2 = y + (end - start) * float(down) * 0.5
+                    x_2 = x + (end - start) * float(right) * 0.5
+                    last = z + end * rise - unit * (a + b * x_2 + d * y_2 + twist * x_2 * y_2)
+                    largest = max(largest, abs(first), abs(last))
+                    bend = unit * twist * (x_2 - x) * (y_2 - y)
+                    slope = last - first + bend  # first + slope s - bend s^2, s from 0 to 1
+                    if abs(bend) > 0 and 0 < slope / (2.0 * bend) < 1:
+                        largest = max(largest, abs(first + slope * slope / (4.0 * bend)))
+                if next_row <= end:
+                    next_row += step_row
+                if next_col <= end:
+                    next_col += step_col
+                start = end
+    return largest
 
 
 def deviation_at_points(

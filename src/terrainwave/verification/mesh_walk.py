@@ -6,7 +6,7 @@ and the border lines of blocks whose neighbours have not come yet.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,8 +45,9 @@ _MAX_LISTED = 20
 class LevelMeshes:
     """The stored meshes of a level.
 
-    Errors in physical units: `stored_error` is the largest one in the index, `measured_error` the
-    largest distance that was found, from the originals, or without them from the decoded heights.
+    Errors in physical units: `stored_error` is the largest one in the index, where that has none
+    the largest bound that follows from the meshes, `measured_error` the largest distance that was
+    found, from the originals, or without them from the decoded heights.
     """
 
     level: int
@@ -83,6 +84,14 @@ class MeshReport:
     against: str
     levels: tuple[LevelMeshes, ...]
     areas: tuple[AreaMeshes, ...]
+
+
+class _Stated(NamedTuple):
+    """A block, its mesh, and the error that is stated of it, in 1/16 quanta."""
+
+    block: Block
+    surface: CheckedMesh
+    error: float
 
 
 @dataclass
@@ -177,21 +186,20 @@ class MeshVerification:
 
     # Stored meshes
 
-    def _visit(self, block: Block, chain: list[tuple[Block, CheckedMesh]]) -> None:
+    def _visit(self, block: Block, chain: list[_Stated]) -> None:
         where = f"mesh of block {tuple(block)}"
         try:
             surface = block_surface(self._terrain, block)
             self._checks.add(where, block_problems(self._terrain, block, surface))
             self._check_lines(block, surface)
-            self._stored[block.level] = max(
-                self._stored[block.level], self._terrain.mesh_error(block)
-            )
+            stated = self._terrain.mesh_error(block)
         except TerrainwaveError as error:
             self._checks.add(where, [str(error)])
             return
+        self._stored[block.level] = max(self._stored[block.level], stated)
         self._n_blocks[block.level] += 1
         self._n_triangles[block.level] += len(surface.triangles)
-        chain = [*chain, (block, surface)]
+        chain = [*chain, _Stated(block, surface, self._ruler.in_sixteenths(stated))]
         if block.level < self._grid.k_max:
             for child in self._grid.children(block):
                 self._visit(child, chain)
@@ -203,13 +211,12 @@ class MeshVerification:
                 self._checks.add(where, [str(error)])
             self._report(region.n_rows * region.n_cols)
 
-    def _measure(self, region: Region, chain: list[tuple[Block, CheckedMesh]]) -> None:
+    def _measure(self, region: Region, chain: list[_Stated]) -> None:
         raw, valid = self._read(region)
         samples = self._ruler.sixteenths(raw, valid)
-        for block, surface in chain:
+        for block, surface, stored in chain:
             stride = self._grid.stride(block.level)
             first = block.row * self._grid.block * stride, block.col * self._grid.block * stride
-            stored = self._ruler.in_sixteenths(self._terrain.mesh_error(block))
             errors = deviation(
                 surface.on_grid(stride),
                 samples,

@@ -6,7 +6,9 @@ from collections.abc import Mapping
 from terrainwave.container.codes import decode_error, decode_range, encode_error, encode_range
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.grid.quadtree import Block, Grid
+from terrainwave.mesh.blocks import unmeasured_codes
 from terrainwave.write.encoder import Stats
+from terrainwave.write.job import Job
 
 Box = tuple[int, int]
 
@@ -54,6 +56,17 @@ def recursive_errors(
         if block.level > 0:
             children[block.parent] = max(children.get(block.parent, 0), errors[block])
     return errors
+
+
+def unmeasured_mesh_codes(job: Job, stats: Stats, errors: Mapping[Block, int]) -> dict[Block, int]:
+    """Return the codes of errors of meshes that are left to who makes the meshes.
+
+    Of none where a file has no meshes, or all are measured.
+    """
+    if job.options.measures_meshes or job.options.mesh_kind == "none":
+        return {}
+    meshed = [block for block, own in stats.items() if own.has_mesh]
+    return unmeasured_codes(job.grid, meshed, errors, job.mesh_tolerance)
 
 
 def set_codes(

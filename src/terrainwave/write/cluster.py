@@ -34,7 +34,13 @@ from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.decoder import TreeDecoder, groups_by
 from terrainwave.tri.stored_kinds import STORED_KINDS
-from terrainwave.write.boxes import Box, enclosing_boxes, error_codes, set_codes
+from terrainwave.write.boxes import (
+    Box,
+    enclosing_boxes,
+    error_codes,
+    set_codes,
+    unmeasured_mesh_codes,
+)
 from terrainwave.write.encoder import Stats, TreeEncoder, fitted_refiner
 from terrainwave.write.job import Job
 from terrainwave.write.passes.coding import Coded
@@ -198,9 +204,9 @@ class DistributedPasses:
             top.close()
         below = self._encode_below(site, sink, stats)
         codes = _TopCodes(site, sink, below)
-        codes.set({})
+        codes.set(unmeasured_mesh_codes(job, below.stats, codes.errors))
         segments = below.segments
-        if job.options.mesh != "none":
+        if job.options.measures_meshes:
             segments = self._mesh(site, refiner, codes)
         n_bytes = sink.n_bytes + below.n_bytes + len(site.file_tables)
         return Coded(site.file_tables, {**sink.spools, **segments}, n_bytes, job)

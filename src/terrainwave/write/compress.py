@@ -98,6 +98,7 @@ def compress(
     georeference: bool = True,
     mesh: str | MeshOptions = "auto",
     mesh_error: float | None = None,
+    measure_meshes: bool = False,
     strict: bool = False,
     stable: bool = False,
     format: str = FORMATS[-1],
@@ -145,8 +146,8 @@ def compress(
         False compresses the heights without georeference and CRS, for example those of a
         curvilinear grid, which are refused otherwise.
     mesh : str, Zerotree or Rqt
-        Triangulation of every block. ``"halves"`` (``"auto"``) is computed when it is read; the
-        file stores only its measured error. ``"zerotree"`` is the guaranteed triangulation of
+        Triangulation of every block. ``"halves"`` (``"auto"``) is computed when it is read, and so
+        is its error (see `measure_meshes`). ``"zerotree"`` is the guaranteed triangulation of
         Yusov & Turlapov 2010, stored as labels; with method cdf97 it follows zero trees. ``"rqt"``
         is a restricted quadtree, which stores some vertices of borders. ``"none"`` makes no meshes.
         zerotree and rqt have options, such as ``tw.Zerotree(labels="layer")``, and making them
@@ -155,6 +156,12 @@ def compress(
         Largest vertical distance of the finest meshes from the decoded heights, in physical units.
         By default the guaranteed error, or the vertical quantum if that is larger (0.01 for
         lossless heights that are on no vertical grid).
+    measure_meshes : bool
+        Make all meshes and store how far each is from the original. By default a file of `halves`
+        stores no errors of meshes above the finest level: who makes such a mesh finds a bound for
+        it, which is up to about twice the measured error. Measuring takes longer than all the rest.
+        The other kinds of meshes are always measured, as are files of ``Cdf97(faithful=True)``;
+        `store_meshes` measures the meshes of a file later.
     strict : bool
         For floats on a decimal grid (0.1, 0.01 …), keep the bound for the stored floats:
         ``abs(decoded - original) <= max_error``, exactly and as numpy computes it in their type. By
@@ -215,6 +222,7 @@ def compress(
         effort=effort,
         mesh=mesh,
         mesh_error=mesh_error,
+        measure_meshes=measure_meshes,
         strict=strict,
         stable=stable,
         format=format,

@@ -22,7 +22,14 @@ from terrainwave.codec.method_options import (
     with_method,
 )
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.names import DEFAULT_EFFORT, EFFORTS, FORMATS, Method, methods_that
+from terrainwave.names import (
+    DEFAULT_EFFORT,
+    DEFAULT_MESH,
+    EFFORTS,
+    FORMATS,
+    Method,
+    methods_that,
+)
 from terrainwave.tri.mesh_options import MeshOptions, check_mesh, of_former_name, stored_mesh
 
 
@@ -44,6 +51,7 @@ class Options:
     effort: str = DEFAULT_EFFORT
     mesh: str | MeshOptions = "auto"
     mesh_error: float | None = None
+    measure_meshes: bool = False
     strict: bool = False
     stable: bool = False
     format: str = FORMATS[-1]
@@ -133,6 +141,15 @@ class Options:
         return self.mesh
 
     @property
+    def measures_meshes(self) -> bool:
+        """Say whether all meshes are made and measured against the original.
+
+        Those that files store are, and those of files that follow a paper, whose errors it defines.
+        """
+        asked = self.measure_meshes or self.faithful or self.mesh_kind != DEFAULT_MESH
+        return asked and self.mesh_kind != "none"
+
+    @property
     def border_rings(self) -> int:
         """Return how many rings of samples neighbouring blocks share."""
         return getattr(self.method, "border_rings", 1)
@@ -178,6 +195,8 @@ class Options:
         notes = []
         if self.mesh_error is not None and self.mesh_kind == "none":
             notes.append("the mesh error changes nothing: the file gets no meshes")
+        if self.measure_meshes and self.mesh_kind == "none":
+            notes.append("measuring meshes changes nothing: the file gets no meshes")
         if self.effort == DEFAULT_EFFORT:
             return notes
         if self.faithful:

@@ -25,6 +25,7 @@ from terrainwave.grid.block_stats import (
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.sample_windows import HeightsOf, MaskOf
+from terrainwave.mesh.blocks import has_mesh
 from terrainwave.write.job import Job
 from terrainwave.write.pyramid import Pyramid
 
@@ -164,6 +165,7 @@ class UnitEncoder(ABC):
             self._on_unit(key, decoded)
         blocks = grid.key_blocks(key)
         parts = [block_of_unit(grid, spec, decoded, block) for block in blocks]
+        self._note_meshes(blocks, parts)
         if self._parameters.is_faithful and not key.is_root_key:
             self._measure_children(spec, chain[-1], decoded)
         if spec.level == grid.k_max:
@@ -194,6 +196,15 @@ class UnitEncoder(ABC):
         region = self._grid.block_region(block)
         framed = self._grid.block_region(block, 1 if self._parameters.rings == 3 else 0)
         return Ancestor(block, region, decoded.heights[region.slices_in(framed)])
+
+    def _note_meshes(self, blocks: list[Block], parts: list[Decoded]) -> None:
+        """Update which blocks have meshes."""
+        grid, apron = self._grid, 1 if self._parameters.rings == 3 else 0
+        for block, part in zip(blocks, parts, strict=True):
+            inside = grid.block_region(block).slices_in(grid.block_region(block, apron))
+            found = BlockStats(has_mesh=has_mesh(grid, block, part.mask[inside]))
+            with self._lock:
+                self._stats.setdefault(block, BlockStats()).merge(found)
 
     def _measure_children(self, spec: GroupSpec, above: Ancestor, decoded: Decoded) -> None:
         """Update the statistics of the block that a group refines."""

@@ -41,7 +41,14 @@ from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.decoder import TreeDecoder, groups_by
 from terrainwave.tri.stored_kinds import STORED_KINDS
-from terrainwave.write.boxes import Box, enclosing_boxes, error_codes, recursive_errors, set_codes
+from terrainwave.write.boxes import (
+    Box,
+    enclosing_boxes,
+    error_codes,
+    recursive_errors,
+    set_codes,
+    unmeasured_mesh_codes,
+)
 from terrainwave.write.encoder import Stats, TreeEncoder
 from terrainwave.write.job import Job
 from terrainwave.write.passes.proof import allowed_error, compare_window, proof_windows
@@ -273,7 +280,7 @@ def encode_subtree(site: Site, head: Block) -> EncodedSubtree:
         whole = job.quantizer.z_min, job.quantizer.z_max
         boxes = enclosing_boxes(own, errors, whole, {}, job.moved)
         box = boxes.pop(head, None)
-        set_codes(grid, sink.spools, whole, boxes, errors, {})
+        set_codes(grid, sink.spools, whole, boxes, errors, unmeasured_mesh_codes(job, own, errors))
         places = store_segments(site.depot, site.name(CODED, head), grid, heads, sink.spools)
     return EncodedSubtree(head, tuple(places.values()), ancestors, box, sink.n_bytes, error)
 

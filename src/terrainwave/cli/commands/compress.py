@@ -85,6 +85,12 @@ from terrainwave.progress import ProgressCallback
     " error, or the heights' vertical step if that is larger.",
 )
 @click.option(
+    "--measure-meshes",
+    is_flag=True,
+    help="Make all meshes and store how far each is from the original. Default: whoever makes a"
+    " mesh computes a bound for its error. Kinds other than halves are always measured.",
+)
+@click.option(
     "--strict",
     is_flag=True,
     help="Floats with a decimal step (0.01 …): the stored floats are within the bound, not only the"

@@ -177,6 +177,8 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
     scale = f"{info.scale:g}, offset {info.offset:g}"
     way = "faithful to its paper" if info.faithful else f"effort {info.effort}"
     tolerance = f"within {info.mesh_tolerance:.6g}{unit} of the heights"
+    if info.mesh != "none" and not info.measured_meshes:
+        tolerance += "; errors not measured"
     if info.mesh in UNBOUNDED_MESHES:
         tolerance = f"coefficients above {info.mesh_tolerance:.6g}{unit}; errors are measured"
     floats = (

@@ -24,7 +24,6 @@ from terrainwave.render.scene.patch_kernels import SKIRT_FLAG, bilinear_at, bord
 from terrainwave.render.scene.scales import FLOAT32_ROUNDING, HeightScale, Texels
 from terrainwave.render.scene.selection import NodeInfo, Piece
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
-from terrainwave.tri.mesh_distance import deviation_from_bilinear
 from terrainwave.tri.mesh_surface import surface_at
 
 if TYPE_CHECKING:
@@ -97,7 +96,8 @@ class PatchBuilder:
         Local metres; its exaggeration is not used: the GPU applies it.
     recursive : list of ndarray, optional
         Err_Appr of every block (`level_errors.recursive_errors`): errors are then Err_Appr +
-        Err_Tri, Yusov & Turlapov 2010, eq. (3). By default they are those stored for meshes.
+        Err_Tri, Yusov & Turlapov 2010, eq. (3). By default they are those stored for meshes; where
+        a file states none, bounds that are known once meshes are built (`mesh.blocks`).
     is_loose : bool
         Blocks above the finest level are drawn with their non-guaranteed meshes (`mesh.loose`),
         whose errors are known once they are built.
@@ -193,11 +193,27 @@ class PatchBuilder:
             return self._variant_error(piece.variant)
         terrain, block = self._terrain, piece.block
         per_unit = self._frame.error_metres
+        stored = terrain.stored_mesh_error(block)
         is_unbounded = terrain.mesh_kind in UNBOUNDED_MESHES
-        if is_unbounded or (self._recursive is None and terrain.mesh_kind != "none"):
-            return terrain.mesh_error(block) * per_unit
-        tolerance = self._mesher.tolerance(block) / (1 << FRACTION_BITS)
-        return self._heights_error(block) * per_unit + tolerance * abs(self._scale.per_quantum)
+        if stored is not None and (is_unbounded or self._recursive is None):
+            return stored * per_unit
+        # Of a mesh that nobody has measured: what it will about be, until it is made.
+        is_viewed = self._is_made_for_views(block)
+        tolerance = (self._mesher.view_tolerance if is_viewed else self._mesher.tolerance)(block)
+        metres = tolerance / (1 << FRACTION_BITS) * abs(self._scale.per_quantum)
+        return self._heights_error(block) * per_unit + metres
+
+    def _is_unmeasured(self, block: Block) -> bool:
+        """Say whether only who has made the mesh of a block knows a bound for it."""
+        if block.level == self._terrain.n_levels - 1:
+            return False
+        if self._loose is not None or self._terrain.mesh_kind == "none":
+            return True
+        return self._recursive is None and self._terrain.stored_mesh_error(block) is None
+
+    def _is_made_for_views(self, block: Block) -> bool:
+        """Say whether a block has another mesh than the file's, of fewer triangles."""
+        return self._loose is None and self._is_unmeasured(block)
 
     def _heights_error(self, block: Block) -> float:
         """Return the error of a block's bilinear surface, in the file's unit."""
@@ -219,6 +235,8 @@ class PatchBuilder:
             return self._mesher.coarser_mesh(block, self._variant_tolerance(piece.variant))
         if self._loose is not None and block.level < self._terrain.n_levels - 1:
             return self._loose.mesh(block)
+        if self._is_made_for_views(block):
+            return self._mesher.view_mesh(block)
         return self._mesher.mesh(block)
 
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> Patch:
@@ -236,7 +254,7 @@ class PatchBuilder:
             if is_cancelled():
                 raise Cancelled
 
-        terrain, block = self._terrain, piece.block
+        block = piece.block
         children = self.children(piece)
         check()
         mesh = self.mesh(piece)
@@ -253,11 +271,9 @@ class PatchBuilder:
             max(np.abs(z - base).max(initial=0), np.abs(z_parent - base).max(initial=0))
         )
         morph = float(np.abs(z - z_parent).max(initial=0))
-        error = self.error(piece)
-        drawn_error = error
-        if block.level < terrain.n_levels - 1:
-            if terrain.mesh_kind == "none" or self._loose is not None:
-                drawn_error = self._derived_error(block, mesh)
+        error = drawn_error = self.error(piece)
+        if self._is_unmeasured(block):
+            drawn_error = self._derived_error(block, mesh)
             if self._loose is None:
                 error = drawn_error
         rounding = largest * FLOAT32_ROUNDING
@@ -274,13 +290,9 @@ class PatchBuilder:
         )
 
     def _derived_error(self, block: Block, mesh: BlockMesh) -> float:
-        """Return a bound for a mesh that the file says nothing about."""
-        terrain = self._terrain
-        samples = self._mesher.samples(block)
-        stride = terrain.grid.stride(block.level)
-        apart = deviation_from_bilinear(mesh, stride, samples.heights, samples.mask)
-        bilinear = terrain.block_error(block) * self._frame.error_metres
-        return bilinear + apart / (1 << FRACTION_BITS) * abs(self._scale.per_quantum)
+        """Return a bound for a mesh that the file says nothing about, metres."""
+        error = self._mesher.derived_error(block, mesh) / (1 << FRACTION_BITS)
+        return error * abs(self._scale.per_quantum)
 
     def _parent_heights(
         self, piece: Piece, mesh: BlockMesh, z: NDArray[np.float64]

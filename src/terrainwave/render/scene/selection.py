@@ -246,6 +246,10 @@ class NodeTable:
     def describe(self, node: int, built: Built) -> None:
         """Take down what a piece that is in the store now says of itself."""
         self.is_resident[node] = True
+        # What is further away than was thought may leave the box.
+        further = max(built.error - float(self.errors[node]), 0.0)
+        self.low[node, 2] -= further
+        self.high[node, 2] += further
         self.errors[node], self.n_triangles[node] = built.error, built.n_triangles
         self.bases[node], self.morphs[node] = built.base, built.morph
 

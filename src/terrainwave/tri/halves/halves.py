@@ -11,6 +11,7 @@ grid with merged borders and stays a height field that covers the samples once, 
 a triangle of area <= 0.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh, no_mesh
 from terrainwave.tri.halves.certificates import refusal_stands, test_of
-from terrainwave.tri.halves.height_fit import scale_of
+from terrainwave.tri.halves.height_fit import FixedPoint, scale_of
 from terrainwave.tri.halves.star import MAX_PROGRAM_HEIGHT, fit_rest, fit_star
 from terrainwave.tri.halves.workspace import (
     FREE,
@@ -61,6 +62,7 @@ def triangulate(
     lines: Lines,
     tolerance: int,
     offset: tuple[int, int] = (0, 0),
+    leash: int | None = None,
 ) -> BlockMesh:
     """Return the mesh of a rectangle of samples.
 
@@ -79,6 +81,9 @@ def triangulate(
         distance is that of the chords between the vertices given.
     offset : tuple of int
         Row and column of the first sample in its block, which cells are aligned to.
+    leash : int, optional
+        In 1/16 quanta: no vertex between samples is further from their bilinear surface. Meshes of
+        files have none: where the ground bends, vertices lie above ridges and below valleys.
 
     Notes
     -----
@@ -100,11 +105,16 @@ def triangulate(
     if n_rows > 2 and n_cols > 2:  # else border lines alone
         _merge_cells(
             space.work, space.floats, space.plane, space.pitch, (n_rows, n_cols), offset, has_table,
-            scale.tolerance, (scale.lowest, scale.highest),
+            scale.tolerance, (scale.lowest, scale.highest, _leash_of(leash, scale)),
         )  # fmt: skip
     base, shift = scale.base << FRACTION_BITS, FRACTION_BITS - scale.bits
     has_voids = n_valid < n_rows * n_cols
     return finished_mesh(space, (n_rows, n_cols), base, shift, has_voids=has_voids)
+
+
+def _leash_of(leash: int | None, scale: FixedPoint) -> float:
+    """Return a leash in the unit of values."""
+    return math.inf if leash is None else float(leash >> (FRACTION_BITS - scale.bits))
 
 
 @kernel
@@ -187,6 +197,17 @@ def _fit_quad(work, plane, pitch, at, tolerance):
     most = max(most, _wide(work, level_2 + 2), _wide(work, below + 1))
     verdict = 1 if most <= FREE else 0
     return verdict if low <= high else -1, low, high
+
+
+@inlined_kernel
+def _bilinear(work, plane, pitch, cell):
+    """Return the height of the bilinear surface of the samples at the middle of a cell."""
+    top, bottom, left, right = cell
+    upper = PLANES + HEIGHT * plane + ((top + bottom) >> 1) * pitch
+    lower = PLANES + HEIGHT * plane + ((top + bottom + 1) >> 1) * pitch
+    col, beside = (left + right) >> 1, (left + right + 1) >> 1
+    total = _wide(work, upper + col) + _wide(work, upper + beside)
+    return float(total + _wide(work, lower + col) + _wide(work, lower + beside)) * 0.25
 
 
 @inlined_kernel
@@ -286,7 +307,8 @@ def _move(work, plane, pitch, cell, place, height, sweep):
 def _merge_cells(work, floats, plane, pitch, shape, offset, has_table, tolerance, limits):
     """Sweep over the cells of all levels: whole squares, then halves in passes, finest first.
 
-    `limits` are the lowest and the highest height that a vertex may have.
+    `limits` are the lowest and the highest height that a vertex may have, and how far it may be
+    from the bilinear surface of the samples.
     """
     reach = max(shape[0] + offset[0], shape[1] + offset[1]) - 2
     n_levels = 0
@@ -364,6 +386,12 @@ def _sweep_cells(work, floats, plane, pitch, shape, offset, has_table, number, t
                 ):
                     continue
             verdict, low, high = 0, limits[0], limits[1]
+            if limits[2] < np.inf:
+                middle = _bilinear(work, plane, pitch, cell)
+                low = max(low, np.ceil(middle - limits[2]))
+                high = min(high, np.floor(middle + limits[2]))
+                if low > high:
+                    continue
             if level == 1:
                 verdict, first, last = _fit_pair(work, plane, pitch, at, whole_tolerance)
                 low, high = max(low, float(first)), min(high, float(last))

@@ -19,7 +19,12 @@ from terrainwave.mesh.sections import make_meshes
 from terrainwave.progress import Reporter
 from terrainwave.read.decoder import TreeDecoder
 from terrainwave.read.tile_decoder import make_decoder
-from terrainwave.write.boxes import enclosing_boxes, error_codes, set_codes
+from terrainwave.write.boxes import (
+    enclosing_boxes,
+    error_codes,
+    set_codes,
+    unmeasured_mesh_codes,
+)
 from terrainwave.write.encoder import Stats, TreeEncoder, fitted_refiner
 from terrainwave.write.job import Job
 from terrainwave.write.pyramid import Pyramid, SourceWindows
@@ -105,8 +110,8 @@ def encode(
         if job.options.is_embedded:
             job = job.with_measured(_finest_error(job, stats))
         errors = error_codes(stats, job.lost, job.recursion_bound)
-        mesh_errors = {}
-        if job.options.mesh != "none":
+        mesh_errors = unmeasured_mesh_codes(job, stats, errors)
+        if job.options.measures_meshes:
             header = job.header(file_tables)
             decoder = make_decoder(header, sink.payloads, _MESH_CACHE_BYTES, refiner=refiner)
             while units:  # which are not decoded again
@@ -137,7 +142,7 @@ def _encode_units(
     is_kept = 20 * job.grid.n_rows * job.grid.n_cols <= 3 * _MESH_CACHE_BYTES
     encoder = TreeEncoder(
         job.grid, refiner, job.parameters, pyramid, sink, on_samples,
-        on_unit=units.__setitem__ if is_kept and job.options.mesh != "none" else None,
+        on_unit=units.__setitem__ if is_kept and job.options.measures_meshes else None,
     )  # fmt: skip
     return encoder.run(executor), units
 

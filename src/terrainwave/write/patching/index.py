@@ -13,7 +13,7 @@ from terrainwave.container.header import Header
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Region
-from terrainwave.mesh.blocks import measure_meshes, mesh_codes
+from terrainwave.mesh.blocks import measure_meshes, mesh_codes, unmeasured_codes
 from terrainwave.mesh.sections import make_meshes
 from terrainwave.mesh.trees import tree_source
 from terrainwave.read.decoder import unit_key
@@ -61,7 +61,7 @@ class PatchedIndex:
     def update(self, stats: Stats, encoder: PatchEncoder) -> tuple[bool, float]:
         """Set all codes; tell of any new one, and the error stated of unknown originals."""
         errors, boxes = self._codes(stats, encoder)
-        mesh_errors = self._mesh(encoder.changes, errors)
+        mesh_errors = self._mesh(stats, encoder.changes, errors)
         return self._set_codes(errors, boxes, mesh_errors), self._stated_error(errors)
 
     def _codes(
@@ -113,11 +113,19 @@ class PatchedIndex:
         ends = (block.row + 1) * reach < grid.n_rows and (block.col + 1) * reach < grid.n_cols
         return changes.get(block, 0) * (1 if ends else _CONTINUED)
 
-    def _mesh(self, changes: Mapping[Block, int], errors: Mapping[Block, int]) -> dict[Block, int]:
-        """Make all meshes again and measure them; return the codes of their errors."""
+    def _mesh(
+        self, stats: Stats, changes: Mapping[Block, int], errors: Mapping[Block, int]
+    ) -> dict[Block, int]:
+        """Make all meshes again and measure them; return the codes of their errors.
+
+        Where the file had none measured, these are left to who makes the meshes, as before.
+        """
         header, grid = self._header, self._grid
         if header.mesh == "none":
             return {}
+        if not self._terrain.has_measured_meshes:
+            meshed = [block for block, own in stats.items() if own.has_mesh]
+            return unmeasured_codes(grid, meshed, errors, header.mesh_tolerance)
         decoder = make_decoder(header, self._sink.payloads, _CACHE_BYTES)
         mesher, sections = make_meshes(
             grid,
