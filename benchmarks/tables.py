@@ -152,7 +152,7 @@ def strict_costs(results: Path) -> Rows:
 
 
 def javascript_side(results: Path) -> Rows:
-    """Return reads in JavaScript by engine, what is read and who reads: means, and the worst case."""
+    """Return reads in JavaScript by engine, what is read and by whom: means and the worst case."""
     found: dict[tuple, Rows] = defaultdict(list)
     for row in read(results, "javascript_side"):
         by = f"{row['workers']} workers" if row["workers"] else "one thread"
