@@ -38,5 +38,5 @@ compile "$work/tables.c" -Oz
     -o "$work/unpack.wasm" unpack.c
 digest=$(cat build.sh pack.py ./*.c include/*.h ../../native/include/*.h ../../native/src/*.c ../../native/src/*.h |
     sha256sum | cut -c 1-64)
-"${PYTHON:-python3}" pack.py module "$work/core.wasm" "$work/unpack.wasm" "$digest" > "$work/core-data.js"
+"${PYTHON:-python3}" pack.py module "$work/core.wasm" "$work/unpack.wasm" "$digest" "$work/core-data.js"
 mv "$work/core-data.js" "$out"

@@ -1,7 +1,7 @@
 """Two steps of build.sh, which packs the module as a whole.
 
-python pack.py tables IN OUT            native/src/tables.c, its zlib streams stored, not deflated
-python pack.py module CORE UNPACK SHA   print core-data.js
+python pack.py tables IN OUT                native/src/tables.c, its zlib streams stored
+python pack.py module CORE UNPACK SHA OUT   core-data.js
 """
 
 import base64
@@ -47,7 +47,8 @@ def text_of(data):
 def module(core, unpack, digest):
     """Return the text of core-data.js."""
     packed = lzma.compress(core, lzma.FORMAT_ALONE, filters=[FILTER])[HEADER:]
-    return f"""/** native/src and js/wasm as WebAssembly, in base 64: written by js/wasm/build.sh. */
+    return f"""\
+/** native/src and js/wasm as WebAssembly, in base 64, written by js/wasm/build.sh. */
 /** SHA-256 of what it was made of, which a test compares. */
 export const SOURCES = "{digest}";
 /** What unpacks the other one, and what that is then: LZMA without a header. */
@@ -55,7 +56,8 @@ export const SOURCES = "{digest}";
 export const UNPACK = "{text_of(unpack)}";
 export const N_BYTES = {len(core)};
 // prettier-ignore
-export const CORE = "{text_of(packed)}";"""
+export const CORE = "{text_of(packed)}";
+"""
 
 
 def main():
@@ -66,7 +68,7 @@ def main():
         target.write_text(stored_tables(source.read_text(encoding="utf-8")), encoding="utf-8")
     else:
         core, unpack = (Path(word).read_bytes() for word in words[:2])
-        print(module(core, unpack, words[2]))
+        Path(words[3]).write_text(module(core, unpack, words[2]), encoding="utf-8")
 
 
 if __name__ == "__main__":

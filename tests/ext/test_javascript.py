@@ -87,7 +87,7 @@ def test_it_opens_a_url_by_two_requests_at_most(server, twz):
 
 
 def test_the_module_has_at_most_157_kb_compressed():
-    """With all five methods: 67 kB of code, 50 of tables of the format's annexes, 24 of JavaScript."""
+    """With all five methods: 67 kB are code, 50 tables of the annexes, 24 JavaScript."""
     modules = [path for path in (JS / "src").iterdir() if path.suffix == ".js"]
     assert sum(len(gzip.compress(path.read_bytes())) for path in modules) <= 157_000
 
