@@ -1,13 +1,12 @@
 """terrainwave beside geotiff.js in Node and in Chromium: ``python -m benchmarks.javascript DIR``.
 
-Seconds of a clock of opening a file and reading it: all of it and a window of 512 x 512 samples
-anywhere, from memory, by one thread and by workers; and a first tile of 256 x 256 samples from a
-URL behind 50 ms and 20 Mbit/s, where nothing of the file is there yet. The peer is geotiff.js with
-its own LERC decoder, on the COGs that GDAL makes of the same raster with the same bound, LERC_ZSTD
-and LERC. All take turns; engines are warm; what each reads is compared with what Python, or GDAL,
-reads. The pool of geotiff.js is made once and kept, as its user does; terrainwave starts its
-workers anew with each file. Needs ``npm install --prefix js/testing --no-package-lock``, Chromium
-and chromedriver.
+Seconds of a clock of reading all of a file and a window of 512 x 512 samples anywhere, from memory:
+by one thread, opening included, and by workers, of a file that is open, where all workers run and
+nothing of what was decoded is kept; and of opening a URL behind 50 ms and 20 Mbit/s and reading a
+first tile of 256 x 256 samples. The peer is geotiff.js with its own LERC decoder, on the COGs that
+GDAL makes of the same raster with the same bound, LERC_ZSTD and LERC. All take turns; engines are
+warm; what each reads is compared with what Python, or GDAL, reads. Needs Chromium, chromedriver and
+``npm install --prefix js/testing --no-package-lock``.
 """
 
 import hashlib
@@ -21,6 +20,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+import click
 import rasterio
 from rasterio.windows import Window
 
@@ -54,7 +54,7 @@ PAGE = """<!doctype html><meta charset="utf-8"><link rel="icon" href="data:,">
   let [name, bytes] = [null, null]; // the file that was read last
   globalThis.side = async ({ url, path, ...question }) => {
     if (path && path !== name) [name, bytes] = [path, await (await fetch(path)).arrayBuffer()];
-    return timed({ from: url ?? bytes, ...question });
+    return timed({ name: url ?? path, from: url ?? bytes, ...question });
   };
 </script>
 """
@@ -145,7 +145,7 @@ def windows_of(shape: tuple[int, int], side: int | None, n: int) -> list[Window]
     return [Window(col, row, side, side) for row, col in corners(shape, side, "any", n)]
 
 
-def measure(rasters, bounds, n_workers, n_runs, folder) -> Iterator[Row]:
+def measure(rasters, bounds, n_workers, only_workers, n_runs, folder) -> Iterator[Row]:
     """Yield the rows of each raster, bound, engine and read."""
     with ExitStack() as stack:
         if not (folder / "js").is_symlink():
@@ -166,9 +166,10 @@ def measure(rasters, bounds, n_workers, n_runs, folder) -> Iterator[Row]:
             for bound in bounds:
                 files = make_files(raster, bound, folder)
                 for what, (side, by_workers, is_remote) in WHATS.items():
+                    numbers = (0, n_workers) if by_workers else (0,)
                     windows = windows_of(shape, side, N_WARM + n_runs)
                     for engine in ENGINES:
-                        for workers in (0, n_workers) if by_workers else (0,):
+                        for workers in numbers[only_workers:]:
                             found: dict[str, list[float]] = {key: [] for key in files}
                             for window in windows:
                                 for key, path in files.items():
@@ -200,10 +201,11 @@ def row_of(raster, bound, engine, what, workers, found, n_runs) -> Row:
 @common.rasters_argument
 @common.bounds_option(0, 1)
 @common.option("--workers", type=common.COUNT, default=2)
+@click.option("--by-workers", is_flag=True, help="Measure these reads alone.")
 @common.option("--runs", type=common.COUNT, default=5)
-def main(paths, bounds, workers, runs, folder, out) -> None:
+def main(paths, bounds, workers, by_workers, runs, folder, out) -> None:
     """Measure reads in JavaScript."""
-    common.write_rows(out, measure(paths, bounds, workers, runs, folder))
+    common.write_rows(out, measure(paths, bounds, workers, by_workers, runs, folder))
 
 
 if __name__ == "__main__":

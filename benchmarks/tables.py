@@ -151,6 +151,23 @@ def strict_costs(results: Path) -> Rows:
     ]  # fmt: skip
 
 
+def javascript_side(results: Path) -> Rows:
+    """Return reads in JavaScript by engine, what is read and by whom: means and the worst case."""
+    found: dict[tuple, Rows] = defaultdict(list)
+    for row in read(results, "javascript_side"):
+        by = f"{row['workers']} workers" if row["workers"] else "one thread"
+        found[row["engine"], row["what"], by].append(row)
+    fields = ("terrainwave_ms", "lerc_zstd_ms", "lerc_ms", "time_over_lerc_zstd", "time_over_lerc")
+    lines: Rows = []
+    for (engine, what, by), rows in found.items():
+        line: Row = {"engine": engine, "what": what, "by": by, "cases": len(rows)}
+        for field in fields:
+            values = [row[field] for row in rows]
+            line |= {field: geometric_mean(values), f"{field} most": max(values)}
+        lines.append(line)
+    return lines
+
+
 def scaled_commands(results: Path) -> Rows:
     """Return whole commands by raster size: one row for each stage and what was measured of it."""
     found: dict[str, dict[int, Row]] = defaultdict(dict)

@@ -22,7 +22,7 @@ qgis)
     packages="$packages python3-qgis $gdal"
     ;;
 native)
-    packages="cmake make gcc libc6-dev clang libclang-rt-dev llvm clang-14 lld-14 zopfli $gdal"
+    packages="cmake make gcc libc6-dev clang libclang-rt-dev llvm clang-14 lld-14 $gdal"
     needs="the native library needs compilers, its driver GDAL"
     elsewhere="cmake, make, gcc, clang with sanitizers and libFuzzer, clang 14 and lld 14, GDAL with its headers and Python"
     ;;

@@ -43,7 +43,7 @@ const WORK = {
     }),
   async side(path, window, { who, url, workers }) {
     timedSide ??= sides(terrainwave, await import("geotiff"), digestOf);
-    return timedSide({ who, from: url ?? await bytesOf(path), window, workers });
+    return timedSide({ who, name: url ?? path, from: url ?? await bytesOf(path), window, workers });
   },
   async geotiff(path, window) {
     const { fromArrayBuffer } = await import("geotiff"); // installed by npm in this folder

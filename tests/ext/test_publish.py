@@ -78,6 +78,16 @@ def test_the_folder_is_whole_and_replaced_only_if_told(twz, tmp_path):
         for name in re.findall(r'(?:from|import\(?|URL\()\s*"(\.[^"]+js)"', text):
             assert (module.parent / name).is_file(), (module, name)
         assert "http" not in text.replace("http://www.w3.org", "")
+    # The page names all modules that it imports, so that no browser finds them one after another.
+    page = (target / "index.html").read_text(encoding="utf-8")
+    named = re.findall(r'rel="modulepreload" href="([^"]+)"', page)
+    imported = set()
+    for name in named:
+        text = (target / name).read_text(encoding="utf-8")
+        for other in re.findall(r'^import [^;]*"(\.[^"]+)";', text, re.MULTILINE):
+            imported.add(os.path.relpath((target / name).parent / other, target))
+    assert imported < set(named)
+    assert "static/published.mjs" in page.partition("</head>")[0]
     again = run("publish", twz, target)
     assert again.exit_code == 1
     assert "--overwrite" in again.stderr
@@ -176,9 +186,20 @@ def test_tiles_made_in_javascript_are_those_of_the_server(tmp_path, name):
             assert (difference != 0).mean() < 0.001, place
             voids = decoded(tile["voids"]).reshape(256, 256).astype(int)
             assert (np.abs(voids - expected.voids) > 1).mean() < 0.001, place
+            assert not (tile["isWhole"] and expected.voids.any())
             assert tile["level"] == expected.level
             assert tile["error"] == pytest.approx(expected.error, abs=0.02)
             assert tile["terrainError"] == pytest.approx(expected.terrain_error)
+
+
+@pytest.mark.full
+def test_tiles_without_voids_are_known(twz, site):
+    """Of these no second surface is made to look for voids; the other has some of the hole."""
+    z = 13
+    places = [(8.4, 46.1), (8.09, 46.33)]
+    at = [f"rgb/{z}/{int(tiling.column_of(z, x))}/{int(tiling.row_of(z, y))}" for x, y in places]
+    found = json.loads(node("testing/tiles.js", site, "hills", RIM, *at))
+    assert [found[place]["isWhole"] for place in at] == [True, False]
 
 
 @pytest.mark.full
@@ -272,6 +293,12 @@ def test_the_first_picture_takes_few_requests(large, browser, tmp_path):
         n_bytes = sum(last + 1 - first for first, last in spans)
         assert n_bytes < 0.7 * large.stat().st_size
         assert len(set(spans)) == len(spans)
+        asked = [path.partition("?")[0] for path, _ in server.asked]
+        assert asked.count("/terrains.json") == 1
+        # The worker is on its way before the map's own, and opens the file meanwhile.
+        opened = next(i for i, path in enumerate(asked) if path.endswith(".twz"))
+        assert asked.index("/terrainwave/map/worker.js") < opened
+        assert opened < next(i for i, path in enumerate(asked) if "maplibre-gl-worker" in path)
         picture = screenshot(driver)[200:, 280:]
         assert picture.astype(float).mean(axis=2).std() > 8
         with terrainwave.open(large) as terrain:
