@@ -76,7 +76,7 @@ export function begin(made) {
   row.className = "row";
   row.append(button, clear);
   document.getElementById("fly").closest("p").after(row, told);
-  document.getElementById("sharing").remove(); // there are no addresses
+  document.getElementById("sharing").hidden = true; // there are no addresses
   button.addEventListener("click", () => setDrawing(!isDrawing));
   clear.addEventListener("click", () => send(null));
   map.on("style.load", showWindow);
