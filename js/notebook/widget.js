@@ -11,7 +11,8 @@ const MOST_WAITING = 4;
 /** Milliseconds in which wishes are gathered, and after which a kernel that has not heard is busy. */
 const GATHERING = 5;
 const BUSY_AFTER = 1000;
-const BUSY = "The kernel is busy: the map waits, and goes on when the kernel is free.";
+const BUSY = "The kernel is busy: the map waits, and goes on by itself.";
+const SILENT = "The kernel is busy, or there is none: the map waits for it, and goes on by itself.";
 const ENDED = "The kernel of this map has ended: run the cell again.";
 
 /** The kernel as one view asks it; `tell` is called with a line about its state, or with none. */
@@ -24,6 +25,7 @@ export class Kernel {
   #wanted = []; // ranges
   #nReading = 0;
   #busy = null;
+  #isHeard = false;
 
   constructor(model, tell) {
     this.#model = model;
@@ -60,7 +62,7 @@ export class Kernel {
   }
 
   #soonBusy() {
-    return setTimeout(() => this.#tell(BUSY), BUSY_AFTER);
+    return setTimeout(() => this.#tell(this.#isHeard ? BUSY : SILENT), BUSY_AFTER);
   }
 
   #readPart(start, end) {
@@ -98,12 +100,12 @@ export class Kernel {
   #take = ({ id, taken, error, ...answer }, buffers) => {
     const asked = this.#asked.get(id);
     if (!asked) return; // another view's
-    asked.isTaken = true;
+    asked.isTaken = this.#isHeard = true;
     if (!taken) this.#asked.delete(id);
     clearTimeout(this.#busy);
     this.#tell("");
-    const isHeard = [...this.#asked.values()].every(({ isTaken }) => isTaken);
-    this.#busy = isHeard ? null : this.#soonBusy();
+    const areTaken = [...this.#asked.values()].every(({ isTaken }) => isTaken);
+    this.#busy = areTaken ? null : this.#soonBusy();
     if (taken) return;
     if (error) asked.reject(Object.assign(new Error(error.message), { name: error.name }));
     else asked.resolve({ ...answer, buffers });

@@ -10,8 +10,9 @@ import time
 import urllib.request
 
 import nbformat
-from ext.browser import PATIENCE, console, wait_until
+from ext.browser import PATIENCE, wait_until
 
+_PANEL = "[...jupyterapp.shell.widgets('main')][0]"
 QUIET = [
     "--no-browser", "--allow-root", "--expose-app-in-browser", "--IdentityProvider.token=",
     "--ServerApp.port_retries=0", "--LabApp.news_url=None",
@@ -66,20 +67,20 @@ class Notebook:
     driver : selenium's
     address : str
         Of the JupyterLab.
-    folder : Path
-        What that shows.
+    path : Path
+        Of the new notebook, in the folder that it shows.
     cells : list of str
         Their code.
     """
 
-    def __init__(self, driver, address, folder, cells):
+    def __init__(self, driver, address, path, cells):
         spec = {"kernelspec": {"name": "python3", "display_name": "Python 3"}}
         made = nbformat.v4.new_notebook(
             cells=[nbformat.v4.new_code_cell(code) for code in cells], metadata=spec
         )
-        nbformat.write(made, folder / "a.ipynb")
+        nbformat.write(made, path)
         self.driver = driver
-        driver.get(f"{address}/doc/tree/a.ipynb")
+        driver.get(f"{address}/doc/tree/{path.name}")
         # A notebook with its kernel: a cell that runs before is dropped.
         wait_until(driver, f"{_PANEL}?.sessionContext?.session?.kernel?.status === 'idle'")
 
@@ -92,7 +93,9 @@ class Notebook:
 
     def run(self, number):
         """Run a cell, and return the text of its output."""
-        count = self.driver.execute_script(f"return {_PANEL}.model.cells.get({number}).executionCount")
+        count = self.driver.execute_script(
+            f"return {_PANEL}.model.cells.get({number}).executionCount"
+        )
         self.start(number)
         wait_until(
             self.driver,
@@ -110,6 +113,10 @@ class Notebook:
             output.get("text") or "\n".join(output.get("traceback", [])) for output in outputs
         )
 
+    def restart(self):
+        """Begin with a new kernel."""
+        self.driver.execute_script(f"{_PANEL}.sessionContext.restartKernel()")
+
     def frame(self):
         """Turn to the map, whose page is a document of its own."""
         self.driver.switch_to.default_content()
@@ -121,7 +128,3 @@ class Notebook:
     def top(self):
         """Turn back to the notebook."""
         self.driver.switch_to.default_content()
-
-
-_PANEL = "[...jupyterapp.shell.widgets('main')][0]"
-__all__ = ["Notebook", "console", "jupyter_lab"]

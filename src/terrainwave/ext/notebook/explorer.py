@@ -19,6 +19,7 @@ from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
 from terrainwave.globe.polynomials import fit_places
 from terrainwave.grid.quadtree import Region
+from terrainwave.place.system import need_pyproj
 
 # What a camera says, and from where to where each number goes: as the address of the page has it.
 _CAMERA = {
@@ -45,7 +46,7 @@ class Explorer(anywidget.AnyWidget):
 
     _esm = widget_module()
     _page = traitlets.Unicode().tag(sync=True)
-    _window: Any = traitlets.Dict(None, allow_none=True).tag(sync=True)
+    _window = traitlets.Any(None).tag(sync=True)
     camera = traitlets.Any(None).tag(sync=True)
     window = traitlets.Any(None)
     height = traitlets.Int(480, min=LEAST_HEIGHT, max=MOST_HEIGHT).tag(sync=True)
@@ -107,11 +108,8 @@ class Explorer(anywidget.AnyWidget):
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Any:
         """Return the widget and, for where there are none, the picture of the terrain."""
-        picture = {"text/plain": repr(self), "text/html": terrain_html(self.terrain)}
-        if self.comm is None:  # closed
-            return picture, {}
         data, metadata = super()._repr_mimebundle_(**kwargs) or ({}, {})
-        return data | picture, metadata
+        return data | {"text/html": terrain_html(self.terrain)}, metadata
 
     def __repr__(self) -> str:
         return f"<Explorer of {self.terrain!r}>"
@@ -136,6 +134,7 @@ def explorer_of(
     height = checked_whole("height", height, least=LEAST_HEIGHT, most=MOST_HEIGHT)
     if radius is not None:
         radius = checked_number("radius", radius, above=0)
+    need_pyproj(extra="notebook", purpose="explore")
     globe = Globe(terrain, radius=radius)
     # The first encoding of the page's tiles that holds all heights, else the usual one.
     holding = [one for one in tiling.ENCODINGS if tiling.note_on_range(globe, one) is None]
