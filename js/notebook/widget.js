@@ -26,6 +26,7 @@ export class Kernel {
   #nReading = 0;
   #busy = null;
   #isHeard = false;
+  #hasEnded = false;
 
   constructor(model, tell) {
     this.#model = model;
@@ -36,6 +37,7 @@ export class Kernel {
 
   /** Ask for `what`; return a promise of { ...answer, buffers }. */
   ask(what, question = {}) {
+    if (this.#hasEnded) return Promise.reject(new Error(ENDED));
     const id = this.#name + this.#count++;
     return new Promise((resolve, reject) => {
       this.#asked.set(id, { resolve, reject, isTaken: false });
@@ -54,9 +56,11 @@ export class Kernel {
     return found.length === 1 ? found[0] : new Uint8Array(await new Blob(found).arrayBuffer());
   }
 
-  /** Ask no more, and hear no more. */
+  /** Ask no more, and hear no more: who waits is told. */
   end() {
+    this.#hasEnded = true;
     clearTimeout(this.#busy);
+    for (const { reject } of this.#asked.values()) reject(new Error(ENDED));
     this.#model.off("msg:custom", this.#take);
     this.#model.off("comm_live_update", this.#break);
   }

@@ -13,6 +13,7 @@ import nbformat
 from ext.browser import PATIENCE, wait_until
 
 _PANEL = "[...jupyterapp.shell.widgets('main')][0]"
+_IS_IDLE = f"{_PANEL}?.sessionContext?.session?.kernel?.status === 'idle'"
 QUIET = [
     "--no-browser", "--allow-root", "--expose-app-in-browser", "--IdentityProvider.token=",
     "--ServerApp.port_retries=0", "--LabApp.news_url=None",
@@ -25,6 +26,13 @@ def free_port():
         return listener.getsockname()[1]
 
 
+def set_up(folder, what, settings):
+    """Write settings that a page has when it is loaded again."""
+    place = folder / "jupyter" / "LAB_SETTINGS" / "@jupyterlab" / "apputils-extension"
+    place.mkdir(parents=True, exist_ok=True)
+    (place / f"{what}.jupyterlab-settings").write_text(json.dumps(settings))
+
+
 @contextlib.contextmanager
 def jupyter_lab(folder):
     """Yield the address of a JupyterLab that shows a folder and keeps all its files in it."""
@@ -34,9 +42,7 @@ def jupyter_lab(folder):
     }
     own |= {"IPYTHONDIR": str(folder / "jupyter" / "ipython"), "JUPYTER_PLATFORM_DIRS": "1"}
     address = f"http://127.0.0.1:{(port := free_port())}"
-    asks = folder / "jupyter" / "LAB_SETTINGS" / "@jupyterlab" / "apputils-extension"
-    asks.mkdir(parents=True)
-    (asks / "notification.jupyterlab-settings").write_text('{"fetchNews": "false"}')
+    set_up(folder, "notification", {"fetchNews": "false"})
     log = folder / "jupyter.log"
     with log.open("wb") as out:
         server = subprocess.Popen(
@@ -82,7 +88,7 @@ class Notebook:
         self.driver = driver
         driver.get(f"{address}/doc/tree/{path.name}")
         # A notebook with its kernel: a cell that runs before is dropped.
-        wait_until(driver, f"{_PANEL}?.sessionContext?.session?.kernel?.status === 'idle'")
+        wait_until(driver, _IS_IDLE)
 
     def start(self, number):
         """Begin to run a cell."""
@@ -112,6 +118,10 @@ class Notebook:
         return "".join(
             output.get("text") or "\n".join(output.get("traceback", [])) for output in outputs
         )
+
+    def is_idle(self):
+        """Say whether no cell runs."""
+        return self.driver.execute_script(f"return {_IS_IDLE}")
 
     def restart(self):
         """Begin with a new kernel."""

@@ -21,7 +21,7 @@ import terrainwave
 from terrainwave.ext.notebook import channel as protocol
 from terrainwave.ext.notebook.channel import MOST_BYTES, MOST_RANGES, MOST_WAITING, Answer, Channel
 from terrainwave.ext.notebook.drawn import outline, region_of_box
-from terrainwave.ext.notebook.page import page_files, page_version
+from terrainwave.ext.notebook.page_files import page_files, page_version
 from terrainwave.ext.publish import publish_site, reader_directory
 from terrainwave.globe.lonlat import Globe
 
@@ -508,8 +508,17 @@ def test_a_raster_without_a_place_is_refused_with_what_shows_it():
     with terrainwave.open(data) as terrain:
         with pytest.raises(terrainwave.InvalidHeightsError) as caught:
             terrain.explore()
-    assert "no place on a globe" in str(caught.value)
-    assert "\n" not in str(caught.value)
+    assert str(caught.value) == (
+        "the raster has no coordinate reference system: it has no place on a globe;"
+        " terrain.view() shows it"
+    )
+
+
+def test_a_projection_that_polynomials_cannot_tell_is_refused(tmp_path):
+    twz = write_twz(tmp_path, hills(40, 90), (-18e6, -8e6, 18e6, 8e6), "ESRI:54052")
+    with terrainwave.open(twz) as terrain:
+        with pytest.raises(terrainwave.InvalidHeightsError, match=r"not smooth enough.*view"):
+            terrain.explore()
 
 
 def test_without_widgets_there_is_the_picture(terrain):

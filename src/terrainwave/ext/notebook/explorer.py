@@ -8,11 +8,11 @@ import anywidget
 import traitlets
 
 from terrainwave.arguments import checked_number, checked_whole, shown
-from terrainwave.errors import InvalidArgumentError
+from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.ext.html import terrain_html
 from terrainwave.ext.notebook.channel import Answer, Channel, Question, read_ranges
 from terrainwave.ext.notebook.drawn import outline, region_of_box
-from terrainwave.ext.notebook.page import page_files, page_version, widget_module
+from terrainwave.ext.notebook.page_files import page_files, page_version, widget_module
 from terrainwave.ext.serve.catalog import describe
 from terrainwave.file import TerrainFile
 from terrainwave.globe import terrain_rgb as tiling
@@ -135,9 +135,13 @@ def explorer_of(
     if radius is not None:
         radius = checked_number("radius", radius, above=0)
     need_pyproj(extra="notebook", purpose="explore")
-    globe = Globe(terrain, radius=radius)
+    try:
+        globe = Globe(terrain, radius=radius)
+        places = fit_places(globe)
+    except InvalidHeightsError as error:
+        raise InvalidHeightsError(f"{error}; terrain.view() shows it") from error
     # The first encoding of the page's tiles that holds all heights, else the usual one.
     holding = [one for one in tiling.ENCODINGS if tiling.note_on_range(globe, one) is None]
     described = describe("terrain", globe, [*holding, tiling.MAPBOX][0])
-    described["placed"] = fit_places(globe).as_json(globe)
+    described["placed"] = places.as_json(globe)
     return Explorer(globe, described, camera=camera, height=height)
