@@ -71,6 +71,14 @@ def page():
     return Page()
 
 
+@pytest.fixture
+def gate():
+    """Return what threads wait for, and no longer than the test."""
+    event = threading.Event()
+    yield event
+    event.set()
+
+
 class Source:
     """Bytes, of which it is noted what was read."""
 
@@ -110,9 +118,7 @@ def test_a_question_is_said_to_be_taken_before_it_is_answered(page):
     assert [content for content, _ in page.sent] == [{"id": "1", "taken": True}, {"id": "1"}]
 
 
-def test_a_slow_source_does_not_hold_up_the_kernel(page):
-    gate = threading.Event()
-
+def test_a_slow_source_does_not_hold_up_the_kernel(page, gate):
     class Slow(Source):
         def read_many(self, spans):
             assert gate.wait(PATIENCE)
@@ -189,8 +195,7 @@ def test_so_much_as_a_message_may_ask_comes(page):
     assert sum(map(len, buffers)) == MOST_BYTES
 
 
-def test_questions_without_end_are_refused_until_others_are_answered(page):
-    gate = threading.Event()
+def test_questions_without_end_are_refused_until_others_are_answered(page, gate):
     channel = Channel(page.send, {"wait": lambda _: gate.wait(PATIENCE) and Answer({}, [])}, {})
     for number in range(MOST_WAITING):
         channel.take({"id": str(number), "what": "wait"})

@@ -162,6 +162,15 @@ def test_what_is_seen_and_drawn_comes_back(lab, folder):
         "document.getElementById('window').textContent.includes('100 × 50 samples from row 0')",
     )
 
+    # A page that a notebook takes out and puts back shows the same.
+    notebook.top()
+    frame = "document.querySelector('iframe[title=Terrain]')"
+    driver.execute_script(f"const frame = {frame}; frame.parentNode.prepend(frame)")
+    notebook.frame()
+    wait_until(driver, SHOWN)
+    wait_until(driver, "document.getElementById('window').textContent.includes('100 × 50 samples')")
+    assert driver.execute_script("return terrainMap.getZoom()") == pytest.approx(9.5, abs=1e-3)
+
     # All came from the kernel: nothing is asked of anybody else.
     names = "performance.getEntriesByType('resource').map(({ name }) => name)"
     asked = driver.execute_script(f"return {names}")
