@@ -475,7 +475,18 @@ def test_files_are_opened_only_at_the_edge():
 
 @pytest.mark.parametrize(
     "library",
-    ["moderngl", "fsspec", "urllib3", "xarray", "zarr", "pyvista", "numba", "rasterio", "pyproj"],
+    [
+        "moderngl",
+        "fsspec",
+        "urllib3",
+        "xarray",
+        "zarr",
+        "pyvista",
+        "numba",
+        "rasterio",
+        "pyproj",
+        "anywidget",
+    ],
 )
 def test_importing_terrainwave_needs_no_heavy_library(library):
     code = f"import sys, terrainwave; sys.exit({library!r} in sys.modules)"

@@ -88,7 +88,7 @@ def expected_contents() -> dict[str, set[str]]:
     for name in listed:
         if name.startswith("src/"):
             wheel.add(name.removeprefix("src/"))
-        elif name.startswith(("js/src/", "js/map/")) or name == "js/LICENSE":
+        elif name.startswith(("js/src/", "js/map/", "js/notebook/")) or name == "js/LICENSE":
             wheel.add(name.replace("js/", "terrainwave/ext/serve/reader/", 1))
     return {".whl": wheel, ".gz": {*listed, "PKG-INFO"}}
 

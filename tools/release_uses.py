@@ -69,6 +69,20 @@ import os, subprocess
 subprocess.run(["terrainwave", "publish", "dem.twz", "site"], check=True)
 assert os.path.getsize("site/index.html") and os.path.getsize("site/dem.twz")
 """,
+    "notebook": """
+import time
+import terrainwave as tw
+with tw.open("dem.twz") as terrain:
+    widget, sent = terrain.explore(), []
+    widget._channel._send = lambda content, buffers: sent.append((content, buffers))
+    assert "export default" in widget._esm
+    widget._handle_custom_msg({"id": "1", "what": "ranges", "ranges": [[0, 100]]}, [])
+    widget._handle_custom_msg({"id": "2", "what": "page"}, [])
+    while len(sent) < 4:
+        time.sleep(0.1)
+    found = {content["id"]: buffers for content, buffers in sent if "taken" not in content}
+    assert found["1"] == [open("dem.twz", "rb").read(100)] and len(found["2"]) > 20
+""",
     "pmtiles": """
 import subprocess
 subprocess.run(["terrainwave", "tiles", "dem.twz", "dem.pmtiles"], check=True)

@@ -1,5 +1,7 @@
 /** What both map libraries share. */
 
+import { ByteSource } from "../index.js";
+
 /** How pixels of terrain-RGB tiles stand for heights. */
 export type Encoding = "mapbox" | "terrarium";
 
@@ -37,6 +39,8 @@ export interface TileErrors {
 /** Has tiles made in a worker. */
 export class TileMaker {
   constructor(options?: { worker?: Worker });
+  /** Read the terrain of this name from the page's own source, not from its URL. */
+  bring(name: string, source: ByteSource): void;
   ask(terrain: PublishedTerrain, what: "height", args: [lon: number, lat: number],
     signal?: AbortSignal): Promise<{ lon: number; lat: number; height: number | null; max_error: number }>;
   /** By default in the encoding "mapbox", with opaque voids, and with errors, which take most of the time. */

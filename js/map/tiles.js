@@ -36,6 +36,20 @@ export class TileMaker {
     });
   }
 
+  /** Read the terrain of this name from a source { size, read(start, end) } of the page, not its URL. */
+  bring(name, source) {
+    const { port1: here, port2: port } = new MessageChannel();
+    here.onmessage = async ({ data: { id, start, end } }) => {
+      try {
+        const found = new Uint8Array(await source.read(start, end)); // a copy, which moves
+        here.postMessage({ id, found }, [found.buffer]);
+      } catch (error) {
+        here.postMessage({ id, error: { name: error.name, message: error.message } });
+      }
+    };
+    this.#worker.postMessage({ brought: { name, size: source.size, port } }, [port]);
+  }
+
   #begin() {
     while (this.#mailbox.size < AT_ONCE && this.#waiting.length) {
       const { message, resolve, reject, signal } = this.#waiting.shift();

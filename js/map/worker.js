@@ -15,6 +15,7 @@ import "../src/errors.js";
 import "./places.js";
 import "./surfaces.js";
 import { open } from "../src/index.js";
+import { Mailbox } from "../src/mailbox.js";
 import { Globe } from "./globe.js";
 import { heightmap } from "./heightmap.js";
 import { gridMesh } from "./mesh.js";
@@ -22,10 +23,22 @@ import { TILE_SIZE, rgbPixels, rgbTile, voidPixels, voidsOf } from "./terrain-rg
 
 const N_KEPT = 32;
 const globes = new Map(); // by name: promises
+const brought = new Map(); // by name: sources whose bytes the page brings
+
+function bring({ name, size, port }) {
+  const mailbox = new Mailbox(({ message }) => new Error(message));
+  port.onmessage = ({ data }) => mailbox.settle(data);
+  const read = (start, end) => {
+    const { id, answer } = mailbox.ask(null);
+    port.postMessage({ id, start, end });
+    return answer;
+  };
+  brought.set(name, { size, read });
+}
 
 function openGlobe({ name, url, described }) {
   if (!globes.has(name)) {
-    const opened = open(url, { blocks: true }).then((terrain) => new Globe(terrain, described));
+    const opened = open(brought.get(name) ?? url, { blocks: true }).then((terrain) => new Globe(terrain, described));
     globes.set(name, opened);
     opened.catch(() => globes.delete(name)); // another try opens it anew
   }
@@ -90,7 +103,12 @@ const WORK = {
   },
 };
 
-self.onmessage = async ({ data: { id, terrain, what, args } }) => {
+self.onmessage = async ({ data }) => {
+  const { id, terrain, what, args } = data;
+  if (data.brought) {
+    bring(data.brought);
+    return;
+  }
   try {
     const globe = await openGlobe(terrain);
     const found = await WORK[what](globe, terrain.name, ...args);

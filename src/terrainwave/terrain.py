@@ -1,6 +1,6 @@
 """`Terrain`: the object users hold; a `TerrainFile` with meshes, pictures and other libraries."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from terrainwave.export.mesh import Mesh
+    from terrainwave.ext.notebook.explorer import Explorer
     from terrainwave.mesh.blocks import BlockMesher
     from terrainwave.raster_io.geotiff.stream import GeoTIFFStream
     from terrainwave.render.look.style import Style
@@ -342,3 +343,49 @@ class Terrain(TerrainFile):
             stepwise=stepwise, orientation=orientation, drape=drape, exaggeration=exaggeration,
             radius=radius,
         )  # fmt: skip
+
+    def explore(
+        self,
+        *,
+        camera: Mapping[str, float] | None = None,
+        height: int = 480,
+        radius: float | None = None,
+    ) -> "Explorer":
+        """Return a map in 3-D for notebooks: the last line of a cell shows it.
+
+        It is the page of `terrainwave publish` as a Jupyter widget. The kernel reads the file, so
+        it needs no server, and local files, URLs and private stores work alike. The terrain must
+        stay open. Where notebooks show no widgets, there is a picture instead.
+
+        Parameters
+        ----------
+        camera : dict, optional
+            ``lon`` and ``lat`` in degrees, ``zoom``, ``pitch`` and ``bearing``, as the map has
+            them; by default all of the terrain is seen.
+        height : int
+            Of the map in pixels, 100 … 10000; it is as wide as the cell.
+        radius : float, optional
+            Of the planet or moon in metres, > 0, for coordinates in degrees; by default that of the
+            CRS's ellipsoid.
+
+        Returns
+        -------
+        Explorer
+            Its `camera` says what is seen, and moves the map if you set it. Its `window` is what
+            you draw on the map, as ``terrain.read(window=...)`` takes it; None before.
+
+        Raises
+        ------
+        TerrainwaveError
+            If anywidget or pyproj is not installed.
+        InvalidHeightsError
+            If the raster has no place on a globe, or none that polynomials tell.
+        InvalidArgumentError
+            If an argument is out of range.
+        """
+        from terrainwave.extras import need
+
+        need("anywidget", extra="notebook", purpose="explore")
+        from terrainwave.ext.notebook.explorer import explorer_of
+
+        return explorer_of(self, camera=camera, height=height, radius=radius)

@@ -1,13 +1,13 @@
 // The page of `terrainwave serve` and `publish`: MapLibre over the tiles of one file at a time.
 //
-// Tiles and heights come from a server (`served.mjs`) or are made here (`published.mjs`).
+// Tiles and heights come from a server (`served.mjs`) or are made here (`published.mjs`), as `host.mjs`
+// says.
 // `state` is what the page shows. Each terrain that is shown is a new generation: what was asked
 // for an earlier one (styles, heights) is dropped when it comes.
 import { Map, NavigationControl, ScaleControl, addProtocol } from "./maplibre/maplibre-gl.mjs";
 import { gradientOf, reliefOf, ticksOf, written } from "./colours.mjs";
 import { copyable } from "./copying.mjs";
-import * as permalink from "./permalink.mjs";
-import { terrains as listed } from "./terrains.mjs";
+import * as host from "./host.mjs";
 
 const ASKING = "Point at the terrain or tap it for a height.";
 const PITCH = 62;
@@ -29,7 +29,7 @@ const isNarrow = window.matchMedia("(max-width: 600px)").matches;
 // Colours that nobody chose are those of the terrain.
 const state = { terrain: null, times: 1, colours: null, shaded: true };
 let terrains = [];
-let source = null; // the module that tiles and heights come from
+let source = null; // what tiles and heights come from
 let map = null;
 let generation = 0; // of the terrain that is shown
 let styled = 0; // the generation whose style the map has
@@ -202,14 +202,14 @@ let keeping = 0;
 function keepPermalink() {
   clearTimeout(keeping);
   keeping = setTimeout(() => {
-    history.replaceState(null, "", permalink.write({ ...state, colours: coloursOf(state) }, map));
+    host.keep({ ...state, colours: coloursOf(state) }, map);
     const field = element("addresses").querySelector("input");
     if (field) field.value = location.href;
   }, 200);
 }
 
 function followPermalink() {
-  const { terrain: name, view, times, colours, shaded } = permalink.read(location.hash);
+  const { terrain: name, view, times, colours, shaded } = host.view();
   const isColours = colours !== undefined
     && [...element("colours").options].some(({ value }) => value === colours);
   if (times !== undefined) state.times = times;
@@ -313,14 +313,12 @@ function connect() {
   element("terrain").addEventListener("change", ({ target }) => {
     show(terrains.find(({ name }) => name === target.value));
   });
-  window.addEventListener("hashchange", followPermalink);
+  host.follow(followPermalink);
 }
 
 async function start() {
   element("panel").open = !isNarrow;
-  terrains = await listed;
-  source = await import(terrains.some(({ file }) => file) ? "./published.mjs" : "./served.mjs");
-  source.connect({ addProtocol });
+  ({ terrains, source } = await host.listed({ addProtocol }));
   element("terrain").replaceChildren(...terrains.map(({ name }) => new Option(name, name)));
   element("terrain").hidden = terrains.length < 2;
   map = new Map({
@@ -332,6 +330,7 @@ async function start() {
   map.addControl(new NavigationControl({ visualizePitch: true }), "top-right");
   map.addControl(new ScaleControl(), "bottom-right");
   connect();
+  host.begin?.(map);
   followPermalink();
   window.terrainMap = map; // for the curious and for tests; #map is a window property already
 }

@@ -1,24 +1,21 @@
 // Tiles and heights from `terrainwave serve`.
 
-/** Let a map use the tiles: it can already. */
-export function connect() {}
-
 const at = (terrain, path) => new URL(`${terrain.name}${path}`, document.baseURI).href;
 
 /** Return the addresses of a terrain's tiles, "rgb" or "voids", for a style. */
-export function tilesOf(terrain, kind, query) {
+function tilesOf(terrain, kind, query) {
   const address = at(terrain, `/${kind}/{z}/{x}/{y}.png?${query}`);
   return [address.replaceAll("%7B", "{").replaceAll("%7D", "}")];
 }
 
 /** Return { height, max_error } at a place, or null if the server does not know. */
-export async function heightAt(terrain, { lng, lat }, signal) {
+async function heightAt(terrain, { lng, lat }, signal) {
   const answer = await fetch(at(terrain, `/height?lon=${lng}&lat=${lat}`), { signal });
   return answer.ok ? answer.json() : null;
 }
 
 /** Return [what it is for, address] of all that can be had of a terrain. */
-export function addressesOf(terrain) {
+function addressesOf(terrain) {
   return [
     ["Tiles, TileJSON: MapLibre", at(terrain, "/tiles.json")],
     ["Tiles, XYZ: terrain-RGB", `${at(terrain, "/rgb/")}{z}/{x}/{y}.png`],
@@ -27,3 +24,5 @@ export function addressesOf(terrain) {
     ["The file: terrainwave.open", at(terrain, ".twz")],
   ];
 }
+
+export const open = () => ({ tilesOf, heightAt, addressesOf });

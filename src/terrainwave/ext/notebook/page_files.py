@@ -1,0 +1,52 @@
+"""The files that the map in a notebook is made of: those of the page, without a server."""
+
+import gzip
+import hashlib
+from functools import cache
+from pathlib import Path
+
+from terrainwave.ext.publish import reader_directory
+
+# In the page's folder another module says what it shows: the notebook's.
+_HOST = "static/host.mjs"
+_STATIC = Path(__file__).parents[1] / "serve" / "static"
+_ENDINGS = (".html", ".css", ".js", ".mjs")
+
+
+def widget_module() -> str:
+    """Return the module that a notebook runs: js/notebook/widget.js."""
+    return (_notebook_directory() / "widget.js").read_text(encoding="utf-8")
+
+
+@cache
+def page_files() -> dict[str, bytes]:
+    """Return {name as in a published folder: text, compressed by gzip}."""
+    reader = reader_directory()
+    paths = {f"static/{_below(_STATIC, path)}": path for path in _STATIC.rglob("*")}
+    for name in ("src", "map"):
+        folder = reader / name
+        paths |= {f"terrainwave/{name}/{_below(folder, path)}": path for path in folder.iterdir()}
+    paths |= {"index.html": paths.pop("static/index.html")}
+    paths |= {_HOST: _notebook_directory() / "host.js"}
+    return {
+        name: gzip.compress(path.read_bytes(), mtime=0)
+        for name, path in sorted(paths.items())
+        if path.suffix in _ENDINGS
+    }
+
+
+@cache
+def page_version() -> str:
+    """Return what tells this page from that of another version of the package."""
+    digest = hashlib.sha256()
+    for name, packed in page_files().items():
+        digest.update(name.encode() + packed)
+    return digest.hexdigest()[:16]
+
+
+def _notebook_directory() -> Path:
+    return reader_directory() / "notebook"
+
+
+def _below(folder: Path, path: Path) -> str:
+    return path.relative_to(folder).as_posix()

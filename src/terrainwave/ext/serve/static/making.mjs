@@ -1,0 +1,24 @@
+// Tiles and heights made in the browser, of files that a source is known of.
+import { SCHEME, addTerrains } from "../terrainwave/map/maplibre.js";
+
+/** Return what tiles and heights of terrains come from; `maplibre` is the module, `maker` makes them. */
+export function open(maplibre, terrains, maker) {
+  const byName = new Map(terrains.map((terrain) => [terrain.name, terrain]));
+  addTerrains(maplibre, terrains, maker);
+  return {
+    /** Return the addresses of a terrain's tiles, "rgb" or "voids", for a style. */
+    tilesOf: ({ name }, kind, query) =>
+      [`${SCHEME}://${encodeURIComponent(name)}/${kind}/{z}/{x}/{y}?${query}`],
+
+    /** Return { height, max_error } at a place. */
+    heightAt: ({ name }, { lng, lat }, signal) =>
+      maker.ask(byName.get(name), "height", [lng, lat], signal),
+
+    /** Return [what it is for, address] of all that can be had of a terrain. */
+    addressesOf: ({ name }) => [
+      ["The file: terrainwave.open", byName.get(name).url.href],
+      ["Module: MapLibre", new URL("terrainwave/map/maplibre.js", document.baseURI).href],
+      ["Module: CesiumJS", new URL("terrainwave/map/cesium.js", document.baseURI).href],
+    ],
+  };
+}
