@@ -118,6 +118,7 @@ WIDE = {
         "_add_spread", "_code", "_code_line", "_code_node", "_code_tables", "_correct", "_encode",
         "_read_symbols", "code_detail", "code_rows", "gather_window", "n_reached",
     },
+    "arrays of one triangulation, and where in them": {"_flip", "_insert"},
 }  # fmt: skip
 # Entrances: what users start may import all that is above.
 ENTRANCES = {"__init__", "cli", "__main__"}

@@ -56,9 +56,9 @@ def site(twz, tmp_path_factory):
 # The folder
 
 
-def test_without_pyproj_publish_asks_for_its_own_extra(tmp_path, monkeypatch):
+def test_without_pyproj_publish_asks_for_its_own_extra(twz, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyproj", None)
-    result = run("publish", tmp_path / "a.twz", tmp_path / "site")
+    result = run("publish", twz, tmp_path / "site")
     assert result.exit_code == 1
     assert 'publish needs pyproj: pip install "terrainwave[publish]"' in result.stderr
 
