@@ -60,7 +60,7 @@ def test_without_pyproj_publish_asks_for_its_own_extra(twz, tmp_path, monkeypatc
     monkeypatch.setitem(sys.modules, "pyproj", None)
     result = run("publish", twz, tmp_path / "site")
     assert result.exit_code == 1
-    assert 'publish needs pyproj: pip install "terrainwave[publish]"' in result.stderr
+    assert 'needs pyproj: pip install "terrainwave[publish]"' in result.stderr
 
 
 def test_the_folder_is_whole_and_replaced_only_if_told(twz, tmp_path):
