@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 import pytest
+from affine import Affine
 from commands import one_line, run, start
 from strategies import read_geotiff, terrain_like, write_geotiff
 
@@ -436,6 +437,82 @@ def test_many_files_with_bad_ones_among_them_restarted(tmp_path):
             with terrainwave.open(out / f"{path.stem}.twz") as terrain:
                 assert np.array_equal(terrain.read(), read_geotiff(path)[0])
     assert len(list(out.glob("*.twz"))) == 197
+
+
+@pytest.mark.full
+def test_a_batch_that_is_killed_twice_goes_on_where_it_was(tmp_path):
+    """200 files, 3 of them bad: killed without warning, between and within files."""
+    rasters = [
+        write_geotiff(tmp_path / f"{number:03}.tif", terrain_like(9, 8, seed=number))
+        for number in range(200)
+    ]
+    bad = rasters[3], rasters[90], rasters[150]
+    for path in bad:
+        path.write_bytes(b"II*\0 no raster")
+    out = tmp_path / "out"
+    command = [
+        "compress", *rasters, "--to", out, "--skip-existing", "--json", "--no-mesh",
+        "--max-error", "0", "--block", "32",
+    ]  # fmt: skip
+    for n_made in (30, 110):
+        with start(*map(str, command)) as process:
+            while len(list(out.glob("*.twz"))) < n_made:
+                assert process.poll() is None
+                time.sleep(0.005)
+            process.kill()
+            process.communicate()
+    there = {path.name for path in out.glob("*.twz")}
+    assert 110 <= len(there) < 197
+    done = run(*command)
+    assert done.exit_code == 1
+    found = in_json(done, rasters)
+    failed = {file["source"]: file for file in found if file["status"] == "failed"}
+    assert list(failed) == list(map(str, bad)), failed
+    assert sum(file["status"] == "skipped" for file in found) >= 109
+    assert {file["status"] for file in found} == {"failed", "skipped", "compressed"}
+    for path in rasters:
+        if path not in bad:
+            with terrainwave.open(out / f"{path.stem}.twz") as terrain:
+                assert np.array_equal(terrain.read(), read_geotiff(path)[0])
+    # Nothing unfinished is left beside them.
+    assert len([path for path in out.iterdir() if "part" in path.name]) == 0
+    assert len(list(out.glob("*.twz"))) == 197
+
+
+def test_a_unit_that_the_crs_names_is_not_missing(tmp_path):
+    """One note for all rasters without a unit, and none where the CRS names it."""
+    plain, compound = "EPSG:4326", "EPSG:4979"
+    Affine(0.01, 0, 8, 0, -0.01, 46)
+    options = ["--block", 32, "--max-error", 1, "--method", "rapid"]
+    for crs, n_notes in ((plain, 1), (compound, 0)):
+        folder = tmp_path / crs[-4:]
+        folder.mkdir()
+        rasters = [
+            write_geotiff(
+                folder / f"{name}.tif",
+                terrain_like(12, 10),
+                crs=crs,
+                transform=Affine(0.01, 0, 8, 0, -0.01, 46),
+            )
+            for name in "abc"
+        ]
+        twz = folder / "out" / "a.twz"
+        commands = [
+            ["compress", *rasters, "--to", folder / "out", *options],
+            ["compress", rasters[0], folder / "b.twz", *options],
+            ["mesh", twz, folder / "a.ply"],
+            ["mesh", twz, folder / "b.ply", "--lods", 3, "--max-error", 2],
+            ["patch", twz, rasters[0]],
+            ["tiles", twz, folder / "tiles", "--max-zoom", 1],
+            ["tiles", twz, folder / "a.pmtiles", "--max-zoom", 7],
+        ]
+        for command in commands:
+            done = run(*command)
+            assert done.exit_code == 0, done.stderr
+            notes = [line for line in done.stderr.splitlines() if "no vertical unit" in line]
+            assert len(notes) == n_notes, (command[0], crs, done.stderr)
+            if command[0] == "tiles":
+                assert ("errors in m" in done.stdout) == (n_notes == 0)
 
 
 @pytest.mark.parametrize(

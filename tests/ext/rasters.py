@@ -7,7 +7,7 @@ from affine import Affine
 import terrainwave
 
 
-def write_raster(path, heights, bounds, crs="EPSG:4326", **profile):
+def write_raster(path, heights, bounds, crs="EPSG:4326", units="m", **profile):
     """Write a GeoTIFF whose pixels cover `bounds` (left, bottom, right, top)."""
     n_rows, n_cols = heights.shape
     left, bottom, right, top = bounds
@@ -17,6 +17,8 @@ def write_raster(path, heights, bounds, crs="EPSG:4326", **profile):
         crs=crs, transform=transform, **profile,
     ) as raster:  # fmt: skip
         raster.write(heights, 1)
+        if units:
+            raster.units = (units,)
     return path
 
 

@@ -312,6 +312,25 @@ def test_the_first_picture_takes_few_requests(large, browser, tmp_path):
 @pytest.mark.full
 @pytest.mark.gl
 @pytest.mark.large
+def test_the_page_says_no_metres_where_nobody_knows_the_unit(tmp_path, browser):
+    heights = hills(120, 141) * 4
+    twz = write_twz(tmp_path, heights, BOUNDS, max_error=8, units=None)
+    publish_site([str(twz)], tmp_path / "site")
+    listed = json.loads((tmp_path / "site" / "terrains.json").read_text())
+    assert [one["units"] for one in listed] == [None]
+    with static_server(tmp_path / "site") as server:
+        driver = show(browser, server, hash_="terrain=hills&view=46.1,8.35,11,0,40")
+        ActionChains(driver).move_to_element(driver.find_element("id", "map")).perform()
+        wait_until(driver, "document.getElementById('place').textContent.includes('(± 8)')")
+        assert "± 8 of the original" in driver.find_element("id", "about").text.replace("\n", " ")
+        ticks = driver.find_element("id", "ticks").text.split()
+        assert ticks
+        assert not any("m" in tick for tick in ticks)
+
+
+@pytest.mark.full
+@pytest.mark.gl
+@pytest.mark.large
 def test_the_page_tells_heights_of_the_file(twz, site, browser):
     with static_server(site) as server:
         driver = show(browser, server, hash_="terrain=hills&view=46.1,8.35,11,0,40")

@@ -575,3 +575,22 @@ def test_names_on_stdin_are_served_until_it_ends(hilly, nowhere, tmp_path):
 
 def test_serve_without_files_is_wrong_usage():
     assert "FILES" in one_line(run("serve"), 2)
+
+
+# Where nobody knows the unit, nobody says metres.
+
+CRS_WITH_HEIGHTS = "EPSG:4979"  # degrees, and metres above the ellipsoid
+
+
+@pytest.mark.parametrize(
+    ("units", "crs", "said"),
+    [("m", "EPSG:4326", "m"), ("ft", "EPSG:4326", "m"), (None, "EPSG:4326", None),
+     (None, CRS_WITH_HEIGHTS, "m")],
+)  # fmt: skip
+def test_answers_name_metres_only_where_the_unit_is_known(tmp_path, units, crs, said):
+    path = write_twz(tmp_path, hills(40, 50), BOUNDS, crs=crs, units=units)
+    with client_of(path) as client:
+        assert client.get("/hills/height", params={"lon": 8.2, "lat": 46.2}).json()["units"] == said
+        assert client.get("/hills/tiles.json").json()["units"] == said
+        (layer,) = client.get("/terrains.json").json()
+    assert layer["units"] == said

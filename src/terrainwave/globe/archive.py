@@ -254,6 +254,7 @@ def _description(
         "generator": f"terrainwave {__version__}",
         "attribution": attribution,
         "max_error": globe.effective_error,
+        "units": globe.units,
         "zooms": [asdict(zoom) for zoom in summaries],
     }
     return header, metadata

@@ -190,6 +190,11 @@ class Globe:
         lonlat = self._place.to_lonlat(np.stack([x, y], axis=1))
         return lonlat[:, 0], lonlat[:, 1]
 
+    @property
+    def units(self) -> str | None:
+        """Return m, the unit of heights here; None where nobody knows it: they are as stored."""
+        return None if self.terrain.units is None else "m"
+
     @cached_property
     def pixel(self) -> float:
         """Return the smaller distance of neighbouring samples in the raster's middle, metres."""

@@ -382,4 +382,5 @@ def tile_json(globe: Globe, url: str, name: str, encoding: str = MAPBOX) -> dict
         "encoding": encoding,
         "tileSize": TILE_SIZE,
         "format": "png",
+        "units": globe.units,
     }

@@ -38,7 +38,9 @@ def publish(
     if not files:
         raise click.UsageError(f"found {plain(directory)} alone, expected FILES and DIRECTORY")
     from terrainwave.ext.publish import publish_site
+    from terrainwave.place.system import need_pyproj
 
+    need_pyproj(extra="publish", purpose="publish")
     announce_compiling(quiet=quiet)
     with Bar(quiet=quiet) as bar:
         published = publish_site(list(files), directory, progress=bar, **options)

@@ -23,6 +23,7 @@ from terrainwave.cli.output import (
     plain,
     print_grid,
     print_json,
+    print_note,
     reading,
     vertical_in_words,
 )
@@ -89,12 +90,18 @@ def tiles(
         terrainwave.open(file, threads=threads) as terrain,
         Bar(quiet=quiet) as bar,
     ):
+        units = terrain.units
         summaries = write(terrain, target, threads=threads, progress=bar, **options)
     if as_json:
         zooms = [asdict(zoom) for zoom in summaries]
         print_json({"path": str(Path(target)), "zooms": zooms})
     elif not quiet:
-        (_print_archived if is_archive else _print_zooms)(target, summaries)
+        (_print_archived if is_archive else _print_zooms)(target, summaries, units)
+        if not units:
+            print_note(
+                "the raster names no vertical unit: heights and errors are as stored, which maps"
+                " take for metres"
+            )
 
 
 def _write_archive(
@@ -142,7 +149,7 @@ def _write_directory(
     return write_tiles(terrain, target, void_height=void_height or 0.0, **options)
 
 
-def _print_archived(target: str, summaries: Any) -> None:
+def _print_archived(target: str, summaries: Any, units: str | None) -> None:
     header = ["zoom", "tiles", "bytes", "surface error", "terrain error"]
     rows = [
         [str(zoom.zoom), f"{zoom.n_tiles:,}", f"{zoom.n_bytes:,}", _metres(zoom.surface_error),
@@ -150,10 +157,10 @@ def _print_archived(target: str, summaries: Any) -> None:
         for zoom in summaries
     ]  # fmt: skip
     print_grid(header, rows)
-    _print_total(target, summaries)
+    _print_total(target, summaries, units)
 
 
-def _print_zooms(directory: str, summaries: Any) -> None:
+def _print_zooms(directory: str, summaries: Any, units: str | None) -> None:
     header = ["zoom", "tiles", "triangles", "bytes", "Cesium's error", "surface error", "error"]
     rows = [
         [str(zoom.zoom), f"{zoom.n_tiles:,}", f"{zoom.n_triangles:,}", f"{zoom.n_bytes:,}",
@@ -161,14 +168,15 @@ def _print_zooms(directory: str, summaries: Any) -> None:
         for zoom in summaries
     ]  # fmt: skip
     print_grid(header, rows)
-    _print_total(directory, summaries)
+    _print_total(directory, summaries, units)
     layer = json.loads((Path(directory) / "layer.json").read_text(encoding="utf-8"))
     click.echo(f"heights {vertical_in_words(layer['vertical'])}")
 
 
-def _print_total(target: str, summaries: Any) -> None:
+def _print_total(target: str, summaries: Any, units: str | None) -> None:
     n_tiles = sum(zoom.n_tiles for zoom in summaries)
-    click.echo(f"{plain(target)}: {count_of(n_tiles, 'tile')}; errors in m")
+    in_metres = "; errors in m" if units else ""
+    click.echo(f"{plain(target)}: {count_of(n_tiles, 'tile')}{in_metres}")
 
 
 def _metres(error: float | None) -> str:

@@ -217,7 +217,7 @@ class Answers:
         name: str,
         lon: Annotated[float, Query(ge=-720, le=720)],
         lat: Annotated[float, Query(ge=-90, le=90)],
-    ) -> dict[str, float | None]:
+    ) -> dict[str, float | str | None]:
         layer = self._find(name)
         return await self._desk.do(height_at, layer, lon, lat)
 
@@ -239,8 +239,11 @@ def check_tile(z: int, x: int, y: int, last_zoom: int, n_first: int = 1) -> None
         )
 
 
-def height_at(layer: Layer, longitude: float, latitude: float) -> dict[str, float | None]:
-    """Return the height in metres at a place, null where there is none, and the file's bound."""
+def height_at(layer: Layer, longitude: float, latitude: float) -> dict[str, float | str | None]:
+    """Return the height in metres at a place, null where there is none, and the file's bound.
+
+    `units` is null where nobody knows the unit: heights are then as the file has them.
+    """
     globe = layer.globe
     rows, cols = globe.to_samples(np.array([longitude]), np.array([latitude]))
     heights, _ = globe.heights_at(rows, cols, globe.terrain.grid.k_max)
@@ -250,4 +253,5 @@ def height_at(layer: Layer, longitude: float, latitude: float) -> dict[str, floa
         "lat": latitude,
         "height": None if np.isnan(height) else height,
         "max_error": globe.effective_error,
+        "units": globe.units,
     }

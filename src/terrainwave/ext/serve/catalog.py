@@ -48,6 +48,7 @@ def describe(
         "lowest": lowest,
         "highest": highest,
         "error": globe.effective_error,
+        "units": globe.units,
         "bytes": info.n_bytes,
         "rows": info.n_rows,
         "columns": info.n_cols,

@@ -41,5 +41,10 @@ export function ticksOf(low, high) {
 /** Return a height as a legend writes it: no more digits than tell the ends apart. */
 export function written(height, range) {
   const digits = Math.min(Math.max(1 - Math.floor(Math.log10(range || 1)), 0), 3);
-  return `${height.toFixed(digits).replace(/^-0(\.0*)?$/, "0").replace("-", "−")} m`;
+  return `${height.toFixed(digits).replace(/^-0(\.0*)?$/, "0").replace("-", "−")}`;
+}
+
+/** Return a number with the unit of a terrain's heights, or alone where nobody knows it. */
+export function withUnit(number, { units }) {
+  return units ? `${number} ${units}` : `${number}`;
 }

@@ -5,7 +5,7 @@
 // `state` is what the page shows. Each terrain that is shown is a new generation: what was asked
 // for an earlier one (styles, heights) is dropped when it comes.
 import { Map, NavigationControl, ScaleControl, addProtocol } from "./maplibre/maplibre-gl.mjs";
-import { gradientOf, reliefOf, ticksOf, written } from "./colours.mjs";
+import { gradientOf, reliefOf, ticksOf, withUnit, written } from "./colours.mjs";
 import { copyable } from "./copying.mjs";
 import * as host from "./host.mjs";
 
@@ -161,7 +161,7 @@ function home(terrain) {
 function describe(terrain) {
   const error = Number(terrain.error.toPrecision(3));
   const strong = document.createElement("strong");
-  strong.textContent = `± ${error} m`;
+  strong.textContent = `± ${withUnit(error, terrain)}`;
   element("about").replaceChildren(
     `${terrain.columns} × ${terrain.rows} samples in ${(terrain.bytes / 1e6).toFixed(2)} MB,`
     + ` ${terrain.bits_per_sample.toFixed(2)} bit each. Every height within `,
@@ -189,7 +189,7 @@ function showLegend() {
   element("bar").style.background = gradientOf(stops);
   element("ticks").replaceChildren(...ticksOf(low, high).map((height) => {
     const tick = document.createElement("span");
-    tick.textContent = written(height, high - low);
+    tick.textContent = withUnit(written(height, high - low), state.terrain);
     tick.style.left = `${100 * (height - low) / (high - low)}%`;
     return tick;
   }));
@@ -250,7 +250,8 @@ async function askHeight(lngLat, what = "") {
     if (answer) {
       const { height, max_error: error } = answer;
       told = height === null ? "no height here"
-        : `${height.toFixed(2)} m (± ${Number(error.toPrecision(3))} m)`;
+        : `${withUnit(height.toFixed(2), terrain)}`
+          + ` (± ${withUnit(Number(error.toPrecision(3)), terrain)})`;
     }
   } catch { /* said below, or aborted */ }
   if (signal.aborted) return;
