@@ -459,3 +459,27 @@ def test_meshing_tells_programs_how_far_it_is(tmp_path, twz, monkeypatch):
     assert told[0].startswith("progress: meshing ")
     assert told[-1].endswith(" 100 %") or ", try " in told[-1]
     assert any("meshing, try 2 " in line for line in told)
+
+
+@pytest.mark.parametrize(
+    ("options", "is_measured"),
+    [([], False), (["--measure-meshes"], True), (["--mesh", "rqt"], True)],
+)
+def test_info_says_whether_errors_of_meshes_were_measured(tmp_path, options, is_measured):
+    write_geotiff(tmp_path / "dem.tif", terrain_like(70, 50))
+    path = tmp_path / "dem.twz"
+    done = run("compress", tmp_path / "dem.tif", path, "--block", 32, "--max-error", 2, *options)
+    assert done.exit_code == 0, done.output
+    assert json.loads(run("info", path, "--json").stdout)["measured_meshes"] is is_measured
+    assert ("errors not measured" in run("info", path).stdout) is not is_measured
+    again = tmp_path / "again.twz"
+    assert run("mesh", "--store", path, again, "--original", tmp_path / "dem.tif").exit_code == 0
+    assert json.loads(run("info", again, "--json").stdout)["measured_meshes"] is True
+
+
+def test_measuring_no_meshes_is_noted(tmp_path):
+    write_geotiff(tmp_path / "dem.tif", terrain_like(33, 20))
+    options = "--method", "store", "--block", 32, "--max-error", 1, "--no-mesh", "--measure-meshes"
+    done = run("compress", tmp_path / "dem.tif", tmp_path / "dem.twz", *options)
+    assert done.exit_code == 0
+    assert "measuring meshes changes nothing: the file gets no meshes" in done.stderr + done.stdout
