@@ -3,9 +3,8 @@
  * and the window that the kernel has. It has the place of the page's host.mjs.
  */
 
-import { setWorkerUrl } from "./maplibre/maplibre-gl.mjs";
-import { TileMaker } from "../terrainwave/map/maplibre.js";
-import { open } from "./published.mjs";
+import { addProtocol, setWorkerUrl } from "./maplibre/maplibre-gl.mjs";
+import { SCHEME, TileMaker, addTerrains } from "../terrainwave/map/maplibre.js";
 
 const { model, terrain, source, kernel } = window.frameElement.terrainwave;
 const LINE = "#d43d1a";
@@ -14,10 +13,15 @@ const NONE = { type: "FeatureCollection", features: [] };
 setWorkerUrl(String(new URL("./maplibre/maplibre-gl-worker.mjs", import.meta.url)));
 
 export async function listed() {
-  const maker = new TileMaker();
+  const [maker, named] = [new TileMaker(), { name: terrain.name, url: "", described: terrain }];
   maker.bring(terrain.name, source);
-  const made = await open([{ name: terrain.name, url: "", described: terrain }], maker);
-  return { terrains: [terrain], source: { ...made, addressesOf: () => [] } };
+  addTerrains({ addProtocol }, [named], maker);
+  const made = {
+    tilesOf: (_, kind, query) => [`${SCHEME}://${terrain.name}/${kind}/{z}/{x}/{y}?${query}`],
+    heightAt: (_, { lng, lat }, signal) => maker.ask(named, "height", [lng, lat], signal),
+    addressesOf: () => [],
+  };
+  return { terrains: [terrain], source: made };
 }
 
 // The camera, as the kernel has it.

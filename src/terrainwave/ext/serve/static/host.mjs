@@ -8,8 +8,7 @@ export async function listed() {
   if (!answer.ok) throw new Error(`the server answered ${answer.status}`);
   const terrains = await answer.json();
   const isPublished = terrains.some(({ file }) => file);
-  const { open } = await import(isPublished ? "./published.mjs" : "./served.mjs");
-  return { terrains, source: await open() };
+  return { terrains, source: await import(isPublished ? "./published.mjs" : "./served.mjs") };
 }
 
 /** Return what is to be seen, as `permalink.read` does. */

@@ -2,25 +2,26 @@
 import { addProtocol } from "./maplibre/maplibre-gl.mjs";
 import { SCHEME, addTerrains, publishedTerrains } from "../terrainwave/map/maplibre.js";
 
-/** Return what tiles and heights of terrains come from; by default of those in terrains.json. */
-export async function open(terrains, maker) {
-  terrains ??= await publishedTerrains("terrains.json");
-  const byName = new Map(terrains.map((terrain) => [terrain.name, terrain]));
-  const made = addTerrains({ addProtocol }, terrains, maker);
-  return {
-    /** Return the addresses of a terrain's tiles, "rgb" or "voids", for a style. */
-    tilesOf: ({ name }, kind, query) =>
-      [`${SCHEME}://${encodeURIComponent(name)}/${kind}/{z}/{x}/{y}?${query}`],
+const terrains = new Map(
+  (await publishedTerrains("terrains.json")).map((terrain) => [terrain.name, terrain]),
+);
+const maker = addTerrains({ addProtocol }, [...terrains.values()]);
 
-    /** Return { height, max_error } at a place. */
-    heightAt: ({ name }, { lng, lat }, signal) =>
-      made.ask(byName.get(name), "height", [lng, lat], signal),
+/** Return the addresses of a terrain's tiles, "rgb" or "voids", for a style. */
+export function tilesOf({ name }, kind, query) {
+  return [`${SCHEME}://${encodeURIComponent(name)}/${kind}/{z}/{x}/{y}?${query}`];
+}
 
-    /** Return [what it is for, address] of all that can be had of a terrain. */
-    addressesOf: ({ name }) => [
-      ["The file: terrainwave.open", byName.get(name).url.href],
-      ["Module: MapLibre", new URL("terrainwave/map/maplibre.js", document.baseURI).href],
-      ["Module: CesiumJS", new URL("terrainwave/map/cesium.js", document.baseURI).href],
-    ],
-  };
+/** Return { height, max_error } at a place. */
+export function heightAt({ name }, { lng, lat }, signal) {
+  return maker.ask(terrains.get(name), "height", [lng, lat], signal);
+}
+
+/** Return [what it is for, address] of all that can be had of a terrain. */
+export function addressesOf({ name }) {
+  return [
+    ["The file: terrainwave.open", terrains.get(name).url.href],
+    ["Module: MapLibre", new URL("terrainwave/map/maplibre.js", document.baseURI).href],
+    ["Module: CesiumJS", new URL("terrainwave/map/cesium.js", document.baseURI).href],
+  ];
 }

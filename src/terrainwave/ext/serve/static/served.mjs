@@ -3,19 +3,19 @@
 const at = (terrain, path) => new URL(`${terrain.name}${path}`, document.baseURI).href;
 
 /** Return the addresses of a terrain's tiles, "rgb" or "voids", for a style. */
-function tilesOf(terrain, kind, query) {
+export function tilesOf(terrain, kind, query) {
   const address = at(terrain, `/${kind}/{z}/{x}/{y}.png?${query}`);
   return [address.replaceAll("%7B", "{").replaceAll("%7D", "}")];
 }
 
 /** Return { height, max_error } at a place, or null if the server does not know. */
-async function heightAt(terrain, { lng, lat }, signal) {
+export async function heightAt(terrain, { lng, lat }, signal) {
   const answer = await fetch(at(terrain, `/height?lon=${lng}&lat=${lat}`), { signal });
   return answer.ok ? answer.json() : null;
 }
 
 /** Return [what it is for, address] of all that can be had of a terrain. */
-function addressesOf(terrain) {
+export function addressesOf(terrain) {
   return [
     ["Tiles, TileJSON: MapLibre", at(terrain, "/tiles.json")],
     ["Tiles, XYZ: terrain-RGB", `${at(terrain, "/rgb/")}{z}/{x}/{y}.png`],
@@ -24,5 +24,3 @@ function addressesOf(terrain) {
     ["The file: terrainwave.open", at(terrain, ".twz")],
   ];
 }
-
-export const open = () => ({ tilesOf, heightAt, addressesOf });
