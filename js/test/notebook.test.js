@@ -131,6 +131,17 @@ test("a kernel that does not hear for a second is busy, until it hears", async (
   kernel.end();
 });
 
+test("a kernel that has heard one question, and not the next one, is busy a second later", async () => {
+  const lines = [];
+  const model = new Model();
+  const kernel = new Kernel(model, (line) => lines.push(line));
+  for (const what of ["page", "terrain"]) kernel.ask(what).catch(() => {});
+  model.tell({ id: model.asked[0].id, taken: true });
+  await pause(1150);
+  assert.deepEqual(lines, ["", "The kernel is busy: the map waits, and goes on by itself."]);
+  kernel.end();
+});
+
 test("a kernel that hears all within a second is never busy, however much is asked", async () => {
   const lines = new Set();
   const model = new Model(({ id }) => setTimeout(() => model.tell({ id, taken: true }), 300));

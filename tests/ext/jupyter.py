@@ -13,7 +13,9 @@ import nbformat
 from ext.browser import PATIENCE, wait_until
 
 _PANEL = "[...jupyterapp.shell.widgets('main')][0]"
-_IS_IDLE = f"{_PANEL}?.sessionContext?.session?.kernel?.status === 'idle'"
+_IS_IDLE = (
+    f"window.jupyterapp?.shell && {_PANEL}?.sessionContext?.session?.kernel?.status === 'idle'"
+)
 QUIET = [
     "--no-browser", "--allow-root", "--expose-app-in-browser", "--IdentityProvider.token=",
     "--ServerApp.port_retries=0", "--LabApp.news_url=None",

@@ -3,7 +3,8 @@
 A question is ``{"id": text, "what": text, ...}``. As soon as the kernel hears it, it says
 ``{"id", "taken": true}``: so the page knows a busy kernel from a slow file. The answer follows,
 ``{"id", ...}`` with binary buffers, or ``{"id", "error": {"name", "message"}}``. Bytes are read in
-threads: a slow server does not hold up the cells of the notebook.
+threads: a slow server does not hold up the cells of the notebook. (Some notebooks hear questions in
+threads of their own, while a cell runs.)
 
 What the page asks is not trusted: any script of the notebook's page can send messages.
 """

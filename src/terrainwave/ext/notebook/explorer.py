@@ -109,7 +109,8 @@ class Explorer(anywidget.AnyWidget):
     def _repr_mimebundle_(self, **kwargs: Any) -> Any:
         """Return the widget and, for where there are none, the picture of the terrain."""
         data, metadata = super()._repr_mimebundle_(**kwargs) or ({}, {})
-        return data | {"text/html": terrain_html(self.terrain)}, metadata
+        still = {"text/plain": repr(self), "text/html": terrain_html(self.terrain)}
+        return data | still, metadata
 
     def __repr__(self) -> str:
         return f"<Explorer of {self.terrain!r}>"
