@@ -270,8 +270,10 @@ def test_no_pixels_are_promised_where_errors_are_no_bounds(file, tmp_path, mode)
     assert "error in pixels not bounded; measured " in done.output
 
 
-def test_loose_meshes_are_drawn_and_their_error_is_said(file, tmp_path):
-    stats = {}
+def test_loose_meshes_are_drawn_and_their_error_is_said(tmp_path):
+    file, stats = tmp_path / "measured.twz", {}
+    heights = np.round(hills(150, 210, 1)).astype(np.int16)
+    compress(heights, file, block=32, measure_meshes=True)
     for mode in ("adaptive", "loose"):
         path = tmp_path / f"{mode}.json"
         done = run("render", file, tmp_path / f"{mode}.png", "--size", "200x150", "--mode", mode,

@@ -424,7 +424,7 @@ def test_whatever_a_layer_raises_is_one_line_and_status_1(
     before = sorted(os.listdir(tmp_path))
     monkeypatch.setattr(f"terrainwave.{layer}", raising)
     arguments = {
-        "compress": [dem, tmp_path / "new.twz", *QUICK],
+        "compress": [dem, tmp_path / "new.twz", *QUICK, "--measure-meshes"],
         "decompress": [twz, tmp_path / "new.tif"],
         "info": [twz],
         "verify": [twz, dem],

@@ -241,13 +241,15 @@ def test_a_file_comes_byte_by_byte(terrain, twz, page):
 
 def test_bytes_of_servers_and_private_stores_come_too(twz, page):
     fsspec = pytest.importorskip("fsspec")
-    fsspec.filesystem("memory").pipe("/explored.twz", twz.read_bytes())
+    memory = fsspec.filesystem("memory")
+    memory.pipe("/explored.twz", twz.read_bytes())
     with static_server(twz.parent) as server:
         for url in (f"{server.address}/hills.twz", "memory://explored.twz"):
             with terrainwave.open(url) as terrain:
                 take = explored(terrain, page)._channel.take
                 _, (data,) = page.ask(take, "ranges", url[:9], ranges=[[100, 900]])
                 assert data == twz.read_bytes()[100:900]
+    memory.rm("/explored.twz")
 
 
 def test_a_closed_terrain_is_said(twz, page):

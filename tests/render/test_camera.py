@@ -23,7 +23,6 @@ from terrainwave.render.scene.camera import (
     parse_camera,
     project,
     projection_matrix,
-    ray,
     top_view,
     view_matrix,
     zoom,
@@ -98,12 +97,6 @@ def test_matrices_project_as_project_does(camera):
     np.testing.assert_allclose((x + 1) / 2 * 1920, pixels[:, 0], rtol=1e-6, atol=1e-4)
     np.testing.assert_allclose((1 - y) / 2 * 1280, pixels[:, 1], rtol=1e-6, atol=1e-4)
     np.testing.assert_allclose(clip[:, 3], pixels[:, 2], rtol=1e-9)
-
-
-@given(camera=cameras, x=steps(0, 1920), y=steps(0, 1280))
-def test_a_ray_goes_through_its_pixel(camera, x, y):
-    point = camera.eye + ray(camera, VIEWPORT, x, y) * 1000
-    np.testing.assert_allclose(project(camera, VIEWPORT, point[None])[0, :2], (x, y), atol=1e-3)
 
 
 def test_gamma_of_the_paper_is_its_formula():

@@ -217,7 +217,7 @@ def test_pictures_show_water_where_it_is(context):
 @pytest.mark.large
 def test_the_command_says_that_it_took_depths_for_land(tmp_path):
     twz = write_twz(tmp_path, np.round(VALLEY).astype(np.int16), (5e5, 4e6, 503600, 4003600),
-                    "EPSG:32611", units=("m",))  # fmt: skip
+                    "EPSG:32611", units="m")  # fmt: skip
 
     def notes(*args):
         command = ["render", str(twz), f"{tmp_path}/a.png", "--overwrite", "--size", "64x64", *args]
