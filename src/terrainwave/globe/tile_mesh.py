@@ -88,6 +88,7 @@ class TileMesher:
         is_valid = samples.valid[1:-1, 1:-1][*places]
         if self._scheme.is_finest(zoom) and samples.window is not None:
             found = self._heights.samples_in_tile(samples.window, zoom, x, y)
+            mesh = self._with_exact_heights(mesh, samples)
             mesh = self._with_samples(mesh, is_valid, *found, self._heights.edge_tolerance(zoom))
             n_more = len(mesh.rows) - len(is_valid)
             is_valid = np.concatenate([is_valid, np.ones(n_more, dtype=np.bool_)])
@@ -140,6 +141,25 @@ class TileMesher:
         ):
             step /= 2
         return low, step
+
+    def _with_exact_heights(self, mesh: BlockMesh, samples: TileSamples) -> BlockMesh:
+        """Return a mesh whose vertices inside the tile have the raster's bilinear heights.
+
+        Those of merged cells have others, which a coarse tolerance allows, and samples beside them
+        would stand out. Vertices beside voids stay.
+        """
+        last = 2 * self._scheme.cells
+        rows, cols = (np.rint(values).astype(np.int64) for values in (mesh.rows, mesh.cols))
+        exact, valid = samples.exact[1:-1, 1:-1], samples.valid[1:-1, 1:-1]
+        is_inside = (np.minimum(rows, cols) > 0) & (np.maximum(rows, cols) < last)
+        total = np.zeros(len(rows))
+        for down, right in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            at = (rows + down) >> 1, (cols + right) >> 1
+            total += exact[at]
+            is_inside &= valid[at]
+        heights = mesh.heights.copy()
+        heights[is_inside] = np.rint(total[is_inside] / 4 / UNIT * (1 << FRACTION_BITS))
+        return mesh._replace(heights=heights)
 
     def _with_samples(
         self,
