@@ -7,6 +7,7 @@ import numba
 import numpy as np
 import pytest
 from numba.core import event
+from numba.core.compiler_lock import global_compiler_lock
 
 from terrainwave.codec.rapid import file_tables as rapid_parameters
 from terrainwave.codec.rapid.file_tables import (
@@ -230,6 +231,22 @@ def test_a_rare_kernel_that_has_been_compiled_is_used(monkeypatch):
     monkeypatch.setattr(loaded, "_plain", None)
     assert compiled_by(lambda: loaded(np.int8(3))) == set()
     assert loaded(np.int8(3)) == 12
+
+
+@needs_jit
+def test_a_rare_kernel_is_looked_for_while_nobody_compiles(monkeypatch):
+    """To look for one brings numba's tables up to date. Threads that compile then miss some."""
+    held = []
+
+    def look(*_):
+        held.append(global_compiler_lock.is_locked())
+
+    seldom = rare_kernel(quadrupled._compiled.py_func)
+    monkeypatch.setattr(jit, "_is_patient", True)
+    monkeypatch.setattr(seldom._compiled._cache, "load_overload", look)
+    assert seldom(np.int32(3)) == 12
+    assert held == [True]
+    assert not global_compiler_lock.is_locked()
 
 
 @needs_jit

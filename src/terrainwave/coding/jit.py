@@ -12,6 +12,7 @@ from typing import Any
 
 from numba import njit, typeof, types
 from numba.core import config, event
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 
 from terrainwave.coding.dispatchers import COMPILER, WHY_NOT_KEPT, Kernel, KernelCache
@@ -172,7 +173,9 @@ class _RareKernel:
         if self._seconds > 0:
             return self._seconds < _MOST_PLAIN_SECONDS
         found, context = tuple(map(typeof, arguments)), self._compiled.targetctx
-        return self._compiled._cache.load_overload(found, context) is None
+        # Looking for it brings numba's tables up to date: not while another thread compiles by them.
+        with global_compiler_lock:
+            return self._compiled._cache.load_overload(found, context) is None
 
     @cached_property
     def _plain(self) -> Callable[..., Any]:
