@@ -173,7 +173,7 @@ class _RareKernel:
         if self._seconds > 0:
             return self._seconds < _MOST_PLAIN_SECONDS
         found, context = tuple(map(typeof, arguments)), self._compiled.targetctx
-        # Looking for it brings numba's tables up to date: not while another thread compiles by them.
+        # A look brings numba's tables up to date: not while another thread compiles by them.
         with global_compiler_lock:
             return self._compiled._cache.load_overload(found, context) is None
 
