@@ -98,8 +98,8 @@ def test_heights_of_a_layer_are_the_decoded_ones(found, decoded, folder):
 
 
 def test_metadata_of_a_layer_show_the_bound(found):
-    assert "Every height is within 2 (" in found["metadata"]
-    assert "Every height is within 2 (" in found["shown metadata"]
+    assert "Every height is within 2 m of the original" in found["metadata"]
+    assert "Every height is within 2 m of the original" in found["shown metadata"]
 
 
 def test_drops_are_taken_where_they_are_ours_and_do_not_wait(found):
