@@ -242,7 +242,11 @@ def test_help_needs_no_heavy_library(library):
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-@pytest.mark.parametrize("mode", ["adaptive", "batched", "dynamic", "full", "rqt"])
+# What these modes compile takes long.
+_FRONTS = [pytest.param(mode, marks=pytest.mark.full) for mode in ("dynamic", "rqt")]
+
+
+@pytest.mark.parametrize("mode", ["adaptive", "batched", "full", *_FRONTS])
 def test_the_measured_error_of_a_picture_is_within_its_promise(file, tmp_path, mode):
     stats = tmp_path / "a.json"
     done = run("render", file, tmp_path / "a.png", "--size", "200x150", "--mode", mode,
@@ -255,7 +259,7 @@ def test_the_measured_error_of_a_picture_is_within_its_promise(file, tmp_path, m
     assert f"within {within:.3g} pixels; measured {measured:.3g} pixels" in done.output
 
 
-@pytest.mark.parametrize("mode", ["batched", "dynamic", "rqt", "adaptive"])
+@pytest.mark.parametrize("mode", ["batched", "adaptive", *_FRONTS])
 def test_no_pixels_are_promised_where_errors_are_no_bounds(file, tmp_path, mode):
     stats = tmp_path / "a.json"
     done = run("render", file, tmp_path / "a.png", "--size", "200x150", "--mode", mode,
