@@ -427,8 +427,8 @@ def _mark_children(child, down, mark, marks):
 @kernel
 def _n_valid(child, down, z):
     """Return how many of four children are not void."""
-    n_void = np.isnan(z[child]) + np.isnan(z[child + 1])
-    return 4 - n_void - np.isnan(z[child + down]) - np.isnan(z[child + down + 1])
+    n_void = int(np.isnan(z[child])) + int(np.isnan(z[child + 1]))
+    return 4 - n_void - int(np.isnan(z[child + down])) - int(np.isnan(z[child + down + 1]))
 
 
 @kernel
