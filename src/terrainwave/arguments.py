@@ -135,6 +135,11 @@ def count_of(number: int, noun: str) -> str:
 # What becomes of heights on the globe, whatever datum they have.
 AS_IS, ELLIPSOID = "as-is", "ellipsoid"
 VERTICAL = (AS_IS, ELLIPSOID)
+# Axes of mesh files that may point upwards.
+UPWARDS = ("y", "z")
+# Of levels of detail each may have twice the error of the one before: beyond these nothing is left
+# to leave out.
+MOST_LODS = 16
 
 
 def size_of(n_bytes: int) -> str:

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from terrainwave.arguments import AS_IS, check_flags, checked_error, checked_whole
+from terrainwave.arguments import AS_IS, MOST_LODS, check_flags, checked_error, checked_whole
 from terrainwave.container.targets.publication import refuse_own_source
 from terrainwave.errors import BoundViolationError, InvalidArgumentError, TerrainwaveWarning
 from terrainwave.export.mesh_files import (
@@ -29,9 +29,6 @@ from terrainwave.terrain import Terrain
 from terrainwave.verification.area_mesh import area_problems
 
 _log = logging.getLogger(__name__)
-
-# Each may have twice the error of the one before: beyond these nothing is left to leave out.
-MOST_LODS = 16
 
 
 def save_lods(

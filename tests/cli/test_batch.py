@@ -405,16 +405,22 @@ def test_lines_of_json_come_while_the_batch_runs(tmp_path):
     assert seen == [str(first), str(second)]
 
 
+def two_hundred_rasters(folder, bad):
+    """Return the rasters, and those of them that are none, as `bad` numbers them."""
+    rasters = [
+        write_geotiff(folder / f"{number:03}.tif", terrain_like(9, 8, seed=number))
+        for number in range(200)
+    ]
+    spoilt = [rasters[number] for number in bad]
+    for path in spoilt:
+        path.write_bytes(b"II*\0 no raster")
+    return rasters, spoilt
+
+
 @pytest.mark.full
 def test_many_files_with_bad_ones_among_them_restarted(tmp_path):
     """200 files, 3 of them bad: each run makes what is missing, and tells of each in one line."""
-    rasters = [
-        write_geotiff(tmp_path / f"{number:03}.tif", terrain_like(9, 8, seed=number))
-        for number in range(200)
-    ]
-    bad = rasters[7], rasters[100], rasters[199]
-    for path in bad:
-        path.write_bytes(b"II*\0 no raster")
+    rasters, bad = two_hundred_rasters(tmp_path, (7, 100, 199))
     out = tmp_path / "out"
     expected = ["failed" if path in bad else "compressed" for path in rasters]
     for number in range(3):
@@ -442,13 +448,7 @@ def test_many_files_with_bad_ones_among_them_restarted(tmp_path):
 @pytest.mark.full
 def test_a_batch_that_is_killed_twice_goes_on_where_it_was(tmp_path):
     """200 files, 3 of them bad: killed without warning, between and within files."""
-    rasters = [
-        write_geotiff(tmp_path / f"{number:03}.tif", terrain_like(9, 8, seed=number))
-        for number in range(200)
-    ]
-    bad = rasters[3], rasters[90], rasters[150]
-    for path in bad:
-        path.write_bytes(b"II*\0 no raster")
+    rasters, bad = two_hundred_rasters(tmp_path, (3, 90, 150))
     out = tmp_path / "out"
     command = [
         "compress", *rasters, "--to", out, "--skip-existing", "--json", "--no-mesh",

@@ -306,6 +306,25 @@ def test_options_out_of_range_are_refused(tmp_path, options, line):
             TilePyramid(terrain, **options)
 
 
+def tiles_listed(layer):
+    """Return (zoom, x, y) of the tiles that a layer.json says are there."""
+    return {
+        (zoom, x, y)
+        for zoom, ranges in enumerate(layer["available"])
+        for one in ranges
+        for x in range(one["startX"], one["endX"] + 1)
+        for y in range(one["startY"], one["endY"] + 1)
+    }
+
+
+def tiles_in(folder):
+    """Return (zoom, x, y) of the tiles of a folder."""
+    return {
+        tuple(map(int, path.relative_to(folder).with_suffix("").parts))
+        for path in folder.rglob("*.terrain")
+    }
+
+
 def test_layer_names_every_tile_that_is_written(tmp_path):
     with open_terrain(tmp_path, steep(30, 60), UTM, "EPSG:32633") as terrain:
         zooms = write_tiles(terrain, tmp_path / "tiles", cells=CELLS, attribution="© somebody")
@@ -316,18 +335,8 @@ def test_layer_names_every_tile_that_is_written(tmp_path):
         for x, y in pyramid.available(zooms[-1].zoom)[0].tiles():
             written = tmp_path / "tiles" / str(zooms[-1].zoom) / str(x) / f"{y}.terrain"
             assert written.read_bytes() == pyramid.tile(zooms[-1].zoom, x, y).data
-    named = {
-        (zoom, x, y)
-        for zoom, ranges in enumerate(layer["available"])
-        for found in ranges
-        for x in range(found["startX"], found["endX"] + 1)
-        for y in range(found["startY"], found["endY"] + 1)
-    }
-    written = {
-        (int(path.parts[-3]), int(path.parts[-2]), int(path.stem))
-        for path in (tmp_path / "tiles").rglob("*.terrain")
-    }
-    assert written == named
+    named = tiles_listed(layer)
+    assert tiles_in(tmp_path / "tiles") == named
     assert sum(zoom.n_tiles for zoom in zooms) == len(named)
     assert layer["maxzoom"] == len(layer["available"]) - 1 == zooms[-1].zoom
 
@@ -463,16 +472,6 @@ def test_zooms_that_are_asked_for_are_written_and_listed(tmp_path):
     layer = json.loads((tmp_path / "t" / "layer.json").read_text())
     assert (layer["minzoom"], layer["maxzoom"]) == (4, 6)
     assert [len(tiles) for tiles in layer["available"]] == [1, 0, 0, 0, 1, 1, 1]
-    listed = {
-        (zoom, x, y)
-        for zoom, tiles in enumerate(layer["available"])
-        for one in tiles
-        for x in range(one["startX"], one["endX"] + 1)
-        for y in range(one["startY"], one["endY"] + 1)
-    }
-    there = {
-        tuple(map(int, path.relative_to(tmp_path / "t").with_suffix("").parts))
-        for path in (tmp_path / "t").rglob("*.terrain")
-    }
-    assert listed == there
+    there = tiles_in(tmp_path / "t")
+    assert tiles_listed(layer) == there
     assert len(there) == sum(tiles.n_tiles for one in expected.values() for tiles in one)

@@ -3,7 +3,6 @@
 import base64
 import json
 import struct
-import zlib
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,10 @@ _FLOAT, _UNSIGNED = 5126, 5125
 _VERTICES, _INDICES = 34962, 34963
 _LINEAR, _LINEAR_MIPMAP, _TO_EDGE = 9729, 9987, 33071
 _KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3"}
+# A PNG.
+_WHITE_PIXEL = base64.b64decode(
+    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGP4DwABAQEAsTj2FAAAAABJRU5ErkJggg=="
+)
 _MAGIC, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
 
 
@@ -100,8 +103,8 @@ def _document(mesh: MeshData, about: dict[str, Any]) -> tuple[dict[str, Any], by
         # glTF counts v from the top of a picture.
         places = np.column_stack([uv[:, 0], 1 - uv[:, 1]]).astype("<f4")
         attributes["TEXCOORD_0"] = buffer.add_array(places, _FLOAT, _VERTICES)
-        # One white pixel, to be replaced by a picture: the places belong to it.
-        picture = buffer.add(_white_png())
+        # To be replaced by a picture: the places belong to it.
+        picture = buffer.add(_WHITE_PIXEL)
         document["images"] = [{"name": "ground", "mimeType": "image/png", "bufferView": picture}]
         sampler = {"magFilter": _LINEAR, "minFilter": _LINEAR_MIPMAP}
         document["samplers"] = [sampler | {"wrapS": _TO_EDGE, "wrapT": _TO_EDGE}]
@@ -132,13 +135,3 @@ def _document(mesh: MeshData, about: dict[str, Any]) -> tuple[dict[str, Any], by
 
 def _numbers(values: NDArray[np.float32]) -> list[float]:
     return [float(value) for value in values]
-
-
-def _white_png() -> bytes:
-    """Return a PNG of one white pixel, eight bits of grey."""
-    header = struct.pack(">IIBBBBB", 1, 1, 8, 0, 0, 0, 0)
-    chunks = (b"IHDR", header), (b"IDAT", zlib.compress(b"\0\xff")), (b"IEND", b"")
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        for kind, data in chunks
-    )

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave._version import __version__
-from terrainwave.arguments import AS_IS, check_choice, check_ending, check_flags
+from terrainwave.arguments import AS_IS, UPWARDS, check_choice, check_ending, check_flags
 from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import check_target, publish
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
@@ -34,7 +34,6 @@ from terrainwave.place.units import height_unit
 
 _log = logging.getLogger(__name__)
 
-UPWARDS = ("y", "z")
 # Tries to make a mesh that keeps to its bound in the file, and how much more than the rounding of
 # the last try each of them leaves for it.
 _TRIES = 3

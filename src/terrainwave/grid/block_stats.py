@@ -1,6 +1,7 @@
 """Measured errors and ranges of blocks."""
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from terrainwave.grid.quadtree import Region
 
 Heights = NDArray[np.int32]
 Mask = NDArray[np.bool_]
+Number = TypeVar("Number", np.int32, np.float64)
 
 
 @dataclass
@@ -41,14 +43,14 @@ class BlockStats:
         self.has_mesh |= other.has_mesh
 
 
-def with_outside(heights: Heights, n_rows: int, n_cols: int) -> Heights:
+def with_outside(heights: NDArray[Number], n_rows: int, n_cols: int) -> NDArray[Number]:
     """Extend `heights` to (n_rows, n_cols), linearly from the last two rows and columns.
 
     A coarse level's last row or column may lie past the raster's edge; it is never coded.
     """
     if heights.shape == (n_rows, n_cols):
         return np.ascontiguousarray(heights)
-    wide = np.empty((n_rows, n_cols), dtype=np.int32)
+    wide = np.empty((n_rows, n_cols), dtype=heights.dtype)
     rows, cols = heights.shape
     wide[:rows, :cols] = heights
     for col in range(cols, n_cols):

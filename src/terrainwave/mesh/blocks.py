@@ -165,7 +165,7 @@ class BlockMesher:
         """
         grid = self._grid
         region = grid.block_region(block)
-        n_rows, n_cols = self._full_shape(block)
+        n_rows, n_cols = _full_shape(self._grid, block)
         if not self._has_voids:
             heights, _ = self._decoder.window(block.level, region)
             mask = np.ones((n_rows, n_cols), dtype=np.bool_)
@@ -183,10 +183,6 @@ class BlockMesher:
         beyond = _with_outside_mask(beyond.T, n_cols - region.n_cols).T
         mask = np.ascontiguousarray(beyond[1:-1, 1:-1])
         return BlockSamples(heights, mask, beside_void(beyond))
-
-    def _full_shape(self, block: Block) -> tuple[int, int]:
-        """Return the block's numbers of samples with those past the raster's edge."""
-        return full_shape(self._grid, block)
 
     def stored_samples(self, block: Block) -> StoredSamples:
         """Return the samples of a block, with the zero trees that its stored mesh follows."""
@@ -217,7 +213,7 @@ class BlockMesher:
         """Say whether the block's samples have triangles; decodes only where there may be voids."""
         if self._has_voids:
             return has_triangles(self.samples(block).mask)
-        return min(self._full_shape(block)) > 1
+        return min(_full_shape(self._grid, block)) > 1
 
     def bounded_error(
         self, block: Block, heights: Heights, mask: Mask, lost: Fraction
@@ -253,10 +249,10 @@ class BlockMesher:
         codes = mesh_codes(errors, lost)
         if not by_recursion:
             return codes
-        return {block: max(code, self._sum_code(block)) for block, code in codes.items()}
-
-    def _sum_code(self, block: Block) -> int:
-        return _sum_code(self._error_code(block), self.tolerance(block))
+        return {
+            block: max(code, _sum_code(self._error_code(block), self.tolerance(block)))
+            for block, code in codes.items()
+        }
 
     def derived_error(self, block: Block, mesh: BlockMesh) -> int:
         """Return a bound for a mesh of a coarse block that nobody has measured, in 1/16 quanta.
@@ -323,7 +319,7 @@ class BlockMesher:
         return STORED_KINDS[self.kind].mesh(samples, self.tolerance(block), data)
 
 
-def full_shape(grid: Grid, block: Block) -> tuple[int, int]:
+def _full_shape(grid: Grid, block: Block) -> tuple[int, int]:
     """Return a block's numbers of rows and columns with those past the raster's edge."""
     stride = grid.stride(block.level)
     n_rows = min(grid.block, -(-(grid.n_rows - 1) // stride) - block.row * grid.block) + 1
@@ -333,7 +329,7 @@ def full_shape(grid: Grid, block: Block) -> tuple[int, int]:
 
 def has_mesh(grid: Grid, block: Block, mask: Mask) -> bool:
     """Say whether a block has a mesh, of the validity of its samples inside the raster."""
-    outside = [(0, n - own) for n, own in zip(full_shape(grid, block), mask.shape, strict=True)]
+    outside = [(0, n - own) for n, own in zip(_full_shape(grid, block), mask.shape, strict=True)]
     return has_triangles(np.pad(mask, outside, mode="edge"))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.sections import mesher_of
-from terrainwave.mesh.trees import layer_source, tree_source
+from terrainwave.mesh.trees import coded_source, layer_source
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh, no_mesh
 from terrainwave.tri.mesh_surface import surface_at
 from terrainwave.tri.stored_kinds import has_triangles
@@ -37,18 +37,17 @@ class LooseMesher:
     """
 
     def __init__(self, file: TerrainFile, n_steps: int = 0) -> None:
-        coded = tree_source(file.header.mesh, file.decoder)
-        self.has_threshold = coded is None or file.header.mesh == "zerotree-layer"
-        of_layers = layer_source(file.decoder)
+        self.has_threshold = file.header.mesh != "zerotree-coded"
+        of_layers, coded = layer_source(file.decoder), coded_source(file.decoder)
 
-        def source(block: Block, tolerance: int) -> Trees | None:
+        def by_threshold(block: Block, tolerance: int) -> Trees | None:
             return of_layers(block, max(tolerance * 3**n_steps >> 2 * n_steps, 1))
 
-        self._mesher = mesher_of(file, trees=source if self.has_threshold else coded)
+        self._mesher = mesher_of(file, trees=by_threshold if self.has_threshold else coded)
 
     def samples_within(self, block: Block, mesh: BlockMesh) -> tuple[int, int]:
         """Return how many samples of a block a mesh covers, and how many within its tolerance."""
-        samples = self._mesher.stored_samples(block)
+        samples = self._mesher.samples(block)
         surface = np.full(samples.mask.size, np.nan)
         n_rows, n_cols = samples.mask.shape
         numbers = np.full((2 * n_rows - 1, 2 * n_cols - 1), -1, dtype=np.int32)  # half samples

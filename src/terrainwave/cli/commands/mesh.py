@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from terrainwave.arguments import TWZ_ENDINGS, check_ending, count_of
+from terrainwave.arguments import MOST_LODS, TWZ_ENDINGS, UPWARDS, check_ending, count_of
 from terrainwave.cli.options import (
     LEVEL_OPTION,
     RADIUS_OPTION,
@@ -47,7 +47,6 @@ _COMMON_OPTIONS = {"threads", "overwrite", "quiet", "as_json"}
 _GOALS = {"max_error", "max_triangles", "optimise"}
 # What levels of detail follow from, so that it cannot be asked for, too.
 _OF_ONE_MESH = {"max_triangles", "level", "loose"}
-UPWARDS = ("y", "z")
 
 
 @click.command(cls=CommandWithOwnOptions)
@@ -111,7 +110,7 @@ UPWARDS = ("y", "z")
 @VERTICAL_OPTION
 @click.option(
     "--lods",
-    type=click.IntRange(1, 16),
+    type=click.IntRange(1, MOST_LODS),
     metavar="N",
     help="Write N levels of detail, each to a file of its own: TARGET hills.glb stands for"
     " hills_lod0.glb (the finest, within --max-error), hills_lod1.glb (within twice that) and so"

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.grid.block_stats import with_outside
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.read.decoder import units_of
 from terrainwave.render.modes.mode import Frames, Mode, ModeNeeds
@@ -230,7 +231,12 @@ class FrontMode(Mode):
     @property
     def side(self) -> int:
         """Return the samples of the largest patches, a side."""
-        return min(self.cells + max(3 * self.apron, 1), max(self.terrain.shape))
+        return min(self._reach, max(self.terrain.shape))
+
+    @property
+    def _reach(self) -> int:
+        """Return the samples of a patch with its aprons, a side, wherever the raster ends."""
+        return self.cells + max(3 * self.apron, 1)
 
     @property
     def _mesh_side(self) -> int:
@@ -264,10 +270,9 @@ class FrontMode(Mode):
 
     def region(self, piece: Piece) -> Region:
         """Return the samples of a piece that its level has."""
-        reach = self.cells + max(3 * self.apron, 1)
         level = Region(0, 0, *self.terrain.grid.level_shape(piece.level))
         row, col = (k * self.cells - self.apron for k in (piece.row, piece.col))
-        return Region(row, col, reach, reach).intersect(level)
+        return Region(row, col, self._reach, self._reach).intersect(level)
 
     def _continue(self, level: int, region: Region, heights: NDArray[np.float64]) -> Continued:
         """Continue the heights of a patch beyond the outline, where it has a part of that.
@@ -275,22 +280,23 @@ class FrontMode(Mode):
         A mesh may end short of its last samples, and a coarse level ends short of the raster. So
         that all of the raster is covered: shaders cut off what is outside.
         """
-        lead, reach = [], self.cells + max(3 * self.apron, 1)
-        stride, n_all = self.terrain.grid.stride(level), self.terrain.grid.level_shape(level)
-        for axis, first in enumerate(region[:2]):
+        grid, outside, beyond = self.terrain.grid, [], []
+        for first, n, n_level, n_full in zip(
+            region[:2], region.shape, grid.level_shape(level), self.terrain.shape, strict=True
+        ):
             n_before = self.apron if first == 0 else 0
-            n_after = 0
-            n_samples = heights.shape[axis]
-            if first + n_samples == n_all[axis] and n_before + n_samples < reach:
-                if (n_all[axis] - 1) * stride < self.terrain.shape[axis] - 1:
-                    heights = _one_more(heights, axis)
+            n_outside = n_after = 0
+            if first + n == n_level and n_before + n < self._reach:
+                n_outside = int((n_level - 1) * grid.stride(level) < n_full - 1)
                 n_after = self.apron
-                n_after += -(n_before + heights.shape[axis] + n_after) % self.tree
-            pads = [(0, 0), (0, 0)]
-            pads[axis] = n_before, n_after
-            heights = np.pad(heights, pads, mode="edge")
-            lead.append(n_before)
-        return Continued(heights, (lead[0], lead[1]))
+                n_after += -(n_before + n + n_outside + n_after) % self.tree
+            outside.append((0, n_outside))
+            beyond.append((n_before, n_after))
+        wide = np.pad(heights, outside, mode="edge")
+        linear = with_outside(heights, *wide.shape)
+        # Where one of the last two is void, as the last.
+        wide = np.where(np.isnan(linear), wide, linear)
+        return Continued(np.pad(wide, beyond, mode="edge"), (beyond[0][0], beyond[1][0]))
 
     def _blocks(self, level: int, region: Region) -> list[Block]:
         """Return the blocks whose cells a region of samples has; it may end before its level."""
@@ -345,11 +351,8 @@ class FrontMode(Mode):
         row, col = region.row * stride, region.col * stride
         x, y = a * col + b * row + c, d * col + e * row + f
         matrix = a * stride, b * stride, x, d * stride, e * stride, y
-        error, mesh, (heights, lead) = (
-            info.error,
-            None,
-            self._continue(piece.level, region, samples.heights),
-        )
+        error, mesh = info.error, None
+        heights, lead = self._continue(piece.level, region, samples.heights)
         if min(self.terrain.shape) > 1 and not np.isnan(samples.heights).all():
             if piece.level < self.n_levels - 1:  # originals lie between samples, too
                 error += twist_of(heights)
@@ -549,17 +552,6 @@ class FrontMode(Mode):
             starts.append(starts[-1] + len(part.vertices))
         self.first_vertices = starts
         self.drawn = Drawn(*map(np.concatenate, zip(*parts, strict=True))) if parts else None
-
-
-def _one_more(heights: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
-    """Append the samples that follow linearly from the last two (FORMAT.md §5.1), along an axis.
-
-    Where one of those is void, as the last.
-    """
-    last = np.take(heights, [-1], axis)
-    before = np.take(heights, [max(heights.shape[axis] - 2, 0)], axis)
-    more = 2 * last - before
-    return np.concatenate([heights, np.where(np.isnan(more), last, more)], axis)
 
 
 def _moved(matrix: tuple[float, ...], lead: tuple[int, int]) -> tuple[float, ...]:
