@@ -42,13 +42,13 @@ settings.load_profile("fast")
 WITHOUT_KERNELS = {
     "benchmarks", "cli", "container", "ext", "gdal_driver", "place", "raster_io",
     "test_architecture.py", "test_compiler.py", "test_compilers.py", "test_dispatchers.py",
-    "test_docs.py", "test_examples.py",
+    "test_docs.py", "test_examples.py", "test_extras.py", "test_logging.py",
     "test_faults.py", "test_format_example.py", "test_javascript_kernels.py", "test_window.py",
     "test_archive.py", "test_kernel_cache.py", "test_polynomials.py",
 }  # fmt: skip
 # Tests of whole files: what their kernels compute has tests of its own. The others with kernels run
 # as plain Python, too, unless they are `large`.
-OF_FILES = {"export", "globe", "write", "test_names.py", "test_terrain.py"}
+OF_FILES = {"export", "globe", "write", "test_lods.py", "test_names.py", "test_terrain.py"}
 # The longest of all. Then workers begin at different ends of what compiles, or both would compile
 # the same: codecs, meshes.
 FIRST = ("test_warmup.py", "test_terrain.py", "tri")

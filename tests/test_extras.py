@@ -152,7 +152,6 @@ def optional_packages():
     return set().union(*(set(installed_names(extras[name])) for name in users))
 
 
-@pytest.mark.large
 @pytest.mark.parametrize("hidden", ["all", "pyproj", "PIL"])
 def test_each_command_names_the_extra_that_has_all_it_needs(tmp_path, hidden):
     """`view` named the extra of meshes, as that has pyproj, too."""
