@@ -201,6 +201,11 @@ class Scene:
         )  # fmt: skip
 
     @property
+    def wanted(self) -> NDArray[np.int32]:
+        """Return the nodes that the last frame needed, with those above them; for reading."""
+        return self._needed
+
+    @property
     def build_ms(self) -> list[float]:
         """Return what the last pieces took to read, decode and build: CPU milliseconds."""
         return list(self._pager.build_ms)
