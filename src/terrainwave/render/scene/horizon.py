@@ -1,9 +1,9 @@
 """What nearer ground hides: blocks wholly below it are neither drawn nor asked for.
 
-Zhang et al. 2012 name it as future work. Here a horizon is a table of slopes above which an eye
-sees past the ground that is drawn. A column of it is a narrow fan of directions, a row is a depth:
-ground that ends before that depth counts. What lies behind a depth, and below the horizon of that
-depth in each direction in which it lies, is not seen.
+Zheng, Wang and Wang name it as what is to come. Here a horizon is a table of slopes above which an
+eye sees past the ground that is drawn. A column of it is a narrow fan of directions, a row is a
+depth: ground that ends before that depth counts. What lies behind a depth, and below the horizon of
+that depth in each direction in which it lies, is not seen.
 
 A direction is u = right / depth and a slope t = rise / depth, both of the level view with the
 camera's heading, so that lines of sight are straight in all of it and nothing is an angle.
