@@ -163,7 +163,9 @@ def measure_mode(file: Path, name: str, camera_name: str, mode: str) -> ModeRow:
     """Return what a mode draws and takes from one camera; nothing has been read before."""
     with (
         terrainwave.open(file) as terrain,
-        Canvas(terrain, SIZE, samples=0, **VARIANTS.get(mode, {"mode": mode})) as canvas,
+        Canvas(
+            terrain, SIZE, samples=0, horizon=False, **VARIANTS.get(mode, {"mode": mode})
+        ) as canvas,
     ):
         camera = camera_of(camera_name, canvas)
         with counted_uploads() as first:
@@ -227,7 +229,7 @@ def measure_orientation(file: Path, name: str) -> Iterator[OrientationRow]:
     """Yield both modes that know orientation from all pitches; none is drawn."""
     for mode in ("adaptive", "batched"):
         for is_oriented in (False, True):
-            options = {"mode": mode, "orientation": is_oriented, "samples": 0}
+            options = {"mode": mode, "orientation": is_oriented, "samples": 0, "horizon": False}
             with (
                 terrainwave.open(file) as terrain,
                 Canvas(terrain, SIZE, **options) as canvas,

@@ -92,7 +92,7 @@ def measure_views(dem: Path, folder: Path) -> Iterator[ViewRow]:
             )  # fmt: skip
             with (
                 terrainwave.open(file) as terrain,
-                Scene(terrain, Everything(), max_triangles=1 << 40) as scene,
+                Scene(terrain, Everything(), max_triangles=1 << 40, horizon=False) as scene,
             ):
                 cameras = [home(scene.frame.box, VIEWPORT)]
                 cameras += [camera_at_key(scene.frame, key) for key in KEYS]
