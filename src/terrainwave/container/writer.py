@@ -25,9 +25,10 @@ from terrainwave.container.page import (
 from terrainwave.container.spool import SegmentSpool, storage_errors
 from terrainwave.grid.quadtree import Block, Grid
 
-Spools = Mapping[Block | None, SegmentSpool]
-# A segment is spooled here, or stored where other machines put it.
-Segments = Mapping[Block | None, SegmentSpool | StoredSegment]
+# A segment is spooled here, or stored where other machines put it. None stands for one that is void
+# with all below it, of which nothing else is here.
+Spools = Mapping[Block | None, SegmentSpool | None]
+Segments = Mapping[Block | None, SegmentSpool | StoredSegment | None]
 
 
 class _Extent(NamedTuple):
@@ -50,8 +51,9 @@ def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
         Only written to, in order.
     header : Header
         With its metadata and parameters.
-    segments : mapping of Block or None to SegmentSpool or StoredSegment
-        One for each of ``header.grid.segment_heads()``, complete.
+    segments : mapping of Block or None to SegmentSpool, StoredSegment or None
+        One for each of ``header.grid.segment_heads()``, complete; None for one that is void, and
+        nothing for those below it.
 
     Raises
     ------
@@ -68,9 +70,18 @@ def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
     index pages, about 2 kB per segment, and one payload.
     """
     grid = header.grid
-    levels: list[Sequence[Block | None]] = [[None]]
-    levels += [grid.blocks(level) for level in grid.segment_levels()]
-    parts: dict[Block | None, _Extent] = {}
+    levels: list[list[Block | None]] = [[None]]
+    while levels[-1]:
+        # In Morton order as those above them.
+        levels.append(
+            [
+                child
+                for head in levels[-1]
+                for child in page_layout(grid, head).children
+                if not _is_void(child, segments)
+            ]
+        )
+    parts: defaultdict[Block | None, _Extent] = defaultdict(lambda: _ABSENT)
     for heads in reversed(levels):
         for head in heads:
             parts[head] = _prepare(grid, head, segments, parts)
@@ -94,9 +105,10 @@ def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
             cursor = child_start
             for head in heads:
                 layout = page_layout(grid, head)
-                if parts[head].length:
+                segment = segments[head]
+                if parts[head].length and segment is not None:
                     first_child = cursor if layout.children else 0
-                    for chunk in _chunks(segments[head], layout, parts[head], first_child):
+                    for chunk in _chunks(segment, layout, parts[head], first_child):
                         out_file.write(chunk)
                 cursor += sum(parts[child].length for child in layout.children)
         out_file.flush()
@@ -113,7 +125,8 @@ def store_segments(
     """
     parts: defaultdict[Block | None, _Extent] = defaultdict(lambda: _ABSENT)
     for head in reversed(heads):
-        parts[head] = _prepare(grid, head, spools, parts)
+        if not _is_below_void(grid, head, spools):
+            parts[head] = _prepare(grid, head, spools, parts)
     places: dict[Block | None, StoredSegment] = {}
     offset = 0
     with depot.create(name) as file:
@@ -121,8 +134,9 @@ def store_segments(
             part = parts[head]
             places[head] = StoredSegment(depot.path(name), offset, part.page_length, part.length)
             offset += part.length
-            if part.length:
-                for chunk in _chunks(spools[head], page_layout(grid, head), part, 0):
+            spool = spools.get(head)
+            if part.length and spool is not None:
+                for chunk in _chunks(spool, page_layout(grid, head), part, 0):
                     file.write(chunk)
     lengths = [(place.page_length, place.length) for place in places.values()]
     depot.save(_index_name(name), lengths=np.array(lengths, dtype=np.uint64))
@@ -139,6 +153,18 @@ def stored_places(
         places[head] = StoredSegment(depot.path(name), offset, of_page, length)
         offset += length
     return places
+
+
+def _is_void(head: Block, segments: Segments) -> bool:
+    """Say whether a segment is given as void."""
+    return head in segments and segments[head] is None
+
+
+def _is_below_void(grid: Grid, head: Block | None, segments: Segments) -> bool:
+    """Say whether a segment, or one above it, is given as void."""
+    while head is not None and head not in segments and head.level:
+        head = grid.segment_head(head.parent)
+    return head is not None and _is_void(head, segments)
 
 
 def _index_name(name: str) -> str:
@@ -164,6 +190,8 @@ def _prepare(
     if head not in segments:
         raise ValueError(f"{describe_head(head)} is missing")
     segment = segments[head]
+    if segment is None:
+        return _ABSENT
     if isinstance(segment, StoredSegment):
         return _Extent(b"", segment.page_length, segment.length)
     layout = page_layout(grid, head)

@@ -42,6 +42,10 @@ class PayloadSink(Protocol):
         """Take the payload of the unit `key`."""
         ...
 
+    def leave_out(self, block: Block) -> None:
+        """Take note that all units below a block are void."""
+        ...
+
 
 def fitted_refiner(job: Job, heights: HeightsOf, mask: MaskOf) -> tuple[Refiner, bytes]:
     """Return the refiner of a job's method, and the tables that are fitted to the raster.
@@ -148,9 +152,24 @@ class UnitEncoder(ABC):
         return self._stats
 
     def _encode_subtree(self, key: Block, parent: Decoded | None, chain: list[Ancestor]) -> None:
+        if self._is_void(key):
+            return
         for start in self._encode_unit(key, parent, chain):
             if not self._is_stopped:
                 self._encode_subtree(*start)
+
+    def _is_void(self, key: Block) -> bool:
+        """Say whether the source knows that all below a block is void, and leave it out then."""
+        grid = self._grid
+        if key.is_root_key or not grid.contains(key):
+            return False
+        even = self._pyramid.even(key.level, grid.block_region(key))
+        if even is None or even.is_valid:
+            return False
+        self._sink.leave_out(key)
+        region = grid.full_region(key)
+        self._on_samples(region.n_rows * region.n_cols)
+        return True
 
     def _encode_unit(
         self, key: Block, parent: Decoded | None, chain: list[Ancestor]

@@ -12,8 +12,9 @@ from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.grid.shares import shares_of
 from terrainwave.progress import Reporter
+from terrainwave.raster_io.even import even_parts
 from terrainwave.write.job import Job
-from terrainwave.write.pyramid import SourceWindows
+from terrainwave.write.pyramid import IndexedWindows, SourceWindows
 
 OUR_FAULT = (
     "unless the raster changed while it was read, this is a fault of terrainwave: please report it"
@@ -30,10 +31,34 @@ def proof_windows(grid: Grid, within: Region | None = None) -> list[Region]:
     return list((within or Region(0, 0, grid.n_rows, grid.n_cols)).tiles(side, side))
 
 
-def proof_shares(grid: Grid) -> list[list[Region]]:
-    """Return `proof_windows` in shares for threads, which decode the levels above them."""
+def proof_shares(grid: Grid, windows: list[Region] | None = None) -> list[list[Region]]:
+    """Return windows in shares for threads, which decode the levels above them.
+
+    By default those of `proof_windows`.
+    """
     side = _side_of(grid)
-    return shares_of(proof_windows(grid), lambda window: (window.row // side, window.col // side))
+    if windows is None:
+        windows = proof_windows(grid)
+    return shares_of(windows, lambda window: (window.row // side, window.col // side))
+
+
+def unproved_windows(
+    terrain: TerrainFile, source: IndexedWindows, grid: Grid, within: Region | None = None
+) -> list[Region]:
+    """Return the windows that have to be compared: all where source and file are not both void.
+
+    Of voids that the source knows, the file's index proves the most; windows in which the file has
+    heights there are compared.
+    """
+    side = _side_of(grid)
+    windows: list[Region] = []
+    whole = within or Region(0, 0, grid.n_rows, grid.n_cols)
+    for part, even in even_parts(whole, side, source.even):
+        if even is None or even.is_valid:
+            windows += part.tiles(side, side)
+        else:
+            windows += terrain.coded_parts(part)
+    return windows
 
 
 def _side_of(grid: Grid) -> int:
@@ -125,7 +150,7 @@ def measured_error(largest: float, quantizer: Quantizer) -> float:
 def prove(
     path: str | os.PathLike[str] | bytes,
     job: Job,
-    source: SourceWindows,
+    source: IndexedWindows,
     executor: Executor,
     reporter: Reporter,
 ) -> float:
@@ -137,15 +162,16 @@ def prove(
         If a sample is further than the bound from the original, or valid where that is void.
     """
     grid = job.grid
-    shares = proof_shares(grid)
     allowed = allowed_error(job.quantizer, job.raw_bound, job.effective_error)
     largest = 0.0
     with TerrainFile(path, threads=1, cache_bytes=_CACHE_BYTES, native=False) as terrain:
+        windows = unproved_windows(terrain, source, grid)
+        shares = proof_shares(grid, windows)
 
         def compare(share: list[Region]) -> float:
             return max(compare_window(terrain, source, region, allowed) for region in share)
 
-        done = 0
+        done = grid.n_rows * grid.n_cols - sum(one.n_rows * one.n_cols for one in windows)
         for share, error in zip(shares, executor.map(compare, shares), strict=True):
             largest = max(largest, error)
             done += sum(region.n_rows * region.n_cols for region in share)
