@@ -5,7 +5,7 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 
 from terrainwave.container.page import page_layout
-from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.spool import LikeSegment, SegmentSpool
 from terrainwave.grid.quadtree import Block, Grid
 
 
@@ -13,13 +13,13 @@ class SpoolSink:
     """Sorts payloads into the spools of their segments; thread-safe.
 
     `spools` has those that have any. None stands for a segment that is void with all below it:
-    there are no others for these.
+    there are no others for these. Where a segment is like another one, that is named.
     """
 
     def __init__(self, grid: Grid, directory: str | os.PathLike[str]) -> None:
         self._grid = grid
         self._directory = directory
-        self.spools: dict[Block | None, SegmentSpool | None] = {}
+        self.spools: dict[Block | None, SegmentSpool | LikeSegment | None] = {}
         self.n_bytes = 0
         self.n_units = 0
         self._n_missing: dict[Block | None, int] = {}
@@ -30,7 +30,7 @@ class SpoolSink:
         head = None if key.is_root_key else self._grid.segment_head(key)
         with self._lock:
             spool = self.spools.get(head)
-            if spool is None:
+            if not isinstance(spool, SegmentSpool):
                 spool = self.spools[head] = SegmentSpool(self._directory)
         spool.add(key, payload)
         with self._lock:
@@ -55,27 +55,36 @@ class SpoolSink:
             with self._lock:
                 self.spools.update(dict.fromkeys(layer))
 
+    def repeat(self, head: Block, like: Block) -> None:
+        """Take note that the segment of `head` has the bytes of that of `like`."""
+        with self._lock:
+            self.spools[head] = LikeSegment(like)
+
     def present(self) -> Iterator[SegmentSpool]:
-        """Yield the spools of segments that are not void."""
-        return (spool for spool in self.spools.values() if spool is not None)
+        """Yield the spools that have payloads of their own."""
+        return (spool for spool in self.spools.values() if isinstance(spool, SegmentSpool))
 
     def set_meshes(self, sections: Mapping[Block, bytes]) -> None:
         """Take the mesh sections of keys whose payloads have been taken."""
         for key, section in sections.items():
             head = None if key.is_root_key else self._grid.segment_head(key)
             spool = self.spools.get(head)
-            if spool is not None:
+            if isinstance(spool, SegmentSpool):
                 spool.set_mesh(key, section)
             elif section:
-                raise ValueError(f"{key} is void and has a mesh")
+                raise ValueError(f"{key} has a mesh, but no payload of its own")
         for spool in self.present():
             spool.finish()
 
     def payloads(self, keys: Sequence[Block]) -> list[bytes]:
         """Return payloads that have been taken."""
-        heads = [None if key.level < 0 else self._grid.segment_head(key) for key in keys]
-        spools = [self.spools.get(head) for head in heads]
-        return [
-            b"" if spool is None else next(spool.chunks([key]))
-            for spool, key in zip(spools, keys, strict=True)
-        ]
+        return [self._payload(key) for key in keys]
+
+    def _payload(self, key: Block) -> bytes:
+        head = None if key.level < 0 else self._grid.segment_head(key)
+        spool = self.spools.get(head)
+        if isinstance(spool, LikeSegment):
+            assert head is not None
+            key = spool.key_there(key, head)
+            spool = self.spools[spool.head]
+        return next(spool.chunks([key])) if isinstance(spool, SegmentSpool) else b""

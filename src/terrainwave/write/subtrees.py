@@ -268,7 +268,9 @@ def encode_subtree(site: Site, head: Block) -> EncodedSubtree:
         source = groups_by(refiner, above.payloads)
         decoder = TreeDecoder(grid, job.parameters, source, _CACHE_BYTES)
         sink = SpoolSink(grid, bench.directory)
-        encoder = TreeEncoder(grid, refiner, job.parameters, pyramid, sink, lambda _: None)
+        encoder = TreeEncoder(
+            grid, refiner, job.parameters, pyramid, sink, lambda _: None, may_repeat=job.may_repeat
+        )
         stats = encoder.run_subtree(head, decoder.block)
         own = {block: of_block for block, of_block in stats.items() if block.level > head.level}
         ancestors = {block: of_block for block, of_block in stats.items() if block not in own}

@@ -11,7 +11,7 @@ import numpy as np
 
 from terrainwave.codec.refiner import Decoded, Refiner
 from terrainwave.container.depot import StoredSegment
-from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.spool import LikeSegment, SegmentSpool
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.blocks import measure_meshes
@@ -40,7 +40,7 @@ class Coded:
     """
 
     file_tables: bytes
-    segments: dict[Block | None, SegmentSpool | StoredSegment | None]
+    segments: dict[Block | None, SegmentSpool | LikeSegment | StoredSegment | None]
     n_bytes: int
     job: Job
 
@@ -143,6 +143,7 @@ def _encode_units(
     encoder = TreeEncoder(
         job.grid, refiner, job.parameters, pyramid, sink, on_samples,
         on_unit=units.__setitem__ if is_kept and job.options.measures_meshes else None,
+        may_repeat=job.may_repeat,
     )  # fmt: skip
     return encoder.run(executor), units
 
