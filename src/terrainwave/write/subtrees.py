@@ -51,7 +51,7 @@ from terrainwave.write.boxes import (
 )
 from terrainwave.write.encoder import Stats, TreeEncoder
 from terrainwave.write.job import Job
-from terrainwave.write.passes.proof import allowed_error, compare_window, unproved_windows
+from terrainwave.write.passes.proof import Comparison, allowed_error, unproved
 from terrainwave.write.pyramid import Pyramid, SubtreeRegion
 
 _CACHE_BYTES = 64 << 20
@@ -442,5 +442,6 @@ def prove_region(site: Site, path: str | os.PathLike[str], region: Region) -> fl
     job = site.job
     allowed = allowed_error(job.quantizer, job.raw_bound, job.effective_error)
     with site.raster.open() as source, TerrainFile(path, threads=1, native=False) as terrain:
-        windows = unproved_windows(terrain, source, site.grid, region)
-        return max((compare_window(terrain, source, one, allowed) for one in windows), default=0.0)
+        windows, heads = unproved(terrain, source, site.grid, region)
+        comparison = Comparison(terrain, source, allowed)
+        return max([comparison.windows(windows), *map(comparison.segment, heads)])
