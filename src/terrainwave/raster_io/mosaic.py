@@ -17,6 +17,7 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
 from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.earlier_loss import EarlierLoss
+from terrainwave.raster_io.even import Composite, Even
 from terrainwave.raster_io.raster_info import SUPPORTED_DTYPES, fit_nodata, stored_nodata
 from terrainwave.raster_io.tags import common_tags
 
@@ -88,6 +89,7 @@ class _Member(NamedTuple):
     turn: _Turn
     nodata: int | float | None
     has_mask: bool
+    even: Even | None
 
 
 class _Description(NamedTuple):
@@ -106,6 +108,7 @@ class _Description(NamedTuple):
     asides: tuple[str, ...]
     is_lost: bool
     earlier: EarlierLoss | None
+    even: Even | None
     turn: _Turn = _Turn()
 
     def on_grid_of(self, first: Self) -> Self:
@@ -203,6 +206,7 @@ class MosaicBackend:
                 one.turn,
                 one.nodata if nodata is None else nodata,
                 one.has_mask,
+                one.even,
             )
             for source, one, (row, col) in zip(sources, rasters, places)
         ]
@@ -247,6 +251,7 @@ class MosaicBackend:
             asides=tuple(backend.asides()),
             is_lost=backend.is_lost,
             earlier=backend.earlier,
+            even=backend.even(Region(0, 0, backend.n_rows, backend.n_cols)),
         )
 
     def _backend(self, source: Any) -> RasterBackend:
@@ -295,17 +300,45 @@ class MosaicBackend:
         window = Region(row, col, n_rows, n_cols)
         heights = np.full(window.shape, self._void_value(), dtype=self.dtype)
         valid = np.zeros(window.shape, dtype=np.bool_)
-        # All at once: there may be thousands.
-        first, last = self._corners
-        touching = (first < (row + n_rows, col + n_cols)) & (last > (row, col))
-        for number in np.flatnonzero(touching.all(axis=1)).tolist():
-            member = self._members[number]
+        for member in self._touching(window):
             part = member.region.intersect(window)
             samples, is_valid = self._read_member(member, part)
             there = part.slices_in(window)
             heights[there][is_valid] = samples[is_valid]
             valid[there] |= is_valid
         return heights, valid
+
+    def even(self, region: Region) -> Even | None:
+        """Return what all samples of a region are: those of gaps, and of rasters of one value."""
+        composite, is_valid = Composite(), False
+        for member in self._touching(region):
+            if member.even is None:
+                return None
+            value = member.even.value
+            if not member.even.is_valid or self._is_void(value, member.nodata):
+                continue
+            if self._is_void(value, self._nodata):  # which reading refuses
+                return None
+            if not composite.put(value, is_whole=region.intersect(member.region) == region):
+                return None
+            is_valid = True
+        return Even(composite.value if is_valid else self._void_value(), is_valid)
+
+    def _is_void(self, value: Any, nodata: int | float | None) -> bool:
+        if self.dtype.kind == "f" and math.isnan(value):
+            return True
+        if nodata is None or math.isnan(nodata):
+            return False
+        return bool(value == stored_nodata(nodata, self.dtype))
+
+    def _touching(self, region: Region) -> Iterator[_Member]:
+        """Yield the rasters that a region touches, in their order."""
+        # All at once: there may be thousands.
+        first, last = self._corners
+        end = region.row + region.n_rows, region.col + region.n_cols
+        touching = (first < end) & (last > region[:2])
+        for number in np.flatnonzero(touching.all(axis=1)).tolist():
+            yield self._members[number]
 
     def _void_value(self) -> Any:
         if self._nodata is not None:

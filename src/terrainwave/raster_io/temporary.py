@@ -52,7 +52,11 @@ class Spool:
         else:
             # Unbuffered, unnamed where the system can: nothing is left behind by a kill.
             self._file = tempfile.TemporaryFile(dir=directory, buffering=0)
-            self._tile_cols = -(-shape[1] // TILE)
+            n_tiles = -(-shape[0] // TILE), -(-shape[1] // TILE)
+            # Where a tile lies in the file, in tiles; -1 where it has one value, which needs none.
+            self._slots = np.full(n_tiles, -1, dtype=np.int32)
+            self._values = np.zeros(n_tiles, dtype=self.dtype)
+            self._n_slots = 0
 
     @property
     def region(self) -> Region:
@@ -72,9 +76,12 @@ class Spool:
         if self._memory is not None:
             return self._memory[region.slices_in(self.region)].copy()
         window = np.empty(region.shape, dtype=self.dtype)
-        for tile, number in self._tiles(region):
+        for tile, at in self._tiles(region):
             part = tile.intersect(region)
-            window[part.slices_in(region)] = self._read_tile(number)[part.slices_in(tile)]
+            slot = self._slots[at]
+            window[part.slices_in(region)] = (
+                self._values[at] if slot < 0 else self._read_tile(slot)[part.slices_in(tile)]
+            )
         return window
 
     def write(self, region: Region, values: NDArray[Any]) -> None:
@@ -82,17 +89,38 @@ class Spool:
         if self._memory is not None:
             self._memory[region.slices_in(self.region)] = values
             return
-        for tile, number in self._tiles(region):
+        for tile, at in self._tiles(region):
             part = tile.intersect(region)
             is_whole = part.shape == tile.intersect(self.region).shape
             with self._lock:
-                content = (
-                    np.zeros((TILE, TILE), self.dtype)
-                    if is_whole
-                    else self._read_tile_locked(number)
-                )
+                slot = self._slots[at]
+                if is_whole or slot < 0:
+                    content = np.full((TILE, TILE), self._values[at])
+                else:
+                    content = self._read_tile_locked(slot)
                 content[part.slices_in(tile)] = values[part.slices_in(region)]
-                self._write_tile_locked(number, content)
+                if slot < 0:
+                    slot = self._slots[at] = self._n_slots
+                    self._n_slots += 1
+                self._write_tile_locked(slot, content)
+
+    def fill(self, region: Region, value: Any) -> None:
+        """Store one value in a region; whole tiles that were never written take no room."""
+        if self._memory is not None:
+            self._memory[region.slices_in(self.region)] = value
+            return
+        row, col = region.row - self.origin[0], region.col - self.origin[1]
+        ends = row + region.n_rows, col + region.n_cols
+        are_whole = row % TILE == col % TILE == 0 and all(
+            end % TILE == 0 or end == size for end, size in zip(ends, self.shape, strict=True)
+        )
+        tiles = np.s_[row // TILE : -(-ends[0] // TILE), col // TILE : -(-ends[1] // TILE)]
+        if not are_whole or (self._slots[tiles] >= 0).any():
+            for part in region.tiles(TILE, TILE):
+                self.write(part, np.full(part.shape, value, dtype=self.dtype))
+            return
+        with self._lock:
+            self._values[tiles] = value
 
     def close(self) -> None:
         """Free the memory or delete the file."""
@@ -101,21 +129,21 @@ class Spool:
             self._file.close()
             self._file = None
 
-    def _tiles(self, region: Region) -> list[tuple[Region, int]]:
+    def _tiles(self, region: Region) -> list[tuple[Region, tuple[int, int]]]:
         row, col = region.row - self.origin[0], region.col - self.origin[1]
         rows = range(row // TILE, (row + region.n_rows - 1) // TILE + 1)
         cols = range(col // TILE, (col + region.n_cols - 1) // TILE + 1)
         return [
             (
                 Region(self.origin[0] + r * TILE, self.origin[1] + c * TILE, TILE, TILE),
-                r * self._tile_cols + c,
+                (r, c),
             )
             for r in rows
             for c in cols
         ]
 
     def _read_tile(self, number: int) -> NDArray[Any]:
-        size = TILE * TILE * self.dtype.itemsize
+        size, number = TILE * TILE * self.dtype.itemsize, int(number)
         if hasattr(os, "pread"):
             data = os.pread(self._file.fileno(), size, number * size)
             return _tile_from_bytes(data, self.dtype)
@@ -124,12 +152,12 @@ class Spool:
 
     def _read_tile_locked(self, number: int) -> NDArray[Any]:
         size = TILE * TILE * self.dtype.itemsize
-        self._file.seek(number * size)
+        self._file.seek(int(number) * size)
         return _tile_from_bytes(self._file.read(size), self.dtype)
 
     def _write_tile_locked(self, number: int, content: NDArray[Any]) -> None:
         try:
-            self._file.seek(number * content.nbytes)
+            self._file.seek(int(number) * content.nbytes)
             if self._file.write(content.tobytes()) != content.nbytes:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         except OSError as error:
@@ -138,6 +166,6 @@ class Spool:
 
 def _tile_from_bytes(data: bytes, dtype: np.dtype[Any]) -> NDArray[Any]:
     tile = np.zeros(TILE * TILE, dtype=dtype)
-    present = np.frombuffer(data, dtype=dtype)  # shorter where the file ends inside a hole
+    present = np.frombuffer(data, dtype=dtype)  # shorter where a write has failed
     tile[: present.size] = present
     return tile.reshape(TILE, TILE)

@@ -12,6 +12,8 @@ from concurrent.futures import Executor
 from functools import partial
 from typing import Any, NamedTuple, Protocol
 
+import numpy as np
+
 from terrainwave.codec.group import encode_unit
 from terrainwave.codec.refiner import Decoded, FittingRefiner, GroupSpec, Heights, Mask, Refiner
 from terrainwave.codec.registry import refiner_by_name
@@ -28,6 +30,7 @@ from terrainwave.grid.sample_windows import HeightsOf, MaskOf
 from terrainwave.mesh.blocks import has_mesh
 from terrainwave.write.job import Job
 from terrainwave.write.pyramid import Pyramid
+from terrainwave.write.repeats import RepeatingSink, Repeats
 
 # The first levels are walked breadth first until there are this many subtrees to share out.
 _MIN_SUBTREES = 8
@@ -35,11 +38,11 @@ _MIN_SUBTREES = 8
 Stats = dict[Block, BlockStats]
 
 
-class PayloadSink(Protocol):
+class PayloadSink(RepeatingSink, Protocol):
     """Where finished payloads go; called from several threads, in any order."""
 
-    def __call__(self, key: Block, payload: bytes) -> None:
-        """Take the payload of the unit `key`."""
+    def leave_out(self, block: Block) -> None:
+        """Take note that all units below a block are void."""
         ...
 
 
@@ -148,9 +151,34 @@ class UnitEncoder(ABC):
         return self._stats
 
     def _encode_subtree(self, key: Block, parent: Decoded | None, chain: list[Ancestor]) -> None:
+        if self._is_known(key, parent, chain):
+            return
         for start in self._encode_unit(key, parent, chain):
             if not self._is_stopped:
                 self._encode_subtree(*start)
+
+    def _is_known(self, key: Block, parent: Decoded | None, chain: list[Ancestor]) -> bool:
+        """Say whether the source knows all below a block to be void, or of one height.
+
+        Voids are left out then, and the units of one height passed on.
+        """
+        grid = self._grid
+        if key.is_root_key or parent is None:
+            return False
+        even = self._pyramid.even(key.level, grid.block_region(key))
+        if even is None:
+            return False
+        if not even.is_valid:
+            self._sink.leave_out(key)
+        elif not self.repeats(key, parent, chain, int(even.value)):
+            return False
+        region = grid.full_region(key)
+        self._on_samples(region.n_rows * region.n_cols)
+        return True
+
+    def repeats(self, key: Block, parent: Decoded, chain: list[Ancestor], target: int) -> bool:
+        """Pass on all units below a block of one height, if it can be done: here it can't."""
+        return False
 
     def _encode_unit(
         self, key: Block, parent: Decoded | None, chain: list[Ancestor]
@@ -248,10 +276,43 @@ class TreeEncoder(UnitEncoder):
     """Encode units by a refiner; the other arguments are those of `UnitEncoder`."""
 
     def __init__(
-        self, grid: Grid, refiner: Refiner, parameters: CodecParameters, *rest: Any, **options: Any
+        self,
+        grid: Grid,
+        refiner: Refiner,
+        parameters: CodecParameters,
+        *rest: Any,
+        may_repeat: bool = False,
+        **options: Any,
     ) -> None:
         super().__init__(grid, parameters, *rest, **options)
         self._refiner = refiner
+        self._repeats: Repeats | None = None
+        if may_repeat and self._last_level == grid.k_max:
+            self._repeats = Repeats(grid, parameters, self.code_unit, self._sink)
+
+    def repeats(self, key: Block, parent: Decoded, chain: list[Ancestor], target: int) -> bool:
+        """Pass on all units below a block of one height, if they are of one height, too."""
+        if self._repeats is None:
+            return False
+        below = self._repeats.code(key, parent, target)
+        if below is None:
+            return False
+        # How far it is from the blocks above is told by the samples of its level, between which
+        # their surfaces are linear.
+        region = self._grid.block_region(key)
+        heights = np.full(region.shape, target, dtype=np.int32)
+        mask = np.ones(region.shape, dtype=np.bool_)
+        for above in chain:
+            at = self._grid.stride(above.block.level) // self._grid.stride(key.level)
+            row, col = (
+                first - one * at for first, one in zip(region[:2], above.region[:2], strict=True)
+            )
+            error = measure_block(above.heights, at, heights, mask, row, col, (target, target))
+            below[above.block] = BlockStats(target, target, error)
+        with self._lock:
+            for block, stats in below.items():
+                self._stats.setdefault(block, BlockStats()).merge(stats)
+        return True
 
     def code_unit(
         self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask

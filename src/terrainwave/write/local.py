@@ -34,7 +34,7 @@ class LocalPasses:
 
     def scan(self, steps: FixedSteps | None = None) -> HeightScan:
         """Return range, validity and vertical quantum of every sample, and a digest if wanted."""
-        check_free_space(self.source.info, self.directory, self.source.is_striped)
+        check_free_space(self.source, self.directory)
         self._windows = Windows(self.source, self.directory)
         return scan_windows(
             self.source.info,

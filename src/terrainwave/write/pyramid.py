@@ -10,6 +10,10 @@ are int32 quanta and pure functions of the raster: neither window sizes nor thre
 * Nested pyramid: the full grid's own samples.
 * Voids are filled by push-pull: coarse levels average what is valid, fine ones interpolate it.
 
+Where the source knows, without reading, that all samples of a window are of one value or void, no
+window is made of others: spools keep the value of whole tiles. Far from valid samples, fills that
+no unit reads are not made (nested pyramids); they are 0.
+
 The levels of a part of the raster can be made from that part alone, with a frame around it, and the
 fills of one coarse level (`SubtreeRegion`); those above a level from that level alone (`Base`).
 Values are the same: that is how machines share a raster.
@@ -19,7 +23,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -32,10 +36,17 @@ from terrainwave.grid.convert import UNKNOWN, pull, push
 from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.grid.remainders import Remainders, remainders
+from terrainwave.raster_io.even import Even, EvenOf, even_parts
 from terrainwave.raster_io.temporary import Spool
 
 TILE = 512  # samples per side of the windows in which levels are made
 _LOWPASS_HALO, _LOWPASS53_HALO = 4, 2
+# Samples around a window of a level that say whether all levels below it are even there. The masks
+# and averages of a level reach less than one of its samples far.
+_EVEN_MARGIN = 2
+# So far from valid samples nothing reads fills, in sides of windows or blocks: a unit has two
+# blocks a side, and a window is made of one of twice its side on the level below.
+_FILL_MARGIN = 3
 # Stands for a void among heights, which are far from it.
 _UNKNOWN = np.int32(UNKNOWN)
 
@@ -47,6 +58,15 @@ class SourceWindows(Protocol):
         self, row: int, col: int, n_rows: int, n_cols: int
     ) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:
         """Return raw heights and validity of a window."""
+        ...
+
+
+@runtime_checkable
+class IndexedWindows(SourceWindows, Protocol):
+    """A raster that may know windows without reading them (`raster_io.even`)."""
+
+    def even(self, region: Region) -> Even | None:
+        """Return what all samples of a region of the full grid are; None: only reading tells."""
         ...
 
 
@@ -139,6 +159,9 @@ class Pyramid:
         self._directory = directory
         self._executor = executor
         self._part = part
+        self._even_of: EvenOf = lambda _: None
+        if isinstance(source, IndexedWindows):
+            self._even_of = source.even
         self._heights: dict[int, Spool] = {}
         self._masks: dict[int, Spool] = {}
         self._own: dict[int, Spool] = {}
@@ -171,7 +194,11 @@ class Pyramid:
             region = self._inside(shift, self._part.push_region(shift) if self._part else None)
             self._fills[shift] = self._new_spool(region, np.int32)
             self._known[shift] = self._new_spool(region, np.bool_)
-            for window in region.tiles(TILE, TILE):
+            for window, even in even_parts(region, TILE, partial(self._even, shift)):
+                if even is not None:
+                    self._fills[shift].fill(window, even.value)
+                    self._known[shift].fill(window, even.is_valid)
+                    continue
                 values, known = self._pushed(shift, window)
                 self._fills[shift].write(window, values)
                 self._known[shift].write(window, known)
@@ -193,7 +220,9 @@ class Pyramid:
             self._fills[top] = coarsest
         for finer in range(top - 1, max(self._first - 1, 0), -1):
             region = self._inside(finer, self._part.fill_region(finer) if self._part else None)
-            for window in region.tiles(TILE, TILE):
+            for window, even in even_parts(region, TILE, partial(self._unread, finer)):
+                if even is not None:
+                    continue
                 known = self._known[finer].read(window)
                 if not known.all():
                     values = self._fills[finer].read(window)
@@ -218,7 +247,13 @@ class Pyramid:
         }[self._kind]
         for shift, region in regions.items():
             spool = self._heights[shift] = self._new_spool(region, np.int32)
-            self._for_each_window(spool, partial(make, shift))
+            windows = []
+            for part, even in even_parts(region, TILE, partial(self._even_heights, shift)):
+                if even is None:
+                    windows.append(part)
+                else:
+                    spool.fill(part, even.value)
+            self._make_windows(spool, partial(make, shift), windows)
             done += region.n_rows * region.n_cols
             report(done, total)
 
@@ -274,6 +309,41 @@ class Pyramid:
         """Return the originals less the decoded heights of the full grid; 0 in voids."""
         raw, valid = self._source.read(*region)
         return remainders(raw, valid, self._quantizer.dequantize(quanta))
+
+    def even(self, level: int, region: Region) -> Even | None:
+        """Return what all targets of a region are, on its level and all below it; None: unknown.
+
+        In quanta, and with an apron on each of these levels.
+        """
+        return self._even(self._grid.k_max - level, region)
+
+    def _even(self, shift: int, region: Region, margin: int = _EVEN_MARGIN) -> Even | None:
+        """Return what all full-grid samples are below a region with a margin, in quanta."""
+        row, col = region.row - margin << shift, region.col - margin << shift
+        n_rows, n_cols = ((n - 1 + 2 * margin << shift) + 1 for n in region.shape)
+        whole = Region(0, 0, self._grid.n_rows, self._grid.n_cols)
+        even = self._even_of(Region(row, col, n_rows, n_cols).intersect(whole))
+        if even is None or not even.is_valid:
+            return None if even is None else Even(np.int32(0), False)
+        raw = even.heights((1, 1), np.dtype(self._quantizer.dtype))
+        quanta = self._quantizer.quantize(raw, np.ones((1, 1), dtype=np.bool_))
+        return Even(quanta[0, 0], True)
+
+    def _unread(self, shift: int, region: Region) -> Even | None:
+        """Return what a region is in which nobody reads a fill: of valid samples, or far from any.
+
+        Filters of other kinds than nested ones reach from level to level.
+        """
+        if self._kind == "nested":
+            even = self._even(shift, region, _FILL_MARGIN * max(TILE, self._grid.block))
+            if even is not None and not even.is_valid:
+                return even
+        even = self._even(shift, region)
+        return even if even is not None and even.is_valid else None
+
+    def _even_heights(self, shift: int, region: Region) -> Even | None:
+        """Return what the heights of a region are, without looking at those of the level below."""
+        return self._unread(shift, region) if self._kind == "nested" else None
 
     def _level_shifts(self) -> range:
         return range(self._first + 1, self._last + 1)
@@ -343,6 +413,11 @@ class Pyramid:
     def _nested_window(self, shift: int, region: Region) -> Heights:
         fine = Region(2 * region.row, 2 * region.col, 2 * region.n_rows - 1, 2 * region.n_cols - 1)
         if shift > 1:
+            even = self._even(shift, region) if self._has_voids else None
+            if even is not None and not even.is_valid:
+                # The same: below a void, fills at these places are those of this level. Further
+                # from valid samples than here, the level below has none.
+                return self._fills[shift].read(region)
             return self._read_heights(shift - 1, fine)[::2, ::2]
         raw, valid = (np.ascontiguousarray(part[::2, ::2]) for part in self._source.read(*fine))
         quanta = self._quantizer.quantize(raw, valid)
@@ -357,7 +432,14 @@ class Pyramid:
             self._own[shift] = self._new_spool(spool.region, np.bool_)
             # The first step reaches two samples far: a cell of shift 1 spans two full-grid cells.
             reach = 2 if shift == 1 else 1
-            self._for_each_window(spool, partial(self._mask_window, shift, reach))
+            windows = []
+            for part, even in even_parts(spool.region, TILE, partial(self._even, shift)):
+                if even is None:
+                    windows.append(part)
+                    continue
+                spool.fill(part, even.is_valid)
+                self._own[shift].fill(part, even.is_valid)
+            self._make_windows(spool, partial(self._mask_window, shift, reach), windows)
 
     def _mask_window(self, shift: int, reach: int, region: Region) -> Mask:
         level = self._grid.k_max - (shift - 1)
@@ -437,8 +519,11 @@ class Pyramid:
         repeated[bottom:] = repeated[bottom - 1]
         return repeated
 
-    def _for_each_window(self, spool: Spool, make: Callable[[Region], NDArray[np.generic]]) -> None:
-        for _ in self._executor.map(
-            lambda region: spool.write(region, make(region)), spool.region.tiles(TILE, TILE)
-        ):
+    def _make_windows(
+        self,
+        spool: Spool,
+        make: Callable[[Region], NDArray[np.generic]],
+        windows: list[Region],
+    ) -> None:
+        for _ in self._executor.map(lambda region: spool.write(region, make(region)), windows):
             pass

@@ -11,7 +11,7 @@ import numpy as np
 
 from terrainwave.codec.refiner import Decoded, Refiner
 from terrainwave.container.depot import StoredSegment
-from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.spool import LikeSegment, SegmentSpool
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.blocks import measure_meshes
@@ -40,7 +40,7 @@ class Coded:
     """
 
     file_tables: bytes
-    segments: dict[Block | None, SegmentSpool | StoredSegment]
+    segments: dict[Block | None, SegmentSpool | LikeSegment | StoredSegment | None]
     n_bytes: int
     job: Job
 
@@ -76,7 +76,7 @@ def encode(
         pyramid.build(
             lambda done, total: reporter.report("making levels", done, total, done * itemsize)
         )
-        sink = SpoolSink(job.grid, job.grid.segment_heads(), directory)
+        sink = SpoolSink(job.grid, directory)
         total = job.grid.n_rows * job.grid.n_cols
         n_units = job.grid.n_units()
         done = 0
@@ -121,7 +121,7 @@ def encode(
         pyramid.close()
     whole = job.quantizer.z_min, job.quantizer.z_max
     boxes = enclosing_boxes(stats, errors, whole, {}, job.moved)
-    set_codes(job.grid, sink.spools, whole, boxes, errors, mesh_errors)
+    set_codes(job.grid, sink.present(), whole, boxes, errors, mesh_errors)
     return Coded(file_tables, {**sink.spools}, sink.n_bytes + len(file_tables), job)
 
 
@@ -143,6 +143,7 @@ def _encode_units(
     encoder = TreeEncoder(
         job.grid, refiner, job.parameters, pyramid, sink, on_samples,
         on_unit=units.__setitem__ if is_kept and job.options.measures_meshes else None,
+        may_repeat=job.may_repeat,
     )  # fmt: skip
     return encoder.run(executor), units
 
