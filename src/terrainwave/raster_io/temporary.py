@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from terrainwave.container.spool import TEMPORARY_ADVICE, cannot_write
+from terrainwave.container.spool import TEMPORARY_ADVICE, cannot_write, storage_errors
 from terrainwave.grid.quadtree import Region
 
 # Arrays up to this many bytes are held in memory: below it the disk would only cost time.
@@ -31,6 +31,8 @@ class Spool:
         Where the temporary file lies if one is needed; it is deleted by `close`.
     origin : tuple of int
         Row and column of the first sample: regions are counted as those of a larger array.
+    path : Path, optional
+        The file to use instead, which may be there already and is not deleted.
     """
 
     def __init__(
@@ -39,6 +41,7 @@ class Spool:
         dtype: DTypeLike,
         directory: Path,
         origin: tuple[int, int] = (0, 0),
+        path: Path | None = None,
     ) -> None:
         self.shape = shape
         self.origin = origin
@@ -47,11 +50,17 @@ class Spool:
         self._file: Any = None
         self._lock = threading.Lock()
         self._directory = directory
+        self.is_kept = False
         if shape[0] * shape[1] * self.dtype.itemsize <= MEMORY_LIMIT:
             self._memory = np.zeros(shape, dtype=self.dtype)
         else:
-            # Unbuffered, unnamed where the system can: nothing is left behind by a kill.
-            self._file = tempfile.TemporaryFile(dir=directory, buffering=0)
+            if path is not None:
+                with storage_errors(f"cannot write {path}"):
+                    self._file = open(path, "r+b" if path.exists() else "w+b", buffering=0)
+                self.is_kept = True
+            else:
+                # Unbuffered, unnamed where the system can: nothing is left behind by a kill.
+                self._file = tempfile.TemporaryFile(dir=directory, buffering=0)
             self._tile_cols = -(-shape[1] // TILE)
 
     @property
@@ -95,7 +104,7 @@ class Spool:
                 self._write_tile_locked(number, content)
 
     def close(self) -> None:
-        """Free the memory or delete the file."""
+        """Free the memory or delete the file, unless it has a path of its own."""
         self._memory = None
         if self._file is not None:
             self._file.close()

@@ -5,12 +5,13 @@ of decoded ancestors in memory, and subtrees run side by side, in threads of one
 machines. Nothing here depends on the order.
 """
 
+import copy
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from concurrent.futures import Executor
 from functools import partial
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, Self
 
 from terrainwave.codec.group import encode_unit
 from terrainwave.codec.refiner import Decoded, FittingRefiner, GroupSpec, Heights, Mask, Refiner
@@ -27,6 +28,7 @@ from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.sample_windows import HeightsOf, MaskOf
 from terrainwave.mesh.blocks import has_mesh
 from terrainwave.write.job import Job
+from terrainwave.write.passes.resuming import KeptUnits
 from terrainwave.write.pyramid import Pyramid
 
 # The first levels are walked breadth first until there are this many subtrees to share out.
@@ -92,6 +94,8 @@ class UnitEncoder(ABC):
         The finest level of blocks that is coded; by default all are.
     on_unit : callable, optional
         Called with the key of each unit and what it decodes to, from any thread.
+    kept : KeptUnits, optional
+        Where coded subtrees are left for a later run, and taken from.
     """
 
     def __init__(
@@ -103,6 +107,7 @@ class UnitEncoder(ABC):
         on_samples: Callable[[int], None],
         last_level: int | None = None,
         on_unit: Callable[[Block, Decoded], None] | None = None,
+        kept: KeptUnits | None = None,
     ) -> None:
         self._grid = grid
         self._parameters = parameters
@@ -113,7 +118,8 @@ class UnitEncoder(ABC):
         self._last_level = grid.k_max if last_level is None else last_level
         self._stats: Stats = {}
         self._lock = threading.Lock()
-        self._is_stopped = False
+        self._stopped = threading.Event()
+        self._kept_units = kept
 
     def run(self, executor: Executor) -> Stats:
         """Encode all down to the last level; return range and measured error of every block.
@@ -130,7 +136,7 @@ class UnitEncoder(ABC):
                 pass
         except BaseException:
             # Ctrl-C, a full disk: subtrees that run in other threads end at their next unit.
-            self._is_stopped = True
+            self._stopped.set()
             raise
         return self._stats
 
@@ -148,9 +154,58 @@ class UnitEncoder(ABC):
         return self._stats
 
     def _encode_subtree(self, key: Block, parent: Decoded | None, chain: list[Ancestor]) -> None:
+        if (
+            self._kept_units is not None
+            and key.level == self._kept_units.level
+            and not key.is_root_key
+        ):
+            self._encode_kept(self._kept_units, key, parent, chain)
+            return
         for start in self._encode_unit(key, parent, chain):
-            if not self._is_stopped:
+            if not self._stopped.is_set():
                 self._encode_subtree(*start)
+
+    def _encode_kept(
+        self, kept: KeptUnits, key: Block, parent: Decoded | None, chain: list[Ancestor]
+    ) -> None:
+        """Take a subtree from what an earlier run has left, or encode it and leave it there."""
+        found = kept.load(key)
+        if found is None:
+            part = self.apart(chain)
+            payloads: dict[Block, bytes] = {}
+
+            def take(key: Block, payload: bytes) -> None:
+                payloads[key] = payload
+
+            part._sink = take
+            part._encode_subtree(key, parent, chain)
+            if self._stopped.is_set():
+                return
+            found = payloads, part._stats, part.found(chain)
+            kept.save(key, *found)
+        else:
+            region = self._grid.full_region(key)
+            self._on_samples(region.n_rows * region.n_cols)
+        payloads, stats, more = found
+        for unit, payload in payloads.items():
+            self._sink(unit, payload)
+        with self._lock:
+            self.take(more)
+            for block, own in stats.items():
+                self._stats.setdefault(block, BlockStats()).merge(own)
+
+    def apart(self, chain: list[Ancestor]) -> Self:
+        """Return an encoder of a subtree below `chain` whose findings are its own."""
+        part = copy.copy(self)
+        part._stats, part._kept_units = {}, None
+        return part
+
+    def found(self, chain: list[Ancestor]) -> dict[str, Any]:
+        """Return what `apart` has found besides statistics, as plain values for JSON."""
+        return {}
+
+    def take(self, more: dict[str, Any]) -> None:  # noqa: B027  most find nothing more
+        """Take in what another encoder has `found`; called with the lock."""
 
     def _encode_unit(
         self, key: Block, parent: Decoded | None, chain: list[Ancestor]

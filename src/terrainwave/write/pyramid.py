@@ -28,6 +28,7 @@ from terrainwave.codec.cdf53.tile_layout import TileLayout
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.coding.filters import lowpass_analysis
 from terrainwave.coding.lifting53 import lowpass_window
+from terrainwave.container.targets.kept import Kept
 from terrainwave.grid.convert import UNKNOWN, pull, push
 from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.quantum import Quantizer
@@ -116,6 +117,8 @@ class Pyramid:
         voids `pull` needs its coarsest fills.
     base : Base, optional
         Make the levels above that of `base`; below it there is nothing to ask for.
+    kept : Kept, optional
+        Where levels are left for a later run, and taken from; not those of a part.
     """
 
     def __init__(
@@ -130,6 +133,7 @@ class Pyramid:
         executor: Executor,
         part: SubtreeRegion | None = None,
         base: Base | None = None,
+        kept: Kept | None = None,
     ) -> None:
         self._source = source
         self._quantizer = quantizer
@@ -139,6 +143,7 @@ class Pyramid:
         self._directory = directory
         self._executor = executor
         self._part = part
+        self._kept = kept or Kept()
         self._heights: dict[int, Spool] = {}
         self._masks: dict[int, Spool] = {}
         self._own: dict[int, Spool] = {}
@@ -169,9 +174,10 @@ class Pyramid:
         while shift < self._last or (self._part is None and max(self._shape(shift)) > 1):
             shift += 1
             region = self._inside(shift, self._part.push_region(shift) if self._part else None)
-            self._fills[shift] = self._new_spool(region, np.int32)
-            self._known[shift] = self._new_spool(region, np.bool_)
-            for window in region.tiles(TILE, TILE):
+            self._fills[shift] = self._new_spool(region, np.int32, f"fills-{shift}")
+            self._known[shift] = self._new_spool(region, np.bool_, f"known-{shift}")
+            spools = self._fills[shift], self._known[shift]
+            for window in self._kept.each(f"push-{shift}", spools, region.tiles(TILE, TILE)):
                 values, known = self._pushed(shift, window)
                 self._fills[shift].write(window, values)
                 self._known[shift].write(window, known)
@@ -193,7 +199,8 @@ class Pyramid:
             self._fills[top] = coarsest
         for finer in range(top - 1, max(self._first - 1, 0), -1):
             region = self._inside(finer, self._part.fill_region(finer) if self._part else None)
-            for window in region.tiles(TILE, TILE):
+            spools = self._fills[finer], self._known[finer]
+            for window in self._kept.each(f"pull-{finer}", spools, region.tiles(TILE, TILE)):
                 known = self._known[finer].read(window)
                 if not known.all():
                     values = self._fills[finer].read(window)
@@ -217,8 +224,9 @@ class Pyramid:
             "nested": self._nested_window,
         }[self._kind]
         for shift, region in regions.items():
-            spool = self._heights[shift] = self._new_spool(region, np.int32)
-            self._for_each_window(spool, partial(make, shift))
+            name = f"{self._kind}-{shift}"
+            spool = self._heights[shift] = self._new_spool(region, np.int32, name)
+            self._for_each_window(name, spool, partial(make, shift))
             done += region.n_rows * region.n_cols
             report(done, total)
 
@@ -289,8 +297,9 @@ class Pyramid:
         whole = Region(0, 0, *self._shape(shift))
         return whole if region is None else region.intersect(whole)
 
-    def _new_spool(self, region: Region, dtype: DTypeLike) -> Spool:
-        return Spool(region.shape, dtype, self._directory, (region.row, region.col))
+    def _new_spool(self, region: Region, dtype: DTypeLike, name: str) -> Spool:
+        path = self._kept.path(name)
+        return Spool(region.shape, dtype, self._directory, (region.row, region.col), path)
 
     def _shape(self, shift: int) -> tuple[int, int]:
         return (self._grid.n_rows - 1 >> shift) + 1, (self._grid.n_cols - 1 >> shift) + 1
@@ -353,11 +362,12 @@ class Pyramid:
 
     def _build_masks(self) -> None:
         for shift in self._level_shifts():
-            spool = self._masks[shift] = self._new_spool(self._heights_region(shift), np.bool_)
-            self._own[shift] = self._new_spool(spool.region, np.bool_)
+            region = self._heights_region(shift)
+            spool = self._masks[shift] = self._new_spool(region, np.bool_, f"mask-{shift}")
+            self._own[shift] = self._new_spool(region, np.bool_, f"own-{shift}")
             # The first step reaches two samples far: a cell of shift 1 spans two full-grid cells.
             reach = 2 if shift == 1 else 1
-            self._for_each_window(spool, partial(self._mask_window, shift, reach))
+            self._for_each_window(f"mask-{shift}", spool, partial(self._mask_window, shift, reach))
 
     def _mask_window(self, shift: int, reach: int, region: Region) -> Mask:
         level = self._grid.k_max - (shift - 1)
@@ -437,8 +447,10 @@ class Pyramid:
         repeated[bottom:] = repeated[bottom - 1]
         return repeated
 
-    def _for_each_window(self, spool: Spool, make: Callable[[Region], NDArray[np.generic]]) -> None:
-        for _ in self._executor.map(
-            lambda region: spool.write(region, make(region)), spool.region.tiles(TILE, TILE)
-        ):
+    def _for_each_window(
+        self, name: str, spool: Spool, make: Callable[[Region], NDArray[np.generic]]
+    ) -> None:
+        tiles = spool.region.tiles(TILE, TILE)
+        made = partial(self._executor.map, lambda region: spool.write(region, make(region)))
+        for _ in self._kept.each(name, [spool], tiles, made):
             pass
