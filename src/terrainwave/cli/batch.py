@@ -276,7 +276,7 @@ def run_to(
 
 def _tell(outcome: _Outcome, bar: Bar, *, quiet: bool) -> None:
     if outcome.error is not None:
-        print_error(outcome.message)
+        print_error(outcome.message, outcome.error)
     elif not quiet:
         bar.echo(f"{outcome.name}: {plain(outcome.job.target)} exists already, skipped"
                  if outcome.done is None else outcome.done.line)  # fmt: skip

@@ -327,6 +327,14 @@ def writing(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
+FRESH_OPTION = click.option(
+    "--fresh",
+    is_flag=True,
+    help="Start over, if an earlier run of the same command did not finish. Default: go on from"
+    " the work that it has finished.",
+)
+
+
 def batched(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of commands that take many files at once."""
     for option in (

@@ -36,9 +36,11 @@ if TYPE_CHECKING:
 plain = in_one_line
 
 
-def print_error(message: object) -> None:
-    """Print one line on stderr."""
+def print_error(message: object, error: BaseException | None = None) -> None:
+    """Print one line on stderr, and one for each note of an error."""
     click.echo(f"terrainwave: {plain(message)}", err=True)
+    for note in getattr(error, "__notes__", ()):
+        print_note(message_of(TerrainwaveWarning(note)))
 
 
 _printed_notes: set[str] = set()
@@ -181,13 +183,13 @@ class Commands(click.Group):
         except click.Abort as error:
             # click turns Ctrl-C, and what is raised for other signals, into Abort.
             if isinstance(error.__cause__, Terminated):
-                print_error("terminated; the target is untouched")
+                print_error("terminated; the target is untouched", error.__cause__)
                 sys.exit(error.__cause__.status)
-            print_error("interrupted; the target is untouched")
+            print_error("interrupted; the target is untouched", error.__cause__)
             sys.exit(INTERRUPTED)
         except Exception as error:  # noqa: BLE001  whatever comes from below is one line, too
             if not is_of_stdout(error):
-                print_error(line_of(error))
+                print_error(line_of(error), error)
             else:
                 discard_stdout()
                 if not isinstance(error, BrokenPipeError):  # head has seen enough

@@ -52,6 +52,10 @@ class HeightDigest:
         """Take in what another digest has seen of the same raster."""
         self._sum = (self._sum + other._sum) & _MASK
 
+    def take(self, text: str) -> None:
+        """Go on from a digest of windows that are not to be seen again."""
+        self._sum = int(text, 16)
+
     @property
     def text(self) -> str:
         """Return the digest as 16 hexadecimal digits."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, Context, Decimal
 from fractions import Fraction
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -290,6 +291,27 @@ class HeightScan:
         self.steps = other.steps and self.steps
         self.has_negative_zeros |= other.has_negative_zeros
         self._candidates = [p for p in self._candidates if p in other._candidates]
+
+    def to_state(self) -> dict[str, Any]:
+        """Return what has been seen, as plain values for JSON."""
+        return {
+            "counts": [self.n_samples, self.n_valid, self._gcd],
+            "range": [self.minimum, self.maximum],
+            "candidates": [[p.numerator, p.denominator] for p in self._candidates],
+            "holds_steps": self.steps is not None,
+            "has_negative_zeros": self.has_negative_zeros,
+            "digest": None if self.digest is None else self.digest.text,
+        }
+
+    def take_state(self, state: dict[str, Any]) -> None:
+        """Go on from what `to_state` has returned of a scan of the same raster."""
+        self.n_samples, self.n_valid, self._gcd = state["counts"]
+        self.minimum, self.maximum = state["range"]
+        self._candidates = [Fraction(*p) for p in state["candidates"]]
+        self.steps = self.steps if state["holds_steps"] else None
+        self.has_negative_zeros = state["has_negative_zeros"]
+        if self.digest is not None:
+            self.digest.take(state["digest"])
 
     def _narrow_candidates(self, heights: NDArray[np.generic]) -> None:
         wide = heights.astype(np.float64)

@@ -1,9 +1,10 @@
 """The files that a raster is read from, to notice that one of them has changed."""
 
 import os
+from typing import Any
 
 from terrainwave.errors import TerrainwaveError
-from terrainwave.raster_io.dataset import open_dataset
+from terrainwave.raster_io.dataset import is_twz, open_dataset
 
 
 def files_of(path: str) -> list[str]:
@@ -27,6 +28,55 @@ def files_of(path: str) -> list[str]:
             except TerrainwaveError:  # a file beside a raster, such as metadata
                 continue
     return sorted(found)
+
+
+def stamps_of(src: Any) -> list[list[str | int]] | None:
+    """Return names, sizes and times of the files that rasters are read from.
+
+    Of a .twz file its own; of VRTs those of their sources, too. None if something is no file of
+    this machine, such as an array or a URL.
+
+    Raises
+    ------
+    TerrainwaveError
+        If one cannot be opened.
+    """
+    names: set[str] = set()
+    for source in src if isinstance(src, list | tuple) else [src]:
+        found = _files_below(source)
+        if not found:
+            return None
+        names |= found
+    stamps: list[list[str | int]] = []
+    for name in sorted(names):
+        try:
+            seen = os.stat(name)
+        except (OSError, ValueError):
+            return None
+        # Whatever changes a file changes this time, also what puts back the other one.
+        stamps.append([os.path.abspath(name), seen.st_size, seen.st_mtime_ns, seen.st_ctime_ns])
+    return stamps
+
+
+def _files_below(source: Any) -> set[str]:
+    """Return the files of a raster, those that a VRT names as well; empty if it is in none."""
+    if hasattr(source, "files") and hasattr(source, "block_shapes"):
+        waiting = [os.fspath(name) for name in source.files]
+    elif not isinstance(source, str | os.PathLike):
+        return set()
+    elif is_twz(source):
+        return {os.fspath(source)}
+    else:
+        waiting = _listed(os.fspath(source))
+    found: set[str] = set()
+    while waiting:
+        name = waiting.pop()
+        if name not in found:
+            found.add(name)
+            # Other files name no further ones, and there may be many thousands.
+            if name.lower().endswith(".vrt"):
+                waiting += _listed(name)
+    return found
 
 
 def _listed(path: str) -> list[str]:

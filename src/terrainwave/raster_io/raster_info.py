@@ -69,6 +69,11 @@ class RasterInfo:
     color_interpretation: str | None = None
 
     @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.n_rows, self.n_cols
+
+    @property
     def void_value(self) -> int | float:
         """What a void sample holds in an array or file of this raster."""
         if self.nodata is not None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from terrainwave.container.spool import TEMPORARY_ADVICE, cannot_write
+from terrainwave.container.spool import TEMPORARY_ADVICE, cannot_write, storage_errors
 from terrainwave.grid.quadtree import Region
 
 # Arrays up to this many bytes are held in memory: below it the disk would only cost time.
@@ -31,6 +31,8 @@ class Spool:
         Where the temporary file lies if one is needed; it is deleted by `close`.
     origin : tuple of int
         Row and column of the first sample: regions are counted as those of a larger array.
+    path : Path, optional
+        The file to use instead, which may be there already and is not deleted.
     """
 
     def __init__(
@@ -39,24 +41,42 @@ class Spool:
         dtype: DTypeLike,
         directory: Path,
         origin: tuple[int, int] = (0, 0),
+        path: Path | None = None,
     ) -> None:
         self.shape = shape
         self.origin = origin
         self.dtype = np.dtype(dtype)
         self._memory: NDArray[Any] | None = None
         self._file: Any = None
+        self._is_there: Any = None
         self._lock = threading.Lock()
         self._directory = directory
+        self.is_kept = False
         if shape[0] * shape[1] * self.dtype.itemsize <= MEMORY_LIMIT:
             self._memory = np.zeros(shape, dtype=self.dtype)
         else:
-            # Unbuffered, unnamed where the system can: nothing is left behind by a kill.
-            self._file = tempfile.TemporaryFile(dir=directory, buffering=0)
             n_tiles = -(-shape[0] // TILE), -(-shape[1] // TILE)
             # Where a tile lies in the file, in tiles; -1 where it has one value, which needs none.
             self._slots = np.full(n_tiles, -1, dtype=np.int32)
             self._values = np.zeros(n_tiles, dtype=self.dtype)
             self._n_slots = 0
+            if path is not None:
+                self._open(path)
+            else:
+                # Unbuffered, unnamed where the system can: nothing is left behind by a kill.
+                self._file = tempfile.TemporaryFile(dir=directory, buffering=0)
+
+    def _open(self, path: Path) -> None:
+        """Use a file that outlives this object; another one beside it says which tiles it has."""
+        beside = path.with_name(f"{path.stem}-tiles{path.suffix}")
+        is_there = path.exists() and beside.exists()
+        with storage_errors(f"cannot write {path}"):
+            self._file = open(path, "r+b" if is_there else "w+b", buffering=0)
+            shape = self._slots.shape
+            self._is_there = np.memmap(beside, np.bool_, "r+" if is_there else "w+", shape=shape)
+        self._places = np.arange(self._slots.size, dtype=np.int32).reshape(shape)
+        self._slots[self._is_there] = self._places[self._is_there]
+        self.is_kept = True
 
     @property
     def region(self) -> Region:
@@ -100,9 +120,12 @@ class Spool:
                     content = self._read_tile_locked(slot)
                 content[part.slices_in(tile)] = values[part.slices_in(region)]
                 if slot < 0:
-                    slot = self._slots[at] = self._n_slots
+                    slot = self._places[at] if self.is_kept else self._n_slots
                     self._n_slots += 1
                 self._write_tile_locked(slot, content)
+                self._slots[at] = slot
+                if self.is_kept:
+                    self._is_there[at] = True
 
     def fill(self, region: Region, value: Any) -> None:
         """Store one value in a region; whole tiles that were never written take no room."""
@@ -123,11 +146,11 @@ class Spool:
             self._values[tiles] = value
 
     def close(self) -> None:
-        """Free the memory or delete the file."""
+        """Free the memory or delete the file, unless it has a path of its own."""
         self._memory = None
         if self._file is not None:
             self._file.close()
-            self._file = None
+            self._file = self._is_there = None
 
     def _tiles(self, region: Region) -> list[tuple[Region, tuple[int, int]]]:
         row, col = region.row - self.origin[0], region.col - self.origin[1]

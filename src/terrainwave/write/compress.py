@@ -7,11 +7,13 @@ disk with the ordinary decoder and compares every sample. Memory stays flat in a
 
 import io
 import logging
+import math
 import os
 import tempfile
 import warnings
+from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import AbstractContextManager, closing
+from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, cast
@@ -26,13 +28,13 @@ from terrainwave.arguments import (
 from terrainwave.codec.method_options import MethodChoice, MethodOptions
 from terrainwave.container.depot import Depot
 from terrainwave.container.sources.addresses import display_name
+from terrainwave.container.targets.kept import Kept
 from terrainwave.container.targets.publication import (
     publish,
     refuse_own_source,
-    scratch_directory,
     system_scratch,
 )
-from terrainwave.container.targets.unfinished import Part
+from terrainwave.container.targets.unfinished import Part, only_writer
 from terrainwave.container.targets.upload import uploaded
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
@@ -57,6 +59,7 @@ from terrainwave.write.earlier import earlier_of, for_heights_of
 from terrainwave.write.job import Job, fixed_steps, settled
 from terrainwave.write.local import LocalPasses
 from terrainwave.write.passes.coding import Coded, smaller
+from terrainwave.write.passes.resuming import run_directory, taken_up
 from terrainwave.write.subtrees import RasterPlace
 
 _log = logging.getLogger(__name__)
@@ -107,6 +110,7 @@ def compress(
     verify: bool = True,
     threads: int | None = None,
     overwrite: bool = False,
+    fresh: bool = False,
     client: Any = None,
     task_samples: int | None = None,
     progress: ProgressCallback | None = None,
@@ -190,6 +194,8 @@ def compress(
         Threads that encode; the number of processors by default. The bytes don't depend on it.
     overwrite : bool
         Replace an existing `dst`.
+    fresh : bool
+        Remove what an earlier run of the same call has left, instead of going on from there.
     client : dask.distributed.Client or concurrent.futures.Executor, optional
         Compress on the workers of a cluster, which must be able to read the paths `src` and `dst`.
         The bytes are the same. Not with method cdf53.
@@ -214,6 +220,10 @@ def compress(
     Notes
     -----
     O(n_rows * n_cols) time; memory O(threads * block^2 * levels), whatever the size of the raster.
+
+    A run that fails, is interrupted or killed leaves its finished work in `temp_dir`, or beside
+    `dst`. The same call goes on from there (docs/how-to/resume.md). Not with `client`, and not for
+    rasters below 2^26 samples.
     """
     options = Options(
         max_error=max_error,
@@ -230,7 +240,7 @@ def compress(
         verify=verify,
         threads=threads,
     )
-    check_flags(overwrite=overwrite)
+    check_flags(overwrite=overwrite, fresh=fresh)
     if task_samples is not None:
         task_samples = checked_whole("task_samples", task_samples, least=1)
     if temp_dir is not None:
@@ -258,16 +268,19 @@ def compress(
             f"found a client and {display_name(name)} as `dst`, expected a path that all workers"
             " can use"
         )
-    beside = tempfile.gettempdir() if is_url else Path(name).absolute().parent
+    of_source = {"band": band, "nodata": repr(nodata), "georeference": georeference}
+    depends_on = {"command": "compress", **of_source, "options": options.to_metadata()}
     with (
         _made(name, overwrite=overwrite, temp_dir=temp_dir) as part,
         raster_source(src, band=band, nodata=nodata, georeference=georeference) as source,
-        scratch_directory(temp_dir or beside, Path(name).name) as directory,
+        _directory(
+            name, src, source, depends_on, temp_dir, fresh=fresh, is_kept=cluster is None
+        ) as (directory, kept),
     ):
-        written = _write(part.file, part.path, source, options, directory, reporter, cluster)
+        written = _write(part.file, part.path, source, options, directory, reporter, cluster, kept)
         n_bytes = os.path.getsize(part.path)
     _warn_of(written.marks)
-    n_samples = source.info.n_rows * source.info.n_cols
+    n_samples = math.prod(source.info.shape)
     return CompressResult(
         path=display_name(name) if is_url else name,
         n_bytes=n_bytes,
@@ -279,7 +292,7 @@ def compress(
         measured_error=written.measured_error,
         units=height_unit(source.info.units, source.info.crs).name,
         method=written.method,
-        notes=[*options.notes, *source.notes, *written.marks, *written.notes],
+        notes=[*options.notes, *source.notes, *written.marks, *written.notes, *taken_up(kept)],
     )
 
 
@@ -345,6 +358,31 @@ def _made(
     return publish(name, overwrite=overwrite)
 
 
+@contextmanager
+def _directory(
+    name: str,
+    src: Any,
+    source: RasterSource,
+    depends_on: dict[str, Any],
+    temp_dir: str | os.PathLike[str] | None,
+    *,
+    fresh: bool,
+    is_kept: bool,
+) -> Iterator[tuple[Path, Kept]]:
+    """Give a directory for temporary files, and what earlier runs have left; nobody else writes."""
+    is_url = "://" in name
+    final = Path(name) if is_url else Path(os.path.realpath(name))
+    beside = Path(tempfile.gettempdir()) if is_url else final.parent
+    with (
+        only_writer(final, beside, display_name(name)),
+        run_directory(
+            temp_dir or beside, final, src, source.info.shape, depends_on,
+            fresh=fresh, is_kept=is_kept, by_heights=True,
+        ) as made,
+    ):  # fmt: skip
+        yield made
+
+
 def _warn_of(notes: list[str]) -> None:
     for note in notes:
         warnings.warn(note, TerrainwaveWarning, stacklevel=3)
@@ -370,6 +408,7 @@ def _write(
     directory: Path,
     reporter: Reporter,
     cluster: "_Cluster | None" = None,
+    kept: Kept | None = None,
 ) -> _Written:
     """Write the .twz of `source` to `file` and prove it.
 
@@ -378,9 +417,10 @@ def _write(
     grid = Grid(source.info.n_rows, source.info.n_cols, options.block)
     with ThreadPoolExecutor(options.n_threads, thread_name_prefix="terrainwave") as executor:
         has_digest = options.keep_origin
-        with closing(
-            _passes(source, grid, directory, executor, reporter, cluster, has_digest=has_digest)
-        ) as passes:
+        made = _passes(
+            source, grid, directory, executor, reporter, cluster, kept, has_digest=has_digest
+        )
+        with closing(made) as passes:
             left = for_heights_of(source, options)
             scan = passes.scan(fixed_steps(left, source.info))
             marks = note_on_marks(source, scan.minimum, scan.maximum)
@@ -436,13 +476,14 @@ def _passes(
     executor: Executor,
     reporter: Reporter,
     cluster: _Cluster | None,
+    kept: Kept | None,
     *,
     has_digest: bool,
 ) -> LocalPasses | DistributedPasses:
     """Return the passes of this process, or of a cluster where there is enough for a task."""
     level = None if cluster is None else task_level(grid, cluster.task_samples)
     if cluster is None or level is None:
-        return LocalPasses(source, directory, executor, reporter, has_digest)
+        return LocalPasses(source, directory, executor, reporter, has_digest, kept or Kept())
     return DistributedPasses(
         cluster.executor,
         cluster.raster,

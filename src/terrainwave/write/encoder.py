@@ -5,12 +5,13 @@ of decoded ancestors in memory, and subtrees run side by side, in threads of one
 machines. Nothing here depends on the order.
 """
 
+import copy
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from concurrent.futures import Executor
 from functools import partial
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.sample_windows import HeightsOf, MaskOf
 from terrainwave.mesh.blocks import has_mesh
 from terrainwave.write.job import Job
+from terrainwave.write.passes.resuming import KeptUnits
 from terrainwave.write.pyramid import Pyramid
 from terrainwave.write.repeats import RepeatingSink, Repeats
 
@@ -44,6 +46,23 @@ class PayloadSink(RepeatingSink, Protocol):
     def leave_out(self, block: Block) -> None:
         """Take note that all units below a block are void."""
         ...
+
+
+class _Taken:
+    """Keeps what is coded of a subtree; segments that are like others are coded like all."""
+
+    def __init__(self) -> None:
+        self.payloads: dict[Block, bytes] = {}
+        self.left_out: list[Block] = []
+
+    def __call__(self, key: Block, payload: bytes) -> None:
+        self.payloads[key] = payload
+
+    def leave_out(self, block: Block) -> None:
+        self.left_out.append(block)
+
+    def repeat(self, head: Block, like: Block) -> None:
+        raise AssertionError(f"{head} is coded by itself")
 
 
 def fitted_refiner(job: Job, heights: HeightsOf, mask: MaskOf) -> tuple[Refiner, bytes]:
@@ -95,6 +114,8 @@ class UnitEncoder(ABC):
         The finest level of blocks that is coded; by default all are.
     on_unit : callable, optional
         Called with the key of each unit and what it decodes to, from any thread.
+    kept : KeptUnits, optional
+        Where coded subtrees are left for a later run, and taken from.
     """
 
     def __init__(
@@ -106,6 +127,7 @@ class UnitEncoder(ABC):
         on_samples: Callable[[int], None],
         last_level: int | None = None,
         on_unit: Callable[[Block, Decoded], None] | None = None,
+        kept: KeptUnits | None = None,
     ) -> None:
         self._grid = grid
         self._parameters = parameters
@@ -116,7 +138,8 @@ class UnitEncoder(ABC):
         self._last_level = grid.k_max if last_level is None else last_level
         self._stats: Stats = {}
         self._lock = threading.Lock()
-        self._is_stopped = False
+        self._stopped = threading.Event()
+        self._kept_units = kept
 
     def run(self, executor: Executor) -> Stats:
         """Encode all down to the last level; return range and measured error of every block.
@@ -133,7 +156,7 @@ class UnitEncoder(ABC):
                 pass
         except BaseException:
             # Ctrl-C, a full disk: subtrees that run in other threads end at their next unit.
-            self._is_stopped = True
+            self._stopped.set()
             raise
         return self._stats
 
@@ -153,8 +176,15 @@ class UnitEncoder(ABC):
     def _encode_subtree(self, key: Block, parent: Decoded | None, chain: list[Ancestor]) -> None:
         if self._is_known(key, parent, chain):
             return
+        if (
+            self._kept_units is not None
+            and key.level == self._kept_units.level
+            and not key.is_root_key
+        ):
+            self._encode_kept(self._kept_units, key, parent, chain)
+            return
         for start in self._encode_unit(key, parent, chain):
-            if not self._is_stopped:
+            if not self._stopped.is_set():
                 self._encode_subtree(*start)
 
     def _is_known(self, key: Block, parent: Decoded | None, chain: list[Ancestor]) -> bool:
@@ -179,6 +209,46 @@ class UnitEncoder(ABC):
     def repeats(self, key: Block, parent: Decoded, chain: list[Ancestor], target: int) -> bool:
         """Pass on all units below a block of one height, if it can be done: here it can't."""
         return False
+
+    def _encode_kept(
+        self, kept: KeptUnits, key: Block, parent: Decoded | None, chain: list[Ancestor]
+    ) -> None:
+        """Take a subtree from what an earlier run has left, or encode it and leave it there."""
+        found = kept.load(key)
+        if found is None:
+            part = self.apart(chain)
+            part._sink = taken = _Taken()
+            part._encode_subtree(key, parent, chain)
+            if self._stopped.is_set():
+                return
+            more = part.found(chain) | {"left_out": [list(block) for block in taken.left_out]}
+            found = taken.payloads, part._stats, more
+            kept.save(key, *found)
+        else:
+            region = self._grid.full_region(key)
+            self._on_samples(region.n_rows * region.n_cols)
+        payloads, stats, more = found
+        for unit, payload in payloads.items():
+            self._sink(unit, payload)
+        for block in more["left_out"]:
+            self._sink.leave_out(Block(*block))
+        with self._lock:
+            self.take(more)
+            for block, own in stats.items():
+                self._stats.setdefault(block, BlockStats()).merge(own)
+
+    def apart(self, chain: list[Ancestor]) -> Self:
+        """Return an encoder of a subtree below `chain` whose findings are its own."""
+        part = copy.copy(self)
+        part._stats, part._kept_units = {}, None
+        return part
+
+    def found(self, chain: list[Ancestor]) -> dict[str, Any]:
+        """Return what `apart` has found besides statistics, as plain values for JSON."""
+        return {}
+
+    def take(self, more: dict[str, Any]) -> None:  # noqa: B027  most find nothing more
+        """Take in what another encoder has `found`; called with the lock."""
 
     def _encode_unit(
         self, key: Block, parent: Decoded | None, chain: list[Ancestor]
@@ -289,6 +359,12 @@ class TreeEncoder(UnitEncoder):
         self._repeats: Repeats | None = None
         if may_repeat and self._last_level == grid.k_max:
             self._repeats = Repeats(grid, parameters, self.code_unit, self._sink)
+
+    def apart(self, chain: list[Ancestor]) -> Self:
+        """Return an encoder of a subtree whose findings are its own, and all of its payloads."""
+        part = super().apart(chain)
+        part._repeats = None
+        return part
 
     def repeats(self, key: Block, parent: Decoded, chain: list[Ancestor], target: int) -> bool:
         """Pass on all units below a block of one height, if they are of one height, too."""

@@ -2,9 +2,10 @@
 
 import os
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
+from terrainwave.container.targets.kept import Kept
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.grid.steps import FixedSteps
 from terrainwave.progress import Reporter
@@ -12,18 +13,23 @@ from terrainwave.raster_io.source import RasterSource
 from terrainwave.write.job import Job
 from terrainwave.write.passes.coding import Coded, encode
 from terrainwave.write.passes.proof import prove
-from terrainwave.write.passes.windows import Windows, check_free_space, scan_windows
+from terrainwave.write.passes.resuming import is_by_heights, same_heights
+from terrainwave.write.passes.windows import SCAN, Windows, check_free_space, scan_windows
 
 
 @dataclass
 class LocalPasses:
-    """The passes over `source`, in the threads of `executor`; large data in `directory`."""
+    """The passes over `source`, in the threads of `executor`; large data in `directory`.
+
+    What `kept` has of an earlier run is not done again.
+    """
 
     source: RasterSource
     directory: Path
     executor: Executor
     reporter: Reporter
     has_digest: bool = False
+    kept: Kept = field(default_factory=Kept)
     _windows: Windows | None = None
 
     @property
@@ -34,23 +40,32 @@ class LocalPasses:
 
     def scan(self, steps: FixedSteps | None = None) -> HeightScan:
         """Return range, validity and vertical quantum of every sample, and a digest if wanted."""
-        check_free_space(self.source, self.directory)
-        self._windows = Windows(self.source, self.directory)
-        return scan_windows(
-            self.source.info,
-            self._windows.scan(),
+        info, kept = self.source.info, self.kept
+        check_free_space(self.source, self.directory, kept.n_bytes)
+        by_heights = is_by_heights(kept)
+        # What other heights may have been read of is not kept.
+        self._windows = Windows(self.source, self.directory, Kept() if by_heights else kept)
+        is_taken_up = self._windows.is_kept and not by_heights
+        first = (kept.get(SCAN) or {}).get("n_windows", 0) if is_taken_up else 0
+        scan = scan_windows(
+            info,
+            self._windows.scan(first),
             self.reporter,
-            has_digest=self.has_digest,
+            has_digest=self.has_digest or by_heights,
             steps=steps,
+            kept=kept if is_taken_up else None,
         )
+        if by_heights and scan.digest is not None:
+            same_heights(kept, scan.digest.text)
+        return scan
 
     def encode(self, job: Job) -> Coded:
         """Code all units into one spool per segment."""
-        return encode(job, self.windows, self.directory, self.executor, self.reporter)
+        return encode(job, self.windows, self.directory, self.executor, self.reporter, self.kept)
 
     def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> float:
         """Decode the file from disk and compare every sample; return the largest error."""
-        return prove(path, job, self.windows, self.executor, self.reporter)
+        return prove(path, job, self.windows, self.executor, self.reporter, self.kept)
 
     def close(self) -> None:
         """Delete temporary data."""

@@ -16,17 +16,20 @@ import os
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from terrainwave.arguments import check_local, checked_path, checked_threads
+from terrainwave.arguments import check_flags, check_local, checked_path, checked_threads
 from terrainwave.container.header import HAS_CORRECTIONS as CORRECTIONS_FEATURE
 from terrainwave.container.header import Header
 from terrainwave.container.metadata import EARLIER, without_origin
 from terrainwave.container.spool_sink import SpoolSink
-from terrainwave.container.targets.publication import publish, refuse_own_source, scratch_directory
+from terrainwave.container.targets.kept import Kept
+from terrainwave.container.targets.publication import publish, refuse_own_source
+from terrainwave.container.targets.unfinished import only_writer
 from terrainwave.container.writer import assemble
 from terrainwave.errors import BoundViolationError, InvalidHeightsError
 from terrainwave.file import TerrainFile
@@ -41,7 +44,9 @@ from terrainwave.write.passes.proof import (
     compare_window,
     measured_error,
     proof_shares,
+    proven_shares,
 )
+from terrainwave.write.passes.resuming import KeptUnits, run_directory, taken_up
 from terrainwave.write.patching.index import PatchedIndex
 from terrainwave.write.patching.merged import Merged
 from terrainwave.write.patching.patch_encoder import PatchEncoder
@@ -83,6 +88,7 @@ def patch(
     original: Any = None,
     temp_dir: str | os.PathLike[str] | None = None,
     threads: int | None = None,
+    fresh: bool = False,
     progress: ProgressCallback | None = None,
 ) -> PatchResult:
     """Update a .twz file from a newer raster of all or part of its area.
@@ -97,7 +103,7 @@ def patch(
     src : path, rasterio dataset, ndarray or xarray DataArray
         The new heights: all or part of the file's area, on its grid and in its CRS and type. An
         array without a georeference covers the whole file. Its voids become voids of the file.
-    band, nodata, temp_dir, threads, progress
+    band, nodata, temp_dir, threads, fresh, progress
         As in `compress`.
     original : path, rasterio dataset, ndarray or xarray DataArray, optional
         The raster that the file was made from, with all earlier patches (band 1). Heights that
@@ -127,6 +133,7 @@ def patch(
     time of decoding and measuring the whole file, and that of coding what differs.
     """
     n_threads = checked_threads(threads)
+    check_flags(fresh=fresh)
     check_local(path)
     refuse_own_source(src, path, problem="is the file to be patched; expected the newer raster")
     if original is not None:
@@ -136,11 +143,18 @@ def patch(
         temp_dir = checked_path(temp_dir, "temp_dir")
     reporter = Reporter(progress)
     final = Path(os.path.realpath(path))
+    read = [path, *(src if isinstance(src, list | tuple) else [src])]
+    read += [] if original is None else [original]
+    depends_on = {"command": "patch", "band": band, "nodata": repr(nodata)}
+    depends_on["has_original"] = original is not None
     with (
+        only_writer(final, final.parent, os.fspath(path)),
         TerrainFile(final, threads=1, native=False) as terrain,
         RasterSource(src, band=band, nodata=nodata) as source,
         nullcontext() if original is None else RasterSource(original) as whole,
-        scratch_directory(temp_dir or final.parent, final.name) as directory,
+        run_directory(
+            temp_dir or final.parent, final, read, terrain.shape, depends_on, fresh=fresh
+        ) as (directory, kept),
         ThreadPoolExecutor(n_threads, thread_name_prefix="terrainwave") as executor,
     ):
         method = METHODS[terrain.header.method]
@@ -151,7 +165,7 @@ def patch(
                 " compress the whole raster again"
             )
         merged = Merged(terrain, source, whole)
-        patcher = _Patcher(terrain, merged, directory, executor, reporter)
+        patcher = _Patcher(terrain, merged, directory, executor, reporter, kept)
         n_recoded, n_copied = patcher.code()
         if patcher.is_changed:
             with publish(final, overwrite=True) as part:
@@ -173,7 +187,7 @@ def patch(
         moved_error=0.0,
         units=terrain.units,
         format=after,
-        notes=[] if after == before else [_note_on_format(before, after)],
+        notes=[*([] if after == before else [_note_on_format(before, after)]), *taken_up(kept)],
     )
 
 
@@ -198,12 +212,14 @@ class _Patcher:
         directory: Path,
         executor: Executor,
         reporter: Reporter,
+        kept: Kept,
     ) -> None:
         self._terrain = terrain
         self._grid = terrain.grid
         self._merged = merged
         self._executor = executor
         self._reporter = reporter
+        self._kept = kept
         quantizer = terrain.quantizer
         self.sink = SpoolSink(self._grid, directory)
         self._pyramid = Pyramid(
@@ -214,6 +230,7 @@ class _Patcher:
             has_voids=terrain.raster_info.mask_kind != "none",
             directory=directory,
             executor=executor,
+            kept=kept,
         )
         self.header = terrain.header
         self.is_changed = False
@@ -224,8 +241,9 @@ class _Patcher:
         """Fill the sink; return how many units were coded again, and how many copied."""
         self._pyramid.build(lambda *_: None)
         encoder = PatchEncoder(
-            self._terrain, self._merged, self._pyramid, self.sink, self._count("patching")
-        )
+            self._terrain, self._merged, self._pyramid, self.sink, self._count("patching"),
+            kept=KeptUnits(self._kept, self._grid, "patch"),
+        )  # fmt: skip
         stats = encoder.run(self._executor)
         self.header = self._bounded_header()
         features = self.header.features & ~CORRECTIONS_FEATURE
@@ -293,7 +311,9 @@ class _Patcher:
             def compare_all(share: list[Region]) -> float:
                 return max(map(compare, share))
 
-            largest = max(self._executor.map(compare_all, proof_shares(self._grid)))
+            shares = proof_shares(self._grid)
+            compared = partial(self._executor.map, compare_all)
+            largest = max(proven_shares(path, shares, compared, self._kept))
         return measured_error(largest, quantizer)
 
     def _compare_rest(self, result: TerrainFile, region: Region) -> None:

@@ -19,7 +19,7 @@ fills of one coarse level (`SubtreeRegion`); those above a level from that level
 Values are the same: that is how machines share a raster.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from pathlib import Path
@@ -32,6 +32,7 @@ from terrainwave.codec.cdf53.tile_layout import TileLayout
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.coding.filters import lowpass_analysis
 from terrainwave.coding.lifting53 import lowpass_window
+from terrainwave.container.targets.kept import Kept
 from terrainwave.grid.convert import UNKNOWN, pull, push
 from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.quantum import Quantizer
@@ -136,6 +137,8 @@ class Pyramid:
         voids `pull` needs its coarsest fills.
     base : Base, optional
         Make the levels above that of `base`; below it there is nothing to ask for.
+    kept : Kept, optional
+        Where levels are left for a later run, and taken from; not those of a part.
     """
 
     def __init__(
@@ -150,6 +153,7 @@ class Pyramid:
         executor: Executor,
         part: SubtreeRegion | None = None,
         base: Base | None = None,
+        kept: Kept | None = None,
     ) -> None:
         self._source = source
         self._quantizer = quantizer
@@ -162,6 +166,7 @@ class Pyramid:
         self._even_of: EvenOf = lambda _: None
         if isinstance(source, IndexedWindows):
             self._even_of = source.even
+        self._kept = kept or Kept()
         self._heights: dict[int, Spool] = {}
         self._masks: dict[int, Spool] = {}
         self._own: dict[int, Spool] = {}
@@ -192,16 +197,20 @@ class Pyramid:
         while shift < self._last or (self._part is None and max(self._shape(shift)) > 1):
             shift += 1
             region = self._inside(shift, self._part.push_region(shift) if self._part else None)
-            self._fills[shift] = self._new_spool(region, np.int32)
-            self._known[shift] = self._new_spool(region, np.bool_)
-            for window, even in even_parts(region, TILE, partial(self._even, shift)):
-                if even is not None:
-                    self._fills[shift].fill(window, even.value)
-                    self._known[shift].fill(window, even.is_valid)
-                    continue
+            fills = self._fills[shift] = self._new_spool(region, np.int32, f"fills-{shift}")
+            knowns = self._known[shift] = self._new_spool(region, np.bool_, f"known-{shift}")
+
+            def fill(
+                window: Region, even: Even, fills: Spool = fills, knowns: Spool = knowns
+            ) -> None:
+                fills.fill(window, even.value)
+                knowns.fill(window, even.is_valid)
+
+            windows = _uneven(region, partial(self._even, shift), fill)
+            for window in self._kept.each(f"push-{shift}", (fills, knowns), windows):
                 values, known = self._pushed(shift, window)
-                self._fills[shift].write(window, values)
-                self._known[shift].write(window, known)
+                fills.write(window, values)
+                knowns.write(window, known)
 
     def pushed(self, shift: int, region: Region) -> tuple[Heights, Mask]:
         """Return averages of valid heights and where they are known, before `pull`."""
@@ -220,9 +229,9 @@ class Pyramid:
             self._fills[top] = coarsest
         for finer in range(top - 1, max(self._first - 1, 0), -1):
             region = self._inside(finer, self._part.fill_region(finer) if self._part else None)
-            for window, even in even_parts(region, TILE, partial(self._unread, finer)):
-                if even is not None:
-                    continue
+            spools = self._fills[finer], self._known[finer]
+            windows = _uneven(region, partial(self._unread, finer), lambda *_: None)
+            for window in self._kept.each(f"pull-{finer}", spools, windows):
                 known = self._known[finer].read(window)
                 if not known.all():
                     values = self._fills[finer].read(window)
@@ -246,14 +255,14 @@ class Pyramid:
             "nested": self._nested_window,
         }[self._kind]
         for shift, region in regions.items():
-            spool = self._heights[shift] = self._new_spool(region, np.int32)
-            windows = []
-            for part, even in even_parts(region, TILE, partial(self._even_heights, shift)):
-                if even is None:
-                    windows.append(part)
-                else:
-                    spool.fill(part, even.value)
-            self._make_windows(spool, partial(make, shift), windows)
+            name = f"{self._kind}-{shift}"
+            spool = self._heights[shift] = self._new_spool(region, np.int32, name)
+
+            def fill(part: Region, even: Even, spool: Spool = spool) -> None:
+                spool.fill(part, even.value)
+
+            windows = _uneven(region, partial(self._even_heights, shift), fill)
+            self._make_windows(name, spool, partial(make, shift), windows)
             done += region.n_rows * region.n_cols
             report(done, total)
 
@@ -359,8 +368,9 @@ class Pyramid:
         whole = Region(0, 0, *self._shape(shift))
         return whole if region is None else region.intersect(whole)
 
-    def _new_spool(self, region: Region, dtype: DTypeLike) -> Spool:
-        return Spool(region.shape, dtype, self._directory, (region.row, region.col))
+    def _new_spool(self, region: Region, dtype: DTypeLike, name: str) -> Spool:
+        path = self._kept.path(name)
+        return Spool(region.shape, dtype, self._directory, (region.row, region.col), path)
 
     def _shape(self, shift: int) -> tuple[int, int]:
         return (self._grid.n_rows - 1 >> shift) + 1, (self._grid.n_cols - 1 >> shift) + 1
@@ -428,18 +438,21 @@ class Pyramid:
 
     def _build_masks(self) -> None:
         for shift in self._level_shifts():
-            spool = self._masks[shift] = self._new_spool(self._heights_region(shift), np.bool_)
-            self._own[shift] = self._new_spool(spool.region, np.bool_)
+            region = self._heights_region(shift)
+            spool = self._masks[shift] = self._new_spool(region, np.bool_, f"mask-{shift}")
+            self._own[shift] = self._new_spool(region, np.bool_, f"own-{shift}")
             # The first step reaches two samples far: a cell of shift 1 spans two full-grid cells.
             reach = 2 if shift == 1 else 1
-            windows = []
-            for part, even in even_parts(spool.region, TILE, partial(self._even, shift)):
-                if even is None:
-                    windows.append(part)
-                    continue
-                spool.fill(part, even.is_valid)
-                self._own[shift].fill(part, even.is_valid)
-            self._make_windows(spool, partial(self._mask_window, shift, reach), windows)
+
+            def fill(
+                part: Region, even: Even, spools: Sequence[Spool] = (spool, self._own[shift])
+            ) -> None:
+                for one in spools:
+                    one.fill(part, even.is_valid)
+
+            windows = _uneven(region, partial(self._even, shift), fill)
+            make = partial(self._mask_window, shift, reach)
+            self._make_windows(f"mask-{shift}", spool, make, windows)
 
     def _mask_window(self, shift: int, reach: int, region: Region) -> Mask:
         level = self._grid.k_max - (shift - 1)
@@ -521,9 +534,22 @@ class Pyramid:
 
     def _make_windows(
         self,
+        name: str,
         spool: Spool,
         make: Callable[[Region], NDArray[np.generic]],
-        windows: list[Region],
+        windows: Iterable[Region],
     ) -> None:
-        for _ in self._executor.map(lambda region: spool.write(region, make(region)), windows):
+        made = partial(self._executor.map, lambda region: spool.write(region, make(region)))
+        for _ in self._kept.each(name, [spool], windows, made):
             pass
+
+
+def _uneven(
+    region: Region, even_of: EvenOf, fill: Callable[[Region, Even], None]
+) -> Iterator[Region]:
+    """Yield windows of a region but for its even parts, which `fill` gets."""
+    for part, even in even_parts(region, TILE, even_of):
+        if even is None:
+            yield part
+        else:
+            fill(part, even)

@@ -13,6 +13,7 @@ from terrainwave.cli.batch import Done, FileJob, refuse_options_of_batches, run_
 from terrainwave.cli.manifest import Manifest
 from terrainwave.cli.options import (
     EFFORT,
+    FRESH_OPTION,
     METHOD,
     BlockSide,
     Bound,
@@ -121,7 +122,12 @@ from terrainwave.progress import ProgressCallback
     help="Compress the heights alone and ignore the raster's transform and CRS.",
 )
 @click.option("--no-verify", is_flag=True, help="Do not decode and compare every sample.")
-@click.option("--temp-dir", type=Name(), help="Folder for large temporary files.")
+@click.option(
+    "--temp-dir",
+    type=Name(),
+    help="Folder for large temporary files, and for finished work if the run fails.",
+)
+@FRESH_OPTION
 @click.option(
     "--scheduler",
     metavar="ADDRESS",
@@ -237,7 +243,7 @@ def _compress_each(
 
 # What is asked of the raster that is read, and of the run, and not of the file that is made.
 _OF_SOURCE = ("nodata", "band", "georeference")
-_OF_RUN = ("temp_dir", "overwrite", "threads")
+_OF_RUN = ("temp_dir", "overwrite", "threads", "fresh")
 
 
 def _asked(options: dict[str, Any]) -> Any:

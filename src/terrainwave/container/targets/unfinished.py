@@ -3,6 +3,7 @@
 They are called ``.name.random`` and a suffix, beside what they will become.
 """
 
+import hashlib
 import os
 import re
 import secrets
@@ -27,6 +28,9 @@ except ImportError:
     msvcrt = None  # type: ignore[assignment]
 
 RETRIES = 10
+RUN_SUFFIX = ".twz-run"
+# As bytes, and no symbolic link, where systems know that.
+_PLAIN = getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
 _LOCKED_BYTE = 2**40  # msvcrt locks forbid reading what they cover: far behind any content
 # Bytes of a name's beginning in those of temporary files: systems take 255, of which the rest, and
 # what GDAL adds for overviews, take 60.
@@ -93,8 +97,7 @@ def create_locked(final: Path, suffix: str, created: list[Path], action: str) ->
     Its name is in `created` before the file exists: an interruption at any moment leaves nothing.
     Errors begin with `action`.
     """
-    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
-    flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
+    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | _PLAIN
     for _ in range(RETRIES):
         path = final.parent / f".{_short(final.name)}.{secrets.token_hex(8)}{suffix}"
         created.append(path)
@@ -111,6 +114,45 @@ def create_locked(final: Path, suffix: str, created: list[Path], action: str) ->
         with suppress(OSError):
             os.unlink(path)
     raise StorageError(f"{action}: its unfinished file cannot be locked")
+
+
+@contextmanager
+def only_writer(target: Path, beside: Path, shown: str) -> Iterator[None]:
+    """Let nobody else write `target` while the block runs: the lock of a file in `beside` is ours.
+
+    Raises
+    ------
+    StorageError
+        If another run has it, or the file cannot be made.
+    """
+    path = own_path(target, beside, RUN_SUFFIX)
+    file = None
+    while file is None:
+        with storage_errors(f"cannot write {shown}"):
+            file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | _PLAIN, 0o666), "r+b")
+        if _try_lock(file) is _Lock.HELD_BY_OTHER:
+            number = file.read(_LONGEST_NAME).decode(errors="replace").strip()
+            file.close()
+            raise StorageError(
+                f"another run is writing {shown}{f' (process {number})' * number.isdecimal()}:"
+                " expected only one; wait until it ends, or name another target"
+            )
+        if not _is_still_there(path, file):  # the other run has just ended, and removed it
+            file.close()
+            file = None
+    try:
+        file.truncate(0)
+        file.write(str(os.getpid()).encode())
+        file.flush()
+        yield
+    finally:
+        dispose(Part(path, file), [path])
+
+
+def own_path(target: Path, beside: Path, suffix: str) -> Path:
+    """Return ``.name.digits`` and a suffix in a directory, with digits that only `target` has."""
+    digits = hashlib.sha256(os.fsencode(target)).hexdigest()[:16]
+    return beside / f".{_short(target.name)}.{digits}{suffix}"
 
 
 def _is_still_there(path: Path, file: BinaryIO) -> bool:

@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from terrainwave.codec.refiner import Decoded, Refiner
+from terrainwave.codec.registry import refiner_by_name
 from terrainwave.container.depot import StoredSegment
 from terrainwave.container.spool import LikeSegment, SegmentSpool
 from terrainwave.container.spool_sink import SpoolSink
+from terrainwave.container.targets.kept import Kept
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.blocks import measure_meshes
 from terrainwave.mesh.sections import make_meshes
@@ -27,6 +29,7 @@ from terrainwave.write.boxes import (
 )
 from terrainwave.write.encoder import Stats, TreeEncoder, fitted_refiner
 from terrainwave.write.job import Job
+from terrainwave.write.passes.resuming import KeptUnits
 from terrainwave.write.pyramid import Pyramid, SourceWindows
 
 _MESH_CACHE_BYTES = 64 << 20
@@ -59,9 +62,14 @@ def smaller(first: Coded, second: Coded) -> Coded:
 
 
 def encode(
-    job: Job, source: SourceWindows, directory: Path, executor: Executor, reporter: Reporter
+    job: Job,
+    source: SourceWindows,
+    directory: Path,
+    executor: Executor,
+    reporter: Reporter,
+    kept: Kept,
 ) -> Coded:
-    """Code all units into one spool per segment."""
+    """Code all units into one spool per segment; what `kept` has is taken from there."""
     pyramid = Pyramid(
         source,
         job.quantizer,
@@ -70,6 +78,7 @@ def encode(
         has_voids=job.has_voids,
         directory=directory,
         executor=executor,
+        kept=kept,
     )
     try:
         itemsize = np.dtype(job.info.dtype).itemsize
@@ -105,8 +114,8 @@ def encode(
 
             stats = encode_tiles(job, pyramid, sink, directory, on_samples, executor)
         else:
-            refiner, file_tables = fitted_refiner(job, pyramid.heights, pyramid.mask)
-            stats, units = _encode_units(job, refiner, pyramid, sink, on_samples, executor)
+            refiner, file_tables = _fitted(job, pyramid, kept)
+            stats, units = _encode_units(job, refiner, pyramid, sink, on_samples, executor, kept)
         if job.options.is_embedded:
             job = job.with_measured(_finest_error(job, stats))
         errors = error_codes(stats, job.lost, job.recursion_bound)
@@ -125,6 +134,18 @@ def encode(
     return Coded(file_tables, {**sink.spools}, sink.n_bytes + len(file_tables), job)
 
 
+def _fitted(job: Job, pyramid: Pyramid, kept: Kept) -> tuple[Refiner, bytes]:
+    """Return the refiner of a job's method, and its tables, which are kept."""
+    method = job.options.named_method.name
+    name = f"{method}/tables"
+    if kept.get(name) is None:
+        refiner, file_tables = fitted_refiner(job, pyramid.heights, pyramid.mask)
+        kept.put(name, {}, file_tables)
+        return refiner, file_tables
+    file_tables = kept.data(name)
+    return refiner_by_name(method, file_tables), file_tables
+
+
 def _encode_units(
     job: Job,
     refiner: Refiner,
@@ -132,6 +153,7 @@ def _encode_units(
     sink: SpoolSink,
     on_samples: Callable[[int], None],
     executor: Executor,
+    kept: Kept,
 ) -> tuple[Stats, dict[Block, Decoded]]:
     """Code every unit; return what was measured.
 
@@ -140,8 +162,10 @@ def _encode_units(
     units: dict[Block, Decoded] = {}
     # Heights and masks of all levels: four thirds of five bytes for each sample.
     is_kept = 20 * job.grid.n_rows * job.grid.n_cols <= 3 * _MESH_CACHE_BYTES
+    name = job.options.named_method.name
     encoder = TreeEncoder(
         job.grid, refiner, job.parameters, pyramid, sink, on_samples,
+        kept=KeptUnits(kept, job.grid, name),
         on_unit=units.__setitem__ if is_kept and job.options.measures_meshes else None,
         may_repeat=job.may_repeat,
     )  # fmt: skip

@@ -1,13 +1,15 @@
 """Pass C: a finished file, decoded from disk, against the raster it was made of."""
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.container.targets.kept import Kept, digest_of_file
 from terrainwave.errors import BoundViolationError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid, Region
@@ -226,14 +228,39 @@ def measured_error(largest: float, quantizer: Quantizer) -> float:
     return largest
 
 
+def proven_shares(
+    path: str | os.PathLike[str] | bytes,
+    shares: list[list[Region]],
+    compare: Callable[[list[list[Region]]], Iterable[float]],
+    kept: Kept,
+) -> Iterator[float]:
+    """Yield the errors of shares of a file, those that are kept for its bytes first.
+
+    `compare` makes the others, in order.
+    """
+    if not kept.is_on or isinstance(path, bytes):
+        yield from compare(shares)
+        return
+    name = f"proof/{digest_of_file(path)}"
+    errors: list[float] = (kept.get(name) or {}).get("errors", [])
+    yield from list(errors)
+    for error in compare(shares[len(errors) :]):
+        errors.append(error)
+        yield error
+        kept.tick(name, lambda: {"errors": errors})
+
+
 def prove(
     path: str | os.PathLike[str] | bytes,
     job: Job,
     source: IndexedWindows,
     executor: Executor,
     reporter: Reporter,
+    kept: Kept,
 ) -> float:
     """Decode the file from disk and compare every sample and the mask; return the largest error.
+
+    Shares that an earlier run has compared in a file of the same bytes are not compared again.
 
     Raises
     ------
@@ -260,6 +287,7 @@ def prove(
 
         for error in executor.map(comparison.segment, heads):
             take(head_samples, error)
-        for share, error in zip(shares, executor.map(comparison.windows, shares), strict=True):
+        errors = proven_shares(path, shares, partial(executor.map, comparison.windows), kept)
+        for share, error in zip(shares, errors, strict=True):
             take(sum(region.n_rows * region.n_cols for region in share), error)
     return measured_error(largest, job.quantizer)

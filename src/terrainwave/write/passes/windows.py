@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.arguments import count_of, size_of
+from terrainwave.container.targets.kept import Kept
 from terrainwave.errors import StorageError
 from terrainwave.grid.digest import HeightDigest
 from terrainwave.grid.quadtree import Region
@@ -21,6 +22,8 @@ from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import MEMORY_LIMIT, Spool
 from terrainwave.write.pyramid import SourceWindows
 
+# Records of what is kept: of the scan, and that there is an array of voids.
+SCAN, _VOIDS = "scan", "voids"
 # Heights, validity, row and column of the first sample.
 Window = tuple[NDArray[Any], NDArray[np.bool_], int, int]
 # Samples a side of windows in which even regions are looked for, or shown, as a whole.
@@ -34,23 +37,36 @@ class Windows(SourceWindows):
     small raster is kept in memory: each sample is read two or three times.
     """
 
-    def __init__(self, source: RasterSource, directory: Path) -> None:
+    def __init__(self, source: RasterSource, directory: Path, kept: Kept) -> None:
         self._source = source
         self._shape = source.info.n_rows, source.info.n_cols
         self._directory = directory
         self._heights: Spool | None = None
         self._voids: Spool | None = None
         if source.is_striped or (source.is_file and source.info.n_bytes <= MEMORY_LIMIT):
-            self._heights = Spool(self._shape, source.info.dtype, directory)
+            path = kept.path("heights")
+            self._heights = Spool(self._shape, source.info.dtype, directory, path=path)
+        self._kept = kept
 
-    def scan(self) -> Iterator[Window | tuple[Region, Even]]:
+    @property
+    def is_kept(self) -> bool:
+        """Say whether windows that were scanned need not be scanned again."""
+        return self._heights is None or self._heights.is_kept
+
+    def scan(self, first: int = 0) -> Iterator[Window | tuple[Region, Even]]:
         """Yield (heights, validity, row, column), once over the raster in the source's order.
 
-        Or a region that is even, with what it is.
+        Or a region that is even, with what it is. Those before `first` have been scanned by an
+        earlier run.
         """
-        for region, even in self._source.parts():
+        if first and self._heights is not None and self._kept.get(_VOIDS) is not None:
+            self._void_spool()
+        for number, (region, even) in enumerate(self._source.parts()):
             if even is not None:
                 self._keep_even(region, even)
+            if number < first:
+                continue
+            if even is not None:
                 yield region, even
                 continue
             heights, valid = self._source.read(*region)
@@ -71,7 +87,9 @@ class Windows(SourceWindows):
 
     def _void_spool(self) -> Spool:
         if self._voids is None:
-            self._voids = Spool(self._shape, np.bool_, self._directory)
+            path = self._kept.path(_VOIDS)
+            self._voids = Spool(self._shape, np.bool_, self._directory, path=path)
+            self._kept.put(_VOIDS, {})
         return self._voids
 
     def even(self, region: Region) -> Even | None:
@@ -103,10 +121,19 @@ def scan_windows(
     *,
     has_digest: bool,
     steps: FixedSteps | None = None,
+    kept: Kept | None = None,
 ) -> HeightScan:
-    """Return range, validity, vertical quantum and, if wanted, a digest of a raster's windows."""
+    """Return range, validity, vertical quantum and, if wanted, a digest of a raster's windows.
+
+    With `kept`, `windows` are those that it does not know yet.
+    """
     scan = HeightScan(info.dtype, steps, HeightDigest(info.n_cols) if has_digest else None)
     total = info.n_rows * info.n_cols
+    kept = kept or Kept()
+    state = kept.get(SCAN) or {"n_windows": 0}
+    if state["n_windows"]:
+        scan.take_state(state["scan"])
+    n_windows = state["n_windows"]
     for window in windows:
         if len(window) == 4:
             scan.update(*window)
@@ -116,8 +143,11 @@ def scan_windows(
             region, even = window
             n_samples = region.n_rows * region.n_cols
             scan.update_even(even.value, n_samples, is_valid=even.is_valid)
+        n_windows += 1
+        kept.tick(SCAN, lambda: {"n_windows": n_windows, "scan": scan.to_state()})  # noqa: B023
         n_bytes = scan.n_samples * np.dtype(info.dtype).itemsize
         reporter.report("scanning", scan.n_samples, total, n_bytes)
+    kept.put(SCAN, {"n_windows": n_windows, "scan": scan.to_state()})
     return scan
 
 
@@ -128,14 +158,17 @@ def _update_by_windows(scan: HeightScan, region: Region, even: Even) -> None:
         scan.update(heights, np.full(part.shape, even.is_valid), part.row, part.col)
 
 
-def check_free_space(source: RasterSource, directory: Path) -> None:
-    """Refuse to begin what the temporary directory cannot hold; even regions take no room there."""
+def check_free_space(source: RasterSource, directory: Path, n_there: int = 0) -> None:
+    """Refuse to begin what the temporary directory cannot hold; `n_there` bytes are there.
+
+    Even regions take no room.
+    """
     info, n_samples = source.info, 0
     whole = Region(0, 0, info.n_rows, info.n_cols)
     for part, even in even_parts(whole, _SIDE, source.even):
         n_samples += part.n_rows * part.n_cols * (even is None)
     n_bytes = n_samples * np.dtype(info.dtype).itemsize
-    needed = n_samples * 4 // 3 + (n_bytes if source.is_striped else 0)
+    needed = n_samples * 4 // 3 + (n_bytes if source.is_striped else 0) - n_there
     free = shutil.disk_usage(directory).free
     if needed > free:
         sizes = size_of(needed), size_of(free)

@@ -82,8 +82,8 @@ class PatchedIndex:
                 continue
             moved = self._moved_surface(block, encoder.changes)
             stated = decode_error(old[2]) + moved
-            if moved and block in encoder.apart:
-                stated = min(stated, encoder.apart[block] + between)
+            if moved and block in encoder.apart_from:
+                stated = min(stated, encoder.apart_from[block] + between)
             errors[block] = max(errors[block], encode_error(stated))
             if any(old[:3]) or moved or not own.is_empty:
                 # Every original and its error lie in the box: it grows as the error does.

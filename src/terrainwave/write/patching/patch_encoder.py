@@ -1,7 +1,7 @@
 """Coding those units of a file again that no longer hold; all others are copied."""
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from terrainwave.write.patching.merged import Merged
 class PatchEncoder(TreeEncoder):
     """Walks a file's units, and codes those again that no longer hold."""
 
-    def __init__(self, terrain: TerrainFile, merged: Merged, *rest: Any) -> None:
+    def __init__(self, terrain: TerrainFile, merged: Merged, *rest: Any, **options: Any) -> None:
         self._terrain = terrain
         self._merged = merged
         # Largest change of each block's decoded heights, in quanta, where anything changed.
@@ -28,7 +28,7 @@ class PatchEncoder(TreeEncoder):
         self.recoded: set[Block] = set()
         # Of changed coarse blocks, how far finest heights, decoded where nothing else is known, are
         # from their surfaces, in quanta.
-        self.apart: dict[Block, int] = {}
+        self.apart_from: dict[Block, int] = {}
         header = terrain.header
         refiner = refiner_by_name(header.method, header.file_tables)
         # With the original all heights are known, and none needs to be put back; but corrections of
@@ -37,7 +37,7 @@ class PatchEncoder(TreeEncoder):
         # Whether any unit has corrections.
         self.has_corrections = False
         parameters = replace(header.codec_parameters, has_corrections=self._corrects)
-        super().__init__(terrain.grid, refiner, parameters, *rest)
+        super().__init__(terrain.grid, refiner, parameters, *rest, **options)
 
     def code_unit(
         self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
@@ -117,7 +117,35 @@ class PatchEncoder(TreeEncoder):
             if ancestor.block in self.changes:
                 apart = distance_of(ancestor, spec.core, originals, valid, self._grid)
                 with self._lock:
-                    self.apart[ancestor.block] = max(apart, self.apart.get(ancestor.block, 0))
+                    largest = max(apart, self.apart_from.get(ancestor.block, 0))
+                    self.apart_from[ancestor.block] = largest
+
+    def apart(self, chain: list[Ancestor]) -> Self:
+        """Return an encoder of a subtree below `chain` whose findings are its own."""
+        part = super().apart(chain)
+        part.changes = {block: self.changes[block] for block, *_ in chain if block in self.changes}
+        part.recoded, part.apart_from, part.has_corrections = set(), {}, False
+        return part
+
+    def found(self, chain: list[Ancestor]) -> dict[str, Any]:
+        """Return what this one has found of a subtree below `chain`, as plain values for JSON."""
+        above = {block for block, *_ in chain}
+        changes = {block: change for block, change in self.changes.items() if block not in above}
+        return {
+            "changes": [[*block, change] for block, change in changes.items()],
+            "recoded": [[*key] for key in self.recoded],
+            "apart_from": [[*block, apart] for block, apart in self.apart_from.items()],
+            "has_corrections": self.has_corrections,
+        }
+
+    def take(self, more: dict[str, Any]) -> None:
+        """Take in what another encoder has `found`."""
+        self.changes |= {Block(*block): change for *block, change in more["changes"]}
+        self.recoded |= {Block(*key) for key in more["recoded"]}
+        for *place, apart in more["apart_from"]:
+            block = Block(*place)
+            self.apart_from[block] = max(apart, self.apart_from.get(block, 0))
+        self.has_corrections |= more["has_corrections"]
 
     def measured(self, region: Region, mask: Mask) -> Mask:
         """Return which samples of a region are known originals."""

@@ -1,0 +1,377 @@
+"""Finished work that outlives a killed run, for the next run of the same command.
+
+It lies in a directory: a *journal*, to which records are appended, each whole or not at all, and
+arrays in files of their own, of which the journal says how far they are filled. A record is a name,
+values and bytes; a later one of the same name counts.
+
+After a kill all that was written is there. After a power cut only what was on the disk is: then the
+journal counts up to the last place where it says that all before it had been synchronised.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+import stat
+import struct
+import threading
+import time
+import zlib
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from itertools import islice
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple, Protocol, Self, TypeVar
+
+from terrainwave.container.spool import TEMPORARY_ADVICE, cannot_write, storage_errors
+from terrainwave.container.targets.publication import scratch_directory
+from terrainwave.container.targets.unfinished import own_path
+from terrainwave.errors import BoundViolationError, InvalidHeightsError, StorageError
+
+KEPT_SUFFIX = ".twz-kept"
+
+_JOURNAL, _ARRAY = "journal", ".array"
+# Magic, length of the values as JSON, length of the bytes, CRC-32 of both.
+_HEAD = struct.Struct("<4sIQI")
+_MAGIC = b"twzK"
+# A journal of another layout is not read: it says so by the name of its first record.
+_RUN, _BOOT, _SYNCED = "run 1", "boot", "synced"
+# Seconds between two records of work that goes on, and between two times of synchronising.
+TICK, _SYNC = 0.2, 10.0
+_CHUNK = 1 << 20  # bytes read at a time to be checked
+
+Item = TypeVar("Item")
+
+
+class InFile(Protocol):
+    """An array that may be in a file of a `Kept`."""
+
+    @property
+    def is_kept(self) -> bool:
+        """Say whether it is."""
+        ...
+
+
+class _Record(NamedTuple):
+    name: str
+    values: dict[str, Any]
+    offset: int
+    n_bytes: int
+
+
+class Kept:
+    """The finished work of one run; methods may be called from several threads.
+
+    Parameters
+    ----------
+    directory : Path, optional
+        An existing directory that nobody else uses; None keeps nothing.
+    run : dict
+        What the work depends on: plain values for JSON.
+
+    Attributes
+    ----------
+    other : dict or None
+        What the work in the directory depended on, if that was something else; it has been removed.
+    n_found : int
+        Records that an earlier run has left.
+
+    Raises
+    ------
+    StorageError
+        If the directory cannot be used.
+    """
+
+    def __init__(self, directory: Path | None = None, run: dict[str, Any] | None = None) -> None:
+        self.directory = directory
+        self.other: dict[str, Any] | None = None
+        self.n_found = 0
+        self.run: dict[str, Any] = json.loads(json.dumps(run or {}))  # as it will be read
+        self._lock = threading.Lock()
+        self._records: dict[str, _Record] = {}
+        self._ticked: dict[str, float] = {}
+        self._end = 0
+        self._file: BinaryIO | None = None
+        if directory is not None:
+            with storage_errors(f"cannot use {directory}"):
+                self._open(directory)
+
+    @property
+    def is_on(self) -> bool:
+        """Say whether anything is kept."""
+        return self._file is not None
+
+    @property
+    def n_bytes(self) -> int:
+        """Return how many bytes the work takes on the disk."""
+        return 0 if self.directory is None else sum(map(_on_disk, self._paths(self.directory)))
+
+    @property
+    def n_kept(self) -> int:
+        """Return how many records there are."""
+        return len(self.names())
+
+    def names(self) -> list[str]:
+        """Return the names of all records."""
+        return [name for name in self._records if name not in (_RUN, _BOOT, _SYNCED)]
+
+    def get(self, name: str) -> dict[str, Any] | None:
+        """Return the values of a record; None if there is none."""
+        record = self._records.get(name)
+        return None if record is None else record.values
+
+    def data(self, name: str) -> bytes:
+        """Return the bytes of a record."""
+        assert self._file is not None
+        record = self._records[name]
+        with self._lock, storage_errors(f"cannot read {self._file.name}"):
+            self._file.seek(record.offset)
+            return self._file.read(record.n_bytes)
+
+    def put(self, name: str, values: dict[str, Any], data: bytes = b"") -> None:
+        """Keep a record."""
+        if self._file is None:
+            return
+        with self._lock:
+            self._append(name, values, data)
+            if time.monotonic() - self._ticked.setdefault(_SYNCED, time.monotonic()) >= _SYNC:
+                self._synchronise()
+                self._ticked[_SYNCED] = time.monotonic()
+
+    def tick(self, name: str, values: Callable[[], dict[str, Any]]) -> None:
+        """Keep a record of work that goes on, unless one was kept just now."""
+        now = time.monotonic()
+        if self._file is not None and now - self._ticked.setdefault(name, now) >= TICK:
+            self._ticked[name] = now
+            self.put(name, values())
+
+    def path(self, name: str) -> Path | None:
+        """Return where an array lies; None if nothing is kept."""
+        return None if self.directory is None else self.directory / f"{name}{_ARRAY}"
+
+    def each(
+        self,
+        name: str,
+        arrays: Iterable[InFile],
+        items: Iterable[Item],
+        do: Callable[[Iterable[Item]], Iterable[Any]] = iter,
+    ) -> Iterator[Any]:
+        """Yield those items that are not done yet, or what `do` makes of them, in order.
+
+        An item is done when the next is asked for; its results are in `arrays`. Where one of these
+        is in memory, all items are done again.
+        """
+        is_kept = self.is_on and all(array.is_kept for array in arrays)
+        done = (self.get(name) or {}).get("done", 0) if is_kept else 0
+        for result in do(islice(items, done, None)):
+            yield result
+            done += 1
+            if is_kept:
+                self.tick(name, lambda: {"done": done})  # noqa: B023  called at once
+        if is_kept and self.get(name) != {"done": done}:
+            self.put(name, {"done": done})
+
+    def clear(self) -> None:
+        """Remove all work."""
+        if self.directory is None:
+            return
+        with self._lock, storage_errors(f"cannot use {self.directory}"):
+            self._close()
+            self._remove_all(self.directory)
+            self._open(self.directory)
+
+    def close(self) -> None:
+        """Close the journal; what is kept stays."""
+        with self._lock:
+            self._close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def _close(self) -> None:
+        if self._file is not None:
+            self._file.close()
+        self._file, self._records = None, {}
+
+    def _open(self, directory: Path) -> None:
+        path = directory / _JOURNAL
+        if path.exists() and not self._read(path):
+            self._remove_all(directory)
+        is_new = not path.exists()
+        # Unbuffered: after a kill, what was written is there.
+        self._file = open(path, "w+b" if is_new else "r+b", buffering=0)
+        self._end = 0 if is_new else self._end
+        self._file.truncate(self._end)
+        self.n_found = self.n_kept
+        if is_new:
+            self._append(_RUN, self.run)
+        self._append(_BOOT, {"id": _boot()})
+
+    def _read(self, path: Path) -> bool:
+        """Read the journal's records as far as they count; say whether it is of this run."""
+        with open(path, "rb") as file:
+            found = list(_records(file))
+        if not found or found[0].name != _RUN or found[0].values != self.run:
+            self.other = found[0].values if found and found[0].name == _RUN else {}
+            return False
+        boots = [record.values.get("id") for record in found if record.name == _BOOT]
+        if boots[-1:] != [_boot()]:
+            last = max((n for n, record in enumerate(found) if record.name == _SYNCED), default=0)
+            found = found[: last + 1]
+        self._records = {record.name: record for record in found}
+        self._end = found[-1].offset + found[-1].n_bytes
+        return True
+
+    def _append(self, name: str, values: dict[str, Any], data: bytes = b"") -> None:
+        assert self._file is not None
+        text = json.dumps({"name": name, "values": values}).encode()
+        head = _HEAD.pack(_MAGIC, len(text), len(data), zlib.crc32(data, zlib.crc32(text)))
+        try:
+            self._file.seek(self._end)
+            _write_all(self._file, head + text + data)
+        except OSError as error:
+            raise cannot_write(self._file.name, error, advice=TEMPORARY_ADVICE) from error
+        offset = self._end + len(head) + len(text)
+        self._records[name] = _Record(name, values, offset, len(data))
+        self._end = offset + len(data)
+
+    def _synchronise(self) -> None:
+        assert self._file is not None
+        assert self.directory is not None
+        with storage_errors(f"cannot write {self.directory}", advice=TEMPORARY_ADVICE):
+            for path in self._paths(self.directory):
+                with open(path, "r+b") as file:
+                    os.fsync(file.fileno())
+        self._append(_SYNCED, {})
+
+    def _paths(self, directory: Path) -> list[Path]:
+        return [directory / _JOURNAL, *directory.glob(f"*{_ARRAY}")]
+
+    def _remove_all(self, directory: Path) -> None:
+        for path in self._paths(directory):
+            path.unlink(missing_ok=True)
+
+
+def _records(file: BinaryIO) -> Iterator[_Record]:
+    """Yield the records of a journal up to the first that is not whole."""
+    size = os.fstat(file.fileno()).st_size
+    while len(head := file.read(_HEAD.size)) == _HEAD.size:
+        magic, n_text, n_data, crc = _HEAD.unpack(head)
+        offset = file.tell() + n_text
+        if magic != _MAGIC or offset + n_data > size:
+            return
+        text = file.read(n_text)
+        own_crc = zlib.crc32(text)
+        for start in range(0, n_data, _CHUNK):
+            own_crc = zlib.crc32(file.read(min(_CHUNK, n_data - start)), own_crc)
+        if own_crc != crc:
+            return
+        content = json.loads(text)
+        yield _Record(content["name"], content["values"], offset, n_data)
+
+
+def _write_all(file: BinaryIO, data: bytes) -> None:
+    """Write all of `data` to an unbuffered file, which may take less at a time."""
+    view = memoryview(data)
+    while view:
+        view = view[file.write(view) :]
+
+
+def _boot() -> str:
+    """Return what the system calls the time since it was started; unique where it does not."""
+    with suppress(OSError):
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    return os.urandom(8).hex()
+
+
+def _on_disk(path: Path) -> int:
+    with suppress(OSError):
+        found = os.stat(path)
+        return getattr(found, "st_blocks", found.st_size // 512) * 512
+    return 0
+
+
+@contextmanager
+def kept_directory(
+    parent: str | os.PathLike[str], target: Path, run: dict[str, Any] | None, *, fresh: bool
+) -> Iterator[tuple[Path, Kept]]:
+    """Give a directory for temporary files and what is kept in it.
+
+    It is called ``.name.digits.twz-kept``. At the end of the block it is removed, unless the block
+    raises an exception after work was kept: then a note of the exception names it. Whoever calls
+    this is the only one who writes `target` (`unfinished.only_writer`).
+
+    Parameters
+    ----------
+    target : Path
+        Absolute.
+    run : dict, optional
+        What the work depends on (`Kept`); None keeps nothing, and gives a directory of another
+        name. What is there already is removed.
+    fresh : bool
+        Remove what an earlier run has kept.
+
+    Raises
+    ------
+    StorageError
+        If the directory cannot be used, or belongs to another user.
+    """
+    path = own_path(target, Path(parent), KEPT_SUFFIX)
+    if fresh or run is None:
+        _remove(path)
+    if run is None:
+        with scratch_directory(parent, target.name) as directory:
+            yield directory, Kept()
+        return
+    with storage_errors(f"cannot make a temporary directory in {parent}"):
+        path.mkdir(mode=0o700, exist_ok=True)
+        found = os.lstat(path)
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != getattr(os, "geteuid", lambda: 0)():
+        raise StorageError(f"{path} belongs to another user: expected no such directory")
+    _remove_others(path)
+    kept = Kept(path, run)
+    is_left = False
+    try:
+        yield path, kept
+    except BaseException as error:
+        is_left = kept.n_kept > 0 and not isinstance(error, _FINAL)
+        if is_left:
+            error.add_note(
+                f"finished work is in {path}: run the same command again to go on;"
+                " `fresh` starts over"
+            )
+        raise
+    finally:
+        kept.close()
+        if is_left:
+            _remove_others(path)
+        else:
+            _remove(path)
+
+
+def digest_of_file(path: str | os.PathLike[str]) -> str:
+    """Return a digest of a file's bytes, as they are read."""
+    with storage_errors(f"cannot read {os.fspath(path)}"), open(path, "rb") as file:
+        return hashlib.file_digest(file, "blake2b").hexdigest()[:32]
+
+
+# What the same command would end with again.
+_FINAL = (InvalidHeightsError, BoundViolationError)
+
+
+def _remove(path: Path) -> None:
+    shutil.rmtree(path, ignore_errors=True)
+
+
+def _remove_others(directory: Path) -> None:
+    """Remove all that is not kept in a directory: temporary files of a killed run."""
+    for path in directory.iterdir():
+        if path.name != _JOURNAL and path.suffix != _ARRAY:
+            if path.is_dir() and not path.is_symlink():
+                _remove(path)
+            else:
+                with suppress(OSError):
+                    path.unlink()

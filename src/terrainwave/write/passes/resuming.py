@@ -1,0 +1,187 @@
+"""What a run of `compress` or `patch` leaves for the next one, and whether that is the same one.
+
+Stages of windows say how many are done (`Kept.each`); of units, subtrees are kept that are coded
+(`KeptUnits`); of the proof, what it has found of each share of the file's bytes.
+"""
+
+import logging
+import os
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from terrainwave._version import __version__
+from terrainwave.container.targets.kept import Kept, kept_directory
+from terrainwave.errors import TerrainwaveWarning
+from terrainwave.grid.block_stats import BlockStats
+from terrainwave.grid.quadtree import Block, Grid
+from terrainwave.raster_io.files import stamps_of
+
+_log = logging.getLogger(__name__)
+
+# Smaller rasters take seconds: nothing of them is kept.
+LEAST_SAMPLES = 1 << 26
+# Samples on a side of what is coded between two records of the journal: about a quarter of a second
+# of one thread, and some MB of payloads in its memory.
+SUBTREE_SIDE = 2048
+
+_SOURCE = "source"
+_NAMES = {
+    _SOURCE: "the source was another one, or has changed",
+    "version": "it was made by another version of terrainwave",
+}
+
+
+@contextmanager
+def run_directory(
+    parent: str | os.PathLike[str],
+    target: Path,
+    src: Any,
+    shape: tuple[int, int],
+    depends_on: dict[str, Any],
+    *,
+    fresh: bool,
+    is_kept: bool = True,
+    by_heights: bool = False,
+) -> Iterator[tuple[Path, Kept]]:
+    """Give a directory for temporary files, and what earlier runs of the same command have left.
+
+    Parameters
+    ----------
+    target : Path
+        Absolute. Nobody else writes it meanwhile.
+    src : object, or a list of these
+        What is read, as it was given. Files are the same if their names, sizes and times
+        are; where that cannot be told of all, see `by_heights`.
+    shape : tuple of int
+        Rows and columns of the result.
+    depends_on : dict
+        Whatever else the result depends on, as plain values for JSON.
+    fresh : bool
+        Remove what earlier runs have left.
+    is_kept : bool
+        Whether anything is kept; where it is not, what is there is removed.
+    by_heights : bool
+        Whether the caller compares a digest of the heights where files do not tell that the source
+        is the same (`is_by_heights`). Otherwise nothing is kept of such a source.
+    """
+    run = None
+    if is_kept and shape[0] * shape[1] >= LEAST_SAMPLES:
+        stamps = stamps_of(src)
+        if by_heights or stamps is not None:
+            run = {"version": __version__, _SOURCE: stamps, **depends_on}
+    with kept_directory(parent, target, run, fresh=fresh) as (directory, kept):
+        if kept.other is not None:
+            note_that_removed(_difference(kept.other, run or {}))
+        if kept.n_found:
+            _log.info("%s: goes on from %d records in %s", target, kept.n_found, directory)
+        yield directory, kept
+
+
+def note_that_removed(why: str) -> None:
+    """Warn that work of an earlier run was of no use."""
+    warnings.warn(
+        TerrainwaveWarning(f"unfinished work of an earlier run is removed: {why}"), stacklevel=2
+    )
+
+
+def taken_up(kept: Kept) -> list[str]:
+    """Return what a user should know of work that was taken up."""
+    if not kept.n_found:
+        return []
+    return ["the run went on from what an earlier one had finished; `fresh` starts over"]
+
+
+def _difference(other: dict[str, Any], run: dict[str, Any]) -> str:
+    for name, reason in _NAMES.items():
+        if other.get(name) != run.get(name):
+            return reason
+    return "it was made with other options"
+
+
+def is_by_heights(kept: Kept) -> bool:
+    """Say whether only a digest of the heights can tell that the source is the same."""
+    return kept.is_on and kept.run[_SOURCE] is None
+
+
+def same_heights(kept: Kept, digest: str) -> None:
+    """Keep the digest of a source that nothing else tells of; remove work of other heights."""
+    found = kept.get("heights")
+    if found is not None and found != {"digest": digest}:
+        kept.clear()
+        note_that_removed(_NAMES[_SOURCE])
+    kept.put("heights", {"digest": digest})
+
+
+_N_STATS = 8  # level, row, column and the values of `BlockStats`
+
+
+class KeptUnits:
+    """Subtrees of coded units in a journal.
+
+    Parameters
+    ----------
+    name : str
+        Begins the names of the records: another method codes other units.
+    """
+
+    def __init__(self, kept: Kept, grid: Grid, name: str) -> None:
+        self._kept, self._name = kept, name
+        # The coarsest level whose blocks are no wider; -1 if nothing is kept.
+        levels = (level for level in range(grid.k_max) if _side(grid, level) <= SUBTREE_SIDE)
+        self.level = next(levels, -1) if kept.is_on else -1
+
+    def load(
+        self, head: Block
+    ) -> tuple[dict[Block, bytes], dict[Block, BlockStats], dict[str, Any]] | None:
+        """Return payloads and statistics of the units below a block, and more; None if missing."""
+        name = self._name_of(head)
+        values = self._kept.get(name)
+        if values is None:
+            return None
+        data = self._kept.data(name)
+        n_rows = values["n_stats"]
+        rows = np.frombuffer(data, "<i8", n_rows * _N_STATS).reshape(-1, _N_STATS).tolist()
+        stats = {
+            Block(*row[:3]): BlockStats(row[3], row[4], row[5], row[6], bool(row[7]))
+            for row in rows
+        }
+        offset = 8 * n_rows * _N_STATS
+        keys = np.frombuffer(data, "<i8", values["n_keys"] * 4, offset).reshape(-1, 4)
+        offset += keys.nbytes
+        payloads: dict[Block, bytes] = {}
+        for *key, length in keys.tolist():
+            payloads[Block(*key)] = data[offset : offset + length]
+            offset += length
+        return payloads, stats, values["more"]
+
+    def save(
+        self,
+        head: Block,
+        payloads: dict[Block, bytes],
+        stats: dict[Block, BlockStats],
+        more: dict[str, Any],
+    ) -> None:
+        """Keep them; `more` are plain values for JSON."""
+        rows = np.array(
+            [
+                (*block, own.z_low, own.z_high, own.error, own.apart, own.has_mesh)
+                for block, own in stats.items()
+            ],
+            dtype="<i8",
+        )
+        keys = np.array([(*key, len(payload)) for key, payload in payloads.items()], dtype="<i8")
+        values = {"n_stats": len(rows), "n_keys": len(keys), "more": more}
+        data = b"".join([rows.tobytes(), keys.tobytes(), *payloads.values()])
+        self._kept.put(self._name_of(head), values, data)
+
+    def _name_of(self, head: Block) -> str:
+        return f"{self._name}/{head.level}/{head.row}/{head.col}"
+
+
+def _side(grid: Grid, level: int) -> int:
+    return grid.block * grid.stride(level)

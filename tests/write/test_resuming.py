@@ -1,0 +1,363 @@
+"""A run that was killed, or failed, is gone on with by the same command: same bytes, less work."""
+
+import os
+import signal
+import subprocess
+import sys
+import traceback
+import warnings
+
+import numpy as np
+import pytest
+import rasterio.shutil
+from cases import some
+from click.testing import CliRunner
+from strategies import terrain_like, write_geotiff
+
+import terrainwave
+from terrainwave.cli import main
+from terrainwave.container.targets import kept as kept_module
+from terrainwave.container.targets.kept import Kept
+from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveWarning
+from terrainwave.raster_io import temporary
+from terrainwave.raster_io.source import RasterSource
+from terrainwave.write.encoder import UnitEncoder
+from terrainwave.write.passes import resuming
+from terrainwave.write.passes import windows as windows_module
+from terrainwave.write.patch import patch
+
+NODATA = -32768
+OPTIONS = {"block": 32, "max_error": 1, "threads": 2}
+SHAPE = 700, 600
+
+
+def heights_with_voids():
+    heights = terrain_like(*SHAPE, seed=3)
+    heights[100:420, 50:300] = NODATA
+    return heights
+
+
+@pytest.fixture(autouse=True)
+def small_runs_are_long(monkeypatch):
+    """Everything is kept, at once, of small rasters too; arrays lie in files."""
+    monkeypatch.setattr(resuming, "LEAST_SAMPLES", 1)
+    monkeypatch.setattr(resuming, "SUBTREE_SIDE", 128)
+    monkeypatch.setattr(kept_module, "TICK", 0.0)
+    monkeypatch.setattr(temporary, "MEMORY_LIMIT", 1 << 14)
+    monkeypatch.setattr(windows_module, "MEMORY_LIMIT", 1 << 14)
+
+
+@pytest.fixture
+def raster(tmp_path):
+    striped = write_geotiff(tmp_path / "striped.tif", heights_with_voids(), nodata=NODATA)
+    tiled = tmp_path / "dem.tif"
+    rasterio.shutil.copy(striped, tiled, tiled=True, blockxsize=64, blockysize=64, driver="GTiff")
+    return tiled
+
+
+def killed_at(record, work):
+    """Run `work` in a fork that is killed once `record` records were kept; say whether it was."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of forking beside threads
+        child = os.fork()
+    if child == 0:
+        signal.alarm(60)
+        put, count = Kept.put, 0
+
+        def counting(self, *arguments):
+            nonlocal count
+            put(self, *arguments)
+            count += 1
+            if count == record:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+        Kept.put = counting
+        status = 1
+        try:
+            work()
+            status = 0
+        except BaseException:  # noqa: BLE001  the child ends here
+            traceback.print_exc(file=sys.__stderr__)
+        finally:
+            os._exit(status)
+    status = os.waitpid(child, 0)[1]
+    assert status in (0, signal.SIGKILL)
+    return status != 0
+
+
+def hidden_in(folder):
+    return sorted(name for name in os.listdir(folder) if name.startswith("."))
+
+
+def n_records(work, monkeypatch):
+    """Return how many records a run keeps."""
+    names = []
+    put = Kept.put
+
+    def noting(self, name, *rest):
+        names.append(name)
+        put(self, name, *rest)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Kept, "put", noting)
+        work()
+    return len(names)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="kills forks")
+@pytest.mark.parametrize(
+    ("method", "is_striped", "mesh"),
+    some(
+        [
+            ("rapid", False, "halves"),
+            ("rapid", True, "halves"),
+            ("predictive", True, "zerotree"),
+            ("cdf97", False, "none"),
+            ("store", True, "none"),
+            ("cdf53", False, "none"),
+        ],
+        3,
+    ),
+)
+def test_a_run_goes_on_after_kills_at_any_moment(
+    tmp_path, raster, monkeypatch, method, is_striped, mesh
+):
+    source = tmp_path / "striped.tif" if is_striped else raster
+    target = tmp_path / "out.twz"
+
+    def work():
+        terrainwave.compress(source, target, method=method, mesh=mesh, overwrite=True, **OPTIONS)
+
+    total = n_records(work, monkeypatch)
+    whole = target.read_bytes()
+    assert total > 10
+    target.unlink()
+    for part in (1, total // 7, total // 4):  # from where the last one was killed
+        assert killed_at(part, work)
+        assert not target.exists()
+        assert any(name.endswith(".twz-kept") for name in hidden_in(tmp_path))
+    left = n_records(work, monkeypatch)
+    assert target.read_bytes() == whole
+    assert left < total * 0.8
+    assert hidden_in(tmp_path) == []
+
+
+def test_what_is_finished_is_not_done_again(tmp_path, raster, monkeypatch):
+    target = tmp_path / "out.twz"
+    units, reads = [], []
+    encode, read = UnitEncoder._encode_unit, RasterSource.read
+
+    def noting(self, key, *rest):
+        units.append(key)
+        return encode(self, key, *rest)
+
+    def reading(self, *window):
+        reads.append(window)
+        return read(self, *window)
+
+    def failing(*_):
+        raise StorageError("no proof")
+
+    monkeypatch.setattr(UnitEncoder, "_encode_unit", noting)
+    monkeypatch.setattr(RasterSource, "read", reading)
+    with monkeypatch.context() as broken:
+        broken.setattr("terrainwave.write.local.prove", failing)
+        with pytest.raises(StorageError, match="no proof"):
+            terrainwave.compress(raster, target, **OPTIONS)
+    first, first_reads = len(units), len(reads)
+    units.clear()
+    reads.clear()
+    terrainwave.compress(raster, target, verify=True, **OPTIONS)
+    # Units above the subtrees of 128 x 128: 1 + 1 + 4 + 16 of them at most.
+    assert len(units) <= 22 < first
+    assert len(reads) < first_reads / 2
+
+
+def test_a_failed_run_says_how_to_go_on(tmp_path, raster, monkeypatch):
+    def failing(*_):
+        raise StorageError("the disk is full")
+
+    target = tmp_path / "out.twz"
+    arguments = ["compress", str(raster), str(target), "--block", "32", "--max-error", "1"]
+    with monkeypatch.context() as broken:
+        broken.setattr("terrainwave.write.local.prove", failing)
+        result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 1
+    error, note = result.stderr.splitlines()
+    assert error == "terrainwave: the disk is full"
+    assert ".twz-kept: run the same command again to go on; --fresh starts over" in note
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 0
+    assert "the run went on from what an earlier one had finished" in result.stderr
+    assert hidden_in(tmp_path) == []
+
+
+def interrupted(target, source, monkeypatch, **options):
+    """Leave the work of a run that was stopped before its proof."""
+
+    def stopping(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as broken:
+        broken.setattr("terrainwave.write.local.prove", stopping)
+        with pytest.raises(KeyboardInterrupt) as caught:
+            terrainwave.compress(source, target, **OPTIONS | options)
+    return caught.value
+
+
+def test_ctrl_c_keeps_what_is_finished(tmp_path, raster, monkeypatch):
+    error = interrupted(tmp_path / "out.twz", raster, monkeypatch)
+    assert any("run the same command again" in note for note in error.__notes__)
+    (kept,) = hidden_in(tmp_path)
+    # Nothing but what is kept: no spools of segments.
+    names = os.listdir(tmp_path / kept)
+    assert "journal" in names
+    assert all(name == "journal" or name.endswith(".array") for name in names)
+
+
+def test_work_of_other_options_is_removed_and_said(tmp_path, raster, monkeypatch):
+    target = tmp_path / "out.twz"
+    interrupted(target, raster, monkeypatch)
+    with pytest.warns(TerrainwaveWarning, match="removed: it was made with other options"):
+        result = terrainwave.compress(raster, target, **OPTIONS | {"max_error": 2})
+    assert not any("went on" in note for note in result.notes)
+    terrainwave.compress(raster, tmp_path / "b.twz", **OPTIONS | {"max_error": 2})
+    assert target.read_bytes() == (tmp_path / "b.twz").read_bytes()
+
+
+def test_work_of_a_source_that_has_changed_is_removed_and_said(tmp_path, raster, monkeypatch):
+    target = tmp_path / "out.twz"
+    interrupted(target, raster, monkeypatch)
+    seen = os.stat(raster)
+    with rasterio.open(raster, "r+") as dataset:
+        heights = dataset.read(1)
+        heights[0, 0] += 1
+        dataset.write(heights, 1)
+    os.utime(raster, ns=(seen.st_atime_ns, seen.st_mtime_ns))
+    with pytest.warns(TerrainwaveWarning, match="the source was another one, or has changed"):
+        terrainwave.compress(raster, target, **OPTIONS | {"max_error": 0})
+    with terrainwave.open(target) as terrain:
+        assert np.array_equal(terrain.read(), heights)
+
+
+def test_a_source_behind_a_vrt_counts_too(tmp_path, raster, monkeypatch):
+    vrt, target = tmp_path / "dem.vrt", tmp_path / "out.twz"
+    rasterio.shutil.copy(raster, vrt, driver="VRT")
+    interrupted(target, vrt, monkeypatch)
+    with rasterio.open(raster, "r+") as dataset:
+        dataset.write(dataset.read(1) * (dataset.read(1) != NODATA), 1)
+    with pytest.warns(TerrainwaveWarning, match="the source was another one"):
+        terrainwave.compress(vrt, target, **OPTIONS)
+
+
+def test_heights_of_an_array_tell_whether_it_is_the_same(tmp_path, monkeypatch):
+    heights, target = terrain_like(*SHAPE, seed=3), tmp_path / "out.twz"
+    interrupted(target, heights, monkeypatch)
+    result = terrainwave.compress(heights.copy(), target, **OPTIONS)
+    assert any("went on" in note for note in result.notes)
+    whole = target.read_bytes()
+    assert whole == terrainwave.compress_to_bytes(heights, mesh="halves", **OPTIONS)
+    interrupted(target, heights, monkeypatch, overwrite=True)
+    heights[5, 5] += 9
+    with pytest.warns(TerrainwaveWarning, match="the source was another one"):
+        terrainwave.compress(heights, target, overwrite=True, **OPTIONS)
+    assert target.read_bytes() == terrainwave.compress_to_bytes(heights, mesh="halves", **OPTIONS)
+
+
+def test_fresh_starts_over(tmp_path, raster, monkeypatch):
+    target = tmp_path / "out.twz"
+    interrupted(target, raster, monkeypatch)
+    result = terrainwave.compress(raster, target, fresh=True, **OPTIONS)
+    assert not any("went on" in note for note in result.notes)
+    assert hidden_in(tmp_path) == []
+
+
+def test_a_small_raster_needs_nothing_and_removes_what_is_there(tmp_path, raster, monkeypatch):
+    target = tmp_path / "out.twz"
+    interrupted(target, raster, monkeypatch)
+    monkeypatch.setattr(resuming, "LEAST_SAMPLES", 1 << 26)
+    error = interrupted(target, raster, monkeypatch)
+    assert hidden_in(tmp_path) == []
+    assert not hasattr(error, "__notes__")
+
+
+def test_heights_that_cannot_be_leave_nothing(tmp_path):
+    heights = terrain_like(*SHAPE, dtype="float32")
+    heights[600, 500] = np.inf
+    with pytest.raises(InvalidHeightsError, match="inf"):
+        terrainwave.compress(
+            write_geotiff(tmp_path / "a.tif", heights), tmp_path / "out.twz", **OPTIONS
+        )
+    assert hidden_in(tmp_path) == []
+
+
+def test_another_folder_has_what_is_kept(tmp_path, raster, monkeypatch):
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    target = tmp_path / "out.twz"
+    interrupted(target, raster, monkeypatch, temp_dir=folder)
+    assert hidden_in(tmp_path) == []
+    (name,) = hidden_in(folder)
+    # Another target of the same name is not in its way.
+    (tmp_path / "other").mkdir()
+    terrainwave.compress(raster, tmp_path / "other" / "out.twz", temp_dir=folder, **OPTIONS)
+    assert hidden_in(folder) == [name]
+    result = terrainwave.compress(raster, target, temp_dir=folder, **OPTIONS)
+    assert any("went on" in note for note in result.notes)
+    assert hidden_in(folder) == []
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="kills forks")
+@pytest.mark.parametrize("has_original", [False, True])
+def test_a_patch_goes_on_after_kills(tmp_path, raster, monkeypatch, has_original):
+    heights = heights_with_voids()
+    path, newer = tmp_path / "dem.twz", tmp_path / "new.tif"
+    terrainwave.compress(raster, path, **OPTIONS)
+    before = path.read_bytes()
+    heights[300:500, 200:420] = np.where(heights[300:500, 200:420] == NODATA, 100, NODATA)
+    write_geotiff(newer, heights, nodata=NODATA)
+    original = newer if has_original else None
+
+    def work():
+        patch(path, newer, original=original, threads=2)
+
+    total = n_records(work, monkeypatch)
+    whole = path.read_bytes()
+    assert whole != before
+    path.write_bytes(before)
+    for part in (1, total // 4, total // 3):
+        assert killed_at(part, work)
+        assert path.read_bytes() == before
+    assert n_records(work, monkeypatch) < total * 0.8
+    assert path.read_bytes() == whole
+    assert hidden_in(tmp_path) == []
+
+
+_HOLD = """
+import sys
+from pathlib import Path
+from terrainwave.container.targets.unfinished import only_writer
+path = Path(sys.argv[1])
+with only_writer(path, path.parent, "it"):
+    print("begun", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_a_second_writer_of_the_same_target_is_refused_in_one_line(tmp_path, raster):
+    target = tmp_path / "out.twz"
+    terrainwave.compress(raster, target, **OPTIONS)
+    before = target.read_bytes()
+    with subprocess.Popen(
+        [sys.executable, "-c", _HOLD, target], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as other:
+        assert other.stdout.readline() == b"begun\n"
+        message = rf"another run is writing .*out\.twz \(process {other.pid}\)"
+        with pytest.raises(StorageError, match=message):
+            terrainwave.compress(raster, target, overwrite=True, **OPTIONS)
+        with pytest.raises(StorageError, match=message):
+            patch(target, raster)
+        assert target.read_bytes() == before
+        other.kill()  # who is gone holds nothing
+    terrainwave.compress(raster, target, overwrite=True, **OPTIONS)
+    assert hidden_in(tmp_path) == []
