@@ -75,7 +75,8 @@ class Spool:
             shape = self._slots.shape
             self._is_there = np.memmap(beside, np.bool_, "r+" if is_there else "w+", shape=shape)
         self._places = np.arange(self._slots.size, dtype=np.int32).reshape(shape)
-        self._slots[self._is_there] = self._places[self._is_there]
+        self._was_there = np.array(self._is_there)
+        self._slots[self._was_there] = self._places[self._was_there]
         self.is_kept = True
 
     @property
@@ -128,7 +129,10 @@ class Spool:
                     self._is_there[at] = True
 
     def fill(self, region: Region, value: Any) -> None:
-        """Store one value in a region; whole tiles that were never written take no room."""
+        """Store one value in a region; whole tiles that were never written take no room.
+
+        Whole tiles that an earlier run has written are left as they are: it wrote over this value.
+        """
         if self._memory is not None:
             self._memory[region.slices_in(self.region)] = value
             return
@@ -138,7 +142,10 @@ class Spool:
             end % TILE == 0 or end == size for end, size in zip(ends, self.shape, strict=True)
         )
         tiles = np.s_[row // TILE : -(-ends[0] // TILE), col // TILE : -(-ends[1] // TILE)]
-        if not are_whole or (self._slots[tiles] >= 0).any():
+        is_written = self._slots[tiles] >= 0
+        if self.is_kept:
+            is_written &= ~self._was_there[tiles]
+        if not are_whole or is_written.any():
             for part in region.tiles(TILE, TILE):
                 self.write(part, np.full(part.shape, value, dtype=self.dtype))
             return
