@@ -228,7 +228,7 @@ def test_buffers_grow_and_memory_keeps_to_its_limit(context, rough):
 
 
 @pytest.mark.parametrize(
-    "coloring", ["auto", "relative", "ramp", "slope", "level", "error", "plain"]
+    "coloring", ["auto", "relative", "ramp", "slope", "textured", "level", "error", "plain"]
 )
 def test_every_colouring_draws_the_terrain_in_many_colours(context, rough, coloring):
     with Canvas(rough, SIZE, samples=0, context=context) as canvas:
