@@ -4,9 +4,11 @@ Of each raster a picture from above and one from its side, in each mode at each 
 samples (mode full). Voids and the outside have a colour of their own. By the papers' errors, which
 bound nothing, from above alone, where errors hardly move a pixel.
 
-`inside` counts pixels that show no ground although those of the full picture do, and all around
-them, as far as τ and a pixel; `outside` counts the other way round. Of mode loose, τ is what its
-meshes are worth there.
+`inside` counts pixels that show no ground although all parts of those of the full picture do, and
+of all around them, as far as τ and a pixel; `outside` counts the other way round: mostly skirts
+inside of the terrain, seen from the side where this style draws no walls. The full picture has
+8 x 8 parts to a pixel, as voids may be smaller than one. Of mode loose, τ is what its meshes are
+worth there.
 """
 
 import math
@@ -29,6 +31,7 @@ from terrainwave.render.scene.camera import Camera, home, top_view
 LOUD = (255, 0, 255)
 STYLE = Style(background=LOUD, coloring="flat")
 TAUS = (1.0, 4.0, 16.0)
+PARTS = 8
 MAX_ERROR = 1.0
 
 # `ground` are the pixels of the full picture that show it; `kept` is the τ that the mode states.
@@ -54,10 +57,12 @@ def measure(dem: Path, size: tuple[int, int], context: Any, folder: Path) -> Ite
         terrainwave.compress(dem, file, max_error=MAX_ERROR, verify=False)
     options = {"samples": 0, "context": context}
     with terrainwave.open(file) as terrain:
-        with Canvas(terrain, size, mode="full", **options) as full:
+        fine = size[0] * PARTS, size[1] * PARTS
+        with Canvas(terrain, fine, mode="full", **options) as full:
             cameras = cameras_of(full)
-            voids = {
-                name: is_loud(full.picture(camera, STYLE)[0]) for name, camera in cameras.items()
+            parts = {
+                name: parts_of(is_loud(full.picture(camera, STYLE)[0]))
+                for name, camera in cameras.items()
             }
         for mode in MODES:
             for error in ("measured", "paper"):
@@ -75,17 +80,24 @@ def measure(dem: Path, size: tuple[int, int], context: Any, folder: Path) -> Ite
                             moved = max(tau, frames.tau) if error == "measured" else tau
                             yield Row(
                                 dem.stem, mode, error, name, tau, round(frames.tau, 3),
-                                *counts(voids[name], is_loud(image), moved), round(seconds, 2),
+                                *counts(parts[name], is_loud(image), moved), round(seconds, 2),
                             )  # fmt: skip
 
 
-def counts(expected: np.ndarray, found: np.ndarray, moved: float) -> tuple[int, int, int]:
+def parts_of(fine: np.ndarray) -> np.ndarray:
+    """Return of each pixel how many of its parts show no ground."""
+    n_rows, n_cols = (n // PARTS for n in fine.shape)
+    counted: np.ndarray = fine.reshape(n_rows, PARTS, n_cols, PARTS).sum(axis=(1, 3))
+    return counted
+
+
+def counts(parts: np.ndarray, found: np.ndarray, moved: float) -> tuple[int, int, int]:
     """Return pixels of ground, and those that lack it or have too much, `moved` pixels away."""
-    far = min(math.ceil(moved) + 1, max(expected.shape))
+    far = min(math.ceil(moved) + 1, max(parts.shape))
     square = np.ones((2 * far + 1, 2 * far + 1), dtype=bool)
-    ground = ~ndimage.binary_dilation(expected, square)
-    nothing = ~ndimage.binary_dilation(~expected, square)
-    return int((~expected).sum()), int((found & ground).sum()), int((~found & nothing).sum())
+    ground = ~ndimage.binary_dilation(parts > 0, square)
+    nothing = ~ndimage.binary_dilation(parts < PARTS**2, square)
+    return int((parts == 0).sum()), int((found & ground).sum()), int((~found & nothing).sum())
 
 
 @common.command("outlines.csv")

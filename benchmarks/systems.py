@@ -364,13 +364,27 @@ def compare_papers(results: Path) -> Iterator[PaperRow]:
     for row in methods:
         if (row["method"], row["goal"], row["max_error"]) == (EMBEDDED, "max_error", 0):
             ours[EMBEDDED] = 16 / row["bits_per_sample"]
+    ours |= compare_pyramids(common.read_rows(results / "zerotree_pyramids.csv"))
     for row in common.read_rows(PAPERS):
         yield PaperRow(**row | {"ours": row["ours"].format_map(ours)})
 
 
-def _range(values) -> str:
+def compare_pyramids(rows: list[dict]) -> dict[str, str]:
+    """Return the sizes of pyramids made in other ways, over those made in the paper's."""
+    ratios: dict[str, list[float]] = {"growing": [], "neville": []}
+    for row in rows:
+        if row["growth"] == 1 and row["filter"] == "9/7":
+            paper = row["heights_bits"]
+        else:
+            ratios["growing" if row["growth"] > 1 else "neville"].append(
+                row["heights_bits"] / paper
+            )
+    return {name: _range(found, 2) for name, found in ratios.items()}
+
+
+def _range(values, n_digits: int = 1) -> str:
     ordered = sorted(values)
-    return f"{ordered[0]:.1f}–{ordered[-1]:.1f}"
+    return f"{ordered[0]:.{n_digits}f}–{ordered[-1]:.{n_digits}f}"
 
 
 PARTS = ("methods", "modes", "papers", "orientation", "dynamic")
