@@ -304,7 +304,42 @@ def vrt_sources(path: str, shape: tuple[int, int], band: int) -> list[_Source] |
         ]
     except (OSError, ValueError, IndexError, ET.ParseError):
         return None
-    return None if None in sources else sources  # type: ignore[return-value]
+    known = [one for one in sources if one is not None]
+    return _joined(known) if len(known) == len(sources) else None
+
+
+def _joined(sources: list[_Source]) -> list[_Source]:
+    """Return sources with those as one that follow each other, copy the same, and lie side by side.
+
+    A sea of thousands of tiles may be one file, named for each of them: if it is of one value, so
+    are they, and else nothing is known of any of them.
+    """
+    n_before = len(sources) + 1
+    while len(sources) < n_before:
+        n_before = len(sources)
+        joined: list[_Source] = []
+        for one in sources:
+            last = joined[-1] if joined else one
+            place = _union(last.place, one.place)
+            is_alike = one.copies is not None and one[1:] == last[1:]
+            if joined and is_alike and place is not None:
+                joined[-1] = one._replace(place=place)
+            else:
+                joined.append(one)
+        sources = joined
+    return sources
+
+
+def _union(one: Region, other: Region) -> Region | None:
+    """Return two regions as one if they are a rectangle that both have a whole side of."""
+    row, col = min(one.row, other.row), min(one.col, other.col)
+    if (one.col, one.n_cols) == (other.col, other.n_cols):
+        if max(one.row, other.row) == row + (one if one.row == row else other).n_rows:
+            return Region(row, col, one.n_rows + other.n_rows, one.n_cols)
+    elif (one.row, one.n_rows) == (other.row, other.n_rows):
+        if max(one.col, other.col) == col + (one if one.col == col else other).n_cols:
+            return Region(row, col, one.n_rows, one.n_cols + other.n_cols)
+    return None
 
 
 def _source_of(element: ET.Element, folder: str, shape: tuple[int, int]) -> _Source | None:
