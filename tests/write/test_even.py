@@ -12,6 +12,8 @@ import terrainwave as tw
 from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.even import even_parts
 from terrainwave.raster_io.source import RasterSource
+from terrainwave.read import decoder as decoder_module
+from terrainwave.write.passes import proof
 
 SIDE = 2600
 VOID = -9999
@@ -114,7 +116,7 @@ def test_even_regions_are_what_is_read(tiles, name, monkeypatch):
     [
         ("vrt", {"block": 32}),
         ("sea", {"block": 64, "max_error": 3, "keep_origin": True}),
-        ("no nodata", {"block": 128, "mesh": "zerotree"}),
+        ("no nodata", {"block": 128}),
         ("sparse", {"block": 256, "measure_meshes": True}),
         ("mosaic", {"block": 64}),
         ("sea", {"method": "cdf97", "max_error": 2}),
@@ -200,3 +202,92 @@ def test_a_derived_band_is_read(tiles):
 def test_a_vrt_of_itself_ends(tmp_path):
     path = vrt(tmp_path / "self.vrt", [("self.vrt", 0, 0, 100, 100)], side=200)
     assert RasterSource(path, warn=False).even(Region(10, 10, 10, 10)) is None
+
+
+def test_adjoining_tiles_of_one_height_are_known_as_one(tiles, tmp_path):
+    path = vrt(
+        tiles / "adjoining.vrt",
+        [("sea.tif", row, col, 700, 900) for row in (100, 800) for col in (50, 950)],
+    )
+    source = RasterSource(path, warn=False)
+    even = source.even(Region(100, 50, 1400, 1800))
+    assert even is not None
+    assert (even.value, even.is_valid) == (0, True)
+    assert source.even(Region(100, 50, 1401, 1800)) is None
+    assert source.even(Region(1500, 50, 10, 10)).is_valid is False
+
+
+@pytest.fixture(scope="module")
+def sea(tiles):
+    """A file of which some of the finest segments are sea alone, with its raster."""
+    path = vrt(
+        tiles / "large sea.vrt",
+        [
+            *(("sea.tif", row, col, 700, 900) for row in range(0, 2800, 700)
+              for col in range(0, 2700, 900)),
+            ("tile.tif", 400, 700, 120, 150),
+        ],
+        side=2700,
+    )  # fmt: skip
+    tw.compress(path, tiles / "sea.twz", block=32)
+    return path, tiles / "sea.twz"
+
+
+def test_segments_of_sea_are_proved_by_their_bytes(sea, monkeypatch):
+    n_compared = 0
+    compare = proof.compare_window
+
+    def counted(terrain, source, region, allowed):
+        nonlocal n_compared
+        n_compared += region.n_rows * region.n_cols
+        return compare(terrain, source, region, allowed)
+
+    monkeypatch.setattr(proof, "compare_window", counted)
+    with RasterSource(sea[0], warn=False) as source, tw.open(sea[1]) as terrain:
+        windows, heads = proof.unproved(terrain, source, terrain.grid)
+        comparison = proof.Comparison(terrain, source, 0.0)
+        assert len(heads) > 5
+        assert max(map(comparison.segment, heads)) == 0
+        assert n_compared == 512 * 512  # of the first one alone
+        n_samples = sum(one.n_rows * one.n_cols for one in windows) + len(heads) * 512 * 512
+        assert n_samples == 2700 * 2700
+
+
+def test_a_segment_of_sea_with_other_bytes_is_decoded(sea, monkeypatch):
+    with RasterSource(sea[0], warn=False) as source, tw.open(sea[1]) as terrain:
+        _, heads = proof.unproved(terrain, source, terrain.grid)
+        comparison = proof.Comparison(terrain, source, 0.0)
+        comparison.segment(heads[0])
+        content = proof.content_of(terrain.container, terrain.decoder, heads[1])
+        other = content._replace(payloads=content.payloads[:-1] + b"?")
+        monkeypatch.setattr(proof, "content_of", lambda *_: other)
+        monkeypatch.setattr(proof, "compare_window", lambda *_: 7.0)
+        assert comparison.segment(heads[1]) == 7.0
+
+
+def test_check_decodes_segments_of_sea_once(sea, monkeypatch):
+    n_decoded = 0
+    decode = decoder_module.Groups.decode
+
+    def counted(self, units, key):
+        nonlocal n_decoded
+        n_decoded += 1
+        return decode(self, units, key)
+
+    monkeypatch.setattr(decoder_module.Groups, "decode", counted)
+    with tw.open(sea[1]) as terrain:
+        assert list(terrain.check()) == []
+        assert n_decoded < terrain.grid.n_units() * 3 // 4
+
+
+def test_tiles_of_a_geotiff_that_are_void_take_no_bytes(tiles, tmp_path):
+    source = sources_of(tiles)["vrt"]
+    tw.compress(source, tmp_path / "a.twz")
+    tw.decompress(tmp_path / "a.twz", tmp_path / "back.tif")
+    with rasterio.open(tmp_path / "back.tif") as back, rasterio.open(source) as original:
+        assert np.array_equal(back.read(1), original.read(1))
+        offsets = [
+            back.get_tag_item(f"BLOCK_OFFSET_{col}_{row}", "TIFF", bidx=1)
+            for (row, col), _ in back.block_windows(1)
+        ]
+    assert sum(offset is not None for offset in offsets) < len(offsets) // 3

@@ -8,7 +8,7 @@ import math
 import os
 import xml.etree.ElementTree as ET
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -81,29 +81,59 @@ class StoredValues(Protocol):
 
 
 class Composite:
-    """What lies over each other, in order: the last one that covers a sample counts.
+    """What lies over each other in a region, in order: the last one that covers a sample counts."""
 
-    `base` is what is there where nothing lies, None while it is not known.
-    """
+    def __init__(self, region: Region) -> None:
+        self._region = region
+        self._value: Any = None
+        self._parts: list[Region] = []
+        self._is_whole = False
 
-    def __init__(self, base: Any = None) -> None:
-        self.base = base
-        self._top: Any = None
-
-    def put(self, value: Any, *, is_whole: bool) -> bool:
-        """Lay a value over all of the window, or over a part; say whether all is still even."""
-        if not is_whole:
-            below = self.base if self._top is None else self._top
-            if below is None or not is_same(below, value):
-                return False
+    def put(self, value: Any, place: Region) -> bool:
+        """Lay a value over a place; say whether all that lies there is of one value still."""
+        part = place.intersect(self._region)
+        if part == self._region:
+            self._value, self._parts, self._is_whole = value, [], True
             return True
-        self._top = value
-        return True
+        if self._value is None:
+            self._value = value
+        if not self._is_whole:
+            self._parts.append(part)
+        return is_same(self._value, value)
 
-    @property
-    def value(self) -> Any:
-        """Return the value of all samples; None if nothing was put and the base is not known."""
-        return self.base if self._top is None else self._top
+    def value(self, base: Callable[[], Any]) -> Any:
+        """Return the value of all samples, `base` where nothing lies; None if there are several."""
+        if self._value is None:
+            return base()
+        if self._is_whole or covered_samples(self._parts, self._region) == _n_samples(self._region):
+            return self._value
+        return None
+
+
+def covered_samples(parts: Sequence[Region], region: Region) -> int:
+    """Return how many samples of a region lie in at least one of its parts, 0 if too few do.
+
+    Too few to cover all of it.
+    """
+    if sum(map(_n_samples, parts)) < _n_samples(region):
+        return 0
+    return samples_in(parts)
+
+
+def samples_in(regions: Sequence[Region]) -> int:
+    """Return how many samples lie in at least one of the regions."""
+    row_ends = sorted({end for one in regions for end in (one.row, one.row + one.n_rows)})
+    col_ends = sorted({end for one in regions for end in (one.col, one.col + one.n_cols)})
+    is_covered = np.zeros((len(row_ends) - 1, len(col_ends) - 1), dtype=np.bool_)
+    for one in regions:
+        rows = np.searchsorted(row_ends, (one.row, one.row + one.n_rows))
+        cols = np.searchsorted(col_ends, (one.col, one.col + one.n_cols))
+        is_covered[slice(*rows), slice(*cols)] = True
+    return int(np.diff(row_ends) @ is_covered @ np.diff(col_ends))
+
+
+def _n_samples(region: Region) -> int:
+    return region.n_rows * region.n_cols
 
 
 def is_same(one: Any, other: Any) -> bool:
@@ -199,7 +229,7 @@ class VrtSources:
 
     def value(self, region: Region) -> Any:
         """Return the value of all samples of a region, as its sources lie over each other."""
-        composite = Composite(self._fill)
+        composite = Composite(region)
         for number in self._touching(region):
             source = self._sources[number]
             value = self._source_value(source)
@@ -207,23 +237,27 @@ class VrtSources:
                 return None
             if source.nodata is not None and _is_number(value, source.nodata):
                 continue
-            if not composite.put(value, is_whole=region.intersect(source.place) == region):
+            if not composite.put(value, source.place):
                 return None
-        value = composite.value
-        if value is None:
-            value = self._fill = self._read_sample(region.row, region.col)
-        return value
+        return composite.value(lambda: self._value_of_gap(region))
+
+    def _value_of_gap(self, region: Region) -> Any:
+        if self._fill is None:
+            self._fill = self._read_sample(region.row, region.col)
+        return self._fill
 
     def _touching(self, region: Region) -> list[int]:
         """Return the sources that a region touches, in their order."""
         cells = _cells_of(region, _MOST_CELLS) if self._has_cells else None
-        if cells is None:
-            first, last = self._corners
-            end = region.row + region.n_rows, region.col + region.n_cols
-            touching = (first < end) & (last > region[:2])
-            return np.flatnonzero(touching.all(axis=1)).tolist()
-        found = {number for cell in cells for number in self._cells.get(cell, ())}
-        return sorted(n for n in found if all(self._sources[n].place.intersect(region).shape))
+        near: Any = slice(None)
+        if cells is not None:
+            near = sorted({number for cell in cells for number in self._cells.get(cell, ())})
+            if not near:
+                return []
+        first, last = (corners[near] for corners in self._corners)
+        end = region.row + region.n_rows, region.col + region.n_cols
+        touching = np.flatnonzero(((first < end) & (last > region[:2])).all(axis=1)).tolist()
+        return touching if cells is None else [near[at] for at in touching]
 
     def _source_value(self, source: _Source) -> Any:
         if source.copies is None:
@@ -270,7 +304,42 @@ def vrt_sources(path: str, shape: tuple[int, int], band: int) -> list[_Source] |
         ]
     except (OSError, ValueError, IndexError, ET.ParseError):
         return None
-    return None if None in sources else sources  # type: ignore[return-value]
+    known = [one for one in sources if one is not None]
+    return _joined(known) if len(known) == len(sources) else None
+
+
+def _joined(sources: list[_Source]) -> list[_Source]:
+    """Return sources with those as one that follow each other, copy the same, and lie side by side.
+
+    A sea of thousands of tiles may be one file, named for each of them: if it is of one value, so
+    are they, and else nothing is known of any of them.
+    """
+    n_before = len(sources) + 1
+    while len(sources) < n_before:
+        n_before = len(sources)
+        joined: list[_Source] = []
+        for one in sources:
+            last = joined[-1] if joined else one
+            place = _union(last.place, one.place)
+            is_alike = one.copies is not None and one[1:] == last[1:]
+            if joined and is_alike and place is not None:
+                joined[-1] = one._replace(place=place)
+            else:
+                joined.append(one)
+        sources = joined
+    return sources
+
+
+def _union(one: Region, other: Region) -> Region | None:
+    """Return two regions as one if they are a rectangle that both have a whole side of."""
+    row, col = min(one.row, other.row), min(one.col, other.col)
+    if (one.col, one.n_cols) == (other.col, other.n_cols):
+        if max(one.row, other.row) == row + (one if one.row == row else other).n_rows:
+            return Region(row, col, one.n_rows + other.n_rows, one.n_cols)
+    elif (one.row, one.n_rows) == (other.row, other.n_rows):
+        if max(one.col, other.col) == col + (one if one.col == col else other).n_cols:
+            return Region(row, col, one.n_rows, one.n_cols + other.n_cols)
+    return None
 
 
 def _source_of(element: ET.Element, folder: str, shape: tuple[int, int]) -> _Source | None:

@@ -17,7 +17,7 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
 from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.earlier_loss import EarlierLoss
-from terrainwave.raster_io.even import Composite, Even
+from terrainwave.raster_io.even import Composite, Even, samples_in
 from terrainwave.raster_io.raster_info import SUPPORTED_DTYPES, fit_nodata, stored_nodata
 from terrainwave.raster_io.tags import common_tags
 
@@ -221,7 +221,7 @@ class MosaicBackend:
         self._nodata = self.nodata if nodata is None else nodata
         losses = [one.earlier for one in rasters if one.earlier is not None]
         self.earlier = max(losses, key=lambda loss: loss.max_error, default=None)
-        self._n_covered = covered_samples([member.region for member in self._members])
+        self._n_covered = samples_in([member.region for member in self._members])
         has_voids = self._has_gaps or any(one.has_mask for one in rasters)
         self.has_mask = self._nodata is None and self.dtype.kind != "f" and has_voids
         self.block_shape = first.block_shape
@@ -310,7 +310,7 @@ class MosaicBackend:
 
     def even(self, region: Region) -> Even | None:
         """Return what all samples of a region are: those of gaps, and of rasters of one value."""
-        composite, is_valid = Composite(), False
+        composite, is_any = Composite(region), False
         for member in self._touching(region):
             if member.even is None:
                 return None
@@ -319,10 +319,13 @@ class MosaicBackend:
                 continue
             if self._is_void(value, self._nodata):  # which reading refuses
                 return None
-            if not composite.put(value, is_whole=region.intersect(member.region) == region):
+            if not composite.put(value, member.region):
                 return None
-            is_valid = True
-        return Even(composite.value if is_valid else self._void_value(), is_valid)
+            is_any = True
+        if not is_any:
+            return Even(self._void_value(), False)
+        value = composite.value(lambda: None)
+        return None if value is None else Even(value, True)
 
     def _is_void(self, value: Any, nodata: int | float | None) -> bool:
         if self.dtype.kind == "f" and math.isnan(value):
@@ -482,15 +485,3 @@ def _corner_transform(
         y = next(one.transform[5] for one, (row, _) in zip(rasters, places) if row == top)
         return a, b, x, d, e, y
     return of_window(rasters[0].transform, top, left)
-
-
-def covered_samples(regions: Sequence[Region]) -> int:
-    """Return how many samples lie in at least one of the regions."""
-    row_ends = sorted({end for one in regions for end in (one.row, one.row + one.n_rows)})
-    col_ends = sorted({end for one in regions for end in (one.col, one.col + one.n_cols)})
-    is_covered = np.zeros((len(row_ends) - 1, len(col_ends) - 1), dtype=np.bool_)
-    for one in regions:
-        rows = np.searchsorted(row_ends, (one.row, one.row + one.n_rows))
-        cols = np.searchsorted(col_ends, (one.col, one.col + one.n_cols))
-        is_covered[slice(*rows), slice(*cols)] = True
-    return int(np.diff(row_ends) @ is_covered @ np.diff(col_ends))
