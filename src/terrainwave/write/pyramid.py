@@ -117,7 +117,10 @@ class Pyramid:
         voids `pull` needs its coarsest fills.
     base : Base, optional
         Make the levels above that of `base`; below it there is nothing to ask for.
-    kept : Kept, optional
+
+    Attributes
+    ----------
+    kept : Kept
         Where levels are left for a later run, and taken from; not those of a part.
     """
 
@@ -133,7 +136,6 @@ class Pyramid:
         executor: Executor,
         part: SubtreeRegion | None = None,
         base: Base | None = None,
-        kept: Kept | None = None,
     ) -> None:
         self._source = source
         self._quantizer = quantizer
@@ -143,7 +145,7 @@ class Pyramid:
         self._directory = directory
         self._executor = executor
         self._part = part
-        self._kept = kept or Kept()
+        self.kept = Kept()
         self._heights: dict[int, Spool] = {}
         self._masks: dict[int, Spool] = {}
         self._own: dict[int, Spool] = {}
@@ -177,7 +179,7 @@ class Pyramid:
             self._fills[shift] = self._new_spool(region, np.int32, f"fills-{shift}")
             self._known[shift] = self._new_spool(region, np.bool_, f"known-{shift}")
             spools = self._fills[shift], self._known[shift]
-            for window in self._kept.each(f"push-{shift}", spools, region.tiles(TILE, TILE)):
+            for window in self.kept.each(f"push-{shift}", spools, region.tiles(TILE, TILE)):
                 values, known = self._pushed(shift, window)
                 self._fills[shift].write(window, values)
                 self._known[shift].write(window, known)
@@ -200,7 +202,7 @@ class Pyramid:
         for finer in range(top - 1, max(self._first - 1, 0), -1):
             region = self._inside(finer, self._part.fill_region(finer) if self._part else None)
             spools = self._fills[finer], self._known[finer]
-            for window in self._kept.each(f"pull-{finer}", spools, region.tiles(TILE, TILE)):
+            for window in self.kept.each(f"pull-{finer}", spools, region.tiles(TILE, TILE)):
                 known = self._known[finer].read(window)
                 if not known.all():
                     values = self._fills[finer].read(window)
@@ -298,7 +300,7 @@ class Pyramid:
         return whole if region is None else region.intersect(whole)
 
     def _new_spool(self, region: Region, dtype: DTypeLike, name: str) -> Spool:
-        path = self._kept.path(name)
+        path = self.kept.path(name)
         return Spool(region.shape, dtype, self._directory, (region.row, region.col), path)
 
     def _shape(self, shift: int) -> tuple[int, int]:
@@ -452,5 +454,5 @@ class Pyramid:
     ) -> None:
         tiles = spool.region.tiles(TILE, TILE)
         made = partial(self._executor.map, lambda region: spool.write(region, make(region)))
-        for _ in self._kept.each(name, [spool], tiles, made):
+        for _ in self.kept.each(name, [spool], tiles, made):
             pass
