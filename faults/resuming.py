@@ -71,8 +71,8 @@ def main(
         own = list(trial.rows(n_kills, n_chain, generator))
         rows += own
         summaries.append(trial.summary(own))
-    common.write_rows(out, rows)
-    common.write_rows(out.with_name(f"{out.stem}_summary.csv"), summaries)
+        common.write_rows(out, rows)
+        common.write_rows(out.with_name(f"{out.stem}_summary.csv"), summaries)
     is_good = all(
         one.same_bytes == one.chains and one.kept_share >= least and not one.left_after
         for one in summaries

@@ -13,6 +13,7 @@ import ssl
 import struct
 import sys
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -594,3 +595,33 @@ def test_what_a_redirect_pointed_at_is_asked_for_anew_when_it_expires(server, st
     assert source.read(30_000, 100) == DATA[30_000:30_100]
     source.close()
     assert server.asked == ["/a", "/b?sig=1", "/b?sig=1", "/a", "/b?sig=2"]
+
+
+class DrippingHandler(Handler):
+    """Sends a byte now and then, of the headers or of the body."""
+
+    in_headers = False
+
+    def do_GET(self):
+        self.close_connection = True
+        head = b"HTTP/1.1 206 Partial Content\r\nContent-Length: 100\r\n"
+        head += b"Content-Range: bytes 0-99/100\r\n"
+        self.wfile.write(head if self.in_headers else head + b"\r\n")
+        for number in range(100):
+            try:
+                self.wfile.write(b"X: %d\r\n" % number if self.in_headers else b"x")
+            except OSError:
+                return
+            time.sleep(0.05)
+
+
+@pytest.mark.parametrize("in_headers", [False, True])
+def test_a_server_that_drips_has_a_limit_for_all_of_a_reply(monkeypatch, in_headers):
+    monkeypatch.setattr(module, "TIMEOUT", 0.4)
+    monkeypatch.setattr(module, "LEAST_RATE", 1e9)
+    handler = type("Dripping", (DrippingHandler,), {"in_headers": in_headers})
+    with serving(handler=handler) as server:
+        began = time.monotonic()
+        with pytest.raises(SourceUnavailableError, match="has not sent 16,384 bytes in 0 s; try"):
+            open_source(server.url)
+    assert time.monotonic() - began < 3

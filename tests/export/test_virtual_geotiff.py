@@ -1,6 +1,7 @@
 """A file read as a GeoTIFF that is made when it is read: what GDAL sees of it."""
 
 import io
+import tracemalloc
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
@@ -14,6 +15,7 @@ from rasterio.transform import Affine
 from rasterio.windows import Window
 from strategies import terrain_like, write_geotiff
 
+from terrainwave.errors import LimitExceededError
 from terrainwave.export.virtual_geotiff import VirtualGeoTIFF
 from terrainwave.file import TerrainFile
 from terrainwave.raster_io.geotiff.sparse import sparse_geotiff
@@ -263,3 +265,24 @@ def test_opening_it_over_http_decodes_nothing(source_and_terrain, monkeypatch):
     monkeypatch.setattr(VirtualGeoTIFF, "_tile", None)
     # GDAL asks for pieces of 16 KiB.
     assert len(VirtualGeoTIFF(terrain).read_at(0, 16384)) == 16384
+
+
+@pytest.mark.parametrize(
+    ("side", "tile"), [(1 << 14, 512), (1 << 19, 1024), (1 << 20, 2048), (2_900_000, 2048)]
+)
+def test_a_large_raster_has_larger_tiles_so_that_the_head_stays_small(side, tile):
+    info = RasterInfo(side, side, "int16")
+    head, planes = sparse_geotiff(info, 3, {})
+    assert {plane.tile for plane in planes} == {tile}
+    assert len(head) < 48 << 20
+
+
+@pytest.mark.parametrize("shape", [(1 << 25, 1 << 25), (1 << 31, 1 << 19), (3 << 20, 3 << 20)])
+def test_a_raster_that_no_geotiff_holds_is_refused_at_once(shape):
+    tracemalloc.start()
+    try:
+        with pytest.raises(LimitExceededError, match="more than a GeoTIFF of at most"):
+            sparse_geotiff(RasterInfo(*shape, "int16", nodata=-1), 12, {})
+        assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    finally:
+        tracemalloc.stop()

@@ -1,9 +1,11 @@
 """What `terrainwave serve` refuses, ends or does not say: limits against hostile clients."""
 
 import logging
+import os
 import select
 import socket
 import threading
+from contextlib import ExitStack
 
 import pytest
 from commands import one_line, run
@@ -162,6 +164,20 @@ def test_more_connections_than_allowed_are_refused_at_once(hilly, monkeypatch):
         held.pop().close()
 
 
+def test_one_address_cannot_take_all_connections(hilly, monkeypatch):
+    monkeypatch.setattr(client_limits, "MAX_CONNECTIONS", 8)
+    made = told_of(monkeypatch, "connection_made")
+    with served(make_app([str(hilly)])) as url, ExitStack() as held:
+        for _ in range(6):
+            held.enter_context(connected(_place(url)))
+            assert made.acquire(timeout=60)
+        with connected(_place(url)) as one_more:
+            assert one_more.recv(100).startswith(b"HTTP/1.1 503 ")
+        with socket.create_connection(_place(url), 10, ("127.0.0.2", 0)) as other:
+            other.sendall(REQUEST)
+            assert other.recv(100).startswith(b"HTTP/1.1 200 ")
+
+
 @pytest.mark.parametrize(
     "request_",
     [
@@ -220,6 +236,34 @@ def test_neither_a_path_nor_an_error_breaks_a_line_of_the_log(client, monkeypatc
     assert message == "/hills/rgb/0/0/0.png: no such"
 
 
+def test_a_damaged_place_is_one_line_for_all_requests(hilly, monkeypatch, caplog):
+    def damaged(_globe, z, *_):
+        raise CorruptStreamError(f"block {z} is damaged")
+
+    monkeypatch.setattr(tiling, "rgb_tile", damaged)
+    app = make_app([str(hilly)])
+    with TestClient(app, "http://127.0.0.1", raise_server_exceptions=False) as client:
+        with caplog.at_level(logging.WARNING):
+            for path in ("0/0/0", "0/0/0", "1/0/0", "1/1/0", "1/1/1"):
+                assert client.get(f"/hills/rgb/{path}.png").status_code == 500
+    assert caplog.messages == [
+        "/hills/rgb/0/0/0.png: block 0 is damaged",
+        "/hills/rgb/1/0/0.png: block 1 is damaged",
+    ]
+
+
+def test_answers_that_end_early_for_one_reason_are_one_line():
+    told = client_limits._Told()
+    logged = []
+    for reason in ("a", "a", "b", "a"):
+        error = RuntimeError("response already started")
+        error.__cause__ = CorruptStreamError(reason)
+        info = (RuntimeError, error, None)
+        record = logging.LogRecord("x", logging.ERROR, "x", 1, "Exception", (), info)
+        logged += [record.getMessage()] if told.is_told(record) else []
+    assert logged == ["an answer ended early: a", "an answer ended early: b"]
+
+
 def test_an_answer_that_ends_early_is_a_line_without_a_traceback():
     try:
         try:
@@ -260,3 +304,21 @@ def test_a_file_that_is_replaced_is_read_on_and_one_that_is_cut_is_a_line(tmp_pa
         answer = client.get("/hills.twz")
     assert answer.status_code == 500
     assert answer.json() == {"detail": "the file cannot be read there"}
+
+
+def test_a_file_that_takes_the_place_of_another_has_another_tag(tmp_path):
+    """It may have the same size and header: a browser must not mix tiles of the two."""
+    path = write_twz(tmp_path, hills(65, 97), BOUNDS)
+
+    def tag_and_status(known):
+        with TestClient(make_app([str(path)]), "http://127.0.0.1") as client:
+            told = {"If-None-Match": known}
+            status = client.get("/hills/rgb/9/268/181.png", headers=told).status_code
+            return client.get("/hills.twz").headers["ETag"], status
+
+    tag, _ = tag_and_status("")
+    assert tag_and_status(tag) == (tag, 304)
+    os.utime(path, (1, 1))
+    other, status = tag_and_status(tag)
+    assert other != tag
+    assert status == 200

@@ -230,8 +230,8 @@ class _Patcher:
             has_voids=terrain.raster_info.mask_kind != "none",
             directory=directory,
             executor=executor,
-            kept=kept,
         )
+        self._pyramid.kept = kept
         self.header = terrain.header
         self.is_changed = False
         # What blocks of the full grid state that is not known by originals, in raw units.

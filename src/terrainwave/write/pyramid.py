@@ -137,7 +137,10 @@ class Pyramid:
         voids `pull` needs its coarsest fills.
     base : Base, optional
         Make the levels above that of `base`; below it there is nothing to ask for.
-    kept : Kept, optional
+
+    Attributes
+    ----------
+    kept : Kept
         Where levels are left for a later run, and taken from; not those of a part.
     """
 
@@ -153,7 +156,6 @@ class Pyramid:
         executor: Executor,
         part: SubtreeRegion | None = None,
         base: Base | None = None,
-        kept: Kept | None = None,
     ) -> None:
         self._source = source
         self._quantizer = quantizer
@@ -166,7 +168,7 @@ class Pyramid:
         self._even_of: EvenOf = lambda _: None
         if isinstance(source, IndexedWindows):
             self._even_of = source.even
-        self._kept = kept or Kept()
+        self.kept = Kept()
         self._heights: dict[int, Spool] = {}
         self._masks: dict[int, Spool] = {}
         self._own: dict[int, Spool] = {}
@@ -207,7 +209,7 @@ class Pyramid:
                 knowns.fill(window, even.is_valid)
 
             windows = _uneven(region, partial(self._even, shift), fill)
-            for window in self._kept.each(f"push-{shift}", (fills, knowns), windows):
+            for window in self.kept.each(f"push-{shift}", (fills, knowns), windows):
                 values, known = self._pushed(shift, window)
                 fills.write(window, values)
                 knowns.write(window, known)
@@ -231,7 +233,7 @@ class Pyramid:
             region = self._inside(finer, self._part.fill_region(finer) if self._part else None)
             spools = self._fills[finer], self._known[finer]
             windows = _uneven(region, partial(self._unread, finer), lambda *_: None)
-            for window in self._kept.each(f"pull-{finer}", spools, windows):
+            for window in self.kept.each(f"pull-{finer}", spools, windows):
                 known = self._known[finer].read(window)
                 if not known.all():
                     values = self._fills[finer].read(window)
@@ -369,7 +371,7 @@ class Pyramid:
         return whole if region is None else region.intersect(whole)
 
     def _new_spool(self, region: Region, dtype: DTypeLike, name: str) -> Spool:
-        path = self._kept.path(name)
+        path = self.kept.path(name)
         return Spool(region.shape, dtype, self._directory, (region.row, region.col), path)
 
     def _shape(self, shift: int) -> tuple[int, int]:
@@ -540,7 +542,7 @@ class Pyramid:
         windows: Iterable[Region],
     ) -> None:
         made = partial(self._executor.map, lambda region: spool.write(region, make(region)))
-        for _ in self._kept.each(name, [spool], windows, made):
+        for _ in self.kept.each(name, [spool], windows, made):
             pass
 
 

@@ -95,6 +95,11 @@ class MergingSource:
     def check_unchanged(self) -> None:
         """Raise nothing: files stay what they were opened as, http compares every reply."""
 
+    @property
+    def version(self) -> str:
+        """Return what tells this version of the bytes from others of the same size, if anything."""
+        return ""
+
     def close(self) -> None:
         """Let go of what the source holds."""
 
@@ -113,6 +118,11 @@ class FileSource(MergingSource):
             raise StorageError(f"{self.name} is a directory; expected a .twz file") from error
         except OSError as error:
             raise StorageError(f"cannot read {self.name}: {error.strerror or error}") from error
+
+    @property
+    def version(self) -> str:
+        """Return when the file was changed."""
+        return "" if self._file is None else str(os.fstat(self._file.fileno()).st_mtime_ns)
 
     def renew(self) -> None:
         """Begin anew after a fork."""

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from ipaddress import ip_address, ip_network
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 from urllib.parse import SplitResult, urlsplit
 
 import urllib3
@@ -40,6 +40,37 @@ class ProxyStatus(Exception):
     def __init__(self, status: int) -> None:
         super().__init__(status)
         self.status = status
+
+
+class TooSlow(Exception):
+    """A reply has taken all the seconds that it may."""
+
+    def __init__(self, seconds: float) -> None:
+        super().__init__(seconds)
+        self.seconds = seconds
+
+
+class _Watch:
+    """Cuts the connection of a reply that takes too long; a context manager."""
+
+    def __init__(self, seconds: float) -> None:
+        self.is_over = False
+        self.sockets: list[Any] = []
+        self._timer = threading.Timer(seconds, self._end)
+        self._timer.daemon = True
+
+    def _end(self) -> None:
+        self.is_over = True
+        for waiting in self.sockets:
+            with suppress(OSError, AttributeError):
+                waiting.shutdown(socket.SHUT_RDWR)
+
+    def __enter__(self) -> Self:
+        self._timer.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._timer.cancel()
 
 
 class Connections:
@@ -67,10 +98,18 @@ class Connections:
         headers: dict[str, str],
         timeout: float,
         take: Callable[[urllib3.HTTPResponse], T],
+        most_seconds: float,
     ) -> T:
         """Ask for `url` and return what `take` makes of the reply.
 
         A kept connection that fails is replaced at once: servers close them when they like.
+
+        Parameters
+        ----------
+        timeout : float
+            Seconds without a byte.
+        most_seconds : float
+            Seconds for all of the reply: a server may send a byte now and then without end.
 
         Raises
         ------
@@ -78,8 +117,11 @@ class Connections:
             What went wrong below urllib3.
         ProxyStatus
             If the proxy makes no way to the server.
+        TooSlow
+            If `most_seconds` have passed.
         """
-        with self._turns:
+        with self._turns, _Watch(most_seconds) as watch:
+            self._here.watch = watch
             if self._is_closed:
                 raise OSError("closed")
             pool, is_forwarded = self._pool(url)
@@ -94,8 +136,14 @@ class Connections:
                     cause = _cause(error)
                     if status := _TUNNEL.search(str(cause)):
                         raise ProxyStatus(int(status[1])) from error
+                    if watch.is_over:
+                        raise TooSlow(most_seconds) from error
                     if self._here.is_fresh or self._is_closed or not may_be_stale:
                         raise cause from error
+                except OSError as error:
+                    if watch.is_over:
+                        raise TooSlow(most_seconds) from error
+                    raise
         raise AssertionError("the second attempt returns or raises")
 
     def close(self) -> None:
@@ -132,6 +180,10 @@ class Connections:
         connections = self
 
         class Watched(base):  # type: ignore[misc]
+            def getresponse(self) -> Any:
+                connections._here.watch.sockets.append(self.sock)
+                return super().getresponse()
+
             def connect(self) -> None:
                 connections._here.is_fresh = True
                 super().connect()

@@ -29,6 +29,7 @@ from urllib.parse import SplitResult, urlsplit
 from urllib3 import Retry
 from urllib3.exceptions import HTTPError, InvalidHeader
 
+from terrainwave.arguments import count_of
 from terrainwave.container.sources.addresses import (
     basic_login,
     display_name,
@@ -50,6 +51,7 @@ from terrainwave.container.sources.connections import (
     N_CONNECTIONS,
     Connections,
     ProxyStatus,
+    TooSlow,
     proxy_of,
 )
 from terrainwave.container.sources.ranges import ByteRange
@@ -67,6 +69,7 @@ _log = logging.getLogger(__name__)
 
 FIRST_REQUEST = 16 * 1024
 TIMEOUT = 30.0  # seconds without a byte
+LEAST_RATE = 1024.0  # bytes a second, of each reply; sixteen may share a line
 _REDIRECTS = {301, 302, 303, 307, 308}
 _MAX_REDIRECTS = 5
 _BUSY = {408, 425, 429, 500, 502, 503, 504}
@@ -182,6 +185,11 @@ class HttpSource(MergingSource):
         except BaseException:
             self.close()
             raise
+
+    @property
+    def version(self) -> str:
+        """Return the ETag, or else when the file was changed."""
+        return self._version.etag or self._version.modified or ""
 
     def renew(self) -> None:
         """Begin anew after a fork."""
@@ -358,7 +366,14 @@ class HttpSource(MergingSource):
             return reply
 
         try:
-            reply = self._connections.get(url, self._headers(url, wanted), TIMEOUT, take)
+            n_bytes = MAX_WHOLE if wanted is None else wanted.length
+            limit = TIMEOUT + n_bytes / LEAST_RATE
+            reply = self._connections.get(url, self._headers(url, wanted), TIMEOUT, take, limit)
+        except TooSlow as error:
+            raise SourceUnavailableError(
+                f"cannot read {self.name}: the server has not sent {count_of(n_bytes, 'byte')} in"
+                f" {error.seconds:,.0f} s; try again later"
+            ) from error
         except ProxyStatus as error:
             reply = _Reply(url.geturl(), error.status, {}, proxy=proxy_of(url) or "?")
         if reply.status == 407 and not reply.proxy:
@@ -487,6 +502,11 @@ class FsspecSource(MergingSource):
         self._version = _version_of(info)
         if version not in (None, self._version):
             raise _changed(self.name)
+
+    @property
+    def version(self) -> str:
+        """Return what the file system says of it."""
+        return self._version or ""
 
     def check_unchanged(self) -> None:
         """Raise `StorageError` if the file is another one than was opened: one request."""

@@ -19,6 +19,7 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 from terrainwave.arguments import AS_IS, in_one_line
 from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.ext.serve.answers import STATIC, Answers
+from terrainwave.ext.serve.causes import Causes
 from terrainwave.ext.serve.guards import Guarded, guards_of
 from terrainwave.ext.serve.layers import Shelf, open_layers
 from terrainwave.ext.serve.sending import Desk
@@ -115,10 +116,14 @@ def make_app(
 
     app.add_middleware(Guarded, guards=guards)
 
+    causes = Causes()
+
     @app.exception_handler(TerrainwaveError)
     async def damaged(request: Request, error: TerrainwaveError) -> JSONResponse:
         # A path may have line feeds in it, as %0A.
-        _log.warning("%s: %s", in_one_line(request.url.path), in_one_line(error))
+        line = in_one_line(error)
+        if causes.is_new(f"{request.path_params.get('name')}: {line}"):
+            _log.warning("%s: %s", in_one_line(request.url.path), line)
         return JSONResponse({"detail": "the file cannot be read there"}, 500)
 
     @app.exception_handler(Exception)

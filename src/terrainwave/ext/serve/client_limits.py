@@ -7,6 +7,7 @@ is looked at every second here.
 
 import asyncio
 import logging
+import math
 import os
 import socket
 import struct
@@ -19,6 +20,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from terrainwave.arguments import in_one_line
 from terrainwave.errors import TerrainwaveError
+from terrainwave.ext.serve.causes import Causes
 from terrainwave.ext.serve.guards import MAX_REQUEST_BYTES
 
 try:
@@ -31,6 +33,8 @@ except ImportError:  # Windows, which has no such limit
 MAX_CONNECTIONS = 384
 # Handles that the files, the event loop and what is read for the page may take.
 _OTHER_HANDLES = 64
+# The share of them that one address may have: a proxy before the server has one, too.
+_MOST_OF_ONE = 0.75
 # Seconds for the rest of a request, its line and headers: they come in one piece or two.
 ASK_SECONDS = 10
 # Seconds for the part of an answer that was handed to the system, 1 MiB at most: 17 kB/s.
@@ -61,9 +65,18 @@ class Connection(H11Protocol):
         self._stage: Any = None
         self._since = self.loop.time()
         self._look = self.loop.call_later(_LOOK_SECONDS, self._look_at)
-        if len(self.connections) > self.max_connections:
+        if len(self.connections) > self.max_connections or self._takes_too_many():
             transport.write(_FULL)
             transport.close()
+
+    def _takes_too_many(self) -> bool:
+        """Say whether most connections there may be are of this one's address alone.
+
+        The others are for others, who come while one client has all that it can get.
+        """
+        addresses = [(getattr(one, "client", None) or ("",))[0] for one in self.connections]
+        n_of_address = addresses.count((self.client or ("",))[0])
+        return n_of_address > math.ceil(_MOST_OF_ONE * self.max_connections)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget it."""
@@ -125,7 +138,7 @@ def server_of(app: ASGIApp, n_files: int = 0) -> uvicorn.Server:
         timeout_keep_alive=IDLE_SECONDS,
         timeout_graceful_shutdown=_GRACE_SECONDS,
     )
-    logging.getLogger("uvicorn.error").addFilter(_is_told)
+    logging.getLogger("uvicorn.error").addFilter(_Told().is_told)
     return uvicorn.Server(config)
 
 
@@ -142,6 +155,22 @@ def _limited(n_files: int) -> type[Connection]:
     return type("Connection", (Connection,), {"max_connections": most})
 
 
+class _Told:
+    """What a server logs: each line once of those that are its files' fault."""
+
+    def __init__(self) -> None:
+        self._causes = Causes()
+
+    def is_told(self, record: logging.LogRecord) -> bool:
+        """Say whether a line is logged."""
+        is_told = _is_told(record)
+        is_of_file = is_told and str(record.msg).startswith(_EARLY)
+        return is_told and (not is_of_file or self._causes.is_new(str(record.msg)))
+
+
+_EARLY = "an answer ended early: "
+
+
 def _is_told(record: logging.LogRecord) -> bool:
     """Say whether a line is logged: not what any client can cause, such as a malformed request.
 
@@ -152,6 +181,6 @@ def _is_told(record: logging.LogRecord) -> bool:
     while error is not None and not isinstance(error, TerrainwaveError):
         error = error.__cause__
     if error is not None:
-        record.msg, record.args = f"an answer ended early: {in_one_line(error)}", ()
+        record.msg, record.args = f"{_EARLY}{in_one_line(error)}", ()
         record.exc_info = record.exc_text = None
     return record.levelno >= logging.ERROR

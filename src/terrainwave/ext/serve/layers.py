@@ -46,7 +46,10 @@ class Raster:
         self.geotiff = VirtualGeoTIFF(self.terrain)
         self.geotiff.warn_of_crs()
         self.ahead = Ahead(self.geotiff.read_at)
-        self.tag = hashlib.sha256(repr((name, self.info.n_bytes, self.info)).encode()).hexdigest()
+        # A file that takes the place of this one may have the same size and say the same.
+        version = getattr(self.terrain.container.source, "version", "")
+        told = repr((name, version, self.info.n_bytes, self.info))
+        self.tag = hashlib.sha256(told.encode()).hexdigest()
 
 
 class Layer(Raster):

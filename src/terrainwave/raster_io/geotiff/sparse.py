@@ -18,8 +18,9 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
+from terrainwave.errors import LimitExceededError
 from terrainwave.raster_io.gdal import bounded_env
-from terrainwave.raster_io.geotiff.sink import geotiff_profile, write_description
+from terrainwave.raster_io.geotiff.sink import TILE, geotiff_profile, write_description
 from terrainwave.raster_io.raster_info import RasterInfo
 
 # Tags of a directory (TIFF 6.0, sections 8 and 15) and the types of their values.
@@ -33,6 +34,9 @@ _UNCOMPRESSED = 1
 _ALIGNMENT = 1 << 14
 # Above this, 32-bit offsets don't reach: heads are far smaller than what is kept free.
 _MOST_CLASSIC = (1 << 32) - (1 << 28)
+# Tiles of the full grid: above the first number they are made larger, above the second there are
+# none. A head has 16 bytes for each, for overviews a third more, for a mask as many again.
+_MANY_TILES, _MOST_TILES = 1 << 19, 1 << 21
 
 
 class Plane(NamedTuple):
@@ -83,10 +87,16 @@ def sparse_geotiff(
         Overviews of half, a quarter, … of the size.
     tags : mapping of str
         Further items of the dataset's metadata.
+
+    Raises
+    ------
+    LimitExceededError
+        If the head would be longer than some 100 MB.
     """
+    tile = _tile_side(info)
     # Overviews and mask add less than half.
     is_big = 3 * info.n_bytes // 2 > _MOST_CLASSIC
-    head = _written_by_gdal(info, n_overviews, tags, is_big)
+    head = _written_by_gdal(info, n_overviews, tags, is_big, tile)
     directories = sorted(_directories(head, is_big), key=_width_of)
     planes: list[Plane] = []
     for fields in directories:
@@ -103,8 +113,26 @@ def sparse_geotiff(
     return bytes(head), planes
 
 
+def _tile_side(info: RasterInfo) -> int:
+    """Return the side of the tiles: a head says of each where it lies, and is read whole.
+
+    Raises
+    ------
+    LimitExceededError
+        If the largest tiles are too many.
+    """
+    for side in (TILE, 2 * TILE, 4 * TILE):
+        n_tiles = -(-info.n_rows // side) * -(-info.n_cols // side)
+        if n_tiles <= (_MANY_TILES if side < 4 * TILE else _MOST_TILES):
+            return side
+    raise LimitExceededError(
+        f"the raster has {info.n_rows:,} x {info.n_cols:,} samples, more than a GeoTIFF of at most"
+        f" {_MOST_TILES:,} tiles holds; read a window of it"
+    )
+
+
 def _written_by_gdal(
-    info: RasterInfo, n_overviews: int, tags: Mapping[str, str], is_big: bool
+    info: RasterInfo, n_overviews: int, tags: Mapping[str, str], is_big: bool, tile: int
 ) -> bytearray:
     """Return a sparse file of a small raster, 2 << `n_overviews` samples a side.
 
@@ -113,11 +141,18 @@ def _written_by_gdal(
     """
     side = 2 << n_overviews
     profile = geotiff_profile(replace(info, n_rows=side, n_cols=side)) | {
+        "blockxsize": tile,
+        "blockysize": tile,
         "sparse_ok": True,
         "bigtiff": "YES" if is_big else "NO",
         "endianness": "LITTLE",
     }
-    options = {"GDAL_TIFF_INTERNAL_MASK": True, "SPARSE_OK_OVERVIEW": True}
+    # Overviews have tiles of a size of their own.
+    options = {
+        "GDAL_TIFF_INTERNAL_MASK": True,
+        "SPARSE_OK_OVERVIEW": True,
+        "GDAL_TIFF_OVR_BLOCKSIZE": tile,
+    }
     with bounded_env(**options), warnings.catch_warnings(), MemoryFile(ext=".tif") as memory:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         with memory.open(**profile) as dataset:

@@ -78,8 +78,8 @@ def encode(
         has_voids=job.has_voids,
         directory=directory,
         executor=executor,
-        kept=kept,
     )
+    pyramid.kept = kept
     try:
         itemsize = np.dtype(job.info.dtype).itemsize
         pyramid.build(
