@@ -26,6 +26,7 @@ from terrainwave.codec.rapid.file_tables import (
     default_freqs,
     rest_symbols,
 )
+from terrainwave.codec.rapid.fit_samples import Counter, look_at
 from terrainwave.codec.rapid.fit_stencils import COST_UNIT, candidates, stencils_cost
 from terrainwave.codec.rapid.fit_weights import fit_magnitude, weights_bits
 from terrainwave.codec.rapid.magnitude import N_CONTEXTS
@@ -36,14 +37,14 @@ from terrainwave.coding.rans import N_SLOTS, SYMBOL_BITS
 from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.sample_windows import HeightsOf, MaskOf, spread_windows
 
-# Samples a side of a window, and samples of the raster for one; from 2 to 36 windows in all.
+# Samples a side of a window, and samples of the raster for one; from 2 to 16 windows in all.
 _WINDOW = 257
 _SHARE = 1 << 16
-_LEAST_WINDOWS, _MOST_WINDOWS = 2, 36
-# They decide on stencils, features and contexts: where there are more, so many samples a side.
-_MOST_WHOLE, _FEW = 4, 129
-# And weights of features are fitted to so many.
-_MOST_FOR_WEIGHTS = 6
+_LEAST_WINDOWS, _MOST_WINDOWS = 2, 16
+# Where there are more than 4, so many samples a side of at most 8 decide on stencils.
+_MOST_WHOLE, _FEW, _MOST_DECIDING = 4, 129, 8
+# And at most so many on weights of features and on contexts.
+_MOST_LOOKED_AT = 6
 _MIN_SAMPLES = 300
 _COST_OF_NONE = COST_UNIT * (11 + ESCAPE_BITS)  # of a symbol that takes an escape
 _FREQ_BITS = 3
@@ -89,7 +90,8 @@ def best_tables(
 
     And the best of those without weights of features of their own, which may be the same.
     """
-    few = np.s_[:, :_FEW, :_FEW] if len(windows) > _MOST_WHOLE else np.s_[:]
+    every = np.s_[:: -(-len(windows) // _MOST_DECIDING)]
+    few = (every, *np.s_[:_FEW, :_FEW]) if len(windows) > _MOST_WHOLE else (every,)
     some = _Sample(windows[few], masks[few], step, share * windows.size / windows[few].size, True)
     least = np.inf
     for stencils in dict.fromkeys(candidates(windows, masks, step, share)):
@@ -97,48 +99,65 @@ def best_tables(
         cost = _fitted(other, some)[1]
         if cost < least:
             best, least = other, cost
+    return _with_contexts(best, windows, masks, step, share, may_have_reach=may_have_reach)
+
+
+def _with_contexts(
+    tables: FileTables,
+    windows: Heights,
+    masks: Mask,
+    step: int,
+    share: float,
+    *,
+    may_have_reach: bool,
+) -> tuple[FileTables, FileTables]:
+    """Return tables with the family, and the weights, that make windows smallest.
+
+    And the best of those without weights of their own.
+    """
+    every = np.s_[:: -(-len(windows) // _MOST_LOOKED_AT)]
+    decoded, own_masks = windows[every], masks[every]
+    if step > 1:
+        decoded = _decoded(Tables(tables), decoded, own_masks, step)
+    seen = look_at(decoded, own_masks, Tables(tables), step)
+    counter = Counter(seen, step)
+    share *= windows.size / max(decoded.size, 1) * np.count_nonzero(own_masks)
+    share /= max(counter.n_samples, 1)
+
+    def cost_of(other: FileTables) -> float:
+        cost = fit_codes(other.family, counter.counts(Tables(other)), share)[1]
+        return cost + COST_UNIT * weights_bits(other.weights)
+
+    best, least = tables, cost_of(tables)
     # Other features, then what takes a reader of format 1.1: other contexts, which take a little
     # longer to decode, and weights of the file's own.
     reach = trained.N_FAMILIES
     others = [(N_STEPS, 0.0), (reach, _SAVED_BY_REACH)]
     for n_families, share_saved in others if may_have_reach else others[:1]:
         other = best._replace(family=best.family + n_families)
-        cost = _fitted(other, some)[1]
+        cost = cost_of(other)
         if cost < least * (1 - share_saved):
             best, least = other, cost
-    if not may_have_reach:
-        return best, best
-    return _with_weights(best, least, some, windows, masks), best
-
-
-def _with_weights(
-    tables: FileTables, least: float, some: "_Sample", windows: Heights, masks: Mask
-) -> FileTables:
-    """Return tables with weights of features of their own if `some` gets smaller than `least`.
-
-    With the trained frequencies and contexts that suit them; of all classes, or the finest alone.
-    """
-    read = Tables(tables)
-    some_windows = np.s_[:: -(-len(windows) // _MOST_FOR_WEIGHTS)]
-    decoded = _decoded(read, windows[some_windows], masks[some_windows], some.step)
-    weights = fit_magnitude(decoded, masks[some_windows], read, some.step)
+    plain = best
+    weights = fit_magnitude(seen, Tables(tables), step) if may_have_reach else None
     if weights is None:
-        return tables
-    best, smallest, reach = tables, np.inf, trained.N_FAMILIES
-    first = tables.family % N_STEPS
+        return plain, plain
+    # With the trained frequencies and contexts that suit them; of all classes, or the finest alone.
+    smallest = np.inf
+    first = plain.family % N_STEPS
     families = [first, first + N_STEPS, first + reach, first + N_STEPS + reach]
     for n_classes in (N_CLASSES, 2, 1):
         for family in families:
-            if tables.family >= reach:  # the file takes a reader of format 1.1 anyway
+            if plain.family >= reach:  # the file takes a reader of format 1.1 anyway
                 most = least
             else:
                 most = least * (1 - (_SAVED_BY_REACH if family >= reach else _SAVED_BY_WEIGHTS))
             other = tables._replace(family=family, weights=weights[:n_classes])
-            cost = _fitted(other, some)[1] + COST_UNIT * weights_bits(other.weights)
+            cost = cost_of(other)
             if cost < min(most, smallest):
                 best, smallest = other, cost
-        families = [tables.family if best is tables else best.family]
-    return best
+        families = [plain.family if best is plain else best.family]
+    return best, plain
 
 
 class _Sample(NamedTuple):
