@@ -26,7 +26,7 @@ from terrainwave.codec.rapid.file_tables import (
     default_freqs,
     rest_symbols,
 )
-from terrainwave.codec.rapid.fit_samples import Counter, look_at
+from terrainwave.codec.rapid.fit_samples import Counter, Seen, look_at
 from terrainwave.codec.rapid.fit_stencils import COST_UNIT, candidates, stencils_cost
 from terrainwave.codec.rapid.fit_weights import fit_magnitude, weights_bits
 from terrainwave.codec.rapid.magnitude import N_CONTEXTS
@@ -41,10 +41,10 @@ from terrainwave.grid.sample_windows import HeightsOf, MaskOf, spread_windows
 _WINDOW = 257
 _SHARE = 1 << 16
 _LEAST_WINDOWS, _MOST_WINDOWS = 2, 16
-# Where there are more than 4, so many samples a side of at most 8 decide on stencils.
-_MOST_WHOLE, _FEW, _MOST_DECIDING = 4, 129, 8
+# Where there are more than 4, so many samples a side of at most 4 decide on stencils.
+_MOST_WHOLE, _FEW, _MOST_DECIDING = 4, 129, 4
 # And at most so many on weights of features and on contexts.
-_MOST_LOOKED_AT = 6
+_MOST_LOOKED_AT = 5
 _MIN_SAMPLES = 300
 _COST_OF_NONE = COST_UNIT * (11 + ESCAPE_BITS)  # of a symbol that takes an escape
 _FREQ_BITS = 3
@@ -52,6 +52,8 @@ _FREQ_BITS = 3
 _PRIOR = 120
 _RAREST = N_SLOTS * ESCAPE_BITS * 2 // 3
 _SAVED_BY_REACH = 1 / 256
+# Bits of the samples that a weight is fitted to, which it saves by chance.
+_SAVED_BY_CHANCE = 0.5
 _SAVED_BY_WEIGHTS = 1 / 1024
 
 
@@ -99,65 +101,87 @@ def best_tables(
         cost = _fitted(other, some)[1]
         if cost < least:
             best, least = other, cost
-    return _with_contexts(best, windows, masks, step, share, may_have_reach=may_have_reach)
+    return _with_contexts(best, _look(best, windows, masks, step, share), may_have_reach)
+
+
+class _Looked(NamedTuple):
+    """Samples of windows that were coded, what counts their symbols, and what they stand for.
+
+    `share` is how many samples of the raster one that is counted stands for, `alone` how many one
+    of those that weights are fitted to.
+    """
+
+    seen: Seen
+    counter: Counter
+    step: int
+    share: float
+    alone: float
+
+    def cost(self, tables: FileTables) -> float:
+        """Return about what the file costs with tables of the same stencils, in 1/64 bit."""
+        cost = fit_codes(tables.family, self.counter.counts(Tables(tables)), self.share)[1]
+        if tables.weights is None:
+            return cost
+        # Some of what they save of the samples that they were fitted to is chance.
+        by_chance = _SAVED_BY_CHANCE * tables.weights.size * self.alone
+        return cost + COST_UNIT * (weights_bits(tables.weights) + by_chance)
+
+
+def _look(tables: FileTables, windows: Heights, masks: Mask, step: int, share: float) -> _Looked:
+    """Code some of the windows with tables and look at their samples."""
+    every = np.s_[:: -(-len(windows) // _MOST_LOOKED_AT)]
+    some, own_masks, read = windows[every], masks[every], Tables(tables)
+    if step > 1:
+        some = _decoded(read, some, own_masks, step)
+    seen = look_at(some, own_masks, read, step)
+    counter = Counter(seen, step)
+    n_samples = share * windows.size / some.size * np.count_nonzero(own_masks)
+    share, alone = (n_samples / max(n, 1) for n in (counter.n_counted, counter.n_samples))
+    return _Looked(seen, counter, step, share, alone)
 
 
 def _with_contexts(
-    tables: FileTables,
-    windows: Heights,
-    masks: Mask,
-    step: int,
-    share: float,
-    *,
-    may_have_reach: bool,
+    tables: FileTables, looked: _Looked, may_have_reach: bool
 ) -> tuple[FileTables, FileTables]:
-    """Return tables with the family, and the weights, that make windows smallest.
+    """Return tables with the family, and the weights, by which the file gets smallest.
 
     And the best of those without weights of their own.
     """
-    every = np.s_[:: -(-len(windows) // _MOST_LOOKED_AT)]
-    decoded, own_masks = windows[every], masks[every]
-    if step > 1:
-        decoded = _decoded(Tables(tables), decoded, own_masks, step)
-    seen = look_at(decoded, own_masks, Tables(tables), step)
-    counter = Counter(seen, step)
-    share *= windows.size / max(decoded.size, 1) * np.count_nonzero(own_masks)
-    share /= max(counter.n_samples, 1)
-
-    def cost_of(other: FileTables) -> float:
-        cost = fit_codes(other.family, counter.counts(Tables(other)), share)[1]
-        return cost + COST_UNIT * weights_bits(other.weights)
-
-    best, least = tables, cost_of(tables)
+    best, least = tables, looked.cost(tables)
     # Other features, then what takes a reader of format 1.1: other contexts, which take a little
     # longer to decode, and weights of the file's own.
-    reach = trained.N_FAMILIES
-    others = [(N_STEPS, 0.0), (reach, _SAVED_BY_REACH)]
+    others = [(N_STEPS, 0.0), (trained.N_FAMILIES, _SAVED_BY_REACH)]
     for n_families, share_saved in others if may_have_reach else others[:1]:
         other = best._replace(family=best.family + n_families)
-        cost = cost_of(other)
+        cost = looked.cost(other)
         if cost < least * (1 - share_saved):
             best, least = other, cost
-    plain = best
-    weights = fit_magnitude(seen, Tables(tables), step) if may_have_reach else None
+    return _with_weights(best, least, looked) if may_have_reach else best, best
+
+
+def _with_weights(tables: FileTables, least: float, looked: _Looked) -> FileTables:
+    """Return tables with weights of features of their own if the file costs less than `least`.
+
+    With the trained frequencies and contexts that suit them; of all classes, or the finest alone.
+    """
+    weights = fit_magnitude(looked.seen, Tables(tables), looked.step)
     if weights is None:
-        return plain, plain
-    # With the trained frequencies and contexts that suit them; of all classes, or the finest alone.
-    smallest = np.inf
-    first = plain.family % N_STEPS
+        return tables
+    best, smallest, reach = tables, np.inf, trained.N_FAMILIES
+    first = tables.family % N_STEPS
     families = [first, first + N_STEPS, first + reach, first + N_STEPS + reach]
     for n_classes in (N_CLASSES, 2, 1):
         for family in families:
-            if plain.family >= reach:  # the file takes a reader of format 1.1 anyway
+            if tables.family >= reach:  # the file takes a reader of format 1.1 anyway
                 most = least
             else:
                 most = least * (1 - (_SAVED_BY_REACH if family >= reach else _SAVED_BY_WEIGHTS))
             other = tables._replace(family=family, weights=weights[:n_classes])
-            cost = cost_of(other)
+            cost = looked.cost(other)
             if cost < min(most, smallest):
                 best, smallest = other, cost
-        families = [plain.family if best is plain else best.family]
-    return best, plain
+        families = [tables.family if best is tables else best.family]
+    return best
 
 
 class _Sample(NamedTuple):

@@ -6,7 +6,7 @@ the windows once more: contexts decide how details are written, not what they ar
 as in the kernels.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from terrainwave.codec.rapid.layout import (
     BENDS,
     CORES,
     ERRORS,
-    F_BEND,
     F_CONST,
     F_RANGE,
     F_TWIST,
@@ -47,13 +46,12 @@ from terrainwave.coding.rans import SYMBOL_BITS
 
 Whole = NDArray[np.int64]
 Reals = NDArray[np.float64]
+Integers: TypeAlias = NDArray[np.signedinteger]
 
 # Rows and columns of planes left out at the sides: all that is looked at lies inside.
 _TOP, _BOTTOM, _SIDE = 4, 3, 3
-# Of more than so many windows, the finest class takes so many rows and columns.
-_FEW, _FINEST = 4, 129
+_MOST_SAMPLES = 1 << 12  # of a class and plane, about
 _PREDICTED = BENDS + 1
-_MOST_SAMPLES = 1 << 12  # of a class and plane
 _LIMIT32 = (1 << 31) - 64
 _LOW_BITS = np.array([low_bits(context) for context in range(N_CONTEXTS)], dtype=np.int64)
 
@@ -105,29 +103,23 @@ def look_at(decoded: Heights, masks: Mask, tables: Tables, step: int) -> Seen:
     heights = np.subtract(decoded, middle, dtype=dtype)
     seen: Seen = {}
     for which in range(N_CLASSES):
-        found: list[list[NDArray[np.signedinteger]]] = [[] for _ in PLANES]
-        depths = CLASS_DEPTHS[which]
-        for depth in depths:
-            is_part = depth == 0 and len(decoded) > _FEW
-            part = np.s_[:, : _FINEST if is_part else None : 1 << depth]
-            part = (*part, part[1])
-            n_all = heights[part].size // 4
-            every = max(-(-n_all // _MOST_SAMPLES), 1)
+        found: list[list[Integers]] = [[] for _ in PLANES]
+        every = max(-(-heights[:, :: 1 << which, :: 1 << which].size // (4 * _MOST_SAMPLES)), 1)
+        for depth in CLASS_DEPTHS[which]:
+            part = np.s_[:, :: 1 << depth, :: 1 << depth]
             lattice = _of_lattice(heights[part], masks[part], tables.stencils[which], scale, every)
             for index, rows in enumerate(lattice):
                 found[index].append(rows)
-            share = -(-heights[0].size // heights[part][0].size) if is_part else 1
         for index in range(len(PLANES)):
             rows = np.concatenate(found[index], axis=1)
-            seen[which, index] = Samples(
-                rows[:N_FEATURES].astype(np.float64), rows[N_FEATURES:].astype(np.int64), every * share
-            )
+            features, known = rows[:N_FEATURES], rows[N_FEATURES:]
+            seen[which, index] = Samples(features.astype(np.float64), known.astype(np.int64), every)
     return seen
 
 
 def _of_lattice(
-    heights: NDArray[np.signedinteger], mask: Mask, stencils: Whole, scale: Scale, every: int
-) -> list[NDArray[np.signedinteger]]:
+    heights: Integers, mask: Mask, stencils: Whole, scale: Scale, every: int
+) -> list[Integers]:
     """Return of each plane of a lattice its samples' features, then what `Samples` have as known.
 
     Shape (N_FEATURES + 5, n), of one row of so many.
@@ -143,24 +135,24 @@ def _of_lattice(
     around = slice(2, n_rows - 2), slice(2, n_cols - 2)
     inner = slice(_TOP, n_rows - _BOTTOM, every), slice(_SIDE, n_cols - _SIDE)
 
-    def near(
-        tap: tuple[int, int, int], of: tuple[slice, slice] = around
-    ) -> NDArray[np.signedinteger]:
+    def near(tap: tuple[int, int, int], of: tuple[slice, slice] = around) -> Integers:
         plane, row, col = tap
         rows, cols = of
         return seen[plane][
-            :, slice(rows.start + row, rows.stop + row, rows.step), cols.start + col : cols.stop + col
+            :,
+            slice(rows.start + row, rows.stop + row, rows.step),
+            cols.start + col : cols.stop + col,
         ]
 
-    def padded(values: NDArray[np.signedinteger]) -> NDArray[np.signedinteger]:
+    def padded(values: Integers) -> Integers:
         whole = np.zeros((len(values), n_rows, n_cols), dtype=values.dtype)
         whole[:, *around] = values
         return whole
 
-    def ranged(values: NDArray[np.signedinteger]) -> NDArray[np.signedinteger]:
+    def ranged(values: Integers) -> Integers:
         return np.minimum(values >> scale.range_shift, cast(scale.most_range))
 
-    def bend(row: int, col: int) -> NDArray[np.signedinteger]:
+    def bend(row: int, col: int) -> Integers:
         far = near((A, -2 * row, -2 * col)) + near((A, 2 * row, 2 * col))
         return abs(far - 4 * (near((A, -row, -col)) + near((A, row, col))) + 6 * near((A, 0, 0)))
 
@@ -225,7 +217,12 @@ class Counter:
 
     @property
     def n_samples(self) -> int:
-        """Return for how many samples of the windows those here stand."""
+        """Return how many samples there are."""
+        return len(self._every)
+
+    @property
+    def n_counted(self) -> int:
+        """Return how many samples they stand for, all of which `counts` counts."""
         return int(self._every.sum())
 
     def _scaled(self, far: Whole) -> Whole:
@@ -235,7 +232,9 @@ class Counter:
 
     def counts(self, tables: Tables) -> Whole:
         """Return how often each symbol comes: shape (N_CONTEXTS, N_SYMBOLS)."""
-        weights = {which: scaled_features(own, self._scale) for which, own in enumerate(tables.features)}
+        weights = {
+            which: scaled_features(own, self._scale) for which, own in enumerate(tables.features)
+        }
         sums = [
             weights[which][index].astype(np.float64) @ features
             for (which, index), features in zip(self._keys, self._features, strict=True)

@@ -148,9 +148,7 @@ def _solved(systems: Reals, wanted: Reals, used: NDArray[np.bool_]) -> Reals:
     both = used[:, :, None] & used[:, None]
     rows = np.concatenate([np.where(both, systems, 0.0), wanted[:, :, None] * used[:, :, None]], 2)
     diagonal = np.arange(N_FEATURES)
-    rows[:, diagonal, diagonal] = np.where(
-        used, rows[:, diagonal, diagonal] * (1 + _RIDGE), 1.0
-    )
+    rows[:, diagonal, diagonal] = np.where(used, rows[:, diagonal, diagonal] * (1 + _RIDGE), 1.0)
     for k in range(N_FEATURES):
         row = rows[:, k, k:] / rows[:, k, k : k + 1]
         rows[:, :, k:] -= rows[:, :, k : k + 1] * row[:, None]
