@@ -18,7 +18,6 @@ from lone_units import (
 
 from terrainwave.codec.rapid import coder as rapid_coder
 from terrainwave.codec.rapid import fit as rapid_fitting
-from terrainwave.codec.rapid import fit_samples as rapid_samples
 from terrainwave.codec.rapid import fit_weights as rapid_weights
 from terrainwave.codec.rapid import trained as rapid_tables
 from terrainwave.codec.rapid.file_tables import (
@@ -41,6 +40,7 @@ from terrainwave.codec.rapid.file_tables import (
 )
 from terrainwave.codec.rapid.fit import codes_for
 from terrainwave.codec.rapid.fit_stencils import FitSamples, _normal, _solved, fit_weights, gather
+from terrainwave.codec.rapid.fit_weights import samples as rapid_samples
 from terrainwave.codec.rapid.layout import (
     CORES,
     F_BEND,
@@ -474,7 +474,9 @@ def test_samples_have_the_contexts_and_symbols_that_the_kernels_give_them(step, 
         mask[20:50, 60:90] = False
     file = FileTables(7, rapid_tables.family_of(step) + family, ((FileStencil(1),) * 3,) * 4, {})
     both = window[None], mask[None]
-    decoded = rapid_fitting._decoded(Tables(file), *both, step)
+    decoded = rapid_fitting._coded(
+        Tables(file), rapid_fitting._Sample(*both, step, 1.0, is_inner=True), map
+    )[1]
     seen = rapid_samples.look_at(decoded, mask[None], Tables(file), step)
     counted = rapid_samples.Counter(seen, step).counts(Tables(file))
     coded = rapid_fitting.count(file, *both, step, is_inner=True)

@@ -105,7 +105,7 @@ def encode(
 
             stats = encode_tiles(job, pyramid, sink, directory, on_samples, executor)
         else:
-            refiner, file_tables = fitted_refiner(job, pyramid.heights, pyramid.mask)
+            refiner, file_tables = fitted_refiner(job, pyramid.heights, pyramid.mask, executor)
             stats, units = _encode_units(job, refiner, pyramid, sink, on_samples, executor)
         if job.options.is_embedded:
             job = job.with_measured(_finest_error(job, stats))

@@ -19,7 +19,7 @@ from terrainwave.codec.rapid.file_tables import (
     Tables,
     are_sound,
 )
-from terrainwave.codec.rapid.fit_samples import Samples, Seen
+from terrainwave.codec.rapid.fit_weights.samples import PlaneSamples, Seen
 from terrainwave.codec.rapid.layout import F_CONST, N_FEATURES, Scale
 from terrainwave.codec.rapid.magnitude import MOST_ERROR, OF_RANGES, scale_of
 
@@ -64,7 +64,7 @@ def fit_magnitude(seen: Seen, tables: Tables, step: int) -> NDArray[np.int64] | 
     return codes if are_sound(codes) else None
 
 
-def _in_steps(samples: Samples, scale: Scale) -> Reals:
+def _in_steps(samples: PlaneSamples, scale: Scale) -> Reals:
     """Return the features of samples, then their errors, in steps: shape (N_FEATURES + 1, n)."""
     units = np.full(N_FEATURES + 1, 2.0**scale.error_shift / scale.step)
     units[list(OF_RANGES)] = 2.0**scale.range_shift / scale.step

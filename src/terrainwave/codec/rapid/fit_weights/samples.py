@@ -56,7 +56,7 @@ _LIMIT32 = (1 << 31) - 64
 _LOW_BITS = np.array([low_bits(context) for context in range(N_CONTEXTS)], dtype=np.int64)
 
 
-class Samples(NamedTuple):
+class PlaneSamples(NamedTuple):
     """Samples of a class and plane.
 
     Attributes
@@ -80,7 +80,7 @@ class Samples(NamedTuple):
         return np.abs(64 * self.known[4] - self.known[0])
 
 
-Seen = dict[tuple[int, int], Samples]
+Seen = dict[tuple[int, int], PlaneSamples]
 
 
 def look_at(decoded: Heights, masks: Mask, tables: Tables, step: int) -> Seen:
@@ -113,14 +113,16 @@ def look_at(decoded: Heights, masks: Mask, tables: Tables, step: int) -> Seen:
         for index in range(len(PLANES)):
             rows = np.concatenate(found[index], axis=1)
             features, known = rows[:N_FEATURES], rows[N_FEATURES:]
-            seen[which, index] = Samples(features.astype(np.float64), known.astype(np.int64), every)
+            seen[which, index] = PlaneSamples(
+                features.astype(np.float64), known.astype(np.int64), every
+            )
     return seen
 
 
 def _of_lattice(
     heights: Integers, mask: Mask, stencils: Whole, scale: Scale, every: int
 ) -> list[Integers]:
-    """Return of each plane of a lattice its samples' features, then what `Samples` have as known.
+    """Return of each plane of a lattice its samples' features, then what is `known` of them.
 
     Shape (N_FEATURES + 5, n), of one row of so many.
     """
