@@ -5,8 +5,9 @@ A coded unit is a root block or a group (the four children of one block). A refi
 neighbour. That is what makes every group decodable from its ancestors alone, in any order.
 """
 
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, Self, runtime_checkable
+from typing import NamedTuple, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,8 @@ from terrainwave.grid.sample_windows import HeightsOf, MaskOf
 Heights = NDArray[np.int32]
 Mask = NDArray[np.bool_]
 Labels = NDArray[np.uint8]
+_T = TypeVar("_T")
+_Made = TypeVar("_Made")
 
 
 class Sides(NamedTuple):
@@ -238,6 +241,14 @@ class DirectRefiner(CorrectingRefiner, Protocol):
         ...
 
 
+class Each(Protocol):
+    """Makes something of each of some things: `map`, or that of an executor, side by side."""
+
+    def __call__(self, make: Callable[[_T], _Made], things: Iterable[_T], /) -> Iterator[_Made]:
+        """Return what `make` returns of each thing, in their order."""
+        ...
+
+
 @runtime_checkable
 class FittingRefiner(Refiner, Protocol):
     """A refiner with tables for the whole file; `file_tables` are their bytes in the header."""
@@ -252,10 +263,12 @@ class FittingRefiner(Refiner, Protocol):
         mask: MaskOf,
         *,
         may_have_reach: bool = True,
+        each: Each = map,
     ) -> "FittingRefiner":
         """Return a refiner with tables fitted to a raster, the same ones on every machine.
 
         `heights` and `mask` return targets and validity of a region of a level; `may_have_reach`
-        says whether tables may be such that readers of format 1.0 don't know them.
+        says whether tables may be such that readers of format 1.0 don't know them. Work is shared
+        out by `each`, which changes nothing of the result.
         """
         ...

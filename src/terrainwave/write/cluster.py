@@ -193,7 +193,7 @@ class DistributedPasses:
         site = Site(self.raster, self.depot, job, self.level, job.options.named_method.name)
         top = self._top_pyramid(site)
         try:
-            refiner, file_tables = fitted_refiner(job, *self._targets(site, top))
+            refiner, file_tables = fitted_refiner(job, *self._targets(site, top), self.executor)
             site = replace(site, file_tables=file_tables)
             sink = SpoolSink(job.grid, self.directory)
             encoder = TreeEncoder(

@@ -65,17 +65,24 @@ class _Taken:
         raise AssertionError(f"{head} is coded by itself")
 
 
-def fitted_refiner(job: Job, heights: HeightsOf, mask: MaskOf) -> tuple[Refiner, bytes]:
+def fitted_refiner(
+    job: Job, heights: HeightsOf, mask: MaskOf, executor: Executor
+) -> tuple[Refiner, bytes]:
     """Return the refiner of a job's method, and the tables that are fitted to the raster.
 
     `heights` and `mask` return targets and validity of a region of a level. The tables are empty
-    where the method has none, or no sample is valid.
+    where the method has none, or no sample is valid. The threads of `executor` fit them.
     """
     refiner = refiner_by_name(job.options.named_method.name)
     if not isinstance(refiner, FittingRefiner) or not job.n_valid:
         return refiner, b""
     fitted = refiner.fitted(
-        job.grid, job.parameters.step, heights, mask, may_have_reach=job.options.may_be_new
+        job.grid,
+        job.parameters.step,
+        heights,
+        mask,
+        may_have_reach=job.options.may_be_new,
+        each=executor.map,
     )
     return fitted, fitted.file_tables
 

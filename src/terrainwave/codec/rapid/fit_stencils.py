@@ -16,7 +16,7 @@ from terrainwave.codec.planes import WHOLE, FileStencil, parity
 from terrainwave.codec.rapid import trained
 from terrainwave.codec.rapid.file_tables import N_CLASSES, PLANES, SHIFTS, core_taps, missing_tap
 from terrainwave.codec.rapid.layout import MAX_TAPS, TAPS
-from terrainwave.codec.refiner import Heights, Mask
+from terrainwave.codec.refiner import Each, Heights, Mask
 
 Reals = NDArray[np.float64]
 Stencils = tuple[tuple[FileStencil, ...], ...]
@@ -61,7 +61,9 @@ class FitSamples(NamedTuple):
         return self.values[:, MAX_TAPS]
 
 
-def candidates(windows: Heights, masks: Mask, step: int, share: float) -> list[Stencils]:
+def candidates(
+    windows: Heights, masks: Mask, step: int, share: float, each: Each = map
+) -> list[Stencils]:
     """Return stencils to try, for each class and plane: trained ones, then fitted ones.
 
     Parameters
@@ -72,12 +74,9 @@ def candidates(windows: Heights, masks: Mask, step: int, share: float) -> list[S
     share : float
         How many samples of the raster one of the windows stands for.
     """
-    samples = {
-        (which, plane): found
-        for which in range(N_CLASSES)
-        for plane in PLANES
-        if (found := gather(plane, windows, masks, which, step)) is not None
-    }
+    keys = [(which, plane) for which in range(N_CLASSES) for plane in PLANES]
+    gathered = each(lambda key: gather(key[1], windows, masks, key[0], step), keys)
+    samples = {key: found for key, found in zip(keys, gathered, strict=True) if found is not None}
     some = {key: judged(found) for key, found in samples.items()}
     best = {key: _best(key[1], found) for key, found in some.items()}
     noise = _noise(some, best) if step > 1 else 0.0

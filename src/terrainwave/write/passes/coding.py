@@ -114,7 +114,7 @@ def encode(
 
             stats = encode_tiles(job, pyramid, sink, directory, on_samples, executor)
         else:
-            refiner, file_tables = _fitted(job, pyramid, kept)
+            refiner, file_tables = _fitted(job, pyramid, kept, executor)
             stats, units = _encode_units(job, refiner, pyramid, sink, on_samples, executor, kept)
         if job.options.is_embedded:
             job = job.with_measured(_finest_error(job, stats))
@@ -134,12 +134,12 @@ def encode(
     return Coded(file_tables, {**sink.spools}, sink.n_bytes + len(file_tables), job)
 
 
-def _fitted(job: Job, pyramid: Pyramid, kept: Kept) -> tuple[Refiner, bytes]:
+def _fitted(job: Job, pyramid: Pyramid, kept: Kept, executor: Executor) -> tuple[Refiner, bytes]:
     """Return the refiner of a job's method, and its tables, which are kept."""
     method = job.options.named_method.name
     name = f"{method}/tables"
     if kept.get(name) is None:
-        refiner, file_tables = fitted_refiner(job, pyramid.heights, pyramid.mask)
+        refiner, file_tables = fitted_refiner(job, pyramid.heights, pyramid.mask, executor)
         kept.put(name, {}, file_tables)
         return refiner, file_tables
     file_tables = kept.data(name)
