@@ -69,7 +69,7 @@ class Known(NamedTuple):
 @kernel
 def code_rows(
     is_encoding, has_void, goal, valid, out, source, corners, lines, finest, coarse_of_finest, core,
-    stride, weights, known, origin, workspace, scale, s, kept, added,
+    stride, weights, known, origin, workspace, scale, s, kept, added, n_wanted,
 ):  # fmt: skip
     """Encode or decode shared samples, then a lattice's samples that are not coarse.
 
@@ -97,6 +97,8 @@ def code_rows(
         What the workspace's heights are less.
     kept, added : ndarray of int32, flat
         `Corrections`: both empty where there are none.
+    n_wanted : int
+        Rows of each lattice that are enough, from the first on.
 
     Notes
     -----
@@ -117,7 +119,7 @@ def code_rows(
         n_rows, n_cols = shape
         n_corner_rows = (corners.shape[0] + MOST_CORNERS - 1) // MOST_CORNERS
         n_before = n_corner_rows + 2 * lines.shape[0]
-        n_turns = ((n_rows + 1) >> 1) + _TURNS_BEFORE + _TURNS_AFTER
+        n_turns = ((min(n_rows, n_wanted) + 1) >> 1) + _TURNS_BEFORE + _TURNS_AFTER
         base = np.int64(_FIRST_LOADED)
         for index in range(n_before + 3 * n_turns):
             is_lattice, is_corner = index >= n_before, index < n_corner_rows
