@@ -59,7 +59,8 @@ _SIDES_KNOWN = Known(3, 3, 3, 3)
 _NO_GOAL = np.zeros(1, dtype=np.int32)
 _NO_LOG = np.zeros(1, dtype=np.uint8)
 _NONE_SHARED = np.zeros((0, 5), dtype=np.int64), np.zeros((0, 9), dtype=np.int64)
-_NO_SLOTS = np.zeros(1, dtype=np.uint8)
+_NO_SLOTS = np.zeros(1, dtype=np.uint32)
+_NO_FREQS = np.zeros(1, dtype=np.uint32)
 # For counting: no symbol is impossible yet.
 _ANY_SYMBOL = np.ones(N_CONTEXTS << SYMBOL_BITS, dtype=np.uint32)
 _NO_WORDS = np.zeros(SPARE_WORDS, dtype=np.uint16)
@@ -302,7 +303,7 @@ class UnitCoder:
             n_states=n_states,
             raw=raw.astype(np.uint32, copy=False),
             n_bits=8 * n_raw,
-            freqs=self._tables.packed_freqs(step),
+            freqs=_NO_FREQS,
             contexts_log=_NO_LOG,
             symbols_log=_NO_LOG,
         )
