@@ -178,18 +178,22 @@ class _Voids:
 
     def __init__(self, region: Region, *, are_all: bool) -> None:
         self.marked = np.ones(region.shape, dtype=np.bool_) if are_all else None
+        self._are_all = are_all
         self._shape = region.shape
         self._lock = threading.Lock()
 
     def note(self, there: tuple[slice, slice], valid: NDArray[np.bool_] | None) -> None:
         """Note which samples of a part of the region are valid; None: all are."""
+        if valid is None and not self._are_all:
+            return
         if self.marked is None:
-            if valid is None:
-                return
             with self._lock:
                 if self.marked is None:
                     self.marked = np.zeros(self._shape, dtype=np.bool_)
-        self.marked[there] = False if valid is None else ~valid
+        if valid is None:
+            self.marked[there] = False
+        else:
+            np.logical_not(valid, out=self.marked[there])
 
 
 def _fill_or_decode(
