@@ -32,7 +32,7 @@ _INVERSES = np.array(
     [-(-(1 << 43) // max(freq, 1)) for freq in range(N_SLOTS + 1)], dtype=np.uint64
 )
 SYMBOL_BITS = 6
-_SYMBOLS, _SYMBOL_MASK = np.uint64(SYMBOL_BITS), np.uint64((1 << SYMBOL_BITS) - 1)
+_SYMBOLS = np.uint64(SYMBOL_BITS)
 # Of what `slots_of` returns: a frequency is at most N_SLOTS.
 _PLACE_SHIFT = SYMBOL_BITS + SLOT_BITS + 1
 _PLACE, _SLOT_FREQ_MASK = np.uint64(_PLACE_SHIFT), np.uint64(2 * N_SLOTS - 1)
@@ -79,21 +79,23 @@ def _decoded(m, place, state, slots, contexts, symbols, words, at):
     """Decode the symbol at `place`, whose state is `state`; return the next state and word."""
     context = np.uint64(m[contexts + place])
     own = np.uint64(slots[(context << _SLOTS) | (state & _SLOT_MASK)])
-    m[symbols + place] = np.int64(own & _SYMBOL_MASK)
+    m[symbols + place] = np.int64(own)  # of which callers take the symbol, many at a time
     state = ((own >> _SYMBOLS) & _SLOT_FREQ_MASK) * (state >> _SLOTS) + (own >> _PLACE)
     is_low = state < _REFILL
     filled = (state << _WORD) | np.uint64(words[at])
     return (filled if is_low else state), at + np.uint64(is_low)
 
 
-@kernel
+@inlined_kernel
 def decode_row(m, contexts, symbols, n, slots, words, word_pos, states, count):
     """Decode `n` symbols, all with states that take turns; return the word after the last.
+
+    What `slots_of` says of each is noted: its lowest SYMBOL_BITS are the symbol.
 
     Parameters
     ----------
     m : ndarray of int
-        Holds the contexts, from place `contexts` on, and takes the symbols, from `symbols` on.
+        Holds the contexts, from place `contexts` on, and takes what is noted, from `symbols` on.
     slots : ndarray of uint32
         `slots_of`.
     words : ndarray of uint16
@@ -137,7 +139,10 @@ def decode_row(m, contexts, symbols, n, slots, words, word_pos, states, count):
 
 @inlined_kernel
 def decode_symbol(m, contexts, symbols, k, slots, words, at, states, which):
-    """Decode symbol `k` of a row with state `which`; return the place of the next word."""
+    """Decode symbol `k` of a row with state `which`, as `decode_row` does.
+
+    Return the place of the next word.
+    """
     states[which], at = _decoded(
         m, np.uint64(k), states[which], slots, contexts, symbols, words, np.uint64(at)
     )

@@ -28,7 +28,7 @@ from terrainwave.coding.rans import N_STATES, SYMBOL_BITS, decode_row, decode_sy
 # Symbols: an escape, then the upper parts of details, -30 … 31.
 ESCAPE, ZERO, N_SYMBOLS = 0, 31, 63
 ESCAPE_BITS = 33
-_FREQ_MASK = np.uint32(0xFFFF)
+_FREQ_MASK, _SYMBOL_MASK = np.uint32(0xFFFF), (1 << SYMBOL_BITS) - 1
 _MASK32 = np.uint64(0xFFFFFFFF)
 # Contexts from this one on have low bits (bin 18 is the first).
 _FIRST_RAW = 4 * 18
@@ -91,6 +91,7 @@ def code_details(m, at, n, to, is_encoding, has_void, scale, s):
 @kernel_part
 def _read_symbols(m, at, n, has_void, places, slots, words, n_words, states, n_states):
     """Decode `SYMBOL`, and `DETAIL` but for raw bits."""
+    cast = m.dtype.type
     start, count = min(places[WORD_POS], n_words), places[COUNT]
     contexts, symbols, valid = at + CONTEXT, at + SYMBOL, at + VALID
     if has_void:
@@ -122,7 +123,9 @@ def _read_symbols(m, at, n, has_void, places, slots, words, n_words, states, n_s
     places[COUNT] = count
     places[WORD_POS] += end - start
     for j in range(n):
-        m[DETAIL + at + j] = m[SYMBOL + at + j] - ZERO
+        symbol = cast(m[symbols + j] & _SYMBOL_MASK)
+        m[symbols + j] = symbol
+        m[DETAIL + at + j] = symbol - ZERO
 
 
 @kernel_part
