@@ -65,7 +65,7 @@ _NO_FREQS = np.zeros(1, dtype=np.uint32)
 _ANY_SYMBOL = np.ones(N_CONTEXTS << SYMBOL_BITS, dtype=np.uint32)
 _NO_WORDS = np.zeros(SPARE_WORDS, dtype=np.uint16)
 # The validity of units without voids, which no kernel looks at.
-_NO_MASK = np.ones(1, dtype=np.bool_)
+_NO_MASK = np.ones(1, dtype=np.uint8)
 _LIMIT32 = (1 << 31) - 64
 _MOST_NARROW_STEP = 1 << 24
 
@@ -113,7 +113,7 @@ class _Unit(NamedTuple):
     spec: GroupSpec
     is_encoding: bool
     goal: NDArray[np.int32]
-    valid: NDArray[np.bool_]
+    valid: NDArray[np.uint8]  # 1 or 0
     has_void: bool
     out: NDArray[np.int32]
     origin: int
@@ -346,7 +346,7 @@ class UnitCoder:
             spec=spec,
             is_encoding=target is not None,
             goal=_NO_GOAL if target is None else target.ravel(),
-            valid=_NO_MASK if mask is None else mask.ravel(),
+            valid=_NO_MASK if mask is None else mask.ravel().view(np.uint8),
             has_void=mask is not None,
             out=out.ravel(),
             origin=origin,

@@ -152,15 +152,19 @@ def code_rows(
                     first = stop = np.int64(n)
                 _load_known(m, own, out, start, spacing, origin, first, stop, np.int64(n), scale)
             fill_contexts(m, workspace.reals, workspace.bits_of_reals, n, plane, scale)
+            is_void_there = has_void
             if is_corner:
                 _take_corners(m, goal, valid, corners, start, stop, origin, is_encoding, has_void)
             elif is_encoding or has_void:
                 _take_row(
                     m, goal, valid, start, spacing, first, stop, origin, is_encoding, has_void
                 )
+                is_void_there = has_void and _has_void(m, first, stop)
             if stop > first:
                 n_coded = np.uint64(stop - first)
-                code_details(m, np.uint64(first), n_coded, own, is_encoding, has_void, scale, s)
+                code_details(
+                    m, np.uint64(first), n_coded, own, is_encoding, is_void_there, scale, s
+                )
                 if added.shape[0] > 0:
                     _correct(
                         m, own, kept, added, corners, is_corner, start, spacing, first, stop,
@@ -259,8 +263,21 @@ def _take_row(m, goal, valid, start, spacing, first, stop, origin, is_encoding, 
         for j in range(first, stop):
             m[GOAL + np.uint64(j)] = np.int64(goal[np.uint64(start + j * spacing)]) - origin
     if has_void:
-        for j in range(first, stop):
-            m[VALID + np.uint64(j)] = valid[np.uint64(start + j * spacing)]
+        if spacing == 2:  # rows of all but root blocks: known, it makes a loop of vectors
+            for j in range(np.uint64(first), np.uint64(stop)):
+                m[VALID + j] = valid[np.uint64(start) + j * np.uint64(2)]
+        else:
+            for j in range(first, stop):
+                m[VALID + np.uint64(j)] = valid[np.uint64(start + j * spacing)]
+
+
+@kernel_part
+def _has_void(m, first, stop):
+    """Return whether a sample `first` … ``stop - 1`` of a row is void, as `VALID` has it."""
+    least = m.dtype.type(1)
+    for j in range(np.uint64(first), np.uint64(stop)):
+        least = min(least, m[VALID + j])
+    return least == 0
 
 
 @kernel_part
