@@ -313,7 +313,9 @@ def test_any_parameters_give_tables_or_our_own_error(layout, section):
     )
     slots = tables.slots(1)
     assert slots.shape == (N_CONTEXTS << 11,)
-    assert slots.max() < N_SYMBOLS
+    symbols, freqs, places = slots & 63, slots >> 6 & 4095, slots >> 18
+    assert symbols.max() < N_SYMBOLS
+    assert (places < freqs).all()
 
 
 def most(tables, step):

@@ -22,7 +22,7 @@ from terrainwave.codec.rapid.layout import (
     LEAST,
     MOST,
     N_FEATURES,
-    OWN_WEIGHTS,
+    OF_FEATURES,
     PREDICTED,
     RANGE_SHIFT,
     SHIFT_MASK,
@@ -48,7 +48,7 @@ _FINE_STEP = 3  # up to this step the prediction's fraction matters
 MOST_ERROR = (1 << 18) - 1
 MOST_FAR = (1 << 20) - 1
 OF_RANGES = (F_RANGE, F_TWIST, F_BEND)
-_OWN_WEIGHTS, _U1, _U2 = np.uint64(OWN_WEIGHTS), np.uint64(1), np.uint64(2)
+_F_CONST, _F_RANGE, _F_TWIST = np.uint64(F_CONST), np.uint64(F_RANGE), np.uint64(F_TWIST)
 
 
 def scale_of(step: int, low: int, high: int, is_by_reach: bool) -> Scale:
@@ -106,8 +106,8 @@ def _expect(m, reals, n, plane, scale):
     """
     cast, shift = m.dtype.type, m[RANGE_SHIFT] & SHIFT_MASK
     most = cast(scale.most_range)
-    w = WEIGHTS[plane] + _OWN_WEIGHTS
-    of_const, of_range, of_twist = m[w], m[w + _U1], m[w + _U2]
+    w = WEIGHTS[plane] + OF_FEATURES
+    of_const, of_range, of_twist = m[w + _F_CONST], m[w + _F_RANGE], m[w + _F_TWIST]
     for j in range(n):
         low, high = m[LEAST + j], m[MOST + j]
         wide = min(cast(cast(high - low) >> shift), most)
@@ -115,7 +115,7 @@ def _expect(m, reals, n, plane, scale):
         total = cast(m[EXPECTED + j] + of_const + of_range * wide + of_twist * twist)
         e = cast(total >> EXPECTED_SHIFT)
         m[EXPECTED + j] = e
-        reals[j] = e & cast(~DROPPED) if e >= EXACT else e
+        reals[j] = cast(e & cast(~DROPPED)) if e >= EXACT else e
         predicted = min(max(m[PREDICTED + j], cast(low << 6)), cast(high << 6))
         m[PREDICTED + j] = predicted
         m[WHOLE + j] = cast(predicted + 32) >> 6
