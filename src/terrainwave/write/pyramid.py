@@ -171,10 +171,7 @@ class Pyramid:
             region = self._inside(shift, self._part.push_region(shift) if self._part else None)
             self._fills[shift] = self._new_spool(region, np.int32)
             self._known[shift] = self._new_spool(region, np.bool_)
-            for window in region.tiles(TILE, TILE):
-                values, known = self._pushed(shift, window)
-                self._fills[shift].write(window, values)
-                self._known[shift].write(window, known)
+            self._in_windows(region, partial(self._push_window, shift))
 
     def pushed(self, shift: int, region: Region) -> tuple[Heights, Mask]:
         """Return averages of valid heights and where they are known, before `pull`."""
@@ -193,12 +190,7 @@ class Pyramid:
             self._fills[top] = coarsest
         for finer in range(top - 1, max(self._first - 1, 0), -1):
             region = self._inside(finer, self._part.fill_region(finer) if self._part else None)
-            for window in region.tiles(TILE, TILE):
-                known = self._known[finer].read(window)
-                if not known.all():
-                    values = self._fills[finer].read(window)
-                    self._fill(finer, window, values, known)
-                    self._fills[finer].write(window, values)
+            self._in_windows(region, partial(self._pull_window, finer))
         for spool in self._known.values():
             spool.close()
 
@@ -378,6 +370,18 @@ class Pyramid:
             mask |= touched[:, col:][:, cols][:, ::2]
         return mask
 
+    def _push_window(self, shift: int, window: Region) -> None:
+        values, known = self._pushed(shift, window)
+        self._fills[shift].write(window, values)
+        self._known[shift].write(window, known)
+
+    def _pull_window(self, shift: int, window: Region) -> None:
+        known = self._known[shift].read(window)
+        if not known.all():
+            values = self._fills[shift].read(window)
+            self._fill(shift, window, values, known)
+            self._fills[shift].write(window, values)
+
     def _pushed(self, shift: int, region: Region) -> tuple[Heights, Mask]:
         window = Region(
             2 * region.row - 1, 2 * region.col - 1, 2 * region.n_rows + 1, 2 * region.n_cols + 1
@@ -438,7 +442,9 @@ class Pyramid:
         return repeated
 
     def _for_each_window(self, spool: Spool, make: Callable[[Region], NDArray[np.generic]]) -> None:
-        for _ in self._executor.map(
-            lambda region: spool.write(region, make(region)), spool.region.tiles(TILE, TILE)
-        ):
+        self._in_windows(spool.region, lambda region: spool.write(region, make(region)))
+
+    def _in_windows(self, region: Region, work: Callable[[Region], None]) -> None:
+        """Do work for each window of a region, side by side."""
+        for _ in self._executor.map(work, region.tiles(TILE, TILE)):
             pass
