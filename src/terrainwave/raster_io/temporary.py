@@ -14,7 +14,7 @@ from terrainwave.container.spool import TEMPORARY_ADVICE, cannot_write, storage_
 from terrainwave.grid.quadtree import Region
 
 # Arrays up to this many bytes are held in memory: below it the disk would only cost time.
-MEMORY_LIMIT = 32 << 20
+MEMORY_LIMIT = 20 << 20
 TILE = 256
 
 

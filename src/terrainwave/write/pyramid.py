@@ -200,19 +200,17 @@ class Pyramid:
             shift += 1
             region = self._inside(shift, self._part.push_region(shift) if self._part else None)
             fills = self._fills[shift] = self._new_spool(region, np.int32, f"fills-{shift}")
-            knowns = self._known[shift] = self._new_spool(region, np.bool_, f"known-{shift}")
+            known = self._known[shift] = self._new_spool(region, np.bool_, f"known-{shift}")
 
             def fill(
-                window: Region, even: Even, fills: Spool = fills, knowns: Spool = knowns
+                window: Region, even: Even, fills: Spool = fills, known: Spool = known
             ) -> None:
                 fills.fill(window, even.value)
-                knowns.fill(window, even.is_valid)
+                known.fill(window, even.is_valid)
 
             windows = _uneven(region, partial(self._even, shift), fill)
-            for window in self.kept.each(f"push-{shift}", (fills, knowns), windows):
-                values, known = self._pushed(shift, window)
-                fills.write(window, values)
-                knowns.write(window, known)
+            work = partial(self._push_window, shift)
+            self._in_windows(f"push-{shift}", (fills, known), windows, work)
 
     def pushed(self, shift: int, region: Region) -> tuple[Heights, Mask]:
         """Return averages of valid heights and where they are known, before `pull`."""
@@ -233,12 +231,8 @@ class Pyramid:
             region = self._inside(finer, self._part.fill_region(finer) if self._part else None)
             spools = self._fills[finer], self._known[finer]
             windows = _uneven(region, partial(self._unread, finer), lambda *_: None)
-            for window in self.kept.each(f"pull-{finer}", spools, windows):
-                known = self._known[finer].read(window)
-                if not known.all():
-                    values = self._fills[finer].read(window)
-                    self._fill(finer, window, values, known)
-                    self._fills[finer].write(window, values)
+            work = partial(self._pull_window, finer)
+            self._in_windows(f"pull-{finer}", spools, windows, work)
         for spool in self._known.values():
             spool.close()
 
@@ -475,6 +469,18 @@ class Pyramid:
             mask |= touched[:, col:][:, cols][:, ::2]
         return mask
 
+    def _push_window(self, shift: int, window: Region) -> None:
+        values, known = self._pushed(shift, window)
+        self._fills[shift].write(window, values)
+        self._known[shift].write(window, known)
+
+    def _pull_window(self, shift: int, window: Region) -> None:
+        known = self._known[shift].read(window)
+        if not known.all():
+            values = self._fills[shift].read(window)
+            self._fill(shift, window, values, known)
+            self._fills[shift].write(window, values)
+
     def _pushed(self, shift: int, region: Region) -> tuple[Heights, Mask]:
         window = Region(
             2 * region.row - 1, 2 * region.col - 1, 2 * region.n_rows + 1, 2 * region.n_cols + 1
@@ -541,8 +547,17 @@ class Pyramid:
         make: Callable[[Region], NDArray[np.generic]],
         windows: Iterable[Region],
     ) -> None:
-        made = partial(self._executor.map, lambda region: spool.write(region, make(region)))
-        for _ in self.kept.each(name, [spool], windows, made):
+        self._in_windows(name, [spool], windows, lambda region: spool.write(region, make(region)))
+
+    def _in_windows(
+        self,
+        name: str,
+        spools: Sequence[Spool],
+        windows: Iterable[Region],
+        work: Callable[[Region], None],
+    ) -> None:
+        """Do work for windows, side by side, but for those that an earlier run has finished."""
+        for _ in self.kept.each(name, spools, windows, partial(self._executor.map, work)):
             pass
 
 

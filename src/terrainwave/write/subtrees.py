@@ -3,7 +3,7 @@
 A task reads a part of the raster and what other tasks have left in the depot, leaves its own
 results there and returns a few numbers: whoever shares out the tasks (`cluster`) sees no
 heights and no payloads. A task can be run again, and gives the same bytes. It works in one thread;
-memory is bounded by the subtree's levels in spools of 8 MiB each, the rest on the machine's disk.
+memory is bounded by the subtree's levels in spools of 20 MiB each, the rest on the machine's disk.
 """
 
 import os

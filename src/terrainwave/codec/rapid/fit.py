@@ -125,6 +125,11 @@ class _Looked(NamedTuple):
     step: int
     share: float
     alone: float
+    each: Each
+
+    def costs(self, tables: list[FileTables]) -> list[float]:
+        """Return about what the file costs with each of these tables (`cost`)."""
+        return list(self.each(self.cost, tables))
 
     def cost(self, tables: FileTables) -> float:
         """Return about what the file costs with tables of the same stencils, in 1/64 bit."""
@@ -143,11 +148,11 @@ def _look(tables: FileTables, sample: "_Sample", each: Each) -> _Looked:
     if sample.step > 1:
         some = _Sample(windows, masks, sample.step, sample.share, is_inner=True)
         windows = _coded(read, some, each)[1]
-    seen = look_at(windows, masks, read, sample.step)
+    seen = look_at(windows, masks, read, sample.step, each)
     counter = Counter(seen, sample.step)
     n_samples = sample.share * sample.windows.size / windows.size * np.count_nonzero(masks)
     share, alone = (n_samples / max(n, 1) for n in (counter.n_counted, counter.n_samples))
-    return _Looked(seen, counter, sample.step, share, alone)
+    return _Looked(seen, counter, sample.step, share, alone, each)
 
 
 def _with_contexts(
@@ -157,16 +162,24 @@ def _with_contexts(
 
     And the best of those without weights of their own.
     """
-    best, least = tables, looked.cost(tables)
+    families = _families(tables)[: 4 if may_have_reach else 2]
+    plain, featured, *by_reach = looked.costs([tables._replace(family=own) for own in families])
     # Other features, then what takes a reader of format 1.1: other contexts, which take a little
     # longer to decode, and weights of the file's own.
-    others = [(N_STEPS, 0.0), (trained.N_FAMILIES, _SAVED_BY_REACH)]
-    for n_families, share_saved in others if may_have_reach else others[:1]:
-        other = best._replace(family=best.family + n_families)
-        cost = looked.cost(other)
-        if cost < least * (1 - share_saved):
-            best, least = other, cost
-    return _with_weights(best, least, looked) if may_have_reach else best, best
+    has_others = featured < plain
+    best, least = tables._replace(family=families[has_others]), min(plain, featured)
+    if may_have_reach:
+        cost = by_reach[has_others]
+        if cost < least * (1 - _SAVED_BY_REACH):
+            best, least = best._replace(family=families[2 + has_others]), cost
+        return _with_weights(best, least, looked), best
+    return best, best
+
+
+def _families(tables: FileTables) -> list[int]:
+    """Return the families of a step: with each table of features by the mean, then by reach."""
+    first, reach = tables.family % N_STEPS, trained.N_FAMILIES
+    return [first, first + N_STEPS, first + reach, first + N_STEPS + reach]
 
 
 def _with_weights(tables: FileTables, least: float, looked: _Looked) -> FileTables:
@@ -178,19 +191,22 @@ def _with_weights(tables: FileTables, least: float, looked: _Looked) -> FileTabl
     if weights is None:
         return tables
     best, smallest, reach = tables, np.inf, trained.N_FAMILIES
-    first = tables.family % N_STEPS
-    families = [first, first + N_STEPS, first + reach, first + N_STEPS + reach]
-    for n_classes in (N_CLASSES, 2, 1):
-        for family in families:
+    families = _families(tables)
+    for some_classes in ((N_CLASSES,), (2, 1)):
+        others = [
+            tables._replace(family=family, weights=weights[:n_classes])
+            for n_classes in some_classes
+            for family in families
+        ]
+        for other, cost in zip(others, looked.costs(others), strict=True):
             if tables.family >= reach:  # the file takes a reader of format 1.1 anyway
                 most = least
             else:
-                most = least * (1 - (_SAVED_BY_REACH if family >= reach else _SAVED_BY_WEIGHTS))
-            other = tables._replace(family=family, weights=weights[:n_classes])
-            cost = looked.cost(other)
+                is_more = other.family >= reach
+                most = least * (1 - (_SAVED_BY_REACH if is_more else _SAVED_BY_WEIGHTS))
             if cost < min(most, smallest):
                 best, smallest = other, cost
-        families = [tables.family if best is tables else best.family]
+        families = [best.family]
     return best
 
 

@@ -41,7 +41,7 @@ from terrainwave.codec.rapid.magnitude import (
     scaled_features,
 )
 from terrainwave.codec.rapid.symbols import ESCAPE, N_SYMBOLS, ZERO, low_bits
-from terrainwave.codec.refiner import Heights, Mask
+from terrainwave.codec.refiner import Each, Heights, Mask
 from terrainwave.coding.rans import SYMBOL_BITS
 
 Whole = NDArray[np.int64]
@@ -83,7 +83,7 @@ class PlaneSamples(NamedTuple):
 Seen = dict[tuple[int, int], PlaneSamples]
 
 
-def look_at(decoded: Heights, masks: Mask, tables: Tables, step: int) -> Seen:
+def look_at(decoded: Heights, masks: Mask, tables: Tables, step: int, each: Each = map) -> Seen:
     """Return samples of each class and plane of windows that have been coded with `tables`.
 
     Not those near the sides, nor void ones; some of them where there are many.
@@ -101,8 +101,8 @@ def look_at(decoded: Heights, masks: Mask, tables: Tables, step: int) -> Seen:
     farthest = max(int(decoded.max()) - middle, middle - int(decoded.min()))
     dtype = np.int32 if farthest * max(widest, 64) < _LIMIT32 else np.int64
     heights = np.subtract(decoded, middle, dtype=dtype)
-    seen: Seen = {}
-    for which in range(N_CLASSES):
+
+    def see(which: int) -> Seen:
         found: list[list[Integers]] = [[] for _ in PLANES]
         every = max(-(-heights[:, :: 1 << which, :: 1 << which].size // (4 * _MOST_SAMPLES)), 1)
         for depth in CLASS_DEPTHS[which]:
@@ -110,13 +110,16 @@ def look_at(decoded: Heights, masks: Mask, tables: Tables, step: int) -> Seen:
             lattice = _of_lattice(heights[part], masks[part], tables.stencils[which], scale, every)
             for index, rows in enumerate(lattice):
                 found[index].append(rows)
+        seen: Seen = {}
         for index in range(len(PLANES)):
             rows = np.concatenate(found[index], axis=1)
             features, known = rows[:N_FEATURES], rows[N_FEATURES:]
             seen[which, index] = PlaneSamples(
                 features.astype(np.float64), known.astype(np.int64), every
             )
-    return seen
+        return seen
+
+    return {key: found for seen in each(see, range(N_CLASSES)) for key, found in seen.items()}
 
 
 def _of_lattice(
