@@ -294,8 +294,8 @@ class TreeDecoder:
 def _n_bytes(unit: Decoded) -> int:
     """Return the memory that a unit keeps, rows that it has no heights of included."""
     owner = unit.heights.base
-    n_left = owner.nbytes - unit.heights.nbytes if isinstance(owner, np.ndarray) else 0
-    return unit.nbytes + n_left
+    n_bytes = owner.nbytes if isinstance(owner, np.ndarray) else 0
+    return unit.nbytes + max(n_bytes - unit.heights.nbytes, 0)
 
 
 def _part(
