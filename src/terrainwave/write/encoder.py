@@ -25,7 +25,7 @@ from terrainwave.grid.block_stats import (
     measure_samples,
 )
 from terrainwave.grid.parameters import CodecParameters
-from terrainwave.grid.quadtree import Block, Grid, Region
+from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid, Region
 from terrainwave.grid.sample_windows import HeightsOf, MaskOf
 from terrainwave.mesh.blocks import has_mesh
 from terrainwave.write.job import Job
@@ -114,6 +114,9 @@ class UnitEncoder(ABC):
         self._on_samples = on_samples
         self._on_unit = on_unit
         self._last_level = grid.k_max if last_level is None else last_level
+        # Called, from any thread, with the head of a finest segment all of whose units are coded,
+        # and what was measured of the blocks below it, which is not kept then.
+        self.on_segment: Callable[[Block, Stats], None] | None = None
         self._stats: Stats = {}
         self._lock = threading.Lock()
         self._is_stopped = False
@@ -156,6 +159,18 @@ class UnitEncoder(ABC):
         for start in self._encode_unit(key, parent, chain):
             if not self._is_stopped:
                 self._encode_subtree(*start)
+        is_finest = key.level == self._grid.k_max - SEGMENT_LEVELS
+        if self.on_segment is not None and is_finest and not self._is_stopped:
+            if self._grid.segment_head(key) == key:
+                self.on_segment(key, self._taken_below(key))
+
+    def _taken_below(self, head: Block) -> Stats:
+        """Take what was measured of the blocks of a segment, in which nothing comes any more."""
+        blocks = [
+            block for key in self._grid.segment_groups(head) for block in self._grid.children(key)
+        ]
+        with self._lock:
+            return {block: self._stats.pop(block) for block in blocks if block in self._stats}
 
     def _is_known(self, key: Block, parent: Decoded | None, chain: list[Ancestor]) -> bool:
         """Say whether the source knows all below a block to be void, or of one height.

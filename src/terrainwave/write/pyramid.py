@@ -47,6 +47,8 @@ _EVEN_MARGIN = 2
 # So far from valid samples nothing reads fills, in sides of windows or blocks: a unit has two
 # blocks a side, and a window is made of one of twice its side on the level below.
 _FILL_MARGIN = 3
+# Windows that wait for a thread at a time: what waits takes more memory than a window's place.
+_BATCH = 4096
 # Stands for a void among heights, which are far from it.
 _UNKNOWN = np.int32(UNKNOWN)
 
@@ -525,5 +527,7 @@ class Pyramid:
         make: Callable[[Region], NDArray[np.generic]],
         windows: list[Region],
     ) -> None:
-        for _ in self._executor.map(lambda region: spool.write(region, make(region)), windows):
-            pass
+        for first in range(0, len(windows), _BATCH):
+            batch = windows[first : first + _BATCH]
+            for _ in self._executor.map(lambda region: spool.write(region, make(region)), batch):
+                pass

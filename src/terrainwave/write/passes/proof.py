@@ -1,9 +1,9 @@
 """Pass C: a finished file, decoded from disk, against the raster it was made of."""
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
-from typing import NamedTuple
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,8 @@ OUR_FAULT = (
 # Samples per side of the windows that are compared, where groups are smaller than that.
 _PROOF_SIDE = 512
 _CACHE_BYTES = 64 << 20
+# Windows that are shared out at a time.
+_BATCH = 4096
 
 
 def proof_windows(grid: Grid, within: Region | None = None) -> list[Region]:
@@ -45,40 +47,35 @@ def proof_shares(grid: Grid, windows: list[Region] | None = None) -> list[list[R
     return shares_of(windows, lambda window: (window.row // side, window.col // side))
 
 
-class Unproved(NamedTuple):
-    """What has to be compared of a file whose source knows some of its windows.
-
-    `heads` are those of segments on whose every sample the source has one height.
-    """
-
-    windows: list[Region]
-    heads: list[Block]
-
-
 def unproved(
     terrain: TerrainFile, source: IndexedWindows, grid: Grid, within: Region | None = None
-) -> Unproved:
-    """Return what has to be compared: all but where source and file are both void.
+) -> Iterator[Region | Block]:
+    """Yield what has to be compared: all but where source and file are both void.
 
-    Of voids that the source knows, the file's index proves the most; windows in which the file has
-    heights there are compared.
+    Windows, and heads of segments on whose every sample the source has one height. Of voids that
+    the source knows, the file's index proves the most; windows in which the file has heights there
+    are compared.
     """
     side, level = _side_of(grid), grid.k_max - SEGMENT_LEVELS
     head_side = grid.block << SEGMENT_LEVELS
-    found = Unproved([], [])
     whole = within or Region(0, 0, grid.n_rows, grid.n_cols)
     for part, even in even_parts(whole, side, source.even):
         if even is not None and not even.is_valid:
-            found.windows.extend(terrain.coded_parts(part))
+            yield from terrain.coded_parts(part)
             continue
         for window in part.tiles(head_side, head_side):
             head = Block(level, window.row // head_side, window.col // head_side)
             is_one = even is not None and level in grid.segment_levels()
             if is_one and _is_inside(grid, head, window) and source.even(_around(grid, head)):
-                found.heads.append(head)
+                yield head
             else:
-                found.windows.extend(window.tiles(side, side))
-    return found
+                yield from window.tiles(side, side)
+
+
+def _n_samples(grid: Grid, one: Region | Block) -> int:
+    if isinstance(one, Block):
+        return (grid.block << SEGMENT_LEVELS) ** 2
+    return one.n_rows * one.n_cols
 
 
 def _is_inside(grid: Grid, head: Block, window: Region) -> bool:
@@ -117,6 +114,13 @@ class Comparison:
             (compare_window(self._terrain, self._source, one, self._allowed) for one in windows),
             default=0.0,
         )
+
+    def all(self, whole: Iterable[Region | Block]) -> float:
+        """Return the largest error in windows and segments, as `unproved` yields them."""
+        errors = (
+            self.segment(one) if isinstance(one, Block) else self.windows([one]) for one in whole
+        )
+        return max(errors, default=0.0)
 
     def segment(self, head: Block) -> float:
         """Return the largest error below a block of whose every sample the source has one height.
@@ -244,22 +248,19 @@ def prove(
     allowed = allowed_error(job.quantizer, job.raw_bound, job.effective_error)
     largest = 0.0
     with TerrainFile(path, threads=1, cache_bytes=_CACHE_BYTES, native=False) as terrain:
-        windows, heads = unproved(terrain, source, grid)
-        shares = proof_shares(grid, windows)
-
         comparison = Comparison(terrain, source, allowed)
-        head_samples = (grid.block << SEGMENT_LEVELS) ** 2
+        whole = unproved(terrain, source, grid)
         total = grid.n_rows * grid.n_cols
-        done = total - sum(one.n_rows * one.n_cols for one in windows) - len(heads) * head_samples
-
-        def take(n_samples: int, error: float) -> None:
-            nonlocal done, largest
-            largest = max(largest, error)
-            done += n_samples
-            reporter.report("proving", done, total, done * np.dtype(job.info.dtype).itemsize)
-
-        for error in executor.map(comparison.segment, heads):
-            take(head_samples, error)
-        for share, error in zip(shares, executor.map(comparison.windows, shares), strict=True):
-            take(sum(region.n_rows * region.n_cols for region in share), error)
+        count = reporter.counter("proving", total, np.dtype(job.info.dtype).itemsize)
+        # Not all at once: of a large raster they are millions.
+        while batch := list(islice(whole, _BATCH)):
+            windows = [one for one in batch if isinstance(one, Region)]
+            shares: list[Sequence[Region | Block]] = [
+                *([one] for one in batch if isinstance(one, Block)),
+                *proof_shares(grid, windows),
+            ]
+            for share, error in zip(shares, executor.map(comparison.all, shares), strict=True):
+                largest = max(largest, error)
+                count(sum(_n_samples(grid, one) for one in share))
+        count(total)  # what is void
     return measured_error(largest, job.quantizer)
