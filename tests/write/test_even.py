@@ -294,3 +294,17 @@ def test_tiles_of_a_geotiff_that_are_void_take_no_bytes(tiles, tmp_path):
             for (row, col), _ in back.block_windows(1)
         ]
     assert sum(offset is not None for offset in offsets) < len(offsets) // 3
+
+
+def test_an_index_that_is_wrong_is_found_by_the_proof(tiles, tmp_path, monkeypatch):
+    # As if the tile were not where the VRT says.
+    even = RasterSource.even
+
+    def wrong(self, region):
+        moved = region._replace(row=max(region.row - 600, 0))
+        return even(self, moved)
+
+    monkeypatch.setattr(RasterSource, "even", wrong)
+    with pytest.raises(tw.BoundViolationError, match="index"):
+        tw.compress(sources_of(tiles)["vrt"], tmp_path / "a.twz", block=32)
+    assert not (tmp_path / "a.twz").exists()

@@ -71,6 +71,10 @@ class IndexedWindows(SourceWindows, Protocol):
         """Return what all samples of a region of the full grid are; None: only reading tells."""
         ...
 
+    def holds(self, region: Region, even: Even) -> bool:
+        """Say whether some samples of a region, read, are that."""
+        ...
+
 
 class SubtreeRegion(NamedTuple):
     """A region of the full grid whose levels down to `shift` are made, each with an apron of 1.

@@ -54,12 +54,22 @@ def unproved(
 
     Windows, and heads of segments on whose every sample the source has one height. Of voids that
     the source knows, the file's index proves the most; windows in which the file has heights there
-    are compared.
+    are compared. Some samples of what the source knows are read all the same.
+
+    Raises
+    ------
+    BoundViolationError
+        If one of these is not what the source knows.
     """
     side, level = _side_of(grid), grid.k_max - SEGMENT_LEVELS
     head_side = grid.block << SEGMENT_LEVELS
     whole = within or Region(0, 0, grid.n_rows, grid.n_cols)
     for part, even in even_parts(whole, side, source.even):
+        if even is not None and not source.holds(part, even):
+            raise BoundViolationError(
+                f"the source's index and its heights differ within {part.n_rows} x {part.n_cols}"
+                f" samples from row {part.row}, column {part.col}; {OUR_FAULT}"
+            )
         if even is not None and not even.is_valid:
             yield from terrain.coded_parts(part)
             continue
