@@ -70,6 +70,7 @@ OpenTerrain = Callable[..., RasterBackend]
 _NARROW_COLS = 1024
 # Samples a side of the smallest parts of windows that are asked whether they are even.
 _EVEN_SIDE = 512
+_BAND_ROWS = 4096
 
 
 class RasterSource:
@@ -312,7 +313,20 @@ class RasterSource:
 
         A window of which a part is even comes in several.
         """
+        bands: dict[int, Even | None] = {}
+        band = Region(0, 0, 0, 0)
         for block in self.blocks():
+            # Blocks may be thousands of times as wide as high: many below each other at a time.
+            if block.row + block.n_rows > band.row + band.n_rows:
+                bands.clear()
+                n_rows = max(block.n_rows, min(_BAND_ROWS, self.info.n_rows - block.row))
+                band = Region(block.row, 0, n_rows, self.info.n_cols)
+            if block.col not in bands:
+                bands[block.col] = self.even(band._replace(col=block.col, n_cols=block.n_cols))
+            even = bands[block.col]
+            if even is not None:
+                yield block, even
+                continue
             parts = list(even_parts(block, _EVEN_SIDE, self.even))
             if all(even is None for _, even in parts):
                 yield block, None
