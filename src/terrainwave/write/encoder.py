@@ -29,8 +29,8 @@ from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid, Region
 from terrainwave.grid.sample_windows import HeightsOf, MaskOf
 from terrainwave.mesh.blocks import has_mesh
 from terrainwave.write.job import Job
+from terrainwave.write.passes.repeats import RepeatingSink, Repeats
 from terrainwave.write.pyramid import Pyramid
-from terrainwave.write.repeats import RepeatingSink, Repeats
 
 # The first levels are walked breadth first until there are this many subtrees to share out.
 _MIN_SUBTREES = 8

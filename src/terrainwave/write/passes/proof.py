@@ -15,7 +15,7 @@ from terrainwave.grid.quantum import Quantizer
 from terrainwave.grid.shares import shares_of
 from terrainwave.progress import Reporter
 from terrainwave.raster_io.even import even_parts
-from terrainwave.read.alike import Content, content_of
+from terrainwave.read.coded import Content, content_of
 from terrainwave.write.job import Job
 from terrainwave.write.pyramid import IndexedWindows, SourceWindows
 
@@ -91,7 +91,7 @@ def _n_samples(grid: Grid, one: Region | Block) -> int:
 def _is_inside(grid: Grid, head: Block, window: Region) -> bool:
     """Say whether a window is all that a block has for itself, and has neighbours on all sides."""
     row, col, n_rows, n_cols = grid.full_region(head)
-    around = (Block(head.level, head.row + step, head.col + step) for step in (-1, 1))
+    around = (Block(head.level, head.row + by, head.col + by) for by in (-1, 1))
     return window == (row, col, n_rows - 1, n_cols - 1) and all(map(grid.contains, around))
 
 
