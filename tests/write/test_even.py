@@ -9,7 +9,7 @@ from rasterio.transform import Affine
 from strategies import terrain_like
 
 import terrainwave as tw
-from terrainwave.grid.quadtree import Region
+from terrainwave.grid.quadtree import Block, Region
 from terrainwave.raster_io.even import even_parts
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.read import decoder as decoder_module
@@ -244,7 +244,9 @@ def test_segments_of_sea_are_proved_by_their_bytes(sea, monkeypatch):
 
     monkeypatch.setattr(proof, "compare_window", counted)
     with RasterSource(sea[0], warn=False) as source, tw.open(sea[1]) as terrain:
-        windows, heads = proof.unproved(terrain, source, terrain.grid)
+        found = list(proof.unproved(terrain, source, terrain.grid))
+        windows = [one for one in found if isinstance(one, Region)]
+        heads = [one for one in found if isinstance(one, Block)]
         comparison = proof.Comparison(terrain, source, 0.0)
         assert len(heads) > 5
         assert max(map(comparison.segment, heads)) == 0
@@ -255,7 +257,8 @@ def test_segments_of_sea_are_proved_by_their_bytes(sea, monkeypatch):
 
 def test_a_segment_of_sea_with_other_bytes_is_decoded(sea, monkeypatch):
     with RasterSource(sea[0], warn=False) as source, tw.open(sea[1]) as terrain:
-        _, heads = proof.unproved(terrain, source, terrain.grid)
+        found = proof.unproved(terrain, source, terrain.grid)
+        heads = [one for one in found if isinstance(one, Block)]
         comparison = proof.Comparison(terrain, source, 0.0)
         comparison.segment(heads[0])
         content = proof.content_of(terrain.container, terrain.decoder, heads[1])
@@ -291,3 +294,17 @@ def test_tiles_of_a_geotiff_that_are_void_take_no_bytes(tiles, tmp_path):
             for (row, col), _ in back.block_windows(1)
         ]
     assert sum(offset is not None for offset in offsets) < len(offsets) // 3
+
+
+def test_an_index_that_is_wrong_is_found_by_the_proof(tiles, tmp_path, monkeypatch):
+    # As if the tile were not where the VRT says.
+    even = RasterSource.even
+
+    def wrong(self, region):
+        moved = region._replace(row=max(region.row - 600, 0))
+        return even(self, moved)
+
+    monkeypatch.setattr(RasterSource, "even", wrong)
+    with pytest.raises(tw.BoundViolationError, match="index"):
+        tw.compress(sources_of(tiles)["vrt"], tmp_path / "a.twz", block=32)
+    assert not (tmp_path / "a.twz").exists()

@@ -4,8 +4,10 @@ import os
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 
+from terrainwave.container.depot import StoredSegment
 from terrainwave.container.page import page_layout
 from terrainwave.container.spool import LikeSegment, SegmentSpool
+from terrainwave.container.writer import SegmentStore
 from terrainwave.grid.quadtree import Block, Grid
 
 
@@ -19,7 +21,8 @@ class SpoolSink:
     def __init__(self, grid: Grid, directory: str | os.PathLike[str]) -> None:
         self._grid = grid
         self._directory = directory
-        self.spools: dict[Block | None, SegmentSpool | LikeSegment | None] = {}
+        self.spools: dict[Block | None, SegmentSpool | LikeSegment | StoredSegment | None] = {}
+        self._store = SegmentStore(grid, directory)
         self.n_bytes = 0
         self.n_units = 0
         self._n_missing: dict[Block | None, int] = {}
@@ -40,6 +43,8 @@ class SpoolSink:
                 self._n_missing[head] = len(page_layout(self._grid, head).keys)
             self._n_missing[head] -= 1
             is_complete = self._n_missing[head] == 0
+            if is_complete:
+                del self._n_missing[head]
         if is_complete:
             spool.finish()
 
@@ -59,6 +64,12 @@ class SpoolSink:
         """Take note that the segment of `head` has the bytes of that of `like`."""
         with self._lock:
             self.spools[head] = LikeSegment(like)
+
+    def store(self, head: Block) -> None:
+        """Move a segment that is complete, with its codes, out of memory."""
+        spool = self.spools.get(head)
+        if isinstance(spool, SegmentSpool):
+            self.spools[head] = self._store.store(head, spool)
 
     def present(self) -> Iterator[SegmentSpool]:
         """Yield the spools that have payloads of their own."""

@@ -1,5 +1,7 @@
 """Put a file together from its segments (FORMAT.md §3.2)."""
 
+import os
+import threading
 import zlib
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,12 +24,16 @@ from terrainwave.container.page import (
     page_length,
     with_first_child,
 )
-from terrainwave.container.spool import LikeSegment, SegmentSpool, storage_errors
+from terrainwave.container.spool import (
+    TEMPORARY_ADVICE,
+    LikeSegment,
+    SegmentSpool,
+    storage_errors,
+)
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid
 
 # A segment is spooled here, or stored where other machines put it. None stands for one that is void
 # with all below it, of which nothing else is here.
-Spools = Mapping[Block | None, SegmentSpool | LikeSegment | None]
 Segments = Mapping[Block | None, SegmentSpool | LikeSegment | StoredSegment | None]
 
 
@@ -116,8 +122,38 @@ def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
     return extents
 
 
+class SegmentStore:
+    """Finished segments without segments below them, in one temporary file; thread-safe.
+
+    What is kept of each in memory is where it lies.
+    """
+
+    def __init__(self, grid: Grid, directory: str | os.PathLike[str]) -> None:
+        self._grid = grid
+        self._directory = os.fspath(directory)
+        self._path = os.path.join(self._directory, "finished.twz-spool")
+        self._end = 0
+        self._lock = threading.Lock()
+
+    def store(self, head: Block, spool: SegmentSpool) -> StoredSegment:
+        """Store a segment; its spool is closed. One that is void has no bytes."""
+        part = _Preparation(self._grid, {head: spool}, defaultdict(lambda: _ABSENT))(head)
+        action = f"cannot write temporary files in {self._directory}"
+        with self._lock, storage_errors(action, advice=TEMPORARY_ADVICE):
+            if part.length:
+                # Not "ab": after a failed write, the next one begins where the good bytes end.
+                with open(self._path, "r+b" if self._end else "wb") as file:
+                    file.seek(self._end)
+                    for chunk in _chunks(self._grid, head, {head: spool}, part, 0):
+                        file.write(chunk)
+            stored = StoredSegment(self._path, self._end, part.page_length, part.length)
+            self._end += part.length
+        spool.close()
+        return stored
+
+
 def store_segments(
-    depot: Depot, name: str, grid: Grid, heads: Sequence[Block | None], spools: Spools
+    depot: Depot, name: str, grid: Grid, heads: Sequence[Block | None], spools: Segments
 ) -> dict[Block | None, StoredSegment]:
     """Store segments in the order of `heads` in one file of a depot; return their places.
 

@@ -6,6 +6,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import product
 from types import TracebackType
 from typing import Any, Self
 
@@ -30,7 +31,7 @@ from terrainwave.raster_io.arrays import ArrayBackend, Claim, LabelledBackend
 from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.dataset import DatasetBackend, is_twz, open_dataset
 from terrainwave.raster_io.earlier_loss import EarlierLoss
-from terrainwave.raster_io.even import Even, even_parts
+from terrainwave.raster_io.even import Even, even_parts, is_same
 from terrainwave.raster_io.gdal import (
     SCAN_SAMPLES,
     scan_windows,
@@ -69,6 +70,7 @@ OpenTerrain = Callable[..., RasterBackend]
 _NARROW_COLS = 1024
 # Samples a side of the smallest parts of windows that are asked whether they are even.
 _EVEN_SIDE = 512
+_BAND_ROWS = 4096
 
 
 class RasterSource:
@@ -242,6 +244,10 @@ class RasterSource:
         if even is not None:
             shape = n_rows, n_cols
             return even.heights(shape, self._dtype), np.full(shape, even.is_valid)
+        return self._read(row, col, n_rows, n_cols)
+
+    def _read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
+        info = self.info
         with self._lock:
             heights, valid = self._backend.read(row, col, n_rows, n_cols)
         if info.nodata is not None and not math.isnan(info.nodata):
@@ -269,6 +275,19 @@ class RasterSource:
             is_void |= bool(value == stored_nodata(nodata, self._dtype))
         return Even(value, not is_void)
 
+    def holds(self, region: Region, even: Even) -> bool:
+        """Say whether corners and middle of a region, read, are what the index says."""
+        last_row, last_col = region.row + region.n_rows - 1, region.col + region.n_cols - 1
+        middle = (region.row + last_row) // 2, (region.col + last_col) // 2
+        corners = product((region.row, last_row), (region.col, last_col))
+        for row, col in {middle, *corners}:
+            heights, valid = self._read(row, col, 1, 1)
+            if bool(valid[0, 0]) != even.is_valid:
+                return False
+            if even.is_valid and not is_same(heights[0, 0], even.value):
+                return False
+        return True
+
     def _check_finite(self, heights: np.ndarray, valid: np.ndarray, row: int, col: int) -> None:
         infinite = np.isinf(heights) & valid
         if infinite.any():
@@ -294,7 +313,20 @@ class RasterSource:
 
         A window of which a part is even comes in several.
         """
+        bands: dict[int, Even | None] = {}
+        band = Region(0, 0, 0, 0)
         for block in self.blocks():
+            # Blocks may be thousands of times as wide as high: many below each other at a time.
+            if block.row + block.n_rows > band.row + band.n_rows:
+                bands.clear()
+                n_rows = max(block.n_rows, min(_BAND_ROWS, self.info.n_rows - block.row))
+                band = Region(block.row, 0, n_rows, self.info.n_cols)
+            if block.col not in bands:
+                bands[block.col] = self.even(band._replace(col=block.col, n_cols=block.n_cols))
+            even = bands[block.col]
+            if even is not None:
+                yield block, even
+                continue
             parts = list(even_parts(block, _EVEN_SIDE, self.even))
             if all(even is None for _, even in parts):
                 yield block, None

@@ -8,7 +8,7 @@ from terrainwave.codec.refiner import Decoded
 from terrainwave.container.reader import Container
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.quadtree import Block, Grid
-from terrainwave.read.alike import Content, content_of
+from terrainwave.read.coded import Content, content_of
 from terrainwave.read.decoder import TreeDecoder, unit_name
 
 

@@ -26,13 +26,13 @@ from terrainwave.grid.block_stats import (
     measure_samples,
 )
 from terrainwave.grid.parameters import CodecParameters
-from terrainwave.grid.quadtree import Block, Grid, Region
+from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid, Region
 from terrainwave.grid.sample_windows import HeightsOf, MaskOf
 from terrainwave.mesh.blocks import has_mesh
 from terrainwave.write.job import Job
+from terrainwave.write.passes.repeats import RepeatingSink, Repeats
 from terrainwave.write.passes.resuming import KeptUnits
 from terrainwave.write.pyramid import Pyramid
-from terrainwave.write.repeats import RepeatingSink, Repeats
 
 # The first levels are walked breadth first until there are this many subtrees to share out.
 _MIN_SUBTREES = 8
@@ -143,6 +143,9 @@ class UnitEncoder(ABC):
         self._on_samples = on_samples
         self._on_unit = on_unit
         self._last_level = grid.k_max if last_level is None else last_level
+        # Called, from any thread, with the head of a finest segment all of whose units are coded,
+        # and what was measured of the blocks below it, which is not kept then.
+        self.on_segment: Callable[[Block, Stats], None] | None = None
         self._stats: Stats = {}
         self._lock = threading.Lock()
         self._stopped = threading.Event()
@@ -189,10 +192,31 @@ class UnitEncoder(ABC):
             and not key.is_root_key
         ):
             self._encode_kept(self._kept_units, key, parent, chain)
+        else:
+            for start in self._encode_unit(key, parent, chain):
+                if not self._stopped.is_set():
+                    self._encode_subtree(*start)
+        self._finish_segments(key)
+
+    def _finish_segments(self, key: Block) -> None:
+        """Pass on the finest segments that end with the subtree of `key`."""
+        grid, level = self._grid, self._grid.k_max - SEGMENT_LEVELS
+        if self.on_segment is None or key.is_root_key or key.level > level:
             return
-        for start in self._encode_unit(key, parent, chain):
-            if not self._stopped.is_set():
-                self._encode_subtree(*start)
+        heads = [key]
+        while heads[0].level < level:
+            heads = grid.all_children(heads)
+        for head in heads:
+            if grid.segment_head(head) == head and not self._stopped.is_set():
+                self.on_segment(head, self._taken_below(head))
+
+    def _taken_below(self, head: Block) -> Stats:
+        """Take what was measured of the blocks of a segment, in which nothing comes any more."""
+        blocks = [
+            block for key in self._grid.segment_groups(head) for block in self._grid.children(key)
+        ]
+        with self._lock:
+            return {block: self._stats.pop(block) for block in blocks if block in self._stats}
 
     def _is_known(self, key: Block, parent: Decoded | None, chain: list[Ancestor]) -> bool:
         """Say whether the source knows all below a block to be void, or of one height.
@@ -247,7 +271,7 @@ class UnitEncoder(ABC):
     def apart(self, chain: list[Ancestor]) -> Self:
         """Return an encoder of a subtree below `chain` whose findings are its own."""
         part = copy.copy(self)
-        part._stats, part._kept_units = {}, None
+        part._stats, part._kept_units, part.on_segment = {}, None, None
         return part
 
     def found(self, chain: list[Ancestor]) -> dict[str, Any]:

@@ -313,7 +313,8 @@ class _Patcher:
 
             shares = proof_shares(self._grid)
             compared = partial(self._executor.map, compare_all)
-            largest = max(proven_shares(path, shares, compared, self._kept))
+            proven = proven_shares(path, shares, compared, self._kept)
+            largest = max(error for _, error in proven)
         return measured_error(largest, quantizer)
 
     def _compare_rest(self, result: TerrainFile, region: Region) -> None:

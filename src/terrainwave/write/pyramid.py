@@ -22,6 +22,7 @@ Values are the same: that is how machines share a raster.
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -48,6 +49,8 @@ _EVEN_MARGIN = 2
 # So far from valid samples nothing reads fills, in sides of windows or blocks: a unit has two
 # blocks a side, and a window is made of one of twice its side on the level below.
 _FILL_MARGIN = 3
+# Windows that wait for a thread at a time: what waits takes more memory than a window's place.
+_BATCH = 4096
 # Stands for a void among heights, which are far from it.
 _UNKNOWN = np.int32(UNKNOWN)
 
@@ -68,6 +71,10 @@ class IndexedWindows(SourceWindows, Protocol):
 
     def even(self, region: Region) -> Even | None:
         """Return what all samples of a region of the full grid are; None: only reading tells."""
+        ...
+
+    def holds(self, region: Region, even: Even) -> bool:
+        """Say whether some samples of a region, read, are that."""
         ...
 
 
@@ -557,8 +564,15 @@ class Pyramid:
         work: Callable[[Region], None],
     ) -> None:
         """Do work for windows, side by side, but for those that an earlier run has finished."""
-        for _ in self.kept.each(name, spools, windows, partial(self._executor.map, work)):
+        for _ in self.kept.each(name, spools, windows, partial(self._side_by_side, work)):
             pass
+
+    def _side_by_side(
+        self, work: Callable[[Region], None], windows: Iterable[Region]
+    ) -> Iterator[None]:
+        windows = iter(windows)
+        while batch := list(islice(windows, _BATCH)):
+            yield from self._executor.map(work, batch)
 
 
 def _uneven(

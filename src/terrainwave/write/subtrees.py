@@ -442,6 +442,5 @@ def prove_region(site: Site, path: str | os.PathLike[str], region: Region) -> fl
     job = site.job
     allowed = allowed_error(job.quantizer, job.raw_bound, job.effective_error)
     with site.raster.open() as source, TerrainFile(path, threads=1, native=False) as terrain:
-        windows, heads = unproved(terrain, source, site.grid, region)
         comparison = Comparison(terrain, source, allowed)
-        return max([comparison.windows(windows), *map(comparison.segment, heads)])
+        return comparison.all(unproved(terrain, source, site.grid, region))

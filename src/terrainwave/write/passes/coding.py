@@ -5,6 +5,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from terrainwave.progress import Reporter
 from terrainwave.read.decoder import TreeDecoder
 from terrainwave.read.tile_decoder import make_decoder
 from terrainwave.write.boxes import (
+    Box,
     enclosing_boxes,
     error_codes,
     set_codes,
@@ -108,6 +110,7 @@ def encode(
 
         refiner, file_tables = None, b""
         units: dict[Block, Decoded] = {}
+        below: dict[Block, Box] = {}
         if job.options.named_method.is_tiled:
             # Imported here: compiling costs seconds that other methods need not pay.
             from terrainwave.write.tile_encoder import encode_tiles
@@ -115,7 +118,9 @@ def encode(
             stats = encode_tiles(job, pyramid, sink, directory, on_samples, executor)
         else:
             refiner, file_tables = _fitted(job, pyramid, kept, executor)
-            stats, units = _encode_units(job, refiner, pyramid, sink, on_samples, executor, kept)
+            stats, units = _encode_units(
+                job, refiner, pyramid, sink, on_samples, executor, kept, below
+            )
         if job.options.is_embedded:
             job = job.with_measured(_finest_error(job, stats))
         errors = error_codes(stats, job.lost, job.recursion_bound)
@@ -129,7 +134,7 @@ def encode(
     finally:
         pyramid.close()
     whole = job.quantizer.z_min, job.quantizer.z_max
-    boxes = enclosing_boxes(stats, errors, whole, {}, job.moved)
+    boxes = enclosing_boxes(stats, errors, whole, below, job.moved)
     set_codes(job.grid, sink.present(), whole, boxes, errors, mesh_errors)
     return Coded(file_tables, {**sink.spools}, sink.n_bytes + len(file_tables), job)
 
@@ -154,8 +159,9 @@ def _encode_units(
     on_samples: Callable[[int], None],
     executor: Executor,
     kept: Kept,
+    below: dict[Block, Box],
 ) -> tuple[Stats, dict[Block, Decoded]]:
-    """Code every unit; return what was measured.
+    """Code every unit; return what was measured, `below` of finished segments the box of each.
 
     And what the units decode to, where meshes are to be made of it and all of it fits in memory.
     """
@@ -169,7 +175,26 @@ def _encode_units(
         on_unit=units.__setitem__ if is_kept and job.options.measures_meshes else None,
         may_repeat=job.may_repeat,
     )  # fmt: skip
+    if job.may_repeat:
+        encoder.on_segment = partial(_finish_segment, job, sink, below)
     return encoder.run(executor), units
+
+
+def _finish_segment(
+    job: Job, sink: SpoolSink, below: dict[Block, Box], head: Block, stats: Stats
+) -> None:
+    """Set the codes of a finest segment, and move it to the disk; all that is left is its box."""
+    spool = sink.spools.get(head)
+    if not isinstance(spool, SegmentSpool):
+        return
+    errors = error_codes(stats, job.lost)
+    whole = job.quantizer.z_min, job.quantizer.z_max
+    boxes = enclosing_boxes(stats, errors, whole, {}, job.moved)
+    if head in boxes:
+        below[head] = boxes.pop(head)
+    mesh_errors = unmeasured_mesh_codes(job, stats, errors)
+    set_codes(job.grid, [spool], whole, boxes, errors, mesh_errors)
+    sink.store(head)
 
 
 def _finest_error(job: Job, stats: Stats) -> int:

@@ -1,10 +1,11 @@
 """Pass C: a finished file, decoded from disk, against the raster it was made of."""
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from functools import partial
-from typing import NamedTuple
+from itertools import islice
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from terrainwave.grid.quantum import Quantizer
 from terrainwave.grid.shares import shares_of
 from terrainwave.progress import Reporter
 from terrainwave.raster_io.even import even_parts
-from terrainwave.read.alike import Content, content_of
+from terrainwave.read.coded import Content, content_of
 from terrainwave.write.job import Job
 from terrainwave.write.pyramid import IndexedWindows, SourceWindows
 
@@ -28,6 +29,10 @@ OUR_FAULT = (
 # Samples per side of the windows that are compared, where groups are smaller than that.
 _PROOF_SIDE = 512
 _CACHE_BYTES = 64 << 20
+# How many windows are shared out at a time, and shares handed to threads.
+_BATCH, _SHARES = 4096, 1024
+Share = Sequence[Region | Block]
+ShareT = TypeVar("ShareT", bound=Share)
 
 
 def proof_windows(grid: Grid, within: Region | None = None) -> list[Region]:
@@ -47,46 +52,51 @@ def proof_shares(grid: Grid, windows: list[Region] | None = None) -> list[list[R
     return shares_of(windows, lambda window: (window.row // side, window.col // side))
 
 
-class Unproved(NamedTuple):
-    """What has to be compared of a file whose source knows some of its windows.
-
-    `heads` are those of segments on whose every sample the source has one height.
-    """
-
-    windows: list[Region]
-    heads: list[Block]
-
-
 def unproved(
     terrain: TerrainFile, source: IndexedWindows, grid: Grid, within: Region | None = None
-) -> Unproved:
-    """Return what has to be compared: all but where source and file are both void.
+) -> Iterator[Region | Block]:
+    """Yield what has to be compared: all but where source and file are both void.
 
-    Of voids that the source knows, the file's index proves the most; windows in which the file has
-    heights there are compared.
+    Windows, and heads of segments on whose every sample the source has one height. Of voids that
+    the source knows, the file's index proves the most; windows in which the file has heights there
+    are compared. Some samples of what the source knows are read all the same.
+
+    Raises
+    ------
+    BoundViolationError
+        If one of these is not what the source knows.
     """
     side, level = _side_of(grid), grid.k_max - SEGMENT_LEVELS
     head_side = grid.block << SEGMENT_LEVELS
-    found = Unproved([], [])
     whole = within or Region(0, 0, grid.n_rows, grid.n_cols)
     for part, even in even_parts(whole, side, source.even):
+        if even is not None and not source.holds(part, even):
+            raise BoundViolationError(
+                f"the source's index and its heights differ within {part.n_rows} x {part.n_cols}"
+                f" samples from row {part.row}, column {part.col}; {OUR_FAULT}"
+            )
         if even is not None and not even.is_valid:
-            found.windows.extend(terrain.coded_parts(part))
+            yield from terrain.coded_parts(part)
             continue
         for window in part.tiles(head_side, head_side):
             head = Block(level, window.row // head_side, window.col // head_side)
             is_one = even is not None and level in grid.segment_levels()
             if is_one and _is_inside(grid, head, window) and source.even(_around(grid, head)):
-                found.heads.append(head)
+                yield head
             else:
-                found.windows.extend(window.tiles(side, side))
-    return found
+                yield from window.tiles(side, side)
+
+
+def _n_samples(grid: Grid, one: Region | Block) -> int:
+    if isinstance(one, Block):
+        return (grid.block << SEGMENT_LEVELS) ** 2
+    return one.n_rows * one.n_cols
 
 
 def _is_inside(grid: Grid, head: Block, window: Region) -> bool:
     """Say whether a window is all that a block has for itself, and has neighbours on all sides."""
     row, col, n_rows, n_cols = grid.full_region(head)
-    around = (Block(head.level, head.row + step, head.col + step) for step in (-1, 1))
+    around = (Block(head.level, head.row + by, head.col + by) for by in (-1, 1))
     return window == (row, col, n_rows - 1, n_cols - 1) and all(map(grid.contains, around))
 
 
@@ -119,6 +129,13 @@ class Comparison:
             (compare_window(self._terrain, self._source, one, self._allowed) for one in windows),
             default=0.0,
         )
+
+    def all(self, whole: Iterable[Region | Block]) -> float:
+        """Return the largest error in windows and segments, as `unproved` yields them."""
+        errors = (
+            self.segment(one) if isinstance(one, Block) else self.windows([one]) for one in whole
+        )
+        return max(errors, default=0.0)
 
     def segment(self, head: Block) -> float:
         """Return the largest error below a block of whose every sample the source has one height.
@@ -228,26 +245,36 @@ def measured_error(largest: float, quantizer: Quantizer) -> float:
     return largest
 
 
+def _shares_in_turns(grid: Grid, whole: Iterator[Region | Block]) -> Iterator[Share]:
+    """Yield shares of what `unproved` yields: not all at once, for they are millions."""
+    while batch := list(islice(whole, _BATCH)):
+        yield from ([one] for one in batch if isinstance(one, Block))
+        yield from proof_shares(grid, [one for one in batch if isinstance(one, Region)])
+
+
 def proven_shares(
     path: str | os.PathLike[str] | bytes,
-    shares: list[list[Region]],
-    compare: Callable[[list[list[Region]]], Iterable[float]],
+    shares: Iterable[ShareT],
+    compare: Callable[[list[ShareT]], Iterable[float]],
     kept: Kept,
-) -> Iterator[float]:
-    """Yield the errors of shares of a file, those that are kept for its bytes first.
+) -> Iterator[tuple[ShareT, float]]:
+    """Yield shares of a file with their errors, those that are kept for its bytes first.
 
     `compare` makes the others, in order.
     """
-    if not kept.is_on or isinstance(path, bytes):
-        yield from compare(shares)
-        return
-    name = f"proof/{digest_of_file(path)}"
-    errors: list[float] = (kept.get(name) or {}).get("errors", [])
-    yield from list(errors)
-    for error in compare(shares[len(errors) :]):
-        errors.append(error)
-        yield error
-        kept.tick(name, lambda: {"errors": errors})
+    shares, name = iter(shares), None
+    errors: list[float] = []
+    if kept.is_on and not isinstance(path, bytes):
+        name = f"proof/{digest_of_file(path)}"
+        errors = (kept.get(name) or {}).get("errors", [])
+    for error in tuple(errors):
+        yield next(shares), error
+    while batch := list(islice(shares, _SHARES)):
+        for share, error in zip(batch, compare(batch), strict=True):
+            yield share, error
+            if name is not None:
+                errors.append(error)
+                kept.tick(name, lambda: {"errors": errors})
 
 
 def prove(
@@ -271,23 +298,14 @@ def prove(
     allowed = allowed_error(job.quantizer, job.raw_bound, job.effective_error)
     largest = 0.0
     with TerrainFile(path, threads=1, cache_bytes=_CACHE_BYTES, native=False) as terrain:
-        windows, heads = unproved(terrain, source, grid)
-        shares = proof_shares(grid, windows)
-
         comparison = Comparison(terrain, source, allowed)
-        head_samples = (grid.block << SEGMENT_LEVELS) ** 2
+        whole = unproved(terrain, source, grid)
         total = grid.n_rows * grid.n_cols
-        done = total - sum(one.n_rows * one.n_cols for one in windows) - len(heads) * head_samples
-
-        def take(n_samples: int, error: float) -> None:
-            nonlocal done, largest
+        count = reporter.counter("proving", total, np.dtype(job.info.dtype).itemsize)
+        compare = partial(executor.map, comparison.all)
+        shares = _shares_in_turns(grid, whole)
+        for share, error in proven_shares(path, shares, compare, kept):
             largest = max(largest, error)
-            done += n_samples
-            reporter.report("proving", done, total, done * np.dtype(job.info.dtype).itemsize)
-
-        for error in executor.map(comparison.segment, heads):
-            take(head_samples, error)
-        errors = proven_shares(path, shares, partial(executor.map, comparison.windows), kept)
-        for share, error in zip(shares, errors, strict=True):
-            take(sum(region.n_rows * region.n_cols for region in share), error)
+            count(sum(_n_samples(grid, one) for one in share))
+        count(total)  # what is void
     return measured_error(largest, job.quantizer)

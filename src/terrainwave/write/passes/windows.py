@@ -96,6 +96,10 @@ class Windows(SourceWindows):
         """Return what all samples of a region are, where the source knows it without reading."""
         return self._source.even(region)
 
+    def holds(self, region: Region, even: Even) -> bool:
+        """Say whether samples of a region are what the source's index says (`RasterSource`)."""
+        return self._source.holds(region, even)
+
     def read(
         self, row: int, col: int, n_rows: int, n_cols: int
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
