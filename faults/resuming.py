@@ -24,6 +24,7 @@ from pathlib import Path
 
 import click
 import numpy as np
+import psutil
 import rasterio
 
 import terrainwave
@@ -51,12 +52,13 @@ _EARLY = 5.0  # seconds of finished work, of which a fraction of a second is mor
 @common.dem_argument
 @common.option("--side", type=common.COUNT, default=16_385, help="Samples on a side.")
 @common.option("--kills", "n_kills", type=common.COUNT, default=50, help="Of each command.")
-@common.option("--chain", "n_chain", type=common.COUNT, default=10, help="Kills of one file.")
+@common.option("--chain", "n_chain", type=common.COUNT, default=5, help="Kills of one file.")
+@common.option("--commands", cls=common.ListOption, default=("compress", "patch"))
 @common.option("--threads", type=common.COUNT, default=2)
 @common.option("--least", type=click.FloatRange(0, 1), default=0.9, help="Share that is kept.")
 @common.option("--seed", type=int, default=0)
 def main(
-    dem: Path, side: int, n_kills: int, n_chain: int, threads: int, least: float, seed: int,
+    dem: Path, side: int, n_kills: int, n_chain: int, commands: tuple[str, ...], threads: int, least: float, seed: int,
     folder: Path, out: Path,
 ) -> None:  # fmt: skip
     """Run the trials."""
@@ -66,7 +68,7 @@ def main(
     generator = random.Random(seed)
     rows: list[Row] = []
     summaries = []
-    for command in ("compress", "patch"):
+    for command in commands:
         trial = Trial(command, folder, raster, newer, threads)
         own = list(trial.rows(n_kills, n_chain, generator))
         rows += own
@@ -157,7 +159,7 @@ class Trial:
             number = min(n_chain, n_kills - first)
             total = sum(self.seconds.values())
             for kill in range(number):
-                row = self.killed(2 * generator.random() * total / (number + 1) / self.threads)
+                row = self.killed(2 * generator.random() * total / (number + 1))
                 if row is None:  # it ended before
                     break
                 yield row._replace(chain=self.n_chains, kill=kill)
@@ -167,13 +169,16 @@ class Trial:
             self.n_same += process.returncode == 0 and digest(self.target) == self.expected
 
     def killed(self, seconds: float) -> Row | None:
-        """Kill a run so many seconds of work after its first progress."""
+        """Kill a run so many processor seconds after its first progress."""
         process = self.start()
         while not self.told():
             time.sleep(0.01)
             if process.poll() is not None:
                 return None
-        time.sleep(seconds)
+        own = psutil.Process(process.pid)
+        until = self.told()[0][2] + seconds
+        while sum(own.cpu_times()[:2]) < until and process.poll() is None:
+            time.sleep(0.01)
         process.send_signal(signal.SIGKILL)
         if process.wait() == 0:
             return None
