@@ -58,8 +58,8 @@ _EARLY = 5.0  # seconds of finished work, of which a fraction of a second is mor
 @common.option("--least", type=click.FloatRange(0, 1), default=0.9, help="Share that is kept.")
 @common.option("--seed", type=int, default=0)
 def main(
-    dem: Path, side: int, n_kills: int, n_chain: int, commands: tuple[str, ...], threads: int, least: float, seed: int,
-    folder: Path, out: Path,
+    dem: Path, side: int, n_kills: int, n_chain: int, commands: tuple[str, ...], threads: int,
+    least: float, seed: int, folder: Path, out: Path,
 ) -> None:  # fmt: skip
     """Run the trials."""
     raster, newer = folder / "large.tif", folder / "newer.tif"
@@ -70,10 +70,12 @@ def main(
     summaries = []
     for command in commands:
         trial = Trial(command, folder, raster, newer, threads)
-        own = list(trial.rows(n_kills, n_chain, generator))
+        own: list[Row] = []
+        for row in trial.rows(n_kills, n_chain, generator):
+            own.append(row)
+            common.write_rows(out, [*rows, *own])
         rows += own
         summaries.append(trial.summary(own))
-        common.write_rows(out, rows)
         common.write_rows(out.with_name(f"{out.stem}_summary.csv"), summaries)
     is_good = all(
         one.same_bytes == one.chains and one.kept_share >= least and not one.left_after
