@@ -201,8 +201,7 @@ class Trial:
         self, told: list[tuple[str, float, float]], kept: dict[str, float]
     ) -> dict[str, float]:
         """Return the share of each stage that is done; of those before the last one all of it."""
-        reached = [stage for stage in STAGES if stage in {stage for stage, *_ in told}]
-        done = dict.fromkeys(reached[:-1], 1.0)
+        done = dict.fromkeys(STAGES[: STAGES.index(told[-1][0])], 1.0)
         for stage, share, _ in told:
             done[stage] = max(done.get(stage, 0.0), share)
         return {stage: max(share, kept.get(stage, 0.0)) for stage, share in done.items()}
