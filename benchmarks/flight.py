@@ -55,7 +55,8 @@ Row = namedtuple(
     "Row",
     "renderer what mode speed frames late_frames above_tau_share missing_share median_error_px "
     "p99_error_px largest_error_px median_time_to_tau_s time_to_tau_s median_cpu_ms p99_cpu_ms "
-    "median_build_ms p99_build_ms built cancelled read_mib median_triangles store_mib fps low_fps",
+    "median_build_ms p99_build_ms built cancelled read_mib median_triangles store_mib fps low_fps "
+    "horizon median_blocks median_wanted",
 )  # fmt: skip
 
 
@@ -234,7 +235,8 @@ class Recorder:
 
     def __init__(self, session: Session, tau: float) -> None:
         self._session, self._tau = session, tau
-        # Of each frame: seconds since the start, CPU ms, wall ms, error, missing, triangles.
+        # Of each frame: seconds since the start, CPU ms, wall ms, error, missing, triangles, blocks
+        # drawn and wanted.
         self.notes: list[tuple[float, ...]] = []
         self.n_late = 0
         self.reached: list[float] = []  # seconds until all was within τ
@@ -250,7 +252,10 @@ class Recorder:
         error = scene.drawn_error(view, frames) / view.max_pixel_error * self._tau
         if not len(frames.nodes):  # a hole
             error = math.hypot(session.viewport.width, session.viewport.height)
-        self.notes.append((now, cpu_ms, wall_ms, error, frames.n_missing, frames.n_triangles))
+        blocks = len(frames.nodes), len(scene.wanted)
+        self.notes.append(
+            (now, cpu_ms, wall_ms, error, frames.n_missing, frames.n_triangles, *blocks)
+        )
         return error <= self._tau * (1 + 1e-9)
 
     def fly(self, place: Place, seconds: float, *, since: float = 0.0, stops: bool = False) -> None:
@@ -276,11 +281,12 @@ class Recorder:
     def row(self, what: str, speed: float, n_read: int, settling: float) -> Row:
         """Return the line of the CSV."""
         session, scene = self._session, self._session.scene
-        seconds, cpu_ms, wall_ms, errors, missing, triangles = np.array(self.notes).T
+        seconds, cpu_ms, wall_ms, errors, missing, *drawn_parts = np.array(self.notes).T
         flown = seconds >= settling
         drawn = errors[flown]
         above = drawn > self._tau * (1 + 1e-9)
         builds = np.array(scene.build_ms or [0.0])
+        triangles, *blocks = (float(np.median(part[flown])) for part in drawn_parts)
         fps = low_fps = math.nan
         if session.renderer != "none":
             fps, low_fps = 1e3 / np.median(wall_ms), 1e3 / np.quantile(wall_ms, 0.99)
@@ -292,8 +298,9 @@ class Recorder:
         return Row(
             session.renderer, what, scene.mode.name, speed, int(flown.sum()), self.n_late,
             *(round(float(number), 4) for number in numbers), len(builds), scene.n_cancelled,
-            round(n_read / 2**20, 2), float(np.median(triangles[flown])),
+            round(n_read / 2**20, 2), triangles,
             round(scene.store.n_bytes / 2**20, 1), round(float(fps), 1), round(float(low_fps), 1),
+            scene.has_horizon, *blocks,
         )  # fmt: skip
 
 
@@ -354,8 +361,25 @@ def row_of(path: Path, ground: Ground, what: str, seconds: float, tau: float, **
 @common.option("--memory", default=1024, help="MiB.")
 @common.option("--radius", type=float, help="Of the body, without a CRS.")
 @common.option("--gpu", is_flag=True, help="Draw by OpenGL.")
+@common.option(
+    "--horizon", cls=common.ListOption, default=("on",), help="Leave out blocks behind ground."
+)
 def main(
-    dem, seconds, side, max_error, modes, what, size, tau, threads, memory, radius, gpu, folder, out
+    dem,
+    seconds,
+    side,
+    max_error,
+    modes,
+    what,
+    size,
+    tau,
+    threads,
+    memory,
+    radius,
+    gpu,
+    horizon,
+    folder,
+    out,
 ) -> None:
     """Measure, print and write the CSV."""
     viewport = Viewport(*(int(part) for part in size.split("x")))
@@ -373,7 +397,9 @@ def main(
             options |= {} if radius is None else {"radius": radius}
             _warm_up(path, ground, tau, options)
             for one in what:
-                yield row_of(path, ground, one, seconds, tau, **options)
+                for each in horizon:
+                    options["horizon"] = each == "on"
+                    yield row_of(path, ground, one, seconds, tau, **options)
 
     common.write_rows(out, rows())
 

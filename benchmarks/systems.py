@@ -163,7 +163,9 @@ def measure_mode(file: Path, name: str, camera_name: str, mode: str) -> ModeRow:
     """Return what a mode draws and takes from one camera; nothing has been read before."""
     with (
         terrainwave.open(file) as terrain,
-        Canvas(terrain, SIZE, samples=0, **VARIANTS.get(mode, {"mode": mode})) as canvas,
+        Canvas(
+            terrain, SIZE, samples=0, horizon=False, **VARIANTS.get(mode, {"mode": mode})
+        ) as canvas,
     ):
         camera = camera_of(camera_name, canvas)
         with counted_uploads() as first:
@@ -227,7 +229,7 @@ def measure_orientation(file: Path, name: str) -> Iterator[OrientationRow]:
     """Yield both modes that know orientation from all pitches; none is drawn."""
     for mode in ("adaptive", "batched"):
         for is_oriented in (False, True):
-            options = {"mode": mode, "orientation": is_oriented, "samples": 0}
+            options = {"mode": mode, "orientation": is_oriented, "samples": 0, "horizon": False}
             with (
                 terrainwave.open(file) as terrain,
                 Canvas(terrain, SIZE, **options) as canvas,
@@ -362,13 +364,27 @@ def compare_papers(results: Path) -> Iterator[PaperRow]:
     for row in methods:
         if (row["method"], row["goal"], row["max_error"]) == (EMBEDDED, "max_error", 0):
             ours[EMBEDDED] = 16 / row["bits_per_sample"]
+    ours |= compare_pyramids(common.read_rows(results / "zerotree_pyramids.csv"))
     for row in common.read_rows(PAPERS):
         yield PaperRow(**row | {"ours": row["ours"].format_map(ours)})
 
 
-def _range(values) -> str:
+def compare_pyramids(rows: list[dict]) -> dict[str, str]:
+    """Return the sizes of pyramids made in other ways, over those made in the paper's."""
+    ratios: dict[str, list[float]] = {"growing": [], "neville": []}
+    for row in rows:
+        if row["growth"] == 1 and row["filter"] == "9/7":
+            paper = row["heights_bits"]
+        else:
+            ratios["growing" if row["growth"] > 1 else "neville"].append(
+                row["heights_bits"] / paper
+            )
+    return {name: _range(found, 2) for name, found in ratios.items()}
+
+
+def _range(values, n_digits: int = 1) -> str:
     ordered = sorted(values)
-    return f"{ordered[0]:.1f}–{ordered[-1]:.1f}"
+    return f"{ordered[0]:.{n_digits}f}–{ordered[-1]:.{n_digits}f}"
 
 
 PARTS = ("methods", "modes", "papers", "orientation", "dynamic")

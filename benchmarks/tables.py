@@ -437,6 +437,29 @@ def methods_at_bounds(results: Path) -> Rows:
     return read(results, "systems_methods", goal=lambda row: words[row["goal"]].format_map(row))
 
 
+def pyramids(results: Path) -> Rows:
+    """Return files whose pyramids are made in other ways, with what is other in one field."""
+
+    def case(row: Row) -> str:
+        return "growing" if row["growth"] > 1 else "one" if row["filter"] == "9/7" else "neville"
+
+    return read(results, "zerotree_pyramids", case=case)
+
+
+def outlines_by_mode(results: Path) -> Rows:
+    """Return what pictures of all rasters lack, by mode and errors."""
+    found: dict[tuple, Rows] = defaultdict(list)
+    for row in read(results, "outlines"):
+        found[row["mode"], row["error"]].append(row)
+    return [
+        {"mode": mode, "error": error, "pictures": len(rows)}
+        | {"rasters": len({row["raster"] for row in rows})}
+        | {"bad": sum(row["inside"] > 0 for row in rows)}
+        | {name: sum(row[name] for row in rows) for name in ("ground", "inside", "outside")}
+        for (mode, error), rows in found.items()
+    ]
+
+
 def cut_streams(results: Path) -> Rows:
     """Return files that were cut to so many bits per sample."""
     return [row for row in read(results, "embedded") if is_measured(row["rate"])]

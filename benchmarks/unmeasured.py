@@ -56,7 +56,7 @@ def triangles(file: Path, ground: Ground, tau: float) -> np.ndarray:
     """Return how many triangles each view draws."""
     with (
         terrainwave.open(file) as terrain,
-        Scene(terrain, Everything(), max_triangles=1 << 40) as scene,
+        Scene(terrain, Everything(), max_triangles=1 << 40, horizon=False) as scene,
     ):
         views = [scene.view(camera, VIEWPORT, tau) for camera in cameras(scene, ground)]
         return np.array([scene.settle(view).n_triangles for view in views], dtype=float)

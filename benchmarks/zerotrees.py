@@ -5,11 +5,21 @@ three times: faithful to the paper, with trees of decoded layers, and without tr
 the files with levels mixed, whose triangles stand beside those of regular blocks.
 
 ``--factor``: the last raster again, with so many times the samples a side, in steps of 0.1 m.
+
+``--only pyramids``: faithful files as they are; with a bound that doubles with each coarser level,
+as the paper tried first; and with children predicted by Neville's filter of order 4 instead of the
+9/7 synthesis. No option makes such files: encoder and decoder are changed here.
+
+``--only shares``: meshes of the trees alone: their largest error, and the share of the samples that
+are within the tolerance of guaranteed meshes.
 """
 
 from collections import namedtuple
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
+from unittest import mock
 
 import click
 import numpy as np
@@ -21,6 +31,9 @@ import terrainwave
 from benchmarks import common
 from benchmarks.render import KEYS, camera_at_key
 from terrainwave import Cdf97, Zerotree
+from terrainwave.codec import unit_specs
+from terrainwave.codec.cdf97 import refiner
+from terrainwave.codec.refiner import GroupSpec
 from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.mesh.statistics import mesh_levels
 from terrainwave.render.paging.scene import Scene
@@ -43,6 +56,14 @@ GridRow = namedtuple(
 # Of the views with blocks of several levels: triangles of regular blocks over those of adaptive
 # ones in the same places, without skirts. `triangles`: the median of all views.
 ViewRow = namedtuple("ViewRow", "raster max_error trees tau views least median most triangles")
+# Of a file whose pyramid is made in another way. `growth`: the bound of a level over that of the
+# next finer one.
+PyramidRow = namedtuple(
+    "PyramidRow", "raster block max_error growth filter rmse measured_error heights_bits"
+)
+# Of the level above the finest: `coarse` triangles within tolerance, `loose` ones of trees alone,
+# with their error in metres and the share of the samples within the tolerance.
+ShareRow = namedtuple("ShareRow", "raster block max_error trees coarse loose loose_error share")
 
 
 def measure_grid(dem: Path, folder: Path) -> Iterator[GridRow]:
@@ -92,7 +113,7 @@ def measure_views(dem: Path, folder: Path) -> Iterator[ViewRow]:
             )  # fmt: skip
             with (
                 terrainwave.open(file) as terrain,
-                Scene(terrain, Everything(), max_triangles=1 << 40) as scene,
+                Scene(terrain, Everything(), max_triangles=1 << 40, horizon=False) as scene,
             ):
                 cameras = [home(scene.frame.box, VIEWPORT)]
                 cameras += [camera_at_key(scene.frame, key) for key in KEYS]
@@ -134,6 +155,107 @@ class Everything:
         """Forget it."""
 
 
+def measure_pyramids(dem: Path, folder: Path) -> Iterator[PyramidRow]:
+    """Yield faithful files with one bound, with bounds that grow, and with the other filter."""
+    file = folder / "pyramid.twz"
+    for block, max_error in ((block, bound) for block in BLOCKS for bound in BOUNDS):
+        for growth, predictor in ((1, "9/7"), (2, "9/7"), (1, "Neville 4")):
+            with ExitStack() as changes:
+                if growth > 1:
+                    with rasterio.open(dem) as raster:
+                        k_max = Grid(raster.height, raster.width, block).k_max
+                    changes.enter_context(growing_bounds(growth, k_max))
+                if predictor != "9/7":
+                    changes.enter_context(mock.patch.object(refiner, "_predict", by_neville))
+                terrainwave.compress(
+                    dem, file, max_error=max_error, block=block, mesh="none",
+                    method=Cdf97(faithful=True), verify=False, overwrite=True,
+                )  # fmt: skip
+                report = terrainwave.verify(file, dem)
+                assert report.ok, report.problems
+                with terrainwave.open(file) as terrain:
+                    n_bytes, n = sum(terrain.parts().heights), np.prod(terrain.shape)
+            yield PyramidRow(
+                dem.stem, block, max_error, growth, predictor, round(report.errors.rmse, 4),
+                report.errors.max_error, round(float(8 * n_bytes / n), 4),
+            )  # fmt: skip
+
+
+@contextmanager
+def growing_bounds(growth: int, k_max: int) -> Iterator[None]:
+    """Let the bound of each level be `growth` times that of the next finer one."""
+
+    def spec(**fields: Any) -> GroupSpec:
+        half = (fields["step"] >> 1) * growth ** (k_max - fields["level"])
+        return GroupSpec(**fields | {"step": 2 * half + 1})
+
+    with mock.patch.object(unit_specs, "GroupSpec", spec):
+        yield
+
+
+def by_neville(spec: GroupSpec, parent: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return what `refiner._predict` does, by Neville's interpolation of order 4."""
+    shape = spec.region.shape
+    heights = np.zeros(shape, dtype=np.int32)
+    if parent is not None:
+        assert spec.parent_region is not None
+        first = (
+            2 * RING + spec.region.row - 2 * spec.parent_region.row,
+            2 * RING + spec.region.col - 2 * spec.parent_region.col,
+        )
+        wide = interpolated(parent.astype(np.float64))
+        part = wide[first[0] : first[0] + shape[0], first[1] : first[1] + shape[1]]
+        heights = np.floor(part + 0.5).astype(np.int32)
+    return heights, np.zeros(shape, dtype=np.bool_)
+
+
+RING = 3  # samples around a parent, continued evenly
+
+
+def interpolated(parent: np.ndarray) -> np.ndarray:
+    """Return twice as many samples a side, `RING` parents more all around."""
+    for axis in (0, 1):
+        kind = {"mode": "reflect", "reflect_type": "odd"} if parent.shape[axis] > RING else {
+            "mode": "edge"
+        }  # fmt: skip
+        around = [(RING, RING) if axis == k else (0, 0) for k in (0, 1)]
+        parent = np.pad(parent, around, **kind)
+
+    def shifted(row: int, col: int) -> np.ndarray:
+        return np.roll(parent, (-row, -col), (0, 1))
+
+    def line(row: int, col: int) -> np.ndarray:
+        near = shifted(0, 0) + shifted(row, col)
+        far = shifted(-row, -col) + shifted(2 * row, 2 * col)
+        return (9 * near - far) / 16
+
+    wide = np.empty((2 * parent.shape[0], 2 * parent.shape[1]))
+    wide[::2, ::2], wide[::2, 1::2], wide[1::2, ::2] = parent, line(0, 1), line(1, 0)
+    ends = [(-1, 0), (-1, 1), (2, 0), (2, 1), (0, -1), (1, -1), (0, 2), (1, 2)]
+    near = sum(shifted(row, col) for row in (0, 1) for col in (0, 1))
+    wide[1::2, 1::2] = (10 * near - sum(shifted(*end) for end in ends)) / 32
+    return wide
+
+
+def measure_shares(dem: Path, folder: Path) -> Iterator[ShareRow]:
+    """Yield meshes of trees alone."""
+    file = folder / "shares.twz"
+    for block, max_error in ((block, bound) for block in BLOCKS for bound in BOUNDS):
+        for trees in ("coded", "layers"):
+            kind, is_faithful = TREES[trees]
+            terrainwave.compress(
+                dem, file, max_error=max_error, block=block, mesh=kind,
+                method=Cdf97(faithful=is_faithful), verify=False, overwrite=True,
+            )  # fmt: skip
+            with terrainwave.open(file) as terrain:
+                loose = terrain.mesh(guarantee=False)
+                coarse = mesh_levels(terrain)[-2].n_triangles
+            yield ShareRow(
+                dem.stem, block, max_error, trees, coarse, loose.n_triangles,
+                round(loose.error, 2), round(loose.share, 4),
+            )  # fmt: skip
+
+
 def resampled(dem: Path, factor: int, folder: Path) -> Path:
     """Return a raster with `factor` x as many samples a side, bicubic, in steps of 0.1 m."""
     target = folder / f"{dem.stem}_{factor}x.tif"
@@ -151,9 +273,12 @@ def resampled(dem: Path, factor: int, folder: Path) -> Path:
     return target
 
 
+PARTS = ("grid", "views", "pyramids", "shares")
+
+
 @common.command()
 @common.rasters_argument
-@common.option("--only", cls=common.ListOption, type=click.Choice(["grid", "views"]), default=None)
+@common.option("--only", cls=common.ListOption, type=click.Choice(PARTS), default=None)
 @common.option("--factor", type=common.COUNT, help="Resample the last raster, and take that too.")
 def main(paths: list[Path], only: tuple[str, ...], factor: int, folder: Path, out: Path) -> None:
     """Measure, print and write the CSVs."""
@@ -161,8 +286,10 @@ def main(paths: list[Path], only: tuple[str, ...], factor: int, folder: Path, ou
         paths = [*paths, resampled(paths[-1], factor, folder)]
     for part, name, measure in (
         ("grid", "zerotrees", measure_grid), ("views", "zerotree_views", measure_views),
+        ("pyramids", "zerotree_pyramids", measure_pyramids),
+        ("shares", "zerotree_shares", measure_shares),
     ):  # fmt: skip
-        if part in (only or ("grid", "views")):
+        if part in (only or PARTS):
             rows = (row for dem in paths for row in measure(dem, folder))
             common.write_rows(out / f"{name}.csv", rows)
 

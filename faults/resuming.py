@@ -33,6 +33,7 @@ from benchmarks.rasters import make_mirrored
 from terrainwave.container.targets.kept import Kept
 from terrainwave.grid.quadtree import Grid
 from terrainwave.raster_io.source import RasterSource
+from terrainwave.raster_io.temporary import MEMORY_LIMIT
 from terrainwave.write.passes import resuming
 from terrainwave.write.passes.proof import proof_shares
 from terrainwave.write.pyramid import TILE
@@ -225,7 +226,7 @@ class Trial:
         }
         done = sum((kept.get(f"nested-{shift}") or {}).get("done", 0) for shift in shifts)
         # Levels in memory are made again in no time.
-        in_files = sum(tiles[shift] for shift in shifts if 4 * TILE**2 * tiles[shift] > 8 << 20)
+        in_files = sum(tiles[shift] for shift in shifts if 4 * TILE**2 * tiles[shift] > MEMORY_LIMIT)
         found["making levels"] = min(done / in_files, 1.0)
         level = resuming.KeptUnits(kept, self.grid, name).level
         heads = self.grid.blocks(level)

@@ -117,7 +117,7 @@ WIDE = {
     "arrays of one unit, and where in them: an array in a tuple counts references in every row": {
         "_add_spread", "_code", "_code_line", "_code_node", "_code_tables", "_correct", "_encode",
         "_flip", "_insert",
-        "_read_symbols", "code_detail", "code_rows", "gather_window", "n_reached",
+        "code_detail", "code_rows", "gather_window", "n_reached",
     },
     "arrays of one triangulation, and where in them": {"_flip", "_insert"},
 }  # fmt: skip

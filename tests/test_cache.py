@@ -119,3 +119,12 @@ def test_a_fork_makes_anew_what_a_thread_of_its_parent_is_making():
             assert holds_in_a_fork(lambda: cache.get_or_make("key", lambda: "own") == "own")
         finally:
             may_end.set()
+
+
+def test_a_value_that_is_not_enough_is_made_anew_and_counts_once():
+    cache = Cache(100, size_of=len)
+    assert cache.get_or_make("a", lambda: "xx", lambda value: len(value) >= 2) == "xx"
+    assert cache.get_or_make("a", lambda: "never", lambda value: len(value) >= 2) == "xx"
+    assert cache.get_or_make("a", lambda: "xxxx", lambda value: len(value) >= 3) == "xxxx"
+    assert cache.get("a") == "xxxx"
+    assert (len(cache), cache._size) == (1, 4)

@@ -60,6 +60,12 @@ class Cache(Generic[Key, Value]):
             self._values.move_to_end(key)
         return value
 
+    def _drop_lesser(self, key: Key, is_enough: Callable[[Value], bool]) -> None:
+        value = self._values.get(key)
+        if value is not None and not is_enough(value):
+            del self._values[key]
+            self._size -= self._size_of(value)
+
     def is_coming(self, key: Key) -> bool:
         """Say whether a value is being made by `get_or_make`."""
         return key in self._in_work
@@ -78,14 +84,18 @@ class Cache(Generic[Key, Value]):
         for one in dropped:
             self._drop(one)
 
-    def get_or_make(self, key: Key, make: Callable[[], Value]) -> Value:
-        """Return the value, made now if it is not here.
+    def get_or_make(
+        self, key: Key, make: Callable[[], Value], is_enough: Callable[[Value], bool] | None = None
+    ) -> Value:
+        """Return the value, made now if it is not here, or if what is here is not enough.
 
         Threads that ask for one that is being made wait for it; where that failed, the next one
         tries. `make` may ask for other keys, if no two wait for each other.
         """
         while True:
             with self._lock:
+                if is_enough is not None:
+                    self._drop_lesser(key, is_enough)
                 value = self._take(key)
                 if value is not None:
                     return value

@@ -160,7 +160,7 @@ def test_runs_of_settled_models_are_coded_as_sample_by_sample():
     sections = encode_validity(levels.levels[1], implied, region, above, is_finest=is_finest)
     # As a reader without runs has it.
     n_rows, n_cols = region.shape
-    known = ownmask._known_of_own(implied, region, above)
+    known = ownmask._known_of_own(implied, region, above)[:-1, 1:-1]
     models = new_models(ownmask.N_MODELS)
     coder = new_decoder(sections.mask, models)
     at, n_settled = take_out(coder.state), 0

@@ -40,6 +40,7 @@ from terrainwave.codec.rapid.file_tables import (
 )
 from terrainwave.codec.rapid.fit import codes_for
 from terrainwave.codec.rapid.fit_stencils import FitSamples, _normal, _solved, fit_weights, gather
+from terrainwave.codec.rapid.fit_weights import samples as rapid_samples
 from terrainwave.codec.rapid.layout import (
     CORES,
     F_BEND,
@@ -312,7 +313,9 @@ def test_any_parameters_give_tables_or_our_own_error(layout, section):
     )
     slots = tables.slots(1)
     assert slots.shape == (N_CONTEXTS << 11,)
-    assert slots.max() < N_SYMBOLS
+    symbols, freqs, places = slots & 63, slots >> 6 & 4095, slots >> 18
+    assert symbols.max() < N_SYMBOLS
+    assert (places < freqs).all()
 
 
 def most(tables, step):
@@ -441,7 +444,7 @@ def test_weights_are_what_non_negative_least_squares_finds():
         features = rng.exponential(1, (N_FEATURES, 512)).round(3)
         goal = rng.normal(0.2, 0.5, N_FEATURES) @ features
         rows = np.rint(np.vstack([features, goal]) * 1000)
-        found = rapid_weights._not_negative(rows @ rows.T)
+        (found,) = rapid_weights._not_negative((rows @ rows.T)[None])
         np.testing.assert_allclose(found, nnls(rows[:-1].T, rows[-1])[0], atol=1e-3)
 
 
@@ -451,7 +454,36 @@ def test_weights_are_the_same_from_rows_in_parts():
     rows = rng.exponential(1, (N_FEATURES + 1, 4096))
     first = np.full(N_FEATURES, 0.1)
     again = rows[:, rng.permutation(4096)]
-    assert rapid_weights._fitted(rows, first) == rapid_weights._fitted(again, first)
+    (found, units), (other, other_units) = (
+        rapid_weights._products(own, 1, first) for own in (rows, again)
+    )
+    np.testing.assert_array_equal(found, other)
+    np.testing.assert_array_equal(units, other_units)
+
+
+def test_weights_of_no_sample_are_none():
+    assert rapid_weights._fitted([], np.zeros((0, N_FEATURES))).shape == (0, N_FEATURES)
+
+
+@pytest.mark.parametrize("step", [1, 3, 5, 41])
+@pytest.mark.parametrize("family", [0, 3, 6, 9])
+@pytest.mark.parametrize("has_void", [False, True])
+def test_samples_have_the_contexts_and_symbols_that_the_kernels_give_them(step, family, has_void):
+    """Counted without coding: never more of a kind than were coded, and nearly as many in all."""
+    window = terrain((127, 127)) + np.arange(127, dtype=np.int32)[:, None] ** 2 * 3
+    mask = np.ones(window.shape, dtype=bool)
+    if has_void:
+        mask[20:50, 60:90] = False
+    file = FileTables(7, rapid_tables.family_of(step) + family, ((FileStencil(1),) * 3,) * 4, {})
+    both = window[None], mask[None]
+    decoded = rapid_fitting._coded(
+        Tables(file), rapid_fitting._Sample(*both, step, 1.0, is_inner=True), map
+    )[1]
+    seen = rapid_samples.look_at(decoded, mask[None], Tables(file), step)
+    counted = rapid_samples.Counter(seen, step).counts(Tables(file))
+    coded = rapid_fitting.count(file, *both, step, is_inner=True)
+    assert (counted <= coded).all()
+    assert counted.sum() > 0.75 * coded.sum()
 
 
 def test_smooth_ground_keeps_contexts_by_the_mean():

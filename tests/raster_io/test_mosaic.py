@@ -14,7 +14,7 @@ from terrainwave.cli import main
 from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveWarning
 from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io import mosaic
-from terrainwave.raster_io.mosaic import covered_samples
+from terrainwave.raster_io.even import samples_in
 from terrainwave.raster_io.source import RasterSource
 
 CRS = "EPSG:32633"
@@ -295,9 +295,9 @@ def test_list_of_numbers_is_still_an_array():
         assert source.read(0, 0, 2, 2)[0].tolist() == [[1, 2], [3, 4]]
 
 
-def test_covered_samples_counts_overlaps_once():
+def test_samples_in_counts_overlaps_once():
     # By hand: 4 x 4 and 2 x 6 share 2 x 2.
-    assert covered_samples([Region(0, 0, 4, 4), Region(2, 2, 2, 6)]) == 16 + 12 - 4
+    assert samples_in([Region(0, 0, 4, 4), Region(2, 2, 2, 6)]) == 16 + 12 - 4
 
 
 # The command.

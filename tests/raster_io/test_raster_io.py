@@ -29,13 +29,15 @@ from strategies import (
     write_geotiff,
 )
 
+from terrainwave.cache import Cache
 from terrainwave.errors import (
     CorruptStreamError,
     InvalidHeightsError,
     StorageError,
     TerrainwaveWarning,
 )
-from terrainwave.place.crs import format_crs, parse_crs
+from terrainwave.place import crs as crs_texts
+from terrainwave.place.crs import format_crs, is_exact, parse_crs
 from terrainwave.raster_io.geotiff.sink import TILE, RasterSink
 from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
@@ -213,6 +215,21 @@ def test_codes_of_inner_parts_of_a_custom_crs_are_kept():
     custom = CRS.from_wkt(wkt)
     assert 'AUTHORITY["EPSG","7030"]' in custom.to_wkt()  # the ellipsoid's
     assert parse_crs(format_crs(custom)).to_wkt() == custom.to_wkt()
+
+
+def test_proj_is_asked_once_about_a_crs_and_about_each_that_says_something_else(monkeypatch):
+    asked = []
+    say = crs_texts._say
+    monkeypatch.setattr(crs_texts, "_say", lambda crs: asked.append(crs) or say(crs))
+    monkeypatch.setattr(crs_texts, "_SAID", Cache(8))
+    first = CRS.from_epsg(32633)
+    renamed = CRS.from_wkt(first.to_wkt().replace("WGS 84 / UTM zone 33N", "zone"))
+    for crs, n_asked in ((first, 1), (CRS.from_epsg(32633), 1), (renamed, 2)):
+        assert format_crs(crs) is not None
+        assert is_exact(crs)
+        assert len(asked) == n_asked
+    assert format_crs(first) == "EPSG:32633"
+    assert "zone" in format_crs(renamed)
 
 
 @pytest.mark.parametrize("layout", [{}, {"tiled": True, "blockxsize": 64, "blockysize": 128}])

@@ -5,6 +5,7 @@ they fail.
 """
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -228,7 +229,7 @@ def test_buffers_grow_and_memory_keeps_to_its_limit(context, rough):
 
 
 @pytest.mark.parametrize(
-    "coloring", ["auto", "relative", "ramp", "slope", "level", "error", "plain"]
+    "coloring", ["auto", "relative", "ramp", "slope", "textured", "level", "error", "plain"]
 )
 def test_every_colouring_draws_the_terrain_in_many_colours(context, rough, coloring):
     with Canvas(rough, SIZE, samples=0, context=context) as canvas:
@@ -238,6 +239,28 @@ def test_every_colouring_draws_the_terrain_in_many_colours(context, rough, color
         terrain = image[~loud(image)]
         assert len(terrain) > 3000
         assert len(np.unique(terrain, axis=0)) > 50
+
+
+def test_textures_are_grainy_and_of_rock_where_it_is_steep(context):
+    level = np.zeros((64, 64), dtype=np.int16)
+    steep = level + (30 * np.arange(64, dtype=np.int16))[:, None]
+    saturation, spread = [], []
+    for heights in (level + np.arange(64, dtype=np.int16)[:, None], steep):
+        with (
+            terrain_of(heights, max_error=0) as terrain,
+            Canvas(terrain, SIZE, samples=0, context=context) as canvas,
+        ):
+            style = Style(coloring="textured", background=LOUD, shade=0, haze=0, solid=False)
+            camera = top_view(canvas.scene.frame.box, canvas.viewport)
+            image, _ = canvas.picture(camera, style)
+            colors = image[eroded(~loud(image), 2)].astype(float)
+            saturation.append(np.median(np.ptp(colors, axis=1) / colors.max(axis=1)))
+            plain = canvas.picture(camera, replace(style, coloring="auto"))[0][
+                eroded(~loud(image), 2)
+            ]
+            spread.append(colors.mean(axis=1).std() / plain.mean(axis=1).std())
+    assert saturation[1] < 0.6 * saturation[0]
+    assert min(spread) > 1.2
 
 
 @pytest.mark.parametrize("mode", ["adaptive", "batched"])

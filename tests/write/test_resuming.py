@@ -55,6 +55,30 @@ def raster(tmp_path):
     return tiled
 
 
+def sparse_geotiff(folder, name, nodata):
+    """Write a raster of whose blocks most have no bytes: void, or 0 where there is no `nodata`."""
+    heights = np.full((1300, 1100), nodata or 0, dtype=np.int16)
+    heights[520:900, 300:650] = terrain_like(380, 350, seed=4)
+    path = folder / name
+    with rasterio.open(
+        path, "w", driver="GTiff", width=1100, height=1300, count=1, dtype="int16", nodata=nodata,
+        tiled=True, blockxsize=64, blockysize=64, SPARSE_OK=True, crs="EPSG:32633",
+        transform=rasterio.Affine(30, 0, 5e5, 0, -30, 5e6),
+    ) as dataset:  # fmt: skip
+        dataset.write(heights, 1)
+    return path
+
+
+@pytest.fixture
+def source_of(tmp_path, raster):
+    def source(name):
+        if name.startswith("sparse"):
+            return sparse_geotiff(tmp_path, name, NODATA if name == "sparse.tif" else None)
+        return tmp_path / name
+
+    return source
+
+
 def killed_at(record, work):
     """Run `work` in a fork that is killed once `record` records were kept; say whether it was."""
     with warnings.catch_warnings():
@@ -106,23 +130,25 @@ def n_records(work, monkeypatch):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="kills forks")
 @pytest.mark.parametrize(
-    ("method", "is_striped", "mesh"),
+    ("method", "name", "mesh"),
     some(
         [
-            ("rapid", False, "halves"),
-            ("rapid", True, "halves"),
-            ("predictive", True, "zerotree"),
-            ("cdf97", False, "none"),
-            ("store", True, "none"),
-            ("cdf53", False, "none"),
+            ("rapid", "dem.tif", "halves"),
+            ("rapid", "sparse.tif", "halves"),
+            ("predictive", "striped.tif", "zerotree"),
+            ("rapid", "sparse of 0.tif", "none"),
+            ("rapid", "striped.tif", "halves"),
+            ("cdf97", "sparse.tif", "none"),
+            ("store", "striped.tif", "none"),
+            ("cdf53", "dem.tif", "none"),
         ],
-        3,
+        4,
     ),
 )
 def test_a_run_goes_on_after_kills_at_any_moment(
-    tmp_path, raster, monkeypatch, method, is_striped, mesh
+    tmp_path, source_of, monkeypatch, method, name, mesh
 ):
-    source = tmp_path / "striped.tif" if is_striped else raster
+    source = source_of(name)
     target = tmp_path / "out.twz"
 
     def work():

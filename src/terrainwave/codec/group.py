@@ -16,13 +16,13 @@ from terrainwave.codec.masks import decode_mask, encode_mask
 from terrainwave.codec.memory import new_heights
 from terrainwave.codec.own_masks import Above, Sections, decode_validity, encode_validity
 from terrainwave.codec.refiner import (
+    ALL_ROWS,
     ALL_VALID,
     FREE,
     NO_CORRECTIONS,
     CorrectingRefiner,
     Corrections,
     Decoded,
-    DirectRefiner,
     GroupSpec,
     Heights,
     Mask,
@@ -30,6 +30,7 @@ from terrainwave.codec.refiner import (
     Validity,
     all_void,
     as_array,
+    as_direct,
 )
 from terrainwave.codec.remainder_planes import decode_remainders, encode_remainders
 from terrainwave.codec.varint import decode_varint, encode_varint
@@ -92,7 +93,7 @@ def encode_unit(
         body, heights, labels = correcting.encode(
             spec, parent_heights, target, validity.mask, corrections
         )
-    if _as_direct(refiner) is None:
+    if as_direct(refiner) is None:
         np.clip(heights, spec.z_min, spec.z_max, out=heights)
     collides = _collisions(spec, heights, validity.mask)
     if collides is not None and collides.any():
@@ -126,8 +127,12 @@ def decode_unit(
     spec: GroupSpec,
     parent: Decoded | None,
     payload: bytes,
+    n_rows: int = ALL_ROWS,
 ) -> Decoded:
     """Undo `encode_unit`. The mask is not to be written to.
+
+    If `n_rows` from the first on are enough, and the refiner is a `DirectRefiner`, a group
+    has no others, and nothing is known of the bytes after them.
 
     Raises
     ------
@@ -142,14 +147,16 @@ def decode_unit(
     if head.remainders:
         remainders = decode_remainders(head.remainders, spec.region.shape, spec.remainder_bytes)
     parent_heights = None if parent is None else parent.heights
-    direct, body = _as_direct(refiner), payload[head.n_bytes :]
+    direct, body = as_direct(refiner), payload[head.n_bytes :]
+    is_part = direct is not None and parent is not None and n_rows < spec.region.n_rows
     corrections = NO_CORRECTIONS
     if head.corrections:
         corrections = decode_corrections(head.corrections, spec)
     if direct is not None:
         heights = new_heights(spec.region.shape)
         labels = None
-        direct.decode_into(spec, parent_heights, mask, body, heights, corrections)
+        rows = n_rows if is_part else ALL_ROWS
+        direct.decode_into(spec, parent_heights, mask, body, heights, corrections, rows)
     else:
         if head.corrections:
             correcting = cast(CorrectingRefiner, refiner)
@@ -157,12 +164,17 @@ def decode_unit(
         else:
             heights, labels = refiner.decode(spec, parent_heights, mask, body)
         np.clip(heights, spec.z_min, spec.z_max, out=heights)
+    decoded = Decoded(heights, head.validity, labels, remainders)
+    if is_part:
+        decoded = decoded.part((slice(n_rows), slice(None)))
+    heights, mask = decoded.heights, decoded.validity.mask
     collides = _collisions(spec, heights, mask)
     n_collisions = 0 if collides is None else int(np.count_nonzero(collides))
-    goes_down = _decode_exceptions(head.exceptions, n_collisions)  # raises if there are too many
+    # Raises if there are too many.
+    goes_down = _decode_exceptions(head.exceptions, n_collisions, is_part=is_part)
     if collides is not None:
         _resolve_collisions(spec, heights, collides, goes_down)
-    return Decoded(heights, head.validity, labels, remainders)
+    return decoded
 
 
 class Head(NamedTuple):
@@ -283,11 +295,6 @@ def _columns(mask: Mask, first: int, n: int) -> Mask:
     return found
 
 
-def _as_direct(refiner: Refiner) -> DirectRefiner | None:
-    """Return a refiner that decodes into given memory as such; `isinstance` would take 0.1 ms."""
-    return cast(DirectRefiner, refiner) if hasattr(refiner, "decode_into") else None
-
-
 def _all_void(spec: GroupSpec) -> Decoded:
     shape = spec.region.shape
     return Decoded(np.zeros(shape, dtype=np.int32), all_void(shape))
@@ -310,16 +317,18 @@ def _resolve_collisions(
     heights[collides] = np.where(goes_down, low - 1, high + 1)
 
 
-def _decode_exceptions(section: bytes, n_collisions: int) -> NDArray[np.bool_]:
+def _decode_exceptions(section: bytes, n_collisions: int, *, is_part: bool) -> NDArray[np.bool_]:
+    """Return which heights go down; of a part of a unit, a section says more."""
     if not section:
         return np.zeros(n_collisions, dtype=np.bool_)
-    if len(section) != (n_collisions + 7) // 8:
+    n_needed = (n_collisions + 7) // 8
+    if len(section) < n_needed or (len(section) > n_needed and not is_part):
         raise CorruptStreamError(
             f"{n_collisions} heights equal nodata, but {len(section)} bytes of exceptions are"
             " present"
         )
     bits = np.unpackbits(np.frombuffer(section, dtype=np.uint8))
-    if bits[n_collisions:].any():
+    if bits[n_collisions:].any() and not is_part:
         raise CorruptStreamError("the last byte of the exceptions is not filled with 0")
     return bits[:n_collisions].astype(np.bool_)
 

@@ -39,7 +39,13 @@ _N_AHEAD = 3**4
 _WEST = 8 * _N_AHEAD
 N_MODELS = 2 * _WEST
 _KNOWN = -1
+# Of arrays in frames: what is known, and masks.
+_KNOWN_INNER = np.s_[:-1, 1:-1]
+_INNER = np.s_[1:-1, 1:-1]
 _INSIDE = 7 * _N_AHEAD  # contexts of samples with ones to the north, north-west and north-east
+# Samples of a run that are looked at together; even.
+_AT_ONCE = 32
+_ONE, _TWO = np.uint64(1), np.uint64(2)
 # An adaptive bit costs at most 16 bits, so this is room for any mask.
 _BYTES_PER_SAMPLE = 2
 
@@ -80,7 +86,7 @@ def encode_validity(
     if is_finest:
         return Sections(_encoded(mask, known), b"")
     own = as_array(validity.own_mask, region.shape)
-    return Sections(_encoded(mask, _known_of_mask(implied, own)), _encoded(own, known))
+    return Sections(_encoded(mask, _known_of_mask(implied, _padded(own))), _encoded(own, known))
 
 
 def decode_validity(
@@ -96,76 +102,94 @@ def decode_validity(
     if not any(sections) and (above is None or above.own is None) and not implied.any():
         return ALL_VALID
     known = _known_of_own(implied, region, above)
+    mask = _decoded(sections.mask if is_finest else sections.own, known)
     if is_finest:
-        return Validity.of(_decoded(sections.mask, known))
-    own = _decoded(sections.own, known)
-    return Validity.of(_decoded(sections.mask, _known_of_mask(implied, own)), own)
+        return Validity.of(mask[_INNER].copy())
+    own, mask = mask, _decoded(sections.mask, _known_of_mask(implied, mask))
+    return Validity.of(mask[_INNER].copy(), own[_INNER].copy())
 
 
 def _known_of_own(implied: Mask, region: Region, above: Above | None) -> Knowledge:
     """Return what is known of own samples: voids that are implied, and the parent's samples."""
-    known = implied.astype(np.uint8)  # VOID is 1
+    framed = _unknown(implied.shape)
+    known = framed[_KNOWN_INNER]
+    known[...] = implied  # VOID is 1
     if above is not None:
         row, col = region.row & 1, region.col & 1
         inherited = known[row::2, col::2]
         first_row, first_col = region.row + row >> 1, region.col + col >> 1
         n_rows, n_cols = inherited.shape
         outer = Region(first_row, first_col, n_rows, n_cols).slices_in(above.region)
-        inherited[...] = VALID if above.own is None else np.where(above.own[outer], VALID, VOID)
-    return known
+        if above.own is None:
+            inherited[...] = VALID
+        else:
+            np.add(above.own[outer].view(np.uint8), VOID, out=inherited)  # VALID is one more
+    return framed
 
 
 def _known_of_mask(implied: Mask, own: Mask) -> Knowledge:
-    """Return what is known of valid samples: voids that are implied, and all beside own ones."""
-    near = np.zeros((own.shape[0] + 2, own.shape[1] + 2), dtype=np.bool_)
-    near[1:-1, 1:-1] = own
-    rows = near[:-2] | near[1:-1] | near[2:]
-    spread = rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:]
-    known = np.where(spread, np.uint8(VALID), np.uint8(UNKNOWN))
-    known[implied] = VOID
-    return known
+    """Return what is known of valid samples: voids that are implied, and all beside own ones.
+
+    `own` is `_padded`.
+    """
+    rows = own[:-2] | own[1:-1]
+    rows |= own[2:]
+    spread = rows[:, :-2] | rows[:, 1:-1]
+    spread |= rows[:, 2:]
+    framed = _unknown(implied.shape)
+    known = framed[_KNOWN_INNER]
+    np.multiply(spread.view(np.uint8), VALID, out=known)
+    np.copyto(known, VOID, where=implied)
+    return framed
+
+
+def _unknown(shape: tuple[int, int]) -> Knowledge:
+    """Return that nothing is known of samples, in a frame of what `_code_known` looks at beside."""
+    return np.zeros((shape[0] + 1, shape[1] + 2), dtype=np.uint8)
+
+
+def _padded(mask: Mask) -> Mask:
+    """Return a mask in a frame of samples that are not."""
+    padded = np.zeros((mask.shape[0] + 2, mask.shape[1] + 2), dtype=np.bool_)
+    padded[_INNER] = mask
+    return padded
 
 
 def _encoded(mask: Mask, known: Knowledge) -> bytes:
     """Return the bytes of a mask; none where all that is not known to be void is valid."""
-    if np.array_equal(mask, known != VOID):
+    if np.array_equal(mask, known[_KNOWN_INNER] != VOID):
         return b""
     out = np.empty(_BYTES_PER_SAMPLE * mask.size + 8, dtype=np.uint8)
     coder = new_encoder(out, new_models(N_MODELS))
-    _code_known(np.ascontiguousarray(mask), coder, *_room(known))
+    _code_known(np.ascontiguousarray(mask), coder, known, *_room(mask.shape))
     return out[: finish_encoder(coder.state, out)].tobytes()
 
 
 def _decoded(section: bytes, known: Knowledge) -> Mask:
+    """Return a mask, `_padded`."""
+    contexts, padded = _room((known.shape[0] - 1, known.shape[1] - 2))
     if not section:
-        mask: Mask = known != VOID
-        return mask
+        np.not_equal(known[_KNOWN_INNER], VOID, out=padded[_INNER])
+        return padded
     coder = new_decoder(section, new_models(N_MODELS))
-    room = _room(known)
-    _code_known(None, coder, *room)
+    _code_known(None, coder, known, contexts, padded)
     raise_for_status(*finish_decoder(coder.state, coder.stream))
-    return room.padded[1:, 1:-1].copy()
+    return padded
 
 
-class _Room(NamedTuple):
-    """What `_code_known` works in: margins of what lies outside the unit, which is unknown."""
-
-    known: Knowledge
-    contexts: NDArray[np.int16]
-    padded: NDArray[np.bool_]
-
-
-def _room(known: Knowledge) -> _Room:
-    n_rows, n_cols = known.shape
-    framed = np.zeros((n_rows + 1, n_cols + 2), dtype=np.uint8)
-    framed[:-1, 1:-1] = known
-    padded = np.zeros((n_rows + 1, n_cols + 2), dtype=np.bool_)
-    return _Room(framed, np.empty(n_cols, dtype=np.int16), padded)
+def _room(shape: tuple[int, int]) -> tuple[NDArray[np.int16], Mask]:
+    """Return what `_code_known` works in: contexts of a row, and a mask, `_padded`."""
+    padded = np.zeros((shape[0] + 2, shape[1] + 2), dtype=np.bool_)
+    return np.empty(shape[1], dtype=np.int16), padded
 
 
 @kernel
 def _row_models(padded, known, row, contexts):
-    """Fill `contexts` with each sample's model but for its western neighbour's part, or _KNOWN."""
+    """Fill `contexts` with each sample's model but for its western neighbour's part, or _KNOWN.
+
+    Return whether all are known.
+    """
+    most = np.int16(_KNOWN)
     above, here, below = padded[row], known[row], known[row + 1]
     # All in 16 bits, so that vectors hold many.
     for col in range(np.uint64(contexts.shape[0])):
@@ -177,7 +201,10 @@ def _row_models(padded, known, row, contexts):
         near = np.int16(np.int16(27 * np.int16(here[east])) + np.int16(9 * np.int16(below[middle])))
         far = np.int16(np.int16(3 * np.int16(below[east])) + np.int16(below[col]))
         context = np.int16(np.int16(np.int16(causal * _N_AHEAD) + near) + far)
-        contexts[col] = context if here[middle] == UNKNOWN else np.int16(_KNOWN)
+        context = context if here[middle] == UNKNOWN else np.int16(_KNOWN)
+        contexts[col] = context
+        most = max(most, context)
+    return most == _KNOWN
 
 
 @inlined_kernel
@@ -190,14 +217,41 @@ def _is_settled(context, models):
 
 
 @kernel_part
+def _goes_on(mask, known, contexts, row, col):
+    """Return whether samples from `col` on are each like the one two before, and ones so far."""
+    here, first = np.uint64(row), np.uint64(col)
+    other, unlike = np.int16(0), np.uint8(0)
+    for k in range(np.uint64(_AT_ONCE)):
+        at = first + k
+        other = np.int16(other | np.int16(contexts[at] ^ contexts[at - _TWO]))
+    for k in range(np.uint64(_AT_ONCE)):
+        at = first + k  # of `known` one more
+        unlike = np.uint8(unlike | np.uint8(known[here, at + _ONE] ^ known[here, at - _ONE]))
+    if mask is not None:
+        for k in range(np.uint64(_AT_ONCE)):
+            unlike = np.uint8(unlike | np.uint8(not mask[here, first + k]))
+    return other == 0 and unlike == 0
+
+
+@kernel_part
 def _run_of_ones(mask, known, contexts, models, row, col, n_cols):
     """Return how many samples of a row are to be coded by settled models, and where the run ends.
 
     All these models are the same numbers, and ones do not move them: one stands for all. Known ones
-    lie between them. When encoding, the run ends before a zero.
+    lie between them. When encoding, the run ends before a zero. Far from voids, every second sample
+    is like the other: many at a time are compared, in vectors.
     """
-    n, end = np.int64(0), col
+    n, end = np.int64(0), np.int64(col)
+    next_look = end + 2
     while end < n_cols:
+        if end >= next_look and end + _AT_ONCE <= n_cols:
+            if _goes_on(mask, known, contexts, row, end):
+                n += (_AT_ONCE >> 1) * (
+                    np.int64(contexts[end] != _KNOWN) + np.int64(contexts[end + 1] != _KNOWN)
+                )
+                end += _AT_ONCE
+                continue
+            next_look = end + _AT_ONCE
         if contexts[end] == _KNOWN:
             if known[row, end + 1] != VALID:
                 break
@@ -212,24 +266,41 @@ def _run_of_ones(mask, known, contexts, models, row, col, n_cols):
     return n, end
 
 
+@kernel_part
+def _copy_known(padded, known, row, n_cols):
+    """Take a row of samples that are all known."""
+    to, source = padded[row + 1], known[row]
+    for col in range(np.uint64(1), np.uint64(n_cols + 1)):
+        to[col] = source[col] == VALID
+
+
 @kernel
 def _code_known(mask, coder, known, contexts, padded):
-    """Encode what is not known of `mask` in raster order, or decode it; either way to `padded`."""
+    """Encode what is not known of `mask` in raster order, or decode it; either way to `padded`.
+
+    `known` has a row and a column more at each side but the top, of what is not known, and `padded`
+    a row as well there.
+    """
     coder, known, contexts, padded = borrowed((coder, known, contexts, padded))
-    n_rows, n_cols = padded.shape[0] - 1, padded.shape[1] - 2
+    n_rows, n_cols = known.shape[0] - 1, known.shape[1] - 2
     state, stream, models, is_encoder = coder
     at = take_out(state)
     for row in range(n_rows):
-        _row_models(padded, known, row, contexts)
         west, col = np.int64(0), 0
+        if _row_models(padded, known, row, contexts):
+            _copy_known(padded, known, row, n_cols)
+            continue
         while col < n_cols:
             if west == 1 and _is_settled(contexts[col], models):
                 n, end = _run_of_ones(mask, known, contexts, models, row, col, n_cols)
                 n_ones, at = code_ones(
                     at, state, stream, models, is_encoder, contexts[col] + _WEST, n
                 )
+                if n_ones == n:  # nearly always
+                    padded[row + 1, col + 1 : end + 1] = True
+                    col = end
                 # Up to the zero that stopped it, if one did.
-                while col < end and (n_ones > 0 or n_ones == n or contexts[col] == _KNOWN):
+                while col < end and (n_ones > 0 or contexts[col] == _KNOWN):
                     if contexts[col] != _KNOWN:
                         if n_ones == 0:
                             break

@@ -33,6 +33,9 @@ _INVERSES = np.array(
 )
 SYMBOL_BITS = 6
 _SYMBOLS = np.uint64(SYMBOL_BITS)
+# Of what `slots_of` returns: a frequency is at most N_SLOTS.
+_PLACE_SHIFT = SYMBOL_BITS + SLOT_BITS + 1
+_PLACE, _SLOT_FREQ_MASK = np.uint64(_PLACE_SHIFT), np.uint64(2 * N_SLOTS - 1)
 
 
 def packed_freqs(freqs: NDArray[np.int64]) -> NDArray[np.uint32]:
@@ -54,38 +57,47 @@ def packed_freqs(freqs: NDArray[np.int64]) -> NDArray[np.uint32]:
     return packed.ravel()
 
 
-def slots_of(freqs: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return the symbol of each slot of all contexts; `freqs` as in `packed_freqs`.
+def slots_of(freqs: NDArray[np.int64]) -> NDArray[np.uint32]:
+    """Return of each slot of all contexts all that a decoder asks; `freqs` as in `packed_freqs`.
 
-    One byte for each: what a raster uses of it stays in the faster caches.
+    Returns
+    -------
+    slots : ndarray of uint32, shape (N_SLOTS * n_contexts,)
+        ``place << 18 | freq << 6 | symbol``, at ``context << SLOT_BITS | slot``: the symbol, its
+        frequency, and which one of its slots it is.
     """
-    symbols = np.tile(np.arange(freqs.shape[1], dtype=np.uint8), freqs.shape[0])
-    return np.repeat(symbols, freqs.ravel())
+    before = np.cumsum(freqs, 1) - freqs
+    symbols = np.arange(freqs.shape[1], dtype=np.uint32)
+    own = (freqs << SYMBOL_BITS | symbols) - (before << _PLACE_SHIFT)
+    slots = np.repeat(own.astype(np.uint32).ravel(), freqs.ravel())
+    places = np.arange(N_SLOTS, dtype=np.uint32) << np.uint32(_PLACE_SHIFT)
+    return (slots.reshape(-1, N_SLOTS) + places).ravel()
 
 
 @inlined_kernel
-def _decoded(m, place, state, slots, packed, contexts, symbols, words, at):
+def _decoded(m, place, state, slots, contexts, symbols, words, at):
     """Decode the symbol at `place`, whose state is `state`; return the next state and word."""
-    context, slot = np.uint64(m[contexts + place]), state & _SLOT_MASK
-    symbol = np.uint64(slots[(context << _SLOTS) | slot])
-    m[symbols + place] = np.int64(symbol)
-    own = np.uint64(packed[(context << _SYMBOLS) | symbol])
-    state = (own & _FREQ_MASK) * (state >> _SLOTS) + slot - (own >> _FREQ_BITS)
+    context = np.uint64(m[contexts + place])
+    own = np.uint64(slots[(context << _SLOTS) | (state & _SLOT_MASK)])
+    m[symbols + place] = np.int64(own)  # of which callers take the symbol, many at a time
+    state = ((own >> _SYMBOLS) & _SLOT_FREQ_MASK) * (state >> _SLOTS) + (own >> _PLACE)
     is_low = state < _REFILL
     filled = (state << _WORD) | np.uint64(words[at])
     return (filled if is_low else state), at + np.uint64(is_low)
 
 
-@kernel
-def decode_row(m, contexts, symbols, n, slots, packed, words, word_pos, states, count):
+@inlined_kernel
+def decode_row(m, contexts, symbols, n, slots, words, word_pos, states, count):
     """Decode `n` symbols, all with states that take turns; return the word after the last.
+
+    What `slots_of` says of each is noted: its lowest SYMBOL_BITS are the symbol.
 
     Parameters
     ----------
     m : ndarray of int
-        Holds the contexts, from place `contexts` on, and takes the symbols, from `symbols` on.
-    slots, packed : ndarray
-        `slots_of` and `packed_freqs`.
+        Holds the contexts, from place `contexts` on, and takes what is noted, from `symbols` on.
+    slots : ndarray of uint32
+        `slots_of`.
     words : ndarray of uint16
         Has at least `n` words from `word_pos` on.
     states : ndarray of uint64, shape (N_STATES,)
@@ -100,36 +112,39 @@ def decode_row(m, contexts, symbols, n, slots, packed, words, word_pos, states, 
     x6, x7 = states[(count + 6) & 7], states[(count + 7) & 7]
     for k in range(0, n - 7, 8):
         place = np.uint64(k)
-        x0, at = _decoded(m, place, x0, slots, packed, contexts, symbols, words, at)
+        x0, at = _decoded(m, place, x0, slots, contexts, symbols, words, at)
         place = np.uint64(k + 1)
-        x1, at = _decoded(m, place, x1, slots, packed, contexts, symbols, words, at)
+        x1, at = _decoded(m, place, x1, slots, contexts, symbols, words, at)
         place = np.uint64(k + 2)
-        x2, at = _decoded(m, place, x2, slots, packed, contexts, symbols, words, at)
+        x2, at = _decoded(m, place, x2, slots, contexts, symbols, words, at)
         place = np.uint64(k + 3)
-        x3, at = _decoded(m, place, x3, slots, packed, contexts, symbols, words, at)
+        x3, at = _decoded(m, place, x3, slots, contexts, symbols, words, at)
         place = np.uint64(k + 4)
-        x4, at = _decoded(m, place, x4, slots, packed, contexts, symbols, words, at)
+        x4, at = _decoded(m, place, x4, slots, contexts, symbols, words, at)
         place = np.uint64(k + 5)
-        x5, at = _decoded(m, place, x5, slots, packed, contexts, symbols, words, at)
+        x5, at = _decoded(m, place, x5, slots, contexts, symbols, words, at)
         place = np.uint64(k + 6)
-        x6, at = _decoded(m, place, x6, slots, packed, contexts, symbols, words, at)
+        x6, at = _decoded(m, place, x6, slots, contexts, symbols, words, at)
         place = np.uint64(k + 7)
-        x7, at = _decoded(m, place, x7, slots, packed, contexts, symbols, words, at)
+        x7, at = _decoded(m, place, x7, slots, contexts, symbols, words, at)
     states[count & 7], states[(count + 1) & 7] = x0, x1
     states[(count + 2) & 7], states[(count + 3) & 7] = x2, x3
     states[(count + 4) & 7], states[(count + 5) & 7] = x4, x5
     states[(count + 6) & 7], states[(count + 7) & 7] = x6, x7
     for k in range(n - (n & 7), n):
         which = (count + k) & 7
-        at = decode_symbol(m, contexts, symbols, k, slots, packed, words, at, states, which)
+        at = decode_symbol(m, contexts, symbols, k, slots, words, at, states, which)
     return np.int64(at)
 
 
 @inlined_kernel
-def decode_symbol(m, contexts, symbols, k, slots, packed, words, at, states, which):
-    """Decode symbol `k` of a row with state `which`; return the place of the next word."""
+def decode_symbol(m, contexts, symbols, k, slots, words, at, states, which):
+    """Decode symbol `k` of a row with state `which`, as `decode_row` does.
+
+    Return the place of the next word.
+    """
     states[which], at = _decoded(
-        m, np.uint64(k), states[which], slots, packed, contexts, symbols, words, np.uint64(at)
+        m, np.uint64(k), states[which], slots, contexts, symbols, words, np.uint64(at)
     )
     return at
 

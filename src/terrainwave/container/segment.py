@@ -38,6 +38,11 @@ class Segment:
         """Return where the mesh in `row` of the page lies."""
         return ByteRange(self.payload_range(row).end, int(self.page.mesh_lengths[row]))
 
+    @property
+    def body_start(self) -> int:
+        """Return where its payloads and meshes begin, which follow each other without gaps."""
+        return min(self.payload_starts)
+
     def page_range(self, child: Block) -> ByteRange:
         """Return where the page of `child` lies; of length 0 if the segment is absent."""
         row = self.child_rows[child]

@@ -72,6 +72,18 @@ class Entry(NamedTuple):
     flags: int
 
 
+class LikeSegment(NamedTuple):
+    """A segment with the payloads and codes of another one of its level, that of `head`."""
+
+    head: Block
+
+    def key_there(self, key: Block, head: Block) -> Block:
+        """Return what corresponds there to a key in the segment of `head`."""
+        depth = key.level - head.level
+        row, col = self.head.row - head.row << depth, self.head.col - head.col << depth
+        return Block(key.level, key.row + row, key.col + col)
+
+
 class SegmentSpool:
     """Takes the payloads of one segment in any order; `assemble` writes them in page order.
 

@@ -2,21 +2,24 @@
 
 import os
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from terrainwave.container.page import page_layout
-from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.spool import LikeSegment, SegmentSpool
 from terrainwave.grid.quadtree import Block, Grid
 
 
 class SpoolSink:
-    """Sorts payloads into the spools of their segments, those of `heads`; thread-safe."""
+    """Sorts payloads into the spools of their segments; thread-safe.
 
-    def __init__(
-        self, grid: Grid, heads: Iterable[Block | None], directory: str | os.PathLike[str]
-    ) -> None:
+    `spools` has those that have any. None stands for a segment that is void with all below it:
+    there are no others for these. Where a segment is like another one, that is named.
+    """
+
+    def __init__(self, grid: Grid, directory: str | os.PathLike[str]) -> None:
         self._grid = grid
-        self.spools = {head: SegmentSpool(directory) for head in heads}
+        self._directory = directory
+        self.spools: dict[Block | None, SegmentSpool | LikeSegment | None] = {}
         self.n_bytes = 0
         self.n_units = 0
         self._n_missing: dict[Block | None, int] = {}
@@ -25,7 +28,11 @@ class SpoolSink:
     def __call__(self, key: Block, payload: bytes) -> None:
         """Take the payload of a unit."""
         head = None if key.is_root_key else self._grid.segment_head(key)
-        self.spools[head].add(key, payload)
+        with self._lock:
+            spool = self.spools.get(head)
+            if not isinstance(spool, SegmentSpool):
+                spool = self.spools[head] = SegmentSpool(self._directory)
+        spool.add(key, payload)
         with self._lock:
             self.n_bytes += len(payload)
             self.n_units += 1
@@ -34,19 +41,50 @@ class SpoolSink:
             self._n_missing[head] -= 1
             is_complete = self._n_missing[head] == 0
         if is_complete:
-            self.spools[head].finish()
+            spool.finish()
+
+    def leave_out(self, block: Block) -> None:
+        """Take note that all units below a block are void."""
+        grid = self._grid
+        layer = [block]
+        while layer and layer[0].level < grid.k_max and grid.segment_head(layer[0]) != layer[0]:
+            for key in layer:
+                self(key, b"")
+            layer = grid.all_children(layer)
+        if layer and layer[0].level < grid.k_max:
+            with self._lock:
+                self.spools.update(dict.fromkeys(layer))
+
+    def repeat(self, head: Block, like: Block) -> None:
+        """Take note that the segment of `head` has the bytes of that of `like`."""
+        with self._lock:
+            self.spools[head] = LikeSegment(like)
+
+    def present(self) -> Iterator[SegmentSpool]:
+        """Yield the spools that have payloads of their own."""
+        return (spool for spool in self.spools.values() if isinstance(spool, SegmentSpool))
 
     def set_meshes(self, sections: Mapping[Block, bytes]) -> None:
         """Take the mesh sections of keys whose payloads have been taken."""
         for key, section in sections.items():
             head = None if key.is_root_key else self._grid.segment_head(key)
-            self.spools[head].set_mesh(key, section)
-        for spool in self.spools.values():
+            spool = self.spools.get(head)
+            if isinstance(spool, SegmentSpool):
+                spool.set_mesh(key, section)
+            elif section:
+                raise ValueError(f"{key} has a mesh, but no payload of its own")
+        for spool in self.present():
             spool.finish()
 
     def payloads(self, keys: Sequence[Block]) -> list[bytes]:
         """Return payloads that have been taken."""
-        heads = [None if key.level < 0 else self._grid.segment_head(key) for key in keys]
-        return [
-            next(self.spools[head].chunks([key])) for head, key in zip(heads, keys, strict=True)
-        ]
+        return [self._payload(key) for key in keys]
+
+    def _payload(self, key: Block) -> bytes:
+        head = None if key.level < 0 else self._grid.segment_head(key)
+        spool = self.spools.get(head)
+        if isinstance(spool, LikeSegment):
+            assert head is not None
+            key = spool.key_there(key, head)
+            spool = self.spools[spool.head]
+        return next(spool.chunks([key])) if isinstance(spool, SegmentSpool) else b""

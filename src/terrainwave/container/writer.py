@@ -22,12 +22,13 @@ from terrainwave.container.page import (
     page_length,
     with_first_child,
 )
-from terrainwave.container.spool import SegmentSpool, storage_errors
-from terrainwave.grid.quadtree import Block, Grid
+from terrainwave.container.spool import LikeSegment, SegmentSpool, storage_errors
+from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid
 
-Spools = Mapping[Block | None, SegmentSpool]
-# A segment is spooled here, or stored where other machines put it.
-Segments = Mapping[Block | None, SegmentSpool | StoredSegment]
+# A segment is spooled here, or stored where other machines put it. None stands for one that is void
+# with all below it, of which nothing else is here.
+Spools = Mapping[Block | None, SegmentSpool | LikeSegment | None]
+Segments = Mapping[Block | None, SegmentSpool | LikeSegment | StoredSegment | None]
 
 
 class _Extent(NamedTuple):
@@ -39,6 +40,7 @@ class _Extent(NamedTuple):
 
 
 _ABSENT = _Extent(b"", 0, 0)
+_Extents = defaultdict[Block | None, _Extent]
 
 
 def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
@@ -50,8 +52,9 @@ def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
         Only written to, in order.
     header : Header
         With its metadata and parameters.
-    segments : mapping of Block or None to SegmentSpool or StoredSegment
-        One for each of ``header.grid.segment_heads()``, complete.
+    segments : mapping of Block or None to SegmentSpool, LikeSegment, StoredSegment or None
+        One for each of ``header.grid.segment_heads()``, complete; None for one that is void, and
+        nothing for those below it.
 
     Raises
     ------
@@ -68,12 +71,22 @@ def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
     index pages, about 2 kB per segment, and one payload.
     """
     grid = header.grid
-    levels: list[Sequence[Block | None]] = [[None]]
-    levels += [grid.blocks(level) for level in grid.segment_levels()]
-    parts: dict[Block | None, _Extent] = {}
+    levels: list[list[Block | None]] = [[None]]
+    while levels[-1]:
+        # In Morton order as those above them.
+        levels.append(
+            [
+                child
+                for head in levels[-1]
+                for child in _children(grid, head)
+                if not _is_void(child, segments)
+            ]
+        )
+    parts: _Extents = defaultdict(lambda: _ABSENT)
+    prepare = _Preparation(grid, segments, parts)
     for heads in reversed(levels):
         for head in heads:
-            parts[head] = _prepare(grid, head, segments, parts)
+            parts[head] = prepare(head)
     metadata = pack_metadata(header.metadata)
     top_start = HEADER_SIZE + len(metadata) + len(header.file_tables)
     extents = Extents(
@@ -93,12 +106,12 @@ def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
             child_start += sum(parts[head].length for head in heads)
             cursor = child_start
             for head in heads:
-                layout = page_layout(grid, head)
+                children = _children(grid, head)
                 if parts[head].length:
-                    first_child = cursor if layout.children else 0
-                    for chunk in _chunks(segments[head], layout, parts[head], first_child):
+                    first_child = cursor if children else 0
+                    for chunk in _chunks(grid, head, segments, parts[head], first_child):
                         out_file.write(chunk)
-                cursor += sum(parts[child].length for child in layout.children)
+                cursor += sum(parts[child].length for child in children)
         out_file.flush()
     return extents
 
@@ -111,9 +124,11 @@ def store_segments(
     `heads` have parents before children. Children that are not among them count as absent: their
     lengths in a page are 0 until `assemble` knows better.
     """
-    parts: defaultdict[Block | None, _Extent] = defaultdict(lambda: _ABSENT)
+    parts: _Extents = defaultdict(lambda: _ABSENT)
+    prepare = _Preparation(grid, spools, parts)
     for head in reversed(heads):
-        parts[head] = _prepare(grid, head, spools, parts)
+        if not _is_below_void(grid, head, spools):
+            parts[head] = prepare(head)
     places: dict[Block | None, StoredSegment] = {}
     offset = 0
     with depot.create(name) as file:
@@ -122,7 +137,7 @@ def store_segments(
             places[head] = StoredSegment(depot.path(name), offset, part.page_length, part.length)
             offset += part.length
             if part.length:
-                for chunk in _chunks(spools[head], page_layout(grid, head), part, 0):
+                for chunk in _chunks(grid, head, spools, part, 0):
                     file.write(chunk)
     lengths = [(place.page_length, place.length) for place in places.values()]
     depot.save(_index_name(name), lengths=np.array(lengths, dtype=np.uint64))
@@ -141,43 +156,93 @@ def stored_places(
     return places
 
 
+def _is_void(head: Block, segments: Segments) -> bool:
+    """Say whether a segment is given as void."""
+    return head in segments and segments[head] is None
+
+
+def _is_below_void(grid: Grid, head: Block | None, segments: Segments) -> bool:
+    """Say whether a segment, or one above it, is given as void."""
+    while head is not None and head not in segments and head.level:
+        head = grid.segment_head(head.parent)
+    return head is not None and _is_void(head, segments)
+
+
 def _index_name(name: str) -> str:
     return f"{name}.index"
 
 
 def _chunks(
-    segment: SegmentSpool | StoredSegment, layout: PageLayout, part: _Extent, first_child: int
+    grid: Grid, head: Block | None, segments: Segments, part: _Extent, first_child: int
 ) -> Iterator[bytes]:
     """Yield the bytes of a segment whose children begin at `first_child` of the file."""
-    if isinstance(segment, SegmentSpool):
-        yield pack_page(part.columns, first_child)
-        yield from segment.chunks(layout.keys_in_file)
-        return
-    stored = segment.chunks()
-    yield with_first_child(next(stored), first_child)
-    yield from stored
-
-
-def _prepare(
-    grid: Grid, head: Block | None, segments: Segments, parts: Mapping[Block | None, _Extent]
-) -> _Extent:
-    if head not in segments:
-        raise ValueError(f"{describe_head(head)} is missing")
-    segment = segments[head]
+    there, segment = _resolved(head, segments)
     if isinstance(segment, StoredSegment):
-        return _Extent(b"", segment.page_length, segment.length)
-    layout = page_layout(grid, head)
-    page = _page(grid, layout, segment, [parts[child] for child in layout.children])
-    if head is not None and page.is_empty:
-        return _ABSENT
-    columns = pack_columns(page)
-    length = page_length(columns)
-    if length > MAX_PAGE:
-        raise AssertionError(f"page of {length} bytes")
-    return _Extent(columns, length, length + page.body_length)
+        stored = segment.chunks()
+        yield with_first_child(next(stored), first_child)
+        yield from stored
+    elif segment is not None:
+        yield pack_page(part.columns, first_child)
+        yield from segment.chunks(page_layout(grid, there).keys_in_file)
 
 
-def _page(grid: Grid, layout: PageLayout, spool: SegmentSpool, children: list[_Extent]) -> Page:
+def _resolved(
+    head: Block | None, segments: Segments
+) -> tuple[Block | None, SegmentSpool | StoredSegment | None]:
+    """Return where the payloads of a segment are: itself, or the one that it is like."""
+    segment = segments[head]
+    if not isinstance(segment, LikeSegment):
+        return head, segment
+    found = segments[segment.head]
+    if not isinstance(found, SegmentSpool):
+        raise ValueError(f"{describe_head(segment.head)} has no payloads of its own")
+    return segment.head, found
+
+
+def _children(grid: Grid, head: Block | None) -> Sequence[Block]:
+    """Return the heads of the segments below one; quick where there are none."""
+    is_last = head is not None and head.level + SEGMENT_LEVELS >= grid.k_max
+    return [] if is_last else page_layout(grid, head).children
+
+
+class _Preparation:
+    """Makes the pages of segments, of like ones with like children once."""
+
+    def __init__(self, grid: Grid, segments: Segments, parts: _Extents) -> None:
+        self._grid = grid
+        self._segments = segments
+        self._parts = parts
+        self._like: dict[tuple[Block | None, tuple[_Extent, ...]], _Extent] = {}
+
+    def __call__(self, head: Block | None) -> _Extent:
+        if head not in self._segments:
+            raise ValueError(f"{describe_head(head)} is missing")
+        there, segment = _resolved(head, self._segments)
+        if segment is None:
+            return _ABSENT
+        if isinstance(segment, StoredSegment):
+            return _Extent(b"", segment.page_length, segment.length)
+        children = tuple(self._parts[child] for child in _children(self._grid, head))
+        if there == head:
+            return self._made(there, segment, children)
+        if (there, children) not in self._like:
+            self._like[there, children] = self._made(there, segment, children)
+        return self._like[there, children]
+
+    def _made(
+        self, head: Block | None, segment: SegmentSpool, children: Sequence[_Extent]
+    ) -> _Extent:
+        page = _page(self._grid, page_layout(self._grid, head), segment, children)
+        if head is not None and page.is_empty:
+            return _ABSENT
+        columns = pack_columns(page)
+        length = page_length(columns)
+        if length > MAX_PAGE:
+            raise AssertionError(f"page of {length} bytes")
+        return _Extent(columns, length, length + page.body_length)
+
+
+def _page(grid: Grid, layout: PageLayout, spool: SegmentSpool, children: Sequence[_Extent]) -> Page:
     extra = set(spool.keys()) - set(layout.keys)
     if extra:
         raise ValueError(f"{describe_key(min(extra))} does not belong to this segment")

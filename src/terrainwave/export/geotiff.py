@@ -26,7 +26,7 @@ from terrainwave.arguments import (
     shown,
 )
 from terrainwave.container.targets.publication import refuse_own_source
-from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
+from terrainwave.errors import CorruptStreamError, InvalidArgumentError, TerrainwaveWarning
 from terrainwave.export.ellipsoidal import AboveEllipsoid, above_ellipsoid
 from terrainwave.export.georeference import info_to_write, keep_place
 from terrainwave.export.height_tiles import write_height_tile
@@ -161,7 +161,10 @@ def decompress(
             converted = above_ellipsoid(terrain, info, level)
             info, read = converted.info, partial(_converted, converted, read, region)
         with RasterSink(dst, info, cog=cog, overwrite=overwrite, n_threads=n_threads) as sink:
-            _write(sink, read, region, 2 * terrain.grid.block, reporter)
+            has_heights = (
+                partial(_may_have_heights, terrain, asked.level) if sink.may_be_sparse else None
+            )
+            _write(sink, read, region, 2 * terrain.grid.block, reporter, has_heights)
         keep_place(dst, info)
         _warn_of_lost(terrain, level, region)
     return os.fspath(dst)
@@ -233,6 +236,14 @@ def _check_geotiff(
         )
 
 
+def _may_have_heights(terrain: TerrainFile, level: int, region: Region) -> bool:
+    """Say whether a region of a level may have heights: damage is left to who reads it."""
+    try:
+        return next(terrain.coded_parts(region, level), None) is not None
+    except CorruptStreamError:
+        return True
+
+
 def _converted(
     converted: AboveEllipsoid, read: Callable[[Region], _Samples], region: Region, part: Region
 ) -> _Samples:
@@ -247,13 +258,18 @@ def _write(
     region: Region,
     side: int,
     reporter: Reporter,
+    has_heights: Callable[[Region], bool] | None = None,
 ) -> None:
-    """Write a region in parts along the borders of groups, so that each is decoded once."""
+    """Write a region in parts along the borders of groups, so that each is decoded once.
+
+    Parts without heights are left out, where that can be told.
+    """
+    itemsize = np.dtype(sink.info.dtype).itemsize
     n_rows = max(side, _WINDOW_SAMPLES // max(region.n_cols, 1) // side * side)
     n_cols = max(side, _WINDOW_SAMPLES // n_rows // side * side)
     total, done = region.n_rows * region.n_cols, 0
     for part in region.tiles(n_rows, n_cols, is_aligned=True):
-        heights, valid = read(part)
-        sink.write(part.row - region.row, part.col - region.col, heights, valid)
+        if has_heights is None or has_heights(part):
+            sink.write(part.row - region.row, part.col - region.col, *read(part))
         done += part.n_rows * part.n_cols
-        reporter.report("decoding", done, total, done * heights.dtype.itemsize)
+        reporter.report("decoding", done, total, done * itemsize)

@@ -20,6 +20,7 @@ from terrainwave.arguments import (
 from terrainwave.errors import InvalidArgumentError, LimitExceededError
 from terrainwave.file.described import DescribedFile
 from terrainwave.file.info import Info, info_of
+from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS, methods_that
 from terrainwave.place.position import longitude_turn
 from terrainwave.read.lost import Lost
@@ -374,6 +375,17 @@ class TerrainFile(DescribedFile):
             _, valid = self.read_with_mask((row, 0, self.grid.block, n_cols))
             n_voids += int(valid.size - np.count_nonzero(valid))
         return n_voids
+
+    def coded_parts(self, region: Region, level: int = -1) -> Iterator[Region]:
+        """Yield the parts of a region of a level in which there may be heights, by the index alone.
+
+        All else is void: little is read of a file that is mostly void.
+        """
+        from terrainwave.read.coded import coded_parts
+
+        if METHODS[self.header.method].is_tiled:
+            return iter([region])
+        return coded_parts(self.container, self.level_index(level), region)
 
     def check(self) -> Iterator[str]:
         """Check all checksums and decode every unit; yield what is wrong, in plain words."""

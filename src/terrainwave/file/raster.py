@@ -9,7 +9,10 @@ from numpy.typing import NDArray
 
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import IDENTITY
+from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.earlier_loss import EarlierFile, EarlierLoss, earlier_files
+from terrainwave.raster_io.even import Even
+from terrainwave.raster_io.raster_info import stored_nodata
 from terrainwave.raster_io.source import RasterSource
 
 
@@ -85,6 +88,12 @@ class TerrainBackend:
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         """Return decoded heights and False where they are void."""
         return self._terrain.read_with_mask((row, col, n_rows, n_cols))
+
+    def even(self, region: Region) -> Even | None:
+        """Return a void for a region in which the file has no payloads; else None."""
+        if next(self._terrain.coded_parts(region), None) is not None:
+            return None
+        return Even(stored_nodata(self._info.void_value, self.dtype), False)
 
     def close(self) -> None:
         """Close what was opened here."""

@@ -271,6 +271,14 @@ class HeightScan:
         if self.steps is not None and not self.steps.hold(heights):
             self.steps = None
 
+    def update_even(self, value: np.generic, n_samples: int, *, is_valid: bool) -> None:
+        """Take in samples of one value; a digest, which asks where valid ones lie, does not."""
+        if self.digest is not None and is_valid:
+            raise ValueError("a digest needs every valid sample at its place")
+        self.update(np.full((1, 1), value, dtype=self.dtype), np.full((1, 1), is_valid))
+        self.n_samples += n_samples - 1
+        self.n_valid += (n_samples - 1) * is_valid
+
     def merge(self, other: "HeightScan") -> None:
         """Take in what another scan has seen of the same raster."""
         self.n_samples += other.n_samples

@@ -329,6 +329,8 @@ def _full_shape(grid: Grid, block: Block) -> tuple[int, int]:
 
 def has_mesh(grid: Grid, block: Block, mask: Mask) -> bool:
     """Say whether a block has a mesh, of the validity of its samples inside the raster."""
+    if has_triangles(mask):
+        return True
     outside = [(0, n - own) for n, own in zip(_full_shape(grid, block), mask.shape, strict=True)]
     return has_triangles(np.pad(mask, outside, mode="edge"))
 

@@ -3,15 +3,17 @@
 import contextlib
 import re
 import warnings
-from typing import Any
+from typing import Any, NamedTuple
 
 import rasterio
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
+from terrainwave.cache import Cache
 from terrainwave.errors import TerrainwaveWarning
 
 _AUTHORITY_CODE = re.compile(r"([A-Za-z][A-Za-z0-9_]*):([A-Za-z0-9_.]+)")
+_WKT_VERSIONS = "WKT2_2019", "WKT1_GDAL"
 _WKT_START = re.compile(r"\s*[A-Z][A-Z0-9_]*\s*[\[(]")
 
 
@@ -55,6 +57,13 @@ def crs_of_grid_mapping(mapping: dict[str, Any]) -> CRS:
     return CRS.from_wkt(ProjCRS.from_cf(mapping).to_wkt())
 
 
+class _Said(NamedTuple):
+    """What a file says of a CRS, and whether the same system comes back from it."""
+
+    text: str
+    is_exact: bool
+
+
 def format_crs(crs: CRS | None) -> str | None:
     """Return ``"AUTH:CODE"`` where that code means exactly `crs`, else its WKT; None for none.
 
@@ -62,30 +71,48 @@ def format_crs(crs: CRS | None) -> str | None:
     same whose ellipsoids differ in the ninth digit. The WKT compared is rasterio's default, as
     GeoTIFF keys don't carry the areas and ensembles that the registry's WKT2 has.
     """
-    if not crs:
-        return None
-    authority = crs.to_authority()
-    if authority is not None:
-        with contextlib.suppress(CRSError):
-            if CRS.from_authority(*authority).to_wkt() == crs.to_wkt():
-                return ":".join(authority)
-    # WKT2 as GDAL writes it drops the codes of inner parts that WKT1 keeps, and WKT1 cannot say
-    # everything: take the first that gives the same system back.
-    candidates = []
-    for version in ("WKT2_2019", "WKT1_GDAL"):
-        with contextlib.suppress(CRSError):
-            candidates.append(str(crs.to_wkt(version=version)))
-            if CRS.from_wkt(candidates[-1]).to_wkt() == crs.to_wkt():
-                return candidates[-1]
-    return candidates[0] if candidates else str(crs.to_wkt())
+    return _said_of(crs).text if crs else None
 
 
 def is_exact(crs: CRS | None) -> bool:
     """Tell whether `format_crs` gives text from which the same system comes back."""
-    if not crs:
-        return True
-    text = format_crs(crs)
+    return _said_of(crs).is_exact if crs else True
+
+
+def _said_of(crs: CRS) -> _Said:
+    """Return what is said of a CRS; PROJ is asked once about each, which takes milliseconds."""
+    return _SAID.get_or_make(_texts_of(crs), lambda: _say(crs))
+
+
+def _texts_of(crs: CRS) -> tuple[str, ...]:
+    """Return all WKT of a CRS that anything said of it depends on."""
+    texts = [str(crs.to_wkt())]
+    for version in _WKT_VERSIONS:
+        with contextlib.suppress(CRSError):
+            texts.append(str(crs.to_wkt(version=version)))
+    return tuple(texts)
+
+
+def _say(crs: CRS) -> _Said:
+    authority, own = crs.to_authority(), crs.to_wkt()
+    if authority is not None:
+        with contextlib.suppress(CRSError):
+            if CRS.from_authority(*authority).to_wkt() == own:
+                return _Said(":".join(authority), True)
+    # WKT2 as GDAL writes it drops the codes of inner parts that WKT1 keeps, and WKT1 cannot say
+    # everything: take the first that gives the same system back.
+    candidates = []
+    for version in _WKT_VERSIONS:
+        with contextlib.suppress(CRSError):
+            candidates.append(str(crs.to_wkt(version=version)))
+            if CRS.from_wkt(candidates[-1]).to_wkt() == own:
+                return _Said(candidates[-1], True)
+    text = candidates[0] if candidates else str(own)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TerrainwaveWarning)
         back = parse_crs(text)
-    return back is not None and back.to_wkt() == crs.to_wkt()
+    return _Said(text, back is not None and back.to_wkt() == own)
+
+
+# By the texts of a CRS.
+_SAID: Cache[tuple[str, ...], _Said] = Cache(64)

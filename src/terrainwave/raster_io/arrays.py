@@ -9,6 +9,7 @@ import numpy as np
 from terrainwave.arguments import is_twz_name
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.affine import IDENTITY
+from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.labelled import layer_of, variable_of
 from terrainwave.raster_io.labelled.voids import number_of, voids_of
@@ -53,6 +54,9 @@ class ArrayBackend:
     def tags(self) -> dict[str, Any]:
         """Return the fields of RasterInfo that do not bear on the heights."""
         return self._tags
+
+    def even(self, region: Region) -> None:
+        """Return nothing: only reading tells."""
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Return heights (a copy) and False where a mask says void."""

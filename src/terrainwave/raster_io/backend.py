@@ -6,7 +6,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.earlier_loss import EarlierLoss
+from terrainwave.raster_io.even import Even
 
 
 class RasterBackend(Protocol):
@@ -45,6 +47,9 @@ class RasterBackend(Protocol):
         self, row: int, col: int, n_rows: int, n_cols: int
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         """Return heights (a copy) and False where a mask says void."""
+
+    def even(self, region: Region) -> Even | None:
+        """Return what all samples of a region are without reading them; None: only that tells."""
 
     def close(self) -> None:
         """Close what was opened here."""

@@ -5,6 +5,8 @@ import math
 import os
 import warnings
 from collections.abc import Iterator
+from contextlib import closing
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +25,10 @@ from terrainwave.errors import (
     TerrainwaveError,
 )
 from terrainwave.grid.affine import IDENTITY
+from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs, is_exact
 from terrainwave.raster_io.earlier_loss import EarlierLoss
+from terrainwave.raster_io.even import Even, StoredValues, stored_values
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
 from terrainwave.raster_io.tags import PLAIN_COLORS, is_statistic, select_tags
 
@@ -163,8 +167,17 @@ class DatasetBackend:
     is_file = True
     earlier: EarlierLoss | None = None
 
-    def __init__(self, dataset: Any, band: int, *, owned: bool, georeference: bool = True) -> None:
+    def __init__(
+        self,
+        dataset: Any,
+        band: int,
+        *,
+        owned: bool,
+        georeference: bool = True,
+        nested: int = 0,
+    ) -> None:
         self._owned = owned
+        self._nested = nested
         self._dataset = dataset
         self._band = band
         self._georeference = georeference
@@ -336,6 +349,34 @@ class DatasetBackend:
                 f"{self.name}: rows {row} to {row + n_rows - 1}, columns {col} to"
                 f" {col + n_cols - 1} cannot be read: {_reason(error)}"
             ) from error
+
+    def even(self, region: Region) -> Even | None:
+        """Return what all samples of a region are, by the file's index; None: only reading tells.
+
+        Voids that a mask marks are left to reading, and datasets that somebody else has opened,
+        who may have done so in part or to write.
+        """
+        if self._stored is None:
+            return None
+        value = self._stored.value(region)
+        return None if value is None else Even(value, True)
+
+    @cached_property
+    def _stored(self) -> StoredValues | None:
+        if self.has_mask or not self._owned:
+            return None
+        return stored_values(
+            self._dataset, self._band, self._sample, self._open_member, self._nested
+        )
+
+    def _sample(self, row: int, col: int) -> Any:
+        return self.read(row, col, 1, 1)[0][0, 0]
+
+    def _open_member(self, path: str, band: int) -> Any:
+        """Open a source of this VRT, whose voids are heights like others there."""
+        return closing(
+            DatasetBackend(open_dataset(path), band, owned=True, nested=self._nested + 1)
+        )
 
     def close(self) -> None:
         """Close what was opened here."""

@@ -17,6 +17,7 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
 from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.earlier_loss import EarlierLoss
+from terrainwave.raster_io.even import Composite, Even, samples_in
 from terrainwave.raster_io.raster_info import SUPPORTED_DTYPES, fit_nodata, stored_nodata
 from terrainwave.raster_io.tags import common_tags
 
@@ -88,6 +89,7 @@ class _Member(NamedTuple):
     turn: _Turn
     nodata: int | float | None
     has_mask: bool
+    even: Even | None
 
 
 class _Description(NamedTuple):
@@ -106,6 +108,7 @@ class _Description(NamedTuple):
     asides: tuple[str, ...]
     is_lost: bool
     earlier: EarlierLoss | None
+    even: Even | None
     turn: _Turn = _Turn()
 
     def on_grid_of(self, first: Self) -> Self:
@@ -203,6 +206,7 @@ class MosaicBackend:
                 one.turn,
                 one.nodata if nodata is None else nodata,
                 one.has_mask,
+                one.even,
             )
             for source, one, (row, col) in zip(sources, rasters, places)
         ]
@@ -217,7 +221,7 @@ class MosaicBackend:
         self._nodata = self.nodata if nodata is None else nodata
         losses = [one.earlier for one in rasters if one.earlier is not None]
         self.earlier = max(losses, key=lambda loss: loss.max_error, default=None)
-        self._n_covered = covered_samples([member.region for member in self._members])
+        self._n_covered = samples_in([member.region for member in self._members])
         has_voids = self._has_gaps or any(one.has_mask for one in rasters)
         self.has_mask = self._nodata is None and self.dtype.kind != "f" and has_voids
         self.block_shape = first.block_shape
@@ -247,6 +251,7 @@ class MosaicBackend:
             asides=tuple(backend.asides()),
             is_lost=backend.is_lost,
             earlier=backend.earlier,
+            even=backend.even(Region(0, 0, backend.n_rows, backend.n_cols)),
         )
 
     def _backend(self, source: Any) -> RasterBackend:
@@ -295,17 +300,48 @@ class MosaicBackend:
         window = Region(row, col, n_rows, n_cols)
         heights = np.full(window.shape, self._void_value(), dtype=self.dtype)
         valid = np.zeros(window.shape, dtype=np.bool_)
-        # All at once: there may be thousands.
-        first, last = self._corners
-        touching = (first < (row + n_rows, col + n_cols)) & (last > (row, col))
-        for number in np.flatnonzero(touching.all(axis=1)).tolist():
-            member = self._members[number]
+        for member in self._touching(window):
             part = member.region.intersect(window)
             samples, is_valid = self._read_member(member, part)
             there = part.slices_in(window)
             heights[there][is_valid] = samples[is_valid]
             valid[there] |= is_valid
         return heights, valid
+
+    def even(self, region: Region) -> Even | None:
+        """Return what all samples of a region are: those of gaps, and of rasters of one value."""
+        composite, is_any = Composite(region), False
+        for member in self._touching(region):
+            if member.even is None:
+                return None
+            value = member.even.value
+            if not member.even.is_valid or self._is_void(value, member.nodata):
+                continue
+            if self._is_void(value, self._nodata):  # which reading refuses
+                return None
+            if not composite.put(value, member.region):
+                return None
+            is_any = True
+        if not is_any:
+            return Even(self._void_value(), False)
+        value = composite.value(lambda: None)
+        return None if value is None else Even(value, True)
+
+    def _is_void(self, value: Any, nodata: int | float | None) -> bool:
+        if self.dtype.kind == "f" and math.isnan(value):
+            return True
+        if nodata is None or math.isnan(nodata):
+            return False
+        return bool(value == stored_nodata(nodata, self.dtype))
+
+    def _touching(self, region: Region) -> Iterator[_Member]:
+        """Yield the rasters that a region touches, in their order."""
+        # All at once: there may be thousands.
+        first, last = self._corners
+        end = region.row + region.n_rows, region.col + region.n_cols
+        touching = (first < end) & (last > region[:2])
+        for number in np.flatnonzero(touching.all(axis=1)).tolist():
+            yield self._members[number]
 
     def _void_value(self) -> Any:
         if self._nodata is not None:
@@ -449,15 +485,3 @@ def _corner_transform(
         y = next(one.transform[5] for one, (row, _) in zip(rasters, places) if row == top)
         return a, b, x, d, e, y
     return of_window(rasters[0].transform, top, left)
-
-
-def covered_samples(regions: Sequence[Region]) -> int:
-    """Return how many samples lie in at least one of the regions."""
-    row_ends = sorted({end for one in regions for end in (one.row, one.row + one.n_rows)})
-    col_ends = sorted({end for one in regions for end in (one.col, one.col + one.n_cols)})
-    is_covered = np.zeros((len(row_ends) - 1, len(col_ends) - 1), dtype=np.bool_)
-    for one in regions:
-        rows = np.searchsorted(row_ends, (one.row, one.row + one.n_rows))
-        cols = np.searchsorted(col_ends, (one.col, one.col + one.n_cols))
-        is_covered[slice(*rows), slice(*cols)] = True
-    return int(np.diff(row_ends) @ is_covered @ np.diff(col_ends))

@@ -30,6 +30,7 @@ from terrainwave.raster_io.arrays import ArrayBackend, Claim, LabelledBackend
 from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.dataset import DatasetBackend, is_twz, open_dataset
 from terrainwave.raster_io.earlier_loss import EarlierLoss
+from terrainwave.raster_io.even import Even, even_parts
 from terrainwave.raster_io.gdal import (
     SCAN_SAMPLES,
     scan_windows,
@@ -66,6 +67,8 @@ _GDAL_NAMES = {
 OpenTerrain = Callable[..., RasterBackend]
 # A window narrower than this fraction of the width decodes mostly samples it does not want.
 _NARROW_COLS = 1024
+# Samples a side of the smallest parts of windows that are asked whether they are even.
+_EVEN_SIDE = 512
 
 
 class RasterSource:
@@ -235,6 +238,10 @@ class RasterSource:
         info = self.info
         if row < 0 or col < 0 or row + n_rows > info.n_rows or col + n_cols > info.n_cols:
             raise ValueError(f"window ({row}, {col}, {n_rows}, {n_cols}) is not inside the raster")
+        even = self.even(Region(row, col, n_rows, n_cols))
+        if even is not None:
+            shape = n_rows, n_cols
+            return even.heights(shape, self._dtype), np.full(shape, even.is_valid)
         with self._lock:
             heights, valid = self._backend.read(row, col, n_rows, n_cols)
         if info.nodata is not None and not math.isnan(info.nodata):
@@ -243,6 +250,24 @@ class RasterSource:
             valid &= ~np.isnan(heights)
             self._check_finite(heights, valid, row, col)
         return heights, valid
+
+    def even(self, region: Region) -> Even | None:
+        """Return what all samples of a region inside the grid are, without reading them.
+
+        None where the source does not know it by its index alone.
+        """
+        with self._lock:
+            even = self._backend.even(region)
+        if even is None or not even.is_valid:
+            return even
+        value, nodata = even.value, self.info.nodata
+        is_float = self._dtype.kind == "f"
+        if is_float and np.isinf(value):  # which reading refuses
+            return None
+        is_void = is_float and bool(np.isnan(value))
+        if nodata is not None and not math.isnan(nodata):
+            is_void |= bool(value == stored_nodata(nodata, self._dtype))
+        return Even(value, not is_void)
 
     def _check_finite(self, heights: np.ndarray, valid: np.ndarray, row: int, col: int) -> None:
         infinite = np.isinf(heights) & valid
@@ -263,6 +288,18 @@ class RasterSource:
         info = self.info
         block_rows, block_cols = self._backend.block_shape
         yield from scan_windows(info.n_rows, info.n_cols, block_rows, block_cols, max_samples)
+
+    def parts(self) -> Iterator[tuple[Region, Even | None]]:
+        """Yield windows that cover the grid once, as `blocks` does, with what even ones are.
+
+        A window of which a part is even comes in several.
+        """
+        for block in self.blocks():
+            parts = list(even_parts(block, _EVEN_SIDE, self.even))
+            if all(even is None for _, even in parts):
+                yield block, None
+            else:
+                yield from parts
 
     def close(self) -> None:
         """Close what the source opened itself."""

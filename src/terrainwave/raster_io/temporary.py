@@ -14,7 +14,7 @@ from terrainwave.container.spool import TEMPORARY_ADVICE, cannot_write, storage_
 from terrainwave.grid.quadtree import Region
 
 # Arrays up to this many bytes are held in memory: below it the disk would only cost time.
-MEMORY_LIMIT = 8 << 20
+MEMORY_LIMIT = 20 << 20
 TILE = 256
 
 
@@ -48,20 +48,36 @@ class Spool:
         self.dtype = np.dtype(dtype)
         self._memory: NDArray[Any] | None = None
         self._file: Any = None
+        self._is_there: Any = None
         self._lock = threading.Lock()
         self._directory = directory
         self.is_kept = False
         if shape[0] * shape[1] * self.dtype.itemsize <= MEMORY_LIMIT:
             self._memory = np.zeros(shape, dtype=self.dtype)
         else:
+            n_tiles = -(-shape[0] // TILE), -(-shape[1] // TILE)
+            # Where a tile lies in the file, in tiles; -1 where it has one value, which needs none.
+            self._slots = np.full(n_tiles, -1, dtype=np.int32)
+            self._values = np.zeros(n_tiles, dtype=self.dtype)
+            self._n_slots = 0
             if path is not None:
-                with storage_errors(f"cannot write {path}"):
-                    self._file = open(path, "r+b" if path.exists() else "w+b", buffering=0)
-                self.is_kept = True
+                self._open(path)
             else:
                 # Unbuffered, unnamed where the system can: nothing is left behind by a kill.
                 self._file = tempfile.TemporaryFile(dir=directory, buffering=0)
-            self._tile_cols = -(-shape[1] // TILE)
+
+    def _open(self, path: Path) -> None:
+        """Use a file that outlives this object; another one beside it says which tiles it has."""
+        beside = path.with_name(f"{path.stem}-tiles{path.suffix}")
+        is_there = path.exists() and beside.exists()
+        with storage_errors(f"cannot write {path}"):
+            self._file = open(path, "r+b" if is_there else "w+b", buffering=0)
+            shape = self._slots.shape
+            self._is_there = np.memmap(beside, np.bool_, "r+" if is_there else "w+", shape=shape)
+        self._places = np.arange(self._slots.size, dtype=np.int32).reshape(shape)
+        self._was_there = np.array(self._is_there)
+        self._slots[self._was_there] = self._places[self._was_there]
+        self.is_kept = True
 
     @property
     def region(self) -> Region:
@@ -81,9 +97,12 @@ class Spool:
         if self._memory is not None:
             return self._memory[region.slices_in(self.region)].copy()
         window = np.empty(region.shape, dtype=self.dtype)
-        for tile, number in self._tiles(region):
+        for tile, at in self._tiles(region):
             part = tile.intersect(region)
-            window[part.slices_in(region)] = self._read_tile(number)[part.slices_in(tile)]
+            slot = self._slots[at]
+            window[part.slices_in(region)] = (
+                self._values[at] if slot < 0 else self._read_tile(slot)[part.slices_in(tile)]
+            )
         return window
 
     def write(self, region: Region, values: NDArray[Any]) -> None:
@@ -91,40 +110,70 @@ class Spool:
         if self._memory is not None:
             self._memory[region.slices_in(self.region)] = values
             return
-        for tile, number in self._tiles(region):
+        for tile, at in self._tiles(region):
             part = tile.intersect(region)
             is_whole = part.shape == tile.intersect(self.region).shape
             with self._lock:
-                content = (
-                    np.zeros((TILE, TILE), self.dtype)
-                    if is_whole
-                    else self._read_tile_locked(number)
-                )
+                slot = self._slots[at]
+                if is_whole or slot < 0:
+                    content = np.full((TILE, TILE), self._values[at])
+                else:
+                    content = self._read_tile_locked(slot)
                 content[part.slices_in(tile)] = values[part.slices_in(region)]
-                self._write_tile_locked(number, content)
+                if slot < 0:
+                    slot = self._places[at] if self.is_kept else self._n_slots
+                    self._n_slots += 1
+                self._write_tile_locked(slot, content)
+                self._slots[at] = slot
+                if self.is_kept:
+                    self._is_there[at] = True
+
+    def fill(self, region: Region, value: Any) -> None:
+        """Store one value in a region; whole tiles that were never written take no room.
+
+        Whole tiles that an earlier run has written are left as they are: it wrote over this value.
+        """
+        if self._memory is not None:
+            self._memory[region.slices_in(self.region)] = value
+            return
+        row, col = region.row - self.origin[0], region.col - self.origin[1]
+        ends = row + region.n_rows, col + region.n_cols
+        are_whole = row % TILE == col % TILE == 0 and all(
+            end % TILE == 0 or end == size for end, size in zip(ends, self.shape, strict=True)
+        )
+        tiles = np.s_[row // TILE : -(-ends[0] // TILE), col // TILE : -(-ends[1] // TILE)]
+        is_written = self._slots[tiles] >= 0
+        if self.is_kept:
+            is_written &= ~self._was_there[tiles]
+        if not are_whole or is_written.any():
+            for part in region.tiles(TILE, TILE):
+                self.write(part, np.full(part.shape, value, dtype=self.dtype))
+            return
+        with self._lock:
+            self._values[tiles] = value
 
     def close(self) -> None:
         """Free the memory or delete the file, unless it has a path of its own."""
         self._memory = None
         if self._file is not None:
             self._file.close()
-            self._file = None
+            self._file = self._is_there = None
 
-    def _tiles(self, region: Region) -> list[tuple[Region, int]]:
+    def _tiles(self, region: Region) -> list[tuple[Region, tuple[int, int]]]:
         row, col = region.row - self.origin[0], region.col - self.origin[1]
         rows = range(row // TILE, (row + region.n_rows - 1) // TILE + 1)
         cols = range(col // TILE, (col + region.n_cols - 1) // TILE + 1)
         return [
             (
                 Region(self.origin[0] + r * TILE, self.origin[1] + c * TILE, TILE, TILE),
-                r * self._tile_cols + c,
+                (r, c),
             )
             for r in rows
             for c in cols
         ]
 
     def _read_tile(self, number: int) -> NDArray[Any]:
-        size = TILE * TILE * self.dtype.itemsize
+        size, number = TILE * TILE * self.dtype.itemsize, int(number)
         if hasattr(os, "pread"):
             data = os.pread(self._file.fileno(), size, number * size)
             return _tile_from_bytes(data, self.dtype)
@@ -133,12 +182,12 @@ class Spool:
 
     def _read_tile_locked(self, number: int) -> NDArray[Any]:
         size = TILE * TILE * self.dtype.itemsize
-        self._file.seek(number * size)
+        self._file.seek(int(number) * size)
         return _tile_from_bytes(self._file.read(size), self.dtype)
 
     def _write_tile_locked(self, number: int, content: NDArray[Any]) -> None:
         try:
-            self._file.seek(number * content.nbytes)
+            self._file.seek(int(number) * content.nbytes)
             if self._file.write(content.tobytes()) != content.nbytes:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         except OSError as error:
@@ -147,6 +196,6 @@ class Spool:
 
 def _tile_from_bytes(data: bytes, dtype: np.dtype[Any]) -> NDArray[Any]:
     tile = np.zeros(TILE * TILE, dtype=dtype)
-    present = np.frombuffer(data, dtype=dtype)  # shorter where the file ends inside a hole
+    present = np.frombuffer(data, dtype=dtype)  # shorter where a write has failed
     tile[: present.size] = present
     return tile.reshape(TILE, TILE)

@@ -76,7 +76,9 @@ def note_on_marks(source: RasterSource, minimum: float, maximum: float) -> list[
 def _find(source: RasterSource, value: float) -> _Mark:
     number = np.dtype(source.info.dtype).type(value)
     n_samples, row, col, low, high = 0, 0, 0, np.inf, -np.inf
-    for region in source.blocks():
+    for region, even in source.parts():
+        if even is not None and not even.is_valid:
+            continue
         heights, valid = source.read(*region)
         found = valid & (heights == number)
         rest = heights[valid & ~found]

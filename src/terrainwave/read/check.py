@@ -8,6 +8,7 @@ from terrainwave.codec.refiner import Decoded
 from terrainwave.container.reader import Container
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.quadtree import Block, Grid
+from terrainwave.read.alike import Content, content_of
 from terrainwave.read.decoder import TreeDecoder, unit_name
 
 
@@ -17,9 +18,9 @@ def check_units(container: Container, decoder: TreeDecoder) -> Iterator[str]:
     At the end, how much of each level is lost, if anything is.
     """
     yield from container.check()
-    seams, lost = _Seams(decoder), list[Block]()
+    seams, lost, sound = _Seams(decoder), list[Block](), set[Content]()
     for key in container.grid.root_keys():
-        yield from _check_below(container, decoder, seams, key, lost)
+        yield from _check_below(container, decoder, seams, key, lost, sound)
     yield from _shares(container.grid, lost)
 
 
@@ -40,18 +41,38 @@ def _shares(grid: Grid, lost: list[Block]) -> Iterator[str]:
 
 
 def _check_below(
-    container: Container, decoder: TreeDecoder, seams: "_Seams", key: Block, lost: list[Block]
+    container: Container,
+    decoder: TreeDecoder,
+    seams: "_Seams",
+    key: Block,
+    lost: list[Block],
+    sound: set[Content],
 ) -> Iterator[str]:
+    """Check a unit and all below it; `sound` are segments in which there was nothing to tell."""
     try:
+        content = None if key.is_root_key else content_of(container, decoder, key)
+        if content in sound and _is_beside(container, decoder, key, sound):
+            return
         decoder.unit(key)
     except CorruptStreamError as exc:
         lost.append(key)
         yield str(exc)
         return  # what lies below cannot be decoded either
-    yield from seams.differences(key)
+    problems = list(seams.differences(key))
     for block in container.grid.key_blocks(key):
         if block.level < container.grid.k_max and not _is_absent(container, block):
-            yield from _check_below(container, decoder, seams, block, lost)
+            problems += _check_below(container, decoder, seams, block, lost, sound)
+    if content is not None and not problems:
+        sound.add(content)
+    yield from problems
+
+
+def _is_beside(
+    container: Container, decoder: TreeDecoder, head: Block, sound: set[Content]
+) -> bool:
+    """Say whether the segments before one, which it shares samples with, are such as itself."""
+    before = (head._replace(row=head.row - 1), head._replace(col=head.col - 1))
+    return all(content_of(container, decoder, one) in sound for one in before)
 
 
 class _Seams:

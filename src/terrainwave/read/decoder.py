@@ -1,13 +1,22 @@
 """Decode units on demand, each from its ancestors alone, through a bounded cache."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
-from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner, Validity
+from terrainwave.codec.refiner import (
+    ALL_ROWS,
+    Decoded,
+    GroupSpec,
+    Heights,
+    Mask,
+    Refiner,
+    Validity,
+    as_direct,
+)
 from terrainwave.codec.unit_specs import block_of_unit, unit_spec
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.parameters import CodecParameters
@@ -18,22 +27,29 @@ from terrainwave.read.fetched import FetchedPayloads, Payloads
 _MAX_SPECS = 1024
 # Units of scattered samples whose payloads are fetched in one call.
 _AT_A_TIME = 64
+# Of which units so many first rows are enough; of others, all are wanted.
+Beginnings = Mapping[Block, int]
+NONE_BEGUN: Beginnings = {}
 
 
 class UnitSource(Protocol):
     """Where a `TreeDecoder` has units from.
 
-    `are_apart` says that one unit can be decoded, and forgotten, without work for others.
+    `are_apart` says that one unit can be decoded, and forgotten, without work for others;
+    `ends_early` that the first rows of one can be decoded alone.
     """
 
     are_apart: bool
+    ends_early: bool
 
-    def prefetch(self, units: "TreeDecoder", keys: Sequence[Block]) -> list[Block]:
+    def prefetch(
+        self, units: "TreeDecoder", keys: Sequence[Block], begun: Beginnings = NONE_BEGUN
+    ) -> list[Block]:
         """Do as `TreeDecoder.prefetch`."""
         ...
 
-    def decode(self, units: "TreeDecoder", key: Block) -> Decoded:
-        """Decode a unit; `units` has those above it."""
+    def decode(self, units: "TreeDecoder", key: Block, begun: Beginnings = NONE_BEGUN) -> Decoded:
+        """Decode a unit, or so many rows of it; `units` has those above it."""
         ...
 
 
@@ -43,7 +59,8 @@ class Groups:
     Parameters
     ----------
     decode : callable
-        Decodes a payload: of the unit of a spec, below a block, None for a root block.
+        Decodes a payload: of the unit of a spec, below a block, None for a root block. Its last
+        argument is how many rows are enough, if the source `ends_early`.
     """
 
     are_apart = True
@@ -51,17 +68,22 @@ class Groups:
     def __init__(
         self,
         payloads: Payloads,
-        decode: Callable[[GroupSpec, Decoded | None, bytes], Decoded],
+        decode: Callable[[GroupSpec, Decoded | None, bytes, int], Decoded],
+        *,
+        ends_early: bool = False,
     ) -> None:
         self._fetched = FetchedPayloads(payloads)
         self._decode = decode
+        self.ends_early = ends_early
 
-    def prefetch(self, units: "TreeDecoder", keys: Sequence[Block]) -> list[Block]:
+    def prefetch(
+        self, units: "TreeDecoder", keys: Sequence[Block], begun: Beginnings = NONE_BEGUN
+    ) -> list[Block]:
         """Fetch the payloads of units that are not at hand (`TreeDecoder.prefetch`)."""
         missing: dict[Block, None] = {}
         for key in keys:
             chain = []
-            while key not in missing and units.is_wanting(key):
+            while key not in missing and units.is_wanting(key, begun.get(key, ALL_ROWS)):
                 chain.append(key)
                 if key.is_root_key:
                     break
@@ -70,13 +92,13 @@ class Groups:
         self._fetched.fetch(list(missing))
         return list(missing)
 
-    def decode(self, units: "TreeDecoder", key: Block) -> Decoded:
-        """Decode a unit."""
-        parent = None if key.is_root_key else units.block(key)
+    def decode(self, units: "TreeDecoder", key: Block, begun: Beginnings = NONE_BEGUN) -> Decoded:
+        """Decode a unit, or so many rows of it."""
+        parent = None if key.is_root_key else units.block(key, begun)
         spec = units.spec(key)
         payload = self._fetched.take(key)
         try:
-            return self._decode(spec, parent, payload)
+            return self._decode(spec, parent, payload, begun.get(key, ALL_ROWS))
         except CorruptStreamError as exc:
             raise type(exc)(f"{unit_name(key)} is damaged: {exc}") from exc
 
@@ -84,12 +106,12 @@ class Groups:
 def groups_by(refiner: Refiner, payloads: Payloads) -> Groups:
     """Return the units that a refiner decodes."""
 
-    def decode(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Decoded:
+    def decode(spec: GroupSpec, parent: Decoded | None, payload: bytes, n_rows: int) -> Decoded:
         from terrainwave.codec.group import decode_unit  # numba, which not every reader needs
 
-        return decode_unit(refiner, spec, parent, payload)
+        return decode_unit(refiner, spec, parent, payload, n_rows)
 
-    return Groups(payloads, decode)
+    return Groups(payloads, decode, ends_early=as_direct(refiner) is not None)
 
 
 class TreeDecoder:
@@ -101,22 +123,59 @@ class TreeDecoder:
         self.grid = grid
         self.source = source
         self._parameters = parameters
-        self._cache: Cache[Block, Decoded] = Cache(cache_bytes, size_of=lambda unit: unit.nbytes)
+        self._cache: Cache[Block, Decoded] = Cache(cache_bytes, size_of=_n_bytes)
         self._specs: Cache[Block, GroupSpec] = Cache(_MAX_SPECS)
 
-    def prefetch(self, keys: Sequence[Block]) -> list[Block]:
+    def prefetch(self, keys: Sequence[Block], begun: Beginnings = NONE_BEGUN) -> list[Block]:
         """Fetch the payloads that decoding `keys` will need, in one call.
 
         Returns the units that are not at hand, of the keys and all above them, each after those
         above it. A damaged payload is left for `unit` to report, so that it costs no other unit.
         """
-        return self.source.prefetch(self, keys)
+        return self.source.prefetch(self, keys, begun)
 
-    def is_wanting(self, key: Block) -> bool:
-        """Say whether a unit is neither here nor being decoded by another thread."""
-        return self._cache.get(key) is None and not self._cache.is_coming(key)
+    def beginnings(self, level: int, region: Region) -> Beginnings:
+        """Return of which units the first rows are enough to read a region of a level.
 
-    def unit(self, key: Block) -> Decoded:
+        None are where the region takes whole units, or nearly: such a reader goes on below it. And
+        a unit of which most rows are wanted is decoded to its end, which is checked there.
+        """
+        keys = units_of(self.grid, level, region)
+        last = region.row + region.n_rows - 1
+        found: dict[Block, int] = {}
+        if not self.source.ends_early or not keys:
+            return found
+        if self._rows_up_to(keys[-1], last) == ALL_ROWS:
+            return found
+        wanted = {key: self._rows_up_to(key, last) for key in keys}
+        while wanted:
+            found.update(wanted)
+            above: dict[Block, int] = {}
+            for key in wanted:
+                outer = self.spec(key).parent_region
+                if outer is not None:
+                    parent = unit_key(key)
+                    n_rows = self._rows_up_to(parent, outer.row + outer.n_rows - 1)
+                    above[parent] = max(above.get(parent, 0), n_rows)
+            wanted = above
+        return found
+
+    def _rows_up_to(self, key: Block, last: int) -> int:
+        """Return how many rows of a unit it takes to have row `last` of its level."""
+        region = self.spec(key).region
+        n_rows = last - region.row + 1
+        return ALL_ROWS if key.is_root_key or 4 * n_rows > 3 * region.n_rows else n_rows
+
+    def _has_rows(self, key: Block, unit: Decoded, n_rows: int) -> bool:
+        return unit.heights.shape[0] >= min(n_rows, self.spec(key).region.n_rows)
+
+    def is_wanting(self, key: Block, n_rows: int = ALL_ROWS) -> bool:
+        """Say whether rows of a unit are neither here nor being decoded by another thread."""
+        found = self._cache.get(key)
+        is_here = found is not None and self._has_rows(key, found, n_rows)
+        return not is_here and not self._cache.is_coming(key)
+
+    def unit(self, key: Block, begun: Beginnings = NONE_BEGUN) -> Decoded:
         """Return the decoded unit `key`; its ancestors are decoded as needed.
 
         Raises
@@ -124,8 +183,19 @@ class TreeDecoder:
         CorruptStreamError
             If its payload or one above it is damaged; the message names the unit.
         """
+        n_rows = begun.get(key, ALL_ROWS)
+        found = self._cache.get(key)
+        if found is not None:
+            if self._has_rows(key, found, n_rows):
+                return found
+            # No unit is decoded a third time.
+            n_rows, begun = ALL_ROWS, {**begun, key: ALL_ROWS}
         # Ancestors never wait for descendants.
-        return self._cache.get_or_make(key, lambda: self.source.decode(self, key))
+        return self._cache.get_or_make(
+            key,
+            lambda: self.source.decode(self, key, begun),
+            lambda unit: self._has_rows(key, unit, n_rows),
+        )
 
     def put(self, key: Block, unit: Decoded) -> None:
         """Keep what a unit decodes to, known before, as if it had been decoded."""
@@ -139,13 +209,15 @@ class TreeDecoder:
         """Return the keys of the units that hold a region of a level, in Morton order."""
         return units_of(self.grid, level, region)
 
-    def part(self, key: Block, region: Region) -> tuple[tuple[slice, slice], Decoded]:
+    def part(
+        self, key: Block, region: Region, begun: Beginnings = NONE_BEGUN
+    ) -> tuple[tuple[slice, slice], Decoded]:
         """Return the part of a unit inside a region of its level, and where it lies in the region.
 
         The arrays are views.
         """
         spec = self.spec(key)
-        return _part(self.unit(key), spec, spec.core.intersect(region), region)
+        return _part(self.unit(key, begun), spec, spec.core.intersect(region), region)
 
     def shared(self, key: Block, other: Block) -> Decoded:
         """Return a copy of what a unit holds of the samples that another one holds as well."""
@@ -155,7 +227,9 @@ class TreeDecoder:
         rest = None if rest is None else rest.copy()
         return Decoded(heights.copy(), validity.copy(), None, rest)
 
-    def part_once(self, key: Block, region: Region) -> tuple[tuple[slice, slice], Decoded]:
+    def part_once(
+        self, key: Block, region: Region, begun: Beginnings = NONE_BEGUN
+    ) -> tuple[tuple[slice, slice], Decoded]:
         """Return `part`, for a reader of a whole region.
 
         A unit of the full grid that is not at hand and lies in the region as a whole is not kept.
@@ -166,8 +240,8 @@ class TreeDecoder:
         n_rows, n_cols = spec.core.shape
         is_all = here.n_rows >= n_rows - 1 and here.n_cols >= n_cols - 1 and spec.is_finest
         if not is_all or not self.source.are_apart or self._cache.get(key) is not None:
-            return self.part(key, region)
-        return _part(self.source.decode(self, key), spec, here, region)
+            return self.part(key, region, begun)
+        return _part(self.source.decode(self, key, begun), spec, here, region)
 
     def window(self, level: int, region: Region) -> tuple[Heights, Mask]:
         """Return decoded heights and validity of any region inside a level."""
@@ -210,11 +284,18 @@ class TreeDecoder:
                 rest[0, here] = unit.remainders[at]
         return Decoded(heights, Validity.of(mask, own), None, rest)
 
-    def block(self, block: Block) -> Decoded:
+    def block(self, block: Block, begun: Beginnings = NONE_BEGUN) -> Decoded:
         """Return the decoded heights of a block, with its apron if the file has one."""
         key = unit_key(block)
         spec = self.spec(key)
-        return block_of_unit(self.grid, spec, self.unit(key), block)
+        return block_of_unit(self.grid, spec, self.unit(key, begun), block)
+
+
+def _n_bytes(unit: Decoded) -> int:
+    """Return the memory that a unit keeps, rows that it has no heights of included."""
+    owner = unit.heights.base
+    n_bytes = owner.nbytes if isinstance(owner, np.ndarray) else 0
+    return unit.nbytes + max(n_bytes - unit.heights.nbytes, 0)
 
 
 def _part(

@@ -25,7 +25,12 @@ _BATCH = 64
 _CACHE_BYTES = 32 << 20
 
 
-def _unit_mask(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Decoded:
+def _unit_mask(
+    spec: GroupSpec,
+    parent: Decoded | None,
+    payload: bytes,
+    n_rows: int,  # noqa: ARG001
+) -> Decoded:
     """Decode the mask of a unit; heights are all 0."""
     heights = _no_heights(spec.region)
     if not payload:

@@ -17,7 +17,14 @@ from terrainwave.errors import CorruptStreamError, InvalidArgumentError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.names import METHODS, methods_that
-from terrainwave.read.decoder import TreeDecoder, groups_by, unit_key, unit_name
+from terrainwave.read.decoder import (
+    NONE_BEGUN,
+    Beginnings,
+    TreeDecoder,
+    groups_by,
+    unit_key,
+    unit_name,
+)
 from terrainwave.read.fetched import FetchedPayloads, Payloads
 
 Tile = list[LevelHeights]
@@ -36,6 +43,7 @@ class Tiles:
     """
 
     are_apart = False
+    ends_early = False
 
     def __init__(
         self,
@@ -55,7 +63,12 @@ class Tiles:
             cache_bytes, size_of=lambda found: found.nbytes
         )
 
-    def prefetch(self, units: TreeDecoder, keys: Sequence[Block]) -> list[Block]:  # noqa: ARG002
+    def prefetch(
+        self,
+        units: TreeDecoder,  # noqa: ARG002
+        keys: Sequence[Block],
+        begun: Beginnings = NONE_BEGUN,  # noqa: ARG002
+    ) -> list[Block]:
         """Fetch the payloads of the tiles that decoding `keys` will need, in one call.
 
         Returns none: a unit needs tiles and no other unit.
@@ -69,7 +82,12 @@ class Tiles:
         self._fetched.fetch(list(needed))
         return []
 
-    def decode(self, units: TreeDecoder, key: Block) -> Decoded:
+    def decode(
+        self,
+        units: TreeDecoder,
+        key: Block,
+        begun: Beginnings = NONE_BEGUN,  # noqa: ARG002
+    ) -> Decoded:
         """Return a unit, cut from its tile."""
         tile_key = self._layout.key_of(key)
         if key != tile_key and self._fetched.take(key):

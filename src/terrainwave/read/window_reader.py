@@ -16,7 +16,7 @@ from terrainwave.forks import renew_after_fork
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.grid.remainders import restored
-from terrainwave.read.decoder import TreeDecoder, unit_key
+from terrainwave.read.decoder import Beginnings, TreeDecoder, unit_key
 from terrainwave.read.lost import LostUnits
 from terrainwave.read.schedule import run_after_parents
 
@@ -72,10 +72,11 @@ class WindowReader:
         """
         heights = np.zeros(region.shape, dtype=self._dtype)
         voids = _Voids(region, are_all=on_error == "mask")
+        begun = decoder.beginnings(level, region)
 
         def fill(key: Block) -> None:
             try:
-                there, unit = decoder.part_once(key, region)
+                there, unit = decoder.part_once(key, region, begun)
                 self._fill(unit, heights[there])
                 voids.note(there, unit.validity.own_mask if is_own else unit.validity.mask)
             except CorruptStreamError as error:
@@ -88,13 +89,13 @@ class WindowReader:
         _log.debug("level %d, window %s: %d units", level, tuple(region), len(keys))
         for first in range(0, len(keys), _BATCH):
             batch = keys[first : first + _BATCH]
-            needed = list(dict.fromkeys([*decoder.prefetch(batch), *batch]))
+            needed = list(dict.fromkeys([*decoder.prefetch(batch, begun), *batch]))
             # What is above one unit is a chain, in which threads would only wait for one another.
             if len(batch) == 1 or self._n_threads == 1:
                 for key in batch:
                     fill(key)
             else:
-                self._run(_fill_or_decode(decoder, set(batch), fill), needed)
+                self._run(_fill_or_decode(decoder, set(batch), fill, begun), needed)
         return heights, voids.marked
 
     def samples(
@@ -177,22 +178,26 @@ class _Voids:
 
     def __init__(self, region: Region, *, are_all: bool) -> None:
         self.marked = np.ones(region.shape, dtype=np.bool_) if are_all else None
+        self._are_all = are_all
         self._shape = region.shape
         self._lock = threading.Lock()
 
     def note(self, there: tuple[slice, slice], valid: NDArray[np.bool_] | None) -> None:
         """Note which samples of a part of the region are valid; None: all are."""
+        if valid is None and not self._are_all:
+            return
         if self.marked is None:
-            if valid is None:
-                return
             with self._lock:
                 if self.marked is None:
                     self.marked = np.zeros(self._shape, dtype=np.bool_)
-        self.marked[there] = False if valid is None else ~valid
+        if valid is None:
+            self.marked[there] = False
+        else:
+            np.logical_not(valid, out=self.marked[there])
 
 
 def _fill_or_decode(
-    decoder: "TreeDecoder", keys: set[Block], fill: Callable[[Block], None]
+    decoder: TreeDecoder, keys: set[Block], fill: Callable[[Block], None], begun: Beginnings
 ) -> Callable[[Block], None]:
     """Return a function that fills `keys` and decodes what is above them."""
 
@@ -202,6 +207,6 @@ def _fill_or_decode(
         else:
             # What is damaged above a key is reported with it.
             with contextlib.suppress(CorruptStreamError):
-                decoder.unit(key)
+                decoder.unit(key, begun)
 
     return work

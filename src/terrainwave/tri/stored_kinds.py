@@ -90,6 +90,8 @@ class StoredKind(Protocol):
 
 def has_triangles(mask: NDArray[np.bool_]) -> bool:
     """Say whether some quad of samples has at least three valid corners."""
+    if np.count_nonzero(mask[:2, :2]) >= 3:  # nearly everywhere
+        return True
     corners = mask.astype(np.uint8)
     counts = corners[:-1, :-1] + corners[:-1, 1:] + corners[1:, :-1] + corners[1:, 1:]
     return bool((counts >= 3).any())

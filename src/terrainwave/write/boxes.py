@@ -1,7 +1,7 @@
 """The codes of blocks in the index: boxes and errors, rounded outward (FORMAT.md §4.4)."""
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from terrainwave.container.codes import decode_error, decode_range, encode_error, encode_range
 from terrainwave.container.spool import SegmentSpool
@@ -71,7 +71,7 @@ def unmeasured_mesh_codes(job: Job, stats: Stats, errors: Mapping[Block, int]) -
 
 def set_codes(
     grid: Grid,
-    spools: Mapping[Block | None, SegmentSpool],
+    spools: Iterable[SegmentSpool],
     whole: Box,
     boxes: Mapping[Block, Box],
     errors: Mapping[Block, int],
@@ -81,7 +81,7 @@ def set_codes(
 
     `whole` is the range of the raster; blocks without a box have no valid sample.
     """
-    for spool in spools.values():
+    for spool in spools:
         decoded: dict[Block, Box] = defaultdict(lambda: whole)
         for key in sorted(spool.keys()):
             codes = bytearray()

@@ -193,9 +193,9 @@ class DistributedPasses:
         site = Site(self.raster, self.depot, job, self.level, job.options.named_method.name)
         top = self._top_pyramid(site)
         try:
-            refiner, file_tables = fitted_refiner(job, *self._targets(site, top))
+            refiner, file_tables = fitted_refiner(job, *self._targets(site, top), self.executor)
             site = replace(site, file_tables=file_tables)
-            sink = SpoolSink(job.grid, site.top_heads(), self.directory)
+            sink = SpoolSink(job.grid, self.directory)
             encoder = TreeEncoder(
                 job.grid, refiner, job.parameters, top, sink, lambda _: None, self.level
             )
@@ -431,11 +431,13 @@ class _TopCodes:
 
     def set(self, mesh_errors: Mapping[Block, int]) -> None:
         """Give every block its box and errors."""
-        set_codes(self._grid, self.sink.spools, self._whole, self._boxes, self.errors, mesh_errors)
+        set_codes(
+            self._grid, self.sink.present(), self._whole, self._boxes, self.errors, mesh_errors
+        )
 
 
 def _set_no_codes(grid: Grid, sink: SpoolSink) -> None:
-    for spool in sink.spools.values():
+    for spool in sink.present():
         for key in spool.keys():
             spool.set_codes(key, bytes(N_CODES * len(grid.key_blocks(key))))
 

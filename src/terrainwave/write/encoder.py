@@ -13,6 +13,8 @@ from concurrent.futures import Executor
 from functools import partial
 from typing import Any, NamedTuple, Protocol, Self
 
+import numpy as np
+
 from terrainwave.codec.group import encode_unit
 from terrainwave.codec.refiner import Decoded, FittingRefiner, GroupSpec, Heights, Mask, Refiner
 from terrainwave.codec.registry import refiner_by_name
@@ -30,6 +32,7 @@ from terrainwave.mesh.blocks import has_mesh
 from terrainwave.write.job import Job
 from terrainwave.write.passes.resuming import KeptUnits
 from terrainwave.write.pyramid import Pyramid
+from terrainwave.write.repeats import RepeatingSink, Repeats
 
 # The first levels are walked breadth first until there are this many subtrees to share out.
 _MIN_SUBTREES = 8
@@ -37,25 +40,49 @@ _MIN_SUBTREES = 8
 Stats = dict[Block, BlockStats]
 
 
-class PayloadSink(Protocol):
+class PayloadSink(RepeatingSink, Protocol):
     """Where finished payloads go; called from several threads, in any order."""
 
-    def __call__(self, key: Block, payload: bytes) -> None:
-        """Take the payload of the unit `key`."""
+    def leave_out(self, block: Block) -> None:
+        """Take note that all units below a block are void."""
         ...
 
 
-def fitted_refiner(job: Job, heights: HeightsOf, mask: MaskOf) -> tuple[Refiner, bytes]:
+class _Taken:
+    """Keeps what is coded of a subtree; segments that are like others are coded like all."""
+
+    def __init__(self) -> None:
+        self.payloads: dict[Block, bytes] = {}
+        self.left_out: list[Block] = []
+
+    def __call__(self, key: Block, payload: bytes) -> None:
+        self.payloads[key] = payload
+
+    def leave_out(self, block: Block) -> None:
+        self.left_out.append(block)
+
+    def repeat(self, head: Block, like: Block) -> None:
+        raise AssertionError(f"{head} is coded by itself")
+
+
+def fitted_refiner(
+    job: Job, heights: HeightsOf, mask: MaskOf, executor: Executor
+) -> tuple[Refiner, bytes]:
     """Return the refiner of a job's method, and the tables that are fitted to the raster.
 
     `heights` and `mask` return targets and validity of a region of a level. The tables are empty
-    where the method has none, or no sample is valid.
+    where the method has none, or no sample is valid. The threads of `executor` fit them.
     """
     refiner = refiner_by_name(job.options.named_method.name)
     if not isinstance(refiner, FittingRefiner) or not job.n_valid:
         return refiner, b""
     fitted = refiner.fitted(
-        job.grid, job.parameters.step, heights, mask, may_have_reach=job.options.may_be_new
+        job.grid,
+        job.parameters.step,
+        heights,
+        mask,
+        may_have_reach=job.options.may_be_new,
+        each=executor.map,
     )
     return fitted, fitted.file_tables
 
@@ -154,6 +181,8 @@ class UnitEncoder(ABC):
         return self._stats
 
     def _encode_subtree(self, key: Block, parent: Decoded | None, chain: list[Ancestor]) -> None:
+        if self._is_known(key, parent, chain):
+            return
         if (
             self._kept_units is not None
             and key.level == self._kept_units.level
@@ -165,6 +194,29 @@ class UnitEncoder(ABC):
             if not self._stopped.is_set():
                 self._encode_subtree(*start)
 
+    def _is_known(self, key: Block, parent: Decoded | None, chain: list[Ancestor]) -> bool:
+        """Say whether the source knows all below a block to be void, or of one height.
+
+        Voids are left out then, and the units of one height passed on.
+        """
+        grid = self._grid
+        if key.is_root_key or parent is None:
+            return False
+        even = self._pyramid.even(key.level, grid.block_region(key))
+        if even is None:
+            return False
+        if not even.is_valid:
+            self._sink.leave_out(key)
+        elif not self.repeats(key, parent, chain, int(even.value)):
+            return False
+        region = grid.full_region(key)
+        self._on_samples(region.n_rows * region.n_cols)
+        return True
+
+    def repeats(self, key: Block, parent: Decoded, chain: list[Ancestor], target: int) -> bool:
+        """Pass on all units below a block of one height, if it can be done: here it can't."""
+        return False
+
     def _encode_kept(
         self, kept: KeptUnits, key: Block, parent: Decoded | None, chain: list[Ancestor]
     ) -> None:
@@ -172,16 +224,12 @@ class UnitEncoder(ABC):
         found = kept.load(key)
         if found is None:
             part = self.apart(chain)
-            payloads: dict[Block, bytes] = {}
-
-            def take(key: Block, payload: bytes) -> None:
-                payloads[key] = payload
-
-            part._sink = take
+            part._sink = taken = _Taken()
             part._encode_subtree(key, parent, chain)
             if self._stopped.is_set():
                 return
-            found = payloads, part._stats, part.found(chain)
+            more = part.found(chain) | {"left_out": [list(block) for block in taken.left_out]}
+            found = taken.payloads, part._stats, more
             kept.save(key, *found)
         else:
             region = self._grid.full_region(key)
@@ -189,6 +237,8 @@ class UnitEncoder(ABC):
         payloads, stats, more = found
         for unit, payload in payloads.items():
             self._sink(unit, payload)
+        for block in more["left_out"]:
+            self._sink.leave_out(Block(*block))
         with self._lock:
             self.take(more)
             for block, own in stats.items():
@@ -303,10 +353,49 @@ class TreeEncoder(UnitEncoder):
     """Encode units by a refiner; the other arguments are those of `UnitEncoder`."""
 
     def __init__(
-        self, grid: Grid, refiner: Refiner, parameters: CodecParameters, *rest: Any, **options: Any
+        self,
+        grid: Grid,
+        refiner: Refiner,
+        parameters: CodecParameters,
+        *rest: Any,
+        may_repeat: bool = False,
+        **options: Any,
     ) -> None:
         super().__init__(grid, parameters, *rest, **options)
         self._refiner = refiner
+        self._repeats: Repeats | None = None
+        if may_repeat and self._last_level == grid.k_max:
+            self._repeats = Repeats(grid, parameters, self.code_unit, self._sink)
+
+    def apart(self, chain: list[Ancestor]) -> Self:
+        """Return an encoder of a subtree whose findings are its own, and all of its payloads."""
+        part = super().apart(chain)
+        part._repeats = None
+        return part
+
+    def repeats(self, key: Block, parent: Decoded, chain: list[Ancestor], target: int) -> bool:
+        """Pass on all units below a block of one height, if they are of one height, too."""
+        if self._repeats is None:
+            return False
+        below = self._repeats.code(key, parent, target)
+        if below is None:
+            return False
+        # How far it is from the blocks above is told by the samples of its level, between which
+        # their surfaces are linear.
+        region = self._grid.block_region(key)
+        heights = np.full(region.shape, target, dtype=np.int32)
+        mask = np.ones(region.shape, dtype=np.bool_)
+        for above in chain:
+            at = self._grid.stride(above.block.level) // self._grid.stride(key.level)
+            row, col = (
+                first - one * at for first, one in zip(region[:2], above.region[:2], strict=True)
+            )
+            error = measure_block(above.heights, at, heights, mask, row, col, (target, target))
+            below[above.block] = BlockStats(target, target, error)
+        with self._lock:
+            for block, stats in below.items():
+                self._stats.setdefault(block, BlockStats()).merge(stats)
+        return True
 
     def code_unit(
         self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask

@@ -145,6 +145,15 @@ class Job:
         return self.options.may_be_new and is_mixed and self.grid.k_max > 0
 
     @property
+    def may_repeat(self) -> bool:
+        """Say whether like segments have the same codes: nothing is measured across their borders.
+
+        That of a mesh is, and what the errors of a faithful file are made of.
+        """
+        options = self.options
+        return not (options.measures_meshes or options.faithful or options.is_embedded)
+
+    @property
     def raw_bound(self) -> float:
         """Return the bound asked for, in raw units."""
         return float(self.bound / scale_of(self.info))

@@ -41,7 +41,7 @@ class LocalPasses:
     def scan(self, steps: FixedSteps | None = None) -> HeightScan:
         """Return range, validity and vertical quantum of every sample, and a digest if wanted."""
         info, kept = self.source.info, self.kept
-        check_free_space(info, self.directory, self.source.is_striped, kept.n_bytes)
+        check_free_space(self.source, self.directory, kept.n_bytes)
         by_heights = is_by_heights(kept)
         # What other heights may have been read of is not kept.
         self._windows = Windows(self.source, self.directory, Kept() if by_heights else kept)

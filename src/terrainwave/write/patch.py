@@ -221,7 +221,7 @@ class _Patcher:
         self._reporter = reporter
         self._kept = kept
         quantizer = terrain.quantizer
-        self.sink = SpoolSink(self._grid, self._grid.segment_heads(), directory)
+        self.sink = SpoolSink(self._grid, directory)
         self._pyramid = Pyramid(
             merged,
             quantizer,
@@ -337,5 +337,5 @@ class _Patcher:
     def close(self) -> None:
         """Delete temporary data."""
         self._pyramid.close()
-        for spool in self.sink.spools.values():
+        for spool in self.sink.present():
             spool.close()

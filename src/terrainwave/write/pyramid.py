@@ -10,16 +10,20 @@ are int32 quanta and pure functions of the raster: neither window sizes nor thre
 * Nested pyramid: the full grid's own samples.
 * Voids are filled by push-pull: coarse levels average what is valid, fine ones interpolate it.
 
+Where the source knows, without reading, that all samples of a window are of one value or void, no
+window is made of others: spools keep the value of whole tiles. Far from valid samples, fills that
+no unit reads are not made (nested pyramids); they are 0.
+
 The levels of a part of the raster can be made from that part alone, with a frame around it, and the
 fills of one coarse level (`SubtreeRegion`); those above a level from that level alone (`Base`).
 Values are the same: that is how machines share a raster.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -33,10 +37,17 @@ from terrainwave.grid.convert import UNKNOWN, pull, push
 from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.grid.remainders import Remainders, remainders
+from terrainwave.raster_io.even import Even, EvenOf, even_parts
 from terrainwave.raster_io.temporary import Spool
 
 TILE = 512  # samples per side of the windows in which levels are made
 _LOWPASS_HALO, _LOWPASS53_HALO = 4, 2
+# Samples around a window of a level that say whether all levels below it are even there. The masks
+# and averages of a level reach less than one of its samples far.
+_EVEN_MARGIN = 2
+# So far from valid samples nothing reads fills, in sides of windows or blocks: a unit has two
+# blocks a side, and a window is made of one of twice its side on the level below.
+_FILL_MARGIN = 3
 # Stands for a void among heights, which are far from it.
 _UNKNOWN = np.int32(UNKNOWN)
 
@@ -48,6 +59,15 @@ class SourceWindows(Protocol):
         self, row: int, col: int, n_rows: int, n_cols: int
     ) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:
         """Return raw heights and validity of a window."""
+        ...
+
+
+@runtime_checkable
+class IndexedWindows(SourceWindows, Protocol):
+    """A raster that may know windows without reading them (`raster_io.even`)."""
+
+    def even(self, region: Region) -> Even | None:
+        """Return what all samples of a region of the full grid are; None: only reading tells."""
         ...
 
 
@@ -145,6 +165,9 @@ class Pyramid:
         self._directory = directory
         self._executor = executor
         self._part = part
+        self._even_of: EvenOf = lambda _: None
+        if isinstance(source, IndexedWindows):
+            self._even_of = source.even
         self.kept = Kept()
         self._heights: dict[int, Spool] = {}
         self._masks: dict[int, Spool] = {}
@@ -176,13 +199,18 @@ class Pyramid:
         while shift < self._last or (self._part is None and max(self._shape(shift)) > 1):
             shift += 1
             region = self._inside(shift, self._part.push_region(shift) if self._part else None)
-            self._fills[shift] = self._new_spool(region, np.int32, f"fills-{shift}")
-            self._known[shift] = self._new_spool(region, np.bool_, f"known-{shift}")
-            spools = self._fills[shift], self._known[shift]
-            for window in self.kept.each(f"push-{shift}", spools, region.tiles(TILE, TILE)):
-                values, known = self._pushed(shift, window)
-                self._fills[shift].write(window, values)
-                self._known[shift].write(window, known)
+            fills = self._fills[shift] = self._new_spool(region, np.int32, f"fills-{shift}")
+            known = self._known[shift] = self._new_spool(region, np.bool_, f"known-{shift}")
+
+            def fill(
+                window: Region, even: Even, fills: Spool = fills, known: Spool = known
+            ) -> None:
+                fills.fill(window, even.value)
+                known.fill(window, even.is_valid)
+
+            windows = _uneven(region, partial(self._even, shift), fill)
+            work = partial(self._push_window, shift)
+            self._in_windows(f"push-{shift}", (fills, known), windows, work)
 
     def pushed(self, shift: int, region: Region) -> tuple[Heights, Mask]:
         """Return averages of valid heights and where they are known, before `pull`."""
@@ -202,12 +230,9 @@ class Pyramid:
         for finer in range(top - 1, max(self._first - 1, 0), -1):
             region = self._inside(finer, self._part.fill_region(finer) if self._part else None)
             spools = self._fills[finer], self._known[finer]
-            for window in self.kept.each(f"pull-{finer}", spools, region.tiles(TILE, TILE)):
-                known = self._known[finer].read(window)
-                if not known.all():
-                    values = self._fills[finer].read(window)
-                    self._fill(finer, window, values, known)
-                    self._fills[finer].write(window, values)
+            windows = _uneven(region, partial(self._unread, finer), lambda *_: None)
+            work = partial(self._pull_window, finer)
+            self._in_windows(f"pull-{finer}", spools, windows, work)
         for spool in self._known.values():
             spool.close()
 
@@ -228,7 +253,12 @@ class Pyramid:
         for shift, region in regions.items():
             name = f"{self._kind}-{shift}"
             spool = self._heights[shift] = self._new_spool(region, np.int32, name)
-            self._for_each_window(name, spool, partial(make, shift))
+
+            def fill(part: Region, even: Even, spool: Spool = spool) -> None:
+                spool.fill(part, even.value)
+
+            windows = _uneven(region, partial(self._even_heights, shift), fill)
+            self._make_windows(name, spool, partial(make, shift), windows)
             done += region.n_rows * region.n_cols
             report(done, total)
 
@@ -284,6 +314,41 @@ class Pyramid:
         """Return the originals less the decoded heights of the full grid; 0 in voids."""
         raw, valid = self._source.read(*region)
         return remainders(raw, valid, self._quantizer.dequantize(quanta))
+
+    def even(self, level: int, region: Region) -> Even | None:
+        """Return what all targets of a region are, on its level and all below it; None: unknown.
+
+        In quanta, and with an apron on each of these levels.
+        """
+        return self._even(self._grid.k_max - level, region)
+
+    def _even(self, shift: int, region: Region, margin: int = _EVEN_MARGIN) -> Even | None:
+        """Return what all full-grid samples are below a region with a margin, in quanta."""
+        row, col = region.row - margin << shift, region.col - margin << shift
+        n_rows, n_cols = ((n - 1 + 2 * margin << shift) + 1 for n in region.shape)
+        whole = Region(0, 0, self._grid.n_rows, self._grid.n_cols)
+        even = self._even_of(Region(row, col, n_rows, n_cols).intersect(whole))
+        if even is None or not even.is_valid:
+            return None if even is None else Even(np.int32(0), False)
+        raw = even.heights((1, 1), np.dtype(self._quantizer.dtype))
+        quanta = self._quantizer.quantize(raw, np.ones((1, 1), dtype=np.bool_))
+        return Even(quanta[0, 0], True)
+
+    def _unread(self, shift: int, region: Region) -> Even | None:
+        """Return what a region is in which nobody reads a fill: of valid samples, or far from any.
+
+        Filters of other kinds than nested ones reach from level to level.
+        """
+        if self._kind == "nested":
+            even = self._even(shift, region, _FILL_MARGIN * max(TILE, self._grid.block))
+            if even is not None and not even.is_valid:
+                return even
+        even = self._even(shift, region)
+        return even if even is not None and even.is_valid else None
+
+    def _even_heights(self, shift: int, region: Region) -> Even | None:
+        """Return what the heights of a region are, without looking at those of the level below."""
+        return self._unread(shift, region) if self._kind == "nested" else None
 
     def _level_shifts(self) -> range:
         return range(self._first + 1, self._last + 1)
@@ -354,6 +419,11 @@ class Pyramid:
     def _nested_window(self, shift: int, region: Region) -> Heights:
         fine = Region(2 * region.row, 2 * region.col, 2 * region.n_rows - 1, 2 * region.n_cols - 1)
         if shift > 1:
+            even = self._even(shift, region) if self._has_voids else None
+            if even is not None and not even.is_valid:
+                # The same: below a void, fills at these places are those of this level. Further
+                # from valid samples than here, the level below has none.
+                return self._fills[shift].read(region)
             return self._read_heights(shift - 1, fine)[::2, ::2]
         raw, valid = (np.ascontiguousarray(part[::2, ::2]) for part in self._source.read(*fine))
         quanta = self._quantizer.quantize(raw, valid)
@@ -369,7 +439,16 @@ class Pyramid:
             self._own[shift] = self._new_spool(region, np.bool_, f"own-{shift}")
             # The first step reaches two samples far: a cell of shift 1 spans two full-grid cells.
             reach = 2 if shift == 1 else 1
-            self._for_each_window(f"mask-{shift}", spool, partial(self._mask_window, shift, reach))
+
+            def fill(
+                part: Region, even: Even, spools: Sequence[Spool] = (spool, self._own[shift])
+            ) -> None:
+                for one in spools:
+                    one.fill(part, even.is_valid)
+
+            windows = _uneven(region, partial(self._even, shift), fill)
+            make = partial(self._mask_window, shift, reach)
+            self._make_windows(f"mask-{shift}", spool, make, windows)
 
     def _mask_window(self, shift: int, reach: int, region: Region) -> Mask:
         level = self._grid.k_max - (shift - 1)
@@ -389,6 +468,18 @@ class Pyramid:
         for col in range(1, 2 * reach + 1):
             mask |= touched[:, col:][:, cols][:, ::2]
         return mask
+
+    def _push_window(self, shift: int, window: Region) -> None:
+        values, known = self._pushed(shift, window)
+        self._fills[shift].write(window, values)
+        self._known[shift].write(window, known)
+
+    def _pull_window(self, shift: int, window: Region) -> None:
+        known = self._known[shift].read(window)
+        if not known.all():
+            values = self._fills[shift].read(window)
+            self._fill(shift, window, values, known)
+            self._fills[shift].write(window, values)
 
     def _pushed(self, shift: int, region: Region) -> tuple[Heights, Mask]:
         window = Region(
@@ -449,10 +540,33 @@ class Pyramid:
         repeated[bottom:] = repeated[bottom - 1]
         return repeated
 
-    def _for_each_window(
-        self, name: str, spool: Spool, make: Callable[[Region], NDArray[np.generic]]
+    def _make_windows(
+        self,
+        name: str,
+        spool: Spool,
+        make: Callable[[Region], NDArray[np.generic]],
+        windows: Iterable[Region],
     ) -> None:
-        tiles = spool.region.tiles(TILE, TILE)
-        made = partial(self._executor.map, lambda region: spool.write(region, make(region)))
-        for _ in self.kept.each(name, [spool], tiles, made):
+        self._in_windows(name, [spool], windows, lambda region: spool.write(region, make(region)))
+
+    def _in_windows(
+        self,
+        name: str,
+        spools: Sequence[Spool],
+        windows: Iterable[Region],
+        work: Callable[[Region], None],
+    ) -> None:
+        """Do work for windows, side by side, but for those that an earlier run has finished."""
+        for _ in self.kept.each(name, spools, windows, partial(self._executor.map, work)):
             pass
+
+
+def _uneven(
+    region: Region, even_of: EvenOf, fill: Callable[[Region, Even], None]
+) -> Iterator[Region]:
+    """Yield windows of a region but for its even parts, which `fill` gets."""
+    for part, even in even_parts(region, TILE, even_of):
+        if even is None:
+            yield part
+        else:
+            fill(part, even)

@@ -3,7 +3,7 @@
 A task reads a part of the raster and what other tasks have left in the depot, leaves its own
 results there and returns a few numbers: whoever shares out the tasks (`cluster`) sees no
 heights and no payloads. A task can be run again, and gives the same bytes. It works in one thread;
-memory is bounded by the subtree's levels in spools of 8 MiB each, the rest on the machine's disk.
+memory is bounded by the subtree's levels in spools of 20 MiB each, the rest on the machine's disk.
 """
 
 import os
@@ -51,7 +51,7 @@ from terrainwave.write.boxes import (
 )
 from terrainwave.write.encoder import Stats, TreeEncoder
 from terrainwave.write.job import Job
-from terrainwave.write.passes.proof import allowed_error, compare_window, proof_windows
+from terrainwave.write.passes.proof import Comparison, allowed_error, unproved
 from terrainwave.write.pyramid import Pyramid, SubtreeRegion
 
 _CACHE_BYTES = 64 << 20
@@ -267,8 +267,10 @@ def encode_subtree(site: Site, head: Block) -> EncodedSubtree:
     ):
         source = groups_by(refiner, above.payloads)
         decoder = TreeDecoder(grid, job.parameters, source, _CACHE_BYTES)
-        sink = SpoolSink(grid, heads, bench.directory)
-        encoder = TreeEncoder(grid, refiner, job.parameters, pyramid, sink, lambda _: None)
+        sink = SpoolSink(grid, bench.directory)
+        encoder = TreeEncoder(
+            grid, refiner, job.parameters, pyramid, sink, lambda _: None, may_repeat=job.may_repeat
+        )
         stats = encoder.run_subtree(head, decoder.block)
         own = {block: of_block for block, of_block in stats.items() if block.level > head.level}
         ancestors = {block: of_block for block, of_block in stats.items() if block not in own}
@@ -280,7 +282,9 @@ def encode_subtree(site: Site, head: Block) -> EncodedSubtree:
         whole = job.quantizer.z_min, job.quantizer.z_max
         boxes = enclosing_boxes(own, errors, whole, {}, job.moved)
         box = boxes.pop(head, None)
-        set_codes(grid, sink.spools, whole, boxes, errors, unmeasured_mesh_codes(job, own, errors))
+        set_codes(
+            grid, sink.present(), whole, boxes, errors, unmeasured_mesh_codes(job, own, errors)
+        )
         places = store_segments(site.depot, site.name(CODED, head), grid, heads, sink.spools)
     return EncodedSubtree(head, tuple(places.values()), ancestors, box, sink.n_bytes, error)
 
@@ -438,7 +442,6 @@ def prove_region(site: Site, path: str | os.PathLike[str], region: Region) -> fl
     job = site.job
     allowed = allowed_error(job.quantizer, job.raw_bound, job.effective_error)
     with site.raster.open() as source, TerrainFile(path, threads=1, native=False) as terrain:
-        return max(
-            compare_window(terrain, source, window, allowed)
-            for window in proof_windows(site.grid, region)
-        )
+        windows, heads = unproved(terrain, source, site.grid, region)
+        comparison = Comparison(terrain, source, allowed)
+        return max([comparison.windows(windows), *map(comparison.segment, heads)])

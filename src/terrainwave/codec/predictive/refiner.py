@@ -54,6 +54,7 @@ from terrainwave.codec.predictive.passes import (
 from terrainwave.codec.refiner import (
     NO_CORRECTIONS,
     Corrections,
+    Each,
     GroupSpec,
     Heights,
     Labels,
@@ -192,6 +193,7 @@ class PredictiveRefiner:
         mask: MaskOf,
         *,
         may_have_reach: bool = True,  # noqa: ARG002, as all readers know these tables
+        each: Each = map,  # noqa: ARG002, as this takes little beside coding
     ) -> "PredictiveRefiner":
         """Return a refiner with tables fitted to a raster, where they are worth their bytes.
 

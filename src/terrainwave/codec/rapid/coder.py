@@ -32,7 +32,15 @@ from terrainwave.codec.rapid.symbols import (
     Streams,
 )
 from terrainwave.codec.rapid.wavefront import Known, Lattice, code_rows
-from terrainwave.codec.refiner import NO_CORRECTIONS, Corrections, GroupSpec, Heights, Labels, Mask
+from terrainwave.codec.refiner import (
+    ALL_ROWS,
+    NO_CORRECTIONS,
+    Corrections,
+    GroupSpec,
+    Heights,
+    Labels,
+    Mask,
+)
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.coding.rans import (
     N_STATES,
@@ -51,12 +59,13 @@ _SIDES_KNOWN = Known(3, 3, 3, 3)
 _NO_GOAL = np.zeros(1, dtype=np.int32)
 _NO_LOG = np.zeros(1, dtype=np.uint8)
 _NONE_SHARED = np.zeros((0, 5), dtype=np.int64), np.zeros((0, 9), dtype=np.int64)
-_NO_SLOTS = np.zeros(1, dtype=np.uint8)
+_NO_SLOTS = np.zeros(1, dtype=np.uint32)
+_NO_FREQS = np.zeros(1, dtype=np.uint32)
 # For counting: no symbol is impossible yet.
 _ANY_SYMBOL = np.ones(N_CONTEXTS << SYMBOL_BITS, dtype=np.uint32)
 _NO_WORDS = np.zeros(SPARE_WORDS, dtype=np.uint16)
 # The validity of units without voids, which no kernel looks at.
-_NO_MASK = np.ones(1, dtype=np.bool_)
+_NO_MASK = np.ones(1, dtype=np.uint8)
 _LIMIT32 = (1 << 31) - 64
 _MOST_NARROW_STEP = 1 << 24
 
@@ -104,7 +113,7 @@ class _Unit(NamedTuple):
     spec: GroupSpec
     is_encoding: bool
     goal: NDArray[np.int32]
-    valid: NDArray[np.bool_]
+    valid: NDArray[np.uint8]  # 1 or 0
     has_void: bool
     out: NDArray[np.int32]
     origin: int
@@ -253,8 +262,9 @@ class UnitCoder:
         payload: bytes,
         out: Heights,
         corrections: Corrections = NO_CORRECTIONS,
+        n_rows: int = ALL_ROWS,
     ) -> None:
-        """Rebuild the heights of ``spec.region`` in `out`; see `decode`."""
+        """Rebuild the heights of ``spec.region`` in `out`; see `decode` and `DirectRefiner`."""
         if not payload:
             raise TruncatedStreamError("the payload is empty")
         flags = payload[0]
@@ -262,8 +272,10 @@ class UnitCoder:
             raise CorruptStreamError(f"payload flags {flags:#x} are not defined")
         streams = self._read_streams(payload, flags, spec.step)
         with _MEMORY.lent() as memory:
-            self._code(spec, parent, None, mask, flags, streams, out, memory, corrections)
-        _check_end(streams)
+            self._code(
+                spec, parent, None, mask, flags, streams, out, memory, corrections, n_rows=n_rows
+            )
+        _check_end(streams, is_part=n_rows < spec.region.n_rows)
 
     def _read_streams(self, payload: bytes, flags: int, step: int) -> Streams:
         n_states = 1 if flags & _SINGLE else N_STATES
@@ -291,7 +303,7 @@ class UnitCoder:
             n_states=n_states,
             raw=raw.astype(np.uint32, copy=False),
             n_bits=8 * n_raw,
-            freqs=self._tables.packed_freqs(step),
+            freqs=_NO_FREQS,
             contexts_log=_NO_LOG,
             symbols_log=_NO_LOG,
         )
@@ -315,7 +327,7 @@ class UnitCoder:
     def _code(
         self, spec: GroupSpec, parent: Heights | None, target: Heights | None, mask: Mask | None,
         flags: int, streams: Streams, out: Heights, memory: _Memory, corrections: Corrections,
-        known: Known = _NONE_KNOWN,
+        known: Known = _NONE_KNOWN, n_rows: int = ALL_ROWS,
     ) -> None:  # fmt: skip
         """Encode `target`, or decode where it is None; fill `out` with the region's heights."""
         is_wide = bool(flags & _WIDE)
@@ -334,7 +346,7 @@ class UnitCoder:
             spec=spec,
             is_encoding=target is not None,
             goal=_NO_GOAL if target is None else target.ravel(),
-            valid=_NO_MASK if mask is None else mask.ravel(),
+            valid=_NO_MASK if mask is None else mask.ravel().view(np.uint8),
             has_void=mask is not None,
             out=out.ravel(),
             origin=origin,
@@ -348,11 +360,11 @@ class UnitCoder:
         if parent is None:
             self._code_root(unit, known)
         else:
-            self._code_group(unit, parent)
+            self._code_group(unit, parent, n_rows)
         if spec.region != spec.core:
             np.clip(out, spec.z_min, spec.z_max, out=out)
 
-    def _code_group(self, unit: _Unit, parent: Heights) -> None:
+    def _code_group(self, unit: _Unit, parent: Heights, n_rows: int) -> None:
         spec = unit.spec
         assert spec.parent_region is not None
         row = (spec.core.row >> 1) - spec.parent_region.row
@@ -361,7 +373,8 @@ class UnitCoder:
         coarse = Lattice(row * pitch + col, pitch, 1)
         rings = 1 + (spec.rings >> 1)
         known = Known(*(rings if is_shared else 0 for is_shared in spec.shared))
-        self._code_rows(unit, 1, source, coarse, known, plan_lines(spec, pitch))
+        n_core = max(n_rows - (spec.core.row - spec.region.row), 1)
+        self._code_rows(unit, 1, source, coarse, known, plan_lines(spec, pitch), n_core)
 
     def _code_root(self, unit: _Unit, known: Known) -> None:
         """Code the corners on a fixed grid, then lattices of half the stride each."""
@@ -403,11 +416,12 @@ class UnitCoder:
 
     def _code_rows(
         self, unit: _Unit, stride: int, source: Heights, coarse: Lattice, known: Known,
-        shared: tuple[NDArray[np.int64], NDArray[np.int64]],
+        shared: tuple[NDArray[np.int64], NDArray[np.int64]], n_rows: int = ALL_ROWS,
     ) -> None:  # fmt: skip
         """Code the lattice of every `stride`-th sample, those of half the stride, … all samples.
 
-        `source` has the coarse samples, those of the last lattice where `coarse` says.
+        `source` has the coarse samples, those of the last lattice where `coarse` says, whose first
+        `n_rows` are enough.
         """
         spec = unit.spec
         assert spec.core.n_cols <= 2 * MAX_COLS
@@ -415,7 +429,7 @@ class UnitCoder:
             unit.is_encoding, unit.has_void, unit.goal, unit.valid, unit.out, source, *shared,
             Lattice(_first(spec), spec.region.shape[1], 1), coarse, spec.core.shape, stride,
             self._weights_from(spec.level, stride, unit.scale), known, unit.origin, unit.workspace,
-            unit.scale, unit.streams, unit.kept, unit.added,
+            unit.scale, unit.streams, unit.kept, unit.added, n_rows,
         )  # fmt: skip
 
 
@@ -479,12 +493,14 @@ def _first(spec: GroupSpec) -> int:
     return int(row.start) * spec.region.shape[1] + int(col.start)
 
 
-def _check_end(streams: Streams) -> None:
-    """Raise unless a unit's streams have been used up exactly."""
+def _check_end(streams: Streams, *, is_part: bool) -> None:
+    """Raise unless a unit's streams have been used up exactly; by a part of it, not exceeded."""
     places, states = streams.places.tolist(), streams.states[: streams.n_states].tolist()
     word_pos, bit_pos = places[WORD_POS], places[BIT_POS]
     if word_pos > streams.n_words or bit_pos > streams.n_bits:
         raise TruncatedStreamError("the payload ends inside its data")
+    if is_part:
+        return
     if word_pos < streams.n_words or (bit_pos + 7) // 8 < streams.n_bits // 8:
         raise CorruptStreamError("bytes are left over after the last symbol")
     if states != [STATE_START] * streams.n_states:

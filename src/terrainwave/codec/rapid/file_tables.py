@@ -128,14 +128,20 @@ class Tables:
                 weights = weights_of(plane, stencil)
                 self.stencils[which, index, : len(weights)] = weights
         self.arranged: dict[tuple[int, int, int], NDArray[np.int64]] = {}
-        self._slots: dict[int, NDArray[np.uint8]] = {}
+        self._slots: dict[int, NDArray[np.uint32]] = {}
         self._packed: dict[int, NDArray[np.uint32]] = {}
 
-    def slots(self, step: int) -> NDArray[np.uint8]:
-        """Return the decoder's table of symbols."""
+    def slots(self, step: int) -> NDArray[np.uint32]:
+        """Return the decoder's table of symbols and frequencies."""
         family = self._family(step)
         if family not in self._slots:
-            self._slots[family] = slots_of(self._freqs(family))
+            slots = default_slots(family)
+            if self._own.size:
+                slots = slots.copy()
+                slots.reshape(-1, N_SLOTS)[self._own] = slots_of(self._own_freqs(family)).reshape(
+                    -1, N_SLOTS
+                )
+            self._slots[family] = slots
         return self._slots[family]
 
     def packed_freqs(self, step: int) -> NDArray[np.uint32]:
@@ -150,13 +156,20 @@ class Tables:
 
     def _freqs(self, family: int) -> NDArray[np.int64]:
         freqs = default_freqs(family)
-        if self._file is not None and self._file.codes:
-            own = np.array(list(self._file.codes))
+        if self._own.size:
             freqs = freqs.copy()
-            freqs[own] = freqs_of(
-                np.stack(list(self._file.codes.values())), rest_symbols(family)[own]
-            )
+            freqs[self._own] = self._own_freqs(family)
         return freqs
+
+    @property
+    def _own(self) -> NDArray[np.int64]:
+        """Return the contexts that have frequencies of the file's own."""
+        return np.array([] if self._file is None else list(self._file.codes), dtype=np.int64)
+
+    def _own_freqs(self, family: int) -> NDArray[np.int64]:
+        assert self._file is not None
+        codes = np.stack(list(self._file.codes.values()))
+        return freqs_of(codes, rest_symbols(family)[self._own])
 
 
 @cache
@@ -274,6 +287,12 @@ def rest_symbols(family: int) -> NDArray[np.int64]:
 def default_freqs(family: int) -> NDArray[np.int64]:
     """Return the trained frequencies, shape (N_CONTEXTS, N_SYMBOLS)."""
     return freqs_of(default_codes(family), rest_symbols(family))
+
+
+@cache
+def default_slots(family: int) -> NDArray[np.uint32]:
+    """Return what `slots_of` makes of the trained frequencies."""
+    return slots_of(default_freqs(family))
 
 
 # Bytes ------------------------------------------------------------------------------------------

@@ -28,22 +28,23 @@ from terrainwave.codec.rapid.file_tables import (
 )
 from terrainwave.codec.rapid.fit_stencils import COST_UNIT, candidates, stencils_cost
 from terrainwave.codec.rapid.fit_weights import fit_magnitude, weights_bits
+from terrainwave.codec.rapid.fit_weights.samples import Counter, Seen, look_at
 from terrainwave.codec.rapid.magnitude import N_CONTEXTS
 from terrainwave.codec.rapid.symbols import ESCAPE, ESCAPE_BITS, N_SYMBOLS, low_bits
 from terrainwave.codec.rapid.trained import N_STEPS, family_of
-from terrainwave.codec.refiner import GroupSpec, Heights, Mask
+from terrainwave.codec.refiner import Each, GroupSpec, Heights, Mask
 from terrainwave.coding.rans import N_SLOTS, SYMBOL_BITS
 from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.sample_windows import HeightsOf, MaskOf, spread_windows
 
-# Samples a side of a window, and samples of the raster for one; from 2 to 36 windows in all.
+# Samples a side of a window, and samples of the raster for one; from 2 to 16 windows in all.
 _WINDOW = 257
 _SHARE = 1 << 16
-_LEAST_WINDOWS, _MOST_WINDOWS = 2, 36
-# They decide on stencils, features and contexts: where there are more, so many samples a side.
-_MOST_WHOLE, _FEW = 4, 129
-# And weights of features are fitted to so many.
-_MOST_FOR_WEIGHTS = 6
+_LEAST_WINDOWS, _MOST_WINDOWS = 2, 16
+# Where there are more than 4, so many samples a side of at most 4 decide on stencils.
+_MOST_WHOLE, _FEW, _MOST_DECIDING = 4, 129, 4
+# And at most so many on weights of features and on contexts.
+_MOST_LOOKED_AT = 5
 _MIN_SAMPLES = 300
 _COST_OF_NONE = COST_UNIT * (11 + ESCAPE_BITS)  # of a symbol that takes an escape
 _FREQ_BITS = 3
@@ -51,13 +52,19 @@ _FREQ_BITS = 3
 _PRIOR = 120
 _RAREST = N_SLOTS * ESCAPE_BITS * 2 // 3
 _SAVED_BY_REACH = 1 / 256
+# Bits of the samples that a weight is fitted to, which it saves by chance.
+_SAVED_BY_CHANCE = 0.5
 _SAVED_BY_WEIGHTS = 1 / 1024
 
 
 def fit_tables(
-    grid: Grid, step: int, heights: HeightsOf, mask: MaskOf, *, may_have_reach: bool = True
-) -> FileTables:
-    """Return the tables for a raster; `heights` and `mask` return a region of a level."""
+    grid: Grid, step: int, heights: HeightsOf, mask: MaskOf, *,
+    may_have_reach: bool = True, each: Each = map,
+) -> FileTables:  # fmt: skip
+    """Return the tables for a raster; `heights` and `mask` return a region of a level.
+
+    Windows are coded by `each`, side by side.
+    """
     n_windows = min(max(grid.n_rows * grid.n_cols // _SHARE, _LEAST_WINDOWS), _MOST_WINDOWS)
     windows, masks = spread_windows(grid, heights, mask, _WINDOW, n_windows)
     defaults = ((FileStencil(0),) * len(PLANES),) * N_CLASSES
@@ -65,12 +72,14 @@ def fit_tables(
     if int(np.count_nonzero(masks)) < _MIN_SAMPLES:
         return tables
     share = grid.n_rows * grid.n_cols / masks.size
-    best, plain = best_tables(tables, windows, masks, step, share, may_have_reach=may_have_reach)
+    best, plain = best_tables(
+        tables, windows, masks, step, share, may_have_reach=may_have_reach, each=each
+    )
     whole = _Sample(windows, masks, step, share)
-    fitted, cost = _fitted(best, whole)
+    fitted, cost = _fitted(best, whole, each)
     # A raster of few windows has about their sides, which may cost more than is saved inside.
     if best is not plain and len(windows) <= _MOST_WHOLE:
-        other, cost_of_plain = _fitted(plain, whole)
+        other, cost_of_plain = _fitted(plain, whole, each)
         if cost + COST_UNIT * weights_bits(best.weights) >= cost_of_plain:
             return other
     return fitted
@@ -84,60 +93,120 @@ def best_tables(
     share: float,
     *,
     may_have_reach: bool = True,
+    each: Each = map,
 ) -> tuple[FileTables, FileTables]:
     """Return tables with the stencils, then the family, that make parts of the windows smallest.
 
     And the best of those without weights of features of their own, which may be the same.
     """
-    few = np.s_[:, :_FEW, :_FEW] if len(windows) > _MOST_WHOLE else np.s_[:]
+    every = np.s_[:: -(-len(windows) // _MOST_DECIDING)]
+    few = (every, *np.s_[:_FEW, :_FEW]) if len(windows) > _MOST_WHOLE else (every,)
     some = _Sample(windows[few], masks[few], step, share * windows.size / windows[few].size, True)
     least = np.inf
-    for stencils in dict.fromkeys(candidates(windows, masks, step, share)):
+    for stencils in dict.fromkeys(candidates(windows, masks, step, share, each)):
         other = tables._replace(stencils=stencils)
-        cost = _fitted(other, some)[1]
+        cost = _fitted(other, some, each)[1]
         if cost < least:
             best, least = other, cost
+    return _with_contexts(
+        best, _look(best, _Sample(windows, masks, step, share), each), may_have_reach
+    )
+
+
+class _Looked(NamedTuple):
+    """Samples of windows that were coded, what counts their symbols, and what they stand for.
+
+    `share` is how many samples of the raster one that is counted stands for, `alone` how many one
+    of those that weights are fitted to.
+    """
+
+    seen: Seen
+    counter: Counter
+    step: int
+    share: float
+    alone: float
+    each: Each
+
+    def costs(self, tables: list[FileTables]) -> list[float]:
+        """Return about what the file costs with each of these tables (`cost`)."""
+        return list(self.each(self.cost, tables))
+
+    def cost(self, tables: FileTables) -> float:
+        """Return about what the file costs with tables of the same stencils, in 1/64 bit."""
+        cost = fit_codes(tables.family, self.counter.counts(Tables(tables)), self.share)[1]
+        if tables.weights is None:
+            return cost
+        # Some of what they save of the samples that they were fitted to is chance.
+        by_chance = _SAVED_BY_CHANCE * tables.weights.size * self.alone
+        return cost + COST_UNIT * (weights_bits(tables.weights) + by_chance)
+
+
+def _look(tables: FileTables, sample: "_Sample", each: Each) -> _Looked:
+    """Code some of the windows with tables and look at their samples."""
+    every = np.s_[:: -(-len(sample.windows) // _MOST_LOOKED_AT)]
+    windows, masks, read = sample.windows[every], sample.masks[every], Tables(tables)
+    if sample.step > 1:
+        some = _Sample(windows, masks, sample.step, sample.share, is_inner=True)
+        windows = _coded(read, some, each)[1]
+    seen = look_at(windows, masks, read, sample.step, each)
+    counter = Counter(seen, sample.step)
+    n_samples = sample.share * sample.windows.size / windows.size * np.count_nonzero(masks)
+    share, alone = (n_samples / max(n, 1) for n in (counter.n_counted, counter.n_samples))
+    return _Looked(seen, counter, sample.step, share, alone, each)
+
+
+def _with_contexts(
+    tables: FileTables, looked: _Looked, may_have_reach: bool
+) -> tuple[FileTables, FileTables]:
+    """Return tables with the family, and the weights, by which the file gets smallest.
+
+    And the best of those without weights of their own.
+    """
+    families = _families(tables)[: 4 if may_have_reach else 2]
+    plain, featured, *by_reach = looked.costs([tables._replace(family=own) for own in families])
     # Other features, then what takes a reader of format 1.1: other contexts, which take a little
     # longer to decode, and weights of the file's own.
-    reach = trained.N_FAMILIES
-    others = [(N_STEPS, 0.0), (reach, _SAVED_BY_REACH)]
-    for n_families, share_saved in others if may_have_reach else others[:1]:
-        other = best._replace(family=best.family + n_families)
-        cost = _fitted(other, some)[1]
-        if cost < least * (1 - share_saved):
-            best, least = other, cost
-    if not may_have_reach:
-        return best, best
-    return _with_weights(best, least, some, windows, masks), best
+    has_others = featured < plain
+    best, least = tables._replace(family=families[has_others]), min(plain, featured)
+    if may_have_reach:
+        cost = by_reach[has_others]
+        if cost < least * (1 - _SAVED_BY_REACH):
+            best, least = best._replace(family=families[2 + has_others]), cost
+        return _with_weights(best, least, looked), best
+    return best, best
 
 
-def _with_weights(
-    tables: FileTables, least: float, some: "_Sample", windows: Heights, masks: Mask
-) -> FileTables:
-    """Return tables with weights of features of their own if `some` gets smaller than `least`.
+def _families(tables: FileTables) -> list[int]:
+    """Return the families of a step: with each table of features by the mean, then by reach."""
+    first, reach = tables.family % N_STEPS, trained.N_FAMILIES
+    return [first, first + N_STEPS, first + reach, first + N_STEPS + reach]
+
+
+def _with_weights(tables: FileTables, least: float, looked: _Looked) -> FileTables:
+    """Return tables with weights of features of their own if the file costs less than `least`.
 
     With the trained frequencies and contexts that suit them; of all classes, or the finest alone.
     """
-    read = Tables(tables)
-    some_windows = np.s_[:: -(-len(windows) // _MOST_FOR_WEIGHTS)]
-    decoded = _decoded(read, windows[some_windows], masks[some_windows], some.step)
-    weights = fit_magnitude(decoded, masks[some_windows], read, some.step)
+    weights = fit_magnitude(looked.seen, Tables(tables), looked.step)
     if weights is None:
         return tables
     best, smallest, reach = tables, np.inf, trained.N_FAMILIES
-    first = tables.family % N_STEPS
-    families = [first, first + N_STEPS, first + reach, first + N_STEPS + reach]
-    for n_classes in (N_CLASSES, 2, 1):
-        for family in families:
+    families = _families(tables)
+    for some_classes in ((N_CLASSES,), (2, 1)):
+        others = [
+            tables._replace(family=family, weights=weights[:n_classes])
+            for n_classes in some_classes
+            for family in families
+        ]
+        for other, cost in zip(others, looked.costs(others), strict=True):
             if tables.family >= reach:  # the file takes a reader of format 1.1 anyway
                 most = least
             else:
-                most = least * (1 - (_SAVED_BY_REACH if family >= reach else _SAVED_BY_WEIGHTS))
-            other = tables._replace(family=family, weights=weights[:n_classes])
-            cost = _fitted(other, some)[1] + COST_UNIT * weights_bits(other.weights)
+                is_more = other.family >= reach
+                most = least * (1 - (_SAVED_BY_REACH if is_more else _SAVED_BY_WEIGHTS))
             if cost < min(most, smallest):
                 best, smallest = other, cost
-        families = [tables.family if best is tables else best.family]
+        families = [best.family]
     return best
 
 
@@ -154,9 +223,9 @@ class _Sample(NamedTuple):
     is_inner: bool = False
 
 
-def _fitted(tables: FileTables, sample: _Sample) -> tuple[FileTables, float]:
+def _fitted(tables: FileTables, sample: _Sample, each: Each) -> tuple[FileTables, float]:
     """Return tables with frequencies, and about what the file costs with them, in 1/64 bit."""
-    symbols = count(tables, sample.windows, sample.masks, sample.step, is_inner=sample.is_inner)
+    symbols = _coded(Tables(tables), sample, each)[0]
     share = sample.share * np.count_nonzero(sample.masks) / max(int(symbols.sum()), 1)
     codes, cost = fit_codes(tables.family, symbols, share)
     return tables._replace(codes=codes), cost + stencils_cost(tables.stencils)
@@ -166,47 +235,30 @@ def _fitted(tables: FileTables, sample: _Sample) -> tuple[FileTables, float]:
 
 
 def count(
-    tables: FileTables, windows: Heights, masks: Mask, step: int, *, is_inner: bool = False
-) -> NDArray[np.int64]:
+    tables: FileTables, windows: Heights, masks: Mask, step: int, *,
+    is_inner: bool = False, each: Each = map,
+) -> NDArray[np.int64]:  # fmt: skip
     """Code windows; return how often each symbol came: shape (N_CONTEXTS, N_SYMBOLS)."""
-    coder = UnitCoder(Tables(tables))
-    counts = _no_counts()
-    for target, mask in zip(windows, masks, strict=True):
-        _count_window(coder, target, mask, tables.k_max, step, counts, is_inner=is_inner)
-    by_context = counts.sum(0).reshape(N_CONTEXTS, 1 << SYMBOL_BITS)
-    return np.ascontiguousarray(by_context[:, :N_SYMBOLS])
+    return _coded(Tables(tables), _Sample(windows, masks, step, 1.0, is_inner), each)[0]
 
 
-def _decoded(tables: Tables, windows: Heights, masks: Mask, step: int) -> Heights:
-    """Return windows as they are after coding."""
-    coder, counts = UnitCoder(tables), _no_counts()
-    return np.stack(
-        [
-            _count_window(coder, target, mask, tables.k_max, step, counts, is_inner=True)
-            for target, mask in zip(windows, masks, strict=True)
-        ]
-    )
+def _coded(tables: Tables, sample: "_Sample", each: Each) -> tuple[NDArray[np.int64], Heights]:
+    """Code windows as root blocks; return how often each symbol came, and the decoded heights."""
+    coder = UnitCoder(tables)
 
+    def code(window: tuple[Heights, Mask]) -> tuple[NDArray[np.int64], Heights]:
+        target, mask = window
+        counts = np.zeros((2, N_CONTEXTS << SYMBOL_BITS), dtype=np.int64)
+        low, high = int(target.min()), int(target.max())
+        spec = GroupSpec.alone(Region(0, 0, *target.shape), sample.step, low, high)
+        spec = replace(spec, level=tables.k_max)
+        whole = None if mask.all() else mask
+        return counts, coder.count(spec, target, whole, counts, is_inner=sample.is_inner)
 
-def _no_counts() -> NDArray[np.int64]:
-    return np.zeros((2, N_CONTEXTS << SYMBOL_BITS), dtype=np.int64)
-
-
-def _count_window(
-    coder: UnitCoder,
-    target: Heights,
-    mask: Mask,
-    level: int,
-    step: int,
-    counts: NDArray[np.int64],
-    *,
-    is_inner: bool,
-) -> Heights:
-    """Code a window as a root block; count its symbols and return the decoded heights."""
-    region = Region(0, 0, *target.shape)
-    low, high = int(target.min()), int(target.max())
-    spec = replace(GroupSpec.alone(region, step, low, high), level=level)
-    return coder.count(spec, target, None if mask.all() else mask, counts, is_inner=is_inner)
+    found = list(each(code, list(zip(sample.windows, sample.masks, strict=True))))
+    counts = np.add.reduce([own for own, _ in found]).sum(0)
+    by_context = counts.reshape(N_CONTEXTS, 1 << SYMBOL_BITS)[:, :N_SYMBOLS]
+    return np.ascontiguousarray(by_context), np.stack([heights for _, heights in found])
 
 
 @cache

@@ -16,7 +16,7 @@ from terrainwave.codec.planes import WHOLE, FileStencil, parity
 from terrainwave.codec.rapid import trained
 from terrainwave.codec.rapid.file_tables import N_CLASSES, PLANES, SHIFTS, core_taps, missing_tap
 from terrainwave.codec.rapid.layout import MAX_TAPS, TAPS
-from terrainwave.codec.refiner import Heights, Mask
+from terrainwave.codec.refiner import Each, Heights, Mask
 
 Reals = NDArray[np.float64]
 Stencils = tuple[tuple[FileStencil, ...], ...]
@@ -61,7 +61,9 @@ class FitSamples(NamedTuple):
         return self.values[:, MAX_TAPS]
 
 
-def candidates(windows: Heights, masks: Mask, step: int, share: float) -> list[Stencils]:
+def candidates(
+    windows: Heights, masks: Mask, step: int, share: float, each: Each = map
+) -> list[Stencils]:
     """Return stencils to try, for each class and plane: trained ones, then fitted ones.
 
     Parameters
@@ -72,22 +74,21 @@ def candidates(windows: Heights, masks: Mask, step: int, share: float) -> list[S
     share : float
         How many samples of the raster one of the windows stands for.
     """
-    samples = {
-        (which, plane): found
-        for which in range(N_CLASSES)
-        for plane in PLANES
-        if (found := gather(plane, windows, masks, which, step)) is not None
-    }
+    keys = [(which, plane) for which in range(N_CLASSES) for plane in PLANES]
+    gathered = each(lambda key: gather(key[1], windows, masks, key[0], step), keys)
+    samples = {key: found for key, found in zip(keys, gathered, strict=True) if found is not None}
     some = {key: judged(found) for key, found in samples.items()}
     best = {key: _best(key[1], found) for key, found in some.items()}
     noise = _noise(some, best) if step > 1 else 0.0
     tried = [_stencils({key: FileStencil(base) for key, base in best.items()})]
     noises = [times * noise for times in _TIMES_NOISE] if step > 1 else [0.0]
-    fitted = fit_weights(samples, noises)
-    cheapest = {
-        key: _cheapest(key[1], own, best[key], [found.get(key) for found in fitted], noises, share)
-        for key, own in some.items()
-    }
+    fitted = fit_weights(samples, noises, each)
+
+    def cheapest_of(key: tuple[int, int]) -> list[FileStencil]:
+        weights = [found.get(key) for found in fitted]
+        return _cheapest(key[1], some[key], best[key], weights, noises, share)
+
+    cheapest = dict(zip(some, each(cheapest_of, some), strict=True))
     for index in range(len(noises)):
         tried.append(_stencils({key: found[index] for key, found in cheapest.items()}))
     return tried
@@ -227,7 +228,7 @@ def _noise(samples: dict[tuple[int, int], FitSamples], best: dict[tuple[int, int
 
 
 def fit_weights(
-    samples: dict[tuple[int, int], FitSamples], noises: list[float]
+    samples: dict[tuple[int, int], FitSamples], noises: list[float], each: Each = map
 ) -> list[dict[tuple[int, int], NDArray[np.int64]]]:
     """Return for each noise weights fitted to samples, by class and plane.
 
@@ -244,11 +245,11 @@ def fit_weights(
         has_tap[index, : len(TAPS[plane])] = 1
     wanted: Reals | None = None
     for every in _EVERY_OF_TURN:
-        systems = np.zeros((len(keys), MAX_TAPS, MAX_TAPS + 1))
-        totals = np.zeros(len(keys))
-        for index, key in enumerate(keys):
-            weights = None if wanted is None else wanted[index]
-            systems[index], totals[index] = _normal(samples[key], weights, every)
+        before = [None] * len(keys) if wanted is None else list(wanted)
+        tasks = zip(samples.values(), before, [every] * len(keys), strict=True)
+        found = list(each(lambda task: _normal(*task), tasks))
+        systems = np.array([own for own, _ in found]).reshape(-1, MAX_TAPS, MAX_TAPS + 1)
+        totals = np.array([total for _, total in found])
         middle = noises[len(noises) // 2]
         wanted = _weights(systems, totals * middle, is_core, has_tap)
     n = len(noises)

@@ -136,26 +136,22 @@ FEATURE_TAPS = {
     },
 }
 
-# Kernels take taps in groups: first those of the stencil, then those of features. What fills up the
-# last groups has no weight.
-TAPS_AT_ONCE = 8
-STENCIL_GROUPS = 3
-N_GROUPS = (0, 4, 5, 5)
-_N_TAPS = TAPS_AT_ONCE * max(N_GROUPS)
-_FEATURES_FROM = TAPS_AT_ONCE * STENCIL_GROUPS
+# Kernels take a stencil's taps, then those of features, in their order.
+N_STENCIL_TAPS = tuple(np.uint64(len(TAPS.get(plane, ()))) for plane in range(4))
+FEATURE_ORDER = (F_NORTH, F_DIAGONAL, F_NORTH_2, F_BEND, F_NEAR, F_FAR)
 
 
 def _tap_places() -> NDArray[np.uint64]:
     """Return the places of all taps, by plane."""
-    places = np.empty((4, _N_TAPS), dtype=np.uint64)
-    for plane in (HH, HL, LH):
-        stencil = TAPS[plane]
-        features = [tap for taps in FEATURE_TAPS[plane].values() for tap in taps]
-        places[plane] = place(*stencil[0])
-        places[plane, : len(stencil)] = [place(*tap) for tap in stencil]
-        places[plane, _FEATURES_FROM : _FEATURES_FROM + len(features)] = [
-            place(*tap) for tap in features
-        ]
+    taps = [
+        [*TAPS[plane], *(tap for f in FEATURE_ORDER for tap in FEATURE_TAPS[plane].get(f, ()))]
+        if plane in TAPS
+        else []
+        for plane in range(4)
+    ]
+    places = np.zeros((4, max(map(len, taps))), dtype=np.uint64)
+    for plane, own in enumerate(taps):
+        places[plane, : len(own)] = [place(*tap) for tap in own]
     return places
 
 
@@ -171,10 +167,10 @@ CORE_PLACES = np.array(
     dtype=np.uint64,
 )
 
-# In the workspace from `WEIGHTS` on: of each plane, then of lines, the weights of its taps, and of
-# const, range and twist.
-OWN_WEIGHTS = _N_TAPS
-N_WEIGHTS = _N_TAPS + 8
+# In the workspace from `WEIGHTS` on: of each plane, then of lines, the weights of its stencil's
+# taps, then from `OF_FEATURES` on those of features.
+OF_FEATURES = np.uint64(MAX_TAPS)
+N_WEIGHTS = MAX_TAPS + N_FEATURES
 WEIGHTS = tuple(np.uint64(int(_weights) + N_WEIGHTS * plane) for plane in range(ON_LINE + 1))
 # After them, shift counts. Of 32 bits and less than 32, they let compilers shift 32 bits, where
 # others would be shifts of 64, of which most processors have no vectors.
@@ -214,10 +210,7 @@ def arranged_weights(
     """
     weights = np.zeros((ON_LINE, N_WEIGHTS), dtype=np.int64)
     weights[:LH, :MAX_TAPS] = stencils
-    for plane, taps in FEATURE_TAPS.items():
-        own = [features[plane - 1, feature] for feature, of in taps.items() for _ in of]
-        weights[plane - 1, _FEATURES_FROM : _FEATURES_FROM + len(own)] = own
-    weights[:, OWN_WEIGHTS : OWN_WEIGHTS + 3] = features[:, (F_CONST, F_RANGE, F_TWIST)]
+    weights[:, MAX_TAPS:] = features
     end_shift = 2 + scale.error_shift - scale.side_shift
     shifts = [scale.range_shift, scale.error_shift, scale.side_shift, end_shift]
     return np.concatenate([weights.ravel(), np.array(shifts, dtype=np.int64)])

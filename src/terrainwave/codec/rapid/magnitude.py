@@ -22,7 +22,7 @@ from terrainwave.codec.rapid.layout import (
     LEAST,
     MOST,
     N_FEATURES,
-    OWN_WEIGHTS,
+    OF_FEATURES,
     PREDICTED,
     RANGE_SHIFT,
     SHIFT_MASK,
@@ -39,16 +39,16 @@ from terrainwave.coding.jit import kernel, kernel_part
 N_BINS, N_SIDES = 44, 4
 N_CONTEXTS = N_BINS * N_SIDES
 # The expected magnitude is in 1/4096 step; the second bin begins at 48/4096.
-_FIRST_BIN = 2 * (127 + 5)  # of float32's exponent and first bit
-_EXPECTED_SHIFT = 4
-_EXACT = 1 << 24  # below, float32 holds whole numbers exactly
-_DROPPED = 7  # above, it does so without the lowest bits
-_FIRST_COARSE = 4 * 16  # the context from which on a fine step's are as those of others
+FIRST_BIN = 2 * (127 + 5)  # of float32's exponent and first bit
+EXPECTED_SHIFT = 4
+EXACT = 1 << 24  # below, float32 holds whole numbers exactly
+DROPPED = 7  # above, it does so without the lowest bits
+FIRST_COARSE = 4 * 16  # the context from which on a fine step's are as those of others
 _FINE_STEP = 3  # up to this step the prediction's fraction matters
 MOST_ERROR = (1 << 18) - 1
-_MOST_FAR = (1 << 20) - 1
-_OF_RANGES = (F_RANGE, F_TWIST, F_BEND)
-_OWN_WEIGHTS, _U1, _U2 = np.uint64(OWN_WEIGHTS), np.uint64(1), np.uint64(2)
+MOST_FAR = (1 << 20) - 1
+OF_RANGES = (F_RANGE, F_TWIST, F_BEND)
+_F_CONST, _F_RANGE, _F_TWIST = np.uint64(F_CONST), np.uint64(F_RANGE), np.uint64(F_TWIST)
 
 
 def scale_of(step: int, low: int, high: int, is_by_reach: bool) -> Scale:
@@ -79,7 +79,7 @@ def scaled_features(weights: NDArray[np.int64], scale: Scale) -> NDArray[np.int6
     shifts = np.zeros(N_FEATURES, dtype=np.int64)
     units = np.full(N_FEATURES, scale.step, dtype=np.int64)
     shifts[F_NORTH : F_NORTH_2 + 1] = shifts[F_NEAR:] = scale.error_shift
-    shifts[list(_OF_RANGES)] = scale.range_shift
+    shifts[list(OF_RANGES)] = scale.range_shift
     units[F_CONST] = 1
     return (((weights << shifts) // units) + 128) >> 8
 
@@ -106,16 +106,16 @@ def _expect(m, reals, n, plane, scale):
     """
     cast, shift = m.dtype.type, m[RANGE_SHIFT] & SHIFT_MASK
     most = cast(scale.most_range)
-    w = WEIGHTS[plane] + _OWN_WEIGHTS
-    of_const, of_range, of_twist = m[w], m[w + _U1], m[w + _U2]
+    w = WEIGHTS[plane] + OF_FEATURES
+    of_const, of_range, of_twist = m[w + _F_CONST], m[w + _F_RANGE], m[w + _F_TWIST]
     for j in range(n):
         low, high = m[LEAST + j], m[MOST + j]
         wide = min(cast(cast(high - low) >> shift), most)
         twist = min(cast(m[TWIST + j] >> shift), most)
         total = cast(m[EXPECTED + j] + of_const + of_range * wide + of_twist * twist)
-        e = cast(total >> _EXPECTED_SHIFT)
+        e = cast(total >> EXPECTED_SHIFT)
         m[EXPECTED + j] = e
-        reals[j] = e & cast(~_DROPPED) if e >= _EXACT else e
+        reals[j] = cast(e & cast(~DROPPED)) if e >= EXACT else e
         predicted = min(max(m[PREDICTED + j], cast(low << 6)), cast(high << 6))
         m[PREDICTED + j] = predicted
         m[WHOLE + j] = cast(predicted + 32) >> 6
@@ -127,7 +127,7 @@ def _bin_of(bits):
 
     Exponent and first bit of the fraction are the same on every machine.
     """
-    return min(max((bits >> 22) - _FIRST_BIN, 0), N_BINS - 1)
+    return min(max((bits >> 22) - FIRST_BIN, 0), N_BINS - 1)
 
 
 @kernel_part
@@ -138,7 +138,7 @@ def _fill_contexts_by_mean(m, bits_of_reals, n, scale):
     for j in range(n):
         side = cast(16 * m[SUM + j] - m[PREDICTED + j])
         m[SIDE + j] = side
-        far = min(cast(abs(side) >> shift), cast(_MOST_FAR))
+        far = min(cast(abs(side) >> shift), cast(MOST_FAR))
         far = cast(cast(far * far_scale) >> end_shift)  # in 1/16384 step
         e = m[EXPECTED + j]
         quarter = cast(far > e) + cast(cast(4 * far) > cast(11 * e)) + cast(far > cast(6 * e))
@@ -154,12 +154,12 @@ def _fill_contexts_by_reach(m, bits_of_reals, n, scale):
     """
     cast, far_scale = m.dtype.type, m.dtype.type(scale.far_scale)
     shift, end_shift = m[SIDE_SHIFT] & SHIFT_MASK, m[END_SHIFT] & SHIFT_MASK
-    first = cast(_FIRST_COARSE) if scale.is_fine else cast(0)
+    first = cast(FIRST_COARSE) if scale.is_fine else cast(0)
     for j in range(n):
         predicted = m[PREDICTED + j]
         side = cast(16 * m[SUM + j] - predicted)
         above, below = cast((m[MOST + j] << 6) - predicted), cast(predicted - (m[LEAST + j] << 6))
-        far = min(cast((above if side < 0 else below) >> shift), cast(_MOST_FAR))
+        far = min(cast((above if side < 0 else below) >> shift), cast(MOST_FAR))
         far = cast(cast(far * far_scale) >> end_shift)  # in 1/16384 step
         e = m[EXPECTED + j]
         reach = cast(far > cast(2 * e)) + cast(far > cast(6 * e)) + cast(far > cast(12 * e))
@@ -182,5 +182,5 @@ def _fill_fine_contexts(m, bits_of_reals, n, scale):
         context = cast(4 * _bin_of(bits_of_reals[j]))
         most = max(most, context)
         quarter = min(cast(cast(abs(side) * side_scale) >> 16), cast(3))
-        m[CONTEXT + j] = context + (quarter if context < _FIRST_COARSE else cast(0))
-    return most >= _FIRST_COARSE
+        m[CONTEXT + j] = context + (quarter if context < FIRST_COARSE else cast(0))
+    return most >= FIRST_COARSE

@@ -9,6 +9,7 @@ from terrainwave.codec.rapid.file_tables import (
     pack_file_tables,
     parse_file_tables,
 )
+from terrainwave.codec.refiner import Each
 from terrainwave.grid.quadtree import Grid
 from terrainwave.grid.sample_windows import HeightsOf, MaskOf
 
@@ -31,6 +32,7 @@ class RapidRefiner(UnitCoder):
         mask: MaskOf,
         *,
         may_have_reach: bool = True,
+        each: Each = map,
     ) -> "RapidRefiner":
         """Return a refiner with tables fitted to a raster.
 
@@ -38,7 +40,7 @@ class RapidRefiner(UnitCoder):
         """
         from terrainwave.codec.rapid.fit import fit_tables
 
-        tables = fit_tables(grid, step, heights, mask, may_have_reach=may_have_reach)
+        tables = fit_tables(grid, step, heights, mask, may_have_reach=may_have_reach, each=each)
         return RapidRefiner(pack_file_tables(tables), tables)
 
 

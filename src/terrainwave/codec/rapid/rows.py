@@ -13,20 +13,20 @@ from terrainwave.codec.rapid.layout import (
     CORE_PLACES,
     ERRORS,
     EXPECTED,
+    FEATURE_ORDER,
     LEAST,
     MOST,
-    N_GROUPS,
+    N_STENCIL_TAPS,
+    OF_FEATURES,
     PLANE,
     PREDICTED,
     RANGE_SHIFT,
     ROWS_ABOVE,
     ROWS_BELOW,
     SHIFT_MASK,
-    STENCIL_GROUPS,
     STRIDE,
     SUM,
     TAP_PLACES,
-    TAPS_AT_ONCE,
     TWIST,
     WEIGHTS,
     place,
@@ -36,12 +36,14 @@ from terrainwave.coding.jit import kernel, kernel_part
 _A, _BENDS = place(A, 0, 0), place(BENDS, 0, 0)
 _HH, _HL, _LH = place(HH, 0, 0), place(HL, 0, 0), place(LH, 0, 0)
 _U0, _U1, _U2, _U3, _U4 = (np.uint64(k) for k in range(5))
-_U5, _U6, _U7, _U8 = (np.uint64(k) for k in range(5, 9))
+_U6, _U8 = np.uint64(6), np.uint64(8)
+_F_NORTH, _F_DIAGONAL, _F_NORTH_2, _F_BEND, _F_NEAR, _F_FAR = (
+    np.uint64(feature) for feature in FEATURE_ORDER
+)
 _STRIDE, _STRIDE_2 = np.uint64(STRIDE), np.uint64(2 * STRIDE)
 TO_ERRORS = np.uint64(ERRORS * PLANE)
 # The row of LH is two behind, and stored one later; its neighbourhood is as high as any.
 _KEPT_ROWS = 2 + ROWS_ABOVE + 1 + ROWS_BELOW
-_GROUP = np.uint64(TAPS_AT_ONCE)
 
 
 @kernel_part
@@ -141,42 +143,52 @@ def surround(m, own, row, n_rows, n):
 @kernel
 def predict_row(m, at, n, plane):
     """Fill `PREDICTED`, in 1/64 quanta, and what is seen of the core; start `EXPECTED`."""
-    _weigh_taps(m, at, n, plane)
+    # With each plane's constants, loops over taps become straight code, which runs in vectors.
+    if plane == HH:
+        _weigh_taps(m, at, n, HH, N_STENCIL_TAPS[HH], _U4, _U0, _U0)
+    elif plane == HL:
+        _weigh_taps(m, at, n, HL, N_STENCIL_TAPS[HL], _U2, _U2, _U4)
+    else:
+        _weigh_taps(m, at, n, LH, N_STENCIL_TAPS[LH], _U2, _U6, _U4)
     _look_around(m, at, n, plane)
 
 
 @kernel_part
-def _weigh_taps(m, at, n, plane):
-    """Fill `PREDICTED`, in 1/4096 quanta, and start `EXPECTED`: weighted sums of a row's taps.
-
-    As many taps at once as weights stay in registers.
-    """
-    for j in range(n):
-        m[PREDICTED + j] = 32
-        m[EXPECTED + j] = 0
+def _weigh_taps(m, at, n, plane, n_taps, n_bends, n_near, n_far):
+    """Fill `PREDICTED`, in 1/4096 quanta, and start `EXPECTED`: weighted sums of a row's taps."""
     w = WEIGHTS[plane]
-    for group in range(N_GROUPS[plane]):
-        to = PREDICTED if group < STENCIL_GROUPS else EXPECTED
-        k = np.uint64(group) * _GROUP
-        w0, w1, w2, w3 = m[w + k], m[w + k + _U1], m[w + k + _U2], m[w + k + _U3]
-        w4, w5, w6, w7 = m[w + k + _U4], m[w + k + _U5], m[w + k + _U6], m[w + k + _U7]
-        t0, t1, t2, t3 = (
-            at + TAP_PLACES[plane, k],
-            at + TAP_PLACES[plane, k + _U1],
-            at + TAP_PLACES[plane, k + _U2],
-            at + TAP_PLACES[plane, k + _U3],
+    for j in range(n):
+        total = np.int64(32)
+        for k in range(n_taps):
+            total += m[w + k] * m[at + TAP_PLACES[plane, k] + j]
+        m[PREDICTED + j] = total
+    # As `FEATURE_ORDER` has them.
+    f, north = w + OF_FEATURES, n_taps
+    diagonal, north_2, bends = north + _U1, north + _U3, north + _U4
+    near = bends + n_bends
+    far = near + n_near
+    for j in range(n):
+        k = at + j
+        total = (
+            m[f + _F_NORTH] * m[k + TAP_PLACES[plane, north]]
+            + m[f + _F_DIAGONAL]
+            * (m[k + TAP_PLACES[plane, diagonal]] + m[k + TAP_PLACES[plane, diagonal + _U1]])
+            + m[f + _F_NORTH_2] * m[k + TAP_PLACES[plane, north_2]]
+            + m[f + _F_BEND] * _sum_of_taps(m, k, plane, bends, n_bends)
         )
-        t4, t5, t6, t7 = (
-            at + TAP_PLACES[plane, k + _U4],
-            at + TAP_PLACES[plane, k + _U5],
-            at + TAP_PLACES[plane, k + _U6],
-            at + TAP_PLACES[plane, k + _U7],
-        )
-        for j in range(n):
-            m[to + j] += (
-                w0 * m[t0 + j] + w1 * m[t1 + j] + w2 * m[t2 + j] + w3 * m[t3 + j]
-                + w4 * m[t4 + j] + w5 * m[t5 + j] + w6 * m[t6 + j] + w7 * m[t7 + j]
-            )  # fmt: skip
+        if n_far > 0:
+            total += m[f + _F_NEAR] * _sum_of_taps(m, k, plane, near, n_near)
+            total += m[f + _F_FAR] * _sum_of_taps(m, k, plane, far, n_far)
+        m[EXPECTED + j] = total
+
+
+@kernel_part
+def _sum_of_taps(m, at, plane, first, n):
+    """Return the sum of `n` taps of a sample."""
+    total = np.int64(0)
+    for k in range(n):
+        total += m[at + TAP_PLACES[plane, first + k]]
+    return total
 
 
 @kernel_part

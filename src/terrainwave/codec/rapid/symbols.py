@@ -28,7 +28,7 @@ from terrainwave.coding.rans import N_STATES, SYMBOL_BITS, decode_row, decode_sy
 # Symbols: an escape, then the upper parts of details, -30 … 31.
 ESCAPE, ZERO, N_SYMBOLS = 0, 31, 63
 ESCAPE_BITS = 33
-_FREQ_MASK = np.uint32(0xFFFF)
+_FREQ_MASK, _SYMBOL_MASK = np.uint32(0xFFFF), (1 << SYMBOL_BITS) - 1
 _MASK32 = np.uint64(0xFFFFFFFF)
 # Contexts from this one on have low bits (bin 18 is the first).
 _FIRST_RAW = 4 * 18
@@ -44,12 +44,12 @@ WORD_POS, BIT_POS, COUNT = 0, 1, 2
 class Streams(NamedTuple):
     """What a unit's symbols and raw bits are read from, or what they are logged in.
 
-    Decoding uses `slots`, `freqs`, `words`, `n_words`, `states`, `n_states`; encoding `freqs` and
-    the logs. `n_bits` of raw bits can be there; the arrays have as much to spare as a row may read.
+    Decoding uses `slots`, `words`, `n_words`, `states`, `n_states`; encoding `freqs` and the logs.
+    `n_bits` of raw bits can be there; the arrays have as much to spare as a row may read.
     """
 
     places: NDArray[np.int64]
-    slots: NDArray[np.uint8]
+    slots: NDArray[np.uint32]
     words: NDArray[np.uint16]
     n_words: int
     states: NDArray[np.uint64]
@@ -79,8 +79,7 @@ def code_details(m, at, n, to, is_encoding, has_void, scale, s):
         _log_symbols(m, at, n, has_void, s.places, s.freqs, s.contexts_log, s.symbols_log)
     else:
         _read_symbols(
-            m, at, n, has_void, s.places, s.slots, s.freqs, s.words, s.n_words, s.states,
-            s.n_states,
+            m, at, n, has_void, s.places, s.slots, s.words, s.n_words, s.states, s.n_states,
         )  # fmt: skip
     has_raw, has_escape = _find_raw(m, at, n)
     if has_raw:
@@ -90,8 +89,9 @@ def code_details(m, at, n, to, is_encoding, has_void, scale, s):
 
 
 @kernel_part
-def _read_symbols(m, at, n, has_void, places, slots, freqs, words, n_words, states, n_states):
+def _read_symbols(m, at, n, has_void, places, slots, words, n_words, states, n_states):
     """Decode `SYMBOL`, and `DETAIL` but for raw bits."""
+    cast = m.dtype.type
     start, count = min(places[WORD_POS], n_words), places[COUNT]
     contexts, symbols, valid = at + CONTEXT, at + SYMBOL, at + VALID
     if has_void:
@@ -111,21 +111,21 @@ def _read_symbols(m, at, n, has_void, places, slots, freqs, words, n_words, stat
         if n_states == N_STATES:
             skipped = np.uint64(first)
             end = decode_row(
-                m, contexts + skipped, symbols + skipped, j - first, slots, freqs, words, end,
-                states, count,
+                m, contexts + skipped, symbols + skipped, j - first, slots, words, end, states,
+                count,
             )  # fmt: skip
         else:
             place = np.uint64(end)
             for k in range(first, j):
-                place = decode_symbol(
-                    m, contexts, symbols, k, slots, freqs, words, place, states, 0
-                )
+                place = decode_symbol(m, contexts, symbols, k, slots, words, place, states, 0)
             end = np.int64(place)
         count += j - first
     places[COUNT] = count
     places[WORD_POS] += end - start
     for j in range(n):
-        m[DETAIL + at + j] = m[SYMBOL + at + j] - ZERO
+        symbol = cast(m[symbols + j] & _SYMBOL_MASK)
+        m[symbols + j] = symbol
+        m[DETAIL + at + j] = symbol - ZERO
 
 
 @kernel_part

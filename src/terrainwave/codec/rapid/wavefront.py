@@ -69,7 +69,7 @@ class Known(NamedTuple):
 @kernel
 def code_rows(
     is_encoding, has_void, goal, valid, out, source, corners, lines, finest, coarse_of_finest, core,
-    stride, weights, known, origin, workspace, scale, s, kept, added,
+    stride, weights, known, origin, workspace, scale, s, kept, added, n_wanted,
 ):  # fmt: skip
     """Encode or decode shared samples, then a lattice's samples that are not coarse.
 
@@ -97,6 +97,8 @@ def code_rows(
         What the workspace's heights are less.
     kept, added : ndarray of int32, flat
         `Corrections`: both empty where there are none.
+    n_wanted : int
+        Rows of each lattice that are enough, from the first on.
 
     Notes
     -----
@@ -117,7 +119,7 @@ def code_rows(
         n_rows, n_cols = shape
         n_corner_rows = (corners.shape[0] + MOST_CORNERS - 1) // MOST_CORNERS
         n_before = n_corner_rows + 2 * lines.shape[0]
-        n_turns = ((n_rows + 1) >> 1) + _TURNS_BEFORE + _TURNS_AFTER
+        n_turns = ((min(n_rows, n_wanted) + 1) >> 1) + _TURNS_BEFORE + _TURNS_AFTER
         base = np.int64(_FIRST_LOADED)
         for index in range(n_before + 3 * n_turns):
             is_lattice, is_corner = index >= n_before, index < n_corner_rows
@@ -150,15 +152,19 @@ def code_rows(
                     first = stop = np.int64(n)
                 _load_known(m, own, out, start, spacing, origin, first, stop, np.int64(n), scale)
             fill_contexts(m, workspace.reals, workspace.bits_of_reals, n, plane, scale)
+            is_void_there = has_void
             if is_corner:
                 _take_corners(m, goal, valid, corners, start, stop, origin, is_encoding, has_void)
             elif is_encoding or has_void:
                 _take_row(
                     m, goal, valid, start, spacing, first, stop, origin, is_encoding, has_void
                 )
+                is_void_there = has_void and _has_void(m, first, stop)
             if stop > first:
                 n_coded = np.uint64(stop - first)
-                code_details(m, np.uint64(first), n_coded, own, is_encoding, has_void, scale, s)
+                code_details(
+                    m, np.uint64(first), n_coded, own, is_encoding, is_void_there, scale, s
+                )
                 if added.shape[0] > 0:
                     _correct(
                         m, own, kept, added, corners, is_corner, start, spacing, first, stop,
@@ -257,8 +263,21 @@ def _take_row(m, goal, valid, start, spacing, first, stop, origin, is_encoding, 
         for j in range(first, stop):
             m[GOAL + np.uint64(j)] = np.int64(goal[np.uint64(start + j * spacing)]) - origin
     if has_void:
-        for j in range(first, stop):
-            m[VALID + np.uint64(j)] = valid[np.uint64(start + j * spacing)]
+        if spacing == 2:  # rows of all but root blocks: known, it makes a loop of vectors
+            for j in range(np.uint64(first), np.uint64(stop)):
+                m[VALID + j] = valid[np.uint64(start) + j * np.uint64(2)]
+        else:
+            for j in range(first, stop):
+                m[VALID + np.uint64(j)] = valid[np.uint64(start + j * spacing)]
+
+
+@kernel_part
+def _has_void(m, first, stop):
+    """Return whether a sample `first` … ``stop - 1`` of a row is void, as `VALID` has it."""
+    least = m.dtype.type(1)
+    for j in range(np.uint64(first), np.uint64(stop)):
+        least = min(least, m[VALID + j])
+    return least == 0
 
 
 @kernel_part

@@ -139,8 +139,10 @@ class RasterSink:
     -----
     Used as a context manager: leaving it normally publishes the file, leaving it by an exception
     removes what was written. Windows may come in any order, each sample once; those of `blocks`
-    waste nothing. Before the file is published all windows are read back: GDAL keeps errors of its
-    threads, and of what it writes last, to itself, and puts zeros in place of tiles that failed.
+    waste nothing. Where the nodata value marks voids, windows that are void as a whole may be left
+    out: their tiles take no bytes. Before the file is published all windows are read back: GDAL
+    keeps errors of its threads, and of what it writes last, to itself, and puts zeros in place of
+    tiles that failed.
     Memory: one window and GDAL's cache. A COG needs room for the file twice while it is made.
     """
 
@@ -192,11 +194,18 @@ class RasterSink:
             "bigtiff": "IF_SAFER",
             "num_threads": self._n_threads,
         }
+        if self.may_be_sparse:
+            profile["sparse_ok"] = True
         with bounded_env(), warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             dataset = rasterio.open(self._part, "w", **profile)
             write_description(dataset, self.info)
         return dataset
+
+    @property
+    def may_be_sparse(self) -> bool:
+        """Say whether windows that are void may be left out: they read as the nodata value."""
+        return self.info.nodata is not None and self.info.mask_kind != "mask" and not self._cog
 
     def blocks(self, max_samples: int = SCAN_SAMPLES) -> Iterator[Region]:
         """Yield windows of whole tiles that cover the grid once, in file order."""
@@ -283,7 +292,9 @@ class RasterSink:
         with bounded_env(), warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             try:
-                is_complete = _holds_all_tiles(part) and self._holds_what_was_written(part)
+                is_complete = _holds_all_tiles(
+                    part, may_be_sparse=self.may_be_sparse
+                ) and self._holds_what_was_written(part)
             except GDAL_ERRORS:
                 is_complete = False
         if not is_complete:
@@ -324,11 +335,14 @@ class RasterSink:
             self.abort()
 
 
-def _holds_all_tiles(path: Path) -> bool:
+def _holds_all_tiles(path: Path, *, may_be_sparse: bool) -> bool:
+    """Say whether all tiles lie inside a file; those of voids may be missing in a sparse one."""
     size = path.stat().st_size
     with rasterio.open(path) as dataset:
         for (row, col), _ in dataset.block_windows(1):
             offset = dataset.get_tag_item(f"BLOCK_OFFSET_{col}_{row}", "TIFF", 1)
+            if offset is None and may_be_sparse:
+                continue
             n_bytes = dataset.get_tag_item(f"BLOCK_SIZE_{col}_{row}", "TIFF", 1)
             if offset is None or int(offset) + int(n_bytes) > size:
                 return False

@@ -108,6 +108,7 @@ class Canvas:
         )
         self.store = self.surface.store
         self.scene = Scene(terrain, self.store, mode=mode, **options)
+        self._has_horizon = self.scene.has_horizon
         self._samples = min(samples, int(self.context.max_samples))
         self._target: Any = None
         self._resolved: Any = None
@@ -211,6 +212,7 @@ class Canvas:
         has several samples: its colour is their mean, and its depth one of theirs or a mean, too.
         """
         view = self.scene.view(camera, self.viewport, max_pixel_error)
+        self.scene.has_horizon = self._has_horizon and not style.wireframe
         target = self._target if is_smooth else self._resolved
         target.use()
         if self.scene.mode.is_partwise:

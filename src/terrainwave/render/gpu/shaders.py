@@ -94,7 +94,8 @@ uniform vec3 sun;           // unit vector towards it
 uniform float side;
 uniform float z_scale;
 uniform vec4 sample_axes;
-uniform int coloring;       // 0 ramp, 1 level, 2 error, 3 ground, 4 plain, 5 flat, 6 slope
+uniform int coloring;       // 0 ramp, 1 level, 2 error, 3 ground, 4 plain, 5 flat, 6 slope,
+                            // 7 textured
 uniform float shade;        // share of light and shadow
 out vec4 color;
 """
@@ -123,6 +124,56 @@ float bend() {
     return turned * (dot(vec2(by_col.x, by_row.x), east) + dot(vec2(by_col.y, by_row.y), north));
 }
 
+float random_at(ivec2 cell) {
+    uint h = uint(cell.x) * 0x9E3779B1u ^ uint(cell.y) * 0x85EBCA77u;
+    h = (h ^ (h >> 15)) * 0x2C1B3C6Du;
+    h = (h ^ (h >> 12)) * 0x297A2D39u;
+    return float((h ^ (h >> 15)) >> 8) / 16777216.0;
+}
+
+float noise(vec2 place) {
+    ivec2 cell = ivec2(floor(place));
+    vec2 t = place - vec2(cell);
+    t = t * t * (3.0 - 2.0 * t);
+    return mix(
+        mix(random_at(cell), random_at(cell + ivec2(1, 0)), t.x),
+        mix(random_at(cell + ivec2(0, 1)), random_at(cell + ivec2(1, 1)), t.x), t.y);
+}
+
+// Grain of about 0.5, fixed to the ground: its finest cells are four pixels and more, and fade
+// before they are smaller. `finest`: log2 of their size in samples.
+float grain(vec2 place, float finest) {
+    float size = exp2(floor(finest)), share = fract(finest);
+    float total = (1.0 - share) * noise(place / size);
+    total += noise(place / (2.0 * size)) + noise(place / (4.0 * size));
+    return (total + share * noise(place / (8.0 * size))) / 3.0;
+}
+
+// Soil, scree and rock over the colours of heights, blended by slope, curvature and height.
+vec3 textured(vec3 base, float steep, float bent, float height) {
+    vec2 across = fwidth(v_grid);
+    float finest = log2(4.0 * max(max(across.x, across.y), 1e-6));
+    float coarse = grain(v_grid, finest + 2.0), fine = grain(v_grid, finest);
+    float snow = smoothstep(0.84, 0.95, min(base.r, base.b));
+    float grey = dot(base, vec3(0.3, 0.5, 0.2));
+    // Soil: darker in hollows, where it is moist.
+    vec3 soil = base * (0.62 + 0.76 * mix(coarse, fine, 0.5)) * (1.0 + 0.25 * bent);
+    vec3 scree = mix(vec3(grey), vec3(0.55, 0.52, 0.48), 0.75) * (0.55 + 0.9 * fine);
+    // Rock: beds of about equal height, of any thickness, bent a little.
+    float metres = length(sample_axes.xz) * 2.0, high = height / metres + 0.8 * coarse;
+    float beds = grain(vec2(high, 0.02 * (v_grid.x + v_grid.y)), finest + 0.5);
+    beds = smoothstep(0.25, 0.75, mix(beds, fine, 0.35));
+    vec3 rock = mix(vec3(0.38, 0.36, 0.33), vec3(0.60, 0.57, 0.53), beds);
+    rock = mix(vec3(grey), rock, 0.8) * (0.75 + 0.5 * coarse);
+    float ragged = steep + 0.05 * bent + 0.16 * (coarse - 0.5);
+    vec2 bare = mix(vec2(0.10, 0.24), vec2(0.18, 0.36), snow);
+    float is_rock = smoothstep(bare.x, bare.y, ragged);
+    // Scree lies below rock, in hollows and on slopes that are not too steep for it.
+    float is_scree = smoothstep(0.03, 0.10, ragged) * clamp(0.35 - bent, 0.0, 1.0) * (1.0 - snow);
+    vec3 covered = mix(soil, mix(soil, base, 0.7), snow);
+    return mix(mix(covered, scree, is_scree), rock, is_rock);
+}
+
 void main() {
     vec3 texel = texel_at(vec2(0.0));
     vec2 slope = texel.xy;
@@ -133,7 +184,8 @@ void main() {
         : coloring == 6 ? degrees(atan(length(slope)))
         : height_texels.x + height_texels.y * texel.z;
     bool is_sea = value <= ramp_range.y;
-    if (coloring == 3 && is_sea) {
+    bool is_ground = coloring == 3 || coloring == 7;
+    if (is_ground && is_sea) {
         float found = texture(water, (v_grid / water_place.x + 0.5) * water_place.yz).r;
         is_sea = found > 0.75 || (found > 0.25 && value >= -ramp_range.y);
     }
@@ -146,8 +198,10 @@ void main() {
     else if (coloring == 4 || coloring == 5) base = vec3(0.82, 0.80, 0.76);
     else {
         base = texture(ramp, ramp_place).rgb;
-        if (coloring == 3) {
-            float bent = clamp(bend() * 1.6, -1.0, 1.0);
+        float bent = is_ground ? clamp(bend() * 1.6, -1.0, 1.0) : 0.0;
+        if (coloring == 7) {
+            if (!is_sea) base = textured(base, steep, bent, value);
+        } else if (is_ground) {
             vec3 rock = mix(vec3(0.40, 0.37, 0.33), vec3(0.58, 0.56, 0.53), t);
             // Snow stays on steeper ground than soil does.
             float snow = smoothstep(0.84, 0.95, min(base.r, base.b));

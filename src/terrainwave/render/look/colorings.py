@@ -7,6 +7,7 @@ MEANINGS = {
     "relative": "from the lowest to the highest height",
     "ramp": "relative, without rock where it is steep",
     "slope": "by steepness, 0 to 60 degrees",
+    "textured": "as auto, with soil, scree and rock by slope, curvature and height",
     "plain": "grey: light and shadow alone",
     "level": "by the level of blocks",
     "error": "by the error of meshes",

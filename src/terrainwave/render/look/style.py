@@ -8,13 +8,14 @@ from terrainwave.place.bodies import EARTH, MARS, MOON, OTHER, UNKNOWN
 from terrainwave.render.look.colorings import AUTO, NO_SEA, RAMP_NAMES
 
 # The shader's numbers.
-_RAMP, _LEVEL, _ERROR, _GROUND, _PLAIN, _FLAT, _SLOPE = range(7)
+_RAMP, _LEVEL, _ERROR, _GROUND, _PLAIN, _FLAT, _SLOPE, _TEXTURED = range(8)
 COLORINGS = {
     "auto": _GROUND,
     "absolute": _GROUND,
     "relative": _GROUND,
     "ramp": _RAMP,
     "slope": _SLOPE,
+    "textured": _TEXTURED,
     "plain": _PLAIN,
     "level": _LEVEL,
     "error": _ERROR,
@@ -96,13 +97,14 @@ class Style:
     @property
     def has_legend(self) -> bool:
         """Say whether colours are values that a legend can explain."""
-        return COLORINGS[self.coloring] in (_RAMP, _GROUND, _SLOPE, _ERROR)
+        return COLORINGS[self.coloring] in (_RAMP, _GROUND, _SLOPE, _ERROR, _TEXTURED)
 
     def is_absolute(self, body: str) -> bool:
         """Say whether heights on a body get the Earth's colours by metres."""
         if self.coloring == "absolute":
             return body in (EARTH, UNKNOWN)
-        return self.coloring == "auto" and body == EARTH and self.ramp in (AUTO, "tints")
+        is_free = self.coloring in ("auto", "textured")
+        return is_free and body == EARTH and self.ramp in (AUTO, "tints")
 
     def ramp_on(self, body: str) -> str:
         """Return the ramp of relative colours on a body."""

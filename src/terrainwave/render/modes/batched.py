@@ -32,6 +32,7 @@ from terrainwave.render.modes.mode import Frames, ModeNeeds
 from terrainwave.render.modes.neville import ORDERS, filtered
 from terrainwave.render.modes.regular import fill_parent_heights, largest_deviation
 from terrainwave.render.scene.camera import Camera, Viewport, focal_length
+from terrainwave.render.scene.horizon import Floors
 from terrainwave.render.scene.patches import Cancelled, PatchBuilder
 from terrainwave.render.scene.scales import FLOAT32_ROUNDING, HeightScale
 from terrainwave.render.scene.selection import NodeInfo, NodeTable, Piece, Selection, View
@@ -70,6 +71,7 @@ class RegularBlock(NamedTuple):
     error: float
     morph: float
     children: list[NodeInfo]
+    floors: Floors
 
 
 class Batched(BoundedMode):
@@ -106,7 +108,7 @@ class Batched(BoundedMode):
         self._order = order
         self._side = terrain.grid.block
         self._scale = HeightScale.of(terrain, frame)
-        self._slopes = PatchBuilder(terrain, frame).slopes
+        self._patches = PatchBuilder(terrain, frame)
         low, high = (height * frame.metres[2] for height in frame.heights)
         self._middle, self._largest = (low + high) / 2, abs(high - low) / 2
         self._grids: Cache[Block, BlockGrid] = Cache(_CACHED_GRIDS)
@@ -186,7 +188,7 @@ class Batched(BoundedMode):
             first_row, first_col = (block.row & 1) * self._side, (block.col & 1) * self._side
             fill_parent_heights(heights, parent, first_row, first_col, before)
         check()
-        slopes = self._slopes(block)
+        slopes = self._patches.slopes(block)
         has_any = not np.isnan(heights).all()
         missing = [(0, self._side + 1 - n) for n in heights.shape]
         both = np.stack([heights, before], axis=-1)
@@ -200,6 +202,7 @@ class Batched(BoundedMode):
             self._bound(block, error),
             float(np.nanmax(apart)) if has_any else 0.0,
             children,
+            self._patches.floors(block, error),
         )
 
     def _prefetch(self, block: Block) -> None:

@@ -160,6 +160,7 @@ class FrontPatch:
     n_triangles: int = 0
     base: float = 0.0
     morph: float = 0.0
+    floors: None = None
 
     def places(self, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return columns and rows of its samples under local x, y; shape (n, 2)."""

@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -20,6 +20,7 @@ from terrainwave.render.paging.read_ahead import PATIENCE, read_ahead_of
 from terrainwave.render.scene.camera import Camera, Viewport
 from terrainwave.render.scene.frame import Frame, frame_of
 from terrainwave.render.scene.frustum import may_see
+from terrainwave.render.scene.horizon import Horizon
 from terrainwave.render.scene.selection import (
     Built,
     ErrorGovernor,
@@ -102,6 +103,9 @@ class Scene:
         Per frame; τ is raised beyond it.
     target_ms : float, optional
         Per frame; τ is raised where it takes longer.
+    horizon : bool
+        Blocks behind nearer ground are neither drawn nor asked for, in modes adaptive, batched and
+        loose with measured errors, while the eye is above the ground.
     n_workers : int
         Threads that read, decode and build.
     retries : bool
@@ -130,6 +134,7 @@ class Scene:
         radius: float | None = None,
         max_triangles: int = MAX_TRIANGLES,
         target_ms: float | None = None,
+        horizon: bool = True,
         n_workers: int = 2,
         retries: bool = False,
         progress: ProgressCallback | None = None,
@@ -161,6 +166,9 @@ class Scene:
         self._needed = self._soon = np.empty(0, dtype=np.int32)
         self._last_camera: Camera | None = None
         self._requested: list[int] = []
+        # Whether pieces behind others are left out; pictures that are seen through need them all.
+        self.has_horizon = horizon
+        self._shown, self._tau = np.empty(0, dtype=np.int32), 0.0  # nodes of the last frame
         self._memory_factor, self._is_short = 1.0, True
 
     def __enter__(self) -> "Scene":
@@ -193,6 +201,11 @@ class Scene:
         )  # fmt: skip
 
     @property
+    def wanted(self) -> NDArray[np.int32]:
+        """Return the nodes that the last frame needed, with those above them; for reading."""
+        return self._needed
+
+    @property
     def build_ms(self) -> list[float]:
         """Return what the last pieces took to read, decode and build: CPU milliseconds."""
         return list(self._pager.build_ms)
@@ -212,6 +225,7 @@ class Scene:
             self._memory_factor = max(self._memory_factor / _RELIEF, 1.0)
         tau = self._split_error(view)
         self._take(view, max_uploads)
+        view = replace(view, horizon=self._horizon(view, view.camera))
         wanted = self._needed = self._wanted(view, tau)
         ahead = self._soon = self._ahead(view, tau, wanted)
         missing = self._missing(wanted)
@@ -228,8 +242,13 @@ class Scene:
         self._last_camera = view.camera
         paged = time.perf_counter()
         selection, used = self.governor.select(self.table, view, tau)
+        if self.table.stand_in(view, selection.nodes, used, self._shown):
+            # What made the horizon is not all drawn.
+            view = replace(view, horizon=Horizon.none())
+            selection, used = self.governor.select(self.table, view, tau)
         n_missing = len(missing) + self.problems.n_held
         frames = self.mode.frames(self.table, view, selection, used, n_missing)
+        self._shown, self._tau = frames.nodes, frames.tau
         self.timings = Timings((paged - started) * 1e3, (time.perf_counter() - paged) * 1e3)
         return frames
 
@@ -262,6 +281,24 @@ class Scene:
         diagonal = math.hypot(view.viewport.width, view.viewport.height)
         return min(float(on_screen[~is_finest].max(initial=0.0)), diagonal)
 
+    def _horizon(self, view: View, camera: Camera) -> Horizon:
+        """Return what the pieces of the last frame hide from a camera.
+
+        Others may be drawn in their place: within τ all the same, or `NodeTable.stand_in` says so.
+        """
+        if not (self.has_horizon and self.mode.is_bound):
+            return Horizon.none()
+        eye, ground = camera.eye, self.table.floor_at(*camera.position[:2])
+        if ground == -np.inf or eye[2] < ground * view.exaggeration:
+            return Horizon.none()  # from below, and from beside, ground is seen through
+        low, high = self.frame.box
+        reach = float(np.linalg.norm(np.maximum(np.abs(low - eye), np.abs(high - eye))))
+        tau = max(view.max_pixel_error * view.flatness, self._tau)
+        return Horizon.of(
+            camera, view.viewport, self.table.floors(self._shown),
+            exaggeration=view.exaggeration, reach=reach, margin=tau / view.least_gamma,
+        )  # fmt: skip
+
     def _split_error(self, view: View) -> float:
         """Return the τ below which blocks are split, before the governor."""
         return self.mode.split_error(view.max_pixel_error) * self._memory_factor
@@ -269,7 +306,10 @@ class Scene:
     # Paging
 
     def _wanted(self, view: View, tau: float, camera: Camera | None = None) -> NDArray[np.int32]:
-        camera = camera or view.camera
+        if camera is None:
+            camera = view.camera
+        else:
+            view = replace(view, camera=camera, horizon=self._horizon(view, camera))
         return self.mode.wanted(self.table, view, tau, self.store.max_blocks, camera)
 
     def _ahead(self, view: View, tau: float, wanted: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -438,4 +478,4 @@ class Scene:
     def _drop(self, node: int) -> None:
         self.store.drop(node)
         self.mode.drop(self.table.pieces[node])
-        self.table.is_resident[node] = False
+        self.table.forget(node)

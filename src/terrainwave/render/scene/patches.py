@@ -20,6 +20,7 @@ from terrainwave.mesh.loose import LooseMesher
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.render.scene.frame import Frame
+from terrainwave.render.scene.horizon import OVERLAP, Floors, floors_of
 from terrainwave.render.scene.patch_kernels import SKIRT_FLAG, bilinear_at, border_edges
 from terrainwave.render.scene.scales import FLOAT32_ROUNDING, HeightScale, Texels
 from terrainwave.render.scene.selection import NodeInfo, Piece
@@ -64,6 +65,8 @@ class Patch(NamedTuple):
     morph : float
         Largest distance between the surface and its parent's at vertices, metres.
     children : list of NodeInfo
+    floors : Floors
+        What the surface is not below as far as it is within `drawn_error`.
     """
 
     piece: Piece
@@ -75,6 +78,7 @@ class Patch(NamedTuple):
     drawn_error: float
     morph: float
     children: list[NodeInfo]
+    floors: Floors
 
     @property
     def n_triangles(self) -> int:
@@ -287,6 +291,7 @@ class PatchBuilder:
             drawn_error + rounding,
             morph,
             children,
+            self.floors(block, drawn_error + rounding),
         )
 
     def _derived_error(self, block: Block, mesh: BlockMesh) -> float:
@@ -338,6 +343,26 @@ class PatchBuilder:
         quanta = (z - self._scale.zero) / self._scale.per_quantum
         bilinear_at(mesh.rows, mesh.cols, heights, mask, *first, quanta, out)
         return self._scale.metres(out)
+
+    def floors(self, block: Block, error: float) -> Floors:
+        """Return what a surface of a block that is within `error` metres of originals is not below.
+
+        These are not below the block's samples by more than the error of its bilinear surface.
+        """
+        grid, frame = self._terrain.grid, self._frame
+        inner, wide = grid.block_region(block), grid.block_region(block, OVERLAP)
+        quanta, mask = self._terrain.decoder.window(block.level, wide)
+        below = error + self._heights_error(block) * frame.error_metres
+        heights = np.where(mask, self._scale.metres(quanta) - below, -np.inf)
+        a, b, c, d, e, f = frame.sample_matrix
+        stride = grid.stride(block.level)
+        row, col = wide.row * stride, wide.col * stride
+        matrix = np.array([
+            a * stride, b * stride, a * col + b * row + c,
+            d * stride, e * stride, d * col + e * row + f,
+        ])  # fmt: skip
+        cells = inner.n_rows - 1, inner.n_cols - 1
+        return floors_of(heights, matrix, cells, (inner.row - wide.row, inner.col - wide.col))
 
     def slopes(self, block: Block) -> NDArray[np.float16]:
         """Return slopes and heights at the samples of a block and at one more on each side.

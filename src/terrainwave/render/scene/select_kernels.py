@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
+from terrainwave.render.scene.horizon import is_below
 
 # Rows of a frustum: inward planes (x, y, z, w), a point is inside where x·p + w >= 0.
 N_PLANES = 5
@@ -23,7 +24,7 @@ class NodeArrays(NamedTuple):
 
 
 class Sight(NamedTuple):
-    """How nodes are seen: fields as of `View`, with the factor of heights."""
+    """How nodes are seen: fields as of `View` and its horizon, with the factor of heights."""
 
     planes: NDArray[np.float64]
     eye: NDArray[np.float64]
@@ -31,6 +32,8 @@ class Sight(NamedTuple):
     lens: NDArray[np.float64]
     is_oriented: bool
     tolerance: NDArray[np.float64]
+    slopes: NDArray[np.float64]
+    aim: NDArray[np.float64]
 
 
 @kernel
@@ -56,10 +59,15 @@ def _distance(eye, low_x, low_y, low_z, high_x, high_y, high_z):
 
 
 @kernel
-def _is_hidden(node, low, high, z_scale, planes):
-    return is_outside(
+def _is_hidden(node, low, high, z_scale, planes, slopes, aim):
+    if is_outside(
         planes, low[node, 0], low[node, 1], low[node, 2] * z_scale,
         high[node, 0], high[node, 1], high[node, 2] * z_scale,
+    ):  # fmt: skip
+        return True
+    return is_below(
+        slopes, aim, low[node, 0], low[node, 1], high[node, 0], high[node, 1],
+        high[node, 2] * z_scale,
     )  # fmt: skip
 
 
@@ -211,7 +219,7 @@ def is_fine(node, low, high, errors, spacings, z_scale, eye, lens, is_oriented, 
 def fine_nodes(asked, nodes, sight, out):
     """Fill `out` with whether each node asked for need not be split (`is_fine`)."""
     low, high, errors, spacings, _, _ = nodes
-    _, eye, z_scale, lens, is_oriented, tolerance = sight
+    _, eye, z_scale, lens, is_oriented, tolerance, _, _ = sight
     for k in range(asked.shape[0]):
         out[k] = is_fine(
             asked[k], low, high, errors, spacings, z_scale, eye, lens, is_oriented, tolerance
@@ -227,7 +235,7 @@ def select_nodes(roots, nodes, is_resident, n_triangles, sight, stack, out_nodes
     are nodes.
     """
     low, high, errors, spacings, children, is_known = nodes
-    planes, eye, z_scale, lens, is_oriented, tolerance = sight
+    planes, eye, z_scale, lens, is_oriented, tolerance, slopes, aim = sight
     n_out, total, top = 0, 0, 0
     for root in roots[::-1]:
         stack[top] = root
@@ -235,7 +243,7 @@ def select_nodes(roots, nodes, is_resident, n_triangles, sight, stack, out_nodes
     while top > 0:
         top -= 1
         node = stack[top]
-        if not is_resident[node] or _is_hidden(node, low, high, z_scale, planes):
+        if not is_resident[node] or _is_hidden(node, low, high, z_scale, planes, slopes, aim):
             continue
         first = top
         is_split = is_known[node] and not is_fine(
@@ -248,7 +256,7 @@ def select_nodes(roots, nodes, is_resident, n_triangles, sight, stack, out_nodes
                 if child < 0:
                     continue
                 has_children = True
-                if _is_hidden(child, low, high, z_scale, planes):
+                if _is_hidden(child, low, high, z_scale, planes, slopes, aim):
                     continue
                 if not is_resident[child]:
                     is_split = False
@@ -274,10 +282,12 @@ def wanted_nodes(roots, nodes, sight, out_nodes):
     takes them all.
     """
     low, high, errors, spacings, children, is_known = nodes
-    planes, eye, z_scale, lens, is_oriented, tolerance = sight
+    planes, eye, z_scale, lens, is_oriented, tolerance, slopes, aim = sight
     n_out, done = 0, 0
     for root in roots:
-        if n_out < out_nodes.shape[0] and not _is_hidden(root, low, high, z_scale, planes):
+        if n_out < out_nodes.shape[0] and not _is_hidden(
+            root, low, high, z_scale, planes, slopes, aim
+        ):
             out_nodes[n_out] = root
             n_out += 1
     while done < n_out:
@@ -291,7 +301,7 @@ def wanted_nodes(roots, nodes, sight, out_nodes):
             child = children[node, k]
             if child < 0 or n_out == out_nodes.shape[0]:
                 continue
-            if not _is_hidden(child, low, high, z_scale, planes):
+            if not _is_hidden(child, low, high, z_scale, planes, slopes, aim):
                 out_nodes[n_out] = child
                 n_out += 1
     return n_out
@@ -306,7 +316,7 @@ def bounded_errors(drawn, nodes, morphs, parents, sight, start, end, out):
     distance to the parent's surface, within `end`; that surface may lie outside of the box.
     """
     low, high, errors, _, _, _ = nodes
-    _, eye, z_scale, lens, is_oriented, _ = sight
+    _, eye, z_scale, lens, is_oriented, _, _, _ = sight
     for k in range(drawn.shape[0]):
         node = drawn[k]
         own, spread = errors[node] * z_scale, morphs[node] * z_scale

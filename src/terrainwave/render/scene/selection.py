@@ -6,7 +6,7 @@ outside the frustum end the recursion, and those good enough do.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from terrainwave.grid.quadtree import Block
 from terrainwave.render.scene.camera import Camera, Viewport, focal_length, gamma_guaranteed, slant
 from terrainwave.render.scene.frustum import frustum_planes
+from terrainwave.render.scene.horizon import FLOORS, Floors, Horizon, floor_at
 from terrainwave.render.scene.select_kernels import (
     NodeArrays,
     Sight,
@@ -84,6 +85,10 @@ class Built(Protocol):
     def morph(self) -> float:
         """Return the largest distance between its surface and its parent's, metres."""
 
+    @property
+    def floors(self) -> Floors | None:
+        """Return heights that its surface is not below; None if it is not to hide others."""
+
 
 @dataclass(frozen=True)
 class View:
@@ -105,6 +110,8 @@ class View:
     flatness : float
         What is less than this many times τ is let be where a piece has a sample for each pixel
         (`Scene.view`); 1: nothing is.
+    horizon : Horizon
+        The camera's: what lies below it is not seen; by default nothing does.
     """
 
     camera: Camera
@@ -115,6 +122,7 @@ class View:
     is_oriented: bool = False
     is_exact: bool = False
     flatness: float = 1.0
+    horizon: Horizon = field(default_factory=Horizon.none, compare=False)
 
     @cached_property
     def gamma(self) -> float:
@@ -156,7 +164,7 @@ class View:
         """Return what kernels take, of another τ than the view's."""
         return Sight(
             self.planes, self.camera.eye, self.exaggeration, self.lens, self.is_oriented,
-            self.tolerance(tau),
+            self.tolerance(tau), *self.horizon,
         )  # fmt: skip
 
     @cached_property
@@ -180,6 +188,7 @@ class NodeTable:
         self._numbers: dict[Piece, int] = {}
         self.pieces: list[Piece] = []
         self._of_level: dict[int, list[int]] = {}
+        self._floors: dict[int, Floors] = {}  # of pieces that are in the store
         self.roots = np.empty(0, dtype=np.int32)
         self._allocate(_FIRST_CAPACITY)
 
@@ -252,6 +261,48 @@ class NodeTable:
         self.high[node, 2] += further
         self.errors[node], self.n_triangles[node] = built.error, built.n_triangles
         self.bases[node], self.morphs[node] = built.base, built.morph
+        if built.floors is not None:
+            self._floors[node] = built.floors
+
+    def forget(self, node: int) -> None:
+        """Take down that a piece has left the store."""
+        self.is_resident[node] = False
+        self._floors.pop(node, None)
+
+    def floors(self, nodes: NDArray[np.int32]) -> Floors:
+        """Return what is known of the floors of nodes, shape (n,)."""
+        found = [self._floors[node] for node in nodes.tolist() if node in self._floors]
+        return np.array(found, dtype=FLOORS)
+
+    def floor_at(self, x: float, y: float) -> float:
+        """Return a height that the ground at a place is not below, as the finest piece here has it.
+
+        Metres, without exaggeration; -inf where nothing is known, near voids and outside.
+        """
+        found, nodes = -math.inf, self.roots.tolist()
+        while nodes:
+            node = nodes.pop()
+            height = floor_at(self._floors[node], x, y) if node in self._floors else None
+            if height is not None:
+                found, nodes = height, self.children[node][self.children[node] >= 0].tolist()
+        return found
+
+    def stand_in(
+        self, view: View, nodes: NDArray[np.int32], tau: float, before: NDArray[np.int32]
+    ) -> bool:
+        """Say whether one of `nodes` stands in for finer ones, some of which are in `before`."""
+        are_short = self.is_known[nodes] & (self.children[nodes] >= 0).any(axis=1)
+        are_short &= ~self.are_fine(view, nodes, tau)
+        if not are_short.any():
+            return False
+        is_short = np.zeros(len(self), dtype=np.bool_)
+        is_short[nodes[are_short]] = True
+        above = self.parents[before]
+        while len(above := above[above >= 0]):
+            if is_short[above].any():
+                return True
+            above = self.parents[above]
+        return False
 
     def _arrays(self) -> NodeArrays:
         return NodeArrays(
@@ -332,7 +383,7 @@ class NodeTable:
         `camera` looks from elsewhere than the view's own.
         """
         if camera is not None and camera is not view.camera:
-            view = replace(view, camera=camera)
+            view = replace(view, camera=camera, horizon=Horizon.none())
         out = np.empty(max_blocks, dtype=np.int32)
         # Near roots first.
         roots = self.roots

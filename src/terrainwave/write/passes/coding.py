@@ -12,7 +12,7 @@ import numpy as np
 from terrainwave.codec.refiner import Decoded, Refiner
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.container.depot import StoredSegment
-from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.spool import LikeSegment, SegmentSpool
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.targets.kept import Kept
 from terrainwave.grid.quadtree import Block
@@ -43,7 +43,7 @@ class Coded:
     """
 
     file_tables: bytes
-    segments: dict[Block | None, SegmentSpool | StoredSegment]
+    segments: dict[Block | None, SegmentSpool | LikeSegment | StoredSegment | None]
     n_bytes: int
     job: Job
 
@@ -85,7 +85,7 @@ def encode(
         pyramid.build(
             lambda done, total: reporter.report("making levels", done, total, done * itemsize)
         )
-        sink = SpoolSink(job.grid, job.grid.segment_heads(), directory)
+        sink = SpoolSink(job.grid, directory)
         total = job.grid.n_rows * job.grid.n_cols
         n_units = job.grid.n_units()
         done = 0
@@ -114,7 +114,7 @@ def encode(
 
             stats = encode_tiles(job, pyramid, sink, directory, on_samples, executor)
         else:
-            refiner, file_tables = _fitted(job, pyramid, kept)
+            refiner, file_tables = _fitted(job, pyramid, kept, executor)
             stats, units = _encode_units(job, refiner, pyramid, sink, on_samples, executor, kept)
         if job.options.is_embedded:
             job = job.with_measured(_finest_error(job, stats))
@@ -130,16 +130,16 @@ def encode(
         pyramid.close()
     whole = job.quantizer.z_min, job.quantizer.z_max
     boxes = enclosing_boxes(stats, errors, whole, {}, job.moved)
-    set_codes(job.grid, sink.spools, whole, boxes, errors, mesh_errors)
+    set_codes(job.grid, sink.present(), whole, boxes, errors, mesh_errors)
     return Coded(file_tables, {**sink.spools}, sink.n_bytes + len(file_tables), job)
 
 
-def _fitted(job: Job, pyramid: Pyramid, kept: Kept) -> tuple[Refiner, bytes]:
+def _fitted(job: Job, pyramid: Pyramid, kept: Kept, executor: Executor) -> tuple[Refiner, bytes]:
     """Return the refiner of a job's method, and its tables, which are kept."""
     method = job.options.named_method.name
     name = f"{method}/tables"
     if kept.get(name) is None:
-        refiner, file_tables = fitted_refiner(job, pyramid.heights, pyramid.mask)
+        refiner, file_tables = fitted_refiner(job, pyramid.heights, pyramid.mask, executor)
         kept.put(name, {}, file_tables)
         return refiner, file_tables
     file_tables = kept.data(name)
@@ -167,6 +167,7 @@ def _encode_units(
         job.grid, refiner, job.parameters, pyramid, sink, on_samples,
         kept=KeptUnits(kept, job.grid, name),
         on_unit=units.__setitem__ if is_kept and job.options.measures_meshes else None,
+        may_repeat=job.may_repeat,
     )  # fmt: skip
     return encoder.run(executor), units
 

@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +12,14 @@ from numpy.typing import NDArray
 from terrainwave.container.targets.kept import Kept, digest_of_file
 from terrainwave.errors import BoundViolationError
 from terrainwave.file import TerrainFile
-from terrainwave.grid.quadtree import Grid, Region
+from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.grid.shares import shares_of
 from terrainwave.progress import Reporter
+from terrainwave.raster_io.even import even_parts
+from terrainwave.read.alike import Content, content_of
 from terrainwave.write.job import Job
-from terrainwave.write.pyramid import SourceWindows
+from terrainwave.write.pyramid import IndexedWindows, SourceWindows
 
 OUR_FAULT = (
     "unless the raster changed while it was read, this is a fault of terrainwave: please report it"
@@ -33,10 +36,110 @@ def proof_windows(grid: Grid, within: Region | None = None) -> list[Region]:
     return list((within or Region(0, 0, grid.n_rows, grid.n_cols)).tiles(side, side))
 
 
-def proof_shares(grid: Grid) -> list[list[Region]]:
-    """Return `proof_windows` in shares for threads, which decode the levels above them."""
+def proof_shares(grid: Grid, windows: list[Region] | None = None) -> list[list[Region]]:
+    """Return windows in shares for threads, which decode the levels above them.
+
+    By default those of `proof_windows`.
+    """
     side = _side_of(grid)
-    return shares_of(proof_windows(grid), lambda window: (window.row // side, window.col // side))
+    if windows is None:
+        windows = proof_windows(grid)
+    return shares_of(windows, lambda window: (window.row // side, window.col // side))
+
+
+class Unproved(NamedTuple):
+    """What has to be compared of a file whose source knows some of its windows.
+
+    `heads` are those of segments on whose every sample the source has one height.
+    """
+
+    windows: list[Region]
+    heads: list[Block]
+
+
+def unproved(
+    terrain: TerrainFile, source: IndexedWindows, grid: Grid, within: Region | None = None
+) -> Unproved:
+    """Return what has to be compared: all but where source and file are both void.
+
+    Of voids that the source knows, the file's index proves the most; windows in which the file has
+    heights there are compared.
+    """
+    side, level = _side_of(grid), grid.k_max - SEGMENT_LEVELS
+    head_side = grid.block << SEGMENT_LEVELS
+    found = Unproved([], [])
+    whole = within or Region(0, 0, grid.n_rows, grid.n_cols)
+    for part, even in even_parts(whole, side, source.even):
+        if even is not None and not even.is_valid:
+            found.windows.extend(terrain.coded_parts(part))
+            continue
+        for window in part.tiles(head_side, head_side):
+            head = Block(level, window.row // head_side, window.col // head_side)
+            is_one = even is not None and level in grid.segment_levels()
+            if is_one and _is_inside(grid, head, window) and source.even(_around(grid, head)):
+                found.heads.append(head)
+            else:
+                found.windows.extend(window.tiles(side, side))
+    return found
+
+
+def _is_inside(grid: Grid, head: Block, window: Region) -> bool:
+    """Say whether a window is all that a block has for itself, and has neighbours on all sides."""
+    row, col, n_rows, n_cols = grid.full_region(head)
+    around = (Block(head.level, head.row + step, head.col + step) for step in (-1, 1))
+    return window == (row, col, n_rows - 1, n_cols - 1) and all(map(grid.contains, around))
+
+
+def _around(grid: Grid, head: Block) -> Region:
+    """Return the samples under a block and its aprons on all levels below it."""
+    row, col, n_rows, n_cols = grid.full_region(head)
+    margin = 2 * grid.stride(head.level)
+    return Region(row - margin, col - margin, n_rows + 2 * margin, n_cols + 2 * margin).intersect(
+        Region(0, 0, grid.n_rows, grid.n_cols)
+    )
+
+
+class Comparison:
+    """Compares a finished file, decoded, with the raster it was made of; thread-safe.
+
+    A segment that lies below a block of one height, and has neighbours on all sides, decodes to
+    what another one of the same bytes does: below such blocks the first one is decoded, the others
+    are compared with its bytes.
+    """
+
+    def __init__(self, terrain: TerrainFile, source: SourceWindows, allowed: float) -> None:
+        self._terrain = terrain
+        self._source = source
+        self._allowed = allowed
+        self._known: dict[tuple[Content, bytes], float] = {}
+
+    def windows(self, windows: Iterable[Region]) -> float:
+        """Return the largest error in windows, in raw units (`compare_window`)."""
+        return max(
+            (compare_window(self._terrain, self._source, one, self._allowed) for one in windows),
+            default=0.0,
+        )
+
+    def segment(self, head: Block) -> float:
+        """Return the largest error below a block of whose every sample the source has one height.
+
+        Raises
+        ------
+        BoundViolationError
+            As `compare_window` does.
+        """
+        terrain = self._terrain
+        grid = terrain.grid
+        row, col, n_rows, n_cols = grid.full_region(head)
+        content = content_of(terrain.container, terrain.decoder, head)
+        value = self._source.read(row, col, 1, 1)[0].tobytes()
+        if content is not None and (content, value) in self._known:
+            return self._known[content, value]
+        side = _side_of(grid)
+        largest = self.windows(Region(row, col, n_rows - 1, n_cols - 1).tiles(side, side))
+        if content is not None:
+            self._known[content, value] = largest
+        return largest
 
 
 def _side_of(grid: Grid) -> int:
@@ -150,7 +253,7 @@ def proven_shares(
 def prove(
     path: str | os.PathLike[str] | bytes,
     job: Job,
-    source: SourceWindows,
+    source: IndexedWindows,
     executor: Executor,
     reporter: Reporter,
     kept: Kept,
@@ -165,19 +268,26 @@ def prove(
         If a sample is further than the bound from the original, or valid where that is void.
     """
     grid = job.grid
-    shares = proof_shares(grid)
     allowed = allowed_error(job.quantizer, job.raw_bound, job.effective_error)
     largest = 0.0
     with TerrainFile(path, threads=1, cache_bytes=_CACHE_BYTES, native=False) as terrain:
+        windows, heads = unproved(terrain, source, grid)
+        shares = proof_shares(grid, windows)
 
-        def compare(share: list[Region]) -> float:
-            return max(compare_window(terrain, source, region, allowed) for region in share)
+        comparison = Comparison(terrain, source, allowed)
+        head_samples = (grid.block << SEGMENT_LEVELS) ** 2
+        total = grid.n_rows * grid.n_cols
+        done = total - sum(one.n_rows * one.n_cols for one in windows) - len(heads) * head_samples
 
-        done = 0
-        errors = proven_shares(path, shares, partial(executor.map, compare), kept)
-        for share, error in zip(shares, errors, strict=True):
+        def take(n_samples: int, error: float) -> None:
+            nonlocal done, largest
             largest = max(largest, error)
-            done += sum(region.n_rows * region.n_cols for region in share)
-            n_bytes = done * np.dtype(job.info.dtype).itemsize
-            reporter.report("proving", done, grid.n_rows * grid.n_cols, n_bytes)
+            done += n_samples
+            reporter.report("proving", done, total, done * np.dtype(job.info.dtype).itemsize)
+
+        for error in executor.map(comparison.segment, heads):
+            take(head_samples, error)
+        errors = proven_shares(path, shares, partial(executor.map, comparison.windows), kept)
+        for share, error in zip(shares, errors, strict=True):
+            take(sum(region.n_rows * region.n_cols for region in share), error)
     return measured_error(largest, job.quantizer)

@@ -2,7 +2,6 @@
 
 import shutil
 from collections.abc import Iterable, Iterator
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +16,18 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.grid.steps import FixedSteps
 from terrainwave.progress import Reporter
+from terrainwave.raster_io.even import Even, even_parts
 from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import MEMORY_LIMIT, Spool
 from terrainwave.write.pyramid import SourceWindows
 
-SCAN = "scan"  # its record in what is kept
+# Records of what is kept: of the scan, and that there is an array of voids.
+SCAN, _VOIDS = "scan", "voids"
 # Heights, validity, row and column of the first sample.
 Window = tuple[NDArray[Any], NDArray[np.bool_], int, int]
+# Samples a side of windows in which even regions are looked for, or shown, as a whole.
+_SIDE = 4096
 
 
 class Windows(SourceWindows):
@@ -50,26 +53,48 @@ class Windows(SourceWindows):
         """Say whether windows that were scanned need not be scanned again."""
         return self._heights is None or self._heights.is_kept
 
-    def scan(self, first: int = 0) -> Iterator[Window]:
+    def scan(self, first: int = 0) -> Iterator[Window | tuple[Region, Even]]:
         """Yield (heights, validity, row, column), once over the raster in the source's order.
 
-        The windows before `first` have been scanned by an earlier run.
+        Or a region that is even, with what it is. Those before `first` have been scanned by an
+        earlier run.
         """
-        if first and self._heights is not None and self._kept.get("voids") is not None:
-            self._voids = self._new_voids()
-        for region in islice(self._source.blocks(), first, None):
+        if first and self._heights is not None and self._kept.get(_VOIDS) is not None:
+            self._void_spool()
+        for number, (region, even) in enumerate(self._source.parts()):
+            if even is not None:
+                self._keep_even(region, even)
+            if number < first:
+                continue
+            if even is not None:
+                yield region, even
+                continue
             heights, valid = self._source.read(*region)
             if self._heights is not None:
                 self._heights.write(region, heights)
-                if self._voids is None and not valid.all():
-                    self._voids = self._new_voids()
-                    self._kept.put("voids", {})
-                if self._voids is not None:
-                    self._voids.write(region, ~valid)
+                self._keep_voids(region, ~valid)
             yield heights, valid, region.row, region.col
 
-    def _new_voids(self) -> Spool:
-        return Spool(self._shape, np.bool_, self._directory, path=self._kept.path("voids"))
+    def _keep_even(self, region: Region, even: Even) -> None:
+        if self._heights is not None:
+            self._heights.fill(region, even.value)
+            if self._voids is not None or not even.is_valid:
+                self._void_spool().fill(region, not even.is_valid)
+
+    def _keep_voids(self, region: Region, voids: NDArray[np.bool_]) -> None:
+        if self._voids is not None or voids.any():
+            self._void_spool().write(region, voids)
+
+    def _void_spool(self) -> Spool:
+        if self._voids is None:
+            path = self._kept.path(_VOIDS)
+            self._voids = Spool(self._shape, np.bool_, self._directory, path=path)
+            self._kept.put(_VOIDS, {})
+        return self._voids
+
+    def even(self, region: Region) -> Even | None:
+        """Return what all samples of a region are, where the source knows it without reading."""
+        return self._source.even(region)
 
     def read(
         self, row: int, col: int, n_rows: int, n_cols: int
@@ -91,7 +116,7 @@ class Windows(SourceWindows):
 
 def scan_windows(
     info: RasterInfo,
-    windows: Iterable[Window],
+    windows: Iterable[Window | tuple[Region, Even]],
     reporter: Reporter,
     *,
     has_digest: bool,
@@ -110,7 +135,14 @@ def scan_windows(
         scan.take_state(state["scan"])
     n_windows = state["n_windows"]
     for window in windows:
-        scan.update(*window)
+        if len(window) == 4:
+            scan.update(*window)
+        elif has_digest and window[1].is_valid:
+            _update_by_windows(scan, *window)
+        else:
+            region, even = window
+            n_samples = region.n_rows * region.n_cols
+            scan.update_even(even.value, n_samples, is_valid=even.is_valid)
         n_windows += 1
         kept.tick(SCAN, lambda: {"n_windows": n_windows, "scan": scan.to_state()})  # noqa: B023
         n_bytes = scan.n_samples * np.dtype(info.dtype).itemsize
@@ -119,10 +151,24 @@ def scan_windows(
     return scan
 
 
-def check_free_space(info: RasterInfo, directory: Path, is_striped: bool, n_there: int = 0) -> None:
-    """Refuse to begin what the temporary directory cannot hold; `n_there` bytes are there."""
-    n_samples = info.n_rows * info.n_cols
-    needed = n_samples * 4 // 3 + (info.n_bytes if is_striped else 0) - n_there
+def _update_by_windows(scan: HeightScan, region: Region, even: Even) -> None:
+    """Show a scan with a digest every sample of an even region."""
+    for part in region.tiles(_SIDE, _SIDE):
+        heights = even.heights(part.shape, np.dtype(scan.dtype))
+        scan.update(heights, np.full(part.shape, even.is_valid), part.row, part.col)
+
+
+def check_free_space(source: RasterSource, directory: Path, n_there: int = 0) -> None:
+    """Refuse to begin what the temporary directory cannot hold; `n_there` bytes are there.
+
+    Even regions take no room.
+    """
+    info, n_samples = source.info, 0
+    whole = Region(0, 0, info.n_rows, info.n_cols)
+    for part, even in even_parts(whole, _SIDE, source.even):
+        n_samples += part.n_rows * part.n_cols * (even is None)
+    n_bytes = n_samples * np.dtype(info.dtype).itemsize
+    needed = n_samples * 4 // 3 + (n_bytes if source.is_striped else 0) - n_there
     free = shutil.disk_usage(directory).free
     if needed > free:
         sizes = size_of(needed), size_of(free)

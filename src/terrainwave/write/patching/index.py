@@ -196,7 +196,7 @@ class PatchedIndex:
     ) -> bool:
         """Give every block its codes, the old ones where they say the same; tell of any new one."""
         is_any_new = False
-        for spool in self._sink.spools.values():
+        for spool in self._sink.present():
             before: dict[Block, Box] = {}
             after: dict[Block, Box] = {}
             for key in sorted(spool.keys()):

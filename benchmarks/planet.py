@@ -1,0 +1,223 @@
+"""A planet in one file: ``python -m benchmarks.planet shared/data``.
+
+A raster of 1,296,000 x 648,000 samples (one second of arc, EPSG:4326), or a part of it by
+``--share``, as a VRT of 26,000 entries of 3600 x 3600: real tiles from the rasters of a directory
+over all latitudes, some over each other, one across 180 degrees; one dense area; for the seas a
+constant 0, a GeoTIFF whose blocks have no bytes; void elsewhere. The real heights do not lie where
+they were measured: what counts is how many there are, and where.
+
+Every stage is a process of its own with two threads. `window` rows read 512 x 512 samples of every
+level by an open file, from disk and from a server on this machine, whose requests are counted.
+
+Exit status: 0 good; 1 a command failed; 2 wrong usage.
+"""
+
+import os
+import subprocess
+import sys
+from collections import namedtuple
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+
+from benchmarks import common
+from benchmarks.slow_server import SlowServer
+
+DEGREE = 3600
+N_ENTRIES, N_TILES = 26_000, 200
+TILE = 1201
+THREADS = "2"
+# West, east, south and north of the seas, in degrees: as much of them as entries are left for.
+SEAS = (
+    (-180, -125, -60, 60), (150, 180, -60, 50), (-60, -15, -60, 60), (50, 110, -60, 0),
+    (110, 150, -60, -40), (-15, 20, -60, -35), (20, 50, -60, -40), (-125, -80, -60, -10),
+    (-180, 180, 75, 85),
+)  # fmt: skip
+# Where the dense area begins: north-west of it, in degrees.
+DENSE = (60.0, 60.0)
+STAGES = (
+    "compress", "verify", "window", "mesh", "tiles", "publish", "orbit", "low", "decompress",
+)  # fmt: skip
+
+_MAKE = """
+import sys
+from pathlib import Path
+from benchmarks import planet
+planet.make(Path(sys.argv[1]), Path(sys.argv[2]), *map(int, sys.argv[3:]))
+"""
+_CLI = "from terrainwave.cli import main; main()"
+_WINDOWS = """
+import sys
+import terrainwave
+with terrainwave.open(sys.argv[1], threads=2) as terrain:
+    for level in range(terrain.n_levels):
+        scale = 2 ** (terrain.n_levels - 1 - level)
+        row, col = (int(text) // scale for text in sys.argv[2:4])
+        shape = terrain.level_shape(level)
+        row, col = (max(min(n, size - 512), 0) for n, size in zip((row, col), shape))
+        terrain.read((row, col, min(512, shape[0]), min(512, shape[1])), level=level)
+"""
+_FINEST = """
+import sys
+import terrainwave
+with terrainwave.open(sys.argv[1], threads=2) as terrain:
+    terrain.read((*map(int, sys.argv[2:4]), 512, 512))
+"""
+
+# One line of the CSV.
+Row = namedtuple("Row", "share dense stage n_samples seconds cpu_seconds peak_mib requests n_bytes")
+
+
+def make(data: Path, folder: Path, share: int, dense: int) -> None:
+    """Write the rasters and the VRT that names them."""
+    import numpy as np
+    import rasterio
+
+    from benchmarks.rasters import make_mirrored
+
+    profile = {
+        "driver": "GTiff", "count": 1, "dtype": "int16", "tiled": True, "blockxsize": 256,
+        "blockysize": 256, "compress": "deflate",
+    }  # fmt: skip
+    names = []
+    for path in sorted(data.glob("*.tif")):
+        with rasterio.open(path) as dataset:
+            heights = dataset.read(1, out_dtype="float64", masked=True).filled(-32768)
+        heights = np.clip(np.rint(heights[:TILE, :TILE]), -32768, 9000).astype(np.int16)
+        shape = {"height": heights.shape[0], "width": heights.shape[1]}
+        with rasterio.open(folder / path.name, "w", **profile, **shape) as sink:
+            sink.write(heights, 1)
+        names.append((path.name, *heights.shape))
+    sea = {"height": DEGREE, "width": DEGREE, "SPARSE_OK": True}
+    rasterio.open(folder / "sea.tif", "w", **profile, **sea).close()
+    moon = next(data.glob("moon*.tif"))
+    make_mirrored(moon, folder / "dense.tif", dense)
+    text = "".join(_entries(names, share, dense))
+    n_rows, n_cols = 180 * DEGREE // share, 360 * DEGREE // share
+    (folder / "planet.vrt").write_text(
+        f'<VRTDataset rasterXSize="{n_cols}" rasterYSize="{n_rows}"><SRS>EPSG:4326</SRS>'
+        f"<GeoTransform>-180,{1 / DEGREE * share!r},0,90,0,{-1 / DEGREE * share!r}</GeoTransform>"
+        '<VRTRasterBand dataType="Int16" band="1"><NoDataValue>-32768</NoDataValue>'
+        f"{text}</VRTRasterBand></VRTDataset>"
+    )
+
+
+def _entries(names: list[tuple[str, int, int]], share: int, dense: int) -> Iterator[str]:
+    """Yield the sources of the VRT, the seas first: what overlaps them lies above."""
+    side = DEGREE // share
+    cells = [
+        (90 - north, 180 + west)
+        for first_lon, last_lon, first_lat, last_lat in SEAS
+        for west in range(first_lon, last_lon)
+        for north in range(first_lat + 1, last_lat + 1)
+    ]
+    for row, col in cells[: N_ENTRIES - N_TILES - 2]:
+        yield _source("sea.tif", (0, 0, side, side), row * side, col * side)
+    n_tiles = max(N_TILES // share**2, 12)
+    n_rows, n_cols = 180 * side, 360 * side
+    for number in range(n_tiles):
+        name, height, width = names[number % len(names)]
+        row = (n_rows - height) * number // (n_tiles - 1)
+        col = (n_cols - width) * (number * 89 % n_tiles) // n_tiles
+        yield _source(name, (0, 0, height, width), row, col)
+        if number % 10 == 0:  # over the one before, by half
+            row = min(row + height // 2, n_rows - height)
+            yield _source(name, (0, 0, height, width), row, col + width // 2)
+    name, height, width = names[0]
+    half, row = width // 2, n_rows // 3
+    yield _source(name, (0, 0, height, half), row, n_cols - half)
+    yield _source(name, (0, half, height, width - half), row, 0)
+    row, col = dense_place(share)
+    yield _source("dense.tif", (0, 0, dense, dense), row, col)
+
+
+def _source(name: str, part: tuple[int, int, int, int], row: int, col: int) -> str:
+    first_row, first_col, n_rows, n_cols = part
+    size = f'xSize="{n_cols}" ySize="{n_rows}"'
+    return (
+        f'<ComplexSource><SourceFilename relativeToVRT="1">{name}</SourceFilename>'
+        f'<SourceBand>1</SourceBand><SrcRect xOff="{first_col}" yOff="{first_row}" {size}/>'
+        f'<DstRect xOff="{col}" yOff="{row}" {size}/><NODATA>-32768</NODATA></ComplexSource>'
+    )
+
+
+def dense_place(share: int) -> tuple[int, int]:
+    """Return the row and column at which the dense area begins."""
+    north, west = DENSE
+    return int((90 - north) * DEGREE / share), int((180 + west) * DEGREE / share)
+
+
+def commands(folder: Path, share: int) -> dict[str, list[str]]:
+    """Return the command of every stage but `window`."""
+    row, col = (place + 1000 for place in dense_place(share))
+    twz, tif = str(folder / "planet.twz"), str(folder / "planet.vrt")
+    common_options = ["--overwrite", "--quiet", "--threads", THREADS]
+    lat, lon = (90 - row / DEGREE * share), (col / DEGREE * share - 180)
+    window = ["--window", f"{row},{col},2048,2048"]
+    picture = [str(folder / "picture.png"), *common_options]
+    found = {
+        "compress": ["compress", tif, twz, "--max-error", "1", *common_options],
+        "verify": ["verify", twz, "--quiet", "--threads", THREADS],
+        "mesh": ["mesh", twz, str(folder / "planet.ply"), *window, *common_options],
+        "tiles": ["tiles", twz, str(folder / "tiles"), "--max-zoom", "4", *common_options],
+        "publish": ["publish", twz, str(folder / "site"), "--overwrite", "--quiet"],
+        "orbit": ["render", twz, *picture],
+        "low": ["render", twz, *picture, "--camera", f"{lon},{lat},9000,135,-30,60"],
+        "decompress": ["decompress", twz, str(folder / "back.tif"), *common_options],
+    }
+    return {stage: [sys.executable, "-c", _CLI, *arguments] for stage, arguments in found.items()}
+
+
+def measured(data: Path, folder: Path, share: int, dense: int, stages: list[str]) -> Iterator[Row]:
+    """Yield the rows of all stages; a file that is there is used."""
+    if not (folder / "planet.vrt").exists():
+        maker = [sys.executable, "-c", _MAKE, data, folder, share, dense]
+        subprocess.run([str(part) for part in maker], check=True)
+    n_samples = 180 * 360 * DEGREE**2 // share**2
+    twz = folder / "planet.twz"
+    every = commands(folder, share)
+    for stage in stages:
+        if stage == "window":
+            yield from _window_rows(folder, share, dense)
+            continue
+        used = common.run_and_measure(every[stage])
+        yield Row(share, dense, stage, n_samples, *map(_rounded, used), 0, twz.stat().st_size)
+
+
+def _window_rows(folder: Path, share: int, dense: int) -> Iterator[Row]:
+    row, col = (str(place + 1000) for place in dense_place(share))
+    path = str(folder / "planet.twz")
+    for name, code in (("finest", _FINEST), ("levels", _WINDOWS)):
+        command = [sys.executable, "-c", code]
+        used = common.run_and_measure([*command, path, row, col])
+        yield Row(share, dense, f"{name} disk", 512**2, *map(_rounded, used), 0, 0)
+        with SlowServer(folder, 0.0, float("inf")) as server:
+            used = common.run_and_measure([*command, server.url("planet.twz"), row, col])
+            n_bytes = sum(exchange.n_bytes for exchange in server.log)
+            counts = len(server.log), n_bytes
+        yield Row(share, dense, f"{name} http", 512**2, *map(_rounded, used), *counts)
+
+
+def _rounded(number: float) -> float:
+    return round(number, 2)
+
+
+@common.command("planet.csv")
+@click.argument("data", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@common.option("--share", type=click.IntRange(min=1), default=1, help="1: the planet; 8: an 8th.")
+@common.option("--dense", type=click.IntRange(min=4096), default=65536)
+@common.option("--stages", cls=common.ListOption, type=click.Choice(STAGES), default=STAGES)
+@common.option("--append", is_flag=True, help="Keep the rows that are there.")
+def main(
+    data: Path, share: int, dense: int, stages: list[str], append: bool, folder: Path, out: Path
+) -> None:
+    """Run the measurement."""
+    if not hasattr(os, "wait4"):
+        raise click.UsageError("needs os.wait4: Linux or macOS")
+    rows = measured(data.absolute(), folder.absolute(), share, dense, stages)
+    common.write_rows(out, rows, append=append)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,224 @@
+"""What nearer ground hides: blocks wholly below it are neither drawn nor asked for.
+
+Zheng, Wang and Wang name it as what is to come. Here a horizon is a table of slopes above which an
+eye sees past the ground that is drawn. A column of it is a narrow fan of directions, a row is a
+depth: ground that ends before that depth counts. What lies behind a depth, and below the horizon of
+that depth in each direction in which it lies, is not seen.
+
+A direction is u = right / depth and a slope t = rise / depth, both of the level view with the
+camera's heading, so that lines of sight are straight in all of it and nothing is an angle.
+
+It is conservative: a cell of ground stands for the least height that its surface may have as drawn
+(`FLOORS`), hides only in columns that it spans, and hides nothing where it has voids.
+"""
+
+import math
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.coding.jit import kernel
+from terrainwave.render.scene.camera import Camera, Viewport
+
+# Cells of a piece, a side, and how many samples they reach over their borders, so that two side by
+# side leave no gap between them.
+SIDE, OVERLAP = 16, 2
+N_COLUMNS, N_ROWS = 512, 96
+# Depths of one row after another, and the first as a share of the last.
+_RATIO = 1.1
+# The least depth of what is a unit away in view: where more of the ground below is in view, there
+# is little to hide.
+_LEAST_DEPTH = 0.3
+# What `Horizon.aim` holds: eye; right and forward, level; least u; columns per u; depth of row 0;
+# rows per e-fold of depth; metres per metre by which surfaces may be lower (`margin`).
+EYE_X, EYE_Y, EYE_Z, RIGHT_X, RIGHT_Y, AHEAD_X, AHEAD_Y = range(7)
+FIRST_U, PER_U, FIRST_DEPTH, PER_FOLD, MARGIN, N_AIM = range(7, 13)
+
+
+# Heights that no surface of a piece is below, for cells of it. Fields: (a, b, c, d, e, f) of local
+# x = a col + b row + c, y = d col + e row + f; where cells begin and end; heights in metres without
+# exaggeration, -inf where nothing is known, as in voids.
+FLOORS = np.dtype(
+    [("matrix", "f8", 6), ("rows", "f8", (SIDE, 2)), ("cols", "f8", (SIDE, 2)),
+     ("heights", "f8", (SIDE, SIDE))]
+)  # fmt: skip
+Floors = NDArray[np.void]
+
+
+class Horizon(NamedTuple):
+    """Slopes above which an eye sees past nearer ground, shape (rows, columns); none: sees all."""
+
+    slopes: NDArray[np.float64]
+    aim: NDArray[np.float64]
+
+    @classmethod
+    def none(cls) -> Self:
+        """Return the one that hides nothing."""
+        return cls(np.empty((0, 0)), np.empty(N_AIM))
+
+    @classmethod
+    def of(
+        cls,
+        camera: Camera,
+        viewport: Viewport,
+        floors: Floors,
+        *,
+        exaggeration: float,
+        reach: float,
+        margin: float,
+    ) -> Self:
+        """Return the horizon of an eye above the ground.
+
+        Parameters
+        ----------
+        floors : ndarray of FLOORS, shape (n,)
+            Of what is drawn.
+        reach : float
+            Depth of what is furthest away, metres.
+        margin : float
+            How far surfaces as drawn may be below those of `floors`, per metre of distance.
+        """
+        aim = _aim_of(camera, viewport, reach, margin)
+        if aim is None or not len(floors):
+            return cls.none()
+        slopes = np.full((N_ROWS, N_COLUMNS), -np.inf)
+        parts = (floors[name] for name in FLOORS.names or ())
+        fill_horizon(*parts, exaggeration, aim, slopes)
+        return cls(slopes, aim)
+
+
+def _aim_of(
+    camera: Camera, viewport: Viewport, reach: float, margin: float
+) -> NDArray[np.float64] | None:
+    """Return what `Horizon.aim` holds; None where the view is too steep."""
+    pitch, tangent = math.radians(camera.pitch), math.tan(math.radians(camera.fov) / 2)
+    least = math.cos(pitch) - tangent * abs(math.sin(pitch))
+    if least < _LEAST_DEPTH:
+        return None
+    widest = tangent * viewport.aspect / least
+    sine, cosine = math.sin(math.radians(camera.heading)), math.cos(math.radians(camera.heading))
+    first_depth = reach / _RATIO**N_ROWS
+    return np.array([
+        *camera.position, cosine, -sine, sine, cosine, -widest, N_COLUMNS / (2 * widest),
+        first_depth, 1 / math.log(_RATIO), margin,
+    ])  # fmt: skip
+
+
+@kernel
+def fill_horizon(matrices, rows, cols, heights, z_scale, aim, slopes):
+    """Fill a horizon, -inf before, from `FLOORS` of pieces."""
+    for k in range(matrices.shape[0]):
+        _raise_horizon(matrices[k], rows[k], cols[k], heights[k], z_scale, aim, slopes)
+    for row in range(1, slopes.shape[0]):
+        for column in range(slopes.shape[1]):
+            slopes[row, column] = max(slopes[row, column], slopes[row - 1, column])
+
+
+@kernel
+def _raise_horizon(matrix, rows, cols, heights, z_scale, aim, slopes):
+    """Raise a horizon by cells of ground: each in the row that it ends before.
+
+    A line of sight in a column that a cell spans crosses it between its least and largest depth,
+    and is below its floor there if it is below the floor at one of them: the nearer one where the
+    floor is below the eye, else the further one.
+    """
+    n_rows, n_columns = slopes.shape
+    for i in range(rows.shape[0]):
+        for j in range(cols.shape[0]):
+            if heights[i, j] == -np.inf:
+                continue
+            near, far, first, last = np.inf, 0.0, np.inf, -np.inf
+            for k in range(4):
+                row, col = rows[i, k & 1], cols[j, k >> 1]
+                x = matrix[0] * col + matrix[1] * row + matrix[2] - aim[EYE_X]
+                y = matrix[3] * col + matrix[4] * row + matrix[5] - aim[EYE_Y]
+                depth = aim[AHEAD_X] * x + aim[AHEAD_Y] * y
+                near, far = min(near, depth), max(far, depth)
+                if near > aim[FIRST_DEPTH]:
+                    u = (aim[RIGHT_X] * x + aim[RIGHT_Y] * y) / depth
+                    first, last = min(first, u), max(last, u)
+            if near <= aim[FIRST_DEPTH]:
+                continue
+            start = max(int(np.ceil((first - aim[FIRST_U]) * aim[PER_U])), 0)
+            end = min(int(np.floor((last - aim[FIRST_U]) * aim[PER_U])), n_columns)
+            ring = int(np.floor(np.log(far / aim[FIRST_DEPTH]) * aim[PER_FOLD])) + 1
+            if start >= end or ring >= n_rows:
+                continue
+            rise = heights[i, j] * z_scale - aim[EYE_Z]
+            slope = rise / (near if rise < 0 else far)
+            widest = max(first * first, last * last)
+            slope -= aim[MARGIN] * (1 + widest) * (1 + (rise / near) ** 2)
+            for column in range(start, end):
+                slopes[ring, column] = max(slopes[ring, column], slope)
+
+
+@kernel
+def is_below(slopes, aim, low_x, low_y, high_x, high_y, high_z):
+    """Say whether a box lies below the horizon of nearer ground wherever it is in view."""
+    n_rows, n_columns = slopes.shape
+    if n_rows == 0:
+        return False
+    near, far, first, last = np.inf, 0.0, np.inf, -np.inf
+    for k in range(4):
+        x = (high_x if k & 1 else low_x) - aim[EYE_X]
+        y = (high_y if k & 2 else low_y) - aim[EYE_Y]
+        depth = aim[AHEAD_X] * x + aim[AHEAD_Y] * y
+        if depth <= aim[FIRST_DEPTH]:
+            return False
+        u = (aim[RIGHT_X] * x + aim[RIGHT_Y] * y) / depth
+        near, far, first, last = min(near, depth), max(far, depth), min(first, u), max(last, u)
+    ring = int(np.floor(np.log(near / aim[FIRST_DEPTH]) * aim[PER_FOLD]))
+    ring = min(ring, n_rows - 1)
+    rise = high_z - aim[EYE_Z]
+    slope = rise / (near if rise > 0 else far)
+    start = max(int(np.floor((first - aim[FIRST_U]) * aim[PER_U])), 0)
+    end = min(int(np.floor((last - aim[FIRST_U]) * aim[PER_U])) + 1, n_columns)
+    for column in range(start, end):
+        if slope >= slopes[ring, column]:
+            return False
+    return start < end
+
+
+def floors_of(
+    heights: NDArray[np.float64],
+    matrix: NDArray[np.float64],
+    cells: tuple[int, int],
+    ring: tuple[int, int],
+) -> Floors:
+    """Return the floors of samples, FLOORS without a dimension.
+
+    Parameters
+    ----------
+    heights : ndarray of float64, 2-D
+        Metres that the surface is not below, at samples of a piece and up to `OVERLAP` around it;
+        -inf in voids.
+    matrix : ndarray of float64, shape (6,)
+        How samples lie, counted from the first.
+    cells : tuple of int
+        Between samples of the piece, rows and columns.
+    ring : tuple of int
+        Rows and columns of samples before the piece's own first ones.
+    """
+    edges = []
+    for n, before, most in zip(cells, ring, heights.shape, strict=True):
+        ends = before + np.linspace(0, n, SIDE + 1).round().astype(np.intp)
+        first, last = np.maximum(ends[:-1] - OVERLAP, 0), np.minimum(ends[1:] + OVERLAP, most - 1)
+        edges.append(np.column_stack([first, last]))
+    rows, cols = edges
+    least = np.stack([heights[first : last + 1].min(axis=0) for first, last in rows])
+    least = np.stack([least[:, first : last + 1].min(axis=1) for first, last in cols], axis=1)
+    floors = np.empty((), FLOORS)
+    floors["matrix"], floors["rows"], floors["cols"], floors["heights"] = matrix, rows, cols, least
+    return floors
+
+
+def floor_at(floors: Floors, x: float, y: float) -> float | None:
+    """Return what `FLOORS` of a piece have at a place, None where it has no cell there."""
+    a, b, c, d, e, f = floors["matrix"]
+    col, row = np.linalg.solve(np.array([[a, b], [d, e]]), np.array([x - c, y - f]))
+    rows, cols = floors["rows"], floors["cols"]
+    if not (rows[0, 0] <= row <= rows[-1, 1] and cols[0, 0] <= col <= cols[-1, 1]):
+        return None
+    i, j = np.searchsorted(rows[:, 1], row), np.searchsorted(cols[:, 1], col)
+    return float(floors["heights"][i, j])

@@ -1,0 +1,161 @@
+"""Subtrees of one height: each of their units is coded once, and the same bytes stand elsewhere.
+
+A unit's payload follows from its targets, from what is decoded above it, and from which sides have
+neighbours. So below a block all of whose samples are of one height, and which decodes to one
+height, all groups of a level have the same payload; and so have all such blocks of a level that do
+not touch the raster's edge. Whole segments are written from the one that came first.
+"""
+
+import threading
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from terrainwave.codec.refiner import ALL_VALID, Decoded, GroupSpec, Heights, Mask
+from terrainwave.codec.unit_specs import unit_spec
+from terrainwave.grid.block_stats import BlockStats
+from terrainwave.grid.parameters import CodecParameters
+from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid
+
+CodeUnit = Callable[[Block, GroupSpec, Decoded | None, Heights, Mask], tuple[bytes, Decoded]]
+
+
+class RepeatingSink(Protocol):
+    """Where payloads go, and segments that are those of others."""
+
+    def __call__(self, key: Block, payload: bytes) -> None:
+        """Take the payload of the unit `key`."""
+        ...
+
+    def repeat(self, head: Block, like: Block) -> None:
+        """Take note that the segment of `head` has the bytes of that of `like`."""
+        ...
+
+
+class _Below(NamedTuple):
+    """Units below a block, by level: their payload, and the one height they decode to."""
+
+    payloads: tuple[bytes, ...]
+    heights: tuple[int, ...]
+
+
+class Repeats:
+    """Codes subtrees of one height; thread-safe.
+
+    Parameters
+    ----------
+    code_unit : callable
+        Codes a unit, as `UnitEncoder.code_unit`.
+    """
+
+    def __init__(
+        self, grid: Grid, parameters: CodecParameters, code_unit: CodeUnit, sink: RepeatingSink
+    ) -> None:
+        self._grid = grid
+        self._parameters = parameters
+        self._code_unit = code_unit
+        self._sink = sink
+        self._below: dict[tuple[int, int, int], _Below | None] = {}
+        self._first_heads: dict[tuple[int, int, int], Block] = {}
+        self._lock = threading.Lock()
+
+    def code(self, block: Block, parent: Decoded, target: int) -> dict[Block, BlockStats] | None:
+        """Code all units below a block; return what there is to know of the blocks below it.
+
+        Of those in segments that are like another's there is one that stands for all. None where
+        the block is at the raster's edge, or something below it is not of one height.
+
+        Parameters
+        ----------
+        parent : Decoded
+            What the block decodes to.
+        target : int
+            The one height of all samples under the block and around it.
+        """
+        height = int(parent.heights[0, 0])
+        if parent.validity.own_mask is not None or not self._is_inside(block):
+            return None
+        if parent.remainders is not None or not (parent.heights == height).all():
+            return None
+        below = self._units_below(block, parent, target)
+        if below is None:
+            return None
+        stats: dict[Block, BlockStats] = {}
+        self._put(block, below, target, height, block.level, stats)
+        return stats
+
+    def _is_inside(self, block: Block) -> bool:
+        n_rows, n_cols = self._grid.level_blocks(block.level)
+        return 0 < block.row < n_rows - 1 and 0 < block.col < n_cols - 1
+
+    def _units_below(self, block: Block, parent: Decoded, target: int) -> _Below | None:
+        known = block.level, target, int(parent.heights[0, 0])
+        with self._lock:
+            if known not in self._below:
+                self._below[known] = self._coded(block, parent, target)
+            return self._below[known]
+
+    def _coded(self, block: Block, parent: Decoded, target: int) -> _Below | None:
+        """Code the first unit of each level below a block; None unless each has one height."""
+        payloads, heights = [], []
+        for level in range(block.level, self._grid.k_max):
+            depth = level - block.level
+            key = Block(level, block.row << depth, block.col << depth)
+            spec = unit_spec(self._grid, self._parameters, key)
+            shape = spec.region.shape
+            targets = np.full(shape, target, dtype=np.int32)
+            payload, decoded = self._code_unit(
+                key, spec, parent, targets, np.ones(shape, dtype=np.bool_)
+            )
+            height = int(decoded.heights[0, 0])
+            is_even = bool((decoded.heights == height).all())
+            if (
+                not is_even
+                or decoded.validity.own_mask is not None
+                or decoded.remainders is not None
+            ):
+                return None
+            payloads.append(payload)
+            heights.append(height)
+            n = self._grid.block_region(Block(level + 1, key.row * 2, key.col * 2)).n_rows
+            apron = shape[0] - spec.core.n_rows
+            parent = Decoded(np.full((n + apron,) * 2, height, dtype=np.int32), ALL_VALID)
+        return _Below(tuple(payloads), tuple(heights))
+
+    def _put(
+        self,
+        block: Block,
+        below: _Below,
+        target: int,
+        height: int,
+        top: int,
+        stats: dict[Block, BlockStats],
+    ) -> None:
+        """Pass on the payloads below a block which decodes to a height."""
+        grid, depth = self._grid, block.level - top
+        own = below.heights[depth]
+        children = grid.children(block)
+        if grid.segment_head(block) == block and self._is_repeated(block, target, height):
+            error = max(abs(target - one) for one in below.heights[depth:])
+            stats[children[0]] = BlockStats(target, target, error)
+            if block.level + SEGMENT_LEVELS < grid.k_max:
+                at = below.heights[depth + SEGMENT_LEVELS - 1]
+                for head in grid.segment_children(block):
+                    self._put(head, below, target, at, top, stats)
+            return
+        self._sink(block, below.payloads[depth])
+        for child in children:
+            stats[child] = BlockStats(target, target, abs(target - own), has_mesh=True)
+            if child.level < grid.k_max:
+                self._put(child, below, target, own, top, stats)
+
+    def _is_repeated(self, head: Block, target: int, height: int) -> bool:
+        """Say whether a segment is like one that came before, which is noted then."""
+        known = head.level, target, height
+        with self._lock:
+            first = self._first_heads.setdefault(known, head)
+        if first == head:
+            return False
+        self._sink.repeat(head, first)
+        return True

@@ -1,0 +1,293 @@
+"""What a source knows to be void or of one value is not read, and files stay what they are."""
+
+import random
+
+import numpy as np
+import pytest
+import rasterio
+from rasterio.transform import Affine
+from strategies import terrain_like
+
+import terrainwave as tw
+from terrainwave.grid.quadtree import Region
+from terrainwave.raster_io.even import even_parts
+from terrainwave.raster_io.source import RasterSource
+from terrainwave.read import decoder as decoder_module
+from terrainwave.write.passes import proof
+
+SIDE = 2600
+VOID = -9999
+
+
+def write_tif(path, heights, row=0, col=0, *, nodata=VOID, **options):
+    """Write a GeoTIFF; without heights one of SIDE samples whose blocks have no bytes."""
+    n_rows, n_cols = (SIDE, SIDE) if heights is None else heights.shape
+    profile = dict(
+        driver="GTiff", height=n_rows, width=n_cols, count=1, dtype="int16", nodata=nodata,
+        crs="EPSG:32632", transform=Affine(1, 0, col, 0, -1, -row), tiled=True, blockxsize=64,
+        blockysize=64, SPARSE_OK=True,
+    )  # fmt: skip
+    with rasterio.open(path, "w", **profile | options) as dataset:
+        if heights is not None:
+            dataset.write(heights, 1)
+    return path
+
+
+def vrt(path, entries, *, side=SIDE, nodata=VOID, extra=""):
+    """Write a VRT of entries: (file, row, column, rows, columns), or an element as text."""
+    sources = [
+        entry
+        if isinstance(entry, str)
+        else "<ComplexSource><SourceFilename relativeToVRT='1'>{0}</SourceFilename>"
+        "<SourceBand>1</SourceBand><SrcRect xOff='0' yOff='0' xSize='{4}' ySize='{3}'/>"
+        "<DstRect xOff='{2}' yOff='{1}' xSize='{4}' ySize='{3}'/>"
+        f"<NODATA>{VOID}</NODATA></ComplexSource>".format(*entry)
+        for entry in entries
+    ]
+    value = "" if nodata is None else f"<NoDataValue>{nodata}</NoDataValue>"
+    path.write_text(
+        f"<VRTDataset rasterXSize='{side}' rasterYSize='{side}'>"
+        "<GeoTransform>0,1,0,0,0,-1</GeoTransform>"
+        f"<VRTRasterBand dataType='Int16' band='1'>{value}{extra}{''.join(sources)}"
+        "</VRTRasterBand></VRTDataset>"
+    )
+    return path
+
+
+@pytest.fixture(scope="module")
+def tiles(tmp_path_factory):
+    """A folder with a tile of heights and voids, and one of 0 whose blocks have no bytes."""
+    folder = tmp_path_factory.mktemp("even")
+    heights = terrain_like(120, 150, dtype="int16", seed=3) + 200
+    heights[20:60, 30:90] = VOID
+    write_tif(folder / "tile.tif", heights)
+    write_tif(folder / "sea.tif", None, nodata=None, height=700, width=900)
+    write_tif(folder / "sparse.tif", None)
+    with rasterio.open(folder / "sparse.tif", "r+") as dataset:
+        for row, col in ((64, 128), (2000, 1300)):
+            window = rasterio.windows.Window(col, row, 150, 120)
+            dataset.write(heights, 1, window=window)
+    return folder
+
+
+def sources_of(folder):
+    """Return rasters with voids or constants that are known without reading them."""
+    tile = ("tile.tif", 120, 150)
+    entries = [(tile[0], row, col, *tile[1:]) for row, col in ((5, 9), (1400, 1801), (1460, 1900))]
+    sea = ("sea.tif", 1800, 300, 700, 900)
+    return {
+        "vrt": vrt(folder / "vrt.vrt", entries),
+        "sea": vrt(folder / "sea.vrt", [sea, *entries[:2]]),
+        "no nodata": vrt(folder / "none.vrt", entries, nodata=None),
+        "sparse": folder / "sparse.tif",
+        "mosaic": [
+            write_tif(folder / f"m{row}.tif", terrain_like(90, 80, dtype="int16"), row, col)
+            for row, col in ((0, 0), (1900, 2300), (1950, 2340))
+        ],
+    }
+
+
+NAMES = ("vrt", "sea", "no nodata", "sparse", "mosaic")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_even_regions_are_what_is_read(tiles, name, monkeypatch):
+    source = RasterSource(sources_of(tiles)[name], warn=False)
+    shape = source.info.n_rows, source.info.n_cols
+    parts = list(even_parts(Region(0, 0, *shape), 64, source.even))
+    assert sum(part.n_rows * part.n_cols for part, _ in parts) == shape[0] * shape[1]
+    assert sum(p.n_rows * p.n_cols for p, even in parts if even) > 0.8 * shape[0] * shape[1]
+    with monkeypatch.context() as patch:
+        patch.setattr(RasterSource, "even", lambda *_: None)
+        heights, valid = source.read(0, 0, *shape)
+    for part, even in parts:
+        if even is not None:
+            at = part.slices_in(Region(0, 0, *shape))
+            assert (heights[at] == even.value).all()
+            assert (valid[at] == even.is_valid).all()
+    again = source.read(0, 0, *shape)
+    assert np.array_equal(again[0], heights)
+    assert np.array_equal(again[1], valid)
+
+
+@pytest.mark.filterwarnings("ignore::terrainwave.TerrainwaveWarning")
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("vrt", {"block": 32}),
+        ("sea", {"block": 64, "max_error": 3, "keep_origin": True}),
+        ("no nodata", {"block": 128}),
+        ("sparse", {"block": 256, "measure_meshes": True}),
+        ("mosaic", {"block": 64}),
+        ("sea", {"method": "cdf97", "max_error": 2}),
+    ],
+)
+def test_files_are_the_same_whether_a_source_knows_its_voids_or_not(
+    tiles, tmp_path, name, options, monkeypatch
+):
+    source = sources_of(tiles)[name]
+    tw.compress(source, tmp_path / "known.twz", **options)
+    monkeypatch.setattr(RasterSource, "even", lambda *_: None)
+    tw.compress(source, tmp_path / "read.twz", **options)
+    assert (tmp_path / "known.twz").read_bytes() == (tmp_path / "read.twz").read_bytes()
+
+
+def test_voids_that_a_source_knows_are_never_read(tiles, tmp_path, monkeypatch):
+    n_read = 0
+    read = RasterSource.read
+
+    def counted(self, row, col, n_rows, n_cols):
+        nonlocal n_read
+        if self.even(Region(row, col, n_rows, n_cols)) is None:
+            n_read += n_rows * n_cols
+        return read(self, row, col, n_rows, n_cols)
+
+    monkeypatch.setattr(RasterSource, "read", counted)
+    source = vrt(tmp_path / "large.vrt", [("tile.tif", 70000, 30000, 120, 150)], side=100_000)
+    (tmp_path / "tile.tif").write_bytes((tiles / "tile.tif").read_bytes())
+    tw.compress(source, tmp_path / "large.twz")
+    assert n_read < 10_000_000
+    with tw.open(tmp_path / "large.twz") as terrain:
+        assert len(list(terrain.coded_parts(Region(0, 0, *terrain.shape)))) <= 4
+        assert not terrain.read_with_mask((0, 0, 9, 9))[1].any()
+        assert terrain.read_with_mask((70000, 30000, 9, 9))[1].all()
+    # What stands for void subtrees is nothing: an index page for each level of four at most.
+    assert (tmp_path / "large.twz").stat().st_size < 40_000
+
+
+def element(**changes):
+    parts = {
+        "tag": "SimpleSource", "more": "", "src": "xOff='0' yOff='0' xSize='900' ySize='700'",
+        "dst": "xOff='100' yOff='100' xSize='900' ySize='700'",
+    } | changes  # fmt: skip
+    return (
+        "<{tag}><SourceFilename relativeToVRT='1'>sea.tif</SourceFilename>"
+        "<SourceBand>1</SourceBand><SrcRect {src}/><DstRect {dst}/>{more}</{tag}>"
+    ).format(**parts)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"tag": "ComplexSource", "more": "<ScaleOffset>5</ScaleOffset>"},
+        {"tag": "ComplexSource", "more": "<LUT>0:7,1:9</LUT>"},
+        {"dst": "xOff='100.3' yOff='100' xSize='900' ySize='700'"},
+        {"dst": "xOff='100' yOff='100' xSize='450' ySize='350'"},
+        {"src": "xOff='0' yOff='0' xSize='900' ySize='900'"},
+        {"tag": "KernelFilteredSource", "more": "<Kernel><Size>3</Size><Coefs>1 1 1 1 1 1 1 1 1"
+         "</Coefs></Kernel>"},
+    ],
+)  # fmt: skip
+def test_sources_of_a_vrt_that_do_more_than_copy_are_read(tiles, tmp_path, changes, monkeypatch):
+    path = vrt(tiles / f"odd{random.random()}.vrt", [element(**changes)], side=1200)
+    source = RasterSource(path, warn=False)
+    assert source.even(Region(300, 300, 10, 10)) is None
+    with rasterio.open(path) as dataset:
+        whole = dataset.read(1)
+    for part, even in even_parts(Region(0, 0, 1200, 1200), 16, source.even):
+        if even is not None:
+            assert (whole[part.slices_in(Region(0, 0, 1200, 1200))] == even.value).all()
+
+
+def test_a_derived_band_is_read(tiles):
+    path = vrt(tiles / "derived.vrt", [element()], side=1200)
+    derived = "<VRTRasterBand subClass='VRTDerivedRasterBand' "
+    text = path.read_text().replace("<VRTRasterBand ", derived)
+    path.write_text(text.replace("<NoDataValue>", "<PixelFunctionType>inv</PixelFunctionType>"
+                                 "<NoDataValue>"))  # fmt: skip
+    source = RasterSource(path, warn=False)
+    assert source.even(Region(1100, 1100, 10, 10)) is None
+
+
+def test_a_vrt_of_itself_ends(tmp_path):
+    path = vrt(tmp_path / "self.vrt", [("self.vrt", 0, 0, 100, 100)], side=200)
+    assert RasterSource(path, warn=False).even(Region(10, 10, 10, 10)) is None
+
+
+def test_adjoining_tiles_of_one_height_are_known_as_one(tiles, tmp_path):
+    path = vrt(
+        tiles / "adjoining.vrt",
+        [("sea.tif", row, col, 700, 900) for row in (100, 800) for col in (50, 950)],
+    )
+    source = RasterSource(path, warn=False)
+    even = source.even(Region(100, 50, 1400, 1800))
+    assert even is not None
+    assert (even.value, even.is_valid) == (0, True)
+    assert source.even(Region(100, 50, 1401, 1800)) is None
+    assert source.even(Region(1500, 50, 10, 10)).is_valid is False
+
+
+@pytest.fixture(scope="module")
+def sea(tiles):
+    """A file of which some of the finest segments are sea alone, with its raster."""
+    path = vrt(
+        tiles / "large sea.vrt",
+        [
+            *(("sea.tif", row, col, 700, 900) for row in range(0, 2800, 700)
+              for col in range(0, 2700, 900)),
+            ("tile.tif", 400, 700, 120, 150),
+        ],
+        side=2700,
+    )  # fmt: skip
+    tw.compress(path, tiles / "sea.twz", block=32)
+    return path, tiles / "sea.twz"
+
+
+def test_segments_of_sea_are_proved_by_their_bytes(sea, monkeypatch):
+    n_compared = 0
+    compare = proof.compare_window
+
+    def counted(terrain, source, region, allowed):
+        nonlocal n_compared
+        n_compared += region.n_rows * region.n_cols
+        return compare(terrain, source, region, allowed)
+
+    monkeypatch.setattr(proof, "compare_window", counted)
+    with RasterSource(sea[0], warn=False) as source, tw.open(sea[1]) as terrain:
+        windows, heads = proof.unproved(terrain, source, terrain.grid)
+        comparison = proof.Comparison(terrain, source, 0.0)
+        assert len(heads) > 5
+        assert max(map(comparison.segment, heads)) == 0
+        assert n_compared == 512 * 512  # of the first one alone
+        n_samples = sum(one.n_rows * one.n_cols for one in windows) + len(heads) * 512 * 512
+        assert n_samples == 2700 * 2700
+
+
+def test_a_segment_of_sea_with_other_bytes_is_decoded(sea, monkeypatch):
+    with RasterSource(sea[0], warn=False) as source, tw.open(sea[1]) as terrain:
+        _, heads = proof.unproved(terrain, source, terrain.grid)
+        comparison = proof.Comparison(terrain, source, 0.0)
+        comparison.segment(heads[0])
+        content = proof.content_of(terrain.container, terrain.decoder, heads[1])
+        other = content._replace(payloads=content.payloads[:-1] + b"?")
+        monkeypatch.setattr(proof, "content_of", lambda *_: other)
+        monkeypatch.setattr(proof, "compare_window", lambda *_: 7.0)
+        assert comparison.segment(heads[1]) == 7.0
+
+
+def test_check_decodes_segments_of_sea_once(sea, monkeypatch):
+    n_decoded = 0
+    decode = decoder_module.Groups.decode
+
+    def counted(self, units, key):
+        nonlocal n_decoded
+        n_decoded += 1
+        return decode(self, units, key)
+
+    monkeypatch.setattr(decoder_module.Groups, "decode", counted)
+    with tw.open(sea[1]) as terrain:
+        assert list(terrain.check()) == []
+        assert n_decoded < terrain.grid.n_units() * 3 // 4
+
+
+def test_tiles_of_a_geotiff_that_are_void_take_no_bytes(tiles, tmp_path):
+    source = sources_of(tiles)["vrt"]
+    tw.compress(source, tmp_path / "a.twz")
+    tw.decompress(tmp_path / "a.twz", tmp_path / "back.tif")
+    with rasterio.open(tmp_path / "back.tif") as back, rasterio.open(source) as original:
+        assert np.array_equal(back.read(1), original.read(1))
+        offsets = [
+            back.get_tag_item(f"BLOCK_OFFSET_{col}_{row}", "TIFF", bidx=1)
+            for (row, col), _ in back.block_windows(1)
+        ]
+    assert sum(offset is not None for offset in offsets) < len(offsets) // 3
