@@ -24,6 +24,7 @@ from pathlib import Path
 
 import click
 import numpy as np
+import psutil
 import rasterio
 
 import terrainwave
@@ -32,6 +33,7 @@ from benchmarks.rasters import make_mirrored
 from terrainwave.container.targets.kept import Kept
 from terrainwave.grid.quadtree import Grid
 from terrainwave.raster_io.source import RasterSource
+from terrainwave.raster_io.temporary import MEMORY_LIMIT
 from terrainwave.write.passes import resuming
 from terrainwave.write.passes.proof import proof_shares
 from terrainwave.write.pyramid import TILE
@@ -51,13 +53,14 @@ _EARLY = 5.0  # seconds of finished work, of which a fraction of a second is mor
 @common.dem_argument
 @common.option("--side", type=common.COUNT, default=16_385, help="Samples on a side.")
 @common.option("--kills", "n_kills", type=common.COUNT, default=50, help="Of each command.")
-@common.option("--chain", "n_chain", type=common.COUNT, default=10, help="Kills of one file.")
+@common.option("--chain", "n_chain", type=common.COUNT, default=5, help="Kills of one file.")
+@common.option("--commands", cls=common.ListOption, default=("compress", "patch"))
 @common.option("--threads", type=common.COUNT, default=2)
 @common.option("--least", type=click.FloatRange(0, 1), default=0.9, help="Share that is kept.")
 @common.option("--seed", type=int, default=0)
 def main(
-    dem: Path, side: int, n_kills: int, n_chain: int, threads: int, least: float, seed: int,
-    folder: Path, out: Path,
+    dem: Path, side: int, n_kills: int, n_chain: int, commands: tuple[str, ...], threads: int,
+    least: float, seed: int, folder: Path, out: Path,
 ) -> None:  # fmt: skip
     """Run the trials."""
     raster, newer = folder / "large.tif", folder / "newer.tif"
@@ -66,12 +69,14 @@ def main(
     generator = random.Random(seed)
     rows: list[Row] = []
     summaries = []
-    for command in ("compress", "patch"):
+    for command in commands:
         trial = Trial(command, folder, raster, newer, threads)
-        own = list(trial.rows(n_kills, n_chain, generator))
+        own: list[Row] = []
+        for row in trial.rows(n_kills, n_chain, generator):
+            own.append(row)
+            common.write_rows(out, [*rows, *own])
         rows += own
         summaries.append(trial.summary(own))
-        common.write_rows(out, rows)
         common.write_rows(out.with_name(f"{out.stem}_summary.csv"), summaries)
     is_good = all(
         one.same_bytes == one.chains and one.kept_share >= least and not one.left_after
@@ -157,7 +162,7 @@ class Trial:
             number = min(n_chain, n_kills - first)
             total = sum(self.seconds.values())
             for kill in range(number):
-                row = self.killed(2 * generator.random() * total / (number + 1) / self.threads)
+                row = self.killed(2 * generator.random() * total / (number + 1))
                 if row is None:  # it ended before
                     break
                 yield row._replace(chain=self.n_chains, kill=kill)
@@ -167,13 +172,16 @@ class Trial:
             self.n_same += process.returncode == 0 and digest(self.target) == self.expected
 
     def killed(self, seconds: float) -> Row | None:
-        """Kill a run so many seconds of work after its first progress."""
+        """Kill a run so many processor seconds after its first progress."""
         process = self.start()
         while not self.told():
             time.sleep(0.01)
             if process.poll() is not None:
                 return None
-        time.sleep(seconds)
+        own = psutil.Process(process.pid)
+        until = self.told()[0][2] + seconds
+        while sum(own.cpu_times()[:2]) < until and process.poll() is None:
+            time.sleep(0.01)
         process.send_signal(signal.SIGKILL)
         if process.wait() == 0:
             return None
@@ -194,8 +202,7 @@ class Trial:
         self, told: list[tuple[str, float, float]], kept: dict[str, float]
     ) -> dict[str, float]:
         """Return the share of each stage that is done; of those before the last one all of it."""
-        reached = [stage for stage in STAGES if stage in {stage for stage, *_ in told}]
-        done = dict.fromkeys(reached[:-1], 1.0)
+        done = dict.fromkeys(STAGES[: STAGES.index(told[-1][0])], 1.0)
         for stage, share, _ in told:
             done[stage] = max(done.get(stage, 0.0), share)
         return {stage: max(share, kept.get(stage, 0.0)) for stage, share in done.items()}
@@ -219,7 +226,9 @@ class Trial:
         }
         done = sum((kept.get(f"nested-{shift}") or {}).get("done", 0) for shift in shifts)
         # Levels in memory are made again in no time.
-        in_files = sum(tiles[shift] for shift in shifts if 4 * TILE**2 * tiles[shift] > 8 << 20)
+        in_files = sum(
+            tiles[shift] for shift in shifts if 4 * TILE**2 * tiles[shift] > MEMORY_LIMIT
+        )
         found["making levels"] = min(done / in_files, 1.0)
         level = resuming.KeptUnits(kept, self.grid, name).level
         heads = self.grid.blocks(level)
