@@ -226,7 +226,9 @@ class Trial:
         }
         done = sum((kept.get(f"nested-{shift}") or {}).get("done", 0) for shift in shifts)
         # Levels in memory are made again in no time.
-        in_files = sum(tiles[shift] for shift in shifts if 4 * TILE**2 * tiles[shift] > MEMORY_LIMIT)
+        in_files = sum(
+            tiles[shift] for shift in shifts if 4 * TILE**2 * tiles[shift] > MEMORY_LIMIT
+        )
         found["making levels"] = min(done / in_files, 1.0)
         level = resuming.KeptUnits(kept, self.grid, name).level
         heads = self.grid.blocks(level)
