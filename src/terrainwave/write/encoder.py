@@ -192,22 +192,27 @@ class UnitEncoder(ABC):
             and not key.is_root_key
         ):
             self._encode_kept(self._kept_units, key, parent, chain)
-        else:
-            for start in self._encode_unit(key, parent, chain):
-                if not self._stopped.is_set():
-                    self._encode_subtree(*start)
-        self._finish_segments(key)
-
-    def _finish_segments(self, key: Block) -> None:
-        """Pass on the finest segments that end with the subtree of `key`."""
-        grid, level = self._grid, self._grid.k_max - SEGMENT_LEVELS
-        if self.on_segment is None or key.is_root_key or key.level > level:
+            self._finish_segments(self._finest_heads(key))
             return
-        heads = [key]
+        for start in self._encode_unit(key, parent, chain):
+            if not self._stopped.is_set():
+                self._encode_subtree(*start)
+        if key.level == self._grid.k_max - SEGMENT_LEVELS:
+            self._finish_segments([key])
+
+    def _finest_heads(self, key: Block) -> list[Block]:
+        """Return the blocks that begin the finest segments of a subtree."""
+        heads, level = [key], self._grid.k_max - SEGMENT_LEVELS
         while heads[0].level < level:
-            heads = grid.all_children(heads)
+            heads = self._grid.all_children(heads)
+        return heads if heads[0].level == level else []
+
+    def _finish_segments(self, heads: list[Block]) -> None:
+        """Pass on finest segments all of whose units are coded."""
         for head in heads:
-            if grid.segment_head(head) == head and not self._stopped.is_set():
+            if self.on_segment is None or self._stopped.is_set():
+                return
+            if self._grid.segment_head(head) == head:
                 self.on_segment(head, self._taken_below(head))
 
     def _taken_below(self, head: Block) -> Stats:
