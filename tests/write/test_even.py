@@ -272,10 +272,10 @@ def test_check_decodes_segments_of_sea_once(sea, monkeypatch):
     n_decoded = 0
     decode = decoder_module.Groups.decode
 
-    def counted(self, units, key):
+    def counted(self, units, key, *begun):
         nonlocal n_decoded
         n_decoded += 1
-        return decode(self, units, key)
+        return decode(self, units, key, *begun)
 
     monkeypatch.setattr(decoder_module.Groups, "decode", counted)
     with tw.open(sea[1]) as terrain:
