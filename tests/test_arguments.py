@@ -46,7 +46,7 @@ OF_VOIDS = {"on_error": WORD, "voids": WORD}
 WRONG = {
     "compress": OF_RASTERS | OF_CODING | OF_FILES | {
         "dst": PATH, "mesh_error": NUMBER, "measure_meshes": FLAG, "keep_origin": FLAG,
-        "temp_dir": PATH, "task_samples": WHOLE, "client": ANYTHING,
+        "temp_dir": PATH, "fresh": FLAG, "task_samples": WHOLE, "client": ANYTHING,
     },
     "compress_to_bytes": {name: OF_RASTERS[name] for name in ("src", "nodata", "georeference")}
     | OF_CODING,
@@ -56,7 +56,8 @@ WRONG = {
         "size": ["1025", 5.5, True, "all", [5], 4],
     },
     "patch": {name: OF_RASTERS[name] for name in ("src", "band", "nodata")} | {
-        "path": PATH, "original": [5, ""], "temp_dir": PATH, "threads": WHOLE, "progress": CALLABLE,
+        "path": PATH, "original": [5, ""], "temp_dir": PATH, "fresh": FLAG, "threads": WHOLE,
+        "progress": CALLABLE,
     },
     "verify": {
         "twz": PATH, "original": PATH, "max_error": NUMBER, "band": WHOLE, "nodata": VALUE,

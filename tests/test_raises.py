@@ -27,7 +27,6 @@ MADE_BY = ("__init__", "__post_init__", "__new__", "__call__")
 # What only an interface says, or a function that was passed in.
 NOT_SEEN = {
     ("ext.serve.sending", "begun", "TerrainwaveError"),
-    ("raster_io.source", "RasterSource.read", "StorageError"),
     ("render.modes.mode", "Mode.build", "CorruptStreamError"),
     ("tri.mesh_options", "MeshOptions.stored", "InvalidArgumentError"),
     ("tri.stored_kinds", "StoredKind.mesh", "CorruptStreamError"),

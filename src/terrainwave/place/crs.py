@@ -85,11 +85,13 @@ def _said_of(crs: CRS) -> _Said:
 
 
 def _texts_of(crs: CRS) -> tuple[str, ...]:
-    """Return all WKT of a CRS that anything said of it depends on."""
+    """Return WKT of a CRS that together says all of it.
+
+    Not WKT1 by name: where it cannot hold a system, GDAL's error meets the next call of rasterio.
+    """
     texts = [str(crs.to_wkt())]
-    for version in _WKT_VERSIONS:
-        with contextlib.suppress(CRSError):
-            texts.append(str(crs.to_wkt(version=version)))
+    with contextlib.suppress(CRSError):
+        texts.append(str(crs.to_wkt(version=_WKT_VERSIONS[0])))
     return tuple(texts)
 
 
