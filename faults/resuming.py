@@ -237,7 +237,7 @@ class Trial:
         found["encoding"] = n_units / len(heads)
         proofs = [kept.get(name) or {} for name in names if name.startswith("proof/")]
         n_shares = len(proof_shares(self.grid))
-        found["proving"] = max((len(one["errors"]) for one in proofs), default=0) / n_shares
+        found["proving"] = max((one.get("done", 0) for one in proofs), default=0) / n_shares
         kept.close()
         return found
 

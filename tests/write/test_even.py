@@ -308,3 +308,30 @@ def test_an_index_that_is_wrong_is_found_by_the_proof(tiles, tmp_path, monkeypat
     with pytest.raises(tw.BoundViolationError, match="index"):
         tw.compress(sources_of(tiles)["vrt"], tmp_path / "a.twz", block=32)
     assert not (tmp_path / "a.twz").exists()
+
+
+def test_nodata_that_gdal_takes_for_equal_is_in_doubt(tmp_path):
+    """The least float32 with 15 digits: GDAL's comparison has a tolerance."""
+    least = float(np.finfo(np.float32).min)
+    for name, value in (("sea", 0.0), ("void", least)):
+        with rasterio.open(
+            tmp_path / f"{name}.tif", "w", driver="GTiff", width=SIDE, height=SIDE, count=1,
+            dtype="float32", nodata=None if value == 0 else least, tiled=True, blockxsize=64,
+            blockysize=64, SPARSE_OK=True,
+        ):  # fmt: skip
+            pass
+    sources = "".join(
+        f'<ComplexSource><SourceFilename relativeToVRT="1">{name}.tif</SourceFilename>'
+        f"<SourceBand>1</SourceBand>{nodata}</ComplexSource>"
+        for name, nodata in (("sea", ""), ("void", "<NODATA>-3.40282346638529e+38</NODATA>"))
+    )
+    path = tmp_path / "both.vrt"
+    path.write_text(
+        f'<VRTDataset rasterXSize="{SIDE}" rasterYSize="{SIDE}">'
+        f'<VRTRasterBand dataType="Float32" band="1"><NoDataValue>{least!r}</NoDataValue>'
+        f"{sources}</VRTRasterBand></VRTDataset>"
+    )
+    with RasterSource(path) as source:
+        heights, valid = source.read(0, 0, SIDE, SIDE)
+        even = source.even(Region(0, 0, SIDE, SIDE))
+    assert even is None or (even.is_valid, even.value) == (bool(valid.all()), heights[0, 0])

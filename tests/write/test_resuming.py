@@ -19,6 +19,7 @@ from terrainwave.cli import main
 from terrainwave.container.targets import kept as kept_module
 from terrainwave.container.targets.kept import Kept
 from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveWarning
+from terrainwave.raster_io import source as source_module
 from terrainwave.raster_io import temporary
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.write.encoder import UnitEncoder
@@ -45,6 +46,7 @@ def small_runs_are_long(monkeypatch):
     monkeypatch.setattr(kept_module, "TICK", 0.0)
     monkeypatch.setattr(temporary, "MEMORY_LIMIT", 1 << 14)
     monkeypatch.setattr(windows_module, "MEMORY_LIMIT", 1 << 14)
+    monkeypatch.setattr(source_module, "_NARROW_COLS", 100)
 
 
 @pytest.fixture
@@ -387,3 +389,78 @@ def test_a_second_writer_of_the_same_target_is_refused_in_one_line(tmp_path, ras
         other.kill()  # who is gone holds nothing
     terrainwave.compress(raster, target, overwrite=True, **OPTIONS)
     assert hidden_in(tmp_path) == []
+
+
+def stopped(monkeypatch, work, at="terrainwave.write.local.encode"):
+    """Run `work` to a failure after the scan, which leaves what is finished."""
+
+    def failing(*_):
+        raise StorageError("no more")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(at, failing)
+        with pytest.raises(StorageError, match="no more"):
+            work()
+
+
+def test_sources_of_the_same_files_are_told_apart(tmp_path, monkeypatch):
+    """Pages of one file: the file alone does not say which."""
+    pages = tmp_path / "pages.tif"
+    first, second = terrain_like(*SHAPE, seed=5), terrain_like(*SHAPE, seed=6) + 1000
+    for page, heights in enumerate((first, second)):
+        with rasterio.open(
+            pages, "w", driver="GTiff", height=SHAPE[0], width=SHAPE[1], count=1, dtype="int16",
+            APPEND_SUBDATASET=page > 0,
+        ) as dataset:  # fmt: skip
+            dataset.write(heights.astype(np.int16), 1)
+    target = tmp_path / "out.twz"
+    for before, asked, expected in (
+        (f"GTIFF_DIR:1:{pages}", f"GTIFF_DIR:2:{pages}", second),
+        (f"GTIFF_DIR:2:{pages}", f"GTIFF_DIR:1:{pages}", first),
+    ):
+        target.unlink(missing_ok=True)
+        stopped(monkeypatch, lambda src=before: terrainwave.compress(src, target, **OPTIONS))
+        with pytest.warns(TerrainwaveWarning, match="another one, or has changed"):
+            terrainwave.compress(asked, target, **OPTIONS)
+        with terrainwave.open(target) as terrain:
+            assert np.abs(terrain.read().astype(int) - expected).max() <= 1
+
+
+def test_a_digest_that_is_wanted_now_is_made(tmp_path, raster, monkeypatch):
+    target = tmp_path / "out.twz"
+    stopped(monkeypatch, lambda: terrainwave.compress(raster, target, **OPTIONS))
+    with pytest.warns(TerrainwaveWarning, match="other options"):
+        terrainwave.compress(raster, target, keep_origin=True, **OPTIONS)
+    assert hidden_in(tmp_path) == []
+
+
+@pytest.mark.parametrize("gone", ["heights", "voids", "nested-1", "own-1"])
+def test_arrays_that_are_gone_are_made_again(tmp_path, raster, monkeypatch, gone):
+    source, target = tmp_path / "striped.tif", tmp_path / "out.twz"
+    terrainwave.compress(source, target, **OPTIONS)
+    whole = target.read_bytes()
+
+    def work():
+        terrainwave.compress(source, target, overwrite=True, **OPTIONS)
+
+    stopped(monkeypatch, work, "terrainwave.write.local.prove")
+    (folder,) = tmp_path.glob(".*.twz-kept")
+    (folder / f"{gone}.array").unlink()
+    work()
+    assert target.read_bytes() == whole
+
+
+def test_the_record_of_a_proof_does_not_grow(tmp_path, raster, monkeypatch):
+    target = tmp_path / "out.twz"
+    records = []
+    put = Kept.put
+
+    def noting(self, name, values, *rest):
+        if name.startswith("proof/"):
+            records.append(values)
+        put(self, name, values, *rest)
+
+    monkeypatch.setattr(Kept, "put", noting)
+    terrainwave.compress(raster, target, **OPTIONS)
+    assert records
+    assert {tuple(values) for values in records} == {("done", "largest")}

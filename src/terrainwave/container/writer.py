@@ -5,6 +5,7 @@ import threading
 import zlib
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import count
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
@@ -122,6 +123,9 @@ def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
     return extents
 
 
+_NUMBERS = count()  # of stores of this process
+
+
 class SegmentStore:
     """Finished segments without segments below them, in one temporary file; thread-safe.
 
@@ -131,7 +135,8 @@ class SegmentStore:
     def __init__(self, grid: Grid, directory: str | os.PathLike[str]) -> None:
         self._grid = grid
         self._directory = os.fspath(directory)
-        self._path = os.path.join(self._directory, "finished.twz-spool")
+        # A run may code a raster twice, and take the smaller result.
+        self._path = os.path.join(self._directory, f"finished-{next(_NUMBERS)}.twz-spool")
         self._end = 0
         self._lock = threading.Lock()
 

@@ -235,8 +235,11 @@ class VrtSources:
             value = self._source_value(source)
             if value is None:
                 return None
-            if source.nodata is not None and _is_number(value, source.nodata):
-                continue
+            if source.nodata is not None:
+                if _is_number(value, source.nodata):
+                    continue
+                if _is_nearly(value, source.nodata):
+                    return None
             if not composite.put(value, source.place):
                 return None
         return composite.value(lambda: self._value_of_gap(region))
@@ -276,6 +279,11 @@ def _cells_of(region: Region, most: int | None = None) -> Any:
     if most is not None and len(rows) * len(cols) > most:
         return None
     return [(row, col) for row in rows for col in cols]
+
+
+def _is_nearly(value: Any, number: float) -> bool:
+    """Say whether GDAL, which compares floats with a tolerance, might take a value for a number."""
+    return math.isclose(float(value), number, rel_tol=1e-5, abs_tol=1e-5)
 
 
 def _is_number(value: Any, number: float) -> bool:

@@ -51,7 +51,7 @@ class Spool:
         self._is_there: Any = None
         self._lock = threading.Lock()
         self._directory = directory
-        self.is_kept = False
+        self.is_kept = self.was_there = False
         if shape[0] * shape[1] * self.dtype.itemsize <= MEMORY_LIMIT:
             self._memory = np.zeros(shape, dtype=self.dtype)
         else:
@@ -69,7 +69,7 @@ class Spool:
     def _open(self, path: Path) -> None:
         """Use a file that outlives this object; another one beside it says which tiles it has."""
         beside = path.with_name(f"{path.stem}-tiles{path.suffix}")
-        is_there = path.exists() and beside.exists()
+        is_there = self.was_there = path.exists() and beside.exists()
         with storage_errors(f"cannot write {path}"):
             self._file = open(path, "r+b" if is_there else "w+b", buffering=0)
             shape = self._slots.shape

@@ -46,6 +46,8 @@ class LocalPasses:
         # What other heights may have been read of is not kept.
         self._windows = Windows(self.source, self.directory, Kept() if by_heights else kept)
         is_taken_up = self._windows.is_kept and not by_heights
+        if is_taken_up and kept.get(SCAN) and not self._windows.was_there:
+            kept.put(SCAN, {"n_windows": 0})
         first = (kept.get(SCAN) or {}).get("n_windows", 0) if is_taken_up else 0
         scan = scan_windows(
             info,

@@ -51,6 +51,11 @@ class InFile(Protocol):
         """Say whether it is."""
         ...
 
+    @property
+    def was_there(self) -> bool:
+        """Say whether its file was there when it was opened."""
+        ...
+
 
 class _Record(NamedTuple):
     name: str
@@ -159,10 +164,13 @@ class Kept:
         """Yield those items that are not done yet, or what `do` makes of them, in order.
 
         An item is done when the next is asked for; its results are in `arrays`. Where one of these
-        is in memory, all items are done again.
+        is in memory, or its file has gone, all items are done again.
         """
+        arrays = list(arrays)
         is_kept = self.is_on and all(array.is_kept for array in arrays)
-        done = (self.get(name) or {}).get("done", 0) if is_kept else 0
+        done = 0
+        if is_kept and all(array.was_there for array in arrays):
+            done = (self.get(name) or {}).get("done", 0)
         for result in do(islice(items, done, None)):
             yield result
             done += 1
@@ -212,17 +220,23 @@ class Kept:
 
     def _read(self, path: Path) -> bool:
         """Read the journal's records as far as they count; say whether it is of this run."""
+        found: dict[str, _Record] = {}
+        end, synced, boot = 0, (found, 0), None
         with open(path, "rb") as file:
-            found = list(_records(file))
-        if not found or found[0].name != _RUN or found[0].values != self.run:
-            self.other = found[0].values if found and found[0].name == _RUN else {}
+            for record in _records(file):
+                if not found and (record.name, record.values) != (_RUN, self.run):
+                    self.other = record.values if record.name == _RUN else {}
+                    return False
+                found[record.name] = record
+                end = record.offset + record.n_bytes
+                if record.name == _BOOT:
+                    boot = record.values.get("id")
+                if record.name in (_RUN, _SYNCED):
+                    synced = found.copy(), end
+        if not found:
+            self.other = {}
             return False
-        boots = [record.values.get("id") for record in found if record.name == _BOOT]
-        if boots[-1:] != [_boot()]:
-            last = max((n for n, record in enumerate(found) if record.name == _SYNCED), default=0)
-            found = found[: last + 1]
-        self._records = {record.name: record for record in found}
-        self._end = found[-1].offset + found[-1].n_bytes
+        self._records, self._end = (found, end) if boot == _boot() else synced
         return True
 
     def _append(self, name: str, values: dict[str, Any], data: bytes = b"") -> None:

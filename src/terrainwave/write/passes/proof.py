@@ -258,23 +258,23 @@ def proven_shares(
     compare: Callable[[list[ShareT]], Iterable[float]],
     kept: Kept,
 ) -> Iterator[tuple[ShareT, float]]:
-    """Yield shares of a file with their errors, those that are kept for its bytes first.
+    """Yield shares of a file with their errors, those that an earlier run has compared first.
 
-    `compare` makes the others, in order.
+    These have the largest error of them all. `compare` makes those of the others, in order.
     """
-    shares, name = iter(shares), None
-    errors: list[float] = []
+    shares, name, done, largest = iter(shares), None, 0, 0.0
     if kept.is_on and not isinstance(path, bytes):
         name = f"proof/{digest_of_file(path)}"
-        errors = (kept.get(name) or {}).get("errors", [])
-    for error in tuple(errors):
-        yield next(shares), error
+        found = kept.get(name) or {"done": 0, "largest": 0.0}
+        done, largest = found["done"], found["largest"]
+    for share in islice(shares, done):
+        yield share, largest
     while batch := list(islice(shares, _SHARES)):
         for share, error in zip(batch, compare(batch), strict=True):
             yield share, error
+            done, largest = done + 1, max(largest, error)
             if name is not None:
-                errors.append(error)
-                kept.tick(name, lambda: {"errors": errors})
+                kept.tick(name, lambda: {"done": done, "largest": largest})  # noqa: B023
 
 
 def prove(

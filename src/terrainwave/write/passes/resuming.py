@@ -29,9 +29,11 @@ LEAST_SAMPLES = 1 << 26
 # of one thread, and some MB of payloads in its memory.
 SUBTREE_SIDE = 2048
 
-_SOURCE = "source"
+_SOURCE, _ASKED = "source", "asked"
+_OTHER_SOURCE = "the source was another one, or has changed"
 _NAMES = {
-    _SOURCE: "the source was another one, or has changed",
+    _SOURCE: _OTHER_SOURCE,
+    _ASKED: _OTHER_SOURCE,
     "version": "it was made by another version of terrainwave",
 }
 
@@ -73,13 +75,23 @@ def run_directory(
     if is_kept and shape[0] * shape[1] >= LEAST_SAMPLES:
         stamps = stamps_of(src)
         if by_heights or stamps is not None:
-            run = {"version": __version__, _SOURCE: stamps, **depends_on}
+            asked = [_asked_for(src), list(shape)]
+            run = {"version": __version__, _SOURCE: stamps, _ASKED: asked, **depends_on}
     with kept_directory(parent, target, run, fresh=fresh) as (directory, kept):
         if kept.other is not None:
             note_that_removed(_difference(kept.other, run or {}))
         if kept.n_found:
             _log.info("%s: goes on from %d records in %s", target, kept.n_found, directory)
         yield directory, kept
+
+
+def _asked_for(src: Any) -> Any:
+    """Return what tells two sources of the same files apart: names as given, order, how opened."""
+    if isinstance(src, list | tuple):
+        return [_asked_for(one) for one in src]
+    if isinstance(src, str | os.PathLike):
+        return os.fspath(src)
+    return [type(src).__name__, str(getattr(src, "name", ""))]
 
 
 def note_that_removed(why: str) -> None:
@@ -113,7 +125,7 @@ def same_heights(kept: Kept, digest: str) -> None:
     found = kept.get("heights")
     if found is not None and found != {"digest": digest}:
         kept.clear()
-        note_that_removed(_NAMES[_SOURCE])
+        note_that_removed(_OTHER_SOURCE)
     kept.put("heights", {"digest": digest})
 
 

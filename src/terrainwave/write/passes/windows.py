@@ -53,6 +53,14 @@ class Windows(SourceWindows):
         """Say whether windows that were scanned need not be scanned again."""
         return self._heights is None or self._heights.is_kept
 
+    @property
+    def was_there(self) -> bool:
+        """Say whether what an earlier scan has left is still there."""
+        if self._heights is None:
+            return True
+        has_voids = self._kept.get(_VOIDS) is not None
+        return self._heights.was_there and (not has_voids or self._void_spool().was_there)
+
     def scan(self, first: int = 0) -> Iterator[Window | tuple[Region, Even]]:
         """Yield (heights, validity, row, column), once over the raster in the source's order.
 
