@@ -239,7 +239,7 @@ class Pyramid:
             spools = self._fills[finer], self._known[finer]
             windows = _uneven(region, partial(self._unread, finer), lambda *_: None)
             work = partial(self._pull_window, finer)
-            self._in_windows(f"pull-{finer}", spools, windows, work)
+            self._in_windows(f"pull-{self._kind}-{finer}", spools, windows, work)
         for spool in self._known.values():
             spool.close()
 
