@@ -49,7 +49,8 @@ WITHOUT_KERNELS = {
 # Tests of whole files: what their kernels compute has tests of its own. The others with kernels run
 # as plain Python, too, unless they are `large`.
 OF_FILES = {
-    "export", "globe", "write", "test_batched.py", "test_coefficients.py", "test_lods.py",
+    "export", "globe", "write", "test_batched.py", "test_beginnings.py", "test_coefficients.py",
+    "test_lods.py",
     "test_loose.py", "test_names.py", "test_read_ahead.py", "test_salvage.py", "test_terrain.py",
     "test_unmeasured.py", "test_voids.py",
 }  # fmt: skip
