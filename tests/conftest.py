@@ -50,9 +50,8 @@ WITHOUT_KERNELS = {
 # as plain Python, too, unless they are `large`.
 OF_FILES = {
     "export", "globe", "write", "test_batched.py", "test_beginnings.py", "test_coefficients.py",
-    "test_lods.py",
-    "test_loose.py", "test_names.py", "test_read_ahead.py", "test_salvage.py", "test_terrain.py",
-    "test_unmeasured.py", "test_voids.py",
+    "test_lods.py", "test_loose.py", "test_names.py", "test_read_ahead.py", "test_salvage.py",
+    "test_terrain.py", "test_unmeasured.py", "test_voids.py",
 }  # fmt: skip
 # The longest of all. Then workers begin at different ends of what compiles, or both would compile
 # the same: codecs, meshes.
