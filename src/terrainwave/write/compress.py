@@ -269,10 +269,8 @@ def compress(
             " can use"
         )
     of_source = {"band": band, "nodata": repr(nodata), "georeference": georeference}
-    depends_on = {
-        "command": "compress", **of_source, "options": options.to_metadata(),
-        "keep_origin": keep_origin,
-    }  # fmt: skip
+    coded = [options.to_metadata(), keep_origin]
+    depends_on = {"command": "compress", **of_source, "options": coded}
     with (
         _made(name, overwrite=overwrite, temp_dir=temp_dir) as part,
         raster_source(src, band=band, nodata=nodata, georeference=georeference) as source,
