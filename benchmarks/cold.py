@@ -22,20 +22,19 @@ from benchmarks import common
 # Seconds of user and system time, medians. `state` is the package and whether its cache is "empty"
 # or "warm".
 Row = namedtuple("Row", "raster command state n_runs cpu_seconds least most")
-START = "from terrainwave.cli import main; main()"
 READ = "import sys, terrainwave; terrainwave.open(sys.argv[1]).read()"
 COMMANDS = ("read", "compress", "compress rapid, bare", "verify")
 
 
 def arguments_of(command: str, raster: Path, file: Path) -> list[str]:
     """Return what Python is told to run."""
-    made = ["-c", START, "compress", str(raster), str(file.with_suffix(".made.twz"))]
+    made = ["-c", common.CLI, "compress", str(raster), str(file.with_suffix(".made.twz"))]
     made += ["--max-error", "1", "--overwrite", "--quiet"]
     return {
         "read": ["-c", READ, str(file)],
         "compress": made,
         "compress rapid, bare": [*made, "--method", "rapid", "--no-mesh", "--no-verify"],
-        "verify": ["-c", START, "verify", str(file), str(raster)],
+        "verify": ["-c", common.CLI, "verify", str(file), str(raster)],
     }[command]
 
 
@@ -56,7 +55,7 @@ def measure(paths, packages: dict[str, Path], python: str, n_runs: int, folder) 
         first = next(iter(packages.values()))
         seconds_of(
             python, first,
-            ["-c", START, "compress", str(raster), str(file), "--max-error", "1", "--quiet"],
+            ["-c", common.CLI, "compress", str(raster), str(file), "--max-error", "1", "--quiet"],
             folder / "made",
         )  # fmt: skip
         for command in COMMANDS:

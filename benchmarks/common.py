@@ -31,6 +31,8 @@ from terrainwave.coding.jit import all_compiled
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
 IMAGES = ROOT / "docs" / "images"
+# What Python is told to be the command.
+CLI = "from terrainwave.cli import main; main()"
 PACKAGES = (
     "terrainwave", "numpy", "numba", "scipy", "rasterio", "imagecodecs", "pysz", "xarray", "zarr",
     "numcodecs", "zfpy", "pcodec", "rioxarray", "pydelatin", "pymartini",

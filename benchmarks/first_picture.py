@@ -29,7 +29,6 @@ Row = namedtuple(
     "raster page file_bytes latency_ms mbit_per_second n_requests n_bytes paint_seconds seconds "
     "least_seconds most_seconds n_runs",
 )
-START = "from terrainwave.cli import main; main()"
 # Tells when the page first had each state.
 WATCH = """
     globalThis.states = {};
@@ -48,7 +47,7 @@ PATIENCE = 120
 def run(source: Path, *arguments: str | Path) -> None:
     """Run a command of the package in a folder of sources."""
     environment = {**os.environ, "PYTHONPATH": str(source)}
-    command = [sys.executable, "-c", START, *map(str, arguments), "--quiet"]
+    command = [sys.executable, "-c", common.CLI, *map(str, arguments), "--quiet"]
     subprocess.run(command, env=environment, check=True)
 
 

@@ -29,7 +29,6 @@ from pathlib import Path
 from benchmarks.rasters import make_mirrored
 make_mirrored(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]), sys.argv[4])
 """
-_COMPRESS = "from terrainwave.cli import main; main()"
 # What `benchmarks.rasters.write_cog` does, without what else that module imports.
 _COG = """
 import sys
@@ -62,7 +61,7 @@ def run(writer: str, source: Path, target: Path, max_error: float, extra: Sequen
         command = [sys.executable, "-c", _COG, str(source), str(target), repr(max_error)]
         return common.run_and_measure(command, env=os.environ | more)
     words = ["compress", str(source), str(target), "--max-error", str(max_error), "--threads", "1"]
-    return common.run_and_measure([sys.executable, "-c", _COMPRESS, *words, *more, *extra])
+    return common.run_and_measure([sys.executable, "-c", common.CLI, *words, *more, *extra])
 
 
 def rows_of(

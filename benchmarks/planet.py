@@ -46,7 +46,6 @@ from pathlib import Path
 from benchmarks import planet
 planet.make(Path(sys.argv[1]), Path(sys.argv[2]), *map(int, sys.argv[3:]))
 """
-_CLI = "from terrainwave.cli import main; main()"
 _WINDOWS = """
 import sys
 import terrainwave
@@ -105,6 +104,8 @@ def make(data: Path, folder: Path, share: int, dense: int) -> None:
 
 def _entries(names: list[tuple[str, int, int]], share: int, dense: int) -> Iterator[str]:
     """Yield the sources of the VRT, the seas first: what overlaps them lies above."""
+    from benchmarks.rasters import vrt_source
+
     side = DEGREE // share
     cells = [
         (90 - north, 180 + west)
@@ -113,33 +114,23 @@ def _entries(names: list[tuple[str, int, int]], share: int, dense: int) -> Itera
         for north in range(first_lat + 1, last_lat + 1)
     ]
     for row, col in cells[: N_ENTRIES - N_TILES - 2]:
-        yield _source("sea.tif", (0, 0, side, side), row * side, col * side)
+        yield vrt_source("sea.tif", (0, 0, side, side), row * side, col * side)
     n_tiles = max(N_TILES // share**2, 12)
     n_rows, n_cols = 180 * side, 360 * side
     for number in range(n_tiles):
         name, height, width = names[number % len(names)]
         row = (n_rows - height) * number // (n_tiles - 1)
         col = (n_cols - width) * (number * 89 % n_tiles) // n_tiles
-        yield _source(name, (0, 0, height, width), row, col)
+        yield vrt_source(name, (0, 0, height, width), row, col)
         if number % 10 == 0:  # over the one before, by half
             row = min(row + height // 2, n_rows - height)
-            yield _source(name, (0, 0, height, width), row, col + width // 2)
+            yield vrt_source(name, (0, 0, height, width), row, col + width // 2)
     name, height, width = names[0]
     half, row = width // 2, n_rows // 3
-    yield _source(name, (0, 0, height, half), row, n_cols - half)
-    yield _source(name, (0, half, height, width - half), row, 0)
+    yield vrt_source(name, (0, 0, height, half), row, n_cols - half)
+    yield vrt_source(name, (0, half, height, width - half), row, 0)
     row, col = dense_place(share)
-    yield _source("dense.tif", (0, 0, dense, dense), row, col)
-
-
-def _source(name: str, part: tuple[int, int, int, int], row: int, col: int) -> str:
-    first_row, first_col, n_rows, n_cols = part
-    size = f'xSize="{n_cols}" ySize="{n_rows}"'
-    return (
-        f'<ComplexSource><SourceFilename relativeToVRT="1">{name}</SourceFilename>'
-        f'<SourceBand>1</SourceBand><SrcRect xOff="{first_col}" yOff="{first_row}" {size}/>'
-        f'<DstRect xOff="{col}" yOff="{row}" {size}/><NODATA>-32768</NODATA></ComplexSource>'
-    )
+    yield vrt_source("dense.tif", (0, 0, dense, dense), row, col)
 
 
 def dense_place(share: int) -> tuple[int, int]:
@@ -166,7 +157,9 @@ def commands(folder: Path, share: int) -> dict[str, list[str]]:
         "low": ["render", twz, *picture, "--camera", f"{lon},{lat},9000,135,-30,60"],
         "decompress": ["decompress", twz, str(folder / "back.tif"), *common_options],
     }
-    return {stage: [sys.executable, "-c", _CLI, *arguments] for stage, arguments in found.items()}
+    return {
+        stage: [sys.executable, "-c", common.CLI, *arguments] for stage, arguments in found.items()
+    }
 
 
 def measured(data: Path, folder: Path, share: int, dense: int, stages: list[str]) -> Iterator[Row]:

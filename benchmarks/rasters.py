@@ -260,3 +260,20 @@ def mask_bytes(mask: np.ndarray) -> int:
     image = mask.astype(np.uint8) * 255
     sizes.append(len(imagecodecs.jpegxl_encode(image, lossless=True, effort=7)))
     return min(sizes)
+
+
+def vrt_source(
+    name: str | Path, part: tuple[int, int, int, int], row: int, col: int, nodata: float = -32768
+) -> str:
+    """Return the element of a VRT that puts a part of a file at a place.
+
+    `part` is its first row and column, rows and columns. A relative `name` is beside the VRT.
+    """
+    first_row, first_col, n_rows, n_cols = part
+    size = f'xSize="{n_cols}" ySize="{n_rows}"'
+    is_relative = int(not Path(name).is_absolute())
+    return (
+        f'<ComplexSource><SourceFilename relativeToVRT="{is_relative}">{name}</SourceFilename>'
+        f'<SourceBand>1</SourceBand><SrcRect xOff="{first_col}" yOff="{first_row}" {size}/>'
+        f'<DstRect xOff="{col}" yOff="{row}" {size}/><NODATA>{nodata}</NODATA></ComplexSource>'
+    )

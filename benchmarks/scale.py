@@ -48,7 +48,6 @@ make_mirrored(Path(source), Path(target), size)
 with rasterio.open(target, "r+") as dataset:
     dataset.transform = rasterio.Affine(spacing, 0, 0, 0, -spacing, 0)
 """
-_CLI = "from terrainwave.cli import main; main()"
 _READ = """
 import sys
 import terrainwave
@@ -78,20 +77,23 @@ def stages_of(source: Path, target: Path, size: int) -> dict[str, tuple[int, lis
     place = min(size, SIZES[0]) // 2 * SPACING
     common_options = ["--overwrite", "--quiet", "--threads", THREADS]
     compress = ["compress", str(source), str(target), "--max-error", "1"]
-    render = [*python, _CLI, "render", str(target), str(picture), *common_options]
+    render = [*python, common.CLI, "render", str(target), str(picture), *common_options]
     return {
-        "compress": (size**2, [*python, _CLI, *compress, *common_options]),
+        "compress": (size**2, [*python, common.CLI, *compress, *common_options]),
         "verify": (
             size**2,
-            [*python, _CLI, "verify", str(target), str(source), "--quiet", "--threads", THREADS],
-        ),
+            [
+                *python, common.CLI, "verify", str(target), str(source), "--quiet",
+                "--threads", THREADS,
+            ],
+        ),  # fmt: skip
         "decompress": (
-            size**2, [*python, _CLI, "decompress", str(target), str(back), *common_options],
+            size**2, [*python, common.CLI, "decompress", str(target), str(back), *common_options],
         ),
         "read": (size**2, [*python, _READ, str(target), str(SIDE), THREADS]),
         "mesh": (
             side**2,
-            [*python, _CLI, "mesh", str(target), str(mesh), "--window", f"0,0,{side},{side}",
+            [*python, common.CLI, "mesh", str(target), str(mesh), "--window", f"0,0,{side},{side}",
              *common_options],
         ),
         "whole": (0, render),

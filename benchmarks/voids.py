@@ -18,7 +18,6 @@ from benchmarks import common
 
 SIDES = (4096, 32768, 262144)
 TILE = 1201
-_CLI = "from terrainwave.cli import main; main()"
 
 # One line of the CSV.
 Row = namedtuple("Row", "side void_million seconds cpu_seconds rate peak_mib n_bytes")
@@ -28,17 +27,15 @@ def write_vrt(dem: Path, target: Path, side: int) -> int:
     """Write a VRT of three windows of `dem`; return how many samples they have."""
     import rasterio
 
+    from benchmarks.rasters import vrt_source
+
     with rasterio.open(dem) as dataset:
         n_rows, n_cols = min(dataset.height, TILE), min(dataset.width, TILE)
         nodata, dtype = dataset.nodata, dataset.dtypes[0]
     nodata = -32768 if nodata is None else nodata
-    size = f'xSize="{n_cols}" ySize="{n_rows}"'
     places = ((100, 200), (side // 2, side // 3), (side - n_rows - 99, side - n_cols))
     sources = "".join(
-        f"<ComplexSource><SourceFilename>{dem}</SourceFilename><SourceBand>1</SourceBand>"
-        f'<SrcRect xOff="0" yOff="0" {size}/><DstRect xOff="{col}" yOff="{row}" {size}/>'
-        f"<NODATA>{nodata}</NODATA></ComplexSource>"
-        for row, col in places
+        vrt_source(dem, (0, 0, n_rows, n_cols), row, col, nodata) for row, col in places
     )
     names = {"int16": "Int16", "float32": "Float32", "uint16": "UInt16"}
     target.write_text(
@@ -56,7 +53,7 @@ def measured(dem: Path, sides: Sequence[int], folder: Path) -> Iterator[Row]:
         source, target = folder / f"{side}.vrt", folder / f"{side}.twz"
         void = (side**2 - write_vrt(dem, source, side)) / 1e6
         options = ["--max-error", "1", "--threads", "1", "--overwrite", "--quiet"]
-        command = [sys.executable, "-c", _CLI, "compress", str(source), str(target), *options]
+        command = [sys.executable, "-c", common.CLI, "compress", str(source), str(target), *options]
         used = common.run_and_measure(command)
         first = first or (void, used.cpu_seconds)
         more = used.cpu_seconds - first[1]

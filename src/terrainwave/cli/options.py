@@ -327,12 +327,23 @@ def writing(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-FRESH_OPTION = click.option(
-    "--fresh",
-    is_flag=True,
-    help="Start over, if an earlier run of the same command did not finish. Default: go on from"
-    " the work that it has finished.",
-)
+def resumable(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of commands that go on where an earlier run has ended."""
+    for option in (
+        click.option(
+            "--fresh",
+            is_flag=True,
+            help="Start over, if an earlier run of the same command did not finish. Default: go on"
+            " from the work that it has finished.",
+        ),
+        click.option(
+            "--temp-dir",
+            type=Name(),
+            help="Folder for large temporary files, and for finished work if the run fails.",
+        ),
+    ):
+        command = option(command)
+    return command
 
 
 def batched(command: Callable[..., Any]) -> Callable[..., Any]:

@@ -128,6 +128,11 @@ class Grid:
         rows, cols = self.level_blocks(block.level)
         return 0 <= block.row < rows and 0 <= block.col < cols
 
+    def is_inside(self, block: Block) -> bool:
+        """Say whether a block has neighbours on all sides."""
+        around = (Block(block.level, block.row + by, block.col + by) for by in (-1, 1))
+        return all(map(self.contains, around))
+
     def blocks(self, level: int) -> list[Block]:
         """Return all blocks of the level in Morton order."""
         rows, cols = self.level_blocks(level)

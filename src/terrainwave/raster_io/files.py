@@ -1,6 +1,7 @@
 """The files that a raster is read from, to notice that one of them has changed."""
 
 import os
+from collections.abc import Callable
 from typing import Any
 
 from terrainwave.errors import TerrainwaveError
@@ -17,17 +18,14 @@ def files_of(path: str) -> list[str]:
     TerrainwaveError
         If it cannot be opened.
     """
-    found: set[str] = set()
-    waiting = _listed(path)
-    while waiting:
-        name = waiting.pop()
-        if name not in found:
-            found.add(name)
-            try:
-                waiting += _listed(name)
-            except TerrainwaveError:  # a file beside a raster, such as metadata
-                continue
-    return sorted(found)
+
+    def named(name: str) -> list[str]:
+        try:
+            return _listed(name)
+        except TerrainwaveError:  # a file beside a raster, such as metadata
+            return []
+
+    return sorted(_all_below(_listed(path), named))
 
 
 def stamps_of(src: Any) -> list[list[str | int]] | None:
@@ -68,14 +66,19 @@ def _files_below(source: Any) -> set[str]:
         return {os.fspath(source)}
     else:
         waiting = _listed(os.fspath(source))
+    # Other files name no further ones, and there may be many thousands.
+    return _all_below(waiting, lambda name: _listed(name) if name.lower().endswith(".vrt") else [])
+
+
+def _all_below(names: list[str], named: Callable[[str], list[str]]) -> set[str]:
+    """Return files and all that they name, however deep."""
     found: set[str] = set()
+    waiting = [*names]
     while waiting:
         name = waiting.pop()
         if name not in found:
             found.add(name)
-            # Other files name no further ones, and there may be many thousands.
-            if name.lower().endswith(".vrt"):
-                waiting += _listed(name)
+            waiting += named(name)
     return found
 
 

@@ -74,9 +74,8 @@ class Spool:
             self._file = open(path, "r+b" if is_there else "w+b", buffering=0)
             shape = self._slots.shape
             self._is_there = np.memmap(beside, np.bool_, "r+" if is_there else "w+", shape=shape)
-        self._places = np.arange(self._slots.size, dtype=np.int32).reshape(shape)
         self._was_there = np.array(self._is_there)
-        self._slots[self._was_there] = self._places[self._was_there]
+        self._slots[self._was_there] = np.flatnonzero(self._was_there)
         self.is_kept = True
 
     @property
@@ -121,7 +120,9 @@ class Spool:
                     content = self._read_tile_locked(slot)
                 content[part.slices_in(tile)] = values[part.slices_in(region)]
                 if slot < 0:
-                    slot = self._places[at] if self.is_kept else self._n_slots
+                    slot = self._n_slots
+                    if self.is_kept:
+                        slot = at[0] * self._slots.shape[1] + at[1]
                     self._n_slots += 1
                 self._write_tile_locked(slot, content)
                 self._slots[at] = slot

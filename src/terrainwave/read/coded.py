@@ -33,8 +33,7 @@ def content_of(container: Container, decoder: TreeDecoder, head: Block) -> Conte
     """
     grid = container.grid
     is_finest = head.level + SEGMENT_LEVELS == grid.k_max and grid.segment_head(head) == head
-    around = (Block(head.level, head.row + by, head.col + by) for by in (-1, 1))
-    if not is_finest or not all(map(grid.contains, around)):
+    if not is_finest or not grid.is_inside(head):
         return None
     segment = container.segment(head)
     n_bytes = segment.page.body_length

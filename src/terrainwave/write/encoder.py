@@ -270,8 +270,7 @@ class UnitEncoder(ABC):
             self._sink.leave_out(Block(*block))
         with self._lock:
             self.take(more)
-            for block, own in stats.items():
-                self._stats.setdefault(block, BlockStats()).merge(own)
+        self._note(stats)
 
     def apart(self, chain: list[Ancestor]) -> Self:
         """Return an encoder of a subtree below `chain` whose findings are its own."""
@@ -336,16 +335,13 @@ class UnitEncoder(ABC):
         grid, apron = self._grid, 1 if self._parameters.rings == 3 else 0
         for block, part in zip(blocks, parts, strict=True):
             inside = grid.block_region(block).slices_in(grid.block_region(block, apron))
-            found = BlockStats(has_mesh=has_mesh(grid, block, part.mask[inside]))
-            with self._lock:
-                self._stats.setdefault(block, BlockStats()).merge(found)
+            self._note({block: BlockStats(has_mesh=has_mesh(grid, block, part.mask[inside]))})
 
     def _measure_children(self, spec: GroupSpec, above: Ancestor, decoded: Decoded) -> None:
         """Update the statistics of the block that a group refines."""
         core = spec.core.slices_in(spec.region)
         apart = distance_of_children(above.heights, decoded.heights[core], decoded.mask[core])
-        with self._lock:
-            self._stats.setdefault(above.block, BlockStats()).merge(BlockStats(apart=apart))
+        self._note({above.block: BlockStats(apart=apart)})
 
     def _measure(
         self,
@@ -373,8 +369,12 @@ class UnitEncoder(ABC):
                 limits = whole.z_low, whole.z_high
                 error = distance_of(ancestor, spec.core, originals, mask, grid, limits)
             by_block[ancestor.block] = BlockStats(whole.z_low, whole.z_high, error)
+        self._note(by_block)
+
+    def _note(self, found: Stats) -> None:
+        """Take in what is known of blocks."""
         with self._lock:
-            for block, stats in by_block.items():
+            for block, stats in found.items():
                 self._stats.setdefault(block, BlockStats()).merge(stats)
 
 
@@ -421,9 +421,7 @@ class TreeEncoder(UnitEncoder):
             )
             error = measure_block(above.heights, at, heights, mask, row, col, (target, target))
             below[above.block] = BlockStats(target, target, error)
-        with self._lock:
-            for block, stats in below.items():
-                self._stats.setdefault(block, BlockStats()).merge(stats)
+        self._note(below)
         return True
 
     def code_unit(

@@ -14,7 +14,7 @@ from terrainwave.write.job import Job
 from terrainwave.write.passes.coding import Coded, encode
 from terrainwave.write.passes.proof import prove
 from terrainwave.write.passes.resuming import is_by_heights, same_heights
-from terrainwave.write.passes.windows import SCAN, Windows, check_free_space, scan_windows
+from terrainwave.write.passes.windows import Windows, check_free_space, scan_windows
 
 
 @dataclass
@@ -40,25 +40,23 @@ class LocalPasses:
 
     def scan(self, steps: FixedSteps | None = None) -> HeightScan:
         """Return range, validity and vertical quantum of every sample, and a digest if wanted."""
-        info, kept = self.source.info, self.kept
-        check_free_space(self.source, self.directory, kept.n_bytes)
-        by_heights = is_by_heights(kept)
+        check_free_space(self.source, self.directory, self.kept.n_bytes)
+        by_heights = is_by_heights(self.kept)
         # What other heights may have been read of is not kept.
-        self._windows = Windows(self.source, self.directory, Kept() if by_heights else kept)
-        is_taken_up = self._windows.is_kept and not by_heights
-        if is_taken_up and kept.get(SCAN) and not self._windows.was_there:
-            kept.put(SCAN, {"n_windows": 0})
-        first = (kept.get(SCAN) or {}).get("n_windows", 0) if is_taken_up else 0
+        kept = Kept() if by_heights else self.kept
+        self._windows = Windows(self.source, self.directory, kept)
+        first = self._windows.n_scanned()
         scan = scan_windows(
-            info,
+            self.source.info,
             self._windows.scan(first),
             self.reporter,
             has_digest=self.has_digest or by_heights,
             steps=steps,
-            kept=kept if is_taken_up else None,
+            kept=kept,
+            first=first,
         )
         if by_heights and scan.digest is not None:
-            same_heights(kept, scan.digest.text)
+            same_heights(self.kept, scan.digest.text)
         return scan
 
     def encode(self, job: Job) -> Coded:

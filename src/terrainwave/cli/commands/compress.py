@@ -13,16 +13,15 @@ from terrainwave.cli.batch import Done, FileJob, refuse_options_of_batches, run_
 from terrainwave.cli.manifest import Manifest
 from terrainwave.cli.options import (
     EFFORT,
-    FRESH_OPTION,
     METHOD,
     BlockSide,
     Bound,
     Input,
-    Name,
     Nodata,
     Target,
     batched,
     complete_files,
+    resumable,
     writing,
 )
 from terrainwave.cli.output import (
@@ -122,12 +121,7 @@ from terrainwave.progress import ProgressCallback
     help="Compress the heights alone and ignore the raster's transform and CRS.",
 )
 @click.option("--no-verify", is_flag=True, help="Do not decode and compare every sample.")
-@click.option(
-    "--temp-dir",
-    type=Name(),
-    help="Folder for large temporary files, and for finished work if the run fails.",
-)
-@FRESH_OPTION
+@resumable
 @click.option(
     "--scheduler",
     metavar="ADDRESS",

@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from terrainwave.arguments import count_of
-from terrainwave.cli.options import FRESH_OPTION, THREADS_OPTION, Input, Name, NamedInput, Nodata
+from terrainwave.cli.options import THREADS_OPTION, Input, NamedInput, Nodata, resumable
 from terrainwave.cli.output import (
     Bar,
     Command,
@@ -32,12 +32,7 @@ from terrainwave.cli.output import (
     help="The raster that FILE was made of, with all earlier patches. Heights outside NEW are then"
     " compressed again from this raster; without it they stay as they are in FILE.",
 )
-@click.option(
-    "--temp-dir",
-    type=Name(),
-    help="Folder for large temporary files, and for finished work if the run fails.",
-)
-@FRESH_OPTION
+@resumable
 @THREADS_OPTION
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")

@@ -14,12 +14,6 @@ class Causes:
 
     def is_new(self, cause: str) -> bool:
         """Say whether a cause is to be logged: it has not been, as far back as is known."""
-        is_new = False
-
-        def note() -> bool:
-            nonlocal is_new
-            is_new = True
-            return True
-
-        self._known.get_or_make(cause, note)
+        is_new = self._known.get(cause) is None
+        self._known.put(cause, True)
         return is_new

@@ -81,7 +81,8 @@ def unproved(
         for window in part.tiles(head_side, head_side):
             head = Block(level, window.row // head_side, window.col // head_side)
             is_one = even is not None and level in grid.segment_levels()
-            if is_one and _is_inside(grid, head, window) and source.even(_around(grid, head)):
+            is_one = is_one and grid.is_inside(head) and window == _own_samples(grid, head)
+            if is_one and source.even(_around(grid, head)):
                 yield head
             else:
                 yield from window.tiles(side, side)
@@ -93,11 +94,10 @@ def _n_samples(grid: Grid, one: Region | Block) -> int:
     return one.n_rows * one.n_cols
 
 
-def _is_inside(grid: Grid, head: Block, window: Region) -> bool:
-    """Say whether a window is all that a block has for itself, and has neighbours on all sides."""
+def _own_samples(grid: Grid, head: Block) -> Region:
+    """Return all that a block inside the raster has for itself."""
     row, col, n_rows, n_cols = grid.full_region(head)
-    around = (Block(head.level, head.row + by, head.col + by) for by in (-1, 1))
-    return window == (row, col, n_rows - 1, n_cols - 1) and all(map(grid.contains, around))
+    return Region(row, col, n_rows - 1, n_cols - 1)
 
 
 def _around(grid: Grid, head: Block) -> Region:
@@ -147,13 +147,13 @@ class Comparison:
         """
         terrain = self._terrain
         grid = terrain.grid
-        row, col, n_rows, n_cols = grid.full_region(head)
+        region = _own_samples(grid, head)
         content = content_of(terrain.container, terrain.decoder, head)
-        value = self._source.read(row, col, 1, 1)[0].tobytes()
+        value = self._source.read(region.row, region.col, 1, 1)[0].tobytes()
         if content is not None and (content, value) in self._known:
             return self._known[content, value]
         side = _side_of(grid)
-        largest = self.windows(Region(row, col, n_rows - 1, n_cols - 1).tiles(side, side))
+        largest = self.windows(region.tiles(side, side))
         if content is not None:
             self._known[content, value] = largest
         return largest

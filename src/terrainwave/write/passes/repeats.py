@@ -74,7 +74,7 @@ class Repeats:
             The one height of all samples under the block and around it.
         """
         height = int(parent.heights[0, 0])
-        if parent.validity.own_mask is not None or not self._is_inside(block):
+        if parent.validity.own_mask is not None or not self._grid.is_inside(block):
             return None
         if parent.remainders is not None or not (parent.heights == height).all():
             return None
@@ -84,10 +84,6 @@ class Repeats:
         stats: dict[Block, BlockStats] = {}
         self._put(block, below, target, height, block.level, stats)
         return stats
-
-    def _is_inside(self, block: Block) -> bool:
-        n_rows, n_cols = self._grid.level_blocks(block.level)
-        return 0 < block.row < n_rows - 1 and 0 < block.col < n_cols - 1
 
     def _units_below(self, block: Block, parent: Decoded, target: int) -> _Below | None:
         known = block.level, target, int(parent.heights[0, 0])

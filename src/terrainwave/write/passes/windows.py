@@ -23,7 +23,7 @@ from terrainwave.raster_io.temporary import MEMORY_LIMIT, Spool
 from terrainwave.write.pyramid import SourceWindows
 
 # Records of what is kept: of the scan, and that there is an array of voids.
-SCAN, _VOIDS = "scan", "voids"
+_SCAN, _VOIDS = "scan", "voids"
 # Heights, validity, row and column of the first sample.
 Window = tuple[NDArray[Any], NDArray[np.bool_], int, int]
 # Samples a side of windows in which even regions are looked for, or shown, as a whole.
@@ -48,18 +48,14 @@ class Windows(SourceWindows):
             self._heights = Spool(self._shape, source.info.dtype, directory, path=path)
         self._kept = kept
 
-    @property
-    def is_kept(self) -> bool:
-        """Say whether windows that were scanned need not be scanned again."""
-        return self._heights is None or self._heights.is_kept
-
-    @property
-    def was_there(self) -> bool:
-        """Say whether what an earlier scan has left is still there."""
-        if self._heights is None:
-            return True
-        has_voids = self._kept.get(_VOIDS) is not None
-        return self._heights.was_there and (not has_voids or self._void_spool().was_there)
+    def n_scanned(self) -> int:
+        """Return how many windows an earlier run has scanned; 0 if it has not left them."""
+        if self._heights is not None:
+            has_voids = self._kept.get(_VOIDS) is not None
+            arrays = [self._heights, *([self._void_spool()] if has_voids else [])]
+            if not all(array.was_there for array in arrays):
+                return 0
+        return int((self._kept.get(_SCAN) or {"n_windows": 0})["n_windows"])
 
     def scan(self, first: int = 0) -> Iterator[Window | tuple[Region, Even]]:
         """Yield (heights, validity, row, column), once over the raster in the source's order.
@@ -67,8 +63,6 @@ class Windows(SourceWindows):
         Or a region that is even, with what it is. Those before `first` have been scanned by an
         earlier run.
         """
-        if first and self._heights is not None and self._kept.get(_VOIDS) is not None:
-            self._void_spool()
         for number, (region, even) in enumerate(self._source.parts()):
             if even is not None:
                 self._keep_even(region, even)
@@ -134,18 +128,19 @@ def scan_windows(
     has_digest: bool,
     steps: FixedSteps | None = None,
     kept: Kept | None = None,
+    first: int = 0,
 ) -> HeightScan:
     """Return range, validity, vertical quantum and, if wanted, a digest of a raster's windows.
 
-    With `kept`, `windows` are those that it does not know yet.
+    `kept` knows those before the `first` of `windows`.
     """
     scan = HeightScan(info.dtype, steps, HeightDigest(info.n_cols) if has_digest else None)
     total = info.n_rows * info.n_cols
     kept = kept or Kept()
-    state = kept.get(SCAN) or {"n_windows": 0}
-    if state["n_windows"]:
+    state = kept.get(_SCAN)
+    if first and state is not None:
         scan.take_state(state["scan"])
-    n_windows = state["n_windows"]
+    n_windows = first
     for window in windows:
         if len(window) == 4:
             scan.update(*window)
@@ -156,10 +151,10 @@ def scan_windows(
             n_samples = region.n_rows * region.n_cols
             scan.update_even(even.value, n_samples, is_valid=even.is_valid)
         n_windows += 1
-        kept.tick(SCAN, lambda: {"n_windows": n_windows, "scan": scan.to_state()})  # noqa: B023
+        kept.tick(_SCAN, lambda: {"n_windows": n_windows, "scan": scan.to_state()})  # noqa: B023
         n_bytes = scan.n_samples * np.dtype(info.dtype).itemsize
         reporter.report("scanning", scan.n_samples, total, n_bytes)
-    kept.put(SCAN, {"n_windows": n_windows, "scan": scan.to_state()})
+    kept.put(_SCAN, {"n_windows": n_windows, "scan": scan.to_state()})
     return scan
 
 
