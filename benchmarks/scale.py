@@ -77,16 +77,11 @@ def stages_of(source: Path, target: Path, size: int) -> dict[str, tuple[int, lis
     place = min(size, SIZES[0]) // 2 * SPACING
     common_options = ["--overwrite", "--quiet", "--threads", THREADS]
     compress = ["compress", str(source), str(target), "--max-error", "1"]
+    verify = ["verify", str(target), str(source)]
     render = [*python, common.CLI, "render", str(target), str(picture), *common_options]
     return {
         "compress": (size**2, [*python, common.CLI, *compress, *common_options]),
-        "verify": (
-            size**2,
-            [
-                *python, common.CLI, "verify", str(target), str(source), "--quiet",
-                "--threads", THREADS,
-            ],
-        ),  # fmt: skip
+        "verify": (size**2, [*python, common.CLI, *verify, "--quiet", "--threads", THREADS]),
         "decompress": (
             size**2, [*python, common.CLI, "decompress", str(target), str(back), *common_options],
         ),

@@ -216,7 +216,7 @@ def test_a_failed_run_says_how_to_go_on(tmp_path, raster, monkeypatch):
     assert ".twz-kept: run the same command again to go on; --fresh starts over" in note
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 0
-    assert "the run went on from what an earlier one had finished" in result.stderr
+    assert "the run went on from what an earlier one had finished; --fresh starts" in result.stderr
     assert hidden_in(tmp_path) == []
 
 

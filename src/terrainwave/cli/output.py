@@ -11,7 +11,7 @@ import os
 import sys
 import traceback
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -39,8 +39,7 @@ plain = in_one_line
 def print_error(message: object, error: BaseException | None = None) -> None:
     """Print one line on stderr, and one for each note of an error."""
     click.echo(f"terrainwave: {plain(message)}", err=True)
-    for note in getattr(error, "__notes__", ()):
-        print_note(message_of(TerrainwaveWarning(note)))
+    print_notes(getattr(error, "__notes__", ()))
 
 
 _printed_notes: set[str] = set()
@@ -52,6 +51,12 @@ def print_note(message: object) -> None:
     if text not in _printed_notes:
         _printed_notes.add(text)
         click.echo(f"note: {text}", err=True)
+
+
+def print_notes(notes: Iterable[str]) -> None:
+    """Print notes of the package, in words of the command line."""
+    for note in notes:
+        print_note(message_of(TerrainwaveWarning(note)))
 
 
 @contextmanager

@@ -31,6 +31,7 @@ from terrainwave.cli.output import (
     plain,
     print_json,
     print_note,
+    print_notes,
     unit_behind,
 )
 from terrainwave.cli.own_options import (
@@ -313,5 +314,4 @@ def _print_result(result: Any, *, as_json: bool, quiet: bool) -> None:
         f" measured {measured}{unit_behind(result.units)}"
     )
     note_unit(result.units)
-    for note in result.notes:
-        print_note(note)
+    print_notes(result.notes)

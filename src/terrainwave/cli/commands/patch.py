@@ -14,7 +14,7 @@ from terrainwave.cli.output import (
     note_unit,
     plain,
     print_json,
-    print_note,
+    print_notes,
     reading,
     unit_behind,
 )
@@ -56,5 +56,4 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
             f" {result.measured_error:.6g}{unit_behind(result.units)}, of the whole file"
         )
         note_unit(result.units)
-    for note in result.notes:
-        print_note(note)
+    print_notes(result.notes)
