@@ -434,7 +434,7 @@ def test_a_digest_that_is_wanted_now_is_made(tmp_path, raster, monkeypatch):
     assert hidden_in(tmp_path) == []
 
 
-@pytest.mark.parametrize("gone", ["heights", "voids", "nested-1", "own-1"])
+@pytest.mark.parametrize("gone", ["heights", "valid", "nested-1", "own-1"])
 def test_arrays_that_are_gone_are_made_again(tmp_path, raster, monkeypatch, gone):
     source, target = tmp_path / "striped.tif", tmp_path / "out.twz"
     terrainwave.compress(source, target, **OPTIONS)

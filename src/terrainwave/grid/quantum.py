@@ -140,15 +140,18 @@ class Quantizer:
 
         quanta = np.empty(raw.shape, dtype=np.int32)
         # Integers too far apart for their own grid are rounded to a coarser one, as floats are.
-        if np.dtype(self.dtype).kind in "iu" and self.rho == 0:
-            if self.numerator == 1 and raw.dtype.itemsize < 8:
-                # No kernel has to be compiled for this.
-                wide = np.int32 if raw.dtype.itemsize < 4 and abs(self.base) < _LARGE else np.int64
-                np.subtract(raw, self.base, out=quanta, dtype=wide, casting="unsafe")
-                if not valid.all():
-                    quanta *= valid
-            else:
-                convert.quantize_integers(raw, valid, self.numerator, self.base, quanta)
+        is_whole = np.dtype(self.dtype).kind in "iu" and self.rho == 0
+        if is_whole and self.numerator == 1 and raw.dtype.itemsize < 8:
+            # No kernel has to be compiled for this.
+            wide = np.int32 if raw.dtype.itemsize < 4 and abs(self.base) < _LARGE else np.int64
+            np.subtract(raw, self.base, out=quanta, dtype=wide, casting="unsafe")
+            if not valid.all():
+                quanta *= valid
+            return quanta
+        # Kernels are compiled for arrays without gaps alone.
+        raw, valid = np.ascontiguousarray(raw), np.ascontiguousarray(valid)
+        if is_whole:
+            convert.quantize_integers(raw, valid, self.numerator, self.base, quanta)
         else:
             convert.quantize_floats(raw, valid, self.numerator, self.denominator, self.base, quanta)
         return quanta

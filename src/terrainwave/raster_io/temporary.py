@@ -91,10 +91,9 @@ class Spool:
         ValueError
             If `region` does not lie inside the array.
         """
-        if region.intersect(self.region) != region:
-            raise ValueError(f"{region} is not inside {self.region}")
         if self._memory is not None:
-            return self._memory[region.slices_in(self.region)].copy()
+            return self.view(region).copy()
+        self._check_inside(region)
         window = np.empty(region.shape, dtype=self.dtype)
         for tile, at in self._tiles(region):
             part = tile.intersect(region)
@@ -103,6 +102,23 @@ class Spool:
                 self._values[at] if slot < 0 else self._read_tile(slot)[part.slices_in(tile)]
             )
         return window
+
+    def view(self, region: Region) -> NDArray[Any]:
+        """Return the samples of `region`, which are not to be written to: no copy in memory.
+
+        Raises
+        ------
+        ValueError
+            If `region` does not lie inside the array.
+        """
+        if self._memory is None:
+            return self.read(region)
+        self._check_inside(region)
+        return self._memory[region.slices_in(self.region)]
+
+    def _check_inside(self, region: Region) -> None:
+        if region.intersect(self.region) != region:
+            raise ValueError(f"{region} is not inside {self.region}")
 
     def write(self, region: Region, values: NDArray[Any]) -> None:
         """Store `values` in `region`; windows made of whole tiles are written without reading."""

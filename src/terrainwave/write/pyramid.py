@@ -61,7 +61,7 @@ class SourceWindows(Protocol):
     def read(
         self, row: int, col: int, n_rows: int, n_cols: int
     ) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:
-        """Return raw heights and validity of a window."""
+        """Return raw heights and validity of a window, which are not to be written to."""
         ...
 
 
@@ -315,7 +315,7 @@ class Pyramid:
     def originals(self, region: Region) -> tuple[Heights, Mask]:
         """Return quanta and validity of the full grid, 0 in voids."""
         raw, valid = self._source.read(*region)
-        return self._quantizer.quantize(raw, valid), valid
+        return self._quantizer.quantize(raw, valid), np.ascontiguousarray(valid)
 
     def remainders(self, region: Region, quanta: Heights) -> Remainders:
         """Return the originals less the decoded heights of the full grid; 0 in voids."""
@@ -431,7 +431,7 @@ class Pyramid:
                 # The same: below a void, fills at these places are those of this level. Further
                 # from valid samples than here, the level below has none.
                 return self._fills[shift].read(region)
-            return self._read_heights(shift - 1, fine)[::2, ::2]
+            return self._heights[shift - 1].view(fine)[::2, ::2]
         raw, valid = (np.ascontiguousarray(part[::2, ::2]) for part in self._source.read(*fine))
         quanta = self._quantizer.quantize(raw, valid)
         if self._has_voids and not valid.all():
@@ -458,15 +458,19 @@ class Pyramid:
             self._make_windows(f"mask-{shift}", spool, make, windows)
 
     def _mask_window(self, shift: int, reach: int, region: Region) -> Mask:
-        level = self._grid.k_max - (shift - 1)
-        fine = self._gather(lambda window: self.mask(level, window), shift - 1, region, reach)
+        def read(window: Region) -> Mask:
+            if shift == 1:
+                return self._source.read(*window)[1]
+            return self._masks[shift - 1].view(window)
+
+        fine = self._gather(read, shift - 1, region, reach)
         rows, cols = (slice(2 * n - 1) for n in region.shape)
         if shift == 1:
             own = fine[reach:, reach:][rows, cols][::2, ::2]
         else:
             row, col, n_rows, n_cols = region
             places = Region(2 * row, 2 * col, 2 * n_rows - 1, 2 * n_cols - 1)
-            own = self._own[shift - 1].read(places)[::2, ::2]
+            own = self._own[shift - 1].view(places)[::2, ::2]
         self._own[shift].write(region, own)
         touched = fine[rows][::2].copy()
         for row in range(1, 2 * reach + 1):
@@ -493,7 +497,8 @@ class Pyramid:
             2 * region.row - 1, 2 * region.col - 1, 2 * region.n_rows + 1, 2 * region.n_cols + 1
         ).intersect(Region(0, 0, *self._shape(shift - 1)))
         fine, is_known = self.originals(window) if shift == 1 else self.pushed(shift - 1, window)
-        np.copyto(fine, _UNKNOWN, where=~is_known)
+        if not is_known.all():
+            np.copyto(fine, _UNKNOWN, where=~is_known)
         values = np.empty(region.shape, dtype=np.int32)
         known = np.empty(region.shape, dtype=np.bool_)
         lines = np.empty((2, window.n_cols), dtype=np.int64)

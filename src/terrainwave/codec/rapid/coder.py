@@ -206,7 +206,7 @@ class UnitCoder:
     def _flags(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask | None
     ) -> int:
-        is_wide = self._is_wide(spec, parent, target if mask is None else target[mask])
+        is_wide = self._is_wide(spec, parent, target, mask)
         return (_WIDE if is_wide else 0) | (_SINGLE if target.size < _MANY_SAMPLES else 0)
 
     def _encode(
@@ -308,11 +308,16 @@ class UnitCoder:
             symbols_log=_NO_LOG,
         )
 
-    def _is_wide(self, spec: GroupSpec, parent: Heights | None, heights: Heights) -> bool:
+    def _is_wide(
+        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask | None
+    ) -> bool:
         """Return whether a unit needs 64 bits: it has heights far from its origin."""
         if spec.step >= _MOST_NARROW_STEP:
             return True
         limit, origin = _LIMIT32 // self._widest, self._origin(spec, parent)
+        if origin - limit <= spec.z_min and spec.z_max <= origin + limit:
+            return False
+        heights = target if mask is None else target[mask]
         seen = [heights] if parent is None else [heights, parent]
         low = min((int(part.min()) for part in seen if part.size), default=origin)
         high = max((int(part.max()) for part in seen if part.size), default=origin)

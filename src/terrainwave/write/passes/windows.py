@@ -22,8 +22,8 @@ from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import MEMORY_LIMIT, Spool
 from terrainwave.write.pyramid import SourceWindows
 
-# Records of what is kept: of the scan, and that there is an array of voids.
-_SCAN, _VOIDS = "scan", "voids"
+# Records of what is kept: of the scan, and that there is an array of which samples are valid.
+_SCAN, _VALID = "scan", "valid"
 # Heights, validity, row and column of the first sample.
 Window = tuple[NDArray[Any], NDArray[np.bool_], int, int]
 # Samples a side of windows in which even regions are looked for, or shown, as a whole.
@@ -42,7 +42,7 @@ class Windows(SourceWindows):
         self._shape = source.info.n_rows, source.info.n_cols
         self._directory = directory
         self._heights: Spool | None = None
-        self._voids: Spool | None = None
+        self._valid: Spool | None = None  # without voids
         if source.is_striped or (source.is_file and source.info.n_bytes <= MEMORY_LIMIT):
             path = kept.path("heights")
             self._heights = Spool(self._shape, source.info.dtype, directory, path=path)
@@ -51,8 +51,8 @@ class Windows(SourceWindows):
     def n_scanned(self) -> int:
         """Return how many windows an earlier run has scanned; 0 if it has not left them."""
         if self._heights is not None:
-            has_voids = self._kept.get(_VOIDS) is not None
-            arrays = [self._heights, *([self._void_spool()] if has_voids else [])]
+            has_voids = self._kept.get(_VALID) is not None
+            arrays = [self._heights, *([self._valid_spool()] if has_voids else [])]
             if not all(array.was_there for array in arrays):
                 return 0
         return int((self._kept.get(_SCAN) or {"n_windows": 0})["n_windows"])
@@ -74,25 +74,23 @@ class Windows(SourceWindows):
             heights, valid = self._source.read(*region)
             if self._heights is not None:
                 self._heights.write(region, heights)
-                self._keep_voids(region, ~valid)
+                if self._valid is not None or not valid.all():
+                    self._valid_spool().write(region, valid)
             yield heights, valid, region.row, region.col
 
     def _keep_even(self, region: Region, even: Even) -> None:
         if self._heights is not None:
             self._heights.fill(region, even.value)
-            if self._voids is not None or not even.is_valid:
-                self._void_spool().fill(region, not even.is_valid)
+            if self._valid is not None or not even.is_valid:
+                self._valid_spool().fill(region, even.is_valid)
 
-    def _keep_voids(self, region: Region, voids: NDArray[np.bool_]) -> None:
-        if self._voids is not None or voids.any():
-            self._void_spool().write(region, voids)
-
-    def _void_spool(self) -> Spool:
-        if self._voids is None:
-            path = self._kept.path(_VOIDS)
-            self._voids = Spool(self._shape, np.bool_, self._directory, path=path)
-            self._kept.put(_VOIDS, {})
-        return self._voids
+    def _valid_spool(self) -> Spool:
+        if self._valid is None:
+            path = self._kept.path(_VALID)
+            self._valid = Spool(self._shape, np.bool_, self._directory, path=path)
+            self._valid.fill(self._valid.region, True)  # what came before the first void
+            self._kept.put(_VALID, {})
+        return self._valid
 
     def even(self, region: Region) -> Even | None:
         """Return what all samples of a region are, where the source knows it without reading."""
@@ -105,17 +103,17 @@ class Windows(SourceWindows):
     def read(
         self, row: int, col: int, n_rows: int, n_cols: int
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Return raw heights and validity of a window."""
+        """Return raw heights and validity of a window, which are not to be written to."""
         if self._heights is None:
             return self._source.read(row, col, n_rows, n_cols)
         region = Region(row, col, n_rows, n_cols)
-        if self._voids is None:
-            return self._heights.read(region), np.ones(region.shape, dtype=np.bool_)
-        return self._heights.read(region), ~self._voids.read(region)
+        if self._valid is None:
+            return self._heights.view(region), np.ones(region.shape, dtype=np.bool_)
+        return self._heights.view(region), self._valid.view(region)
 
     def close(self) -> None:
         """Delete the spools."""
-        for spool in (self._heights, self._voids):
+        for spool in (self._heights, self._valid):
             if spool is not None:
                 spool.close()
 
