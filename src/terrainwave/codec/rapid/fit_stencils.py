@@ -107,16 +107,13 @@ def gather(plane: int, windows: Heights, masks: Mask, which: int, step: int) -> 
     offsets = _offsets(plane)
     n_taps = len(offsets)
     flat, valid = windows.ravel(), masks.ravel()
-    n_cols = windows.shape[2]
+    places_of_taps = np.append(offsets[:, 0] * windows.shape[2] + offsets[:, 1], 0)
     has_void = not masks.all()
     found, n_places = [], 0
     for depth in CLASS_DEPTHS[which]:
         places, n = _places(plane, windows.shape, depth, _WANTED[which])
         n_places += n
-        near = np.empty((len(places), n_taps + 1), dtype=np.int64)
-        near[:, :n_taps] = offsets[:, 0] * n_cols + offsets[:, 1] << depth
-        near[:, n_taps] = 0
-        near += places[:, None]
+        near = places[:, None] + (places_of_taps << depth)
         if has_void:
             near = near[valid.take(near).all(1)]
         found.append(flat.take(near))
@@ -124,14 +121,14 @@ def gather(plane: int, windows: Heights, masks: Mask, which: int, step: int) -> 
     if n_found < _MIN_SAMPLES:
         return None
     n_found -= n_found % _AT_A_TIME
-    near_heights = np.concatenate(found)[:n_found].astype(np.float64)
+    near_heights = np.concatenate(found)[:n_found]
     values = np.zeros((n_found, MAX_TAPS + 1), dtype=np.float64)
-    first, second, third, fourth = near_heights[:, np.flatnonzero(core_taps(plane))].T
-    # Quarters of quanta: whole numbers, so that no sum is rounded.
-    near_heights *= 4.0
-    near_heights -= (first + second + third + fourth)[:, None]
-    near_heights *= _FINE / (4.0 * step)
     values[:, :n_taps], values[:, MAX_TAPS] = near_heights[:, :n_taps], near_heights[:, n_taps]
+    first, second, third, fourth = values[:, np.flatnonzero(core_taps(plane))].T
+    # Quarters of quanta, so that no sum is rounded; of taps that a plane has not, nothing is used.
+    values -= (0.25 * (first + second + third + fourth))[:, None]
+    values *= _FINE / step
+    values[:, n_taps:MAX_TAPS] = 0
     np.rint(values, out=values)
     np.clip(values, -_MOST, _MOST, out=values)
     return FitSamples(values, n_places / n_found)

@@ -32,7 +32,7 @@ _SCALED_BITS = 18
 # Samples count by the inverse square of what was expected of them, in steps, and this.
 _LEAST_EXPECTED = 0.15
 # One sample of so many in each turn: early turns only find how much the samples count.
-_EVERY_OF_TURN = (4, 2, 1)
+_EVERY_OF_TURN = (4, 1)
 _RIDGE = 1e-9
 _MOST_CHANGES, _LEAST_SLOPE = 30, 1e-5
 _OF_ONE = 1 << 24

@@ -51,6 +51,8 @@ Integers: TypeAlias = NDArray[np.signedinteger]
 # Rows and columns of planes left out at the sides: all that is looked at lies inside.
 _TOP, _BOTTOM, _SIDE = 4, 3, 3
 _MOST_SAMPLES = 1 << 12  # of a class and plane, about
+# One row of at most so many, which those of planes are worked out for.
+_MOST_APART = 8
 _PREDICTED = BENDS + 1
 _LIMIT32 = (1 << 31) - 64
 _LOW_BITS = np.array([low_bits(context) for context in range(N_CONTEXTS)], dtype=np.int64)
@@ -104,9 +106,13 @@ def look_at(decoded: Heights, masks: Mask, tables: Tables, step: int, each: Each
 
     def see(which: int) -> Seen:
         found: list[list[Integers]] = [[] for _ in PLANES]
+        n_rows = heights.shape[1]
         every = max(-(-heights[:, :: 1 << which, :: 1 << which].size // (4 * _MOST_SAMPLES)), 1)
+        if every > _MOST_APART:
+            n_rows = -(-n_rows * _MOST_APART // every)
+            every = _MOST_APART
         for depth in CLASS_DEPTHS[which]:
-            part = np.s_[:, :: 1 << depth, :: 1 << depth]
+            part = np.s_[:, : n_rows : 1 << depth, :: 1 << depth]
             lattice = _of_lattice(heights[part], masks[part], tables.stencils[which], scale, every)
             for index, rows in enumerate(lattice):
                 found[index].append(rows)
@@ -219,6 +225,9 @@ class Counter:
         self._quarter = np.minimum(quarter, 3)
         reach = np.where(self._middle < 0, 64 * most - predicted, predicted - 64 * least)
         self._far = {True: self._scaled(reach), False: self._scaled(np.abs(self._middle))}
+        # By the weights of features, with the kind of contexts: several tables have the same.
+        self._expected: dict[bytes, tuple[Whole, Whole]] = {}
+        self._counts: dict[tuple[bytes, bool], Whole] = {}
 
     @property
     def n_samples(self) -> int:
@@ -237,16 +246,28 @@ class Counter:
 
     def counts(self, tables: Tables) -> Whole:
         """Return how often each symbol comes: shape (N_CONTEXTS, N_SYMBOLS)."""
-        weights = {
-            which: scaled_features(own, self._scale) for which, own in enumerate(tables.features)
-        }
-        sums = [
-            weights[which][index].astype(np.float64) @ features
-            for (which, index), features in zip(self._keys, self._features, strict=True)
-        ]
-        expected = np.concatenate(sums).astype(np.int64) >> EXPECTED_SHIFT
-        exact = np.where(expected >= EXACT, expected & ~DROPPED, expected).astype(np.float32)
-        bins = np.clip((exact.view(np.int32) >> 22) - FIRST_BIN, 0, N_BINS - 1).astype(np.int64)
+        key = tables.features.tobytes(), tables.is_by_reach
+        if key not in self._counts:
+            self._counts[key] = self._counted(tables)
+        return self._counts[key]
+
+    def _expect(self, features: Whole) -> tuple[Whole, Whole]:
+        """Return the expected magnitude of each sample, and its bin."""
+        key = features.tobytes()
+        if key not in self._expected:
+            weights = [scaled_features(own, self._scale) for own in features]
+            sums = [
+                weights[which][index].astype(np.float64) @ own
+                for (which, index), own in zip(self._keys, self._features, strict=True)
+            ]
+            expected = np.concatenate(sums).astype(np.int64) >> EXPECTED_SHIFT
+            exact = np.where(expected >= EXACT, expected & ~DROPPED, expected).astype(np.float32)
+            bins = np.clip((exact.view(np.int32) >> 22) - FIRST_BIN, 0, N_BINS - 1)
+            self._expected[key] = expected, bins.astype(np.int64)
+        return self._expected[key]
+
+    def _counted(self, tables: Tables) -> Whole:
+        expected, bins = self._expect(tables.features)
         far = self._far[tables.is_by_reach]
         side = self._middle
         limits = (2, 6, 12) if tables.is_by_reach else (1, 2.75, 6)
