@@ -14,6 +14,7 @@ export const POLICY = {
   delays: [0.2, 1], // before a busy server, or one that hung up, is asked again
   longestWait: 10, // where Retry-After asks for more
   silence: 30, // without a byte
+  leastRate: 1024, // bytes a second, of each reply; so long more than `silence` it may take
   wait: (seconds) => new Promise((resolve) => setTimeout(resolve, seconds * 1000)),
 };
 
@@ -116,7 +117,7 @@ export class UrlSource {
         if (!POLICY.busy.includes(reply.status) || delay === undefined) return reply;
         wait = Math.max(delay, Math.min(reply.asksToWait, POLICY.longestWait));
       } catch (cause) {
-        if (cause instanceof LimitExceededError) throw cause;
+        if (cause instanceof LimitExceededError || cause instanceof SourceError) throw cause;
         this.signal?.throwIfAborted();
         const { message, code = "" } = cause.cause ?? cause;
         if (delay === undefined || LASTING.test(code)) {
@@ -148,7 +149,15 @@ export class UrlSource {
     const stop = () => controller.abort(this.signal.reason);
     if (this.signal?.aborted) stop();
     this.signal?.addEventListener("abort", stop);
+    const wanted = start === null ? 0 : end - start;
+    const most = wanted || MOST_WHOLE;
+    const limit = POLICY.silence + most / POLICY.leastRate;
     let timer;
+    const tooSlow = new SourceError(
+      `cannot read ${this.name}: the server has not sent ${most.toLocaleString("en")} bytes in` +
+      ` ${Math.round(limit).toLocaleString("en")} s; try again later`,
+    );
+    const deadline = setTimeout(() => controller.abort(tooSlow), limit * 1000);
     const hear = () => {
       clearTimeout(timer);
       timer = setTimeout(() => controller.abort(new Error("timed out")), POLICY.silence * 1000);
@@ -157,8 +166,9 @@ export class UrlSource {
       hear();
       const { fetch } = this; // called unbound: browsers' fetch refuses another `this`
       const response = await fetch(this.url, { headers, signal: controller.signal });
-      return await this.replyOf(response, start === null ? 0 : end - start, hear);
+      return await this.replyOf(response, wanted, hear);
     } finally {
+      clearTimeout(deadline);
       clearTimeout(timer);
       this.signal?.removeEventListener("abort", stop);
     }

@@ -42,6 +42,11 @@ function answer(spec, request, response) {
   }
   body = body.subarray(0, body.length - (spec.short ?? 0));
   const sent = body.subarray(0, spec.cut ?? body.length);
+  if (spec.drips) {
+    response.writeHead(status, { ...headers, "Content-Length": body.length });
+    const timer = setInterval(() => response.write(sent.subarray(0, 1)), 20);
+    return response.on("close", () => clearInterval(timer));
+  }
   if (spec.no_length) {
     response.useChunkedEncodingByDefault = false;
     response.shouldKeepAlive = false;
@@ -68,9 +73,9 @@ async function serving(replies, use) {
   }
 }
 
-async function outcome(address, options) {
+async function outcome(address, options, policy) {
   const waits = [];
-  Object.assign(POLICY, { wait: async (seconds) => waits.push(seconds), silence: 1 });
+  Object.assign(POLICY, { wait: async (seconds) => waits.push(seconds), silence: 1, ...policy });
   try {
     const source = new UrlSource(address, options);
     await source.head(16384);
@@ -131,8 +136,17 @@ test("the numbers are those of the table", () => {
   assert.deepEqual(POLICY.delays, delays);
   assert.equal(POLICY.longestWait, TABLE.policy.longest_wait);
   assert.equal(POLICY.silence, TABLE.policy.silence);
+  assert.equal(POLICY.leastRate, TABLE.policy.least_rate);
   assert.equal(MOST_WHOLE, TABLE.policy.whole_mib * 2 ** 20);
 });
+
+test("a server that sends a byte now and then is given up, and not asked again", () =>
+  serving([{ drips: true }], async (host, asked) => {
+    const { error, waits } = await outcome(`${host}/a`, {}, { silence: 0.2, leastRate: 1e9 });
+    const words = "the server has not sent 16,384 bytes in 0 s; try again later";
+    assert.equal(error, `cannot read ${host}/a: ${words}`);
+    assert.deepEqual([asked.length, waits], [1, []]);
+  }));
 
 test("parts are asked for uncompressed", () =>
   serving([{}], async (host, asked) => {

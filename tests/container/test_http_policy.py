@@ -200,6 +200,7 @@ def test_the_numbers_are_those_of_the_table_and_of_the_page():
     assert list(module._DELAYS) == POLICY["delays"]
     assert POLICY["longest_wait"] == module.MAX_WAIT
     assert POLICY["silence"] == module.TIMEOUT
+    assert POLICY["least_rate"] == module.LEAST_RATE
     assert POLICY["whole_mib"] << 20 == module.MAX_WHOLE
     page = PAGE.read_text(encoding="utf-8")
     assert ", ".join(POLICY["retried"]) in page
