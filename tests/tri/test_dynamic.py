@@ -17,7 +17,8 @@ from tri.slow_dynamic import (
 
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.render.scene.camera import Camera, project
-from terrainwave.tri.dynamic.dynamic import INNER, ROOT, DynamicMesh, mark_bottom_up, step_top_down
+from terrainwave.tri.dynamic.dynamic import DynamicMesh, mark_bottom_up, step_top_down
+from terrainwave.tri.dynamic.fans import INNER, ROOT
 from terrainwave.tri.dynamic.haar import ERROR, HIGH, LOW, OUTLINE, _measure, build_tree
 
 pytestmark = pytest.mark.slow_compile
