@@ -32,9 +32,12 @@ from terrainwave.tri.dynamic.fans import (
     ROOT,
     VOID,
     Forest,
+    count_corners,
     draw_fans,
     fill_rim,
     forest_of,
+    leave_rings,
+    number_corners,
 )
 from terrainwave.tri.dynamic.haar import (
     ERROR,
@@ -326,8 +329,8 @@ class Part(NamedTuple):
     first : tuple of int
         Row and column of its first tree, from anywhere.
     owned : tuple of slice
-        Rows and columns of the trees that nobody else draws. Those of its other trees that none of
-        the meshes owns are drawn, too, each once.
+        Rows and columns of the trees that nobody else draws. Its others are a ring around them,
+        for where none of the meshes owns what is there.
     """
 
     mesh: DynamicMesh
@@ -340,19 +343,21 @@ def draw_together(parts: list[Part], eye: Eye) -> list[DynamicFrame]:
     """Return the one mesh of the marks of several, a frame for each.
 
     Where they meet, fans join them as they join the trees of each, without a gap and without an
-    overlap. The triangles of a fan are its root's. Vertices that they have in another mesh come
-    last in the frame, with nodes that count from its own first; they lie where that mesh has them.
+    overlap. Of trees that nobody owns only those triangles are drawn that have a corner in a tree
+    with an owner: they cover what those trees cover, and end half a tree beyond them at most.
+
+    The triangles of a fan are its root's. Vertices that they have in another mesh come last in the
+    frame, with nodes that count from its own first; they lie where that mesh has them.
     """
     meshes = [part.mesh for part in parts]
-    mesh = meshes[0]
+    mesh, top = meshes[0], meshes[0].tree.top
+    layouts = [mesh.tree.layout for mesh in meshes]
     starts = np.cumsum([0, *(len(mesh.marks) for mesh in meshes)])
     vertex_of = mesh._scratch.take("vertex_of", (int(starts[-1]),), np.int32)
-    layouts = [mesh.tree.layout for mesh in meshes]
     forest, firsts = forest_of(
         layouts, [part.first for part in parts], [part.owned for part in parts],
         [mesh.marks for mesh in meshes], vertex_of,
     )  # fmt: skip
-    top = mesh.tree.top
     vertices, nodes, numbers = [], [], [0]
     for k, (part, (row, col)) in enumerate(zip(parts, firsts, strict=True)):
         n_rows, n_cols = layouts[k][-1, N_ROWS:]
@@ -363,36 +368,61 @@ def draw_together(parts: list[Part], eye: Eye) -> list[DynamicFrame]:
         vertices.append(own)
         nodes.append(_moved(own_nodes, top, row, col))
         numbers.append(numbers[-1] + len(own))
+    is_ring = np.concatenate(
+        [_are_in_rings(forest, n[: len(v)], top) for n, v in zip(nodes, vertices, strict=True)]
+    )
     rims = _rims(forest, mesh._open_sides)
+    triangles, ends, gone = [], [rims[~is_ring[rims[:, :2]].all(axis=1)]], [rims[:, :2]]
+    for k, (layout, own_nodes) in enumerate(zip(layouts, nodes, strict=True)):
+        # Neighbours along all sides may be samples.
+        capacity = 2 * (len(own_nodes) + 2 * int(layout[0, N_ROWS:].sum()) + 8)
+        room = mesh._scratch.take("triangles", (capacity, 3), np.int32)
+        n = draw_fans(forest, own_nodes, mesh._is_mirrored, mesh._stack, room)
+        edges = mesh._scratch.take("edges", (4 * n, 2), np.int32)
+        n, n_ends, n_gone = leave_rings(room[:n], is_ring, edges)
+        triangles.append(room[:n].copy())
+        ends.append(np.insert(edges[:n_ends], 2, k, axis=1))
+        gone.append(edges[len(edges) - n_gone :].copy())
+    edges = np.concatenate(ends)
+    is_end = np.isin(_keys(edges[:, :2], len(is_ring)), _keys(np.concatenate(gone), len(is_ring)))
+    edges = edges[is_end]
     all_vertices = np.concatenate(vertices)
     all_nodes = np.concatenate([n[: len(v)] for n, v in zip(nodes, vertices, strict=True)])
+    number_of = mesh._scratch.take("number_of", (len(is_ring),), np.int32)
+    which = mesh._scratch.take("which", (len(is_ring),), np.int32)
     frames = []
     for k, (part, (row, col)) in enumerate(zip(parts, firsts, strict=True)):
-        n_leaves = int(layouts[k][0, N_ROWS:].sum())
-        capacity = 2 * (len(nodes[k]) + 2 * n_leaves + 8)
-        triangles = mesh._scratch.take("triangles", (capacity, 3), np.int32)
-        n = draw_fans(forest, nodes[k], mesh._is_mirrored, mesh._stack, triangles)
-        corners = np.concatenate([triangles[:n].ravel(), rims[rims[:, 2] == k, :2].ravel()])
-        own = np.arange(numbers[k], numbers[k + 1], dtype=np.int32)
-        is_other = (corners < numbers[k]) | (corners >= numbers[k + 1])
-        others = np.unique(corners[is_other])
-        local = corners - numbers[k]
-        local[is_other] = len(own) + np.searchsorted(others, corners[is_other])
-        which = np.concatenate([own, others])
-        followed = part.followed
+        own_edges = edges[edges[:, 2] == k, :2].copy()
+        n = count_corners(numbers[k], numbers[k + 1], is_ring, number_of, which)
+        n = number_corners(triangles[k], n, number_of, which)
+        n = number_corners(own_edges, n, number_of, which)
         frames.append(
             DynamicFrame(
-                all_vertices[which],
-                local[: 3 * n].reshape(-1, 3).astype(np.int32),
-                _moved(all_nodes[which], top, -row, -col),
-                local[3 * n :].reshape(-1, 2).astype(np.int32),
-                followed.threshold,
-                followed.tau,
-                followed.n_touched,
-                followed.n_changed,
+                all_vertices[which[:n]],
+                triangles[k],
+                _moved(all_nodes[which[:n]], top, -row, -col),
+                own_edges,
+                *part.followed[:2],
+                part.followed.n_touched,
+                part.followed.n_changed,
             )
         )
     return frames
+
+
+def _are_in_rings(forest: Forest, nodes: NDArray[np.int32], top: int) -> NDArray[np.bool_]:
+    """Say of nodes whether their trees are in rings."""
+    if not forest.is_ring.any():
+        return np.zeros(len(nodes), dtype=np.bool_)
+    shift = top - nodes[:, 0]
+    found: NDArray[np.bool_] = forest.is_ring[nodes[:, 1] >> shift, nodes[:, 2] >> shift]
+    return found
+
+
+def _keys(edges: NDArray[np.int32], n_vertices: int) -> NDArray[np.int64]:
+    """Return a number for each edge, whichever way it goes."""
+    a, b = edges.T.astype(np.int64)
+    return np.minimum(a, b) * n_vertices + np.maximum(a, b)
 
 
 def _moved(nodes: NDArray[np.int32], top: int, row: int, col: int) -> NDArray[np.int32]:

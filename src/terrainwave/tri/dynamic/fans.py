@@ -31,6 +31,8 @@ class Forest(NamedTuple):
     ----------
     owners : ndarray of int32, shape (n_tree_rows, n_tree_cols)
         The mesh that draws a tree, or `NOBODY`.
+    is_ring : ndarray of bool, same shape
+        Trees around those that meshes own.
     places : ndarray of int64, shape (n_meshes, top + 1, 2)
         For each height the number that the first node of all would have, and by how much those of
         the next row are larger.
@@ -41,6 +43,7 @@ class Forest(NamedTuple):
     """
 
     owners: NDArray[np.int32]
+    is_ring: NDArray[np.bool_]
     places: NDArray[np.int64]
     marks: NDArray[np.uint8]
     vertex_of: NDArray[np.int32]
@@ -62,8 +65,8 @@ def forest_of(
     first_trees : list of tuple of int
         Row and column of its first tree, from anywhere.
     owned : list of tuple of slice
-        Which of its trees, in rows and columns, it draws in any case. Its others are drawn where no
-        mesh has a tree of its own; by the first, where several could.
+        Which of its trees, in rows and columns, it draws in any case. Its others are a ring: drawn
+        where no mesh has a tree of its own; by the first, where several could.
     vertex_of : ndarray of int32
         To be filled, for all nodes.
     """
@@ -78,6 +81,7 @@ def forest_of(
     ]
     for number, (whole, own) in enumerate(zip(wholes, owned, strict=True)):
         whole[own] = number
+    is_ring = owners == NOBODY
     for number, whole in enumerate(wholes):
         whole[whole == NOBODY] = number
     top = len(layouts[0]) - 1
@@ -89,7 +93,7 @@ def forest_of(
             places[number, height] = n_before + int(layout[height, FIRST]) - skipped, width
         n_before += len(marks[number])
     together = marks[0] if len(marks) == 1 else np.concatenate(marks)
-    return Forest(owners, places, together, vertex_of), firsts
+    return Forest(owners, is_ring, places, together, vertex_of), firsts
 
 
 @inlined_kernel
@@ -221,6 +225,61 @@ def draw_fans(forest, nodes, is_mirrored, stack, triangles):
                 is_mirrored, triangles, count,
             )  # fmt: skip
     return count
+
+
+@kernel
+def leave_rings(triangles, is_ring, edges):
+    """Keep triangles, in place, but those in rings alone; return how many there are then.
+
+    And how many edges between ring vertices those that are kept have, which begin `edges`, and how
+    many the others, which end it.
+    """
+    n, n_ends, n_gone = 0, 0, 0
+    for number in range(triangles.shape[0]):
+        a, b, c = triangles[number, 0], triangles[number, 1], triangles[number, 2]
+        is_a, is_b, is_c = is_ring[a], is_ring[b], is_ring[c]
+        if is_a and is_b and is_c:
+            for k in range(3):
+                n_gone += 1
+                place = edges.shape[0] - n_gone
+                edges[place, 0] = triangles[number, k]
+                edges[place, 1] = triangles[number, (k + 1) % 3]
+            continue
+        triangles[n, 0], triangles[n, 1], triangles[n, 2] = a, b, c
+        n += 1
+        if int(is_a) + int(is_b) + int(is_c) == 2:
+            edges[n_ends, 0], edges[n_ends, 1] = (a if is_a else b), (c if is_c else b)
+            n_ends += 1
+    return n, n_ends, n_gone
+
+
+@kernel
+def count_corners(first, end, is_ring, number_of, which):
+    """Begin `which` with the vertices from `first` to `end` that are not in rings; return how many.
+
+    `number_of` says where each is, and holds anything else.
+    """
+    n = 0
+    for vertex in range(first, end):
+        if not is_ring[vertex]:
+            number_of[vertex], which[n] = n, vertex
+            n += 1
+    return n
+
+
+@kernel
+def number_corners(corners, n, number_of, which):
+    """Replace vertices by their places in `which`, in place; return how many that has then."""
+    for row in range(corners.shape[0]):
+        for col in range(corners.shape[1]):
+            vertex = corners[row, col]
+            number = number_of[vertex]
+            if number < 0 or number >= n or which[number] != vertex:
+                number_of[vertex], which[n] = n, vertex
+                number = n
+                n += 1
+            corners[row, col] = number
+    return n
 
 
 @kernel
