@@ -308,8 +308,8 @@ def fill_rim(open_sides, forest, edges):
     """Fill the edges along those sides of trees beyond which nobody draws one.
 
     Two vertices, and the mesh whose edge it is. Return how many there are. At the end of a side an
-    edge leads on to the next tree along it, whether that one's side is such a one, too, or not: then
-    the rim turns there, and another side leads on from that tree.
+    edge leads on to the next tree along it. Where that one's side is no such side, the rim turns
+    there, and another side leads on from that tree.
     """
     top = forest.places.shape[1] - 1
     n_rows, n_cols = forest.owners.shape
