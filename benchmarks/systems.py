@@ -9,7 +9,8 @@ the raster is. On the first 512 also dynamic against rqt at one threshold, by th
 coefficients of cdf53 and by measured ones; and dynamic by steps, down and 30 times as fast.
 `largest_pixels` is the largest distance on screen of some originals in view.
 
-``--only trees`` draws mode dynamic with trees of 4 to 256 samples a side.
+``--only trees`` draws mode dynamic with trees of 4 to 256 samples a side; and with each patch
+alone, as mode vertex-texture has them.
 
 ``--only orientation`` appends triangles from above, at 45 degrees and level, with and without
 ``--orientation``.
@@ -37,7 +38,9 @@ from benchmarks.render import SMALL_BLOCK, camera_at_key
 from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.style import Style
 from terrainwave.render.modes import MODES
+from terrainwave.render.modes.dynamic import Dynamic
 from terrainwave.render.modes.front import eye_of
+from terrainwave.render.modes.vertex_texture import VertexTexture
 from terrainwave.render.scene.camera import Camera, Viewport, gamma_guaranteed, home, look, project
 from terrainwave.render.scene.selection import View
 from terrainwave.tri.dynamic.dynamic import DynamicMesh
@@ -93,7 +96,7 @@ OrientationRow = namedtuple(
 # Mode dynamic with trees of so many samples a side, from one camera. CPU milliseconds: of a patch
 # in a worker, and of a frame of a turn. `fits` are the patches that have room in `FRONT_BYTES`.
 TreeRow = namedtuple(
-    "TreeRow", "raster camera error tree tau patches build_ms cpu_ms triangles skirts fits"
+    "TreeRow", "raster camera error meshes tree tau patches build_ms cpu_ms triangles skirts fits"
 )
 # A flight; milliseconds of CPU time of the one thread.
 FlightRow = namedtuple(
@@ -258,12 +261,28 @@ def measure_trees(file: Path, name: str) -> Iterator[TreeRow]:
     """Yield mode dynamic with all trees from all cameras, by both errors."""
     for error in ("measured", "paper"):
         for camera in ("overview", *KEYS):
+            with patches_alone():
+                yield _measure_tree(file, (name, camera, error, "a patch", Dynamic.tree))
             for tree in TREES:
-                yield _measure_tree(file, (name, camera, error, tree))
+                yield _measure_tree(file, (name, camera, error, "a level", tree))
 
 
-def _measure_tree(file: Path, case: tuple[str, str, str, int]) -> TreeRow:
-    _, camera_name, error, tree = case
+@contextlib.contextmanager
+def patches_alone() -> Iterator[None]:
+    """Have each patch of mode dynamic drawn alone meanwhile, over its neighbours, with skirts."""
+
+    def draw(parts, eye):
+        return [part.mesh.draw(eye, part.followed) for part in parts]
+
+    with (
+        mock.patch.object(Dynamic, "arrange", VertexTexture.arrange),
+        mock.patch("terrainwave.render.modes.dynamic.draw_together", draw),
+    ):
+        yield
+
+
+def _measure_tree(file: Path, case: tuple[str, str, str, str, int]) -> TreeRow:
+    _, camera_name, error, _, tree = case
     options = {"mode": "dynamic", "error": error, "tree": tree, "max_bytes": FRONT_BYTES}
     with terrainwave.open(file) as terrain, Canvas(terrain, SIZE, samples=0, **options) as canvas:
         camera, scene = camera_of(camera_name, canvas), canvas.scene

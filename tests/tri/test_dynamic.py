@@ -19,7 +19,7 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.render.scene.camera import Camera, project
 from terrainwave.tri.dynamic.dynamic import (
     DynamicMesh,
-    Part,
+    ForestPart,
     draw_together,
     mark_bottom_up,
     step_top_down,
@@ -361,7 +361,7 @@ def side_by_side(heights, eye, tau, error, cuts):
         mesh.base_error = 0.0  # what float32 rounds differs by part
         followed = mesh.follow(eye, tau, morph=1.5)
         # Rows and columns of trees may count from anywhere.
-        parts.append(Part(mesh, followed, (row - 5, col + 7), owned))
+        parts.append(ForestPart(mesh, followed, (row - 5, col + 7), owned))
     return draw_together(parts, eye)
 
 

@@ -15,7 +15,7 @@ from terrainwave.errors import InvalidArgumentError
 from terrainwave.render.modes.front import ALL_OPEN, MORPH, Drawn, FrontMode, FrontPatch, PatchFrame
 from terrainwave.render.modes.mode import ModeNeeds
 from terrainwave.render.scene.selection import Piece
-from terrainwave.tri.dynamic.dynamic import DynamicMesh, Part, draw_together
+from terrainwave.tri.dynamic.dynamic import DynamicMesh, ForestPart, draw_together
 from terrainwave.tri.followed import Eye, Followed
 
 _TREES = "a power of two, 2 … 256"
@@ -123,11 +123,13 @@ class Dynamic(FrontMode):
                 )
         return [frame for _, frame in sorted(frames.items())]
 
-    def _part(self, patch: FrontPatch, followed: Followed) -> Part:
+    def _part(self, patch: FrontPatch, followed: Followed) -> ForestPart:
         """Return a patch among those of its level: the trees of its cells are its own."""
         piece, ring, n = patch.piece, self.apron // self.tree, self.cells // self.tree
         own = slice(ring, ring + n)
-        return Part(patch.mesh, followed, (piece.row * n - ring, piece.col * n - ring), (own, own))
+        return ForestPart(
+            patch.mesh, followed, (piece.row * n - ring, piece.col * n - ring), (own, own)
+        )
 
     def mesh_error(self, patch: FrontPatch, eye: Eye, followed: Followed) -> float:
         """Return how far the mesh in view is from the samples of a patch, metres."""

@@ -239,7 +239,7 @@ class DynamicMesh:
 
     def draw(self, eye: Eye, followed: Followed) -> DynamicFrame:
         """Return the mesh of the marks; `followed` is what `follow` returned for this eye."""
-        (frame,) = draw_together([Part(self, followed)], eye)
+        (frame,) = draw_together([ForestPart(self, followed)], eye)
         return frame
 
     def update(
@@ -297,8 +297,8 @@ class DynamicMesh:
             vertices = self._scratch.take("vertices", (capacity, 3), np.float64)
             n_vertices, n_voids = place_vertices(
                 tree.layout, tree.z, tree.bounds, self.marks, (self._view(eye), eye.planes),
-                (followed.threshold, followed.tau), (self._stack, self._places), is_drawn,
-                first_vertex, vertex_of, nodes, vertices,
+                (followed.threshold, followed.tau), (self._stack, self._places),
+                (is_drawn, first_vertex), vertex_of, nodes, vertices,
             )  # fmt: skip
             if n_vertices + n_voids <= capacity:
                 break
@@ -317,7 +317,7 @@ class DynamicMesh:
 # One mesh of many
 
 
-class Part(NamedTuple):
+class ForestPart(NamedTuple):
     """A mesh among others of the same samples, side by side.
 
     Parameters
@@ -339,7 +339,7 @@ class Part(NamedTuple):
     owned: tuple[slice, slice] = (slice(None), slice(None))
 
 
-def draw_together(parts: list[Part], eye: Eye) -> list[DynamicFrame]:
+def draw_together(parts: list[ForestPart], eye: Eye) -> list[DynamicFrame]:
     """Return the one mesh of the marks of several, a frame for each.
 
     Where they meet, fans join them as they join the trees of each, without a gap and without an
@@ -437,7 +437,7 @@ def _rims(forest: Forest, open_sides: tuple[bool, bool, bool, bool]) -> NDArray[
         return np.empty((0, 3), dtype=np.int32)
     is_here = np.pad(forest.owners != NOBODY, 1)
     n_sides = sum(
-        int((is_here & ~np.roll(is_here, step, axis)).sum()) for step in (1, -1) for axis in (0, 1)
+        int((is_here & ~np.roll(is_here, by, axis)).sum()) for by in (1, -1) for axis in (0, 1)
     )
     top = forest.places.shape[1] - 1
     edges = np.empty((n_sides * ((1 << top) + 2), 3), dtype=np.int32)
@@ -726,18 +726,18 @@ def largest_error_in_view(
 
 @kernel
 def place_vertices(
-    layout, z, bounds, marks, sight, morph, scratch, is_drawn, first_vertex, vertex_of, nodes,
-    vertices,
+    layout, z, bounds, marks, sight, morph, scratch, trees, vertex_of, nodes, vertices
 ):  # fmt: skip
     """Fill places and nodes of roots; return how many have vertices, and how many are void.
 
     A node whose parent P has the error ε on screen is drawn at α of its own place and 1 - α of
     where P is drawn, α = (ε - start) / (end - start) within 0 … 1 (§3.6). `sight` is the view and
-    the planes, `morph` start and end, `scratch` the stack and places that wait on it; `is_drawn`
-    says which trees are meant. Void roots come last in `nodes`, from its end backwards. Where both
-    together are more than it holds, they are not all written.
+    the planes, `morph` start and end, `scratch` the stack and places that wait on it; `trees` says
+    which trees are meant, and the number of the first vertex. Void roots come last in `nodes`, from
+    its end backwards. Where both together are more than it holds, they are not all written.
     """
     (view, planes), (start, end), (stack, places) = sight, morph, scratch
+    is_drawn, first_vertex = trees
     count, n_voids, limit = 0, 0, nodes.shape[0]
     z_scale = view[_Z_SCALE]
     for patch in range(layout[-1, N_ROWS] * layout[-1, N_COLS]):
