@@ -298,7 +298,7 @@ class DynamicMesh:
             n_vertices, n_voids = place_vertices(
                 tree.layout, tree.z, tree.bounds, self.marks, (self._view(eye), eye.planes),
                 (followed.threshold, followed.tau), (self._stack, self._places),
-                (is_drawn, first_vertex), vertex_of, nodes, vertices,
+                (is_drawn, first_vertex), vertex_of, (nodes, vertices),
             )  # fmt: skip
             if n_vertices + n_voids <= capacity:
                 break
@@ -726,9 +726,9 @@ def largest_error_in_view(
 
 @kernel
 def place_vertices(
-    layout, z, bounds, marks, sight, morph, scratch, trees, vertex_of, nodes, vertices
+    layout, z, bounds, marks, sight, morph, scratch, trees, vertex_of, roots
 ):  # fmt: skip
-    """Fill places and nodes of roots; return how many have vertices, and how many are void.
+    """Fill nodes and places of roots; return how many have vertices, and how many are void.
 
     A node whose parent P has the error ε on screen is drawn at α of its own place and 1 - α of
     where P is drawn, α = (ε - start) / (end - start) within 0 … 1 (§3.6). `sight` is the view and
@@ -737,7 +737,7 @@ def place_vertices(
     its end backwards. Where both together are more than it holds, they are not all written.
     """
     (view, planes), (start, end), (stack, places) = sight, morph, scratch
-    is_drawn, first_vertex = trees
+    (is_drawn, first_vertex), (nodes, vertices) = trees, roots
     count, n_voids, limit = 0, 0, nodes.shape[0]
     z_scale = view[_Z_SCALE]
     for patch in range(layout[-1, N_ROWS] * layout[-1, N_COLS]):
