@@ -78,6 +78,26 @@ def test_the_terrain_reaches_its_outline_and_no_further(
         assert len(levels) > 1
 
 
+@pytest.mark.parametrize("tree", [2, 32])
+@pytest.mark.parametrize("mode", ["dynamic", "vertex-texture"])
+def test_no_gap_shows_with_trees_of_any_size(context, gentle, monkeypatch, mode, tree):
+    """Patches of one tree, or of many small ones; the outline seen from above is the raster's."""
+    monkeypatch.setattr(Dynamic, "samples", 32)
+    style = Style(background=LOUD, coloring="flat")
+    options = {"samples": 0, "context": context}
+    with (
+        Canvas(gentle, SIZE, mode="full", **options) as full,
+        Canvas(gentle, SIZE, mode=mode, tree=tree, **options) as coarse,
+    ):
+        above = top_view(full.scene.frame.box, full.viewport)
+        for camera in (above, *low_flight(full.scene, 2)):
+            reference, _ = full.picture(camera, style)
+            image, _ = coarse.picture(camera, style, max_pixel_error=2.0)
+            assert eroded(~loud(reference), 3).sum() > 300
+            assert (loud(image) & eroded(~loud(reference), 3)).sum() == 0
+            assert camera is not above or (~loud(image) & eroded(loud(reference), 1)).sum() == 0
+
+
 @pytest.mark.parametrize("mode", MODES)
 def test_no_gap_shows_while_patches_come_and_go(context, gentle, small_patches, mode):
     """On the way, with what stands in for others, and when all is here: levels side by side."""

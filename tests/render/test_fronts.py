@@ -215,6 +215,22 @@ def test_originals_are_within_tau_where_patches_come_with_the_view(gentle, small
     assert len(levels) > 2
 
 
+@pytest.mark.parametrize("tree", [2, 32])
+def test_originals_are_within_tau_with_trees_of_any_size(gentle, monkeypatch, tree):
+    """As large as a patch, too, which then begins where its neighbour's samples do."""
+    monkeypatch.setattr(Dynamic, "samples", 32)
+    n_triangles, largest = 0, 0.0
+    with Scene(gentle, ListStore(), mode="dynamic", tree=tree, exaggeration=1.5) as scene:
+        for tau, camera in zip((1.0, 8.0), low_flight(scene, 2), strict=True):
+            frames = scene.settle(scene.view(camera, VIEWPORT, tau))
+            assert frames.tau == tau
+            largest = max(largest, largest_error(scene, camera, 37) / tau)
+            n_triangles += frames.n_triangles
+            assert {patch.mesh.tree.top for patch in scene.mode.shown} == {tree.bit_length() - 1}
+    assert 0.1 < largest <= 1
+    assert n_triangles > 1000
+
+
 @pytest.mark.parametrize("mode", ["dynamic", "rqt"])
 def test_skirts_reach_what_neighbours_draw(gentle, small_patches, mode):
     """At every vertex on its border a patch is no higher over a neighbour than its skirt is deep.
