@@ -18,6 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 from scipy import ndimage
 
@@ -50,7 +51,9 @@ def cameras_of(canvas: Canvas) -> dict[str, Camera]:
     return {"above": top_view(box, canvas.viewport), "side": home(box, canvas.viewport)}
 
 
-def measure(dem: Path, size: tuple[int, int], context: Any, folder: Path) -> Iterator[Row]:
+def measure(
+    dem: Path, size: tuple[int, int], modes: tuple[str, ...], context: Any, folder: Path
+) -> Iterator[Row]:
     """Yield the pictures of a raster."""
     file = folder / f"{dem.stem}.twz"
     if not file.exists():
@@ -64,7 +67,7 @@ def measure(dem: Path, size: tuple[int, int], context: Any, folder: Path) -> Ite
                 name: parts_of(is_loud(full.picture(camera, STYLE)[0]))
                 for name, camera in cameras.items()
             }
-        for mode in MODES:
+        for mode in modes:
             for error in ("measured", "paper"):
                 if error not in mode_class(mode).errors:
                     continue
@@ -103,12 +106,14 @@ def counts(parts: np.ndarray, found: np.ndarray, moved: float) -> tuple[int, int
 @common.command("outlines.csv")
 @common.rasters_argument
 @common.option("--size", default="320x240")
-def main(paths: list[Path], size: str, folder: Path, out: Path) -> None:
+@common.option("--modes", cls=common.ListOption, type=click.Choice(MODES), default=MODES)
+def main(paths: list[Path], size: str, modes: tuple[str, ...], folder: Path, out: Path) -> None:
     """Measure, print and write the CSV."""
     width, height = (int(part) for part in size.split("x"))
     context = create_context()
     common.write_rows(
-        out, (row for dem in paths for row in measure(dem, (width, height), context, folder))
+        out,
+        (row for dem in paths for row in measure(dem, (width, height), modes, context, folder)),
     )
 
 

@@ -9,6 +9,9 @@ the raster is. On the first 512 also dynamic against rqt at one threshold, by th
 coefficients of cdf53 and by measured ones; and dynamic by steps, down and 30 times as fast.
 `largest_pixels` is the largest distance on screen of some originals in view.
 
+``--only trees`` draws mode dynamic with trees of 4 to 256 samples a side; and with each patch
+alone, as mode vertex-texture has them.
+
 ``--only orientation`` appends triangles from above, at 45 degrees and level, with and without
 ``--orientation``.
 
@@ -21,6 +24,7 @@ import time
 from collections import namedtuple
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import click
@@ -34,7 +38,9 @@ from benchmarks.render import SMALL_BLOCK, camera_at_key
 from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.style import Style
 from terrainwave.render.modes import MODES
+from terrainwave.render.modes.dynamic import Dynamic
 from terrainwave.render.modes.front import eye_of
+from terrainwave.render.modes.vertex_texture import VertexTexture
 from terrainwave.render.scene.camera import Camera, Viewport, gamma_guaranteed, home, look, project
 from terrainwave.render.scene.selection import View
 from terrainwave.tri.dynamic.dynamic import DynamicMesh
@@ -65,6 +71,8 @@ PITCHES = {
     "level": (0.5, 0.02, 0.005, 0, 0),
 }  # fmt: skip
 # Of the flights. Shapes of meshes follow from the ratio of metres per sample to heights.
+# Samples of trees; memory of patches.
+TREES, FRONT_BYTES = (4, 16, 64, 256), 1 << 30
 SIDES, TAUS, SCREEN = (512, 1024, 2048, 4096), (1.0, 2.0, 4.0), Viewport(1280, 720)
 PIXEL, MORPH, N_CHECKED = 118.0, 1.25, 400
 
@@ -85,6 +93,11 @@ ModeRow = namedtuple(
 OrientationRow = namedtuple(
     "OrientationRow", "raster mode camera orientation tau blocks triangles"
 )  # fmt: skip
+# Mode dynamic with trees of so many samples a side, from one camera. CPU milliseconds: of a patch
+# in a worker, and of a frame of a turn. `fits` are the patches that have room in `FRONT_BYTES`.
+TreeRow = namedtuple(
+    "TreeRow", "raster camera error meshes tree tau patches build_ms cpu_ms triangles skirts fits"
+)
 # A flight; milliseconds of CPU time of the one thread.
 FlightRow = namedtuple(
     "FlightRow",
@@ -244,6 +257,52 @@ def measure_orientation(file: Path, name: str) -> Iterator[OrientationRow]:
                     )  # fmt: skip
 
 
+def measure_trees(file: Path, name: str) -> Iterator[TreeRow]:
+    """Yield mode dynamic with all trees from all cameras, by both errors."""
+    for error in ("measured", "paper"):
+        for camera in ("overview", *KEYS):
+            with patches_alone():
+                yield _measure_tree(file, (name, camera, error, "a patch", Dynamic.tree))
+            for tree in TREES:
+                yield _measure_tree(file, (name, camera, error, "a level", tree))
+
+
+@contextlib.contextmanager
+def patches_alone() -> Iterator[None]:
+    """Have each patch of mode dynamic drawn alone meanwhile, over its neighbours, with skirts."""
+
+    def draw(parts, eye):
+        return [part.mesh.draw(eye, part.followed) for part in parts]
+
+    with (
+        mock.patch.object(Dynamic, "arrange", VertexTexture.arrange),
+        mock.patch("terrainwave.render.modes.dynamic.draw_together", draw),
+    ):
+        yield
+
+
+def _measure_tree(file: Path, case: tuple[str, str, str, str, int]) -> TreeRow:
+    _, camera_name, error, _, tree = case
+    options = {"mode": "dynamic", "error": error, "tree": tree, "max_bytes": FRONT_BYTES}
+    with terrainwave.open(file) as terrain, Canvas(terrain, SIZE, samples=0, **options) as canvas:
+        camera, scene = camera_of(camera_name, canvas), canvas.scene
+        canvas.draw(camera, Style(), max_pixel_error=TAU)
+        cpu_ms, _, _ = _turn(canvas, camera)
+        frames = scene.settle(scene.view(camera, canvas.viewport, TAU))
+        front: Any = scene.mode
+        return TreeRow(
+            *case, round(frames.tau, 3), len(frames.nodes),
+            round(float(np.median(scene.build_ms)), 1), cpu_ms, frames.n_triangles,
+            int((areas_of(front.drawn) == 0).sum()), canvas.store.max_blocks,
+        )  # fmt: skip
+
+
+def areas_of(drawn) -> np.ndarray:
+    """Return twice the areas of triangles seen from above: 0 of skirts."""
+    a, b, c = (drawn.vertices[drawn.triangles[:, k]] for k in range(3))
+    return _cross(b - a, c - a)
+
+
 def camera_at(view: str, number: int, top: float) -> Camera:
     """Return the view of a frame, 10 m further each frame."""
     away = number * (300.0 if view == "fast" else 10.0)
@@ -387,7 +446,7 @@ def _range(values, n_digits: int = 1) -> str:
     return f"{ordered[0]:.{n_digits}f}–{ordered[-1]:.{n_digits}f}"
 
 
-PARTS = ("methods", "modes", "papers", "orientation", "dynamic")
+PARTS = ("methods", "modes", "papers", "orientation", "dynamic", "trees")
 
 
 @common.command()
@@ -396,7 +455,7 @@ PARTS = ("methods", "modes", "papers", "orientation", "dynamic")
 @common.option("--frames", type=common.COUNT, default=60, help="Of each flight.")
 def main(dem: Path, only: tuple[str, ...], frames: int, folder: Path, out: Path) -> None:
     """Measure, print and write the CSVs."""
-    for part, block in (("modes", 256), ("orientation", SMALL_BLOCK)):
+    for part, block in (("modes", 256), ("orientation", SMALL_BLOCK), ("trees", 256)):
         if part in only:
             options = {"max_error": VIEW_ERROR, "block": block}
             terrainwave.compress(
@@ -411,6 +470,7 @@ def main(dem: Path, only: tuple[str, ...], frames: int, folder: Path, out: Path)
             lambda: measure_orientation(folder / "orientation.twz", dem.stem),
         ),
         "dynamic": ("dynamic", lambda: measure_flights(dem, frames)),
+        "trees": ("systems_trees", lambda: measure_trees(folder / "trees.twz", dem.stem)),
     }
     for part in only:
         name, measure = measures[part]

@@ -91,8 +91,8 @@ WRONG = {
     "Terrain.view": {
         "size": TWO, "max_pixel_error": NUMBER, "camera": [5, b"1,2,3,4,5"], "style": [5, "plain"],
         "bounds": FOUR, "mode": WORD, "error": WORD, "detail": NUMBER, "order": [*WHOLE, 3],
-        "stepwise": FLAG, "orientation": FLAG, "drape": PATH, "exaggeration": [*NUMBER, 0],
-        "radius": [*NUMBER, 0],
+        "stepwise": FLAG, "tree": [*WHOLE, 3, 512], "orientation": FLAG, "drape": PATH,
+        "exaggeration": [*NUMBER, 0], "radius": [*NUMBER, 0],
     },
     "Mesh.save": {
         "path": PATH, "frame": WORD, "z_scale": NUMBER, "solid": NUMBER, "radius": NUMBER,

@@ -246,6 +246,7 @@ class Terrain(TerrainFile):
         detail: float | None = None,
         order: int | None = None,
         stepwise: bool = False,
+        tree: int | None = None,
         orientation: bool = False,
         drape: str | None = None,
         exaggeration: float = 1.0,
@@ -276,6 +277,9 @@ class Terrain(TerrainFile):
             With mode batched: order of the filter of levels; 4 by default.
         stepwise : bool
             With mode dynamic or vertex-texture: change one height of the quadtree in each frame.
+        tree : int, optional
+            With mode dynamic or vertex-texture: samples a side of a quadtree, a power of two from 2
+            to 256; 16 by default.
         orientation : bool
             With mode adaptive, batched or loose: draw fewer triangles where the camera looks down.
         drape : str, optional
@@ -318,6 +322,10 @@ class Terrain(TerrainFile):
             orders = one_of([*map(str, ORDERS)])
             if checked_whole("order", order, expected=orders) not in ORDERS:
                 raise InvalidArgumentError(f"found `order` {order}, expected {orders}")
+        if tree is not None:
+            from terrainwave.render.modes.dynamic import checked_tree
+
+            tree = checked_tree(tree)
         exaggeration = checked_number("exaggeration", exaggeration, above=0)
         if radius is not None:
             radius = checked_number("radius", radius, above=0)
@@ -334,14 +342,14 @@ class Terrain(TerrainFile):
         if style is not None and not isinstance(style, Style):
             raise InvalidArgumentError(f"found `style` {shown(style)}, expected a Style")
         options_of(
-            mode, detail=detail, order=order, stepwise=stepwise, orientation=orientation
+            mode, detail=detail, order=order, stepwise=stepwise, tree=tree, orientation=orientation
         )  # which refuses what the mode has not, before a window opens
 
         return view(
             self, size=size, camera=camera, bounds=bounds, style=style or Style(), mode=mode,
             error=error, max_pixel_error=max_pixel_error, detail=detail, order=order,
-            stepwise=stepwise, orientation=orientation, drape=drape, exaggeration=exaggeration,
-            radius=radius,
+            stepwise=stepwise, tree=tree, orientation=orientation, drape=drape,
+            exaggeration=exaggeration, radius=radius,
         )  # fmt: skip
 
     def explore(

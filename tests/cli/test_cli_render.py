@@ -68,6 +68,7 @@ def test_full_and_adaptive_pictures_are_alike(file, tmp_path):
     [
         (["batched", "--error", "paper", "--detail", "9", "--order", "2"], None),
         pytest.param(["dynamic", "--stepwise"], None, marks=pytest.mark.full),
+        pytest.param(["dynamic", "--tree", "64"], None, marks=pytest.mark.full),
         (["adaptive"], None),
         (["adaptive", "--error", "paper"], "decodes the whole file once"),
     ],
@@ -138,6 +139,8 @@ def test_a_flight_writes_numbered_pictures(file, tmp_path):
         (["--legend", "--coloring", "plain"], "found --legend with --coloring plain", 2),
         (["--stepwise"], "--stepwise in mode adaptive, expected mode dynamic", 2),
         (["--order", "3"], "'2', '4'", 2),
+        (["--tree", "16"], "--tree in mode adaptive, expected mode dynamic", 2),
+        (["--mode", "dynamic", "--tree", "48"], "'16', '32', '64'", 2),
         (
             ["--mode", "batched", "--orientation", "--error", "paper"],
             "--error 'paper', expected",

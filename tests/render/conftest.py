@@ -36,5 +36,5 @@ def gentle():
 def small_patches(monkeypatch):
     """As if patches that follow the camera were so small that a small file has many."""
     monkeypatch.setattr(RqtMode, "cells", 32)
-    for name, value in (("tree", 4), ("apron", 2), ("cells", 34)):
+    for name, value in (("tree", 4), ("samples", 36)):
         monkeypatch.setattr(Dynamic, name, value)

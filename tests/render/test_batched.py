@@ -277,6 +277,9 @@ def mu(request):
         ({"order": 3}, "expected 2 or 4"),
         ({"order": 2, "mode": "adaptive"}, "expected mode batched"),
         ({"stepwise": True}, "expected mode dynamic or vertex-texture"),
+        ({"tree": 32}, "expected mode dynamic or vertex-texture"),
+        ({"tree": 24, "mode": "dynamic"}, "found tree 24, expected a power of two, 2 … 256"),
+        ({"tree": 512, "mode": "vertex-texture"}, "found tree 512, expected a power of two"),
     ],
 )
 def test_options_that_a_mode_does_not_have_are_refused(options, words):

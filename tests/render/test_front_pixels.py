@@ -9,7 +9,9 @@ from tri.slow_dynamic import drawn_samples
 from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.gpu.vertex_texture_surface import VERTEX_SHADER
 from terrainwave.render.look.style import Style
+from terrainwave.render.modes.dynamic import Dynamic
 from terrainwave.render.modes.front import eye_of
+from terrainwave.render.modes.vertex_texture import VertexTexture
 from terrainwave.render.scene.camera import Camera, top_view
 
 # What these modes compile takes a minute.
@@ -76,6 +78,26 @@ def test_the_terrain_reaches_its_outline_and_no_further(
         assert len(levels) > 1
 
 
+@pytest.mark.parametrize("tree", [2, 32])
+@pytest.mark.parametrize("mode", ["dynamic", "vertex-texture"])
+def test_no_gap_shows_with_trees_of_any_size(context, gentle, monkeypatch, mode, tree):
+    """Patches of one tree, or of many small ones; the outline seen from above is the raster's."""
+    monkeypatch.setattr(Dynamic, "samples", 32)
+    style = Style(background=LOUD, coloring="flat")
+    options = {"samples": 0, "context": context}
+    with (
+        Canvas(gentle, SIZE, mode="full", **options) as full,
+        Canvas(gentle, SIZE, mode=mode, tree=tree, **options) as coarse,
+    ):
+        above = top_view(full.scene.frame.box, full.viewport)
+        for camera in (above, *low_flight(full.scene, 2)):
+            reference, _ = full.picture(camera, style)
+            image, _ = coarse.picture(camera, style, max_pixel_error=2.0)
+            assert eroded(~loud(reference), 3).sum() > 300
+            assert (loud(image) & eroded(~loud(reference), 3)).sum() == 0
+            assert camera is not above or (~loud(image) & eroded(loud(reference), 1)).sum() == 0
+
+
 @pytest.mark.parametrize("mode", MODES)
 def test_no_gap_shows_while_patches_come_and_go(context, gentle, small_patches, mode):
     """On the way, with what stands in for others, and when all is here: levels side by side."""
@@ -101,8 +123,18 @@ def test_no_gap_shows_while_patches_come_and_go(context, gentle, small_patches, 
         assert len(levels) > 2
 
 
-def test_skirts_of_the_vertex_shader_are_those_of_the_dynamic_mesh(context, gentle, small_patches):
-    """From below the ground they hang in view. By what the depth buffer holds."""
+def test_skirts_of_the_vertex_shader_are_those_of_the_dynamic_mesh(
+    context, gentle, small_patches, monkeypatch
+):
+    """From below the ground they hang in view. By what the depth buffer holds.
+
+    Of the same patches, each drawn alone.
+    """
+    monkeypatch.setattr(Dynamic, "arrange", VertexTexture.arrange)
+    monkeypatch.setattr(
+        "terrainwave.render.modes.dynamic.draw_together",
+        lambda parts, eye: [part.mesh.draw(eye, part.followed) for part in parts],
+    )
     pictures, skirts = [], []
     for mode in ("dynamic", "vertex-texture"):
         with Canvas(gentle, SIZE, mode=mode, samples=0, context=context) as canvas:

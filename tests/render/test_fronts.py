@@ -9,6 +9,8 @@ from tri.slow_dynamic import areas, surfaces_at
 
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.read.tile_decoder import with_coefficients
+from terrainwave.render.modes.dynamic import Dynamic
+from terrainwave.render.modes.front import eye_of
 from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import Camera, Viewport, home, project
 
@@ -213,6 +215,22 @@ def test_originals_are_within_tau_where_patches_come_with_the_view(gentle, small
     assert len(levels) > 2
 
 
+@pytest.mark.parametrize("tree", [2, 32])
+def test_originals_are_within_tau_with_trees_of_any_size(gentle, monkeypatch, tree):
+    """As large as a patch, too, which then begins where its neighbour's samples do."""
+    monkeypatch.setattr(Dynamic, "samples", 32)
+    n_triangles, largest = 0, 0.0
+    with Scene(gentle, ListStore(), mode="dynamic", tree=tree, exaggeration=1.5) as scene:
+        for tau, camera in zip((1.0, 8.0), low_flight(scene, 2), strict=True):
+            frames = scene.settle(scene.view(camera, VIEWPORT, tau))
+            assert frames.tau == tau
+            largest = max(largest, largest_error(scene, camera, 37) / tau)
+            n_triangles += frames.n_triangles
+            assert {patch.mesh.tree.top for patch in scene.mode.shown} == {tree.bit_length() - 1}
+    assert 0.1 < largest <= 1
+    assert n_triangles > 1000
+
+
 @pytest.mark.parametrize("mode", ["dynamic", "rqt"])
 def test_skirts_reach_what_neighbours_draw(gentle, small_patches, mode):
     """At every vertex on its border a patch is no higher over a neighbour than its skirt is deep.
@@ -234,7 +252,90 @@ def test_skirts_reach_what_neighbours_draw(gentle, small_patches, mode):
                         beside = surfaces_at(without_skirts(other), x, y)
                         n_checked += len(beside)
                         assert (beside >= bottom - 1e-6).all()
-    assert n_checked > 100
+    assert n_checked > (100 if mode == "rqt" else 50)  # fewer end anywhere
+
+
+def open_edges(scene):
+    """The edges that only one triangle has, skirts left out: places of both ends, metres."""
+    drawn = without_skirts(scene.mode.drawn)
+    places, at = np.unique(drawn.vertices, axis=0, return_inverse=True)
+    edges = np.sort(at[drawn.triangles][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, counts = np.unique(edges, axis=0, return_counts=True)
+    assert counts.max() == 2
+    return places[edges[counts == 1]]
+
+
+def are_inside_and_in_view(scene, camera, edges, margin=0.0):
+    """Which edges have an end in view over the raster, whose outline cuts the mesh off."""
+    last = np.array(scene.terrain.shape[::-1]) - 1
+    a, b, c, d, e, f = scene.frame.sample_matrix
+    ends = edges.reshape(-1, 3)
+    samples = (ends[:, :2] - (c, f)) @ np.linalg.inv([[a, b], [d, e]]).T
+    inside = ((samples > margin) & (samples < last - margin)).all(axis=1)
+    seen = project(camera, VIEWPORT, ends)[:, :2]
+    inside &= ((seen > 0) & (seen < [VIEWPORT.width, VIEWPORT.height])).all(axis=1)
+    return inside.reshape(-1, 2).any(axis=1)
+
+
+def single_level_views(scene):
+    """Cameras near the ground all around, that see patches of the full grid alone."""
+    low, high = scene.frame.box
+    for heading in (20, 110, 200, 290):
+        middle = (low + high) / 2
+        camera = Camera(
+            (float(middle[0]), float(middle[1]), float(high[2]) + 150), heading, -30, 60
+        )
+        yield camera, scene.settle(scene.view(camera, VIEWPORT, 0.4))
+        assert {patch.piece.level for patch in scene.mode.shown} == {scene.terrain.n_levels - 1}
+        assert len(scene.mode.shown) > 5
+
+
+@pytest.mark.parametrize("tree", [2, 4])
+def test_patches_of_one_level_are_one_mesh(gentle, small_patches, monkeypatch, tree):
+    """No crack and no T-junction: in view all edges have two triangles, and no skirts hang there.
+
+    The mesh of each alone, which overlaps its neighbours and ends in skirts, has more triangles.
+    """
+    monkeypatch.setattr(Dynamic, "tree", tree)
+    n_alone = n_joined = 0
+    with Scene(gentle, ListStore(), mode="dynamic", exaggeration=1.5) as scene:
+        for camera, frames in single_level_views(scene):
+            edges = open_edges(scene)
+            assert not are_inside_and_in_view(scene, camera, edges).any()
+            n_joined += frames.n_triangles
+            eye = eye_of(scene.view(camera, VIEWPORT, 0.4))
+            for patch, followed in zip(scene.mode.shown, scene.mode.followed, strict=True):
+                alone = patch.mesh.draw(eye, followed)
+                n_alone += len(alone.triangles) + 2 * len(alone.edges)
+    assert 0.4 * n_alone < n_joined < 0.95 * n_alone
+
+
+def test_meshes_end_only_where_the_level_changes(gentle, small_patches):
+    """In view and inside the outline: half a tree at most from a border between two levels."""
+    n_ends = 0
+    with Scene(gentle, ListStore(), mode="dynamic") as scene:
+        for camera in low_flight(scene, 4):
+            scene.settle(scene.view(camera, VIEWPORT, 3.0))
+            edges = open_edges(scene)
+            edges = edges[are_inside_and_in_view(scene, camera, edges)]
+            n_ends += len(edges)
+            patches = [(patch, cells_of(scene, patch)) for patch in scene.mode.shown]
+            for ends in edges[..., :2]:
+                near = {
+                    patch.piece.level
+                    for patch, (low, high, spacing) in patches
+                    if (np.maximum(low - ends, ends - high).max(axis=1) < 2.6 * spacing).any()
+                }
+                assert len(near) > 1
+    assert n_ends > 50
+
+
+def cells_of(scene, patch):
+    """Corners of the samples that are a patch's own, local metres, and the metres between them."""
+    cells, stride = scene.mode.cells, scene.terrain.grid.stride(patch.piece.level)
+    rows, cols = ((np.array([k, k + 1]) * cells) * stride for k in patch.piece[1:3])
+    xy = scene.frame.samples_to_local(rows, cols)
+    return xy.min(axis=0), xy.max(axis=0), scene.frame.spacing * stride
 
 
 def parts_of(mode):

@@ -179,6 +179,8 @@ def test_a_style_comes_from_where_it_was_with_a_note():
         ({"order": 3, "mode": "batched"}, "found order 3, expected 2 or 4"),
         ({"stepwise": "no"}, "found stepwise 'no', expected True or False"),
         ({"stepwise": True}, "found stepwise in mode adaptive, expected mode dynamic or vertex-"),
+        ({"tree": 20, "mode": "dynamic"}, "found tree 20, expected a power of two, 2 … 256"),
+        ({"tree": 32}, "found tree in mode adaptive, expected mode dynamic or vertex-texture"),
         ({"orientation": 1}, "found orientation 1, expected True or False"),
         ({"drape": 3}, "found drape 3, expected a path as text"),
         ({"exaggeration": 0}, "found exaggeration 0, expected a finite number > 0"),

@@ -17,7 +17,14 @@ from tri.slow_dynamic import (
 
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.render.scene.camera import Camera, project
-from terrainwave.tri.dynamic.dynamic import INNER, ROOT, DynamicMesh, mark_bottom_up, step_top_down
+from terrainwave.tri.dynamic.dynamic import (
+    DynamicMesh,
+    ForestPart,
+    draw_together,
+    mark_bottom_up,
+    step_top_down,
+)
+from terrainwave.tri.dynamic.fans import INNER, ROOT
 from terrainwave.tri.dynamic.haar import ERROR, HIGH, LOW, OUTLINE, _measure, build_tree
 
 pytestmark = pytest.mark.slow_compile
@@ -319,6 +326,117 @@ def open_edges(frame):
     of = frame.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     edges, counts = np.unique(np.sort(of, axis=1), axis=0, return_counts=True)
     return {tuple(edge) for edge in edges[counts == 1].tolist()}
+
+
+# Meshes side by side
+
+TREE, TREES = 4, (9, 11)
+# Rows and columns of trees of each mesh, without the ring of one tree around them.
+CUTS = [
+    (slice(top, bottom), slice(left, right))
+    for top, bottom in ((0, 3), (3, 7), (7, 9))
+    for left, right in ((0, 2), (2, 6), (6, 11))
+]
+
+
+def side_by_side(heights, eye, tau, error, cuts):
+    """The frames of meshes of parts of a raster."""
+    parts = []
+    for cut in cuts:
+        wide = [
+            slice(max(own.start - 1, 0), min(own.stop + 1, n))
+            for own, n in zip(cut, TREES, strict=True)
+        ]
+        (row, col) = (trees.start for trees in wide)
+        owned = tuple(
+            slice(own.start - trees.start, own.stop - trees.start)
+            for own, trees in zip(cut, wide, strict=True)
+        )
+        samples = tuple(slice(s.start * TREE, s.stop * TREE) for s in wide)
+        x, y = col * TREE, -row * TREE
+        mesh = DynamicMesh(
+            heights[samples], sample_matrix=(1.0, 0.0, x, 0.0, -1.0, y), patch=TREE, error=error,
+            open_sides=(True,) * 4,
+        )  # fmt: skip
+        mesh.base_error = 0.0  # what float32 rounds differs by part
+        followed = mesh.follow(eye, tau, morph=1.5)
+        # Rows and columns of trees may count from anywhere.
+        parts.append(ForestPart(mesh, followed, (row - 5, col + 7), owned))
+    return draw_together(parts, eye)
+
+
+def welded(frames):
+    """One frame of many: vertices at one place are one."""
+    vertices = np.concatenate([frame.vertices for frame in frames])
+    vertices, at = np.unique(vertices, axis=0, return_inverse=True)
+    starts = np.cumsum([0, *(len(frame.vertices) for frame in frames)])
+    pairs = list(zip(frames, starts, strict=False))
+    triangles = at[np.concatenate([frame.triangles + start for frame, start in pairs])]
+    edges = at[np.concatenate([frame.edges + start for frame, start in pairs])]
+    return frames[0]._replace(vertices=vertices, triangles=triangles, edges=edges)
+
+
+def places_of(frame):
+    """Places of the corners of its triangles and of its rim's edges, in one order."""
+    return [
+        sorted(sorted(map(tuple, part)) for part in np.round(frame.vertices[which], 5).tolist())
+        for which in (frame.triangles, frame.edges)
+    ]
+
+
+@pytest.mark.parametrize("has_void", [False, True])
+@pytest.mark.parametrize("error", ["measured", "paper"])
+def test_meshes_side_by_side_are_the_mesh_of_the_whole_raster(error, has_void):
+    """Fans do not see whose trees their nodes are in: the same triangles, the same rim."""
+    heights = rough((TREES[0] * TREE, TREES[1] * TREE))
+    if has_void:
+        heights[8:17, 20:31] = np.nan  # over corners of meshes
+    counts = set()
+    above = eye_of(Camera((20, -60, 60), 0, -40, 60))._replace(planes=np.empty((0, 4)))
+    views = [(above, tau) for tau in (0.6, 2.0, 3.0, 8.0, 16.0)]
+    for eye, tau in [*views, *((eye_of(at), 6.0) for at in cameras(heights.shape, 2, seed=2))]:
+        whole = DynamicMesh(
+            heights, sample_matrix=NORTH_UP, patch=TREE, error=error, open_sides=(True,) * 4
+        )
+        whole.base_error = 0.0
+        expected = whole.draw(eye, whole.follow(eye, tau, morph=1.5))
+        found = welded(side_by_side(heights, eye, tau, error, CUTS))
+        assert places_of(found) == places_of(expected)
+        counts.add(len(expected.triangles))
+    assert len(counts) > 3
+
+
+@pytest.mark.parametrize("missing", [[4], [0, 4], [1, 3, 5, 7], [0, 1, 2, 3, 5, 6, 7, 8]])
+def test_where_a_mesh_is_missing_the_others_reach_over_its_trees_and_name_where_they_end(missing):
+    """No triangle has a neighbour too many; all that the others own is covered once."""
+    heights = rough((TREES[0] * TREE, TREES[1] * TREE))
+    cuts = [cut for number, cut in enumerate(CUTS) if number not in missing]
+    eye = eye_of(Camera((20, -60, 60), 0, -40, 60))._replace(planes=np.empty((0, 4)))
+    for tau in (4.0, 12.0, 20.0, 1e3):
+        frames = side_by_side(heights, eye, tau, "measured", cuts)
+        whole = welded(frames)
+        edges = np.sort(whole.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        counts = np.unique(edges, axis=0, return_counts=True)[1]
+        assert counts.max() == 2
+        assert {tuple(sorted(edge)) for edge in whole.edges.tolist()} == open_edges(whole)
+        assert (areas(whole) > 0).all()
+        rng = np.random.default_rng(1)
+        for rows, cols in cuts:
+            for _ in range(30):
+                # A raster ends half a tree inside at most.
+                row = rng.uniform(
+                    max(rows.start * TREE - 0.5, 1.5), min(rows.stop * TREE - 0.5, 33.5)
+                )
+                col = rng.uniform(
+                    max(cols.start * TREE - 0.5, 1.5), min(cols.stop * TREE - 0.5, 41.5)
+                )
+                assert len(surfaces_at(whole, col, -row)) == 1
+        owned = np.zeros(TREES, dtype=bool)
+        for cut in cuts:
+            owned[cut] = True
+        cols, rows = (whole.vertices[:, :2] * (1, -1) + 0.5).T // TREE
+        is_own = owned[rows.astype(int), cols.astype(int)]
+        assert is_own[whole.triangles].any(axis=1).all()
 
 
 @pytest.mark.parametrize("tau", [20.0, 60.0])

@@ -98,6 +98,10 @@ def drawing(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--stepwise", is_flag=True,
                      help="With --mode dynamic or vertex-texture: change one height of the quadtree"
                      " in each frame."),
+        click.option("--tree", type=click.Choice([str(1 << k) for k in range(1, 9)]),
+                     callback=_as_int, metavar="SAMPLES",
+                     help="With --mode dynamic or vertex-texture: samples on each side of a"
+                     " quadtree, a power of two from 2 to 256. Default: 16."),
         click.option("--orientation", is_flag=True,
                      help="With --mode adaptive, batched or loose: draw fewer triangles where the"
                      " camera looks down, because errors are vertical. Shading becomes coarser"

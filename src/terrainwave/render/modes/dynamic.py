@@ -1,42 +1,73 @@
 """The dynamic triangulation of Yusov & Turlapov 2006 (`tri.dynamic.dynamic`), frame by frame.
 
-Each patch has a Haar quadtree of its own, over some samples of its neighbours as well, or some
-beyond the outline: a mesh ends short of its last samples, over a neighbour's, with skirts.
+Each patch has a forest of Haar quadtrees: those of its own samples, and a ring of one tree around
+them, with its neighbours' samples or some beyond the outline. Patches of one level are one mesh:
+fans join their own trees, and the rings are not drawn there (`draw_together`). Where a neighbour is
+of another level, the ring is drawn over it, and ends in skirts: levels of a file are no heights of
+one quadtree, and a triangle between two would be as far off as both are together.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.arguments import checked_whole
+from terrainwave.errors import InvalidArgumentError
 from terrainwave.render.modes.front import ALL_OPEN, MORPH, Drawn, FrontMode, FrontPatch, PatchFrame
 from terrainwave.render.modes.mode import ModeNeeds
 from terrainwave.render.scene.selection import Piece
-from terrainwave.tri.dynamic.dynamic import DynamicMesh
+from terrainwave.tri.dynamic.dynamic import DynamicMesh, ForestPart, draw_together
 from terrainwave.tri.followed import Eye, Followed
+
+_TREES = "a power of two, 2 … 256"
+
+
+def checked_tree(tree: object) -> int:
+    """Return the samples a side of a tree.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If it is no power of two, 2 … 256.
+    """
+    side = checked_whole("tree", tree, expected=_TREES)
+    if not 2 <= side <= 256 or side & (side - 1):
+        raise InvalidArgumentError(f"found `tree` {side}, expected {_TREES}")
+    return side
 
 
 class Dynamic(FrontMode):
-    """A mesh from the marks of a Haar quadtree that follows the camera.
+    """A mesh from the marks of Haar quadtrees that follow the camera.
 
     Parameters
     ----------
     stepwise : bool
         Change marks by one height a frame, as the paper does.
+    tree : int, optional
+        Samples a side of a tree, a power of two, 2 to 256: no node is larger. 16 by default.
+
+    Attributes
+    ----------
+    samples : int
+        Of a patch, a side; all but its apron in modes whose patches overlap.
     """
 
     name = "dynamic"
-    options = ("stepwise",)
+    options = ("stepwise", "tree")
     morph = MORPH
-    # Samples per side of the trees of a patch: no node is larger. One at the end of a patch has its
-    # vertex up to half a tree inside. Whole trees fit the samples of a patch, and those beyond its
-    # cells reach further than that.
     tree = 16
-    apron = tree // 2
-    cells = 31 * apron
+    samples = 256
     sample_bytes = 11
 
-    def __init__(self, needs: ModeNeeds, *, stepwise: bool = False) -> None:
+    def __init__(self, needs: ModeNeeds, *, stepwise: bool = False, tree: int | None = None):
         super().__init__(needs)
         self._is_stepwise = stepwise
+        if tree is not None:
+            self.tree = checked_tree(tree)
+        self.arrange()
+
+    def arrange(self) -> None:
+        """Set what patches of trees of a size reach over."""
+        self.cells, self.apron, self.beyond = self.samples, self.tree, self.tree
 
     def make_mesh(
         self,
@@ -45,7 +76,7 @@ class Dynamic(FrontMode):
         matrix: tuple[float, ...],
         base_error: float,
     ) -> DynamicMesh:
-        """Return the tree of a patch. Thread-safe."""
+        """Return the trees of a patch. Thread-safe."""
         return DynamicMesh(
             heights,
             sample_matrix=matrix,
@@ -76,12 +107,29 @@ class Dynamic(FrontMode):
         )
         return followed
 
-    def frame_of(self, patch: FrontPatch, eye: Eye, followed: Followed) -> PatchFrame:
-        """Return the mesh of a patch."""
-        frame = patch.mesh.draw(eye, followed)
-        sizes = frame.nodes[:, 0] + (self.n_levels - 1 - patch.piece.level)
-        error = self.mesh_error(patch, eye, followed)
-        return PatchFrame(Drawn(frame.vertices, frame.triangles, sizes), frame.edges, error)
+    def frames_of(self, eye: Eye) -> list[PatchFrame]:
+        """Return the meshes of `shown`, which have followed the eye, those of each level joined."""
+        frames: dict[int, PatchFrame] = {}
+        for level in sorted({patch.piece.level for patch in self.shown}):
+            # In an order that does not depend on the eye, as it decides who draws which ring.
+            here = [k for k, patch in enumerate(self.shown) if patch.piece.level == level]
+            here.sort(key=lambda k: self.shown[k].piece)
+            parts = [self._part(self.shown[k], self.followed[k]) for k in here]
+            for k, drawn in zip(here, draw_together(parts, eye), strict=True):
+                sizes = drawn.nodes[:, 0] + (self.n_levels - 1 - level)
+                error = self.mesh_error(self.shown[k], eye, self.followed[k])
+                frames[k] = PatchFrame(
+                    Drawn(drawn.vertices, drawn.triangles, sizes), drawn.edges, error
+                )
+        return [frame for _, frame in sorted(frames.items())]
+
+    def _part(self, patch: FrontPatch, followed: Followed) -> ForestPart:
+        """Return a patch among those of its level: the trees of its cells are its own."""
+        piece, ring, n = patch.piece, self.apron // self.tree, self.cells // self.tree
+        own = slice(ring, ring + n)
+        return ForestPart(
+            patch.mesh, followed, (piece.row * n - ring, piece.col * n - ring), (own, own)
+        )
 
     def mesh_error(self, patch: FrontPatch, eye: Eye, followed: Followed) -> float:
         """Return how far the mesh in view is from the samples of a patch, metres."""

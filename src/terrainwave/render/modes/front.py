@@ -8,7 +8,7 @@ camera within it, so that both errors together are within τ.
 A mesh may end short of its samples, and the samples of a coarse level short of the raster. Where a
 patch has a part of the outline, its heights go on beyond it, and shaders cut the mesh off there.
 
-Neighbours may be of any level, and none knows of the other. What is drawn of both ends in skirts:
+Neighbours may be of any level. Where none knows of the other, what is drawn of both ends in skirts:
 at every place of a border each is within its own error of the originals, so that skirts as deep as
 both errors together leave no gap. A patch that is coarser than τ asks for stands in for others that
 are not here yet: it is drawn with a τ that its level is worth, not with all of its samples.
@@ -76,7 +76,7 @@ class PatchFrame(NamedTuple):
     ----------
     drawn : Drawn
     edges : ndarray of int32, shape (k, 2)
-        Vertices of edges beyond which neighbours go on.
+        Vertices of edges beyond which neighbours go on that are not joined to it.
     error : float
         How far the mesh is from the samples of its level, vertically, where such edges and those of
         neighbours are in view; metres, without exaggeration.
@@ -188,11 +188,12 @@ class FrontMode(Mode):
     ----------
     cells : int
         Of a patch, per side.
-    apron : int
-        Samples that patches reach beyond their first row and column; twice as many beyond the last
-        ones.
+    apron, beyond : int
+        Samples that patches reach beyond their first row and column, and beyond those of their
+        cells.
     tree : int
-        Meshes have so many samples a side, or a multiple of it.
+        Meshes have so many samples a side, or a multiple of it, and may end half as many short of
+        their last ones.
     sample_bytes : int
         Of a mesh, at most.
     scratch : Scratch
@@ -209,6 +210,7 @@ class FrontMode(Mode):
 
     cells: int
     apron: int = 0
+    beyond: int = 1
     tree: int = 1
     sample_bytes: int
 
@@ -237,12 +239,12 @@ class FrontMode(Mode):
     @property
     def _reach(self) -> int:
         """Return the samples of a patch with its aprons, a side, wherever the raster ends."""
-        return self.cells + max(3 * self.apron, 1)
+        return self.apron + self.cells + self.beyond
 
     @property
     def _mesh_side(self) -> int:
         """Return the samples of the largest meshes, a side."""
-        return self.side + 1 + 3 * self.apron
+        return min(self._reach, self.side + 1 + self.apron + self.beyond)
 
     def _n_pieces(self, level: int) -> tuple[int, int]:
         grid = self.terrain.grid
@@ -275,21 +277,22 @@ class FrontMode(Mode):
         row, col = (k * self.cells - self.apron for k in (piece.row, piece.col))
         return Region(row, col, self._reach, self._reach).intersect(level)
 
-    def _continue(self, level: int, region: Region, heights: NDArray[np.float64]) -> Continued:
+    def _continue(self, piece: Piece, region: Region, heights: NDArray[np.float64]) -> Continued:
         """Continue the heights of a patch beyond the outline, where it has a part of that.
 
         A mesh may end short of its last samples, and a coarse level ends short of the raster. So
         that all of the raster is covered: shaders cut off what is outside.
         """
         grid, outside, beyond = self.terrain.grid, [], []
-        for first, n, n_level, n_full in zip(
-            region[:2], region.shape, grid.level_shape(level), self.terrain.shape, strict=True
+        shape, stride = grid.level_shape(piece.level), grid.stride(piece.level)
+        for place, first, n, n_level, n_full in zip(
+            (piece.row, piece.col), region[:2], region.shape, shape, self.terrain.shape, strict=True
         ):
-            n_before = self.apron if first == 0 else 0
+            n_before = first - (place * self.cells - self.apron)
             n_outside = n_after = 0
             if first + n == n_level and n_before + n < self._reach:
-                n_outside = int((n_level - 1) * grid.stride(level) < n_full - 1)
-                n_after = self.apron
+                n_outside = int((n_level - 1) * stride < n_full - 1)
+                n_after = self.tree // 2
                 n_after += -(n_before + n + n_outside + n_after) % self.tree
             outside.append((0, n_outside))
             beyond.append((n_before, n_after))
@@ -353,7 +356,7 @@ class FrontMode(Mode):
         x, y = a * col + b * row + c, d * col + e * row + f
         matrix = a * stride, b * stride, x, d * stride, e * stride, y
         error, mesh = info.error, None
-        heights, lead = self._continue(piece.level, region, samples.heights)
+        heights, lead = self._continue(piece, region, samples.heights)
         if min(self.terrain.shape) > 1 and not np.isnan(samples.heights).all():
             if piece.level < self.n_levels - 1:  # originals lie between samples, too
                 error += twist_of(heights)
@@ -512,17 +515,14 @@ class FrontMode(Mode):
 
         `low` and `high` are corners of the boxes of `shown`.
         """
-        frames = [
-            self.frame_of(patch, eye, followed)
-            for patch, followed in zip(self.shown, self.followed, strict=True)
-        ]
+        frames = self.frames_of(eye)
         depths = self.depths(eye, [frame.error for frame in frames], low, high)
         self._join(frames, depths)
         return depths, 0 if self.drawn is None else len(self.drawn.triangles)
 
     @abstractmethod
-    def frame_of(self, patch: FrontPatch, eye: Eye, followed: Followed) -> PatchFrame:
-        """Return the mesh of a patch."""
+    def frames_of(self, eye: Eye) -> list[PatchFrame]:
+        """Return the meshes of `shown`, which have followed the eye."""
 
     def depths(
         self, eye: Eye, errors: list[float], low: NDArray[np.float64], high: NDArray[np.float64]

@@ -61,8 +61,14 @@ class RqtMode(FrontMode):
         magnitudes[: region.n_rows, : region.n_cols] = quanta
         return magnitudes * abs(self._scale.per_quantum)
 
-    def frame_of(self, patch: FrontPatch, eye: Eye, followed: Followed) -> PatchFrame:
-        """Return the mesh of a patch."""
+    def frames_of(self, eye: Eye) -> list[PatchFrame]:
+        """Return the meshes of `shown`, which have followed the eye."""
+        return [
+            self._frame_of(patch, eye, followed)
+            for patch, followed in zip(self.shown, self.followed, strict=True)
+        ]
+
+    def _frame_of(self, patch: FrontPatch, eye: Eye, followed: Followed) -> PatchFrame:
         mesh: RestrictedMesh = patch.mesh
         frame = mesh.draw(eye, followed)
         both = frame.places[:, 0] | frame.places[:, 1] | mesh.tile

@@ -5,6 +5,9 @@ textures. The auxiliary texture has the marks of all nodes in such levels; what 
 comes each frame. That is all the processor does: the vertex shader goes down to the root above each
 vertex of a tree's full grid, moves it there, so that triangles collapse, and morphs it. Vertices of
 the right and lower neighbours' first column and row belong to a tree's grid too.
+
+Textures are of one patch, and so is what a shader finds: a patch reaches half a tree over some
+samples of its neighbours, or beyond the outline, on either side, and ends in skirts there.
 """
 
 import numpy as np
@@ -20,6 +23,15 @@ class VertexTexture(Dynamic):
     name = "vertex-texture"
     # Textures: heights 16/3, bounds 4, marks 1/3.
     sample_bytes = Dynamic.sample_bytes + 10
+
+    def arrange(self) -> None:
+        """Set what patches of trees of a size reach over.
+
+        A mesh ends half a tree short of its samples at most. Whole trees fit those of a patch, and
+        the last ones reach further beyond its cells than that.
+        """
+        self.apron, self.beyond = self.tree // 2, self.tree
+        self.cells = self.samples - self.apron
 
     def draw(
         self, eye: Eye, low: NDArray[np.float64], high: NDArray[np.float64]

@@ -94,6 +94,9 @@ class Scene:
     stepwise : bool
         Modes dynamic and vertex-texture change by one height of their quadtree a frame, as their
         paper does: what they keep is `Frames.tau`, more than τ while they lag behind the view.
+    tree : int, optional
+        Of modes dynamic and vertex-texture: samples a side of their quadtrees, a power of two from
+        2 to 256; 16 by default.
     orientation : bool
         In modes adaptive, batched and loose with measured errors, these count less the steeper they
         are looked down at; τ holds all the same.
@@ -129,6 +132,7 @@ class Scene:
         detail: float | None = None,
         order: int | None = None,
         stepwise: bool = False,
+        tree: int | None = None,
         orientation: bool = False,
         exaggeration: float = 1.0,
         radius: float | None = None,
@@ -143,7 +147,7 @@ class Scene:
         self.frame: Frame = frame_of(terrain, radius=radius, exaggeration=exaggeration)
         self.n_workers = n_workers
         self.options = given = options_of(
-            mode, detail=detail, order=order, stepwise=stepwise, orientation=orientation
+            mode, detail=detail, order=order, stepwise=stepwise, tree=tree, orientation=orientation
         )
         needs = ModeNeeds(terrain, self.frame, error, progress)
         self.mode: Mode = mode_class(mode)(needs, **given)

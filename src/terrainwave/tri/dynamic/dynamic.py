@@ -12,10 +12,7 @@ the patches' roots down to what may change: one height at a time, as the paper p
 (`step_top_down`), or as far as it goes (`settle_top_down`). With the measured error all three end
 alike, whatever was before, because no node's error on screen is below that of one under it.
 
-Fans: each root draws the triangles of which it is the largest corner, or the north-west one of
-four; its sides in the order top, left, bottom, right. A neighbour that is divided gives the nodes
-along its facing border; a root gives itself; one that is part of a larger root is left to that one.
-A patch so draws the strips to its right and lower neighbours, and reads only their marks.
+Fans (`fans`) join the roots of one mesh, and of meshes side by side (`draw_together`).
 
 Where we depart from the paper: the morph lies below the threshold of merging, τ / λ … τ, so that it
 keeps within τ (as printed it goes to λτ and beyond), and goes to where the parent is drawn, which
@@ -28,6 +25,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import inlined_kernel, kernel
+from terrainwave.tri.dynamic.fans import (
+    BELOW,
+    INNER,
+    NOBODY,
+    ROOT,
+    VOID,
+    Forest,
+    count_corners,
+    draw_fans,
+    fill_rim,
+    forest_of,
+    leave_rings,
+    number_corners,
+)
 from terrainwave.tri.dynamic.haar import (
     ERROR,
     FIRST,
@@ -41,17 +52,12 @@ from terrainwave.tri.dynamic.haar import (
 from terrainwave.tri.followed import CLOSED, Eye, Followed, Pressure, check_budget, check_update
 from terrainwave.tri.scratch import Scratch
 
-# NotNullNode, NullSubTreeRoot, NullSubTreeSubNode: what is above roots, roots, what is below them.
-INNER, ROOT, BELOW = 0, 1, 2
 # Of a view as an array: place of the eye and where it looks; focal length; largest distance by
 # depth; factor of heights; what is added to errors; half the width of boxes in cells; whether
 # errors are bounds; x and y of samples.
 _X, _Y, _Z, _FORWARD, _FOCAL, _SLANT, _Z_SCALE, _BASE, _REACH = 0, 1, 2, 3, 6, 7, 8, 9, 10
 _IS_BOUND, _MATRIX = 11, 12
 _FIRST_CAPACITY = 4096
-# Sides of a cell in the order of fans, and where the neighbour lies.
-_TOP, _LEFT, _BOTTOM, _RIGHT = 0, 1, 2, 3
-_DOWN, _ACROSS = (-1, 0, 1, 0), (0, -1, 0, 1)
 
 
 class DynamicFrame(NamedTuple):
@@ -233,24 +239,8 @@ class DynamicMesh:
 
     def draw(self, eye: Eye, followed: Followed) -> DynamicFrame:
         """Return the mesh of the marks; `followed` is what `follow` returned for this eye."""
-        tree = self.tree
-        vertex_of = self._scratch.take("vertex_of", (len(tree.z),), np.int32)
-        vertices, nodes, n_vertices, n_voids = self._place(eye, followed, vertex_of)
-        triangles = self._scratch.take("triangles", (2 * len(nodes), 3), np.int32)
-        n_triangles = draw_fans(
-            self.marks, tree.layout, tree.z, nodes, n_vertices, n_voids, vertex_of,
-            self._is_mirrored, self._stack, triangles,
-        )  # fmt: skip
-        return DynamicFrame(
-            vertices[:n_vertices].copy(),
-            triangles[:n_triangles].copy(),
-            nodes[:n_vertices].copy(),
-            self._outer_edges(vertex_of),
-            followed.threshold,
-            followed.tau,
-            followed.n_touched,
-            followed.n_changed,
-        )
+        (frame,) = draw_together([ForestPart(self, followed)], eye)
+        return frame
 
     def update(
         self,
@@ -289,31 +279,32 @@ class DynamicMesh:
         self._n_vertices += n_more
         return n_touched, n_changed, largest
 
-    def _place(
-        self, eye: Eye, followed: Followed, vertex_of: NDArray[np.int32]
-    ) -> tuple[NDArray[np.float64], NDArray[np.int32], int, int]:
-        """Return vertices and nodes of all roots; and how many have vertices, how many not."""
+    def place(
+        self,
+        eye: Eye,
+        followed: Followed,
+        is_drawn: NDArray[np.bool_],
+        first_vertex: int,
+        vertex_of: NDArray[np.int32],
+    ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        """Return the vertices of roots in some trees, and the nodes of these; then void roots.
+
+        `vertex_of` is filled, with numbers from `first_vertex`.
+        """
         tree, capacity = self.tree, max(2 * self._n_vertices, _FIRST_CAPACITY)
         while True:
             nodes = self._scratch.take("nodes", (capacity, 3), np.int32)
             vertices = self._scratch.take("vertices", (capacity, 3), np.float64)
             n_vertices, n_voids = place_vertices(
                 tree.layout, tree.z, tree.bounds, self.marks, (self._view(eye), eye.planes),
-                (followed.threshold, followed.tau), (self._stack, self._places), vertex_of, nodes,
-                vertices,
+                (followed.threshold, followed.tau), (self._stack, self._places),
+                (is_drawn, first_vertex), vertex_of, (nodes, vertices),
             )  # fmt: skip
             if n_vertices + n_voids <= capacity:
-                return vertices, nodes, n_vertices, n_voids
+                break
             capacity = 2 * (n_vertices + n_voids)
-
-    def _outer_edges(self, vertex_of: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Return the edges between roots along open sides."""
-        layout = self.tree.layout
-        edges = np.empty((2 * int(layout[0, N_ROWS] + layout[0, N_COLS]), 2), dtype=np.int32)
-        n = fill_outer_edges(
-            self._open_sides, self.marks, layout, self.tree.z, vertex_of, edges
-        )  # fmt: skip
-        return edges[:n].copy()
+        both = np.concatenate([nodes[:n_vertices], nodes[capacity - n_voids :]])
+        return vertices[:n_vertices].copy(), both
 
     def _view(self, eye: Eye) -> NDArray[np.float64]:
         numbers = (
@@ -321,6 +312,136 @@ class DynamicMesh:
             self.tree.reach, self._is_bound,
         )  # fmt: skip
         return np.array([*numbers, *self.matrix], dtype=np.float64)
+
+
+# One mesh of many
+
+
+class ForestPart(NamedTuple):
+    """A mesh among others of the same samples, side by side.
+
+    Parameters
+    ----------
+    mesh : DynamicMesh
+        All have trees of one size, and lie in the plane as their trees do among one another.
+    followed : Followed
+        What `follow` returned.
+    first : tuple of int
+        Row and column of its first tree, from anywhere.
+    owned : tuple of slice
+        Rows and columns of the trees that nobody else draws. Its others are a ring around them,
+        for where none of the meshes owns what is there.
+    """
+
+    mesh: DynamicMesh
+    followed: Followed
+    first: tuple[int, int] = (0, 0)
+    owned: tuple[slice, slice] = (slice(None), slice(None))
+
+
+def draw_together(parts: list[ForestPart], eye: Eye) -> list[DynamicFrame]:
+    """Return the one mesh of the marks of several, a frame for each.
+
+    Where they meet, fans join them as they join the trees of each, without a gap and without an
+    overlap. Of trees that nobody owns only those triangles are drawn that have a corner in a tree
+    with an owner: they cover what those trees cover, and end half a tree beyond them at most.
+
+    The triangles of a fan are its root's. Vertices that they have in another mesh come last in the
+    frame, with nodes that count from its own first; they lie where that mesh has them.
+    """
+    meshes = [part.mesh for part in parts]
+    mesh, top = meshes[0], meshes[0].tree.top
+    layouts = [mesh.tree.layout for mesh in meshes]
+    starts = np.cumsum([0, *(len(mesh.marks) for mesh in meshes)])
+    vertex_of = mesh._scratch.take("vertex_of", (int(starts[-1]),), np.int32)
+    forest, firsts = forest_of(
+        layouts, [part.first for part in parts], [part.owned for part in parts],
+        [mesh.marks for mesh in meshes], vertex_of,
+    )  # fmt: skip
+    vertices, nodes, numbers = [], [], [0]
+    for k, (part, (row, col)) in enumerate(zip(parts, firsts, strict=True)):
+        n_rows, n_cols = layouts[k][-1, N_ROWS:]
+        is_drawn = forest.owners[row : row + n_rows, col : col + n_cols] == k
+        own, own_nodes = part.mesh.place(
+            eye, part.followed, is_drawn.ravel(), numbers[-1], vertex_of[starts[k] : starts[k + 1]]
+        )
+        vertices.append(own)
+        nodes.append(_moved(own_nodes, top, row, col))
+        numbers.append(numbers[-1] + len(own))
+    is_ring = np.concatenate(
+        [_are_in_rings(forest, n[: len(v)], top) for n, v in zip(nodes, vertices, strict=True)]
+    )
+    rims = _rims(forest, mesh._open_sides)
+    triangles, ends, gone = [], [rims[~is_ring[rims[:, :2]].all(axis=1)]], [rims[:, :2]]
+    for k, (layout, own_nodes) in enumerate(zip(layouts, nodes, strict=True)):
+        # Neighbours along all sides may be samples.
+        capacity = 2 * (len(own_nodes) + 2 * int(layout[0, N_ROWS:].sum()) + 8)
+        room = mesh._scratch.take("triangles", (capacity, 3), np.int32)
+        n = draw_fans(forest, own_nodes, mesh._is_mirrored, mesh._stack, room)
+        edges = mesh._scratch.take("edges", (4 * n, 2), np.int32)
+        n, n_ends, n_gone = leave_rings(room[:n], is_ring, edges)
+        triangles.append(room[:n].copy())
+        ends.append(np.insert(edges[:n_ends], 2, k, axis=1))
+        gone.append(edges[len(edges) - n_gone :].copy())
+    edges = np.concatenate(ends)
+    is_end = np.isin(_keys(edges[:, :2], len(is_ring)), _keys(np.concatenate(gone), len(is_ring)))
+    edges = edges[is_end]
+    all_vertices = np.concatenate(vertices)
+    all_nodes = np.concatenate([n[: len(v)] for n, v in zip(nodes, vertices, strict=True)])
+    number_of = mesh._scratch.take("number_of", (len(is_ring),), np.int32)
+    which = mesh._scratch.take("which", (len(is_ring),), np.int32)
+    frames = []
+    for k, (part, (row, col)) in enumerate(zip(parts, firsts, strict=True)):
+        own_edges = edges[edges[:, 2] == k, :2].copy()
+        n = count_corners(numbers[k], numbers[k + 1], is_ring, number_of, which)
+        n = number_corners(triangles[k], n, number_of, which)
+        n = number_corners(own_edges, n, number_of, which)
+        frames.append(
+            DynamicFrame(
+                all_vertices[which[:n]],
+                triangles[k],
+                _moved(all_nodes[which[:n]], top, -row, -col),
+                own_edges,
+                *part.followed[:2],
+                part.followed.n_touched,
+                part.followed.n_changed,
+            )
+        )
+    return frames
+
+
+def _are_in_rings(forest: Forest, nodes: NDArray[np.int32], top: int) -> NDArray[np.bool_]:
+    """Say of nodes whether their trees are in rings."""
+    if not forest.is_ring.any():
+        return np.zeros(len(nodes), dtype=np.bool_)
+    shift = top - nodes[:, 0]
+    found: NDArray[np.bool_] = forest.is_ring[nodes[:, 1] >> shift, nodes[:, 2] >> shift]
+    return found
+
+
+def _keys(edges: NDArray[np.int32], n_vertices: int) -> NDArray[np.int64]:
+    """Return a number for each edge, whichever way it goes."""
+    a, b = edges.T.astype(np.int64)
+    return np.minimum(a, b) * n_vertices + np.maximum(a, b)
+
+
+def _moved(nodes: NDArray[np.int32], top: int, row: int, col: int) -> NDArray[np.int32]:
+    """Return nodes so many trees further down and to the right."""
+    shift = top - nodes[:, :1]
+    return nodes + np.concatenate([0 * shift, row << shift, col << shift], axis=1)
+
+
+def _rims(forest: Forest, open_sides: tuple[bool, bool, bool, bool]) -> NDArray[np.int32]:
+    """Return the edges of `fill_rim`."""
+    if not any(open_sides):
+        return np.empty((0, 3), dtype=np.int32)
+    is_here = np.pad(forest.owners != NOBODY, 1)
+    n_sides = sum(
+        int((is_here & ~np.roll(is_here, by, axis)).sum()) for by in (1, -1) for axis in (0, 1)
+    )
+    top = forest.places.shape[1] - 1
+    edges = np.empty((n_sides * ((1 << top) + 2), 3), dtype=np.int32)
+    return edges[: fill_rim(open_sides, forest, edges)]
 
 
 # Errors on screen
@@ -604,19 +725,24 @@ def largest_error_in_view(
 
 
 @kernel
-def place_vertices(layout, z, bounds, marks, sight, morph, scratch, vertex_of, nodes, vertices):
-    """Fill places and nodes of all roots; return how many have vertices, and how many are void.
+def place_vertices(
+    layout, z, bounds, marks, sight, morph, scratch, trees, vertex_of, roots
+):  # fmt: skip
+    """Fill nodes and places of roots; return how many have vertices, and how many are void.
 
     A node whose parent P has the error ε on screen is drawn at α of its own place and 1 - α of
     where P is drawn, α = (ε - start) / (end - start) within 0 … 1 (§3.6). `sight` is the view and
-    the planes, `morph` start and end, `scratch` the stack and places that wait on it. Void roots
-    come last in `nodes`, from its end backwards. Where both together are more than it holds, they
-    are not all written.
+    the planes, `morph` start and end, `scratch` the stack and places that wait on it; `trees` says
+    which trees are meant, and the number of the first vertex. Void roots come last in `nodes`, from
+    its end backwards. Where both together are more than it holds, they are not all written.
     """
     (view, planes), (start, end), (stack, places) = sight, morph, scratch
+    (is_drawn, first_vertex), (nodes, vertices) = trees, roots
     count, n_voids, limit = 0, 0, nodes.shape[0]
     z_scale = view[_Z_SCALE]
     for patch in range(layout[-1, N_ROWS] * layout[-1, N_COLS]):
+        if not is_drawn[patch]:
+            continue
         depth = _push_patch(patch, layout, stack)
         places[0, 3] = 1.0
         while depth > 0:
@@ -624,6 +750,7 @@ def place_vertices(layout, z, bounds, marks, sight, morph, scratch, vertex_of, n
             height, row, col = stack[depth, 0], stack[depth, 1], stack[depth, 2]
             node = layout[height, FIRST] + row * layout[height, N_COLS] + col
             if np.isnan(z[node]):  # a root: its error is 0
+                vertex_of[node] = VOID
                 if n_voids < limit:
                     place = limit - 1 - n_voids
                     nodes[place, 0], nodes[place, 1], nodes[place, 2] = height, row, col
@@ -641,7 +768,7 @@ def place_vertices(layout, z, bounds, marks, sight, morph, scratch, vertex_of, n
                 up = share * up + (1 - share) * places[depth, 2]
             if marks[node] == ROOT:
                 if count < limit:
-                    vertex_of[node] = count
+                    vertex_of[node] = first_vertex + count
                     nodes[count, 0], nodes[count, 1], nodes[count, 2] = height, row, col
                     vertices[count, 0], vertices[count, 1], vertices[count, 2] = x, y, up
                 count += 1
@@ -655,162 +782,3 @@ def place_vertices(layout, z, bounds, marks, sight, morph, scratch, vertex_of, n
                 places[depth + k, 2], places[depth + k, 3] = up, share
             depth = _push_children(height, row, col, stack, depth)
     return count, n_voids
-
-
-# Fans
-
-
-@kernel
-def _root_beside(height, row, col, is_lower, is_right, layout, marks):
-    """Return the root at a corner of a cell: that of the cell, one below it or one above it.
-
-    -1 where a larger cell does not have that corner, or there is no cell. `is_lower` and `is_right`
-    say which of the four corners.
-    """
-    if row < 0 or col < 0 or row >= layout[height, N_ROWS] or col >= layout[height, N_COLS]:
-        return -1
-    node = layout[height, FIRST] + row * layout[height, N_COLS] + col
-    while marks[node] == INNER:
-        height, row, col = height - 1, 2 * row + is_lower, 2 * col + is_right
-        node = layout[height, FIRST] + row * layout[height, N_COLS] + col
-    while marks[node] == BELOW:
-        if (row & 1) != is_lower or (col & 1) != is_right:
-            return -1
-        height, row, col = height + 1, row >> 1, col >> 1
-        node = layout[height, FIRST] + row * layout[height, N_COLS] + col
-    return node
-
-
-@kernel
-def _add(a, b, c, vertex_of, is_mirrored, triangles, count):
-    """Append a triangle of three nodes; return how many there are then."""
-    if is_mirrored:
-        b, c = c, b
-    triangles[count, 0], triangles[count, 1] = vertex_of[a], vertex_of[b]
-    triangles[count, 2] = vertex_of[c]
-    return count + 1
-
-
-@kernel
-def _add_side(root, beside, layout, marks, z, vertex_of, is_mirrored, stack, triangles, count):
-    """Append the triangles of a root with the nodes along a divided neighbour's facing border.
-
-    `beside` is the side, and the neighbour's height, row and column. Return how many triangles
-    there are then.
-    """
-    side, height, row, col = beside
-    before = -1
-    stack[0, 0], stack[0, 1], stack[0, 2] = height, row, col
-    depth = 1
-    while depth > 0:
-        depth -= 1
-        height, row, col = stack[depth, 0], stack[depth, 1], stack[depth, 2]
-        node = layout[height, FIRST] + row * layout[height, N_COLS] + col
-        if marks[node] == INNER:
-            # Clockwise around the root: the second on the stack comes first.
-            for k in range(2):
-                if side == _TOP:
-                    down, right = 1, 1 - k
-                elif side == _RIGHT:
-                    down, right = 1 - k, 0
-                elif side == _BOTTOM:
-                    down, right = 0, k
-                else:
-                    down, right = k, 1
-                stack[depth + k, 0] = height - 1
-                stack[depth + k, 1], stack[depth + k, 2] = 2 * row + down, 2 * col + right
-            depth += 2
-            continue
-        if before >= 0 and not np.isnan(z[before]) and not np.isnan(z[node]):
-            count = _add(root, before, node, vertex_of, is_mirrored, triangles, count)
-        before = node
-    return count
-
-
-@kernel
-def _add_corner(nw, ne, se, sw, z, vertex_of, is_mirrored, triangles, count):
-    """Append the triangles of four roots around a corner, or of the three that are not void."""
-    is_nw, is_ne = not np.isnan(z[nw]), not np.isnan(z[ne])
-    is_se, is_sw = not np.isnan(z[se]), not np.isnan(z[sw])
-    if is_nw and is_se:
-        if is_ne:
-            count = _add(nw, ne, se, vertex_of, is_mirrored, triangles, count)
-        if is_sw:
-            count = _add(nw, se, sw, vertex_of, is_mirrored, triangles, count)
-    elif is_ne and is_sw:
-        if is_nw:
-            count = _add(nw, ne, sw, vertex_of, is_mirrored, triangles, count)
-        elif is_se:
-            count = _add(ne, se, sw, vertex_of, is_mirrored, triangles, count)
-    return count
-
-
-@kernel
-def draw_fans(
-    marks, layout, z, nodes, n_vertices, n_voids, vertex_of, is_mirrored, stack, triangles
-):
-    """Fill the triangles of all roots; return how many there are.
-
-    `nodes` holds the roots that have vertices, and from its end backwards those that are void.
-    Counter-clockwise in x, y where rows go down; `is_mirrored` for where they go up.
-    """
-    count = 0
-    for number in range(n_vertices + n_voids):
-        place = number if number < n_vertices else nodes.shape[0] - 1 - (number - n_vertices)
-        height = np.int64(nodes[place, 0])
-        row, col = np.int64(nodes[place, 1]), np.int64(nodes[place, 2])
-        first, n_rows, n_cols = (
-            layout[height, FIRST],
-            layout[height, N_ROWS],
-            layout[height, N_COLS],
-        )
-        root = first + row * n_cols + col
-        if height > 0 and number < n_vertices:
-            for side in range(4):
-                r, c = row + _DOWN[side], col + _ACROSS[side]
-                if 0 <= r < n_rows and 0 <= c < n_cols and marks[first + r * n_cols + c] == INNER:
-                    count = _add_side(
-                        root, (side, height, r, c), layout, marks, z, vertex_of, is_mirrored,
-                        stack, triangles, count,
-                    )  # fmt: skip
-        ne = _root_beside(height, row, col + 1, 1, 0, layout, marks)
-        if ne < 0:
-            continue
-        se = _root_beside(height, row + 1, col + 1, 0, 0, layout, marks)
-        sw = _root_beside(height, row + 1, col, 0, 1, layout, marks)
-        if se >= 0 and sw >= 0:
-            count = _add_corner(
-                root, ne, se, sw, z, vertex_of, is_mirrored, triangles, count
-            )  # fmt: skip
-    return count
-
-
-@kernel
-def fill_outer_edges(open_sides, marks, layout, z, vertex_of, edges):
-    """Fill the edges between the roots along open sides; return how many there are."""
-    n_rows, n_cols = layout[0, N_ROWS], layout[0, N_COLS]
-    top = layout.shape[0] - 1
-    count = 0
-    for side in range(4):
-        before, at = -1, 0
-        while open_sides[side] and at < (n_rows if side & 1 else n_cols):
-            row, col = at, at
-            if side & 1:
-                col = 0 if side == 1 else n_cols - 1
-            else:
-                row = 0 if side == 0 else n_rows - 1
-            height = top
-            node = layout[top, FIRST] + (row >> top) * layout[top, N_COLS] + (col >> top)
-            while marks[node] == INNER:
-                height -= 1
-                node = layout[height, FIRST] + (row >> height) * layout[height, N_COLS]
-                node += col >> height
-            if np.isnan(z[node]):
-                before = -1
-            else:
-                if before >= 0:
-                    edges[count, 0], edges[count, 1] = vertex_of[before], vertex_of[node]
-                    count += 1
-                before = node
-            at += 1 << height
-    return count
