@@ -313,8 +313,8 @@ class NodeTable:
         for number in gone.tolist():
             del self._numbers[self.pieces[number]]
         self._free += gone.tolist()
-        for level, nodes in self._of_level.items():
-            self._of_level[level] = [node for node in nodes if is_kept[node]]
+        for level, numbers_of_level in self._of_level.items():
+            self._of_level[level] = [number for number in numbers_of_level if is_kept[number]]
 
     def floors(self, nodes: NDArray[np.int32]) -> Floors:
         """Return what is known of the floors of nodes, shape (n,)."""
