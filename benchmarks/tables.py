@@ -446,6 +446,15 @@ def pyramids(results: Path) -> Rows:
     return read(results, "zerotree_pyramids", case=case)
 
 
+def zhang_choices(results: Path) -> Rows:
+    """Return what two pyramids draw, with what blocks are chosen by in one field."""
+
+    def case(row: Row) -> str:
+        return row["errors"] if row["errors"] == "bound" else row["pyramid"]
+
+    return read(results, "zhang_triangles", case=case)
+
+
 def outlines_by_mode(results: Path) -> Rows:
     """Return what pictures of all rasters lack, by mode and errors."""
     found: dict[tuple, Rows] = defaultdict(list)

@@ -17,6 +17,8 @@ from terrainwave.codec.cdf97.residual import (
     rounding_of,
 )
 from terrainwave.coding.rangecoder import (
+    code_bit,
+    code_magnitude,
     finish_decoder,
     finish_encoder,
     new_decoder,
@@ -72,6 +74,39 @@ def test_coarse_levels_of_faithful_files_are_quantised_as_printed(half):
     found = rebuilt(errors, 2 * half + 1, is_coarse=True)
     np.testing.assert_array_equal(found, printed)
     assert np.abs(found - errors).max() <= half
+
+
+@pytest.mark.parametrize("is_coarse", [False, True])
+@pytest.mark.parametrize("half", [1, 1000, 1 << 20, 1 << 28])
+@pytest.mark.parametrize("is_down", [False, True])
+def test_the_largest_index_is_as_format_7_7_and_7_9_say(half, is_down, is_coarse):
+    """What any bytes may say of a lone sample: as by the document, with its numbers of models."""
+    most, n = 1 << 30, 2 * half + 1
+    d, shift = (half, half >> 1) if is_coarse else (n, 0)
+    start = most if is_down else -most
+    expected_magnitude = int(tables97.E_WEIGHTS[7]) >> 4
+    assert 0 < expected_magnitude < 4096
+    eta = min(max((int(8 * np.log2(expected_magnitude)) - 24 >> 2) + 1, 0), 43)
+    first = 879 + 14 * (min(eta + 2, 43) if is_coarse else eta)
+    highest = 2**31 // d + 1
+    for value in (1, 2, highest // 2 + 1, highest - 1, highest, highest + 1, 2**32):
+        out = np.zeros(64, dtype=np.uint8)
+        coder = new_encoder(out, tables97.start_residual_models())
+        code_bit(coder, np.int64(4 * eta), np.int64(1))
+        code_bit(coder, np.int64(704 + 7 * (5 * 1 + 2) + 3), np.int64(is_down))
+        code_magnitude(coder, np.int64(first), np.int64(1495), np.int64(0), np.int64(value - 1))
+        stream = out[: finish_encoder(coder.state, out)].tobytes()
+        change = min(value, highest) * d + shift
+        height = max(start - change, -most) if is_down else min(start + change, most)
+        heights = np.zeros((1, 1), dtype=np.int32)
+        kinds, base = np.full((1, 1), CODED, dtype=np.uint8), framed(np.array([[start]]))
+        coder = new_decoder(stream, tables97.start_residual_models())
+        code_residuals(
+            None, heights, kinds, base, n, rounding_of(n, is_coarse=is_coarse), NO_PREDICTION,
+            tables97.E_WEIGHTS, new_scratch(1), coder,
+        )  # fmt: skip
+        assert finish_decoder(coder.state, coder.stream)[0] == 0
+        assert heights.item() == height
 
 
 @pytest.mark.parametrize("is_coarse", [False, True])

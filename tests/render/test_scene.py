@@ -434,3 +434,30 @@ def test_all_finest_blocks_in_view_come_in_parts_that_fit():
                 assert np.abs(z - heights[rows, cols]).max() <= 1
         assert (count > 0).all()
         assert not store.patches
+
+
+def test_a_long_flight_keeps_few_pieces_known_and_draws_the_same(monkeypatch):
+    heights = np.round(hills(1200, 1600, 5)).astype(np.int16)
+    viewport, n_known, n_drawn = Viewport(200, 140), [], 0
+    with terrain_of(heights, max_error=0, block=32) as terrain:
+        with Scene(terrain, ListStore(1000)) as patient:
+            monkeypatch.setattr("terrainwave.render.paging.scene._MOST_KNOWN", 100)
+            with Scene(terrain, ListStore(40)) as scene:
+                low, high = scene.frame.box
+                for across, along in np.ndindex(4, 15):
+                    share = 0.05 + 0.06 * along, 0.15 + 0.25 * across
+                    x, y = low[:2] + (high - low)[:2] * share
+                    camera = Camera((float(x), float(y), float(high[2])), 90.0, -75.0)
+                    drawn = []
+                    for one in (patient, scene):
+                        view = one.view(camera, viewport, 2.0)
+                        one.settle(view)
+                        frames = one.update(view)
+                        drawn.append({one.table.pieces[node] for node in frames.nodes})
+                    assert drawn[0] == drawn[1]
+                    n_drawn += len(drawn[1])
+                    n_known.append(scene.table.n_known)
+                assert patient.table.n_known > 800
+                assert max(n_known) < 450
+                assert len(scene.table) < 450
+    assert n_drawn > 100

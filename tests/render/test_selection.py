@@ -296,3 +296,51 @@ def test_an_arena_never_hands_out_an_item_twice(sizes, seed):
     arena.give_back(0, 256)
     arena.grow(512)
     assert arena.take(512) == 0
+
+
+def test_a_table_forgets_what_nobody_needs_and_gives_its_numbers_to_others():
+    rng = np.random.default_rng(17)
+    table = random_tree(rng, share_resident=0.2)
+    pieces, n = list(table.pieces), len(table)
+    resident = {pieces[node] for node in np.flatnonzero(table.is_resident[:n])}
+    used = rng.choice(n, 9, replace=False).astype(np.int32)
+    needed = resident | {pieces[node] for node in used}
+    parent_of = {pieces[k]: pieces[p] if p >= 0 else None for k, p in enumerate(table.parents[:n])}
+
+    def has_needed(piece):
+        return piece in needed or any(has_needed(c) for c, p in parent_of.items() if p == piece)
+
+    # By the definition: children go together, with those below them.
+    opened = {p for p in pieces if p in resident or any(
+        has_needed(child) for child, parent in parent_of.items() if parent == p
+    )}  # fmt: skip
+    kept = {piece for piece in pieces if parent_of[piece] is None or parent_of[piece] in opened}
+    assert 20 < len(kept) < n - 20
+
+    def errors():
+        return {p: table.errors[k] for p in kept if (k := table.find(p)) is not None}
+
+    before = errors()
+    table.forget_children([used])
+    assert table.n_known == len(kept)
+    assert {piece for piece in pieces if table.find(piece) is not None} == kept
+    assert errors() == before
+    for piece in kept:
+        children = table.children[table.find(piece)]
+        own = {table.pieces[child] for child in children[children >= 0]}
+        assert own == {c for c, p in parent_of.items() if p == piece and piece in opened}
+    assert len(table.coarse_nodes(1 << 20)) == len(kept)
+    table.forget_children([used])
+    assert table.n_known == len(kept)
+    # Others come in their place, not known further and not in the store.
+    leaf = next(node for node in range(n) if table.find(table.pieces[node]) == node
+                and not table.is_known[node])  # fmt: skip
+    infos = [NodeInfo(Piece(9, k, 0), (0, 0, 0), (1, 1, 1), 1.0, 1.0) for k in range(4)]
+    table.add_children(leaf, infos)
+    assert len(table) == n
+    new = table.children[leaf]
+    assert (table.parents[new] == leaf).all()
+    assert not table.is_resident[new].any()
+    assert not table.is_known[new].any()
+    assert (table.children[new] == -1).all()
+    assert (table.n_triangles[new] == 0).all()

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 _THREADS, _BATCH = 2, 8
 # Of a view, so many pieces are fetched at most; a moving camera is looked at so often.
 _MOST_PIECES, _REST = 256, 0.1  # pieces, seconds
+# Pieces that are known before all are forgotten, and found again by the index.
+_MOST_KNOWN = 8192
 PATIENCE = 1.0  # seconds
 # Samples around a block that its slopes are made of.
 _RING = 2
@@ -48,9 +50,7 @@ class Descent:
         units: Callable[[Piece], Sequence[Block]],
     ) -> None:
         self._mode, self._prefetch, self._units = mode, prefetch, units
-        self._table = NodeTable()
-        for info in mode.roots():
-            self._table.add(info)
+        self._table = self._roots()
         self._wish: _Wish | None = None
         self._seen: Camera | None = None
         self._changed = threading.Condition()
@@ -80,8 +80,17 @@ class Descent:
                 self._fetch(self._pieces(wish))
             time.sleep(_REST)
 
+    def _roots(self) -> NodeTable:
+        """Return a table that knows the roots alone."""
+        table = NodeTable()
+        for info in self._mode.roots():
+            table.add(info)
+        return table
+
     def _pieces(self, wish: "_Wish") -> list[Piece]:
         """Return the pieces that are not here, the coarsest first; reads the index."""
+        if self._table.n_known > _MOST_KNOWN:
+            self._table = self._roots()
         table, mode = self._table, self._mode
         while True:
             nodes = mode.wanted(table, wish.view, wish.tau, _MOST_PIECES, wish.view.camera)

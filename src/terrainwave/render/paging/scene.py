@@ -46,6 +46,8 @@ _FRAMES_PER_LOOK = 5
 _COARSE_SHARE = 32
 # Pieces that are asked for at a time.
 _MOST_ASKED = 64
+# Pieces that are known before those that nobody needs are forgotten, at about half a kilobyte each.
+_MOST_KNOWN = 8192
 _NO_ROOM = "a block does not fit the memory allowed for pictures"
 
 
@@ -174,6 +176,7 @@ class Scene:
         self.has_horizon = horizon
         self._shown, self._tau = np.empty(0, dtype=np.int32), 0.0  # nodes of the last frame
         self._memory_factor, self._is_short = 1.0, True
+        self._most_known = _MOST_KNOWN
 
     def __enter__(self) -> "Scene":
         return self
@@ -228,6 +231,7 @@ class Scene:
         if self._last_camera != view.camera and not self._is_short:
             self._memory_factor = max(self._memory_factor / _RELIEF, 1.0)
         tau = self._split_error(view)
+        self._forget()
         self._take(view, max_uploads)
         view = replace(view, horizon=self._horizon(view, view.camera))
         wanted = self._needed = self._wanted(view, tau)
@@ -308,6 +312,14 @@ class Scene:
         return self.mode.split_error(view.max_pixel_error) * self._memory_factor
 
     # Paging
+
+    def _forget(self) -> None:
+        """Forget pieces far from where the camera is, once many are known."""
+        if self.table.n_known > self._most_known:
+            self.table.forget_children(
+                [self._needed, self._soon, self._shown, *self._looks.values()]
+            )
+            self._most_known = max(_MOST_KNOWN, 2 * self.table.n_known)
 
     def _wanted(self, view: View, tau: float, camera: Camera | None = None) -> NDArray[np.int32]:
         if camera is None:

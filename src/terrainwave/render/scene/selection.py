@@ -5,7 +5,7 @@ outside the frustum end the recursion, and those good enough do.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple, Protocol
@@ -189,6 +189,7 @@ class NodeTable:
         self.pieces: list[Piece] = []
         self._of_level: dict[int, list[int]] = {}
         self._floors: dict[int, Floors] = {}  # of pieces that are in the store
+        self._free: list[int] = []  # numbers of pieces that were forgotten
         self.roots = np.empty(0, dtype=np.int32)
         self._allocate(_FIRST_CAPACITY)
 
@@ -230,11 +231,15 @@ class NodeTable:
         number = self._numbers.get(info.piece)
         if number is not None:
             return number
-        number = len(self)
-        if number == len(self.errors):
-            self._grow()
+        if self._free:
+            number = self._free.pop()
+            self.pieces[number] = info.piece
+        else:
+            number = len(self)
+            if number == len(self.errors):
+                self._grow()
+            self.pieces.append(info.piece)
         self._numbers[info.piece] = number
-        self.pieces.append(info.piece)
         self.low[number], self.high[number] = info.low, info.high
         self.errors[number], self.spacings[number] = info.error, info.spacing
         self.keys[number] = info.piece
@@ -268,6 +273,48 @@ class NodeTable:
         """Take down that a piece has left the store."""
         self.is_resident[node] = False
         self._floors.pop(node, None)
+
+    @property
+    def n_known(self) -> int:
+        """Return how many pieces are known."""
+        return len(self._numbers)
+
+    def forget_children(self, used: Sequence[NDArray[np.int32]]) -> None:
+        """Forget what is below pieces that are not in the store, but for what somebody needs.
+
+        Such a piece says again which its children are when it is built again. Numbers of pieces
+        that are forgotten are given to others.
+
+        Parameters
+        ----------
+        used : sequence of ndarray of int32
+            Nodes to keep, with all above them and their siblings.
+        """
+        n = len(self)
+        parents, is_resident = self.parents[:n], self.is_resident[:n]
+        is_needed = is_resident.copy()
+        for nodes in used:
+            is_needed[nodes] = True
+        above = np.flatnonzero(is_needed)
+        while len(above):
+            above = np.unique(parents[above])
+            above = above[above >= 0]
+            above = above[~is_needed[above]]
+            is_needed[above] = True
+        keeps_children = is_resident.copy()
+        keeps_children[parents[is_needed & (parents >= 0)]] = True
+        is_kept = (parents < 0) | keeps_children[parents]
+        gone = np.flatnonzero(~is_kept)
+        self.children[:n][~keeps_children] = -1
+        self.is_known[:n][~keeps_children] = False
+        for numbers in (self.n_triangles, self.bases, self.morphs, self.errors):
+            numbers[gone] = 0
+        self.parents[gone] = -1
+        for number in gone.tolist():
+            del self._numbers[self.pieces[number]]
+        self._free += gone.tolist()
+        for level, numbers_of_level in self._of_level.items():
+            self._of_level[level] = [number for number in numbers_of_level if is_kept[number]]
 
     def floors(self, nodes: NDArray[np.int32]) -> Floors:
         """Return what is known of the floors of nodes, shape (n,)."""
