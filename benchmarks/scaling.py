@@ -26,7 +26,8 @@ from benchmarks.rasters import make_mirrored
 from terrainwave.container.depot import Depot
 from terrainwave.container.page import MAX_PAGE
 from terrainwave.grid.quadtree import Grid
-from terrainwave.write.cluster import TASK_SAMPLES, executor_of, task_level
+from terrainwave.write.cluster import TASK_SAMPLES, task_level
+from terrainwave.write.tasks.workers import executor_of
 
 BLOCK = 256
 MAX_ERROR = 1.0

@@ -156,6 +156,11 @@ def test_what_workers_cannot_open_is_refused(tmp_path, cluster):
         compress(HEIGHTS, tmp_path / "dem.twz", client=cluster)
 
 
+def test_a_log_without_a_client_is_refused(tmp_path):
+    with pytest.raises(InvalidHeightsError, match="found on_task without a client"):
+        compress(tmp_path / "dem.tif", tmp_path / "dem.twz", on_task=print)
+
+
 def test_tiles_are_not_shared_out(tmp_path, cluster):
     with pytest.raises(InvalidHeightsError, match="found method cdf53 and a client"):
         compress(tmp_path / "dem.tif", tmp_path / "dem.twz", client=cluster, method="cdf53")

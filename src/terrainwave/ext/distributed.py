@@ -1,6 +1,6 @@
 """Clusters of dask.distributed for `compress`; needs the extra ``distributed``.
 
-`compress` takes any client that `write.cluster.executor_of` knows, so that this module only
+`compress` takes any client that `write.tasks.workers.executor_of` knows, so that this module only
 connects and looks whether the workers can do the work.
 """
 
