@@ -4,7 +4,8 @@ What tasks take is that of one dask worker in ``scaling_tasks.csv`` (`benchmarks
 client takes between the passes, and for each result, is measured here, by runs in one process over
 one task, nine tasks, and a raster whose half is void. Then discrete events: tasks go one by one
 through the scheduler to workers that are free, read from the source, compute, and write to the
-depot; source and depot are pipes that all workers share. ``cluster_plan.csv`` has the plans,
+depot; source and depot are pipes that all workers share. All seconds that are measured are those of
+processors, so that other work on the machine matters little. ``cluster_plan.csv`` has the plans,
 ``cluster_plan_check.csv`` the same simulation of the runs of `benchmarks.scaling` on this machine.
 """
 
@@ -13,8 +14,9 @@ import random
 import time
 from collections import defaultdict, namedtuple
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import rasterio
@@ -28,6 +30,7 @@ from terrainwave.progress import TaskReport
 PASSES = ("scanning", "averaging", "making levels", "encoding", "proving")
 TASK_SIDE = 4096
 LARGER = 16  # sides of larger tasks: segments span four levels
+_REQUESTS = 2  # for an entry of the depot: how large it is, and its bytes
 WORKERS = (1, 3, 100, 1000)
 # Rows, columns, share of tasks that are dense; all others are void.
 RASTERS = {"10⁶ × 10⁶": (10**6, 10**6, 1.0), "planet at 1″": (648_000, 1_296_000, 0.1)}
@@ -77,13 +80,17 @@ class Costs:
 
 @dataclass(frozen=True)
 class Site:
-    """Workers, and how fast they are fed: bytes a second of each one, and of all together."""
+    """Workers, and how fast they are fed: bytes a second of each one, and of all together.
+
+    `latency` are seconds that a request to the depot takes; the client makes one after the other.
+    """
 
     n_workers: int
     n_cores: int
     link: float
     source: float
     depot: float
+    latency: float = 0.0
 
 
 @dataclass
@@ -155,9 +162,14 @@ def simulate(
         tasks += [costs.void.get(name, Cost()).times(larger**2)] * n_void
         random.Random(seed).shuffle(tasks)
         client = costs.client.get(name, Client())
+        waits = _REQUESTS * site.latency
+        if name in ("averaging", "making levels"):  # it loads what each task has left
+            client = replace(client, result=client.result + waits)
         # The file is copied before it is proved; all else grows with the number of tasks.
         n_copied = larger**2 if name == "proving" else 1
         gap = client.constant + client.each * n_copied * len(tasks)
+        if name == "proving":  # it has copied the segments
+            gap += waits * n_copied * n_dense
         now += gap
         serial += gap
         end, of_workers, of_results = simulate_pass(tasks, client, costs.call, site, now)
@@ -175,13 +187,17 @@ def simulate(
 # --- what is measured ---
 
 
-def client_costs(runs: dict[int, tuple[float, list[TaskReport], float]]) -> dict[str, Client]:
-    """Return what the client takes, by runs in one process: their starts, reports and ends.
+class Inline(NamedTuple):
+    """A run in one process: reports, each with the processor seconds when it came."""
 
-    Keys are numbers of tasks, of which there are two.
-    """
+    start: float
+    reports: list[tuple[float, TaskReport]]
+
+
+def client_costs(runs: dict[int, Inline]) -> dict[str, Client]:
+    """Return what the client takes, by two runs in one process; keys are numbers of tasks."""
     few, many = sorted(runs)
-    found = {n: dict(_gaps(*run)) for n, run in runs.items()}
+    found = {n: gaps(run) for n, run in runs.items()}
     clients = {}
     for name, (gap, result) in found[many].items():
         each = max(0.0, (gap - found[few].get(name, (gap, 0))[0]) / (many - few))
@@ -189,17 +205,16 @@ def client_costs(runs: dict[int, tuple[float, list[TaskReport], float]]) -> dict
     return clients
 
 
-def _gaps(
-    start: float, reports: list[TaskReport], end: float
-) -> Iterator[tuple[str, tuple[float, float]]]:
-    """Yield for each pass the client's seconds before it, and those between its tasks."""
-    last = start
-    for name in dict.fromkeys(report.stage for report in reports):
-        own = [report for report in reports if report.stage == name]
-        gap = own[0].began - last
-        last = own[-1].began + own[-1].seconds
-        between = last - own[0].began - sum(report.seconds for report in own)
-        yield name, (gap, max(0.0, between))
+def gaps(run: Inline) -> dict[str, tuple[float, float]]:
+    """Return for each pass the client's seconds before it, and those between its tasks."""
+    found: dict[str, tuple[float, float]] = {}
+    last = run.start
+    for now, report in run.reports:
+        apart = max(0.0, now - report.cpu_seconds - last)
+        before, between = found.get(report.stage, (apart, -apart))
+        found[report.stage] = before, between + apart
+        last = now
+    return found
 
 
 def task_costs(reports: list[dict], is_void: bool) -> dict[str, Cost]:
@@ -213,23 +228,22 @@ def task_costs(reports: list[dict], is_void: bool) -> dict[str, Cost]:
     for one in reports:
         if ((one["row"], one["col"]) in void_at) == is_void:
             chosen[one["stage"]].append(one)
-    names = ("seconds", "source_bytes", "depot_bytes_read", "depot_bytes_written")
+    names = ("cpu_seconds", "source_bytes", "depot_bytes_read", "depot_bytes_written")
     return {
         stage: Cost(*(float(np.mean([one[name] for one in own])) for name in names))
         for stage, own in chosen.items()
     }
 
 
-def run_inline(raster: Path, folder: Path) -> tuple[float, list[TaskReport], float]:
-    """Compress task by task in this process; return start, reports and end."""
-    reports: list[TaskReport] = []
-    target = folder / "plan.twz"
-    start = time.time()
+def run_inline(raster: Path, folder: Path) -> Inline:
+    """Compress task by task in this process."""
+    run = Inline(time.process_time(), [])
     terrainwave.compress(
-        raster, target, max_error=MAX_ERROR, block=BLOCK, threads=1, overwrite=True,
-        client=common.InlineExecutor(), on_task=reports.append,
+        raster, folder / "plan.twz", max_error=MAX_ERROR, block=BLOCK, threads=1, overwrite=True,
+        client=common.InlineExecutor(),
+        on_task=lambda report: run.reports.append((time.process_time(), report)),
     )  # fmt: skip
-    return start, reports, time.time()
+    return run
 
 
 def make_half_void(dense: Path, path: Path) -> None:
@@ -246,7 +260,7 @@ def make_half_void(dense: Path, path: Path) -> None:
 
 
 def seconds_of_a_call(n_calls: int = 1000) -> float:
-    """Return what dask takes for a task that does nothing, by one worker here."""
+    """Return what client and scheduler of dask, in this process, take for an empty task."""
     from distributed import Client as DaskClient
     from distributed import LocalCluster
 
@@ -255,9 +269,9 @@ def seconds_of_a_call(n_calls: int = 1000) -> float:
         DaskClient(cluster, set_as_default=False) as client,
     ):
         client.gather(client.map(abs, range(100), pure=False))
-        start = time.perf_counter()
+        start = time.process_time()
         client.gather(client.map(abs, range(n_calls), pure=False))
-        return (time.perf_counter() - start) / n_calls
+        return (time.process_time() - start) / n_calls
 
 
 def measured_costs(dem: Path, folder: Path, tasks: list[dict]) -> Costs:
@@ -272,19 +286,17 @@ def measured_costs(dem: Path, folder: Path, tasks: list[dict]) -> Costs:
     half = folder / "half.tif"
     make_mirrored(dem, folder / "dense-2.tif", 2 * TASK_SIDE + 1)
     make_half_void(folder / "dense-2.tif", half)
-    start, reports, end = run_inline(half, folder)
-    of_half = [vars(report) for report in reports]
-    dense = task_costs(tasks, is_void=False)
+    run = run_inline(half, folder)
+    of_half = [vars(report) for _, report in run.reports]
+    dense, void = task_costs(tasks, is_void=False), task_costs(of_half, is_void=True)
     # What tasks with voids take longer, and a pass that others don't have.
     dense["averaging"] = task_costs(of_half, is_void=False)["averaging"]
     client = client_costs(runs)
-    gaps = dict(_gaps(start, reports, end))
-    client["averaging"] = Client(result=gaps["averaging"][1] / 4)
-    void = task_costs(of_half, is_void=True)
+    client["averaging"] = Client(result=gaps(run)["averaging"][1] / 4)
     return Costs(dense, void, client, seconds_of_a_call())
 
 
-def plans(costs: Costs, link: float, source: float, depot: float) -> Iterator[Plan]:
+def plans(costs: Costs, rates: tuple[float, ...]) -> Iterator[Plan]:
     """Yield the plan of every raster for every number of workers and size of tasks."""
     for name, (n_rows, n_cols, share) in RASTERS.items():
         for larger in (1, LARGER):
@@ -292,7 +304,7 @@ def plans(costs: Costs, link: float, source: float, depot: float) -> Iterator[Pl
             n_tasks = -(-(n_rows - 1) // side) * -(-(n_cols - 1) // side)
             n_dense = round(share * n_tasks)
             for n_workers in WORKERS:
-                site = Site(n_workers, n_workers, link, source, depot)
+                site = Site(n_workers, n_workers, *rates)
                 found = simulate(costs, n_dense, n_tasks - n_dense, site, larger)
                 n_calls = n_tasks * (len(PASSES) - (share == 1))
                 yield Plan(
@@ -318,14 +330,18 @@ def checks(costs: Costs, rows: list[dict], n_cores: int) -> Iterator[Check]:
 @common.option("--link", type=common.COUNT, default=100, help="MB/s of each worker.")
 @common.option("--source", type=common.COUNT, default=5000, help="MB/s that the source gives.")
 @common.option("--depot", type=common.COUNT, default=2000, help="MB/s that the depot takes.")
+@common.option("--latency", type=common.COUNT, default=20, help="ms of a request to the depot.")
 @common.option("--cores", type=common.COUNT, default=2, help="Of the machine that measured.")
-def main(dem: Path, link: int, source: int, depot: int, cores: int, folder: Path, out: Path):
+def main(
+    dem: Path, link: int, source: int, depot: int, latency: int, cores: int, folder: Path, out: Path
+) -> None:  # fmt: skip
     """Measure the client, simulate."""
     tasks = [one for one in common.read_rows(out.with_name(TASKS_CSV)) if one["run"] == "1 worker"]
     costs = measured_costs(dem, folder, tasks)
     runs = common.read_rows(out.with_name("scaling.csv"))
     common.write_rows(out.with_name(f"{out.stem}_check.csv"), checks(costs, runs, cores))
-    common.write_rows(out, plans(costs, link * 1e6, source * 1e6, depot * 1e6))
+    rates = link * 1e6, source * 1e6, depot * 1e6, latency / 1e3
+    common.write_rows(out, plans(costs, rates))
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ from benchmarks.cluster_plan import (
     Client,
     Cost,
     Costs,
+    Inline,
     Site,
     client_costs,
     simulate,
@@ -80,21 +81,27 @@ def test_larger_tasks_take_more_and_the_client_copies_as_much():
     assert found["serial"] == pytest.approx(7 + 2 * 1 + 4 * 1)
 
 
-def report(stage, row, began, seconds):
-    return TaskReport(stage, row, 0, 1, 1, "w", "h", began, seconds, seconds, 8 * (row < 2), 0, 3)
+def test_the_client_waits_for_what_it_reads_from_the_depot():
+    found = simulate(COSTS, 4, 0, site(2, latency=0.5))
+    assert found["serial"] == pytest.approx(7 + 2 * 4 + 4 + 4 * 1)
+    assert found["client"] == pytest.approx(found["serial"] + 4 * 1)
+
+
+def report(stage, row, seconds):
+    return TaskReport(stage, row, 0, 1, 1, "w", "h", 0.0, 99.0, seconds, 8 * (row < 2), 0, 3)
 
 
 def test_what_the_client_takes_follows_from_runs_over_few_and_many_tasks():
-    few = (0.0, [report("scanning", 0, 1.0, 2.0), report("encoding", 0, 8.0, 1.0)], 10.0)
-    scanned = [report("scanning", 0, 1.0, 2.0), report("scanning", 1, 3.5, 2.0)]
-    many = (0.0, [*scanned, *(report("encoding", row, 11.5 + row, 1.0) for row in range(2))], 15.0)
-    found = client_costs({1: few, 2: many})
+    few = [(3.0, report("scanning", 0, 2.0)), (9.0, report("encoding", 0, 1.0))]
+    many = [(3.0, report("scanning", 0, 2.0)), (5.5, report("scanning", 1, 2.0)),
+            (12.5, report("encoding", 0, 1.0)), (13.5, report("encoding", 1, 1.0))]  # fmt: skip
+    found = client_costs({1: Inline(0.0, few), 2: Inline(0.0, many)})
     assert found["scanning"] == Client(1.0, 0.0, 0.25)
     assert found["encoding"] == Client(4.0, 1.0, 0.0)
 
 
 def test_costs_of_void_tasks_are_apart():
-    reports = [vars(report(stage, row, 0.0, 1.0 + row)) for row in range(4)
+    reports = [vars(report(stage, row, 1.0 + row)) for row in range(4)
                for stage in ("scanning", "encoding")]  # fmt: skip
     assert task_costs(reports, is_void=False)["encoding"] == Cost(1.5, 8, 0, 3)
     assert task_costs(reports, is_void=True)["encoding"] == Cost(3.5, 0, 0, 3)

@@ -71,9 +71,12 @@ class StoredSegment(NamedTuple):
         """Yield the page, then payloads and meshes, at most 16 MiB in memory at a time."""
         entry = _Entry(self.path, Meter())
         try:
-            yield entry.read(self.offset, self.page_length)
+            first = max(self.page_length, min(_CHUNK, self.length))
+            data = entry.read(self.offset, first)
+            yield data[: self.page_length]
+            yield data[self.page_length :]
             end = self.offset + self.length
-            for start in range(self.offset + self.page_length, end, _CHUNK):
+            for start in range(self.offset + first, end, _CHUNK):
                 yield entry.read(start, min(_CHUNK, end - start))
         finally:
             entry.close()
