@@ -1,6 +1,7 @@
 """Tasks that fail on one worker are done by another; slow ones are done twice."""
 
 import errno
+import itertools
 import os
 import threading
 import time
@@ -63,7 +64,11 @@ class ClientExecutor(Executor):
 
     def submit(self, function, /, *arguments, key, workers=None, allow_other_workers=None):
         client = self._client
-        choice = [name for name in workers or client.names if name in client.names]
+        if not workers or allow_other_workers:  # for an idle worker may steal it
+            workers = client.names
+        choice = [name for name in workers if name in client.names]
+        if not choice:
+            return Future()  # waits for a worker that is allowed
         worker = choice[client._turn % len(choice)]
         client._turn += 1
         client.given.append((key, worker))
@@ -161,6 +166,23 @@ def test_a_task_that_one_worker_is_slow_with_is_done_by_another(make_client, mon
     assert run(client) == {number: number**2 for number in TASKS}
     assert time.monotonic() - start < 10  # b takes 20
     assert "b" not in [worker for _, worker in client.given[len(TASKS):]]  # fmt: skip
+
+
+def test_a_task_whose_workers_are_gone_is_given_to_others(make_client):
+    client = make_client(["a", "b"], broken=["b"], error=full())
+    nthreads, n_calls = client.nthreads, itertools.count(1)
+
+    def nthreads_at_first():
+        if next(n_calls) == 2:  # a is lost when it has just been chosen
+            client.names, client.nthreads = ["b", "c"], nthreads
+        return {"a": 1, "b": 1}
+
+    client.nthreads = nthreads_at_first
+    start = time.monotonic()
+    with pytest.warns(TerrainwaveWarning):
+        assert run(client) == {number: number**2 for number in TASKS}
+    assert time.monotonic() - start < 10  # sooner than a slow one is helped
+    assert {worker for _, worker in client.given} == {"a", "b", "c"}
 
 
 def test_attempts_are_reported(make_client):

@@ -57,11 +57,12 @@ def executor_of(client: Any) -> Executor:
 
 @dataclass
 class _Attempt:
-    """One of the times that a task is given to a worker."""
+    """One of the times that a task is given to a worker; `allowed` are all if there are none."""
 
     item: Any
     number: int
     key: str
+    allowed: frozenset[str] = frozenset()
 
 
 @dataclass
@@ -157,19 +158,25 @@ class Workers:
     def _submit(
         self, work: _Pass, item: Any, number: int, avoided: frozenset[str] = frozenset()
     ) -> None:
-        """Give a task to a worker, to one of `avoided` only if there is no other."""
+        """Give a task to a worker, to one of `avoided` only if there is no other.
+
+        Others are not only preferred: dask would let a worker that fails at once, and so is always
+        idle, steal what is meant for others.
+        """
         # Dashboards of dask show what is before the last hyphen.
         key = f"{work.function.__name__}-{secrets.token_hex(16)}"
         options: dict[str, Any] = {}
+        others: list[str] = []
         if self._client is not None:
             options["key"] = key
-            others = sorted(set(self._client.nthreads()) - avoided) if avoided else []
+            if avoided:
+                others = sorted(set(self._client.nthreads()) - avoided)
             if others:
                 first = number * len(work.left) % len(others)
-                options["workers"] = (others[first:] + others[:first])[:_CHOICE]
-                options["allow_other_workers"] = True
+                others = (others[first:] + others[:first])[:_CHOICE]
+                options["workers"] = others
         future = self._executor.submit(run_task, work.function, *work.tasks[item], **options)
-        work.running[future] = _Attempt(item, number, key)
+        work.running[future] = _Attempt(item, number, key, frozenset(others))
         future.add_done_callback(work.done.put)
 
     def _failed(self, stage: str, work: _Pass, attempt: _Attempt, outcome: TaskOutcome) -> None:
@@ -184,7 +191,9 @@ class Workers:
         others: set[str] = set()
         if self._client is not None:
             others = set(self._client.nthreads()) - tried
-        is_last = len(places) >= (_ATTEMPTS_HERE if self._client is None else _ATTEMPTS)
+        is_last = len(tried) >= _ATTEMPTS or len(places) >= (
+            _ATTEMPTS_HERE if self._client is None else 2 * _ATTEMPTS
+        )
         if is_last or (self._client is not None and not others and len(places) > 1):
             raise _given_up(stage, outcome, len(tried) - 1)
         if place.worker not in self._failing:
@@ -194,7 +203,12 @@ class Workers:
                 TerrainwaveWarning,
                 stacklevel=2,
             )
-        self._submit(work, item, attempt.number + 1, frozenset(tried | self._failing.keys()))
+        self._submit(work, item, attempt.number + 1, self._avoided(work, item))
+
+    def _avoided(self, work: _Pass, item: Any) -> frozenset[str]:
+        """Return the workers that are not to try a task again: they failed with it, or others."""
+        tried = {place.worker for place in work.failed_at.get(item, ())}
+        return frozenset(tried | self._failing.keys())
 
     def _report(self, stage: str, region: Region, number: int, outcome: TaskOutcome) -> None:
         if self._on_task is not None:
@@ -218,7 +232,7 @@ class Workers:
             )
 
     def _look_after(self, stage: str, work: _Pass) -> None:
-        """Say so if there is no worker; have tasks done twice that one worker is slow with."""
+        """Say so if there is no worker; give out tasks anew that a worker is slow with, or lost."""
         if self._client is None:
             return
         now = time.monotonic()
@@ -235,6 +249,10 @@ class Workers:
                 TerrainwaveWarning,
                 stacklevel=2,
             )
+        for future, attempt in list(work.running.items()):
+            if threads and attempt.allowed and attempt.allowed.isdisjoint(threads):
+                self._submit(work, attempt.item, attempt.number, self._avoided(work, attempt.item))
+                future.cancel()
         if len(work.running) > sum(threads.values()) or not work.seconds:
             work.short_since = None
             return
