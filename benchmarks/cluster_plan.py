@@ -265,7 +265,7 @@ def seconds_of_a_call(n_calls: int = 1000) -> float:
     from distributed import LocalCluster
 
     with (
-        LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster,
+        LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as cluster,
         DaskClient(cluster, set_as_default=False) as client,
     ):
         client.gather(client.map(abs, range(100), pure=False))

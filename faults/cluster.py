@@ -72,7 +72,9 @@ class Cluster:
         self._port = free_port()
         self.address = f"tcp://127.0.0.1:{self._port}"
         self.nannies: list[subprocess.Popen] = []
-        self._scheduler = self._start("scheduler", "--port", str(self._port), "--no-dashboard")
+        self._scheduler = self._start(
+            "scheduler", "--port", str(self._port), "--dashboard-address", ":0"
+        )
         wait_for(self._port)
         for number in range(N_WORKERS):
             self.folder(number).mkdir(parents=True, exist_ok=True)
@@ -92,8 +94,9 @@ class Cluster:
     def _start_worker(self, number: int) -> subprocess.Popen:
         preload = "from faults.commands import everything_on_disk; everything_on_disk()"
         return self._start(
-            "worker", self.address, "--nthreads", "1", "--no-dashboard", "--preload", preload,
-            "--name", str(number), "--local-directory", str(self.folder(number)),
+            "worker", self.address, "--nthreads", "1", "--dashboard-address", ":0",
+            "--preload", preload, "--name", str(number),
+            "--local-directory", str(self.folder(number)),
         )  # fmt: skip
 
     def worker(self, number: int) -> psutil.Process:
