@@ -435,9 +435,10 @@ def objects_at(port: int) -> int:
 @common.option("--cut", type=click.FloatRange(0, 1), default=0.3, help="Share of connections.")
 @common.option("--only", type=click.Choice(_PARTS), cls=common.ListOption, default=_PARTS)
 @common.option("--seed", type=int, default=0)
+@click.option("--append", is_flag=True, help="Keep the lines of the CSV.")
 def main(
     dem: Path | None, side: int, task_side: int, n_kills: int, n_others: int, n_bytes: int,
-    cut: float, only: tuple[str, ...], seed: int, folder: Path, out: Path,
+    cut: float, only: tuple[str, ...], seed: int, append: bool, folder: Path, out: Path,
 ) -> None:  # fmt: skip
     """Run the trials."""
     workers._SLOW_SECONDS = 3.0  # or most trials with a stopped worker would be waiting
@@ -468,7 +469,7 @@ def main(
         if "store" in only:
             yield from on_a_store(trials, folder, n_others, cut, seed)
 
-    written = common.write_rows(out, rows())
+    written = common.write_rows(out, rows(), append=append)
     raise SystemExit(any(is_bad(row) for row in written))
 
 
