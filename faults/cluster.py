@@ -53,7 +53,7 @@ Row = namedtuple(
 )
 N_WORKERS = 3
 BUCKET = "s3://terrainwave-faults"
-_PATIENCE = 180.0  # seconds after which a run hangs
+_PATIENCE = 600.0  # seconds after which a run hangs
 _START = 60.0  # seconds for workers to appear
 _PARTS = ("kills", "stops", "disks", "store")
 # What an error has to tell if no worker could do the work.
@@ -225,6 +225,8 @@ class Trials:
         outcomes: Counter[str] = Counter()
         numbers: Counter[str] = Counter()
         seconds = []
+        cluster.complete()
+        self.run(cluster, nothing, depot)  # what is new has to be loaded
         for _ in range(n):
             cluster.complete()
             found = self.run(cluster, strike, depot)
