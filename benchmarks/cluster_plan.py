@@ -15,6 +15,7 @@ import time
 from collections import defaultdict, namedtuple
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,6 +27,7 @@ from benchmarks import common
 from benchmarks.rasters import make_mirrored
 from benchmarks.scaling import BLOCK, MAX_ERROR, TASKS_CSV
 from terrainwave.progress import TaskReport
+from terrainwave.write.cluster import AT_A_TIME
 
 PASSES = ("scanning", "averaging", "making levels", "encoding", "proving")
 TASK_SIDE = 4096
@@ -82,7 +84,7 @@ class Costs:
 class Site:
     """Workers, and how fast they are fed: bytes a second of each one, and of all together.
 
-    `latency` are seconds that a request to the depot takes; the client makes one after the other.
+    `latency` are seconds that a request to the depot takes; the client makes some at a time.
     """
 
     n_workers: int
@@ -162,14 +164,15 @@ def simulate(
         tasks += [costs.void.get(name, Cost()).times(larger**2)] * n_void
         random.Random(seed).shuffle(tasks)
         client = costs.client.get(name, Client())
-        waits = _REQUESTS * site.latency
+        waits = _REQUESTS * site.latency / AT_A_TIME
         if name in ("averaging", "making levels"):  # it loads what each task has left
             client = replace(client, result=client.result + waits)
+        elif name == "encoding":  # it copies segments while tasks are running
+            n_bytes = sum(cost.written for cost in tasks) / len(tasks)
+            client = replace(client, result=client.result + waits + n_bytes / site.link)
         # The file is copied before it is proved; all else grows with the number of tasks.
         n_copied = larger**2 if name == "proving" else 1
         gap = client.constant + client.each * n_copied * len(tasks)
-        if name == "proving":  # it has copied the segments
-            gap += waits * n_copied * n_dense
         now += gap
         serial += gap
         end, of_workers, of_results = simulate_pass(tasks, client, costs.call, site, now)
@@ -206,14 +209,18 @@ def client_costs(runs: dict[int, Inline]) -> dict[str, Client]:
 
 
 def gaps(run: Inline) -> dict[str, tuple[float, float]]:
-    """Return for each pass the client's seconds before it, and those between its tasks."""
+    """Return for each pass the client's seconds before it, and those for its results.
+
+    In one process, all tasks of a pass are done before the first of them is reported.
+    """
     found: dict[str, tuple[float, float]] = {}
     last = run.start
-    for now, report in run.reports:
-        apart = max(0.0, now - report.cpu_seconds - last)
-        before, between = found.get(report.stage, (apart, -apart))
-        found[report.stage] = before, between + apart
-        last = now
+    for stage, group in groupby(run.reports, lambda pair: pair[1].stage):
+        own = list(group)
+        first, end = own[0][0], own[-1][0]
+        of_tasks = sum(report.cpu_seconds for _, report in own)
+        found[stage] = max(0.0, first - last - of_tasks), end - first
+        last = end
     return found
 
 
@@ -280,7 +287,7 @@ def measured_costs(dem: Path, folder: Path, tasks: list[dict]) -> Costs:
     for n_on_side in (1, 3):
         raster = folder / f"dense-{n_on_side}.tif"
         make_mirrored(dem, raster, TASK_SIDE * n_on_side + 1)
-        for _ in range(2 - (n_on_side > 1)):  # the first compiles
+        for _ in range(2):  # the first compiles
             found = run_inline(raster, folder)
         runs[n_on_side**2] = found
     half = folder / "half.tif"

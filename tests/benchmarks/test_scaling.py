@@ -81,10 +81,11 @@ def test_larger_tasks_take_more_and_the_client_copies_as_much():
     assert found["serial"] == pytest.approx(7 + 2 * 1 + 4 * 1)
 
 
-def test_the_client_waits_for_what_it_reads_from_the_depot():
-    found = simulate(COSTS, 4, 0, site(2, latency=0.5))
-    assert found["serial"] == pytest.approx(7 + 2 * 4 + 4 + 4 * 1)
-    assert found["client"] == pytest.approx(found["serial"] + 4 * 1)
+def test_the_client_copies_while_tasks_run():
+    slow = site(100, latency=8.0)  # 2 * 8 / 16 = 1 s for each result of two passes
+    assert simulate(COSTS, 4, 0, slow)["seconds"] == pytest.approx(4 * 10 + 19 + 2 * 4)
+    slow = site(100, link=2.5)  # four times 5 bytes, to the depot and from there
+    assert simulate(COSTS, 4, 0, slow)["seconds"] == pytest.approx(4 * (10 + 2) + 19 + 4 * 2)
 
 
 def report(stage, row, seconds):
@@ -93,8 +94,8 @@ def report(stage, row, seconds):
 
 def test_what_the_client_takes_follows_from_runs_over_few_and_many_tasks():
     few = [(3.0, report("scanning", 0, 2.0)), (9.0, report("encoding", 0, 1.0))]
-    many = [(3.0, report("scanning", 0, 2.0)), (5.5, report("scanning", 1, 2.0)),
-            (12.5, report("encoding", 0, 1.0)), (13.5, report("encoding", 1, 1.0))]  # fmt: skip
+    many = [(5.0, report("scanning", 0, 2.0)), (5.5, report("scanning", 1, 2.0)),
+            (13.5, report("encoding", 0, 1.0)), (13.5, report("encoding", 1, 1.0))]  # fmt: skip
     found = client_costs({1: Inline(0.0, few), 2: Inline(0.0, many)})
     assert found["scanning"] == Client(1.0, 0.0, 0.25)
     assert found["encoding"] == Client(4.0, 1.0, 0.0)

@@ -228,6 +228,23 @@ class Depot:
         """Return an entry to read, by its path or URL."""
         return _Entry(path, self.meter)
 
+    def fetch(self, path: str, local: str | os.PathLike[str]) -> None:
+        """Copy an entry to a file of this machine.
+
+        Raises
+        ------
+        StorageError
+            If it cannot be read, or the file not be written.
+        """
+        entry = self.open(path)
+        failing = f"cannot write temporary files in {os.path.dirname(local)}"
+        try:
+            with storage_errors(failing, advice=TEMPORARY_ADVICE), open(local, "wb") as file:
+                for start in range(0, entry.size, _CHUNK):
+                    file.write(entry.read(start, min(_CHUNK, entry.size - start)))
+        finally:
+            entry.close()
+
     def remove(self, names: Iterable[str] = ()) -> None:
         """Delete everything in the depot: `names`, and whatever a list of it shows.
 

@@ -7,8 +7,8 @@ the default size, are coded here. Bytes are those of `local_passes`.
 
 import os
 import warnings
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Executor
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import lru_cache
@@ -235,9 +235,8 @@ class DistributedPasses:
                 site.depot.save(
                     site.name("fills", head), heights=fills, origin=np.array(region[:2])
                 )
-        for head, _ in self._run("making levels", make_levels, self._each(site)):
-            arrays = site.depot.load(site.name("heights", head))
-            heights.write(site.grid.block_region(head), arrays["heights"])
+        made = self._run("making levels", make_levels, self._each(site))
+        self._load(site, "heights", made, {"heights": heights})
         top.make_heights(lambda *_: None)
         return top
 
@@ -248,11 +247,27 @@ class DistributedPasses:
             Spool(heights.shape, dtype, self.directory)
             for dtype in (np.bool_, np.int32, np.bool_, np.bool_)
         ]
-        for head, _ in self._run("averaging", push_levels, self._each(site)):
-            arrays = site.depot.load(site.name("pushed", head))
-            for name, spool in zip(names, spools, strict=True):
-                spool.write(site.grid.block_region(head), arrays[name])
+        pushed = self._run("averaging", push_levels, self._each(site))
+        self._load(site, "pushed", pushed, dict(zip(names, spools, strict=True)))
         return Base(site.shift, heights, *spools)
+
+    def _load(
+        self,
+        site: Site,
+        stage: str,
+        finished: Iterable[tuple[Block, Any]],
+        spools: Mapping[str, Spool],
+    ) -> None:
+        """Load into spools what finished tasks have left, of some at a time: a store takes time."""
+
+        def load(head: Block) -> None:
+            arrays = site.depot.load(site.name(stage, head))
+            for name, spool in spools.items():
+                spool.write(site.grid.block_region(head), arrays[name])
+
+        with ThreadPoolExecutor(AT_A_TIME) as pool:
+            for loaded in [pool.submit(load, head) for head, _ in finished]:
+                loaded.result()
 
     def _fills(self, site: Site, top: Pyramid, region: Region) -> tuple[Region, Heights]:
         """Return the fills that a part over a region of the full grid needs, and their place."""
@@ -299,8 +314,13 @@ class DistributedPasses:
         _set_no_codes(site.grid, sink)
         self._store_top(site, ABOVE, sink)
         below = _Below(stats=stats)
-        for _, encoded in self._run("encoding", encode_subtree, self._each(site)):
-            below.take(site, encoded)
+        is_last = not site.job.options.measures_meshes
+        with _Copies(site.depot, self.directory) as copies:
+            for head, encoded in self._run("encoding", encode_subtree, self._each(site)):
+                below.take(encoded)
+                if is_last:
+                    heads = site.grid.segment_heads_below(head)
+                    below.segments |= zip(heads, copies.places(encoded.places), strict=True)
         return below
 
     def _store_top(self, site: Site, stage: str, sink: SpoolSink) -> None:
@@ -327,10 +347,12 @@ class DistributedPasses:
         tasks = {head: (site, head, rounds.get(head)) for head in grid.blocks(site.level)}
         segments: dict[Block | None, StoredSegment] = {}
         errors: dict[Block, int] = {}
-        for head, finished in self._run("measuring meshes", finish_subtree, tasks):
-            segments |= zip(grid.segment_heads_below(head), finished.places, strict=True)
-            for block, error in finished.ancestors.items():
-                errors[block] = max(errors.get(block, 0), error)
+        with _Copies(site.depot, self.directory) as copies:
+            for head, finished in self._run("measuring meshes", finish_subtree, tasks):
+                places = copies.places(finished.places)
+                segments |= zip(grid.segment_heads_below(head), places, strict=True)
+                for block, error in finished.ancestors.items():
+                    errors[block] = max(errors.get(block, 0), error)
         lost = Fraction(job.lost)
         codes.set(mesher.error_codes(errors, lost, by_recursion=job.options.faithful))
         return segments
@@ -358,6 +380,38 @@ class DistributedPasses:
 
 
 _CACHE_BYTES = 128 << 20
+AT_A_TIME = 16  # requests to the depot
+
+
+class _Copies:
+    """Copies segments from a URL to this machine while tasks are running; others stay there.
+
+    A file is put together from segments one by one: of a store, each would be waited for.
+    """
+
+    def __init__(self, depot: Depot, directory: Path) -> None:
+        self._depot = depot
+        self._directory = directory
+        self._copied: list[Future[None]] = []
+        self._pool = ThreadPoolExecutor(AT_A_TIME) if "://" in depot.root else None
+
+    def places(self, places: Sequence[StoredSegment]) -> list[StoredSegment]:
+        """Return where the segments of one entry will lie."""
+        if self._pool is None or not any(place.length for place in places):
+            return list(places)
+        path = self._directory / f"copied-{len(self._copied)}.twz-spool"
+        self._copied.append(self._pool.submit(self._depot.fetch, places[0].path, path))
+        return [place._replace(path=str(path)) for place in places]
+
+    def __enter__(self) -> "_Copies":
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=kind is not None)
+        if kind is None:
+            for copied in self._copied:
+                copied.result()
 
 
 @dataclass
@@ -370,9 +424,7 @@ class _Below:
     errors: dict[Block, int] = field(default_factory=dict)
     n_bytes: int = 0
 
-    def take(self, site: Site, encoded: EncodedSubtree) -> None:
-        heads = site.grid.segment_heads_below(encoded.head)
-        self.segments |= zip(heads, encoded.places, strict=True)
+    def take(self, encoded: EncodedSubtree) -> None:
         for block, stats in encoded.ancestors.items():
             self.stats.setdefault(block, BlockStats()).merge(stats)
         if encoded.box is not None:
