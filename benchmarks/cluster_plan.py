@@ -43,7 +43,9 @@ Plan = namedtuple(
     "raster task_side n_workers n_tasks n_calls hours serial_hours busy client_hours source_tb "
     "depot_gb_written depot_gb_read",
 )
-Check = namedtuple("Check", "run n_tasks measured_s simulated_s ratio")
+# `simulated_s` is by the seconds that the tasks of this very run took, with all that ran beside
+# them; `idle_s` by the processor seconds of one worker, as plans are.
+Check = namedtuple("Check", "run n_tasks measured_s simulated_s ratio idle_s load")
 
 
 @dataclass(frozen=True)
@@ -224,7 +226,7 @@ def gaps(run: Inline) -> dict[str, tuple[float, float]]:
     return found
 
 
-def task_costs(reports: list[dict], is_void: bool) -> dict[str, Cost]:
+def task_costs(reports: list[dict], is_void: bool, clock: str = "cpu_seconds") -> dict[str, Cost]:
     """Return means of dense or void tasks: a void one has read nothing to scan it."""
     void_at = {
         (one["row"], one["col"])
@@ -235,7 +237,7 @@ def task_costs(reports: list[dict], is_void: bool) -> dict[str, Cost]:
     for one in reports:
         if ((one["row"], one["col"]) in void_at) == is_void:
             chosen[one["stage"]].append(one)
-    names = ("cpu_seconds", "source_bytes", "depot_bytes_read", "depot_bytes_written")
+    names = (clock, "source_bytes", "depot_bytes_read", "depot_bytes_written")
     return {
         stage: Cost(*(float(np.mean([one[name] for one in own])) for name in names))
         for stage, own in chosen.items()
@@ -322,14 +324,22 @@ def plans(costs: Costs, rates: tuple[float, ...]) -> Iterator[Plan]:
                 )  # fmt: skip
 
 
-def checks(costs: Costs, rows: list[dict], n_cores: int) -> Iterator[Check]:
+def checks(costs: Costs, rows: list[dict], tasks: list[dict], n_cores: int) -> Iterator[Check]:
     """Yield measured runs beside the simulation of them: here, nothing is far."""
     for row in rows:
-        if row["run"][0].isdigit():
-            site = Site(int(row["run"][0]), n_cores, 1e9, 1e9, 1e9)
-            seconds = simulate(costs, row["n_tasks"], 0, site)["seconds"]
+        run, n_tasks = row["run"], row["n_tasks"]
+        if run[0].isdigit():
+            n_workers = int(run[0])
+            site = Site(n_workers, n_cores, 1e9, 1e9, 1e9)
+            idle = simulate(costs, n_tasks, 0, site)["seconds"]
+            own = [one for one in tasks if one["run"] == run]
+            as_it_was = replace(costs, dense=task_costs(own, is_void=False, clock="seconds"))
+            # The cores that they shared are in the seconds of the tasks.
+            seconds = simulate(as_it_was, n_tasks, 0, replace(site, n_cores=n_workers))["seconds"]
             ratio = round(seconds / row["seconds"], 2)
-            yield Check(row["run"], row["n_tasks"], row["seconds"], round(seconds, 1), ratio)
+            yield Check(
+                run, n_tasks, row["seconds"], round(seconds, 1), ratio, round(idle, 1), row["load"]
+            )
 
 
 @common.command("cluster_plan.csv")
@@ -343,10 +353,10 @@ def main(
     dem: Path, link: int, source: int, depot: int, latency: int, cores: int, folder: Path, out: Path
 ) -> None:  # fmt: skip
     """Measure the client, simulate."""
-    tasks = [one for one in common.read_rows(out.with_name(TASKS_CSV)) if one["run"] == "1 worker"]
-    costs = measured_costs(dem, folder, tasks)
+    tasks = common.read_rows(out.with_name(TASKS_CSV))
+    costs = measured_costs(dem, folder, [one for one in tasks if one["run"] == "1 worker"])
     runs = common.read_rows(out.with_name("scaling.csv"))
-    common.write_rows(out.with_name(f"{out.stem}_check.csv"), checks(costs, runs, cores))
+    common.write_rows(out.with_name(f"{out.stem}_check.csv"), checks(costs, runs, tasks, cores))
     rates = link * 1e6, source * 1e6, depot * 1e6, latency / 1e3
     common.write_rows(out, plans(costs, rates))
 
