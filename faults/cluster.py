@@ -54,7 +54,7 @@ Row = namedtuple(
 N_WORKERS = 3
 BUCKET = "s3://terrainwave-faults"
 _PATIENCE = 600.0  # seconds after which a run hangs
-_START = 60.0  # seconds for workers to appear
+_START = 300.0  # seconds for workers to appear
 _PARTS = ("kills", "stops", "disks", "store")
 # What an error has to tell if no worker could do the work.
 _CLEAR = re.compile(
@@ -127,9 +127,11 @@ class Cluster:
         for process in (*self.nannies, self._scheduler):
             with suppress(psutil.NoSuchProcess):
                 started = psutil.Process(process.pid)
-                for one in (*started.children(recursive=True), started):
+                below = [*started.children(recursive=True), started]
+                for one in below:
                     with suppress(psutil.NoSuchProcess):
                         one.kill()
+                psutil.wait_procs(below, _START)  # what they had open keeps disks mounted
             process.wait()
 
 
