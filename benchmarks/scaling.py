@@ -14,7 +14,7 @@ import time
 from collections import Counter, namedtuple
 from collections.abc import Sequence
 from concurrent.futures import Executor, Future
-from dataclasses import astuple, fields
+from dataclasses import astuple, fields, replace
 from pathlib import Path
 from unittest import mock
 
@@ -150,7 +150,7 @@ def measure(
             for one in (warm_up, source):
                 reports.clear()
                 found = run_local(one, target, client, reports)
-        tasks += [Task(run, *astuple(report)) for report in reports]
+        tasks += [Task(run, *astuple(replace(report, host="here"))) for report in reports]
         contents.append(target.read_bytes())
         rows.append(_row(run, size, n_tasks, found, len(contents[0]), rows))
     if any(content != contents[0] for content in contents):
