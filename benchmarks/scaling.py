@@ -1,19 +1,20 @@
 """Measure compression on a cluster: ``python -m benchmarks.scaling dem.tif``.
 
-The raster, mirrored, is compressed in one thread, task by task, then by one and two dask workers of
-one thread each; all files must have the same bytes. What follows for 10^12 samples stands beside.
-`ratio` is given as measured, and as processor seconds allow where nothing else runs: workers side
-by side and what is done in between by one.
+The raster, mirrored, is compressed in one thread, task by task, then by one, two and three dask
+workers of one thread each; all files must have the same bytes. ``scaling_tasks.csv`` has a line for
+each task, from which `benchmarks.cluster_plan` plans larger runs. `ratio` is given as measured, and
+as processor seconds allow where nothing else runs: workers side by side, of which two have a core,
+and what is done in between by one.
 
 Exit status: 0 good; 1 files differ; 2 wrong usage.
 """
 
-import math
 import os
 import time
 from collections import Counter, namedtuple
 from collections.abc import Sequence
 from concurrent.futures import Executor, Future
+from dataclasses import astuple, fields, replace
 from pathlib import Path
 from unittest import mock
 
@@ -24,15 +25,16 @@ import terrainwave
 from benchmarks import common
 from benchmarks.rasters import make_mirrored
 from terrainwave.container.depot import Depot
-from terrainwave.container.page import MAX_PAGE
 from terrainwave.grid.quadtree import Grid
-from terrainwave.write.cluster import TASK_SAMPLES, executor_of, task_level
+from terrainwave.progress import TaskReport
+from terrainwave.write.cluster import TASK_SAMPLES, task_level
+from terrainwave.write.tasks.workers import executor_of
 
 BLOCK = 256
 MAX_ERROR = 1.0
-RUNS = ("local", "tasks", "1 worker", "2 workers")
-LARGE = 10**6  # samples on a side of the raster that is extrapolated to
-CORES = 100
+RUNS = ("local", "tasks", "1 worker", "2 workers", "3 workers")
+TASKS_CSV = "scaling_tasks.csv"
+N_CORES = 2  # of the machine
 
 # One run. `load` is the machine's average load; bytes of tasks and results are means.
 # `peak_mib` is the memory of the largest worker; `overhead` is in processor seconds, over local.
@@ -42,12 +44,7 @@ Row = namedtuple(
     "task_bytes result_bytes depot_bytes depot_levels_bytes peak_mib file_bytes load",
 )  # fmt: skip
 
-# What the measured run comes to on a raster of `LARGE` x `LARGE` samples.
-Extrapolation = namedtuple(
-    "Extrapolation",
-    "n_samples n_tasks n_calls scheduler_mb calls_per_second depot_gb file_gb index_mb "
-    "hours_here hours_workers",
-)  # fmt: skip
+Task = namedtuple("Task", ["run", *(field.name for field in fields(TaskReport))])
 
 
 class CountingExecutor(Executor):
@@ -77,29 +74,34 @@ def peak_mib() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def run_local(source: Path, target: Path, client: Executor | None) -> dict[str, float]:
+def run_local(
+    source: Path, target: Path, client: Executor | None, reports: list[TaskReport]
+) -> dict[str, float]:
     """Compress in one thread of this process, task by task if there is a client."""
     start, cpu = time.perf_counter(), time.process_time()
     terrainwave.compress(
-        source, target, max_error=MAX_ERROR, block=BLOCK, threads=1, overwrite=True, client=client
-    )
+        source, target, max_error=MAX_ERROR, block=BLOCK, threads=1, overwrite=True, client=client,
+        on_task=None if client is None else reports.append,
+    )  # fmt: skip
     return {"seconds": time.perf_counter() - start, "cpu_here": time.process_time() - cpu}
 
 
-def run_cluster(source: Path, target: Path, n_workers: int, warm_up: Path) -> dict[str, float]:
+def run_cluster(
+    source: Path, target: Path, n_workers: int, warm_up: Path, reports: list[TaskReport]
+) -> dict[str, float]:
     """Compress by workers of one thread each; kernels are compiled on a small raster before."""
     from distributed import Client, LocalCluster
 
     stored: Counter[str] = Counter()
     remove = Depot.remove
 
-    def measured(depot: Depot) -> None:
+    def measured(depot: Depot, names: Sequence[str]) -> None:
         for path in Path(depot.root).iterdir():
             stored["levels" if "-heights-" in path.name else "segments"] += path.stat().st_size
-        remove(depot)
+        remove(depot, names)
 
     with (
-        LocalCluster(n_workers=n_workers, threads_per_worker=1, dashboard_address=None) as cluster,
+        LocalCluster(n_workers=n_workers, threads_per_worker=1, dashboard_address=":0") as cluster,
         Client(cluster, set_as_default=False) as client,
     ):
         executor = executor_of(client)
@@ -110,7 +112,9 @@ def run_cluster(source: Path, target: Path, n_workers: int, warm_up: Path) -> di
         before = sum(client.run(time.process_time).values())
         start, cpu = time.perf_counter(), time.process_time()
         with mock.patch.object(Depot, "remove", measured):
-            terrainwave.compress(source, target, client=counting, block=BLOCK, **options)
+            terrainwave.compress(
+                source, target, client=counting, block=BLOCK, on_task=reports.append, **options
+            )
         seconds, cpu_here = time.perf_counter() - start, time.process_time() - cpu
         return {
             "seconds": seconds, "cpu_here": cpu_here,
@@ -123,8 +127,10 @@ def run_cluster(source: Path, target: Path, n_workers: int, warm_up: Path) -> di
         }  # fmt: skip
 
 
-def measure(raster: Path, size: int, runs: Sequence[str], folder: Path) -> list[Row]:
-    """Return the rows of all runs; `SystemExit` if a file differs."""
+def measure(
+    raster: Path, size: int, runs: Sequence[str], folder: Path
+) -> tuple[list[Row], list[Task]]:
+    """Return the rows of all runs, and of their tasks; `SystemExit` if a file differs."""
     source, warm_up = folder / "large.tif", folder / "small.tif"
     make_mirrored(raster, source, size)
     make_mirrored(raster, warm_up, 600)
@@ -133,18 +139,23 @@ def measure(raster: Path, size: int, runs: Sequence[str], folder: Path) -> list[
     n_tasks = 0 if level is None else len(grid.blocks(level))
     rows: list[Row] = []
     contents = []
+    tasks: list[Task] = []
     for run in runs:
+        reports: list[TaskReport] = []
         target = folder / f"{run}.twz"
         if run[0].isdigit():
-            found = run_cluster(source, target, int(run[0]), warm_up)
+            found = run_cluster(source, target, int(run[0]), warm_up, reports)
         else:
             client = common.InlineExecutor() if run == "tasks" else None
-            found = [run_local(raster, target, client) for raster in (warm_up, source)][-1]
+            for one in (warm_up, source):
+                reports.clear()
+                found = run_local(one, target, client, reports)
+        tasks += [Task(run, *astuple(replace(report, host="here"))) for report in reports]
         contents.append(target.read_bytes())
         rows.append(_row(run, size, n_tasks, found, len(contents[0]), rows))
     if any(content != contents[0] for content in contents):
         raise SystemExit("the files differ")
-    return rows
+    return rows, tasks
 
 
 def _row(
@@ -156,7 +167,7 @@ def _row(
     for one in before:
         if one.run == "1 worker":
             ratio = one.seconds / found["seconds"]
-            by_cpu = (one.cpu_here + one.cpu_workers) / (here + workers / 2)
+            by_cpu = (one.cpu_here + one.cpu_workers) / (here + workers / min(int(run[0]), N_CORES))
     # What only a run on a cluster has.
     names = "task_bytes", "result_bytes", "depot_bytes", "depot_levels_bytes"
     return Row(
@@ -167,40 +178,15 @@ def _row(
     )  # fmt: skip
 
 
-def extrapolate(row: Row) -> Extrapolation:
-    """Return what a run on `LARGE` x `LARGE` samples would take, from one on a cluster."""
-    grid = Grid(LARGE, LARGE, BLOCK)
-    level = task_level(grid, TASK_SAMPLES)
-    assert level is not None
-    n_tasks = math.prod(grid.level_blocks(level))
-    n_segments = 1 + sum(n * m for n, m in map(grid.level_blocks, grid.segment_levels()))
-    n_calls = n_tasks * row.n_calls // row.n_tasks
-    scale = LARGE * LARGE / row.n_samples
-    hours_workers = row.cpu_workers * scale / 3600
-    # Of a page of 85 keys, as inflated: an upper bound below the format's.
-    page = min(MAX_PAGE, 17 * 85 + 4 * 340)
-    return Extrapolation(
-        LARGE * LARGE, n_tasks, n_calls,
-        scheduler_mb=round(n_calls * (row.task_bytes + row.result_bytes) / 1e6, 1),
-        calls_per_second=round(n_calls / (hours_workers * 3600 / CORES), 2),
-        depot_gb=round(row.depot_bytes * scale / 1e9, 1),
-        file_gb=round(row.file_bytes * scale / 1e9, 1),
-        index_mb=round(n_segments * page / 1e6, 1),
-        hours_here=round(row.cpu_here * scale / 3600, 1), hours_workers=round(hours_workers, 1),
-    )  # fmt: skip
-
-
 @common.command("scaling.csv")
 @common.dem_argument
-@common.option("--size", type=common.COUNT, default=8193, help="Samples on a side.")
+@common.option("--size", type=common.COUNT, default=12289, help="Samples on a side.")
 @common.option("--runs", cls=common.ListOption, type=click.Choice(RUNS), default=RUNS)
 def main(dem: Path, size: int, runs: tuple[str, ...], folder: Path, out: Path) -> None:
     """Measure; local comes first."""
-    rows = measure(dem, size, runs, folder)
+    rows, tasks = measure(dem, size, runs, folder)
     common.write_rows(out, rows)
-    if rows[-1].n_calls:
-        larger = out.with_name(f"{out.stem}_extrapolated.csv")
-        common.write_rows(larger, [extrapolate(rows[-1])])
+    common.write_rows(out.with_name(TASKS_CSV), tasks)
 
 
 if __name__ == "__main__":

@@ -47,6 +47,7 @@ WRONG = {
     "compress": OF_RASTERS | OF_CODING | OF_FILES | {
         "dst": PATH, "mesh_error": NUMBER, "measure_meshes": FLAG, "keep_origin": FLAG,
         "temp_dir": PATH, "fresh": FLAG, "task_samples": WHOLE, "client": ANYTHING,
+        "on_task": CALLABLE,
     },
     "compress_to_bytes": {name: OF_RASTERS[name] for name in ("src", "nodata", "georeference")}
     | OF_CODING,

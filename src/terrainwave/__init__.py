@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from terrainwave.export.saved import SavedMesh
     from terrainwave.file.info import Info
     from terrainwave.lods import save_lods
-    from terrainwave.progress import Progress
+    from terrainwave.progress import Progress, TaskReport
     from terrainwave.terrain import Terrain
     from terrainwave.tri.rqt import Rqt
     from terrainwave.tri.zerotree import Zerotree
@@ -69,6 +69,7 @@ __all__ = [
     "SourceUnavailableError",
     "StorageError",
     "Store",
+    "TaskReport",
     "Terrain",
     "TerrainwaveError",
     "TerrainwaveWarning",
@@ -105,6 +106,7 @@ _LAZY = {
     "PatchResult": "write.patch",
     "patch": "write.patch",
     "Progress": "progress",
+    "TaskReport": "progress",
     "Info": "file.info",
     "Terrain": "terrain",
     "Mesh": "export.mesh",

@@ -338,17 +338,17 @@ def checked_error(name: str, error: object) -> float | None:
     return None if error is None else checked_number(name, error, least=0)
 
 
-def check_callback(progress: object) -> None:
-    """Refuse what cannot be called with a `Progress`.
+def check_callback(callback: object, name: str = "progress", takes: str = "a Progress") -> None:
+    """Refuse what cannot be called, and is not None.
 
     Raises
     ------
     InvalidArgumentError
         If it is neither None nor callable.
     """
-    if progress is not None and not callable(progress):
+    if callback is not None and not callable(callback):
         raise InvalidArgumentError(
-            f"found `progress` {shown(progress)}, expected a function that takes a Progress"
+            f"found `{name}` {shown(callback)}, expected a function that takes {takes}"
         )
 
 

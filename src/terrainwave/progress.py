@@ -16,7 +16,7 @@ class Progress:
     """Progress of a stage: samples `done` of `total`, bytes of heights read and of file written.
 
     Stages that code units (groups and root blocks) also have `n_units` of `n_units_total` done, on
-    `n_levels` levels.
+    `n_levels` levels. On a cluster, stages have `n_tasks` of `n_tasks_total` done.
     """
 
     stage: str
@@ -27,9 +27,41 @@ class Progress:
     n_units: int = 0
     n_units_total: int = 0
     n_levels: int = 0
+    n_tasks: int = 0
+    n_tasks_total: int = 0
 
 
 ProgressCallback = Callable[[Progress], None]
+
+
+@dataclass(frozen=True)
+class TaskReport:
+    """What one attempt at a task of a cluster took.
+
+    The task is of `n_samples` samples of the full grid from `row`, `col` on. `began` is in seconds
+    since 1970, by the worker's clock; `cpu_seconds` are those of the worker's process, which also
+    does what dask needs. `source_bytes` are heights read from the raster, as numbers; the other two
+    are bytes read from the shared temporary data and written there. `error` is empty if the attempt
+    succeeded.
+    """
+
+    stage: str
+    row: int
+    col: int
+    n_samples: int
+    attempt: int
+    worker: str
+    host: str
+    began: float
+    seconds: float
+    cpu_seconds: float
+    source_bytes: int
+    depot_bytes_read: int
+    depot_bytes_written: int
+    error: str = ""
+
+
+TaskCallback = Callable[[TaskReport], None]
 
 
 class Reporter:

@@ -1,5 +1,7 @@
 """Compression on a dask cluster of processes, one of them killed."""
 
+import csv
+import logging
 import os
 import signal
 
@@ -32,7 +34,7 @@ def cluster(tmp_path_factory):
     with LocalCluster(
         n_workers=2,
         threads_per_worker=1,
-        dashboard_address=None,
+        dashboard_address=":0",
         local_directory=str(tmp_path_factory.mktemp("workers")),
     ) as cluster:
         yield cluster
@@ -90,3 +92,43 @@ def test_a_scheduler_that_does_not_answer_is_one_line(monkeypatch, raster, tmp_p
     assert result.exit_code == 1
     assert result.stderr.startswith(f"terrainwave: no dask scheduler answers at {address}")
     assert result.stderr.count("\n") == 1
+
+
+def test_the_command_logs_what_each_task_took(client, cluster, raster, tmp_path):
+    log = tmp_path / "tasks.csv"
+    arguments = ["compress", raster, tmp_path / "dem.twz", "--max-error", 1, "--block", 32]
+    arguments += ["--scheduler", cluster.scheduler_address, "--task-log", log]
+    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    assert result.exit_code == 0
+    with log.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    stages = ["scanning", "making levels", "encoding", "proving"]
+    assert [row["stage"] for row in rows] == [stage for stage in stages for _ in range(4)]
+    assert {row["worker"] for row in rows} <= set(client.nthreads())
+    size = 2 * HEIGHTS.size
+    for stage in ("scanning", "proving"):
+        assert sum(int(row["source_bytes"]) for row in rows if row["stage"] == stage) == size
+    written = [int(row["depot_bytes_written"]) for row in rows if row["stage"] == "encoding"]
+    assert sum(written) > (tmp_path / "dem.twz").stat().st_size / 2
+    assert [line.split()[-6] for line in result.stdout.splitlines()[-4:]] == ["4"] * 4
+
+
+def test_results_on_their_way_when_a_client_is_closed_are_no_tracebacks(
+    cluster, caplog, monkeypatch
+):
+    class CommClosedError(OSError):
+        """Has the name of dask's error."""
+
+    log = logging.getLogger("tornado.application")
+
+    def close(_client):
+        for error in (CommClosedError("in <TCP>: Stream is closed"), ValueError("another fault")):
+            log.error("Exception in callback", exc_info=error)
+
+    with ext_distributed.connected(cluster.scheduler_address) as client:
+        closed = type(client).close
+        monkeypatch.setattr(type(client), "close", close)
+    log.error("Exception in callback", exc_info=CommClosedError("of another client"))
+    closed(client)
+    told = [record.exc_info[1] for record in caplog.records if record.name == log.name]
+    assert [str(error) for error in told] == ["another fault", "of another client"]

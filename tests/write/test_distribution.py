@@ -156,6 +156,11 @@ def test_what_workers_cannot_open_is_refused(tmp_path, cluster):
         compress(HEIGHTS, tmp_path / "dem.twz", client=cluster)
 
 
+def test_a_log_without_a_client_is_refused(tmp_path):
+    with pytest.raises(InvalidHeightsError, match="found on_task without a client"):
+        compress(tmp_path / "dem.tif", tmp_path / "dem.twz", on_task=print)
+
+
 def test_tiles_are_not_shared_out(tmp_path, cluster):
     with pytest.raises(InvalidHeightsError, match="found method cdf53 and a client"):
         compress(tmp_path / "dem.tif", tmp_path / "dem.twz", client=cluster, method="cdf53")
@@ -177,12 +182,17 @@ def test_an_error_of_a_task_is_the_error_of_the_run(tmp_path, cluster):
 
 
 @pytest.mark.large
-def test_a_depot_may_be_a_url(tmp_path, cluster):
+@pytest.mark.parametrize("measure_meshes", [False, True])
+def test_a_depot_may_be_a_url(tmp_path, cluster, measure_meshes):
     from fsspec.implementations.memory import MemoryFileSystem
 
-    write_geotiff(tmp_path / "dem.tif", HEIGHTS[:300, :40])
-    compress(tmp_path / "dem.tif", tmp_path / "here.twz", **OPTIONS)
-    url = {"temp_dir": "memory://depot"}
-    compress(tmp_path / "dem.tif", tmp_path / "there.twz", client=cluster, **url, **OPTIONS)
+    heights, profile = RASTERS["four tasks"]
+    write_geotiff(tmp_path / "dem.tif", heights, **profile)
+    options = OPTIONS | {"measure_meshes": measure_meshes}
+    compress(tmp_path / "dem.tif", tmp_path / "here.twz", **options)
+    url = {"temp_dir": "memory://depot", "task_samples": 1}
+    compress(tmp_path / "dem.tif", tmp_path / "there.twz", client=cluster, **url, **options)
     assert (tmp_path / "there.twz").read_bytes() == (tmp_path / "here.twz").read_bytes()
     assert not [path for path in MemoryFileSystem.store if "twz" in path]
+    names = ["dem.tif", "here.twz", "there.twz"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names

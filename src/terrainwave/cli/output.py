@@ -277,6 +277,8 @@ class Bar:
             units = (
                 f"{progress.n_units}/{progress.n_units_total} groups, {progress.n_levels} levels"
             )
+        elif progress.n_tasks_total:
+            units = f"{progress.n_tasks:,}/{progress.n_tasks_total:,} tasks"
         self._bar.update(
             self._task,
             completed=progress.done,

@@ -2,32 +2,61 @@
 
 A segment is stored in the file's own form (FORMAT.md §3.2): page, then payloads and meshes. Its
 page's `first_child` is 0, as nobody knows offsets in the file yet.
+
+Of an object store only put, get, head and delete of known names are needed. A put that fails is
+repeated, and what is not there yet is asked for again, so the store may be slow to show it.
 """
 
 import io
+import logging
 import os
 import secrets
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any, BinaryIO, NamedTuple
+import tempfile
+import time
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.arguments import in_one_line
 from terrainwave.cache import Cache
 from terrainwave.container.page import describe_head, empty_page, page_layout, unpack_page
 from terrainwave.container.reader import check_crc
 from terrainwave.container.segment import Segment, segment_of_page
+from terrainwave.container.sources.addresses import display_name, without_secrets
 from terrainwave.container.sources.byte_source import ByteSource
 from terrainwave.container.sources.opening import open_source
-from terrainwave.container.spool import storage_errors
+from terrainwave.container.spool import TEMPORARY_ADVICE, storage_errors
+from terrainwave.container.targets.upload import put_whole
+from terrainwave.errors import CorruptStreamError, StorageError, TerrainwaveError
 from terrainwave.extras import need
 from terrainwave.grid.quadtree import Block, Grid
+
+_log = logging.getLogger(__name__)
 
 _OPEN_SOURCES = 32
 _CACHED_PAGES = 64
 _CHUNK = 16 << 20
+# Seconds before something is put or asked for again: stores may show late what they took.
+_DELAYS = (0.2, 1.0, 5.0, 15.0)
+_NAMES_AT_A_TIME = 1000  # that S3 deletes by one request
+_ADVICE = "; free space there, or name another directory or URL with `temp_dir`"
+
+Result = TypeVar("Result")
+
+
+@dataclass
+class Meter:
+    """What one task, or one client, has read and written: bytes, and names in the depot."""
+
+    source_bytes: int = 0
+    depot_bytes_read: int = 0
+    depot_bytes_written: int = 0
+    names: list[str] = field(default_factory=list)
 
 
 class StoredSegment(NamedTuple):
@@ -40,14 +69,55 @@ class StoredSegment(NamedTuple):
 
     def chunks(self) -> Iterator[bytes]:
         """Yield the page, then payloads and meshes, at most 16 MiB in memory at a time."""
-        source = open_source(self.path)
+        entry = _Entry(self.path, Meter())
         try:
-            yield source.read(self.offset, self.page_length)
+            first = max(self.page_length, min(_CHUNK, self.length))
+            data = entry.read(self.offset, first)
+            yield data[: self.page_length]
+            yield data[self.page_length :]
             end = self.offset + self.length
-            for start in range(self.offset + self.page_length, end, _CHUNK):
-                yield source.read(start, min(_CHUNK, end - start))
+            for start in range(self.offset + first, end, _CHUNK):
+                yield entry.read(start, min(_CHUNK, end - start))
         finally:
-            source.close()
+            entry.close()
+
+
+def _again(what: str, call: Callable[[], Result]) -> Result:
+    """Return what a call returns, after some more attempts if it fails."""
+    for delay in _DELAYS:
+        try:
+            return call()
+        except (StorageError, OSError) as error:
+            _log.info("%s: %s, again in %g s", what, type(error).__name__, delay)
+            time.sleep(delay)
+    return call()
+
+
+class _Entry:
+    """An entry of a depot that is read; what fails is tried again."""
+
+    def __init__(self, path: str, meter: Meter) -> None:
+        self._path = path
+        self._meter = meter
+        self._source: ByteSource = self._again(lambda: open_source(path))
+
+    @property
+    def size(self) -> int:
+        """Return the number of bytes."""
+        return self._source.size
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Return exactly these bytes."""
+        data = self._again(lambda: self._source.read(offset, length))
+        self._meter.depot_bytes_read += length
+        return data
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._source.close()
+
+    def _again(self, call: Callable[[], Result]) -> Result:
+        return _again(f"reading {display_name(self._path)}", call)
 
 
 @dataclass(frozen=True)
@@ -56,9 +126,21 @@ class Depot:
 
     What is written appears whole or not at all, so that a task can be run again after its machine
     was lost, or twice at a time.
+
+    Parameters
+    ----------
+    meter : Meter
+        Counts what goes through this object; it does not go with it to other machines.
+    directory : str, optional
+        Where entries for URLs are made before they are put; by default the system's.
     """
 
     root: str
+    meter: Meter = field(default_factory=Meter, compare=False)
+    directory: str | None = field(default=None, compare=False)
+
+    def __reduce__(self) -> tuple[type["Depot"], tuple[str]]:
+        return Depot, (self.root,)
 
     def path(self, name: str) -> str:
         """Return the path or URL of something stored."""
@@ -73,16 +155,45 @@ class Depot:
         StorageError
             If it cannot be written.
         """
-        with storage_errors(f"cannot write {self.path(name)}"):
-            filesystem, path = _filesystem(self.root)
-            target = f"{path}/{name}"
-            # Object stores show a file only once it is whole.
-            is_local = "file" in filesystem.protocol
-            unfinished = f"{target}.{secrets.token_hex(8)}" if is_local else target
-            with filesystem.open(unfinished, "wb") as file:
+        where = display_name(self.path(name))
+        filesystem, path = _filesystem(self.root)
+        target = f"{path}/{name}"
+        making = (
+            _in_place(target, where)
+            if "file" in filesystem.protocol
+            else self._put(filesystem, target, where)
+        )
+        with making as file:
+            yield file
+            n_bytes = file.tell()
+        self.meter.depot_bytes_written += n_bytes
+        self.meter.names.append(name)
+
+    @contextmanager
+    def _put(self, filesystem: Any, target: str, where: str) -> Iterator[BinaryIO]:
+        """Give a file of this machine that is put to a store when the block ends.
+
+        Files of fsspec are not used: one that is left by an exception puts what it has.
+        """
+        directory = self.directory or tempfile.gettempdir()
+        failing = f"cannot write temporary files in {directory}"
+        with storage_errors(failing, advice=TEMPORARY_ADVICE):
+            handle, made = tempfile.mkstemp(".twz-part", dir=directory)
+
+        def put() -> None:
+            try:
+                put_whole(filesystem, made, target)
+            except Exception as error:  # of the file system's own libraries
+                raise StorageError(
+                    f"cannot write {where}: {without_secrets(in_one_line(error))}"
+                ) from error
+
+        try:
+            with storage_errors(failing, advice=TEMPORARY_ADVICE), os.fdopen(handle, "wb") as file:
                 yield file
-            if is_local:
-                os.replace(unfinished, target)
+            _again(f"writing {where}", put)
+        finally:
+            os.unlink(made)
 
     def save(self, name: str, **arrays: Any) -> None:
         """Store arrays under a name."""
@@ -96,27 +207,102 @@ class Depot:
         ------
         StorageError
             If it is not there.
+        CorruptStreamError
+            If it is damaged.
         """
-        source = open_source(self.path(name))
+        entry = self.open(self.path(name))
         try:
-            data = source.read(0, source.size)
+            data = entry.read(0, entry.size)
         finally:
-            source.close()
-        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            return dict(arrays)
+            entry.close()
+        try:
+            with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+                return dict(arrays)
+        except (ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+            raise CorruptStreamError(
+                f"{display_name(self.path(name))} is damaged: found {len(data):,} bytes that are"
+                " not the arrays that a worker stored there"
+            ) from error
 
-    def remove(self) -> None:
-        """Delete everything in the depot."""
-        with storage_errors(f"cannot remove {self.root}"):
+    def open(self, path: str) -> _Entry:
+        """Return an entry to read, by its path or URL."""
+        return _Entry(path, self.meter)
+
+    def fetch(self, path: str, local: str | os.PathLike[str]) -> None:
+        """Copy an entry to a file of this machine.
+
+        Raises
+        ------
+        StorageError
+            If it cannot be read, or the file not be written.
+        """
+        entry = self.open(path)
+        failing = f"cannot write temporary files in {os.path.dirname(local)}"
+        try:
+            with storage_errors(failing, advice=TEMPORARY_ADVICE), open(local, "wb") as file:
+                for start in range(0, entry.size, _CHUNK):
+                    file.write(entry.read(start, min(_CHUNK, entry.size - start)))
+        finally:
+            entry.close()
+
+    def remove(self, names: Iterable[str] = ()) -> None:
+        """Delete everything in the depot: `names`, and whatever a list of it shows.
+
+        Raises
+        ------
+        StorageError
+            If something cannot be deleted.
+        """
+        where = display_name(self.root)
+        try:
             filesystem, path = _filesystem(self.root)
-            if filesystem.exists(path):
-                filesystem.rm(path, recursive=True)
+            if "file" not in filesystem.protocol:
+                known = [f"{path}/{name}" for name in dict.fromkeys(names)]
+                for start in range(0, len(known), _NAMES_AT_A_TIME):
+                    _delete(filesystem, known[start : start + _NAMES_AT_A_TIME])
+                filesystem.invalidate_cache()
+            with suppress(FileNotFoundError):
+                if filesystem.exists(path):
+                    filesystem.rm(path, recursive=True)
+        except TerrainwaveError:
+            raise
+        except Exception as error:  # of the file system's own libraries
+            reason = without_secrets(in_one_line(error))
+            raise StorageError(f"cannot remove temporary data in {where}: {reason}") from error
+
+
+@contextmanager
+def _in_place(target: str, where: str) -> Iterator[BinaryIO]:
+    """Give a file that gets its name when the block ends without exception."""
+    unfinished = f"{target}.{secrets.token_hex(8)}"
+    with storage_errors(f"cannot write {where}", advice=_ADVICE):
+        try:
+            with open(unfinished, "wb") as file:
+                yield file
+            os.replace(unfinished, target)
+        except BaseException:
+            with suppress(OSError):
+                os.unlink(unfinished)
+            raise
+
+
+def _delete(filesystem: Any, paths: list[str]) -> None:
+    """Delete what is there of some paths."""
+    try:
+        filesystem.rm(paths)
+    except FileNotFoundError:  # nobody knows which: one after the other
+        for path in paths:
+            with suppress(FileNotFoundError):
+                filesystem.rm_file(path)
 
 
 def _filesystem(root: str) -> tuple[Any, str]:
     """Return fsspec's file system of a path or URL and the path in it."""
     fsspec = need("fsspec.core", extra="distributed", purpose="a cluster")
-    filesystem, path = fsspec.url_to_fs(root)
+    try:
+        filesystem, path = fsspec.url_to_fs(root)
+    except (ImportError, ValueError) as error:
+        raise StorageError(f"cannot use {display_name(root)}: {in_one_line(error)}") from error
     return filesystem, path
 
 
@@ -125,16 +311,19 @@ class StoredSegments:
 
     Parameters
     ----------
+    depot : Depot
+        Whose meter counts what is read.
     place : callable
         Returns where a segment lies, by its head.
     """
 
-    def __init__(self, grid: Grid, place: Callable[[Block | None], StoredSegment]) -> None:
+    def __init__(
+        self, grid: Grid, depot: Depot, place: Callable[[Block | None], StoredSegment]
+    ) -> None:
         self._grid = grid
+        self._depot = depot
         self._place = place
-        self._sources: Cache[str, ByteSource] = Cache(
-            _OPEN_SOURCES, drop=lambda source: source.close()
-        )
+        self._sources: Cache[str, _Entry] = Cache(_OPEN_SOURCES, drop=lambda source: source.close())
         self._segments: Cache[Block | None, Segment] = Cache(_CACHED_PAGES)
 
     def payloads(self, keys: Sequence[Block]) -> list[bytes]:
@@ -188,5 +377,5 @@ class StoredSegments:
         end = place.offset + place.length
         return segment_of_page(head, layout, page, place.offset, place.page_length, end)
 
-    def _source(self, path: str) -> ByteSource:
-        return self._sources.get_or_make(path, lambda: open_source(path))
+    def _source(self, path: str) -> _Entry:
+        return self._sources.get_or_make(path, lambda: self._depot.open(path))

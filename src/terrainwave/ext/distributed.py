@@ -1,9 +1,10 @@
 """Clusters of dask.distributed for `compress`; needs the extra ``distributed``.
 
-`compress` takes any client that `write.cluster.executor_of` knows, so that this module only
+`compress` takes any client that `write.tasks.workers.executor_of` knows, so that this module only
 connects and looks whether the workers can do the work.
 """
 
+import logging
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -42,7 +43,24 @@ def connected(address: str) -> Iterator[Any]:
         check_workers(client)
         yield client
     finally:
-        client.close()
+        with _without_closed_connections():
+            client.close()
+
+
+@contextmanager
+def _without_closed_connections() -> Iterator[None]:
+    """Keep tornado from a traceback for each result that is on its way when a client is closed."""
+
+    def is_other(record: logging.LogRecord) -> bool:
+        error = record.exc_info[1] if record.exc_info else None
+        return type(error).__name__ != "CommClosedError"
+
+    log = logging.getLogger("tornado.application")
+    log.addFilter(is_other)
+    try:
+        yield
+    finally:
+        log.removeFilter(is_other)
 
 
 def check_workers(client: Any) -> None:

@@ -102,6 +102,8 @@ class RasterSource:
     notes : tuple of str
         What the source left out or chose, one sentence each; issued as `TerrainwaveWarning`, but
         for bands beside one that was chosen, and for what the heights give again.
+    n_bytes_read : int
+        Bytes of heights, as numbers, that have been read so far.
     is_striped : bool
         True if a narrow window makes the source decode much wider ones: a scan in the order of
         `blocks` is then many times cheaper than small windows.
@@ -139,6 +141,7 @@ class RasterSource:
                     f"found `nodata` {shown(given)}, expected a number, or nan"
                 )
         self._lock = threading.Lock()
+        self.n_bytes_read = 0
         opening = _Opening(band, nodata, georeference, open_terrain)
         self._backend = opening.backend(source)
         self.name: str = self._backend.name
@@ -250,6 +253,7 @@ class RasterSource:
         info = self.info
         with self._lock:
             heights, valid = self._backend.read(row, col, n_rows, n_cols)
+            self.n_bytes_read += heights.nbytes
         if info.nodata is not None and not math.isnan(info.nodata):
             valid &= heights != stored_nodata(info.nodata, self._dtype)
         if self._dtype.kind == "f":

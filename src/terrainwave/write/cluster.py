@@ -1,14 +1,14 @@
 """`compress` on many machines: shares out the tasks of `subtrees` and puts their results together.
 
-What a cluster must be able to do is `submit(function, *arguments)` and give a future back: a dask
-client, a pool of processes or of threads. It sees tasks of a few kB and results of a few kB;
-heights and payloads go through a depot that all machines see. The levels above the tasks, 1 / 256
-of the samples with the default size, are coded here. Bytes are those of `local_passes`.
+The cluster (`tasks.workers`) sees tasks of a few kB and results of a few kB; heights and payloads
+go through a depot that all machines see. The levels above the tasks, 1 / 256 of the samples with
+the default size, are coded here. Bytes are those of `local_passes`.
 """
 
 import os
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Executor, Future, as_completed
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import lru_cache
@@ -22,7 +22,7 @@ from terrainwave.container.depot import Depot, StoredSegment
 from terrainwave.container.page import N_CODES
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.writer import store_segments
-from terrainwave.errors import ClusterError, InvalidHeightsError
+from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveWarning
 from terrainwave.grid.block_stats import BlockStats
 from terrainwave.grid.digest import HeightDigest
 from terrainwave.grid.quadtree import Block, Grid, Region
@@ -64,12 +64,12 @@ from terrainwave.write.subtrees import (
     scan_region,
     spool_of,
 )
+from terrainwave.write.tasks.workers import Workers
 
 # Samples under a task's block, at least: 4096 x 4096.
 TASK_SAMPLES = 1 << 24
 
-Item = TypeVar("Item")
-Result = TypeVar("Result")
+Item = TypeVar("Item", Block, Region)
 
 
 def task_level(grid: Grid, task_samples: int) -> int | None:
@@ -103,54 +103,6 @@ def shared_raster(src: Any, band: int, nodata: float | None) -> RasterPlace:
     return RasterPlace(shared, band, nodata)
 
 
-def executor_of(client: Any) -> Executor:
-    """Return an executor: that of a dask client, executors as they are."""
-    if isinstance(client, Executor):
-        return client
-    if hasattr(client, "get_executor"):
-        # Not pure: a second run must not get the first one's results.
-        executor: Executor = client.get_executor(pure=False)
-        return executor
-    raise InvalidHeightsError(
-        f"found a {type(client).__name__} as client, expected a dask.distributed.Client or a"
-        " concurrent.futures.Executor"
-    )
-
-
-def run_tasks(
-    cluster: Executor, function: Callable[..., Result], tasks: Mapping[Item, tuple[Any, ...]]
-) -> Iterator[tuple[Item, Result]]:
-    """Yield (item, result) of every task as it is done; `tasks` are arguments by item.
-
-    Raises
-    ------
-    TerrainwaveError
-        What a task raised, or `ClusterError` if workers were lost with it too often. Tasks that
-        have not begun are cancelled then.
-    """
-    futures = {cluster.submit(function, *tasks[item]): item for item in tasks}
-    try:
-        for future in as_completed(futures):
-            yield futures[future], _result(future)
-    finally:
-        for future in futures:
-            future.cancel()
-
-
-# What dask and concurrent.futures raise where workers die or are taken away.
-_LOST = {"KilledWorker", "BrokenProcessPool", "FutureCancelledError"}
-
-
-def _result(future: "Future[Result]") -> Result:
-    error = None if future.cancelled() else future.exception()
-    if future.cancelled() or type(error).__name__ in _LOST:
-        raise ClusterError(
-            "the cluster has lost a task: its workers, or the scheduler, ended while it ran; look"
-            " at their logs, and give workers more memory if that is why"
-        ) from error
-    return future.result()
-
-
 @dataclass
 class DistributedPasses:
     """The passes of `compress`, shared out over a cluster.
@@ -163,7 +115,7 @@ class DistributedPasses:
         For temporary files here.
     """
 
-    cluster: Executor
+    workers: Workers
     raster: RasterPlace
     source: RasterSource
     grid: Grid
@@ -179,13 +131,13 @@ class DistributedPasses:
         info = self.source.info
         digest = HeightDigest(info.n_cols) if self.has_digest else None
         whole = HeightScan(info.dtype, steps, digest)
-        count = self._counter("scanning")
+        # Not after hours, if nothing can be written there.
+        self.depot.save("begun")
         tasks = {
             region: (self.raster, region, self.has_digest, steps) for region in self._own_regions()
         }
-        for region, part in run_tasks(self.cluster, scan_region, tasks):
+        for _, part in self._run("scanning", scan_region, tasks):
             whole.merge(part)
-            count(region.n_rows * region.n_cols)
         return whole
 
     def encode(self, job: Job) -> Coded:
@@ -215,17 +167,43 @@ class DistributedPasses:
         """Decode the file from disk and compare every sample; return the largest error."""
         assert not isinstance(path, bytes)  # what has a client is written to disk
         site = Site(self.raster, self.depot, job, self.level, job.options.named_method.name)
-        count = self._counter("proving")
         tasks = {region: (site, os.path.abspath(path), region) for region in self._own_regions()}
         largest = 0.0
-        for region, error in run_tasks(self.cluster, prove_region, tasks):
+        for _, error in self._run("proving", prove_region, tasks):
             largest = max(largest, error)
-            count(region.n_rows * region.n_cols)
         return measured_error(largest, job.quantizer)
 
     def close(self) -> None:
         """Delete what tasks have left in the depot."""
-        self.depot.remove()
+        try:
+            self.depot.remove([*self.workers.names, *self.depot.meter.names])
+        except StorageError as error:  # not a reason to lose the file
+            warnings.warn(f"{error}; remove it yourself", TerrainwaveWarning, stacklevel=2)
+
+    def _run(
+        self, stage: str, function: Callable[..., Any], tasks: Mapping[Item, tuple[Any, ...]]
+    ) -> Iterator[tuple[Item, Any]]:
+        """Yield (item, result) of every task of a pass as it is done, and report it."""
+        itemsize = np.dtype(self.source.info.dtype).itemsize
+        total = sum(_n_samples(self._region(item)) for item in tasks)
+        done = 0
+
+        def report(n_tasks: int) -> None:
+            n_bytes = done * itemsize
+            self.reporter.report(
+                stage, done, total, n_bytes, n_tasks=n_tasks, n_tasks_total=len(tasks)
+            )
+
+        report(0)
+        finished = self.workers.run(stage, function, tasks, self._region)
+        for n_tasks, (item, result) in enumerate(finished, 1):
+            yield item, result
+            done += _n_samples(self._region(item))
+            report(n_tasks)
+
+    def _region(self, item: Block | Region) -> Region:
+        """Return the samples that a task stands for."""
+        return own_region(self.grid, item) if isinstance(item, Block) else item
 
     def _own_regions(self) -> list[Region]:
         return [own_region(self.grid, head) for head in self.grid.blocks(self.level)]
@@ -257,11 +235,8 @@ class DistributedPasses:
                 site.depot.save(
                     site.name("fills", head), heights=fills, origin=np.array(region[:2])
                 )
-        count = self._counter("making levels")
-        for head, _ in run_tasks(self.cluster, make_levels, self._each(site)):
-            arrays = site.depot.load(site.name("heights", head))
-            heights.write(site.grid.block_region(head), arrays["heights"])
-            count(_n_samples(site, head))
+        made = self._run("making levels", make_levels, self._each(site))
+        self._load(site, "heights", made, {"heights": heights})
         top.make_heights(lambda *_: None)
         return top
 
@@ -272,11 +247,27 @@ class DistributedPasses:
             Spool(heights.shape, dtype, self.directory)
             for dtype in (np.bool_, np.int32, np.bool_, np.bool_)
         ]
-        for head, _ in run_tasks(self.cluster, push_levels, self._each(site)):
-            arrays = site.depot.load(site.name("pushed", head))
-            for name, spool in zip(names, spools, strict=True):
-                spool.write(site.grid.block_region(head), arrays[name])
+        pushed = self._run("averaging", push_levels, self._each(site))
+        self._load(site, "pushed", pushed, dict(zip(names, spools, strict=True)))
         return Base(site.shift, heights, *spools)
+
+    def _load(
+        self,
+        site: Site,
+        stage: str,
+        finished: Iterable[tuple[Block, Any]],
+        spools: Mapping[str, Spool],
+    ) -> None:
+        """Load into spools what finished tasks have left, of some at a time: a store takes time."""
+
+        def load(head: Block) -> None:
+            arrays = site.depot.load(site.name(stage, head))
+            for name, spool in spools.items():
+                spool.write(site.grid.block_region(head), arrays[name])
+
+        with ThreadPoolExecutor(AT_A_TIME) as pool:
+            for loaded in [pool.submit(load, head) for head, _ in finished]:
+                loaded.result()
 
     def _fills(self, site: Site, top: Pyramid, region: Region) -> tuple[Region, Heights]:
         """Return the fills that a part over a region of the full grid needs, and their place."""
@@ -322,11 +313,14 @@ class DistributedPasses:
         """Have the groups below the tasks' blocks coded; `stats` are of the blocks above."""
         _set_no_codes(site.grid, sink)
         self._store_top(site, ABOVE, sink)
-        count = self._counter("encoding")
         below = _Below(stats=stats)
-        for head, encoded in run_tasks(self.cluster, encode_subtree, self._each(site)):
-            below.take(site, encoded)
-            count(_n_samples(site, head))
+        is_last = not site.job.options.measures_meshes
+        with _Copies(site.depot, self.directory) as copies:
+            for head, encoded in self._run("encoding", encode_subtree, self._each(site)):
+                below.take(encoded)
+                if is_last:
+                    heads = site.grid.segment_heads_below(head)
+                    below.segments |= zip(heads, copies.places(encoded.places), strict=True)
         return below
 
     def _store_top(self, site: Site, stage: str, sink: SpoolSink) -> None:
@@ -350,15 +344,15 @@ class DistributedPasses:
         sink.set_meshes(sections)
         self._store_top(site, TOP, sink)
         rounds = self._agree(site) if job.options.mesh in STORED_KINDS else {}
-        count = self._counter("measuring meshes")
         tasks = {head: (site, head, rounds.get(head)) for head in grid.blocks(site.level)}
         segments: dict[Block | None, StoredSegment] = {}
         errors: dict[Block, int] = {}
-        for head, finished in run_tasks(self.cluster, finish_subtree, tasks):
-            segments |= zip(grid.segment_heads_below(head), finished.places, strict=True)
-            for block, error in finished.ancestors.items():
-                errors[block] = max(errors.get(block, 0), error)
-            count(_n_samples(site, head))
+        with _Copies(site.depot, self.directory) as copies:
+            for head, finished in self._run("measuring meshes", finish_subtree, tasks):
+                places = copies.places(finished.places)
+                segments |= zip(grid.segment_heads_below(head), places, strict=True)
+                for block, error in finished.ancestors.items():
+                    errors[block] = max(errors.get(block, 0), error)
         lost = Fraction(job.lost)
         codes.set(mesher.error_codes(errors, lost, by_recursion=job.options.faithful))
         return segments
@@ -374,12 +368,8 @@ class DistributedPasses:
                 head: (site, head, {near: last[near] for near in _cross(head, last)}, number)
                 for head in late
             }
-            count = self._counter(f"making meshes, round {number + 1}")
-            changed = []
-            for head, has_changed in run_tasks(self.cluster, draft_subtree, tasks):
-                count(_n_samples(site, head))
-                if has_changed:
-                    changed.append(head)
+            stage = f"making meshes, round {number + 1}"
+            changed = [head for head, has in self._run(stage, draft_subtree, tasks) if has]
             last |= dict.fromkeys(changed, number)
             late = sorted({near for head in changed for near in _cross(head, last)})
             number += 1
@@ -388,12 +378,40 @@ class DistributedPasses:
     def _each(self, site: Site) -> dict[Block, tuple[Site, Block]]:
         return {head: (site, head) for head in site.grid.blocks(site.level)}
 
-    def _counter(self, stage: str) -> Callable[[int], None]:
-        itemsize = np.dtype(self.source.info.dtype).itemsize
-        return self.reporter.counter(stage, self.grid.n_rows * self.grid.n_cols, itemsize)
-
 
 _CACHE_BYTES = 128 << 20
+AT_A_TIME = 16  # requests to the depot
+
+
+class _Copies:
+    """Copies segments from a URL to this machine while tasks are running; others stay there.
+
+    A file is put together from segments one by one: of a store, each would be waited for.
+    """
+
+    def __init__(self, depot: Depot, directory: Path) -> None:
+        self._depot = depot
+        self._directory = directory
+        self._copied: list[Future[None]] = []
+        self._pool = ThreadPoolExecutor(AT_A_TIME) if "://" in depot.root else None
+
+    def places(self, places: Sequence[StoredSegment]) -> list[StoredSegment]:
+        """Return where the segments of one entry will lie."""
+        if self._pool is None or not any(place.length for place in places):
+            return list(places)
+        path = self._directory / f"copied-{len(self._copied)}.twz-spool"
+        self._copied.append(self._pool.submit(self._depot.fetch, places[0].path, path))
+        return [place._replace(path=str(path)) for place in places]
+
+    def __enter__(self) -> "_Copies":
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=kind is not None)
+        if kind is None:
+            for copied in self._copied:
+                copied.result()
 
 
 @dataclass
@@ -406,9 +424,7 @@ class _Below:
     errors: dict[Block, int] = field(default_factory=dict)
     n_bytes: int = 0
 
-    def take(self, site: Site, encoded: EncodedSubtree) -> None:
-        heads = site.grid.segment_heads_below(encoded.head)
-        self.segments |= zip(heads, encoded.places, strict=True)
+    def take(self, encoded: EncodedSubtree) -> None:
         for block, stats in encoded.ancestors.items():
             self.stats.setdefault(block, BlockStats()).merge(stats)
         if encoded.box is not None:
@@ -442,8 +458,7 @@ def _set_no_codes(grid: Grid, sink: SpoolSink) -> None:
             spool.set_codes(key, bytes(N_CODES * len(grid.key_blocks(key))))
 
 
-def _n_samples(site: Site, head: Block) -> int:
-    region = own_region(site.grid, head)
+def _n_samples(region: Region) -> int:
     return region.n_rows * region.n_cols
 
 

@@ -20,6 +20,7 @@ from typing import Any, BinaryIO, NamedTuple, cast
 
 from terrainwave.arguments import (
     TWZ_ENDINGS,
+    check_callback,
     check_ending,
     check_flags,
     checked_path,
@@ -42,7 +43,7 @@ from terrainwave.file.raster import raster_source
 from terrainwave.grid.quadtree import Grid
 from terrainwave.names import FORMATS
 from terrainwave.place.units import height_unit
-from terrainwave.progress import ProgressCallback, Reporter
+from terrainwave.progress import ProgressCallback, Reporter, TaskCallback
 from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.undeclared_voids import note_on_marks
@@ -50,7 +51,6 @@ from terrainwave.tri.mesh_options import MeshOptions
 from terrainwave.write.cluster import (
     TASK_SAMPLES,
     DistributedPasses,
-    executor_of,
     shared_raster,
     task_level,
 )
@@ -61,6 +61,7 @@ from terrainwave.write.local import LocalPasses
 from terrainwave.write.passes.coding import Coded, smaller
 from terrainwave.write.passes.resuming import run_directory, taken_up
 from terrainwave.write.subtrees import RasterPlace
+from terrainwave.write.tasks.workers import Workers
 
 _log = logging.getLogger(__name__)
 
@@ -113,6 +114,7 @@ def compress(
     fresh: bool = False,
     client: Any = None,
     task_samples: int | None = None,
+    on_task: TaskCallback | None = None,
     progress: ProgressCallback | None = None,
 ) -> CompressResult:
     """Compress a raster to a .twz file in which every valid sample is within `max_error`.
@@ -201,6 +203,8 @@ def compress(
         The bytes are the same. Not with method cdf53.
     task_samples : int, optional
         With `client`: the smallest number of samples of a task, by default 4096 x 4096.
+    on_task : callable, optional
+        With `client`: called with a `TaskReport` whenever an attempt at a task has ended.
     progress : callable, optional
         Called with a `Progress` at most ten times a second, from one thread at a time.
 
@@ -241,6 +245,7 @@ def compress(
         threads=threads,
     )
     check_flags(overwrite=overwrite, fresh=fresh)
+    check_callback(on_task, "on_task", "a TaskReport")
     if task_samples is not None:
         task_samples = checked_whole("task_samples", task_samples, least=1)
     if temp_dir is not None:
@@ -252,12 +257,11 @@ def compress(
         is_remote = temp_dir is not None and "://" in os.fspath(temp_dir)
         raster = shared_raster(src, band, nodata)
         url = temp_dir if is_remote else None
-        cluster = _Cluster(executor_of(client), raster, url, task_samples or TASK_SAMPLES)
+        cluster = _Cluster(Workers(client, on_task), raster, url, task_samples or TASK_SAMPLES)
         temp_dir = None if is_remote else temp_dir
-    elif task_samples is not None:
-        raise InvalidArgumentError(
-            f"found `task_samples` {task_samples} without a client, expected both or none of them"
-        )
+    elif task_samples is not None or on_task is not None:
+        found = "`on_task`" if task_samples is None else f"`task_samples` {task_samples}"
+        raise InvalidArgumentError(f"found {found} without a client, expected both or none of them")
     check_ending(dst, TWZ_ENDINGS, or_url=True)
     refuse_own_source(src, dst)
     refuse_raster(dst)
@@ -462,9 +466,9 @@ def _coded(
 
 
 class _Cluster(NamedTuple):
-    """What takes tasks, the raster as it sees it, and a URL of the depot if it is not local."""
+    """Who does tasks, the raster as it sees it, and a URL of the depot if it is not local."""
 
-    executor: Executor
+    workers: Workers
     raster: RasterPlace
     url: str | os.PathLike[str] | None
     task_samples: int
@@ -486,7 +490,7 @@ def _passes(
     if cluster is None or level is None:
         return LocalPasses(source, directory, executor, reporter, has_digest, kept or Kept())
     return DistributedPasses(
-        cluster.executor,
+        cluster.workers,
         cluster.raster,
         source,
         grid,

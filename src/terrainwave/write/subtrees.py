@@ -7,10 +7,11 @@ memory is bounded by the subtree's levels in spools of 20 MiB each, the rest on 
 """
 
 import os
+import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
@@ -20,11 +21,11 @@ import numpy as np
 
 from terrainwave.codec.refiner import Refiner
 from terrainwave.codec.registry import refiner_by_name
-from terrainwave.container.depot import Depot, StoredSegment, StoredSegments
+from terrainwave.container.depot import Depot, Meter, StoredSegment, StoredSegments
 from terrainwave.container.page import N_CODES
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.spool_sink import SpoolSink
-from terrainwave.container.targets.publication import system_scratch
+from terrainwave.container.targets.publication import scratch_directory
 from terrainwave.container.writer import store_segments, stored_places
 from terrainwave.file import TerrainFile
 from terrainwave.file.raster import raster_source
@@ -61,16 +62,30 @@ ABOVE, CODED, TOP, FINISHED = "above", "coded", "top", "finished"
 
 @dataclass(frozen=True)
 class RasterPlace:
-    """A raster, or a mosaic of several, that every machine can open."""
+    """A raster, or a mosaic of several, that every machine can open.
+
+    Where a task runs, `meter` counts what it reads, and `folder` is for its temporary files.
+    """
 
     paths: tuple[str, ...]
     band: int
     nodata: float | None
+    meter: Meter = field(default_factory=Meter, compare=False)
+    folder: str | None = field(default=None, compare=False)
 
-    def open(self) -> RasterSource:
+    def at(self, meter: Meter, folder: str) -> "RasterPlace":
+        """Return it for one task (`tasks.measured.Task`)."""
+        return replace(self, meter=meter, folder=folder)
+
+    @contextmanager
+    def open(self) -> Iterator[RasterSource]:
         """Open it; notes have been issued where the run began."""
-        source = self.paths[0] if len(self.paths) == 1 else list(self.paths)
-        return raster_source(source, band=self.band, nodata=self.nodata, warn=False)
+        name = self.paths[0] if len(self.paths) == 1 else list(self.paths)
+        with raster_source(name, band=self.band, nodata=self.nodata, warn=False) as source:
+            try:
+                yield source
+            finally:
+                self.meter.source_bytes += source.n_bytes_read
 
 
 @dataclass(frozen=True)
@@ -87,6 +102,11 @@ class Site:
     level: int
     method: str
     file_tables: bytes = b""
+
+    def at(self, meter: Meter, folder: str) -> "Site":
+        """Return it for one task (`tasks.measured.Task`)."""
+        depot = replace(self.depot, meter=meter, directory=folder)
+        return replace(self, raster=self.raster.at(meter, folder), depot=depot)
 
     @property
     def grid(self) -> Grid:
@@ -133,7 +153,7 @@ class Site:
             depth = head.level - self.level
             return below(Block(self.level, head.row >> depth, head.col >> depth))[head]
 
-        return StoredSegments(self.grid, place)
+        return StoredSegments(self.grid, self.depot, place)
 
     def pyramid(
         self, source: RasterSource, region: Region, directory: Path, executor: Executor
@@ -180,7 +200,7 @@ class _Bench(NamedTuple):
 def _bench(raster: RasterPlace) -> Iterator[_Bench]:
     with (
         raster.open() as source,
-        system_scratch() as directory,
+        scratch_directory(raster.folder or tempfile.gettempdir(), "terrainwave") as directory,
         ThreadPoolExecutor(1) as executor,
     ):
         yield _Bench(source, directory, executor)

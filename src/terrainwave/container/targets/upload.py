@@ -83,10 +83,6 @@ class _Target:
             )
         fsspec = need("fsspec.core", extra="remote", purpose=f"writing {self.name}")
         self._fs, self.path = self._call(fsspec.url_to_fs, url)
-        protocols = self._fs.protocol
-        self._is_object_store = not _OBJECT_STORES.isdisjoint(
-            [protocols] if isinstance(protocols, str) else protocols
-        )
 
     def exists(self) -> bool:
         """Say whether there is a file of this name."""
@@ -94,17 +90,7 @@ class _Target:
 
     def put(self, path: Path) -> None:
         """Upload a file: all of it appears, or nothing."""
-        if self._is_object_store:
-            self._call(self._fs.put_file, os.fspath(path), self.path)
-        else:
-            unfinished = f"{self.path}.{secrets.token_hex(8)}.twz-part"
-            try:
-                self._call(self._fs.put_file, os.fspath(path), unfinished)
-                self._call(self._fs.mv, unfinished, self.path)
-            except BaseException:
-                with suppress(Exception):  # it may not be there
-                    self._fs.rm_file(unfinished)
-                raise
+        self._call(put_whole, self._fs, os.fspath(path), self.path)
         self._fs.invalidate_cache()
         _log.info("uploaded %s", self.name)
         found, expected = self._call(self._fs.size, self.path), path.stat().st_size
@@ -122,3 +108,22 @@ class _Target:
         except Exception as error:
             reason = without_secrets(in_one_line(error)) or type(error).__name__
             raise StorageError(f"cannot write {self.name}: {reason}") from error
+
+
+def put_whole(filesystem: Any, path: str, target: str) -> None:
+    """Copy a file of this machine into one of fsspec's file systems: all of it appears, or nothing.
+
+    Raises whatever the file system does.
+    """
+    protocols = filesystem.protocol
+    if not _OBJECT_STORES.isdisjoint([protocols] if isinstance(protocols, str) else protocols):
+        filesystem.put_file(path, target)
+        return
+    unfinished = f"{target}.{secrets.token_hex(8)}.twz-part"
+    try:
+        filesystem.put_file(path, unfinished)
+        filesystem.mv(unfinished, target)
+    except BaseException:
+        with suppress(Exception):  # it may not be there
+            filesystem.rm_file(unfinished)
+        raise

@@ -1,0 +1,1 @@
+"""Tasks on the workers of a cluster: what one takes, who does it, who does it again."""

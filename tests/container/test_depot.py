@@ -1,0 +1,159 @@
+"""A depot on stores that fail: an object store with put, get, head and delete of known names."""
+
+import os
+from collections import Counter
+from pathlib import Path
+from typing import ClassVar
+
+import fsspec
+import numpy as np
+import pytest
+from fsspec import AbstractFileSystem
+from fsspec.registry import _registry
+
+from terrainwave.container import depot as depots
+from terrainwave.container.depot import Depot, Meter, StoredSegment
+from terrainwave.errors import CorruptStreamError, StorageError
+
+
+class Store(AbstractFileSystem):
+    """An object store that has nothing else, and whose lists show nothing.
+
+    `fails` are requests that fail before one succeeds, `late` how often what has been put is still
+    not there.
+    """
+
+    protocol = "s3"
+    cachable = False
+    objects: ClassVar[dict[str, bytes]] = {}
+    unseen: ClassVar[dict[str, int]] = {}
+    fails: ClassVar[Counter[str]] = Counter()
+    late = 0
+
+    def _may_fail(self, request):
+        if self.fails[request]:
+            self.fails[request] -= 1
+            raise ConnectionError("the connection was cut in the middle")
+
+    def put_file(self, lpath, rpath, **_):
+        data = Path(lpath).read_bytes()
+        self._may_fail("put")
+        self.objects[rpath], self.unseen[rpath] = data, self.late
+
+    def info(self, path, **_):
+        if path not in self.objects:
+            raise FileNotFoundError(path)
+        if self.unseen[path]:
+            self.unseen[path] -= 1
+            raise FileNotFoundError(path)
+        return {"name": path, "size": len(self.objects[path]), "type": "file"}
+
+    def cat_file(self, path, start=None, end=None, **_):
+        self._may_fail("get")
+        return self.objects[path][start:end]
+
+    def rm_file(self, path):
+        if path not in self.objects:
+            raise FileNotFoundError(path)
+        del self.objects[path]
+
+    def ls(self, path, detail=True, **_):
+        return []
+
+
+@pytest.fixture
+def store(monkeypatch):
+    monkeypatch.setattr(depots, "_DELAYS", (0.0, 0.0, 0.0))
+    monkeypatch.setattr("terrainwave.container.sources.url._DELAYS", ())
+    monkeypatch.setattr(Store, "late", 0)
+    for state in (Store.objects, Store.unseen, Store.fails):
+        state.clear()
+    fsspec.register_implementation("s3", Store, clobber=True)
+    yield Store
+    _registry.pop("s3")
+
+
+@pytest.fixture
+def depot(store, tmp_path):
+    return Depot("s3://bucket/scratch", Meter(), str(tmp_path))
+
+
+HEIGHTS = np.arange(12).reshape(3, 4)
+
+
+@pytest.mark.parametrize("request_name", ["put", "get"])
+def test_a_request_that_fails_is_repeated(depot, store, request_name):
+    store.fails[request_name] = 3
+    depot.save("a", heights=HEIGHTS)
+    assert (depot.load("a")["heights"] == HEIGHTS).all()
+    assert store.fails[request_name] == 0
+
+
+def test_a_put_that_always_fails_is_one_line(depot, store):
+    store.fails["put"] = 99
+    with pytest.raises(StorageError, match=r"cannot write s3://bucket/scratch/a: the connection"):
+        depot.save("a", heights=HEIGHTS)
+    assert not store.objects
+
+
+def test_an_entry_that_the_store_shows_late_is_waited_for(depot, store):
+    store.late = 2
+    depot.save("a", heights=HEIGHTS)
+    assert (depot.load("a")["heights"] == HEIGHTS).all()
+
+
+def test_an_entry_that_is_not_there_is_one_line(depot):
+    with pytest.raises(StorageError, match=r"cannot read s3://bucket/scratch/a: no such file"):
+        depot.load("a")
+
+
+def test_what_fails_while_it_is_made_is_not_put(depot, store, tmp_path):
+    with pytest.raises(ZeroDivisionError), depot.create("a") as file:
+        file.write(bytes(1 // 0))
+    assert not store.objects
+    assert not os.listdir(tmp_path)
+
+
+def test_all_names_are_removed_though_a_list_shows_nothing(depot, store):
+    names = [f"entry-{number}" for number in range(5)]
+    for name in names:
+        depot.save(name, heights=HEIGHTS)
+    assert len(store.objects) == 5
+    depot.remove([*names, "never there"])
+    assert not store.objects
+
+
+def test_a_damaged_entry_is_one_line(depot, store):
+    depot.save("a", heights=HEIGHTS)
+    (path,) = store.objects
+    store.objects[path] = store.objects[path][:-30]
+    with pytest.raises(CorruptStreamError, match=r"scratch/a is damaged: found \d+ bytes"):
+        depot.load("a")
+
+
+def test_segments_are_read_again_where_a_request_fails(depot, store):
+    with depot.create("a") as file:
+        file.write(b"page and payload")
+    store.fails["get"] = 2
+    segment = StoredSegment(depot.path("a"), 0, 4, 16)
+    assert list(segment.chunks()) == [b"page", b" and payload"]
+
+
+def test_bytes_and_names_are_counted(depot):
+    depot.save("a", heights=HEIGHTS)
+    n_bytes = depot.meter.depot_bytes_written
+    assert n_bytes > HEIGHTS.nbytes
+    depot.load("a")
+    assert depot.meter == Meter(0, n_bytes, n_bytes, ["a"])
+
+
+def test_an_unfinished_entry_of_a_directory_is_removed(tmp_path):
+    depot = Depot(str(tmp_path))
+    with pytest.raises(ZeroDivisionError), depot.create("a") as file:
+        file.write(bytes(1 // 0))
+    assert not os.listdir(tmp_path)
+
+
+def test_a_scheme_that_nothing_is_installed_for_is_one_line():
+    with pytest.raises(StorageError, match="cannot use nonsense://bucket: Protocol not known"):
+        Depot("nonsense://bucket").save("a", heights=HEIGHTS)
