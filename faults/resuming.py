@@ -172,7 +172,7 @@ class Trial:
             self.n_same += process.returncode == 0 and digest(self.target) == self.expected
 
     def killed(self, seconds: float) -> Row | None:
-        """Kill a run so many processor seconds after its first progress."""
+        """Kill a run so many processor seconds after its first progress; None if it ended."""
         process = self.start()
         while not self.told():
             time.sleep(0.01)
@@ -183,8 +183,8 @@ class Trial:
         while sum(own.cpu_times()[:2]) < until and process.poll() is None:
             time.sleep(0.01)
         process.send_signal(signal.SIGKILL)
-        if process.wait() == 0:
-            return None
+        if process.wait() == 0 or not any(self.kept_directories()):
+            return None  # killed when all was done: what was kept is gone
         told = self.told()
         kept = self.kept()
         finished = self.finished(told, kept)
@@ -207,9 +207,13 @@ class Trial:
             done[stage] = max(done.get(stage, 0.0), share)
         return {stage: max(share, kept.get(stage, 0.0)) for stage, share in done.items()}
 
+    def kept_directories(self) -> list[Path]:
+        """Return where finished work is kept."""
+        return list(self.work.glob(".out.twz.*.twz-kept"))
+
     def kept(self) -> dict[str, float]:
         """Return the share of each stage that the next run finds."""
-        (directory,) = self.work.glob(".out.twz.*.twz-kept")
+        (directory,) = self.kept_directories()
         copy = self.work.parent / "journal copy"
         shutil.rmtree(copy, ignore_errors=True)
         copy.mkdir()
