@@ -72,17 +72,23 @@ class EvenBlocks:
         return None if found is False else found
 
     def below(self, block: Block) -> set[int] | None:
-        """Return the heights of the full grid under a block; None if finest blocks have several."""
-        found: set[int] = set()
-        blocks = [block]
+        """Return heights of the full grid under a block, the lowest and the highest among them.
+
+        None if not all are valid, or remainders tell more of them.
+        """
+        grid, found, blocks = self._container.grid, set[int](), [block]
         while blocks:
-            one = blocks.pop()
-            height = self.of_block(one)
-            if height is None:
-                return None
-            if one.level == self._container.grid.k_max:
+            key = blocks.pop()
+            height = self.of_unit(key)
+            if key.level < grid.k_max - 1:
+                blocks += grid.children(key)
+            elif height is not None:
                 found.add(height)
-            blocks += self._container.grid.children(one)
+            else:
+                _, unit = self._decoder.part_once(key, self._decoder.spec(key).core)
+                if unit.validity.own_mask is not None or unit.remainders is not None:
+                    return None
+                found |= {int(unit.heights.min()), int(unit.heights.max())}
         return found
 
     def content(self, head: Block) -> Content | None:
