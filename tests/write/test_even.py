@@ -13,7 +13,9 @@ from terrainwave.grid.quadtree import Block, Region
 from terrainwave.raster_io.even import even_parts
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.read import decoder as decoder_module
-from terrainwave.write.passes import proof
+from terrainwave.read.coded import EvenBlocks
+from terrainwave.write import encoder
+from terrainwave.write.passes import proof, resuming
 
 SIDE = 2600
 VOID = -9999
@@ -233,54 +235,103 @@ def sea(tiles):
     return path, tiles / "sea.twz"
 
 
-def test_segments_of_sea_are_proved_by_their_bytes(sea, monkeypatch):
-    n_compared = 0
-    compare = proof.compare_window
-
-    def counted(terrain, source, region, allowed):
-        nonlocal n_compared
-        n_compared += region.n_rows * region.n_cols
-        return compare(terrain, source, region, allowed)
-
-    monkeypatch.setattr(proof, "compare_window", counted)
-    with RasterSource(sea[0], warn=False) as source, tw.open(sea[1]) as terrain:
-        found = list(proof.unproved(terrain, source, terrain.grid))
-        windows = [one for one in found if isinstance(one, Region)]
-        heads = [one for one in found if isinstance(one, Block)]
-        comparison = proof.Comparison(terrain, source, 0.0)
-        assert len(heads) > 5
-        assert max(map(comparison.segment, heads)) == 0
-        assert n_compared == 512 * 512  # of the first one alone
-        n_samples = sum(one.n_rows * one.n_cols for one in windows) + len(heads) * 512 * 512
-        assert n_samples == 2700 * 2700
-
-
-def test_a_segment_of_sea_with_other_bytes_is_decoded(sea, monkeypatch):
-    with RasterSource(sea[0], warn=False) as source, tw.open(sea[1]) as terrain:
-        found = proof.unproved(terrain, source, terrain.grid)
-        heads = [one for one in found if isinstance(one, Block)]
-        comparison = proof.Comparison(terrain, source, 0.0)
-        comparison.segment(heads[0])
-        content = proof.content_of(terrain.container, terrain.decoder, heads[1])
-        other = content._replace(payloads=content.payloads[:-1] + b"?")
-        monkeypatch.setattr(proof, "content_of", lambda *_: other)
-        monkeypatch.setattr(proof, "compare_window", lambda *_: 7.0)
-        assert comparison.segment(heads[1]) == 7.0
-
-
-def test_check_decodes_segments_of_sea_once(sea, monkeypatch):
-    n_decoded = 0
+@pytest.fixture
+def decoded(monkeypatch):
+    """The keys of units in the order in which they are decoded."""
+    keys = []
     decode = decoder_module.Groups.decode
 
-    def counted(self, units, key, *begun):
-        nonlocal n_decoded
-        n_decoded += 1
+    def noted(self, units, key, *begun):
+        keys.append(key)
         return decode(self, units, key, *begun)
 
-    monkeypatch.setattr(decoder_module.Groups, "decode", counted)
+    monkeypatch.setattr(decoder_module.Groups, "decode", noted)
+    return keys
+
+
+def test_sea_is_proved_by_its_bytes(sea, decoded):
+    with RasterSource(sea[0], warn=False) as source, tw.open(sea[1]) as terrain:
+        found = list(proof.unproved(terrain, source, terrain.grid))
+        blocks = [one for one in found if isinstance(one, Block)]
+        assert len(blocks) > 5
+        assert sum(proof._n_samples(terrain.grid, one) for one in found) == 2700 * 2700
+        assert proof.Comparison(terrain, source, 0.0).all(blocks) == 0
+        n_finest = sum(key.level == terrain.grid.k_max - 1 for key in decoded)
+        assert n_finest == 1
+
+
+@pytest.fixture(scope="module")
+def higher(sea, tiles):
+    """The raster of `sea`, with a tile in its middle that is 5 m higher."""
+    write_tif(tiles / "high.tif", None, nodata=5, height=700, width=900)
+    entry = (
+        f"<SimpleSource><SourceFilename relativeToVRT='0'>{tiles}/high.tif</SourceFilename>"
+        "<SourceBand>1</SourceBand><SrcRect xOff='0' yOff='0' xSize='900' ySize='700'/>"
+        "<DstRect xOff='900' yOff='1400' xSize='900' ySize='700'/></SimpleSource>"
+    )
+    other = tiles / "higher.vrt"
+    other.write_text(sea[0].read_text().replace("</VRTRaster", entry + "</VRTRaster"))
+    return other
+
+
+def test_sea_of_another_height_is_found_by_the_proof(sea, higher):
+    with RasterSource(higher, warn=False) as source, tw.open(sea[1]) as terrain:
+        assert source.even(Region(1500, 1000, 9, 9)).value == 5
+        comparison = proof.Comparison(terrain, source, 1.0)
+        within = Region(1536, 1024, 512, 512)
+        found = list(proof.unproved(terrain, source, terrain.grid, within))
+        assert all(isinstance(one, Block) for one in found)
+        with pytest.raises(tw.BoundViolationError, match="is 5 off"):
+            comparison.all(found)
+        assert comparison.all(proof.unproved(terrain, source, terrain.grid, Region(0, 0, 9, 9))) < 1
+
+
+def test_what_payloads_tell_of_units_is_what_they_decode_to(higher, tmp_path):
+    tw.compress(higher, tmp_path / "a.twz", block=32)
+    with tw.open(tmp_path / "a.twz") as terrain:
+        even = EvenBlocks(terrain.container, terrain.decoder)
+        told = set()
+        for segment in terrain.container.present_segments():
+            for key in segment.layout.keys:
+                height = even.of_unit(key)
+                told.add((key.level, height))
+                unit = terrain.decoder.unit(key)
+                is_one = unit.validity.mask is None and bool((unit.heights == height).all())
+                assert height is None or is_one
+        last = terrain.grid.k_max - 1
+        finest = {height for level, height in told if level == last and height is not None}
+        assert {height + terrain.header.base for height in finest} == {0, 5}
+
+
+def test_sea_in_subtrees_that_are_kept_is_coded_once(sea, tmp_path, monkeypatch):
+    monkeypatch.setattr(resuming, "LEAST_SAMPLES", 1)
+    monkeypatch.setattr(resuming, "SUBTREE_SIDE", 1024)
+    n_coded = n_kept = 0
+    code, encode_kept = encoder.TreeEncoder.code_unit, encoder.UnitEncoder._encode_kept
+
+    def counted(*arguments):
+        nonlocal n_coded
+        n_coded += 1
+        return code(*arguments)
+
+    def noted(*arguments):
+        nonlocal n_kept
+        n_kept += 1
+        return encode_kept(*arguments)
+
+    monkeypatch.setattr(encoder.TreeEncoder, "code_unit", counted)
+    monkeypatch.setattr(encoder.UnitEncoder, "_encode_kept", noted)
+    tw.compress(sea[0], tmp_path / "kept.twz", block=32)
+    assert (tmp_path / "kept.twz").read_bytes() == sea[1].read_bytes()
+    assert n_kept > 3
+    with tw.open(sea[1]) as terrain:
+        assert n_coded < terrain.grid.n_units() // 2
+
+
+def test_check_decodes_sea_once(sea, decoded):
     with tw.open(sea[1]) as terrain:
         assert list(terrain.check()) == []
-        assert n_decoded < terrain.grid.n_units() * 3 // 4
+        assert len(decoded) < terrain.grid.n_units() // 2
 
 
 def test_tiles_of_a_geotiff_that_are_void_take_no_bytes(tiles, tmp_path):
