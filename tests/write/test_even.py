@@ -10,10 +10,12 @@ from strategies import terrain_like
 
 import terrainwave as tw
 from terrainwave.grid.quadtree import Block, Region
-from terrainwave.raster_io.even import even_parts
+from terrainwave.raster_io.even import Even, even_parts
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.read import decoder as decoder_module
 from terrainwave.read.coded import EvenBlocks
+from terrainwave.verification import original
+from terrainwave.verification.original import Original
 from terrainwave.write import encoder
 from terrainwave.write.passes import proof, resuming
 
@@ -332,6 +334,42 @@ def test_check_decodes_sea_once(sea, decoded):
     with tw.open(sea[1]) as terrain:
         assert list(terrain.check()) == []
         assert len(decoded) < terrain.grid.n_units() // 2
+
+
+@pytest.mark.parametrize("name", ["vrt", "sparse"])
+def test_verify_reads_samples_of_voids_that_both_files_know(tiles, tmp_path, name, monkeypatch):
+    source = sources_of(tiles)[name]
+    tw.compress(source, tmp_path / "a.twz")
+    shapes = []
+    read = Original.read
+
+    def noted(self, row, col, *shape):
+        shapes.append(shape)
+        return read(self, row, col, *shape)
+
+    monkeypatch.setattr(Original, "read", noted)
+    monkeypatch.setattr(original, "_WINDOW_SIDE", 256)
+    report = tw.verify(tmp_path / "a.twz", source)
+    assert report.ok
+    assert report.errors.n_valid > 10_000
+    assert sum(rows * cols for rows, cols in shapes) < SIDE**2 // 3
+    assert shapes.count((1, 1)) >= 5
+
+
+def test_verify_finds_heights_where_the_original_knows_a_void(tiles, tmp_path):
+    sources = sources_of(tiles)
+    tw.compress(sources["sea"], tmp_path / "a.twz")
+    report = tw.verify(tmp_path / "a.twz", sources["vrt"])
+    assert any("void in one of the two" in problem for problem in report.problems)
+    assert report.errors.n_mask_differences > 600_000
+
+
+def test_verify_does_not_believe_an_index_that_is_wrong(tiles, monkeypatch):
+    with rasterio.open(sources_of(tiles)["vrt"]) as dataset:
+        raster = Original(dataset, 1, None)
+        assert raster.knows_void(Region(700, 700, 300, 300))
+        monkeypatch.setattr(Original, "_void", lambda *_: Even(VOID, True))
+        assert not raster.knows_void(Region(5, 9, 110, 140))
 
 
 def test_tiles_of_a_geotiff_that_are_void_take_no_bytes(tiles, tmp_path):
