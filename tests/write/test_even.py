@@ -10,6 +10,7 @@ from strategies import terrain_like
 
 import terrainwave as tw
 from terrainwave.grid.quadtree import Block, Region
+from terrainwave.raster_io import dataset as dataset_module
 from terrainwave.raster_io.even import Even, even_parts
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.read import decoder as decoder_module
@@ -206,6 +207,28 @@ def test_a_derived_band_is_read(tiles):
 def test_a_vrt_of_itself_ends(tmp_path):
     path = vrt(tmp_path / "self.vrt", [("self.vrt", 0, 0, 100, 100)], side=200)
     assert RasterSource(path, warn=False).even(Region(10, 10, 10, 10)) is None
+
+
+def test_each_file_of_a_vrt_is_opened_once_to_ask_its_index(tiles, monkeypatch):
+    names = [f"sea{number}.tif" for number in range(30)]
+    for name in names:
+        write_tif(tiles / name, None, nodata=None, height=50, width=60)
+    entries = [(name, 60 * (k // 6), 80 * (k % 6), 50, 60) for k, name in enumerate(names * 2)]
+    path = vrt(tiles / "many.vrt", entries, side=1000)
+    opened = []
+    open_dataset = dataset_module.open_dataset
+
+    def noted(path):
+        opened.append(open_dataset(path))
+        assert sum(not dataset.closed for dataset in opened) <= 2
+        return opened[-1]
+
+    with RasterSource(path, warn=False) as source:
+        monkeypatch.setattr(dataset_module, "open_dataset", noted)
+        for _ in range(2):
+            parts = list(even_parts(Region(0, 0, 1000, 1000), 16, source.even))
+    assert sum(even is not None and even.is_valid for _, even in parts) > 60
+    assert len(opened) == 30
 
 
 def test_adjoining_tiles_of_one_height_are_known_as_one(tiles, tmp_path):
