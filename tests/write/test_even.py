@@ -1,6 +1,8 @@
 """What a source knows to be void or of one value is not read, and files stay what they are."""
 
+import gc
 import random
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -9,7 +11,10 @@ from rasterio.transform import Affine
 from strategies import terrain_like
 
 import terrainwave as tw
-from terrainwave.grid.quadtree import Block, Region
+from terrainwave.container.page import page_layout
+from terrainwave.container.spool_sink import SpoolSink
+from terrainwave.container.targets.kept import Kept
+from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid, Region
 from terrainwave.raster_io import dataset as dataset_module
 from terrainwave.raster_io.even import Even, even_parts
 from terrainwave.raster_io.source import RasterSource
@@ -459,3 +464,42 @@ def test_a_raster_that_is_coded_twice_has_the_smaller_result():
     data = tw.compress_to_bytes(heights, max_error=0, method="predictive", block=32)
     with tw.open(data) as terrain:
         assert np.array_equal(terrain.read(), heights)
+
+
+def test_finished_units_take_little_memory(tmp_path):
+    """Segments that are stored, and subtrees in the journal of a run: at most 64 bytes a unit."""
+    grid = Grid(1 << 16, 1 << 16, 256)
+    with Kept(tmp_path, {"run": 1}) as kept:
+        units, sink = resuming.KeptUnits(kept, grid, "rapid"), SpoolSink(grid, tmp_path)
+        n_units = 0
+
+        def finish(head):
+            keys = grid.segment_groups(head)
+            for key in keys:
+                sink(key, b"payload")
+                sink.spools[head].set_codes(key, bytes(16))
+            sink.store(head)
+            for start in grid.children(head):
+                below = [key for key in keys if key.level > start.level and is_below(key, start)]
+                units.save(start, dict.fromkeys(below, b"payload"), {}, {"left_out": []})
+            return len(keys)
+
+        heads = grid.blocks(grid.k_max - SEGMENT_LEVELS)[:120]
+        tracemalloc.start()
+        try:
+            for number, head in enumerate(heads):
+                n_units += finish(head)
+                if number in (19, 119):
+                    page_layout.cache_clear()
+                    gc.collect()
+                if number == 19:
+                    first = tracemalloc.get_traced_memory()[0], n_units
+            used = tracemalloc.get_traced_memory()[0] - first[0]
+        finally:
+            tracemalloc.stop()
+        assert used <= 64 * (n_units - first[1])
+
+
+def is_below(key, block):
+    depth = key.level - block.level
+    return (key.row >> depth, key.col >> depth) == (block.row, block.col)
