@@ -6,8 +6,11 @@ over all latitudes, some over each other, one across 180 degrees; one dense area
 constant 0, a GeoTIFF whose blocks have no bytes; void elsewhere. The real heights do not lie where
 they were measured: what counts is how many there are, and where.
 
-Every stage is a process of its own with two threads. `window` rows read 512 x 512 samples of every
-level by an open file, from disk and from a server on this machine, whose requests are counted.
+Every stage is a process of its own with two threads. `window` rows open the file, and read
+512 x 512 samples of the finest level and of every level by an open file, from disk and from a
+server on this machine, whose requests are counted, and the rounds of them: those that are out at
+the same time. `verify original` compares with the VRT. `decompress` writes the full grid of an 8th
+of the planet or less, else the finest level that is as small.
 
 Exit status: 0 good; 1 a command failed; 2 wrong usage.
 """
@@ -22,7 +25,7 @@ from pathlib import Path
 import click
 
 from benchmarks import common
-from benchmarks.slow_server import SlowServer
+from benchmarks.slow_server import Exchange, SlowServer
 
 DEGREE = 3600
 N_ENTRIES, N_TILES = 26_000, 200
@@ -37,8 +40,11 @@ SEAS = (
 # Where the dense area begins: north-west of it, in degrees.
 DENSE = (60.0, 60.0)
 STAGES = (
-    "compress", "verify", "window", "mesh", "tiles", "publish", "orbit", "low", "decompress",
+    "compress", "verify", "verify original", "window", "mesh", "tiles", "publish", "orbit", "low",
+    "decompress",
 )  # fmt: skip
+# The part of rows and columns that is decompressed, and seconds of a round trip to the server.
+DECOMPRESSED, LATENCY = 8, 0.05
 
 _MAKE = """
 import sys
@@ -57,6 +63,11 @@ with terrainwave.open(sys.argv[1], threads=2) as terrain:
         row, col = (max(min(n, size - 512), 0) for n, size in zip((row, col), shape))
         terrain.read((row, col, min(512, shape[0]), min(512, shape[1])), level=level)
 """
+_OPEN = """
+import sys
+import terrainwave
+terrainwave.open(sys.argv[1]).close()
+"""
 _FINEST = """
 import sys
 import terrainwave
@@ -65,7 +76,9 @@ with terrainwave.open(sys.argv[1], threads=2) as terrain:
 """
 
 # One line of the CSV.
-Row = namedtuple("Row", "share dense stage n_samples seconds cpu_seconds peak_mib requests n_bytes")
+Row = namedtuple(
+    "Row", "share dense stage n_samples seconds cpu_seconds peak_mib requests rounds n_bytes"
+)
 
 
 def make(data: Path, folder: Path, share: int, dense: int) -> None:
@@ -150,16 +163,29 @@ def commands(folder: Path, share: int) -> dict[str, list[str]]:
     found = {
         "compress": ["compress", tif, twz, "--max-error", "1", *common_options],
         "verify": ["verify", twz, "--quiet", "--threads", THREADS],
+        "verify original": ["verify", twz, tif, "--quiet", "--threads", THREADS],
         "mesh": ["mesh", twz, str(folder / "planet.ply"), *window, *common_options],
         "tiles": ["tiles", twz, str(folder / "tiles"), "--max-zoom", "4", *common_options],
         "publish": ["publish", twz, str(folder / "site"), "--overwrite", "--quiet"],
         "orbit": ["render", twz, *picture],
         "low": ["render", twz, *picture, "--camera", f"{lon},{lat},9000,135,-30,60"],
-        "decompress": ["decompress", twz, str(folder / "back.tif"), *common_options],
+        "decompress": [
+            "decompress",
+            twz,
+            str(folder / "back.tif"),
+            *common_options,
+            "--level",
+            str(-1 - _n_coarser(share)),
+        ],
     }
     return {
         stage: [sys.executable, "-c", common.CLI, *arguments] for stage, arguments in found.items()
     }
+
+
+def _n_coarser(share: int) -> int:
+    """Return how many levels above the full grid the one lies that is decompressed."""
+    return max(DECOMPRESSED.bit_length() - share.bit_length(), 0)
 
 
 def measured(data: Path, folder: Path, share: int, dense: int, stages: list[str]) -> Iterator[Row]:
@@ -175,21 +201,33 @@ def measured(data: Path, folder: Path, share: int, dense: int, stages: list[str]
             yield from _window_rows(folder, share, dense)
             continue
         used = common.run_and_measure(every[stage])
-        yield Row(share, dense, stage, n_samples, *map(_rounded, used), 0, twz.stat().st_size)
+        n = n_samples >> 2 * _n_coarser(share) if stage == "decompress" else n_samples
+        yield Row(share, dense, stage, n, *map(_rounded, used), 0, 0, twz.stat().st_size)
 
 
 def _window_rows(folder: Path, share: int, dense: int) -> Iterator[Row]:
     row, col = (str(place + 1000) for place in dense_place(share))
     path = str(folder / "planet.twz")
-    for name, code in (("finest", _FINEST), ("levels", _WINDOWS)):
+    for name, code in (("open", _OPEN), ("finest", _FINEST), ("levels", _WINDOWS)):
         command = [sys.executable, "-c", code]
+        n_samples = 0 if name == "open" else 512**2
         used = common.run_and_measure([*command, path, row, col])
-        yield Row(share, dense, f"{name} disk", 512**2, *map(_rounded, used), 0, 0)
-        with SlowServer(folder, 0.0, float("inf")) as server:
+        yield Row(share, dense, f"{name} disk", n_samples, *map(_rounded, used), 0, 0, 0)
+        with SlowServer(folder, LATENCY, float("inf")) as server:
             used = common.run_and_measure([*command, server.url("planet.twz"), row, col])
             n_bytes = sum(exchange.n_bytes for exchange in server.log)
-            counts = len(server.log), n_bytes
-        yield Row(share, dense, f"{name} http", 512**2, *map(_rounded, used), *counts)
+            counts = len(server.log), n_rounds(server.log), n_bytes
+        yield Row(share, dense, f"{name} http", n_samples, *map(_rounded, used), *counts)
+
+
+def n_rounds(log: list[Exchange]) -> int:
+    """Return how many times a client waited for replies: requests that overlap are one round."""
+    n, first_end = 0, 0.0
+    for one in sorted(log, key=lambda exchange: exchange.start):
+        if not n or one.start >= first_end:
+            n, first_end = n + 1, one.end
+        first_end = min(first_end, one.end)
+    return n
 
 
 def _rounded(number: float) -> float:

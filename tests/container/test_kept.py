@@ -130,6 +130,30 @@ def test_windows_that_are_done_are_left_out(opened, tmp_path, monkeypatch):
     assert list(again.each("level", [in_memory], range(5))) == [0, 1, 2, 3, 4]
 
 
+def test_tiles_of_one_value_take_no_room_and_are_kept(opened, tmp_path, monkeypatch):
+    monkeypatch.setattr(temporary, "MEMORY_LIMIT", 0)
+    kept = opened()
+    path = kept.path("heights")
+    whole, side = Region(0, 0, 600, 800), temporary.TILE
+    expected = np.full(whole.shape, 3.0, dtype=np.float32)
+    expected[:side, :side] = 7
+    expected[side : 2 * side, :side] = np.arange(side)
+    expected[:side, 3 * side :] = 9  # a tile that the array's edge cuts
+    expected[:side, side : 2 * side] = 0.0
+    expected[5, side + 5] = -0.0  # is not 0.0
+    array = Spool(whole.shape, np.float32, tmp_path, path=path)
+    array.fill(whole, 3)
+    for part in whole.tiles(side, side):
+        if (expected[part.slices_in(whole)] != 3).any():
+            array.write(part, expected[part.slices_in(whole)])
+    array.close()
+    assert os.stat(path).st_blocks * 512 < 3 * 4 * side**2
+    again = Spool(whole.shape, np.float32, tmp_path, path=path)
+    again.fill(whole, 3)  # as a run does that goes on: what was written stays
+    assert again.read(whole).tobytes() == expected.tobytes()
+    again.close()
+
+
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="files have no owners")
 def test_a_directory_of_another_user_is_not_used(tmp_path, monkeypatch):
     target = tmp_path / "out.twz"

@@ -14,6 +14,7 @@ from terrainwave.cli import main
 from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveWarning
 from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io import mosaic
+from terrainwave.raster_io import source as source_module
 from terrainwave.raster_io.even import samples_in
 from terrainwave.raster_io.source import RasterSource
 
@@ -280,6 +281,30 @@ def test_few_files_are_open_at_a_time(four_tiles, monkeypatch):
     with RasterSource(paths) as source:
         np.testing.assert_array_equal(source.read(0, 0, 40, 60)[0], whole)
         assert len(source._backend._open) == 2
+
+
+def test_each_file_is_opened_once_more_for_a_scan_and_few_at_a_time(tmp_path, monkeypatch):
+    names = [
+        tile(tmp_path / f"{row}_{col}.tif", terrain_like(16, 16), row, col)
+        for row in range(0, 320, 16)
+        for col in range(0, 160, 16)
+    ]
+    monkeypatch.setattr(mosaic, "_MAX_OPEN", 12)
+    opened, most = [], 0
+    open_dataset = source_module.open_dataset
+
+    def counted(path):
+        nonlocal most
+        opened.append(open_dataset(path))
+        most = max(most, sum(not dataset.closed for dataset in opened))
+        return opened[-1]
+
+    monkeypatch.setattr(source_module, "open_dataset", counted)
+    with RasterSource(names, warn=False) as source:
+        for window in source.blocks(16 * 160):
+            source.read(*window)
+    assert len(opened) <= 2 * len(names)
+    assert most <= 12 + 1
 
 
 def test_open_datasets_are_read_and_left_open(four_tiles):

@@ -1,6 +1,8 @@
 """What a source knows to be void or of one value is not read, and files stay what they are."""
 
+import gc
 import random
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -9,11 +11,19 @@ from rasterio.transform import Affine
 from strategies import terrain_like
 
 import terrainwave as tw
-from terrainwave.grid.quadtree import Block, Region
-from terrainwave.raster_io.even import even_parts
+from terrainwave.container.page import page_layout
+from terrainwave.container.spool_sink import SpoolSink
+from terrainwave.container.targets.kept import Kept
+from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid, Region
+from terrainwave.raster_io import dataset as dataset_module
+from terrainwave.raster_io.even import Even, even_parts
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.read import decoder as decoder_module
-from terrainwave.write.passes import proof
+from terrainwave.read.coded import EvenBlocks
+from terrainwave.verification import original
+from terrainwave.verification.original import Original
+from terrainwave.write import encoder
+from terrainwave.write.passes import proof, resuming
 
 SIDE = 2600
 VOID = -9999
@@ -204,6 +214,28 @@ def test_a_vrt_of_itself_ends(tmp_path):
     assert RasterSource(path, warn=False).even(Region(10, 10, 10, 10)) is None
 
 
+def test_each_file_of_a_vrt_is_opened_once_to_ask_its_index(tiles, monkeypatch):
+    names = [f"sea{number}.tif" for number in range(30)]
+    for name in names:
+        write_tif(tiles / name, None, nodata=None, height=50, width=60)
+    entries = [(name, 60 * (k // 6), 80 * (k % 6), 50, 60) for k, name in enumerate(names * 2)]
+    path = vrt(tiles / "many.vrt", entries, side=1000)
+    opened = []
+    open_dataset = dataset_module.open_dataset
+
+    def noted(path):
+        opened.append(open_dataset(path))
+        assert sum(not dataset.closed for dataset in opened) <= 2
+        return opened[-1]
+
+    with RasterSource(path, warn=False) as source:
+        monkeypatch.setattr(dataset_module, "open_dataset", noted)
+        for _ in range(2):
+            parts = list(even_parts(Region(0, 0, 1000, 1000), 16, source.even))
+    assert sum(even is not None and even.is_valid for _, even in parts) > 60
+    assert len(opened) == 30
+
+
 def test_adjoining_tiles_of_one_height_are_known_as_one(tiles, tmp_path):
     path = vrt(
         tiles / "adjoining.vrt",
@@ -233,54 +265,139 @@ def sea(tiles):
     return path, tiles / "sea.twz"
 
 
-def test_segments_of_sea_are_proved_by_their_bytes(sea, monkeypatch):
-    n_compared = 0
-    compare = proof.compare_window
-
-    def counted(terrain, source, region, allowed):
-        nonlocal n_compared
-        n_compared += region.n_rows * region.n_cols
-        return compare(terrain, source, region, allowed)
-
-    monkeypatch.setattr(proof, "compare_window", counted)
-    with RasterSource(sea[0], warn=False) as source, tw.open(sea[1]) as terrain:
-        found = list(proof.unproved(terrain, source, terrain.grid))
-        windows = [one for one in found if isinstance(one, Region)]
-        heads = [one for one in found if isinstance(one, Block)]
-        comparison = proof.Comparison(terrain, source, 0.0)
-        assert len(heads) > 5
-        assert max(map(comparison.segment, heads)) == 0
-        assert n_compared == 512 * 512  # of the first one alone
-        n_samples = sum(one.n_rows * one.n_cols for one in windows) + len(heads) * 512 * 512
-        assert n_samples == 2700 * 2700
-
-
-def test_a_segment_of_sea_with_other_bytes_is_decoded(sea, monkeypatch):
-    with RasterSource(sea[0], warn=False) as source, tw.open(sea[1]) as terrain:
-        found = proof.unproved(terrain, source, terrain.grid)
-        heads = [one for one in found if isinstance(one, Block)]
-        comparison = proof.Comparison(terrain, source, 0.0)
-        comparison.segment(heads[0])
-        content = proof.content_of(terrain.container, terrain.decoder, heads[1])
-        other = content._replace(payloads=content.payloads[:-1] + b"?")
-        monkeypatch.setattr(proof, "content_of", lambda *_: other)
-        monkeypatch.setattr(proof, "compare_window", lambda *_: 7.0)
-        assert comparison.segment(heads[1]) == 7.0
-
-
-def test_check_decodes_segments_of_sea_once(sea, monkeypatch):
-    n_decoded = 0
+@pytest.fixture
+def decoded(monkeypatch):
+    """The keys of units in the order in which they are decoded."""
+    keys = []
     decode = decoder_module.Groups.decode
 
-    def counted(self, units, key, *begun):
-        nonlocal n_decoded
-        n_decoded += 1
+    def noted(self, units, key, *begun):
+        keys.append(key)
         return decode(self, units, key, *begun)
 
-    monkeypatch.setattr(decoder_module.Groups, "decode", counted)
+    monkeypatch.setattr(decoder_module.Groups, "decode", noted)
+    return keys
+
+
+def test_sea_is_proved_by_its_bytes(sea, decoded):
+    with RasterSource(sea[0], warn=False) as source, tw.open(sea[1]) as terrain:
+        found = list(proof.unproved(terrain, source, terrain.grid))
+        blocks = [one for one in found if isinstance(one, Block)]
+        assert len(blocks) > 5
+        assert sum(proof._n_samples(terrain.grid, one) for one in found) == 2700 * 2700
+        assert proof.Comparison(terrain, source, 0.0).all(blocks) == 0
+        n_finest = sum(key.level == terrain.grid.k_max - 1 for key in decoded)
+        assert n_finest == 1
+
+
+@pytest.fixture(scope="module")
+def higher(sea, tiles):
+    """The raster of `sea`, with a tile in its middle that is 5 m higher."""
+    write_tif(tiles / "high.tif", None, nodata=5, height=700, width=900)
+    entry = (
+        f"<SimpleSource><SourceFilename relativeToVRT='0'>{tiles}/high.tif</SourceFilename>"
+        "<SourceBand>1</SourceBand><SrcRect xOff='0' yOff='0' xSize='900' ySize='700'/>"
+        "<DstRect xOff='900' yOff='1400' xSize='900' ySize='700'/></SimpleSource>"
+    )
+    other = tiles / "higher.vrt"
+    other.write_text(sea[0].read_text().replace("</VRTRaster", entry + "</VRTRaster"))
+    return other
+
+
+def test_sea_of_another_height_is_found_by_the_proof(sea, higher):
+    with RasterSource(higher, warn=False) as source, tw.open(sea[1]) as terrain:
+        assert source.even(Region(1500, 1000, 9, 9)).value == 5
+        comparison = proof.Comparison(terrain, source, 1.0)
+        within = Region(1536, 1024, 512, 512)
+        found = list(proof.unproved(terrain, source, terrain.grid, within))
+        assert all(isinstance(one, Block) for one in found)
+        with pytest.raises(tw.BoundViolationError, match="is 5 off"):
+            comparison.all(found)
+        assert comparison.all(proof.unproved(terrain, source, terrain.grid, Region(0, 0, 9, 9))) < 1
+
+
+def test_what_payloads_tell_of_units_is_what_they_decode_to(higher, tmp_path):
+    tw.compress(higher, tmp_path / "a.twz", block=32)
+    with tw.open(tmp_path / "a.twz") as terrain:
+        even = EvenBlocks(terrain.container, terrain.decoder)
+        told = set()
+        for segment in terrain.container.present_segments():
+            for key in segment.layout.keys:
+                height = even.of_unit(key)
+                told.add((key.level, height))
+                unit = terrain.decoder.unit(key)
+                is_one = unit.validity.mask is None and bool((unit.heights == height).all())
+                assert height is None or is_one
+        last = terrain.grid.k_max - 1
+        finest = {height for level, height in told if level == last and height is not None}
+        assert {height + terrain.header.base for height in finest} == {0, 5}
+
+
+def test_sea_in_subtrees_that_are_kept_is_coded_once(sea, tmp_path, monkeypatch):
+    monkeypatch.setattr(resuming, "LEAST_SAMPLES", 1)
+    monkeypatch.setattr(resuming, "SUBTREE_SIDE", 1024)
+    n_coded = n_kept = 0
+    code, encode_kept = encoder.TreeEncoder.code_unit, encoder.UnitEncoder._encode_kept
+
+    def counted(*arguments):
+        nonlocal n_coded
+        n_coded += 1
+        return code(*arguments)
+
+    def noted(*arguments):
+        nonlocal n_kept
+        n_kept += 1
+        return encode_kept(*arguments)
+
+    monkeypatch.setattr(encoder.TreeEncoder, "code_unit", counted)
+    monkeypatch.setattr(encoder.UnitEncoder, "_encode_kept", noted)
+    tw.compress(sea[0], tmp_path / "kept.twz", block=32)
+    assert (tmp_path / "kept.twz").read_bytes() == sea[1].read_bytes()
+    assert n_kept > 3
+    with tw.open(sea[1]) as terrain:
+        assert n_coded < terrain.grid.n_units() // 2
+
+
+def test_check_decodes_sea_once(sea, decoded):
     with tw.open(sea[1]) as terrain:
         assert list(terrain.check()) == []
-        assert n_decoded < terrain.grid.n_units() * 3 // 4
+        assert len(decoded) < terrain.grid.n_units() // 2
+
+
+@pytest.mark.parametrize("name", ["vrt", "sparse"])
+def test_verify_reads_samples_of_voids_that_both_files_know(tiles, tmp_path, name, monkeypatch):
+    source = sources_of(tiles)[name]
+    tw.compress(source, tmp_path / "a.twz")
+    shapes = []
+    read = Original.read
+
+    def noted(self, row, col, *shape):
+        shapes.append(shape)
+        return read(self, row, col, *shape)
+
+    monkeypatch.setattr(Original, "read", noted)
+    monkeypatch.setattr(original, "_WINDOW_SIDE", 256)
+    report = tw.verify(tmp_path / "a.twz", source)
+    assert report.ok
+    assert report.errors.n_valid > 10_000
+    assert sum(rows * cols for rows, cols in shapes) < SIDE**2 // 3
+    assert shapes.count((1, 1)) >= 5
+
+
+def test_verify_finds_heights_where_the_original_knows_a_void(tiles, tmp_path):
+    sources = sources_of(tiles)
+    tw.compress(sources["sea"], tmp_path / "a.twz")
+    report = tw.verify(tmp_path / "a.twz", sources["vrt"])
+    assert any("void in one of the two" in problem for problem in report.problems)
+    assert report.errors.n_mask_differences > 600_000
+
+
+def test_verify_does_not_believe_an_index_that_is_wrong(tiles, monkeypatch):
+    with rasterio.open(sources_of(tiles)["vrt"]) as dataset:
+        raster = Original(dataset, 1, None)
+        assert raster.knows_void(Region(700, 700, 300, 300))
+        monkeypatch.setattr(Original, "_void", lambda *_: Even(VOID, True))
+        assert not raster.knows_void(Region(5, 9, 110, 140))
 
 
 def test_tiles_of_a_geotiff_that_are_void_take_no_bytes(tiles, tmp_path):
@@ -347,3 +464,42 @@ def test_a_raster_that_is_coded_twice_has_the_smaller_result():
     data = tw.compress_to_bytes(heights, max_error=0, method="predictive", block=32)
     with tw.open(data) as terrain:
         assert np.array_equal(terrain.read(), heights)
+
+
+def test_finished_units_take_little_memory(tmp_path):
+    """Segments that are stored, and subtrees in the journal of a run: at most 64 bytes a unit."""
+    grid = Grid(1 << 16, 1 << 16, 256)
+    with Kept(tmp_path, {"run": 1}) as kept:
+        units, sink = resuming.KeptUnits(kept, grid, "rapid"), SpoolSink(grid, tmp_path)
+        n_units = 0
+
+        def finish(head):
+            keys = grid.segment_groups(head)
+            for key in keys:
+                sink(key, b"payload")
+                sink.spools[head].set_codes(key, bytes(16))
+            sink.store(head)
+            for start in grid.children(head):
+                below = [key for key in keys if key.level > start.level and is_below(key, start)]
+                units.save(start, dict.fromkeys(below, b"payload"), {}, {"left_out": []})
+            return len(keys)
+
+        heads = grid.blocks(grid.k_max - SEGMENT_LEVELS)[:120]
+        tracemalloc.start()
+        try:
+            for number, head in enumerate(heads):
+                n_units += finish(head)
+                if number in (19, 119):
+                    page_layout.cache_clear()
+                    gc.collect()
+                if number == 19:
+                    first = tracemalloc.get_traced_memory()[0], n_units
+            used = tracemalloc.get_traced_memory()[0] - first[0]
+        finally:
+            tracemalloc.stop()
+        assert used <= 64 * (n_units - first[1])
+
+
+def is_below(key, block):
+    depth = key.level - block.level
+    return (key.row >> depth, key.col >> depth) == (block.row, block.col)

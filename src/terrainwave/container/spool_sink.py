@@ -18,6 +18,8 @@ class SpoolSink:
     there are no others for these. Where a segment is like another one, that is named.
     """
 
+    takes_repeats = True
+
     def __init__(self, grid: Grid, directory: str | os.PathLike[str]) -> None:
         self._grid = grid
         self._directory = directory

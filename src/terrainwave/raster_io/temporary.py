@@ -16,6 +16,8 @@ from terrainwave.grid.quadtree import Region
 # Arrays up to this many bytes are held in memory: below it the disk would only cost time.
 MEMORY_LIMIT = 20 << 20
 TILE = 256
+# What is known of tiles of a file that is kept.
+_IN_FILE, _OF_ONE_VALUE = 1, 2
 
 
 class Spool:
@@ -58,7 +60,7 @@ class Spool:
             n_tiles = -(-shape[0] // TILE), -(-shape[1] // TILE)
             # Where a tile lies in the file, in tiles; -1 where it has one value, which needs none.
             self._slots = np.full(n_tiles, -1, dtype=np.int32)
-            self._values = np.zeros(n_tiles, dtype=self.dtype)
+            self._values: Any = np.zeros(n_tiles, dtype=self.dtype)
             self._n_slots = 0
             if path is not None:
                 self._open(path)
@@ -67,15 +69,24 @@ class Spool:
                 self._file = tempfile.TemporaryFile(dir=directory, buffering=0)
 
     def _open(self, path: Path) -> None:
-        """Use a file that outlives this object; another one beside it says which tiles it has."""
-        beside = path.with_name(f"{path.stem}-tiles{path.suffix}")
-        is_there = self.was_there = path.exists() and beside.exists()
+        """Use a file that outlives this object.
+
+        Of two others beside it, one says which tiles were written, and the other the values of
+        those that have one, which are not in the file.
+        """
+        tiles, values = (
+            path.with_name(f"{path.stem}-{name}{path.suffix}") for name in ("tiles", "values")
+        )
+        is_there = self.was_there = path.exists() and tiles.exists() and values.exists()
+        mode: Any = "r+" if is_there else "w+"
         with storage_errors(f"cannot write {path}"):
-            self._file = open(path, "r+b" if is_there else "w+b", buffering=0)
+            self._file = open(path, f"{mode[0]}+b", buffering=0)
             shape = self._slots.shape
-            self._is_there = np.memmap(beside, np.bool_, "r+" if is_there else "w+", shape=shape)
-        self._was_there = np.array(self._is_there)
-        self._slots[self._was_there] = np.flatnonzero(self._was_there)
+            self._is_there = np.memmap(tiles, np.uint8, mode, shape=shape)
+            self._values = np.memmap(values, self.dtype, mode, shape=shape)
+        self._was_there = self._is_there != 0
+        in_file = self._is_there == _IN_FILE
+        self._slots[in_file] = np.flatnonzero(in_file)
         self.is_kept = True
 
     @property
@@ -121,13 +132,16 @@ class Spool:
             raise ValueError(f"{region} is not inside {self.region}")
 
     def write(self, region: Region, values: NDArray[Any]) -> None:
-        """Store `values` in `region`; windows made of whole tiles are written without reading."""
+        """Store `values` in `region`; windows made of whole tiles are written without reading.
+
+        Tiles of one value take no room.
+        """
         if self._memory is not None:
             self._memory[region.slices_in(self.region)] = values
             return
         for tile, at in self._tiles(region):
-            part = tile.intersect(region)
-            is_whole = part.shape == tile.intersect(self.region).shape
+            part, own = tile.intersect(region), tile.intersect(self.region)
+            is_whole = part.shape == own.shape
             with self._lock:
                 slot = self._slots[at]
                 if is_whole or slot < 0:
@@ -135,6 +149,11 @@ class Spool:
                 else:
                     content = self._read_tile_locked(slot)
                 content[part.slices_in(tile)] = values[part.slices_in(region)]
+                if slot < 0 and _is_one(content[own.slices_in(tile)]):
+                    self._values[at] = content[0, 0]
+                    if self.is_kept:
+                        self._is_there[at] = _OF_ONE_VALUE
+                    continue
                 if slot < 0:
                     slot = self._n_slots
                     if self.is_kept:
@@ -143,7 +162,7 @@ class Spool:
                 self._write_tile_locked(slot, content)
                 self._slots[at] = slot
                 if self.is_kept:
-                    self._is_there[at] = True
+                    self._is_there[at] = _IN_FILE
 
     def fill(self, region: Region, value: Any) -> None:
         """Store one value in a region; whole tiles that were never written take no room.
@@ -167,14 +186,15 @@ class Spool:
                 self.write(part, np.full(part.shape, value, dtype=self.dtype))
             return
         with self._lock:
-            self._values[tiles] = value
+            is_free = ~self._was_there[tiles] if self.is_kept else True
+            np.copyto(self._values[tiles], value, where=is_free)
 
     def close(self) -> None:
         """Free the memory or delete the file, unless it has a path of its own."""
         self._memory = None
         if self._file is not None:
             self._file.close()
-            self._file = self._is_there = None
+            self._file = self._is_there = self._values = None
 
     def _tiles(self, region: Region) -> list[tuple[Region, tuple[int, int]]]:
         row, col = region.row - self.origin[0], region.col - self.origin[1]
@@ -209,6 +229,12 @@ class Spool:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         except OSError as error:
             raise cannot_write(self._directory, error, advice=TEMPORARY_ADVICE) from error
+
+
+def _is_one(values: NDArray[Any]) -> bool:
+    """Say whether all values are the same, bit for bit."""
+    bits = values.view(f"u{values.itemsize}")
+    return bool((bits[0] == bits[0, 0]).all() and (bits == bits[0, 0]).all())
 
 
 def _tile_from_bytes(data: bytes, dtype: np.dtype[Any]) -> NDArray[Any]:

@@ -4,11 +4,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from terrainwave.codec.refiner import Decoded
+from terrainwave.codec.refiner import ALL_VALID, Decoded
 from terrainwave.container.reader import Container
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.quadtree import Block, Grid
-from terrainwave.read.coded import Content, content_of
+from terrainwave.read.coded import Content, EvenBlocks
 from terrainwave.read.decoder import TreeDecoder, unit_name
 
 
@@ -18,9 +18,10 @@ def check_units(container: Container, decoder: TreeDecoder) -> Iterator[str]:
     At the end, how much of each level is lost, if anything is.
     """
     yield from container.check()
-    seams, lost, sound = _Seams(decoder), list[Block](), set[Content]()
+    even, lost, sound = EvenBlocks(container, decoder), list[Block](), set[Content]()
+    seams = _Seams(decoder, even)
     for key in container.grid.root_keys():
-        yield from _check_below(container, decoder, seams, key, lost, sound)
+        yield from _check_below(container, decoder, seams, even, key, lost, sound)
     yield from _shares(container.grid, lost)
 
 
@@ -44,16 +45,18 @@ def _check_below(
     container: Container,
     decoder: TreeDecoder,
     seams: "_Seams",
+    even: EvenBlocks,
     key: Block,
     lost: list[Block],
     sound: set[Content],
 ) -> Iterator[str]:
     """Check a unit and all below it; `sound` are segments in which there was nothing to tell."""
     try:
-        content = None if key.is_root_key else content_of(container, decoder, key)
-        if content in sound and _is_beside(container, decoder, key, sound):
+        content = None if key.is_root_key else even.content(key)
+        if content in sound and _is_beside(even, key, sound):
             return
-        decoder.unit(key)
+        if even.of_unit(key) is None:
+            decoder.unit(key)
     except CorruptStreamError as exc:
         lost.append(key)
         yield str(exc)
@@ -61,18 +64,16 @@ def _check_below(
     problems = list(seams.differences(key))
     for block in container.grid.key_blocks(key):
         if block.level < container.grid.k_max and not _is_absent(container, block):
-            problems += _check_below(container, decoder, seams, block, lost, sound)
+            problems += _check_below(container, decoder, seams, even, block, lost, sound)
     if content is not None and not problems:
         sound.add(content)
     yield from problems
 
 
-def _is_beside(
-    container: Container, decoder: TreeDecoder, head: Block, sound: set[Content]
-) -> bool:
+def _is_beside(even: EvenBlocks, head: Block, sound: set[Content]) -> bool:
     """Say whether the segments before one, which it shares samples with, are such as itself."""
     before = (head._replace(row=head.row - 1), head._replace(col=head.col - 1))
-    return all(content_of(container, decoder, one) in sound for one in before)
+    return all(even.content(one) in sound for one in before)
 
 
 class _Seams:
@@ -82,8 +83,9 @@ class _Seams:
     what they share with the next. Memory: a line of samples along the units still to come.
     """
 
-    def __init__(self, decoder: TreeDecoder) -> None:
+    def __init__(self, decoder: TreeDecoder, even: EvenBlocks) -> None:
         self._decoder = decoder
+        self._even = even
         self._lines: dict[tuple[Block, Block], Decoded] = {}
 
     def differences(self, key: Block) -> Iterator[str]:
@@ -97,16 +99,24 @@ class _Seams:
         for row, col in ((1, 0), (0, 1)):
             other = Block(key.level, key.row + row, key.col + col)
             if self._decoder.grid.contains(other):
-                self._lines[key, other] = self._decoder.shared(key, other)
+                self._lines[key, other] = self._shared(key, other)
+
+    def _shared(self, key: Block, other: Block) -> Decoded:
+        """Return what a unit holds of the samples that another one holds as well."""
+        height = self._even.of_unit(key)
+        if height is None:
+            return self._decoder.shared(key, other)
+        common = self._decoder.spec(key).region.intersect(self._decoder.spec(other).region)
+        return Decoded(np.full(common.shape, height, dtype=np.int32), ALL_VALID)
 
     def _agree(self, before: Block, key: Block) -> bool:
         one = self._lines.pop((before, key), None)
         if one is None:  # damaged, or void and left out of the file
             try:
-                one = self._decoder.shared(before, key)
+                one = self._shared(before, key)
             except CorruptStreamError:
                 return True  # has been told
-        other = self._decoder.shared(key, before)
+        other = self._shared(key, before)
         rests = [0 if part.remainders is None else part.remainders for part in (one, other)]
         is_other = (one.heights != other.heights) | (rests[0] != rests[1])
         is_valid_alike = np.array_equal(one.mask, other.mask)

@@ -6,12 +6,16 @@ The latter are sea: a planet has thousands.
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
+from terrainwave.cache import Cache
+from terrainwave.codec.refiner import Decoded
 from terrainwave.container.reader import Container
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Region
-from terrainwave.read.decoder import TreeDecoder
+from terrainwave.read.decoder import TreeDecoder, unit_key
 
-# Bytes of a segment of one height: longer ones are not.
-_MOST_BYTES = 1 << 16
+# Bytes of a segment of one height, and of a payload: longer ones are not.
+_MOST_BYTES, _MOST_IN_PAYLOAD = 1 << 16, 1 << 10
+# Blocks and payloads whose heights are kept.
+_MOST_KNOWN = 1 << 14
 
 
 class Content(NamedTuple):
@@ -25,26 +29,95 @@ class Content(NamedTuple):
     payloads: bytes
 
 
-def content_of(container: Container, decoder: TreeDecoder, head: Block) -> Content | None:
-    """Return what the units of the segment of `head` decode to follows from.
+class EvenBlocks:
+    """Blocks of one height, found without decoding each: by payloads that are known to give it.
 
-    None where that is more: unless it is one of the finest, has neighbours on all sides, and lies
-    below a block that is of one height.
+    A unit with neighbours on all sides, below a block of one height, decodes to what every other
+    one of its level with the same payload does. Of each payload one unit is decoded. Thread-safe.
     """
-    grid = container.grid
-    is_finest = head.level + SEGMENT_LEVELS == grid.k_max and grid.segment_head(head) == head
-    if not is_finest or not grid.is_inside(head):
-        return None
-    segment = container.segment(head)
-    n_bytes = segment.page.body_length
-    if not 0 < n_bytes <= _MOST_BYTES:
-        return None
-    above = decoder.block(head)
-    height = int(above.heights[0, 0])
-    if above.validity.own_mask is not None or not (above.heights == height).all():
-        return None
-    payloads = container.source.read(segment.body_start, n_bytes)
-    return Content(height, segment.page.payload_lengths.tobytes(), payloads)
+
+    def __init__(self, container: Container, decoder: TreeDecoder) -> None:
+        self._container = container
+        self._decoder = decoder
+        self._are_apart = decoder.source.are_apart
+        # Of a unit's level, the height above it and its payload; False where it has several.
+        self._known: Cache[tuple[int, int, bytes], int | bool] = Cache(_MOST_KNOWN)
+        self._heights: Cache[Block, int | bool] = Cache(_MOST_KNOWN)
+
+    def of_block(self, block: Block) -> int | None:
+        """Return the one height of a block and its apron; None if not all have it, all valid."""
+        found = self._heights.get_or_make(block, lambda: self._of_block(block))
+        return None if found is False else found
+
+    def _of_block(self, block: Block) -> int | bool:
+        height = self.of_unit(unit_key(block))
+        return _one_height(self._decoder.block(block)) if height is None else height
+
+    def of_unit(self, key: Block) -> int | None:
+        """Return the one height of a unit, which need not be decoded then.
+
+        None where it has several, or its payload alone does not tell.
+        """
+        if key.is_root_key or not self._are_apart or not self._container.grid.is_inside(key):
+            return None
+        above = self.of_block(key)
+        if above is None:
+            return None
+        payload = self._container.payload(key)
+        if not 0 < len(payload) <= _MOST_IN_PAYLOAD:
+            return None
+        found = self._known.get_or_make(
+            (key.level, above, payload), lambda: _one_height(self._decoder.unit(key))
+        )
+        return None if found is False else found
+
+    def below(self, block: Block) -> set[int] | None:
+        """Return heights of the full grid under a block, the lowest and the highest among them.
+
+        None if not all are valid, or remainders tell more of them.
+        """
+        grid, found, blocks = self._container.grid, set[int](), [block]
+        while blocks:
+            key = blocks.pop()
+            height = self.of_unit(key)
+            if key.level < grid.k_max - 1:
+                blocks += grid.children(key)
+            elif height is not None:
+                found.add(height)
+            else:
+                _, unit = self._decoder.part_once(key, self._decoder.spec(key).core)
+                if unit.validity.own_mask is not None or unit.remainders is not None:
+                    return None
+                found |= {int(unit.heights.min()), int(unit.heights.max())}
+        return found
+
+    def content(self, head: Block) -> Content | None:
+        """Return what the units of the segment of `head` decode to follows from.
+
+        None where that is more: unless it is one of the finest, has neighbours on all sides, and
+        lies below a block that is of one height.
+        """
+        grid = self._container.grid
+        is_finest = head.level + SEGMENT_LEVELS == grid.k_max and grid.segment_head(head) == head
+        if not is_finest or not self._are_apart or not grid.is_inside(head):
+            return None
+        segment = self._container.segment(head)
+        n_bytes = segment.page.body_length
+        if not 0 < n_bytes <= _MOST_BYTES:
+            return None
+        height = self.of_block(head)
+        if height is None:
+            return None
+        payloads = self._container.source.read(segment.body_start, n_bytes)
+        return Content(height, segment.page.payload_lengths.tobytes(), payloads)
+
+
+def _one_height(unit: Decoded) -> int | bool:
+    """Return the one height of all samples; False if there are several, or not all are valid."""
+    height = int(unit.heights[0, 0])
+    if unit.validity.own_mask is not None or unit.remainders is not None:
+        return False
+    return height if bool((unit.heights == height).all()) else False
 
 
 def coded_parts(container: Container, level: int, region: Region) -> Iterator[Region]:

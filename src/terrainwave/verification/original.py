@@ -1,9 +1,15 @@
-"""The original raster, read by rasterio alone; what is valid is decided here anew."""
+"""The original raster, read by rasterio alone; what is valid is decided here anew.
+
+Where its index knows, as `compress` asks it, that all of a large window is void, some samples are
+read instead of all.
+"""
 
 import math
 import os
 import warnings
 from collections.abc import Iterator
+from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -16,6 +22,8 @@ from terrainwave.errors import StorageError
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
 from terrainwave.place.units import height_unit
+from terrainwave.raster_io.dataset import DatasetBackend
+from terrainwave.raster_io.even import Even, even_parts
 
 # Samples per window, and its height where the original is striped: windows of few rows would make
 # the decoder run the same blocks again and again.
@@ -100,15 +108,49 @@ class Original:
         return heights.astype(np.float64) == float(self.nodata)
 
     def windows(self) -> Iterator[Region]:
-        """Yield windows that suit both sides: squares for tiles, wide strips for strips."""
-        n_rows, n_cols = self.dataset.height, self.dataset.width
-        block_cols = self.dataset.block_shapes[self.band - 1][1]
-        if block_cols >= n_cols:
-            cols = min(n_cols, _WINDOW_SAMPLES // _WINDOW_ROWS)
-            rows = max(_WINDOW_SAMPLES // cols // _WINDOW_ROWS, 1) * _WINDOW_ROWS
-        else:
-            rows = cols = _WINDOW_SIDE
-        yield from Region(0, 0, n_rows, n_cols).tiles(rows, cols)
+        """Yield windows that suit both sides: squares for tiles, wide strips for strips.
+
+        Those that `knows_void` may be larger.
+        """
+        n_rows, n_cols = self.shape
+        rows, cols = self.window_shape
+        side = -(-max(rows, cols) // rows) * rows
+        for part, void in even_parts(Region(0, 0, n_rows, n_cols), side, self._void):
+            if void is None:
+                yield from part.tiles(rows, cols)
+            else:
+                yield part
+
+    @property
+    def window_shape(self) -> tuple[int, int]:
+        """Return rows and columns of windows."""
+        n_cols = self.shape[1]
+        if self.dataset.block_shapes[self.band - 1][1] < n_cols:
+            return _WINDOW_SIDE, _WINDOW_SIDE
+        cols = min(n_cols, _WINDOW_SAMPLES // _WINDOW_ROWS)
+        return max(_WINDOW_SAMPLES // cols // _WINDOW_ROWS, 1) * _WINDOW_ROWS, cols
+
+    def knows_void(self, region: Region) -> bool:
+        """Say whether the file's index knows all of a region to be void, and samples of it are."""
+        if self._void(region) is None:
+            return False
+        row, col, n_rows, n_cols = region
+        rows, cols = (row, row + n_rows - 1), (col, col + n_cols - 1)
+        places = [*product(rows, cols), (sum(rows) // 2, sum(cols) // 2)]
+        return not any(self.read(*place, 1, 1)[1].any() for place in places)
+
+    def _void(self, region: Region) -> Even | None:
+        """Return what a region is by the file's index, if that is void."""
+        even = self._index.even(region)
+        if even is None:
+            return None
+        value = even.heights((1, 1), self.dtype)
+        is_void = self.is_nodata(value) | (value != value)  # NaN
+        return even if is_void.all() else None
+
+    @cached_property
+    def _index(self) -> DatasetBackend:
+        return DatasetBackend(self.dataset, self.band, owned=True)
 
 
 def place_text(row: int, col: int, n_rows: int, n_cols: int) -> str:

@@ -49,7 +49,9 @@ class PayloadSink(RepeatingSink, Protocol):
 
 
 class _Taken:
-    """Keeps what is coded of a subtree; segments that are like others are coded like all."""
+    """Keeps what is coded of a subtree, segments that are like others, too."""
+
+    takes_repeats = False
 
     def __init__(self) -> None:
         self.payloads: dict[Block, bytes] = {}
@@ -394,19 +396,13 @@ class TreeEncoder(UnitEncoder):
         self._refiner = refiner
         self._repeats: Repeats | None = None
         if may_repeat and self._last_level == grid.k_max:
-            self._repeats = Repeats(grid, parameters, self.code_unit, self._sink)
-
-    def apart(self, chain: list[Ancestor]) -> Self:
-        """Return an encoder of a subtree whose findings are its own, and all of its payloads."""
-        part = super().apart(chain)
-        part._repeats = None
-        return part
+            self._repeats = Repeats(grid, parameters, self.code_unit)
 
     def repeats(self, key: Block, parent: Decoded, chain: list[Ancestor], target: int) -> bool:
         """Pass on all units below a block of one height, if they are of one height, too."""
         if self._repeats is None:
             return False
-        below = self._repeats.code(key, parent, target)
+        below = self._repeats.code(key, parent, target, self._sink)
         if below is None:
             return False
         # How far it is from the blocks above is told by the samples of its level, between which

@@ -47,8 +47,9 @@ _LOWPASS_HALO, _LOWPASS53_HALO = 4, 2
 # and averages of a level reach less than one of its samples far.
 _EVEN_MARGIN = 2
 # So far from valid samples nothing reads fills, in sides of windows or blocks: a unit has two
-# blocks a side, and a window is made of one of twice its side on the level below.
-_FILL_MARGIN = 3
+# blocks a side, and a window near valid samples is made of one of twice its side on the level
+# below. And so many samples more: those that masks and averages reach, and aprons.
+_FILL_MARGIN, _FILL_REACH = 2, 16
 # Windows that wait for a thread at a time: what waits takes more memory than a window's place.
 _BATCH = 4096
 # Stands for a void among heights, which are far from it.
@@ -347,7 +348,8 @@ class Pyramid:
         Filters of other kinds than nested ones reach from level to level.
         """
         if self._kind == "nested":
-            even = self._even(shift, region, _FILL_MARGIN * max(TILE, self._grid.block))
+            margin = _FILL_MARGIN * max(TILE, self._grid.block) + _FILL_REACH
+            even = self._even(shift, region, margin)
             if even is not None and not even.is_valid:
                 return even
         even = self._even(shift, region)

@@ -18,7 +18,7 @@ from terrainwave.grid.quantum import Quantizer
 from terrainwave.grid.shares import shares_of
 from terrainwave.progress import Reporter
 from terrainwave.raster_io.even import even_parts
-from terrainwave.read.coded import Content, content_of
+from terrainwave.read.coded import Content, EvenBlocks
 from terrainwave.write.job import Job
 from terrainwave.write.pyramid import IndexedWindows, SourceWindows
 
@@ -57,17 +57,17 @@ def unproved(
 ) -> Iterator[Region | Block]:
     """Yield what has to be compared: all but where source and file are both void.
 
-    Windows, and heads of segments on whose every sample the source has one height. Of voids that
-    the source knows, the file's index proves the most; windows in which the file has heights there
-    are compared. Some samples of what the source knows are read all the same.
+    Windows, and blocks on whose every sample the source has one height: heads of finest segments,
+    and blocks as large as a window. Of voids that the source knows, the file's index proves the
+    most; windows in which the file has heights there are compared. Some samples of what the source
+    knows are read all the same.
 
     Raises
     ------
     BoundViolationError
         If one of these is not what the source knows.
     """
-    side, level = _side_of(grid), grid.k_max - SEGMENT_LEVELS
-    head_side = grid.block << SEGMENT_LEVELS
+    side = _side_of(grid)
     whole = within or Region(0, 0, grid.n_rows, grid.n_cols)
     for part, even in even_parts(whole, side, source.even):
         if even is not None and not source.holds(part, even):
@@ -75,35 +75,47 @@ def unproved(
                 f"the source's index and its heights differ within {part.n_rows} x {part.n_cols}"
                 f" samples from row {part.row}, column {part.col}; {OUR_FAULT}"
             )
-        if even is not None and not even.is_valid:
+        if even is None:
+            yield part
+        elif even.is_valid:
+            yield from _even_blocks(source, grid, part, grid.block << SEGMENT_LEVELS)
+        else:
             yield from terrain.coded_parts(part)
-            continue
-        for window in part.tiles(head_side, head_side):
-            head = Block(level, window.row // head_side, window.col // head_side)
-            is_one = even is not None and level in grid.segment_levels()
-            is_one = is_one and grid.is_inside(head) and window == _own_samples(grid, head)
-            if is_one and source.even(_around(grid, head)):
-                yield head
-            else:
-                yield from window.tiles(side, side)
+
+
+def _even_blocks(
+    source: IndexedWindows, grid: Grid, part: Region, side: int
+) -> Iterator[Region | Block]:
+    """Yield the blocks of so many samples a side that a part of one height has; windows else."""
+    smallest = _side_of(grid)
+    side = max(side, smallest)
+    level = grid.k_max - (side // grid.block).bit_length() + 1
+    for window in part.tiles(side, side):
+        block = Block(level, window.row // side, window.col // side)
+        is_whole = grid.is_inside(block) and window == _own_samples(grid, block)
+        if is_whole and source.even(_around(grid, block)):
+            yield block
+        elif side > smallest:
+            yield from _even_blocks(source, grid, window, smallest)
+        else:
+            yield window
 
 
 def _n_samples(grid: Grid, one: Region | Block) -> int:
-    if isinstance(one, Block):
-        return (grid.block << SEGMENT_LEVELS) ** 2
-    return one.n_rows * one.n_cols
+    n_rows, n_cols = (_own_samples(grid, one) if isinstance(one, Block) else one).shape
+    return n_rows * n_cols
 
 
-def _own_samples(grid: Grid, head: Block) -> Region:
+def _own_samples(grid: Grid, block: Block) -> Region:
     """Return all that a block inside the raster has for itself."""
-    row, col, n_rows, n_cols = grid.full_region(head)
+    row, col, n_rows, n_cols = grid.full_region(block)
     return Region(row, col, n_rows - 1, n_cols - 1)
 
 
-def _around(grid: Grid, head: Block) -> Region:
+def _around(grid: Grid, block: Block) -> Region:
     """Return the samples under a block and its aprons on all levels below it."""
-    row, col, n_rows, n_cols = grid.full_region(head)
-    margin = 2 * grid.stride(head.level)
+    row, col, n_rows, n_cols = grid.full_region(block)
+    margin = 2 * grid.stride(block.level)
     return Region(row - margin, col - margin, n_rows + 2 * margin, n_cols + 2 * margin).intersect(
         Region(0, 0, grid.n_rows, grid.n_cols)
     )
@@ -112,15 +124,16 @@ def _around(grid: Grid, head: Block) -> Region:
 class Comparison:
     """Compares a finished file, decoded, with the raster it was made of; thread-safe.
 
-    A segment that lies below a block of one height, and has neighbours on all sides, decodes to
-    what another one of the same bytes does: below such blocks the first one is decoded, the others
-    are compared with its bytes.
+    Below a block of one height, units and finest segments with neighbours on all sides decode to
+    what others of the same bytes do (`EvenBlocks`): the first of them is decoded, the others are
+    compared with its bytes.
     """
 
     def __init__(self, terrain: TerrainFile, source: SourceWindows, allowed: float) -> None:
         self._terrain = terrain
         self._source = source
         self._allowed = allowed
+        self._even = EvenBlocks(terrain.container, terrain.decoder)
         self._known: dict[tuple[Content, bytes], float] = {}
 
     def windows(self, windows: Iterable[Region]) -> float:
@@ -131,13 +144,13 @@ class Comparison:
         )
 
     def all(self, whole: Iterable[Region | Block]) -> float:
-        """Return the largest error in windows and segments, as `unproved` yields them."""
+        """Return the largest error in windows and blocks, as `unproved` yields them."""
         errors = (
-            self.segment(one) if isinstance(one, Block) else self.windows([one]) for one in whole
+            self.block(one) if isinstance(one, Block) else self.windows([one]) for one in whole
         )
         return max(errors, default=0.0)
 
-    def segment(self, head: Block) -> float:
+    def block(self, block: Block) -> float:
         """Return the largest error below a block of whose every sample the source has one height.
 
         Raises
@@ -145,18 +158,27 @@ class Comparison:
         BoundViolationError
             As `compare_window` does.
         """
-        terrain = self._terrain
-        grid = terrain.grid
-        region = _own_samples(grid, head)
-        content = content_of(terrain.container, terrain.decoder, head)
-        value = self._source.read(region.row, region.col, 1, 1)[0].tobytes()
-        if content is not None and (content, value) in self._known:
-            return self._known[content, value]
+        region = _own_samples(self._terrain.grid, block)
+        raw = self._source.read(region.row, region.col, 1, 1)[0]
+        content = self._even.content(block)
+        if content is None:
+            return self._below(block, raw)
+        known = content, raw.tobytes()
+        if known not in self._known:
+            self._known[known] = self._below(block, raw)
+        return self._known[known]
+
+    def _below(self, block: Block, raw: NDArray[np.generic]) -> float:
+        """Return the largest error below a block on which all originals are as the one of `raw`."""
+        grid, quantizer = self._terrain.grid, self._terrain.quantizer
+        heights = None if quantizer.remainder_bytes else self._even.below(block)
+        if heights is not None:
+            decoded = quantizer.dequantize(np.array([[*heights]], dtype=np.int32))
+            errors = np.abs(decoded.astype(np.float64) - raw.astype(np.float64))
+            if errors.max() <= self._allowed:
+                return float(errors.max())
         side = _side_of(grid)
-        largest = self.windows(region.tiles(side, side))
-        if content is not None:
-            self._known[content, value] = largest
-        return largest
+        return self.windows(_own_samples(grid, block).tiles(side, side))
 
 
 def _side_of(grid: Grid) -> int:

@@ -22,7 +22,9 @@ CodeUnit = Callable[[Block, GroupSpec, Decoded | None, Heights, Mask], tuple[byt
 
 
 class RepeatingSink(Protocol):
-    """Where payloads go, and segments that are those of others."""
+    """Where payloads go, and segments that are those of others, if it takes such."""
+
+    takes_repeats: bool
 
     def __call__(self, key: Block, payload: bytes) -> None:
         """Take the payload of the unit `key`."""
@@ -49,19 +51,18 @@ class Repeats:
         Codes a unit, as `UnitEncoder.code_unit`.
     """
 
-    def __init__(
-        self, grid: Grid, parameters: CodecParameters, code_unit: CodeUnit, sink: RepeatingSink
-    ) -> None:
+    def __init__(self, grid: Grid, parameters: CodecParameters, code_unit: CodeUnit) -> None:
         self._grid = grid
         self._parameters = parameters
         self._code_unit = code_unit
-        self._sink = sink
         self._below: dict[tuple[int, int, int], _Below | None] = {}
         self._first_heads: dict[tuple[int, int, int], Block] = {}
         self._lock = threading.Lock()
 
-    def code(self, block: Block, parent: Decoded, target: int) -> dict[Block, BlockStats] | None:
-        """Code all units below a block; return what there is to know of the blocks below it.
+    def code(
+        self, block: Block, parent: Decoded, target: int, sink: RepeatingSink
+    ) -> dict[Block, BlockStats] | None:
+        """Pass all units below a block to `sink`; return what is to be known of the blocks below.
 
         Of those in segments that are like another's there is one that stands for all. None where
         the block is at the raster's edge, or something below it is not of one height.
@@ -82,7 +83,7 @@ class Repeats:
         if below is None:
             return None
         stats: dict[Block, BlockStats] = {}
-        self._put(block, below, target, height, block.level, stats)
+        self._put(block, below, target, height, block.level, stats, sink)
         return stats
 
     def _units_below(self, block: Block, parent: Decoded, target: int) -> _Below | None:
@@ -127,31 +128,33 @@ class Repeats:
         height: int,
         top: int,
         stats: dict[Block, BlockStats],
+        sink: RepeatingSink,
     ) -> None:
         """Pass on the payloads below a block which decodes to a height."""
         grid, depth = self._grid, block.level - top
         own = below.heights[depth]
         children = grid.children(block)
-        if grid.segment_head(block) == block and self._is_repeated(block, target, height):
+        is_head = sink.takes_repeats and grid.segment_head(block) == block
+        if is_head and self._is_repeated(block, target, height, sink):
             error = max(abs(target - one) for one in below.heights[depth:])
             stats[children[0]] = BlockStats(target, target, error)
             if block.level + SEGMENT_LEVELS < grid.k_max:
                 at = below.heights[depth + SEGMENT_LEVELS - 1]
                 for head in grid.segment_children(block):
-                    self._put(head, below, target, at, top, stats)
+                    self._put(head, below, target, at, top, stats, sink)
             return
-        self._sink(block, below.payloads[depth])
+        sink(block, below.payloads[depth])
         for child in children:
             stats[child] = BlockStats(target, target, abs(target - own), has_mesh=True)
             if child.level < grid.k_max:
-                self._put(child, below, target, own, top, stats)
+                self._put(child, below, target, own, top, stats, sink)
 
-    def _is_repeated(self, head: Block, target: int, height: int) -> bool:
+    def _is_repeated(self, head: Block, target: int, height: int, sink: RepeatingSink) -> bool:
         """Say whether a segment is like one that came before, which is noted then."""
         known = head.level, target, height
         with self._lock:
             first = self._first_heads.setdefault(known, head)
         if first == head:
             return False
-        self._sink.repeat(head, first)
+        sink.repeat(head, first)
         return True
