@@ -52,7 +52,7 @@ Integers: TypeAlias = NDArray[np.signedinteger]
 _TOP, _BOTTOM, _SIDE = 4, 3, 3
 _MOST_SAMPLES = 1 << 12  # of a class and plane, about
 # One row of at most so many, which those of planes are worked out for.
-_MOST_APART = 8
+_MOST_APART = 16
 _PREDICTED = BENDS + 1
 _LIMIT32 = (1 << 31) - 64
 _LOW_BITS = np.array([low_bits(context) for context in range(N_CONTEXTS)], dtype=np.int64)
