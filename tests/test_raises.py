@@ -24,13 +24,15 @@ OURS = {
     if isinstance(kind, type) and issubclass(kind, Exception)
 }
 MADE_BY = ("__init__", "__post_init__", "__new__", "__call__")
-# What only an interface says, or a function that was passed in.
+# What only an interface says, a function that was passed in, a method whose name many classes have,
+# or a table of errors by number.
 NOT_SEEN = {
+    ("codec.cdf53.tile_border", "decode_borders", "CorruptStreamError"),
     ("ext.serve.sending", "begun", "TerrainwaveError"),
     ("render.modes.mode", "Mode.build", "CorruptStreamError"),
     ("tri.mesh_options", "MeshOptions.stored", "InvalidArgumentError"),
     ("tri.stored_kinds", "StoredKind.mesh", "CorruptStreamError"),
-    ("write.cluster", "run_tasks", "TerrainwaveError"),
+    ("write.compress", "compress", "ClusterError"),
 }
 # Nearer is what only other arguments of the function that is called could bring about.
 FARTHER = {("export.ellipsoidal", "above_ellipsoid")}
