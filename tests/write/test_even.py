@@ -11,9 +11,11 @@ from rasterio.transform import Affine
 from strategies import terrain_like
 
 import terrainwave as tw
+from terrainwave.codec.unit_specs import unit_spec
 from terrainwave.container.page import page_layout
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.targets.kept import Kept
+from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid, Region
 from terrainwave.raster_io import dataset as dataset_module
 from terrainwave.raster_io.even import Even, even_parts
@@ -24,6 +26,7 @@ from terrainwave.verification import original
 from terrainwave.verification.original import Original
 from terrainwave.write import encoder
 from terrainwave.write.passes import proof, resuming
+from terrainwave.write.passes.repeats import Repeats
 
 SIDE = 2600
 VOID = -9999
@@ -464,6 +467,22 @@ def test_a_raster_that_is_coded_twice_has_the_smaller_result():
     data = tw.compress_to_bytes(heights, max_error=0, method="predictive", block=32)
     with tw.open(data) as terrain:
         assert np.array_equal(terrain.read(), heights)
+
+
+@pytest.mark.parametrize(("rings", "n_clipped"), [(1, 0), (3, 13)])
+def test_blocks_whose_aprons_are_cut_are_no_repeats(rings, n_clipped):
+    """A neighbour of one shared line only: `Grid.is_inside` counts it, and its samples end there."""
+    grid = Grid(2050, 2050, 32)
+    parameters = CodecParameters(1, 0, 9, (1, 0), rings, 0)
+    repeats = Repeats(grid, parameters, None)
+    inside = [block for block in grid.blocks(4) if grid.is_inside(block)]
+    shapes = {block: unit_spec(grid, parameters, block).region.shape for block in inside}
+    whole = max(shapes.values())
+    clipped = [block for block in inside if shapes[block] != whole]
+    assert len(clipped) == n_clipped
+    assert not any(repeats._is_whole(block) for block in clipped)
+    kept = [block for block in inside if repeats._is_whole(block)]
+    assert len(kept) == len(inside) - n_clipped
 
 
 def test_finished_units_take_little_memory(tmp_path):

@@ -1,13 +1,14 @@
 """What the tasks of a cluster took: a line of a CSV for each, and a table of the passes."""
 
 import csv
+import os
 import statistics
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
 from dataclasses import astuple, fields
-from typing import Any, TextIO
+from typing import IO, Any
 
-from terrainwave.cli.output import print_grid
+from terrainwave.cli.output import print_grid, print_note
 from terrainwave.errors import StorageError
 from terrainwave.progress import TaskReport
 
@@ -16,26 +17,42 @@ _HEADER = ["pass", "tasks", "failed", "median s", "max s", "read MB", "written M
 
 
 class TaskLog:
-    """Takes reports of tasks: writes a line for each at once, and keeps them for a table."""
+    """Takes reports of tasks: writes a line for each at once, and keeps them for a table.
 
-    def __init__(self, path: str, file: TextIO) -> None:
-        self._path = path
-        self._file = file
-        self._writer = csv.writer(file, lineterminator="\n")
+    The file begins with the first report, so a run that fails before leaves none. If it cannot be
+    written, a note says so once, and the run goes on.
+    """
+
+    def __init__(self, path: str, *, overwrite: bool) -> None:
+        self._path, self._mode = path, "w" if overwrite else "x"
+        self._file: IO[str] | None = None
+        self._is_broken = False
         self._reports: list[TaskReport] = []
-        self._write([field.name for field in fields(TaskReport)])
 
     def __call__(self, report: TaskReport) -> None:
         """Take the report of an attempt at a task."""
         self._reports.append(report)
-        self._write(astuple(report))
+        if self._is_broken:
+            return
+        try:
+            if self._file is None:
+                self._file = open(self._path, self._mode, newline="", encoding="utf-8")
+                self._write([field.name for field in fields(TaskReport)])
+            self._write(astuple(report))
+        except OSError as error:
+            self._is_broken = True
+            print_note(f"cannot write {self._path} any more: {error.strerror}")
 
     def _write(self, row: Iterable[Any]) -> None:
-        from terrainwave.container.spool import storage_errors
+        assert self._file is not None
+        csv.writer(self._file, lineterminator="\n").writerow(row)
+        self._file.flush()
 
-        with storage_errors(f"cannot write {self._path}"):
-            self._writer.writerow(row)
-            self._file.flush()
+    def close(self) -> None:
+        """Close the file."""
+        if self._file is not None:
+            with suppress(OSError):
+                self._file.close()
 
     def print(self) -> None:
         """Print a line for each pass."""
@@ -61,27 +78,22 @@ def _line(stage: str, reports: list[TaskReport]) -> list[str]:
 
 
 @contextmanager
-def task_log(path: str | None, *, overwrite: bool) -> Iterator[TaskLog | None]:
-    """Give a log that is written to `path`; None without one.
+def task_log(path: str | None, used: Sequence[str], *, overwrite: bool) -> Iterator[TaskLog | None]:
+    """Give a log that is written to `path`; None without one. `used` are names of other files.
 
     Raises
     ------
     StorageError
-        If the file is there and `overwrite` is false, or it cannot be written.
+        If the file is one of `used`, or is there and `overwrite` is false.
     """
     if path is None:
         yield None
         return
-    from terrainwave.container.spool import storage_errors
+    from terrainwave.container.targets.publication import refuse_own_source
 
-    try:
-        with storage_errors(f"cannot write {path}"):
-            file = open(path, "w" if overwrite else "x", newline="", encoding="utf-8")
-    except StorageError as error:
-        if isinstance(error.__cause__, FileExistsError):
-            raise StorageError(
-                f"{path} already exists and is left as it is; `overwrite` replaces it"
-            ) from error
-        raise
-    with file:
-        yield TaskLog(path, file)
+    problem = "is read or written by this command; expected another name for the log"
+    refuse_own_source(list(used), path, problem=problem)
+    if not overwrite and os.path.exists(path):
+        raise StorageError(f"{path} already exists and is left as it is; `overwrite` replaces it")
+    with closing(TaskLog(path, overwrite=overwrite)) as log:
+        yield log

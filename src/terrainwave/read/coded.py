@@ -41,7 +41,7 @@ class EvenBlocks:
         self._decoder = decoder
         self._are_apart = decoder.source.are_apart
         # Of a unit's level, the height above it and its payload; False where it has several.
-        self._known: Cache[tuple[int, int, bytes], int | bool] = Cache(_MOST_KNOWN)
+        self._known: Cache[tuple[int, tuple[int, int], int, bytes], int | bool] = Cache(_MOST_KNOWN)
         self._heights: Cache[Block, int | bool] = Cache(_MOST_KNOWN)
 
     def of_block(self, block: Block) -> int | None:
@@ -66,8 +66,9 @@ class EvenBlocks:
         payload = self._container.payload(key)
         if not 0 < len(payload) <= _MOST_IN_PAYLOAD:
             return None
+        shape = self._decoder.spec(key).region.shape  # cut at an edge that only an apron reaches
         found = self._known.get_or_make(
-            (key.level, above, payload), lambda: _one_height(self._decoder.unit(key))
+            (key.level, shape, above, payload), lambda: _one_height(self._decoder.unit(key))
         )
         return None if found is False else found
 

@@ -17,7 +17,6 @@ from terrainwave.cli.options import (
     BlockSide,
     Bound,
     Input,
-    Name,
     Nodata,
     Target,
     batched,
@@ -133,7 +132,7 @@ from terrainwave.progress import ProgressCallback
 @click.option(
     "--task-log",
     "task_log_name",
-    type=Name(),
+    type=Target((".csv",), or_stdout=False),
     metavar="FILE.csv",
     help="With --scheduler: write what each task took (worker, seconds, bytes read and written,"
     " attempts), and print a table of the passes.",
@@ -202,7 +201,7 @@ def _compress(
         raise click.UsageError(f"found --scheduler and --method {method}, expected one of them")
     announce_compiling(quiet=quiet)
     with (
-        task_log(task_log_name, overwrite=options["overwrite"]) as log,
+        task_log(task_log_name, [*sources, target], overwrite=options["overwrite"]) as log,
         _cluster(scheduler) as client,
         Bar(quiet=quiet) as bar,
         written(target, ".twz") as path,

@@ -79,12 +79,28 @@ class Repeats:
             return None
         if parent.remainders is not None or not (parent.heights == height).all():
             return None
+        if not self._is_whole(block):
+            return None
         below = self._units_below(block, parent, target)
         if below is None:
             return None
         stats: dict[Block, BlockStats] = {}
         self._put(block, below, target, height, block.level, stats, sink)
         return stats
+
+    def _is_whole(self, block: Block) -> bool:
+        """Say whether the raster's edge cuts no unit below a block, nor its apron."""
+        apron = 1 if self._parameters.rings == 3 else 0
+        shape = (2 * self._grid.block + 1 + 2 * apron,) * 2
+        row, col = block.row, block.col
+        for level in range(block.level, self._grid.k_max):
+            if (
+                unit_spec(self._grid, self._parameters, Block(level, row, col)).region.shape
+                != shape
+            ):
+                return False
+            row, col = 2 * row + 1, 2 * col + 1  # the last one: others lie further inside
+        return True
 
     def _units_below(self, block: Block, parent: Decoded, target: int) -> _Below | None:
         known = block.level, target, int(parent.heights[0, 0])
