@@ -471,7 +471,7 @@ def test_a_raster_that_is_coded_twice_has_the_smaller_result():
 
 @pytest.mark.parametrize(("rings", "n_clipped"), [(1, 0), (3, 13)])
 def test_blocks_whose_aprons_are_cut_are_no_repeats(rings, n_clipped):
-    """A neighbour of one shared line only: `Grid.is_inside` counts it, and its samples end there."""
+    """A neighbour of one shared line only: `is_inside` counts it, and its samples end there."""
     grid = Grid(2050, 2050, 32)
     parameters = CodecParameters(1, 0, 9, (1, 0), rings, 0)
     repeats = Repeats(grid, parameters, None)
