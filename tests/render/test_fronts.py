@@ -1,6 +1,7 @@
 """Modes whose mesh is made anew each frame: what is drawn, what is read."""
 
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from terrainwave.render.modes.dynamic import Dynamic
 from terrainwave.render.modes.front import eye_of
 from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import Camera, Viewport, home, project
+from terrainwave.render.scene.selection import Piece
 
 # What these modes compile takes a minute.
 pytestmark = [pytest.mark.full, pytest.mark.large]
@@ -381,3 +383,15 @@ def test_a_raster_of_one_row_draws_nothing():
             with Scene(terrain, ListStore(), mode=mode) as scene:
                 view = scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT)
                 assert scene.settle(view).n_triangles == 0
+
+
+def test_patches_that_do_not_meet_are_joined_apart():
+    """What lies between patches that are far apart would take time and memory in each frame."""
+    places = [(3, 0, 0), (3, 0, 1), (3, 2, 2), (3, 40, 40), (2, 0, 0), (3, 41, 39)]
+    shown = [SimpleNamespace(piece=Piece(*place, 0)) for place in places]
+    order = [4, 0, 1, 2, 3, 5]
+    mode = SimpleNamespace(shown=shown, apron=32, cells=256)
+    assert list(Dynamic._that_meet(mode, order)) == [[4], [0, 1, 2], [3, 5]]
+    wide = SimpleNamespace(shown=shown, apron=512, cells=256)  # rings of the largest trees
+    assert list(Dynamic._that_meet(wide, [0, 3])) == [[0], [3]]
+    assert list(Dynamic._that_meet(wide, [0, 2])) == [[0, 2]]

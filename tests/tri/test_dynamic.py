@@ -331,7 +331,8 @@ def open_edges(frame):
 # Meshes side by side
 
 TREE, TREES = 4, (9, 11)
-# Rows and columns of trees of each mesh, without the ring of one tree around them.
+RINGS = 2  # of which the outer one tells errors in the inner one
+# Rows and columns of trees of each mesh, without the rings of trees around them.
 CUTS = [
     (slice(top, bottom), slice(left, right))
     for top, bottom in ((0, 3), (3, 7), (7, 9))
@@ -344,7 +345,7 @@ def side_by_side(heights, eye, tau, error, cuts):
     parts = []
     for cut in cuts:
         wide = [
-            slice(max(own.start - 1, 0), min(own.stop + 1, n))
+            slice(max(own.start - RINGS, 0), min(own.stop + RINGS, n))
             for own, n in zip(cut, TREES, strict=True)
         ]
         (row, col) = (trees.start for trees in wide)
@@ -404,6 +405,28 @@ def test_meshes_side_by_side_are_the_mesh_of_the_whole_raster(error, has_void):
         assert places_of(found) == places_of(expected)
         counts.add(len(expected.triangles))
     assert len(counts) > 3
+
+
+@pytest.mark.parametrize("missing", [[4], [0, 4], [1, 3, 5, 7], [6, 7, 8]])
+def test_where_a_mesh_is_missing_triangles_are_those_of_the_whole_raster(missing):
+    """So they are within the same error: nodes in rings are measured with all around them."""
+    heights = np.zeros((TREES[0] * TREE, TREES[1] * TREE))
+    peaks = np.random.default_rng(5)
+    for row, col in zip(peaks.integers(0, 36, 12), peaks.integers(0, 44, 12), strict=True):
+        heights[row, col] = 40.0
+    cuts = [cut for number, cut in enumerate(CUTS) if number not in missing]
+    eye = eye_of(Camera((20, -60, 60), 0, -40, 60))._replace(planes=np.empty((0, 4)))
+    n_found = 0
+    for tau in (1.0, 4.0, 12.0):
+        whole = DynamicMesh(
+            heights, sample_matrix=NORTH_UP, patch=TREE, error="measured", open_sides=(True,) * 4
+        )
+        whole.base_error = 0.0
+        expected = places_of(whole.draw(eye, whole.follow(eye, tau, morph=1.5)))[0]
+        found = places_of(welded(side_by_side(heights, eye, tau, "measured", cuts)))[0]
+        assert {str(one) for one in found} <= {str(one) for one in expected}
+        n_found += len(found)
+    assert n_found > 300
 
 
 @pytest.mark.parametrize("missing", [[4], [0, 4], [1, 3, 5, 7], [0, 1, 2, 3, 5, 6, 7, 8]])

@@ -1,11 +1,14 @@
 """The dynamic triangulation of Yusov & Turlapov 2006 (`tri.dynamic.dynamic`), frame by frame.
 
-Each patch has a forest of Haar quadtrees: those of its own samples, and a ring of one tree around
+Each patch has a forest of Haar quadtrees: those of its own samples, and two rings of trees around
 them, with its neighbours' samples or some beyond the outline. Patches of one level are one mesh:
-fans join their own trees, and the rings are not drawn there (`draw_together`). Where a neighbour is
-of another level, the ring is drawn over it, and ends in skirts: levels of a file are no heights of
-one quadtree, and a triangle between two would be as far off as both are together.
+fans join their own trees, and rings are not drawn there (`draw_together`). Where a neighbour is of
+another level, the inner ring is drawn over it, and ends in skirts: levels of a file are no heights
+of one quadtree, and a triangle between two would be as far off as both are together. The outer ring
+makes the measured errors of the inner one those of the whole raster.
 """
+
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,7 +70,7 @@ class Dynamic(FrontMode):
 
     def arrange(self) -> None:
         """Set what patches of trees of a size reach over."""
-        self.cells, self.apron, self.beyond = self.samples, self.tree, self.tree
+        self.cells, self.apron, self.beyond = self.samples, 2 * self.tree, 2 * self.tree
 
     def make_mesh(
         self,
@@ -110,10 +113,10 @@ class Dynamic(FrontMode):
     def frames_of(self, eye: Eye) -> list[PatchFrame]:
         """Return the meshes of `shown`, which have followed the eye, those of each level joined."""
         frames: dict[int, PatchFrame] = {}
-        for level in sorted({patch.piece.level for patch in self.shown}):
-            # In an order that does not depend on the eye, as it decides who draws which ring.
-            here = [k for k, patch in enumerate(self.shown) if patch.piece.level == level]
-            here.sort(key=lambda k: self.shown[k].piece)
+        # In an order that does not depend on the eye, as it decides who draws which ring.
+        order = sorted(range(len(self.shown)), key=lambda k: self.shown[k].piece)
+        for here in self._that_meet(order):
+            level = self.shown[here[0]].piece.level
             parts = [self._part(self.shown[k], self.followed[k]) for k in here]
             for k, drawn in zip(here, draw_together(parts, eye), strict=True):
                 sizes = drawn.nodes[:, 0] + (self.n_levels - 1 - level)
@@ -122,6 +125,27 @@ class Dynamic(FrontMode):
                     Drawn(drawn.vertices, drawn.triangles, sizes), drawn.edges, error
                 )
         return [frame for _, frame in sorted(frames.items())]
+
+    def _that_meet(self, order: list[int]) -> Iterator[list[int]]:
+        """Yield numbers of shown patches whose trees meet; what lies between others takes no work.
+
+        In the order given.
+        """
+        reach = 1 + -(-2 * self.apron // self.cells)
+        left = {self.shown[k].piece: k for k in order}
+        rank = {k: number for number, k in enumerate(order)}
+        while left:
+            found, new = [], [left.pop(next(iter(left)))]
+            while new:
+                found += new
+                near = {
+                    piece._replace(row=piece.row + down, col=piece.col + across)
+                    for piece in (self.shown[k].piece for k in new)
+                    for down in range(-reach, reach + 1)
+                    for across in range(-reach, reach + 1)
+                }
+                new = [left.pop(piece) for piece in near & left.keys()]
+            yield sorted(found, key=rank.__getitem__)
 
     def _part(self, patch: FrontPatch, followed: Followed) -> ForestPart:
         """Return a patch among those of its level: the trees of its cells are its own."""

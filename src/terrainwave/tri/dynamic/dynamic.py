@@ -114,7 +114,7 @@ class DynamicMesh:
     matrix : tuple of float
         `sample_matrix`.
     marks : ndarray of uint8, shape (n_nodes,)
-        `INNER`, `ROOT` or, somewhere below a root, anything.
+        `INNER`, `ROOT` or, below a root, `BELOW`.
     has_changed : ndarray of uint8, shape (patch rows, patch columns)
         Patches with marks that have changed; whoever keeps a copy of the marks clears it.
 
@@ -329,8 +329,9 @@ class ForestPart(NamedTuple):
     first : tuple of int
         Row and column of its first tree, from anywhere.
     owned : tuple of slice
-        Rows and columns of the trees that nobody else draws. Its others are a ring around them,
-        for where none of the meshes owns what is there.
+        Rows and columns of the trees that nobody else draws. Those beside them are drawn where none
+        of the meshes owns what is there. Their measured errors are those of one mesh if it has the
+        trees beside these, too.
     """
 
     mesh: DynamicMesh

@@ -65,8 +65,9 @@ def forest_of(
     first_trees : list of tuple of int
         Row and column of its first tree, from anywhere.
     owned : list of tuple of slice
-        Which of its trees, in rows and columns, it draws in any case. Its others are a ring: drawn
-        where no mesh has a tree of its own; by the first, where several could.
+        Which of its trees, in rows and columns, it draws in any case. Those beside them are a ring:
+        drawn where no mesh has a tree of its own; by the first, where several could. Trees further
+        out are not drawn.
     vertex_of : ndarray of int32
         To be filled, for all nodes.
     """
@@ -82,8 +83,9 @@ def forest_of(
     for number, (whole, own) in enumerate(zip(wholes, owned, strict=True)):
         whole[own] = number
     is_ring = owners == NOBODY
-    for number, whole in enumerate(wholes):
-        whole[whole == NOBODY] = number
+    for number, (whole, own) in enumerate(zip(wholes, owned, strict=True)):
+        near = whole[tuple(_wider(part) for part in own)]
+        near[near == NOBODY] = number
     top = len(layouts[0]) - 1
     places, n_before = np.empty((len(layouts), top + 1, 2), dtype=np.int64), 0
     for number, (layout, (row, col)) in enumerate(zip(layouts, firsts, strict=True)):
@@ -94,6 +96,11 @@ def forest_of(
         n_before += len(marks[number])
     together = marks[0] if len(marks) == 1 else np.concatenate(marks)
     return Forest(owners, is_ring, places, together, vertex_of), firsts
+
+
+def _wider(part: slice) -> slice:
+    """Return a slice with one more at each end."""
+    return part if part == slice(None) else slice(max(part.start - 1, 0), part.stop + 1)
 
 
 @inlined_kernel
