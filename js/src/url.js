@@ -152,12 +152,8 @@ export class UrlSource {
     const wanted = start === null ? 0 : end - start;
     const most = wanted || MOST_WHOLE;
     const limit = POLICY.silence + most / POLICY.leastRate;
+    const deadline = setTimeout(() => controller.abort(this.tooSlow(most, limit)), limit * 1000);
     let timer;
-    const tooSlow = new SourceError(
-      `cannot read ${this.name}: the server has not sent ${most.toLocaleString("en")} bytes in` +
-      ` ${Math.round(limit).toLocaleString("en")} s; try again later`,
-    );
-    const deadline = setTimeout(() => controller.abort(tooSlow), limit * 1000);
     const hear = () => {
       clearTimeout(timer);
       timer = setTimeout(() => controller.abort(new Error("timed out")), POLICY.silence * 1000);
@@ -207,6 +203,13 @@ export class UrlSource {
 
   changed() {
     return new SourceError(`${this.name} has changed while it was open: open it again`);
+  }
+
+  tooSlow(length, seconds) {
+    return new SourceError(
+      `cannot read ${this.name}: the server has not sent ${length.toLocaleString("en")} bytes in` +
+      ` ${Math.round(seconds).toLocaleString("en")} s; try again later`,
+    );
   }
 
   withoutRanges() {

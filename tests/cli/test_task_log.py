@@ -2,10 +2,11 @@
 
 import csv
 import os
+from contextlib import closing
 
 import pytest
 
-from terrainwave.cli.task_log import task_log
+from terrainwave.cli.task_log import TaskLog, task_log
 from terrainwave.errors import StorageError
 from terrainwave.progress import TaskReport
 
@@ -68,7 +69,7 @@ def test_what_the_command_reads_or_writes_is_no_log(tmp_path):
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="a disk that is always full: Linux")
 def test_a_full_disk_costs_the_log_and_not_the_run(capsys):
-    with task_log("/dev/full", [], overwrite=True) as log:
+    with closing(TaskLog("/dev/full", overwrite=True)) as log:
         log(report())
         log(report())
         log.print()

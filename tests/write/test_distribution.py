@@ -5,6 +5,7 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 import numpy as np
 import pytest
 from cases import some
+from clusters import LosingCluster
 from strategies import terrain_like, write_geotiff
 from twz import grouped
 
@@ -118,16 +119,6 @@ def test_a_raster_without_tasks_is_compressed_here(tmp_path):
     compress(tmp_path / "dem.tif", tmp_path / "here.twz", **OPTIONS)
     compress(tmp_path / "dem.tif", tmp_path / "there.twz", client=LosingCluster(), **OPTIONS)
     assert (tmp_path / "there.twz").read_bytes() == (tmp_path / "here.twz").read_bytes()
-
-
-class LosingCluster(Executor):
-    """Cancels everything, as dask does where a scheduler is lost."""
-
-    def submit(self, function, /, *arguments):
-        future = Future()
-        future.cancel()
-        future.set_running_or_notify_cancel()
-        return future
 
 
 class KilledWorker(Exception):

@@ -8,6 +8,7 @@ import time
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 
 import pytest
+from clusters import LosingCluster
 
 from terrainwave.container.spool import TEMPORARY_ADVICE, cannot_write
 from terrainwave.errors import ClusterError, StorageError, TerrainwaveWarning
@@ -228,16 +229,6 @@ def test_a_cluster_without_workers_is_one_note(make_client, monkeypatch):
     assert "the cluster has no workers: 1 task of encoding wait" in str(note.message)
 
 
-class Lost(Executor):
-    """Loses every task."""
-
-    def submit(self, function, /, *arguments):
-        future = Future()
-        future.cancel()
-        future.set_running_or_notify_cancel()
-        return future
-
-
 def test_tasks_that_are_lost_are_one_line():
     with pytest.raises(ClusterError, match="the cluster has lost a task"):
-        run(Lost())
+        run(LosingCluster())

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from terrainwave.cli.options import RADIUS_OPTION, Name, Numbers, SeaLevel
+from terrainwave.cli.options import RADIUS_OPTION, Name, Numbers, SeaLevel, add_options
 from terrainwave.cli.output import print_note
 from terrainwave.render import DEFAULT_MAX_BYTES
 from terrainwave.render.look.colorings import AUTO, MEANINGS, RAMP_NAMES
@@ -58,7 +58,8 @@ def _as_int(_: Any, __: Any, value: str | None) -> int | None:
 
 def drawing(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options that render and view share."""
-    for option in (
+    return add_options(
+        command,
         click.option("--threads", "n_workers", type=click.IntRange(1, 64), default=2,
                      show_default=True, help="Threads that read and decode."),
         click.option("--memory", type=click.IntRange(min=64), default=DEFAULT_MAX_BYTES >> 20,
@@ -114,9 +115,7 @@ def drawing(command: Callable[..., Any]) -> Callable[..., Any]:
                      " file's unit; angles in degrees, heading from north, pitch upwards."),
         click.option("--size", type=Size(), default="1280x853", show_default=True,
                      help="Width and height of the picture or window, in pixels."),
-    ):  # fmt: skip
-        command = option(command)
-    return command
+    )  # fmt: skip
 
 
 def announce_preparation(options: dict[str, Any]) -> None:

@@ -316,20 +316,29 @@ def check_one_area(options: dict[str, Any]) -> None:
         raise click.UsageError("found both --window and --bounds, expected one of them")
 
 
-def writing(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of commands that write a file."""
-    for option in (
-        THREADS_OPTION,
-        click.option("--overwrite", is_flag=True, help="Replace an existing file."),
-        click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes."),
-    ):
+def add_options(
+    command: Callable[..., Any], *options: Callable[[Callable[..., Any]], Callable[..., Any]]
+) -> Callable[..., Any]:
+    """Add options to a command; help lists the last one first."""
+    for option in options:
         command = option(command)
     return command
 
 
+def writing(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of commands that write a file."""
+    return add_options(
+        command,
+        THREADS_OPTION,
+        click.option("--overwrite", is_flag=True, help="Replace an existing file."),
+        click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes."),
+    )
+
+
 def resumable(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of commands that go on where an earlier run has ended."""
-    for option in (
+    return add_options(
+        command,
         click.option(
             "--fresh",
             is_flag=True,
@@ -341,14 +350,13 @@ def resumable(command: Callable[..., Any]) -> Callable[..., Any]:
             type=Name(),
             help="Folder for large temporary files, and for finished work if the run fails.",
         ),
-    ):
-        command = option(command)
-    return command
+    )
 
 
 def batched(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of commands that take many files at once."""
-    for option in (
+    return add_options(
+        command,
         click.option(
             "--skip-existing",
             is_flag=True,
@@ -362,6 +370,4 @@ def batched(command: Callable[..., Any]) -> Callable[..., Any]:
             help="Write a file for each SOURCE to this directory, and continue if one fails. A"
             " SOURCE that is a folder stands for the files below it; their folders are kept.",
         ),
-    ):
-        command = option(command)
-    return command
+    )

@@ -1,7 +1,6 @@
 """What the tasks of a cluster took: a line of a CSV for each, and a table of the passes."""
 
 import csv
-import os
 import statistics
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
@@ -9,7 +8,6 @@ from dataclasses import astuple, fields
 from typing import IO, Any
 
 from terrainwave.cli.output import print_grid, print_note
-from terrainwave.errors import StorageError
 from terrainwave.progress import TaskReport
 
 # With the longest name of a pass, as wide as a terminal.
@@ -84,16 +82,15 @@ def task_log(path: str | None, used: Sequence[str], *, overwrite: bool) -> Itera
     Raises
     ------
     StorageError
-        If the file is one of `used`, or is there and `overwrite` is false.
+        If the file is one of `used`, cannot be written, or is there and `overwrite` is false.
     """
     if path is None:
         yield None
         return
-    from terrainwave.container.targets.publication import refuse_own_source
+    from terrainwave.container.targets.publication import check_target, refuse_own_source
 
     problem = "is read or written by this command; expected another name for the log"
     refuse_own_source(list(used), path, problem=problem)
-    if not overwrite and os.path.exists(path):
-        raise StorageError(f"{path} already exists and is left as it is; `overwrite` replaces it")
+    check_target(path, overwrite=overwrite)
     with closing(TaskLog(path, overwrite=overwrite)) as log:
         yield log

@@ -17,7 +17,7 @@ def unit_core(grid: Grid, key: Block) -> Region:
 
 def unit_spec(grid: Grid, parameters: CodecParameters, key: Block) -> GroupSpec:
     """Return the spec of a unit, all that its refiner may know."""
-    apron = 1 if parameters.rings == 3 else 0
+    apron = parameters.apron
     blocks_per_unit = 1 if key.is_root_key else 2
     level = key.level + 1
     if key.is_root_key:

@@ -25,6 +25,11 @@ class CodecParameters:
     # Whether payloads may put heights back in the loop (FORMAT.md §5.5).
     has_corrections: bool = False
 
+    @property
+    def apron(self) -> int:
+        """Return how many samples of its neighbours a block has on each side."""
+        return 1 if self.rings == 3 else 0
+
     @classmethod
     def of(
         cls,

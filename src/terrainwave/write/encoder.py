@@ -329,12 +329,12 @@ class UnitEncoder(ABC):
     def _ancestor(self, block: Block, decoded: Decoded) -> Ancestor:
         """Return the samples of a decoded block, without its apron."""
         region = self._grid.block_region(block)
-        framed = self._grid.block_region(block, 1 if self._parameters.rings == 3 else 0)
+        framed = self._grid.block_region(block, self._parameters.apron)
         return Ancestor(block, region, decoded.heights[region.slices_in(framed)])
 
     def _note_meshes(self, blocks: list[Block], parts: list[Decoded]) -> None:
         """Update which blocks have meshes."""
-        grid, apron = self._grid, 1 if self._parameters.rings == 3 else 0
+        grid, apron = self._grid, self._parameters.apron
         for block, part in zip(blocks, parts, strict=True):
             inside = grid.block_region(block).slices_in(grid.block_region(block, apron))
             self._note({block: BlockStats(has_mesh=has_mesh(grid, block, part.mask[inside]))})

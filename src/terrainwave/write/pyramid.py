@@ -460,12 +460,8 @@ class Pyramid:
             self._make_windows(f"mask-{shift}", spool, make, windows)
 
     def _mask_window(self, shift: int, reach: int, region: Region) -> Mask:
-        def read(window: Region) -> Mask:
-            if shift == 1:
-                return self._source.read(*window)[1]
-            return self._masks[shift - 1].view(window)
-
-        fine = self._gather(read, shift - 1, region, reach)
+        level = self._grid.k_max - (shift - 1)
+        fine = self._gather(lambda window: self.mask(level, window), shift - 1, region, reach)
         rows, cols = (slice(2 * n - 1) for n in region.shape)
         if shift == 1:
             own = fine[reach:, reach:][rows, cols][::2, ::2]

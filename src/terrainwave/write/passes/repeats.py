@@ -90,14 +90,11 @@ class Repeats:
 
     def _is_whole(self, block: Block) -> bool:
         """Say whether the raster's edge cuts no unit below a block, nor its apron."""
-        apron = 1 if self._parameters.rings == 3 else 0
-        shape = (2 * self._grid.block + 1 + 2 * apron,) * 2
+        shape = (2 * self._grid.block + 1 + 2 * self._parameters.apron,) * 2
         row, col = block.row, block.col
         for level in range(block.level, self._grid.k_max):
-            if (
-                unit_spec(self._grid, self._parameters, Block(level, row, col)).region.shape
-                != shape
-            ):
+            spec = unit_spec(self._grid, self._parameters, Block(level, row, col))
+            if spec.region.shape != shape:
                 return False
             row, col = 2 * row + 1, 2 * col + 1  # the last one: others lie further inside
         return True
