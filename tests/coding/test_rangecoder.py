@@ -17,6 +17,7 @@ from terrainwave.coding.rangecoder import (
     code_magnitude,
     code_mixed_step,
     code_ones,
+    code_ones_in_turns,
     code_raw,
     code_step,
     finish_decoder,
@@ -352,3 +353,37 @@ def test_ones_settle_any_model_on_the_same_numbers():
             at, coder.state, coder.stream, models, coder.is_encoder, model, np.int64(5000)
         )
     assert (models == SETTLED_ON_ONES).all()
+
+
+@pytest.mark.parametrize("second", [0, 1])
+def test_ones_in_turns_are_those_that_single_steps_code(second):
+    rng = np.random.default_rng(6)
+    coded, n_cut = [], 0
+    for by_runs in (True, False):
+        models = new_models(2)
+        coder = new_encoder(np.empty(100_000, dtype=np.uint8), models)
+        step = coder.state, coder.stream, models, coder.is_encoder
+        at = take_out(coder.state)
+        for n in [*rng.integers(0, 40, 50), 3000, 1, 2000]:
+            if by_runs:
+                _, at = code_ones_in_turns(at, *step, 0, second, np.int64(n))
+            else:
+                for k in range(n):
+                    _, at = code_step(at, *step, second * (k & 1), np.int64(1))
+            _, at = code_step(at, *step, n & second, np.int64(0))
+        put_back(at, coder.state)
+        coded.append((coder.stream[: finish_encoder(coder.state, coder.stream)].tobytes(), models))
+        rng = np.random.default_rng(6)
+    assert coded[0][0] == coded[1][0]
+    np.testing.assert_array_equal(coded[0][1], coded[1][1])
+    # A decoder stops before the zeros, whatever it is asked for.
+    models = new_models(2)
+    coder = new_decoder(coded[0][0], models)
+    step = coder.state, coder.stream, models, coder.is_encoder
+    at = take_out(coder.state)
+    for n in [*rng.integers(0, 40, 50), 3000, 1, 2000]:
+        n_ones, at = code_ones_in_turns(at, *step, 0, second, np.int64(n + 7))
+        n_cut += n_ones == n
+        bit, at = code_step(at, *step, n & second, np.int64(1))
+        assert bit == 0
+    assert n_cut == 53

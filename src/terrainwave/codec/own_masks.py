@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from terrainwave.codec.refiner import ALL_VALID, Mask, Validity, as_array
 from terrainwave.coding.borrowed import borrowed
-from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
+from terrainwave.coding.jit import kernel, kernel_part
 from terrainwave.coding.rangecoder import (
-    SETTLED_ON_ONES,
     code_ones,
+    code_ones_in_turns,
     code_step,
     finish_decoder,
     finish_encoder,
@@ -42,9 +42,9 @@ _KNOWN = -1
 # Of arrays in frames: what is known, and masks.
 _KNOWN_INNER = np.s_[:-1, 1:-1]
 _INNER = np.s_[1:-1, 1:-1]
-_INSIDE = 7 * _N_AHEAD  # contexts of samples with ones to the north, north-west and north-east
-# Samples of a run that are looked at together; even.
+# Samples of a run that are looked at together, even; shorter runs are coded one by one.
 _AT_ONCE = 32
+_LEAST_RUN = 4
 _ONE, _TWO = np.uint64(1), np.uint64(2)
 # An adaptive bit costs at most 16 bits, so this is room for any mask.
 _BYTES_PER_SAMPLE = 2
@@ -207,18 +207,9 @@ def _row_models(padded, known, row, contexts):
     return most == _KNOWN
 
 
-@inlined_kernel
-def _is_settled(context, models):
-    """Return whether a sample whose four coded neighbours are ones has a model that ones settled.
-
-    `context` is that of `_row_models`, and the western neighbour is a one.
-    """
-    return context >= _INSIDE and models[np.uint64(context + _WEST)] == SETTLED_ON_ONES
-
-
 @kernel_part
-def _goes_on(mask, known, contexts, row, col):
-    """Return whether samples from `col` on are each like the one two before, and ones so far."""
+def _goes_on(known, contexts, row, col):
+    """Return whether samples from `col` on are each known, or coded, like the one two before."""
     here, first = np.uint64(row), np.uint64(col)
     other, unlike = np.int16(0), np.uint8(0)
     for k in range(np.uint64(_AT_ONCE)):
@@ -227,43 +218,56 @@ def _goes_on(mask, known, contexts, row, col):
     for k in range(np.uint64(_AT_ONCE)):
         at = first + k  # of `known` one more
         unlike = np.uint8(unlike | np.uint8(known[here, at + _ONE] ^ known[here, at - _ONE]))
-    if mask is not None:
-        for k in range(np.uint64(_AT_ONCE)):
-            unlike = np.uint8(unlike | np.uint8(not mask[here, first + k]))
     return other == 0 and unlike == 0
 
 
 @kernel_part
-def _run_of_ones(mask, known, contexts, models, row, col, n_cols):
-    """Return how many samples of a row are to be coded by settled models, and where the run ends.
+def _end_of_run(known, contexts, row, col, n_cols):
+    """Return up to where each sample from `col` on is known, or coded, like the one two before.
 
-    All these models are the same numbers, and ones do not move them: one stands for all. Known ones
-    lie between them. When encoding, the run ends before a zero. Far from voids, every second sample
-    is like the other: many at a time are compared, in vectors.
+    Far from voids all are: every second one is the parent's. Many are compared at a time.
     """
-    n, end = np.int64(0), np.int64(col)
-    next_look = end + 2
+    end = np.int64(col) + 2
+    while end + _AT_ONCE <= n_cols and _goes_on(known, contexts, row, end):
+        end += _AT_ONCE
     while end < n_cols:
-        if end >= next_look and end + _AT_ONCE <= n_cols:
-            if _goes_on(mask, known, contexts, row, end):
-                n += (_AT_ONCE >> 1) * (
-                    np.int64(contexts[end] != _KNOWN) + np.int64(contexts[end + 1] != _KNOWN)
-                )
-                end += _AT_ONCE
-                continue
-            next_look = end + _AT_ONCE
-        if contexts[end] == _KNOWN:
-            if known[row, end + 1] != VALID:
-                break
-        elif not _is_settled(contexts[end], models):
+        if contexts[end] != contexts[end - 2] or known[row, end + 1] != known[row, end - 1]:
             break
-        else:
-            if mask is not None:
-                if not mask[row, end]:
-                    break
-            n += 1
         end += 1
-    return n, end
+    return min(end, n_cols)
+
+
+@kernel_part
+def _code_run(at, mask, coder, known, contexts, row, col, end):
+    """Code the ones that samples of a run (`_end_of_run`) begin with; return where they end.
+
+    And `at`. The sample to the west is a one.
+    """
+    state, stream, models, is_encoder = coder
+    first, second = contexts[col], contexts[col + 1]
+    # A known void: no ones to code.
+    if first == _KNOWN and known[row, col + 1] != VALID:
+        return col, at
+    if second == _KNOWN and known[row, col + 2] != VALID:
+        return col, at
+    last = end
+    if mask is not None:
+        last = col
+        while last < end and mask[row, last]:
+            last += 1
+    if first == second == _KNOWN:
+        return last, at
+    if first != _KNOWN and second != _KNOWN:
+        n_ones, at = code_ones_in_turns(
+            at, state, stream, models, is_encoder, first + _WEST, second + _WEST, last - col
+        )
+        return col + n_ones, at
+    skipped = np.int64(first == _KNOWN)
+    n = (last - col + 1 - skipped) >> 1
+    n_ones, at = code_ones(
+        at, state, stream, models, is_encoder, max(first, second) + _WEST, n
+    )  # the model of the samples between known ones
+    return last if n_ones == n else col + skipped + 2 * n_ones, at
 
 
 @kernel_part
@@ -286,29 +290,20 @@ def _code_known(mask, coder, known, contexts, padded):
     state, stream, models, is_encoder = coder
     at = take_out(state)
     for row in range(n_rows):
-        west, col = np.int64(0), 0
+        west, col, end = np.int64(0), np.int64(0), np.int64(0)
         if _row_models(padded, known, row, contexts):
             _copy_known(padded, known, row, n_cols)
             continue
         while col < n_cols:
-            if west == 1 and _is_settled(contexts[col], models):
-                n, end = _run_of_ones(mask, known, contexts, models, row, col, n_cols)
-                n_ones, at = code_ones(
-                    at, state, stream, models, is_encoder, contexts[col] + _WEST, n
-                )
-                if n_ones == n:  # nearly always
-                    padded[row + 1, col + 1 : end + 1] = True
-                    col = end
-                # Up to the zero that stopped it, if one did.
-                while col < end and (n_ones > 0 or contexts[col] == _KNOWN):
-                    if contexts[col] != _KNOWN:
-                        if n_ones == 0:
-                            break
-                        n_ones, n = n_ones - 1, n - 1
-                    padded[row + 1, col + 1] = True
-                    col += 1
-                if col == n_cols:
-                    break
+            if west == 1:
+                if col >= end:
+                    end = _end_of_run(known, contexts, row, col, n_cols)
+                if end - col >= _LEAST_RUN:
+                    after, at = _code_run(at, mask, coder, known, contexts, row, col, end)
+                    padded[row + 1, col + 1 : after + 1] = True
+                    col = after
+                    if col == n_cols:
+                        break
             if contexts[col] == _KNOWN:
                 west = np.int64(known[row, col + 1] == VALID)
             else:

@@ -322,15 +322,51 @@ def code_ones(at, state, stream, models, is_encoder, index, n):
             if point >= bound:
                 break
         span = bound
-        if count < _COUNT_LIMIT:
-            rest -= (rest * RATES[np.uint64(count)]) >> 16
-            count += 1
-        else:
-            rest -= rest >> _LAST_RATE
+        rest, count = _after_one(rest, count)
         n_coded += 1
         span, point, pos = _renewed(span, point, pos, state, stream, is_encoder)
     models[index] = (((1 << _PROB_BITS) - rest) << _COUNT_BITS) | count
     return n_coded, (span, point, pos)
+
+
+@kernel
+def code_ones_in_turns(at, state, stream, models, is_encoder, first, second, n):
+    """Code `n` ones as `code_ones` does, with ``models[first]`` and ``models[second]`` in turns."""
+    first, second = np.uint64(first), np.uint64(second)
+    if first == second or models[first] == models[second] == SETTLED_ON_ONES:
+        return code_ones(at, state, stream, models, is_encoder, first, n)
+    state, stream = borrowed((state, stream))
+    span, point, pos = at
+    prob, count = _parts_of(models[first])
+    other_prob, other_count = _parts_of(models[second])
+    rest, other_rest = (1 << _PROB_BITS) - prob, (1 << _PROB_BITS) - other_prob
+    n_coded = np.int64(0)
+    while n_coded < n:
+        bound = (span >> 16) * _scale_of_ones(rest)
+        if is_encoder is None:
+            if point >= bound:
+                break
+        span = bound
+        rest, count = _after_one(rest, count)
+        rest, other_rest, count, other_count = other_rest, rest, other_count, count
+        n_coded += 1
+        span, point, pos = _renewed(span, point, pos, state, stream, is_encoder)
+    if n_coded & 1:
+        rest, other_rest, count, other_count = other_rest, rest, other_count, count
+    models[first] = (((1 << _PROB_BITS) - rest) << _COUNT_BITS) | count
+    models[second] = (((1 << _PROB_BITS) - other_rest) << _COUNT_BITS) | other_count
+    return n_coded, (span, point, pos)
+
+
+@inlined_kernel
+def _after_one(rest, count):
+    """Return what the probability of a zero, and the count of a model, are after a one."""
+    if count < _COUNT_LIMIT:
+        rest -= (rest * RATES[np.uint64(count)]) >> 16
+        count += 1
+    else:
+        rest -= rest >> _LAST_RATE
+    return rest, count
 
 
 @inlined_kernel

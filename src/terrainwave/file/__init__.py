@@ -204,7 +204,8 @@ class TerrainFile(DescribedFile):
         index, region = asked.level, asked.region
         self._check_size(out_shape or region.shape, max_bytes)
         if out_shape is None:
-            heights, void = self._levels.read(index, region, on_error, voids)
+            value = None if masked else self._raster.void_value
+            heights, void = self._levels.read(index, region, on_error, voids, void_value=value)
         else:
             heights, void = resample(
                 lambda shift, part: self._levels.read(index - shift, part, on_error, voids),

@@ -119,18 +119,23 @@ class LevelReader:
         on_error: str,
         voids: str | None,
         decoder: TreeDecoder | None = None,
+        void_value: float | None = None,
     ) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
         """Return raw heights of a region of a level and what is void; None where nothing is.
 
-        `decoder` decodes them, where it is not the file's own.
+        `decoder` decodes them, where it is not the file's own. With `void_value`, voids that are
+        not told have that height already.
         """
         is_by_finest, is_own = self._is_by_finest(level, voids), voids != ANY
+        filled_with = None if self._is_untold(level) else void_value
 
         def by_library(native: NativeFile) -> _Heights:
             return native.read(level, region, is_own=is_own)
 
         def by_units(units: TreeDecoder) -> _Heights:
-            return self._windows.read(units, level, region, on_error, is_own=is_own)
+            return self._windows.read(
+                units, level, region, on_error, is_own=is_own, void_value=filled_with
+            )
 
         if decoder is not None:
             heights, void = by_units(decoder)

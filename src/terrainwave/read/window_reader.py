@@ -5,7 +5,7 @@ import logging
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,14 +64,21 @@ class WindowReader:
         on_error: str = "raise",
         *,
         is_own: bool,
+        void_value: float | None = None,
     ) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
         """Return raw heights of a region of a level and what is void; None where nothing is.
 
         With `on_error` ``"mask"``, damaged units read as void; with `is_own`, what is not valid by
-        itself is.
+        itself is. With `void_value` voids have that height, and are not told.
         """
         heights = np.zeros(region.shape, dtype=self._dtype)
-        voids = _Voids(region, are_all=on_error == "mask")
+        voids: _Voids | _Filled
+        if void_value is None:
+            voids = _Voids(region, are_all=on_error == "mask")
+        else:
+            voids = _Filled(heights, void_value)
+            if on_error == "mask":
+                heights[:] = void_value
         begun = decoder.beginnings(level, region)
 
         def fill(key: Block) -> None:
@@ -194,6 +201,20 @@ class _Voids:
             self.marked[there] = False
         else:
             np.logical_not(valid, out=self.marked[there])
+
+
+class _Filled(NamedTuple):
+    """Heights whose voids get a value, of each unit while it is in the processor's cache."""
+
+    heights: NDArray[Any]
+    value: float
+    marked: None = None
+
+    def note(self, there: tuple[slice, slice], valid: NDArray[np.bool_] | None) -> None:
+        """Fill the voids of a part of the region, whose heights are there; None: it has none."""
+        if valid is not None:
+            # After the heights, so that what two threads' units share ends up the same.
+            np.copyto(self.heights[there], self.value, where=np.logical_not(valid))
 
 
 def _fill_or_decode(

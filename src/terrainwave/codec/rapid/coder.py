@@ -345,8 +345,9 @@ class UnitCoder:
                 raise CorruptStreamError(
                     "all heights of a unit that is not wide are too far from 0"
                 )
-        if spec.region != spec.core:
-            out[:] = 0  # a lattice fills all but the apron, whose lines may not meet
+        # A lattice fills all but the apron, whose lines may not meet.
+        for side in _aprons(spec, out):
+            side[:] = 0
         unit = _Unit(
             spec=spec,
             is_encoding=target is not None,
@@ -366,8 +367,8 @@ class UnitCoder:
             self._code_root(unit, known)
         else:
             self._code_group(unit, parent, n_rows)
-        if spec.region != spec.core:
-            np.clip(out, spec.z_min, spec.z_max, out=out)
+        for side in _aprons(spec, out):
+            np.clip(side, spec.z_min, spec.z_max, out=side)
 
     def _code_group(self, unit: _Unit, parent: Heights, n_rows: int) -> None:
         spec = unit.spec
@@ -490,6 +491,14 @@ def _flat(heights: Heights) -> tuple[Heights, int]:
 
 def _address(heights: Heights) -> int:
     return int(heights.__array_interface__["data"][0])
+
+
+def _aprons(spec: GroupSpec, out: Heights) -> list[Heights]:
+    """Return the rows and columns of a unit that are not its core's."""
+    if spec.region == spec.core:
+        return []
+    rows, cols = spec.core.slices_in(spec.region)
+    return [out[: rows.start], out[rows.stop :], out[:, : cols.start], out[:, cols.stop :]]
 
 
 def _first(spec: GroupSpec) -> int:
