@@ -337,7 +337,7 @@ def test_the_bound_reaches_its_kernel_through_few_files(tmp_path, method, caller
     coded, paths = getattr(module, kernel), []
 
     def noting(*given, **named):
-        # A thread codes; the one that compresses waits for it.
+        # A thread codes; the one that compresses waits for it, or codes itself.
         waiting = sys._current_frames()[threading.main_thread().ident]
         stacks = [*traceback.extract_stack(), *traceback.extract_stack(waiting)]
         paths.append({frame.filename for frame in stacks})
@@ -348,6 +348,7 @@ def test_the_bound_reaches_its_kernel_through_few_files(tmp_path, method, caller
         compress(heights, tmp_path / "a.twz", max_error=1, method=method, mesh="none", verify=False)
     ours = {Path(path) for path in paths[-1] if Path(path).is_relative_to(PACKAGE)}
     assert ours >= {PACKAGE / "write" / "compress.py"}
+    ours -= {PACKAGE / "grid" / "crew.py"}  # which hands on any work
     assert len(ours | {Path(sys.modules[coded.__module__].__file__)}) <= MOST_FILES, ours
 
 

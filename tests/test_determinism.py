@@ -4,7 +4,6 @@ import hashlib
 import os
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from strategies import terrain_like, write_geotiff
 from twz import grouped, twz_bytes
 
 from terrainwave.container.page import page_layout
+from terrainwave.grid.crew import Crew
 from terrainwave.write import compress as compression
 from terrainwave.write import pyramid
 
@@ -43,8 +43,8 @@ def test_the_number_of_threads_does_not_matter(method, expected, threads):
     assert twz_bytes(HEIGHTS, method=method, threads=threads, **options_of(method)) == expected
 
 
-class ShuffledExecutor(ThreadPoolExecutor):
-    """Runs what is mapped in a random order, results in the right one."""
+class ShuffledCrew(Crew):
+    """Does what it is asked to in a random order; results come in the right one."""
 
     seed = 0
 
@@ -55,12 +55,17 @@ class ShuffledExecutor(ThreadPoolExecutor):
             results[index] = function(*items[index])
         return iter([results[index] for index in range(len(items))])
 
+    def grow(self, work, things):
+        rng, waiting = np.random.default_rng(self.seed), list(things)
+        while waiting:
+            waiting += work(waiting.pop(int(rng.integers(len(waiting)))))
+
 
 @pytest.mark.large
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_order_of_units_and_windows_does_not_matter(monkeypatch, method, expected, seed):
-    monkeypatch.setattr(ShuffledExecutor, "seed", seed)
-    monkeypatch.setattr(compression, "ThreadPoolExecutor", ShuffledExecutor)
+    monkeypatch.setattr(ShuffledCrew, "seed", seed)
+    monkeypatch.setattr(compression, "Crew", ShuffledCrew)
     monkeypatch.setattr(pyramid, "TILE", 32)
     assert twz_bytes(HEIGHTS, method=method, **options_of(method)) == expected
 

@@ -8,7 +8,7 @@ the default size, are coded here. Bytes are those of `local_passes`.
 import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import lru_cache
@@ -24,6 +24,7 @@ from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.writer import store_segments
 from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveWarning
 from terrainwave.grid.block_stats import BlockStats
+from terrainwave.grid.crew import Crew
 from terrainwave.grid.digest import HeightDigest
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import HeightScan
@@ -109,7 +110,7 @@ class DistributedPasses:
 
     Parameters
     ----------
-    executor : Executor
+    executor : Crew
         Threads here, for the levels above the tasks.
     directory : Path
         For temporary files here.
@@ -122,7 +123,7 @@ class DistributedPasses:
     level: int
     depot: Depot
     directory: Path
-    executor: Executor
+    executor: Crew
     reporter: Reporter
     has_digest: bool = False
 

@@ -12,7 +12,6 @@ import os
 import tempfile
 import warnings
 from collections.abc import Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -40,6 +39,7 @@ from terrainwave.container.targets.upload import uploaded
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.file.raster import raster_source
+from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Grid
 from terrainwave.names import FORMATS
 from terrainwave.place.units import height_unit
@@ -420,7 +420,7 @@ def _write(
     `path` is where `file` lies; None for one in memory.
     """
     grid = Grid(source.info.n_rows, source.info.n_cols, options.block)
-    with ThreadPoolExecutor(options.n_threads, thread_name_prefix="terrainwave") as executor:
+    with Crew(options.n_threads) as executor:
         has_digest = options.keep_origin
         made = _passes(
             source, grid, directory, executor, reporter, cluster, kept, has_digest=has_digest
@@ -478,7 +478,7 @@ def _passes(
     source: RasterSource,
     grid: Grid,
     directory: Path,
-    executor: Executor,
+    executor: Crew,
     reporter: Reporter,
     cluster: _Cluster | None,
     kept: Kept | None,

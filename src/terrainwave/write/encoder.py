@@ -6,10 +6,10 @@ machines. Nothing here depends on the order.
 """
 
 import copy
+import math
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from concurrent.futures import Executor
 from functools import partial
 from typing import Any, NamedTuple, Protocol, Self
 
@@ -25,6 +25,7 @@ from terrainwave.grid.block_stats import (
     measure_block,
     measure_samples,
 )
+from terrainwave.grid.crew import Crew
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid, Region
 from terrainwave.grid.sample_windows import HeightsOf, MaskOf
@@ -34,7 +35,7 @@ from terrainwave.write.passes.repeats import RepeatingSink, Repeats
 from terrainwave.write.passes.resuming import KeptUnits
 from terrainwave.write.pyramid import Pyramid
 
-# The first levels are walked breadth first until there are this many subtrees to share out.
+# Of levels with fewer blocks, threads share out units instead of subtrees.
 _MIN_SUBTREES = 8
 
 Stats = dict[Block, BlockStats]
@@ -67,13 +68,11 @@ class _Taken:
         raise AssertionError(f"{head} is coded by itself")
 
 
-def fitted_refiner(
-    job: Job, heights: HeightsOf, mask: MaskOf, executor: Executor
-) -> tuple[Refiner, bytes]:
+def fitted_refiner(job: Job, heights: HeightsOf, mask: MaskOf, crew: Crew) -> tuple[Refiner, bytes]:
     """Return the refiner of a job's method, and the tables that are fitted to the raster.
 
     `heights` and `mask` return targets and validity of a region of a level. The tables are empty
-    where the method has none, or no sample is valid. The threads of `executor` fit them.
+    where the method has none, or no sample is valid. The threads of `crew` fit them.
     """
     refiner = refiner_by_name(job.options.named_method.name)
     if not isinstance(refiner, FittingRefiner) or not job.n_valid:
@@ -84,7 +83,7 @@ def fitted_refiner(
         heights,
         mask,
         may_have_reach=job.options.may_be_new,
-        each=executor.map,
+        each=crew.map,
     )
     return fitted, fitted.file_tables
 
@@ -110,6 +109,10 @@ def distance_of(
     row = core.row - ancestor.region.row * stride
     col = core.col - ancestor.region.col * stride
     return measure_block(ancestor.heights, stride, originals, mask, row, col, limits)
+
+
+# The key of a unit, the block above it as decoded, and that block's ancestors with it.
+Start = tuple[Block, Decoded | None, list[Ancestor]]
 
 
 class UnitEncoder(ABC):
@@ -153,24 +156,30 @@ class UnitEncoder(ABC):
         self._stopped = threading.Event()
         self._kept_units = kept
 
-    def run(self, executor: Executor) -> Stats:
+    def run(self, crew: Crew) -> Stats:
         """Encode all down to the last level; return range and measured error of every block.
 
         Without the finest level nothing of the originals is measured.
         """
-        starts: list[tuple[Block, Decoded | None, list[Ancestor]]]
-        starts = [(key, None, []) for key in self._grid.root_keys()]
+        crew.grow(lambda start: self._encode_part(*start), self._starts())
+        return self._stats
+
+    def _starts(self) -> list[Start]:
+        return [(key, None, []) for key in self._grid.root_keys()]
+
+    def _encode_part(
+        self, key: Block, parent: Decoded | None, chain: list[Ancestor]
+    ) -> list[Start]:
+        """Encode a subtree, or of a large one the first unit; return what is left below it."""
         try:
-            while starts and len(starts) < _MIN_SUBTREES:
-                following = executor.map(lambda start: self._encode_unit(*start), starts)
-                starts = [start for children in following for start in children]
-            for _ in executor.map(lambda start: self._encode_subtree(*start), starts):
-                pass
+            if key.is_root_key or math.prod(self._grid.level_blocks(key.level)) < _MIN_SUBTREES:
+                return self._encode_unit(key, parent, chain)
+            self._encode_subtree(key, parent, chain)
         except BaseException:
             # Ctrl-C, a full disk: subtrees that run in other threads end at their next unit.
             self._stopped.set()
             raise
-        return self._stats
+        return []
 
     def run_subtree(self, head: Block, decoded: Callable[[Block], Decoded]) -> Stats:
         """Encode the groups of `head` and of all blocks below it, in this thread.
@@ -289,7 +298,7 @@ class UnitEncoder(ABC):
 
     def _encode_unit(
         self, key: Block, parent: Decoded | None, chain: list[Ancestor]
-    ) -> list[tuple[Block, Decoded, list[Ancestor]]]:
+    ) -> list[Start]:
         """Encode one unit; return what is to be encoded below it."""
         grid = self._grid
         spec = unit_spec(grid, self._parameters, key)

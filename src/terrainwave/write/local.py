@@ -1,11 +1,11 @@
 """The three passes of `compress` over a raster, in threads of this process."""
 
 import os
-from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from terrainwave.container.targets.kept import Kept
+from terrainwave.grid.crew import Crew
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.grid.steps import FixedSteps
 from terrainwave.progress import Reporter
@@ -26,7 +26,7 @@ class LocalPasses:
 
     source: RasterSource
     directory: Path
-    executor: Executor
+    executor: Crew
     reporter: Reporter
     has_digest: bool = False
     kept: Kept = field(default_factory=Kept)

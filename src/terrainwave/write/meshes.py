@@ -3,7 +3,6 @@
 import logging
 import os
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -20,6 +19,7 @@ from terrainwave.container.targets.publication import publish, refuse_own_source
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.file import TerrainFile
+from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import as_fraction
 from terrainwave.mesh.blocks import Originals, default_mesh_error, measure_meshes, mesh_tolerance
@@ -87,7 +87,7 @@ def store_meshes(
         publish(dst, overwrite=overwrite) as part,
         TerrainFile(src, threads=1) as terrain,
         scratch_directory(Path(dst).absolute().parent, Path(dst).name) as directory,
-        ThreadPoolExecutor(n_threads, thread_name_prefix="terrainwave") as executor,
+        Crew(n_threads) as executor,
     ):
         container = terrain.container
         method, is_faithful = METHODS[container.header.method], container.header.is_faithful

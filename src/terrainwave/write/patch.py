@@ -13,7 +13,6 @@ docs/decisions/0023).
 
 import logging
 import os
-from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -34,6 +33,7 @@ from terrainwave.container.writer import assemble
 from terrainwave.errors import BoundViolationError, InvalidHeightsError
 from terrainwave.file import TerrainFile
 from terrainwave.file.info import format_of
+from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS, methods_that
 from terrainwave.progress import ProgressCallback, Reporter
@@ -155,7 +155,7 @@ def patch(
         run_directory(
             temp_dir or final.parent, final, read, terrain.shape, depends_on, fresh=fresh
         ) as (directory, kept),
-        ThreadPoolExecutor(n_threads, thread_name_prefix="terrainwave") as executor,
+        Crew(n_threads) as executor,
     ):
         method = METHODS[terrain.header.method]
         if not method.is_patchable:
@@ -210,7 +210,7 @@ class _Patcher:
         terrain: TerrainFile,
         merged: Merged,
         directory: Path,
-        executor: Executor,
+        executor: Crew,
         reporter: Reporter,
         kept: Kept,
     ) -> None:

@@ -9,7 +9,7 @@ memory is bounded by the subtree's levels in spools of 20 MiB each, the rest on 
 import os
 import tempfile
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -30,6 +30,7 @@ from terrainwave.container.writer import store_segments, stored_places
 from terrainwave.file import TerrainFile
 from terrainwave.file.raster import raster_source
 from terrainwave.grid.block_stats import BlockStats
+from terrainwave.grid.crew import Crew
 from terrainwave.grid.digest import HeightDigest
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import HeightScan
@@ -201,7 +202,7 @@ def _bench(raster: RasterPlace) -> Iterator[_Bench]:
     with (
         raster.open() as source,
         scratch_directory(raster.folder or tempfile.gettempdir(), "terrainwave") as directory,
-        ThreadPoolExecutor(1) as executor,
+        Crew(1) as executor,
     ):
         yield _Bench(source, directory, executor)
 

@@ -23,6 +23,7 @@ from terrainwave.codec.cdf53.tile_layout import TileLayout, TileSpec
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Validity
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.errors import InvalidArgumentError
+from terrainwave.grid.crew import Crew
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.read.tile_decoder import final_heights
@@ -46,7 +47,7 @@ def encode_tiles(
     sink: PayloadSink,
     directory: Path,
     on_samples: Callable[[int], None],
-    executor: Executor,
+    executor: Crew,
 ) -> Stats:
     """Code every tile, cut where the job says so; return what was measured."""
     options, parameters = job.options, job.parameters

@@ -2,7 +2,6 @@
 
 import threading
 from collections.abc import Callable
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
@@ -16,6 +15,7 @@ from terrainwave.container.depot import StoredSegment
 from terrainwave.container.spool import LikeSegment, SegmentSpool
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.targets.kept import Kept
+from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.blocks import measure_meshes
 from terrainwave.mesh.sections import make_meshes
@@ -67,7 +67,7 @@ def encode(
     job: Job,
     source: SourceWindows,
     directory: Path,
-    executor: Executor,
+    executor: Crew,
     reporter: Reporter,
     kept: Kept,
 ) -> Coded:
@@ -139,7 +139,7 @@ def encode(
     return Coded(file_tables, {**sink.spools}, sink.n_bytes + len(file_tables), job)
 
 
-def _fitted(job: Job, pyramid: Pyramid, kept: Kept, executor: Executor) -> tuple[Refiner, bytes]:
+def _fitted(job: Job, pyramid: Pyramid, kept: Kept, executor: Crew) -> tuple[Refiner, bytes]:
     """Return the refiner of a job's method, and its tables, which are kept."""
     method = job.options.named_method.name
     name = f"{method}/tables"
@@ -157,7 +157,7 @@ def _encode_units(
     pyramid: Pyramid,
     sink: SpoolSink,
     on_samples: Callable[[int], None],
-    executor: Executor,
+    executor: Crew,
     kept: Kept,
     below: dict[Block, Box],
 ) -> tuple[Stats, dict[Block, Decoded]]:
@@ -209,7 +209,7 @@ def _mesh_errors(
     pyramid: Pyramid,
     sink: SpoolSink,
     errors: dict[Block, int],
-    executor: Executor,
+    executor: Crew,
     reporter: Reporter,
 ) -> dict[Block, int]:
     """Make the meshes; return the error code of every block's mesh against the originals."""

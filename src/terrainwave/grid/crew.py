@@ -1,0 +1,153 @@
+"""Threads that work side by side."""
+
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
+from typing import Any, Generic, TypeVar, cast
+
+T = TypeVar("T")
+Result = TypeVar("Result")
+
+
+class Crew(ThreadPoolExecutor):
+    """Threads that work side by side; the one that asks them to is one of them.
+
+    What it does itself needs no hand-over, which costs more than many a task. With one thread no
+    other is started.
+
+    Parameters
+    ----------
+    n_threads : int
+        How many work at a time; >= 1.
+    """
+
+    def __init__(self, n_threads: int) -> None:
+        super().__init__(max(n_threads - 1, 1), thread_name_prefix="terrainwave")
+        self._n_others = n_threads - 1
+
+    def map(
+        self,
+        fn: Callable[..., Result],
+        *iterables: Iterable[Any],
+        timeout: float | None = None,
+        chunksize: int = 1,  # noqa: ARG002  of pools of processes
+    ) -> Iterator[Result]:
+        """Do as `Executor.map`; what waits for a result works meanwhile. There is no `timeout`."""
+        if timeout is not None:
+            raise ValueError(f"found `timeout` {timeout}, expected None")
+        turns = _Turns(fn, list(zip(*iterables, strict=False)))
+        for _ in range(min(self._n_others, len(turns.tasks) - 1)):
+            self.submit(turns.take_all)
+        return turns.results()
+
+    def grow(self, work: Callable[[T], Iterable[T]], things: Iterable[T]) -> None:
+        """Call `work` with things and with those that it returns, until there are none.
+
+        The newest first: few wait at a time. The first error is raised when all threads have
+        ended what they were at.
+        """
+        growth = _Growth(work, list(things))
+        others = [self.submit(growth.take_all) for _ in range(self._n_others)]
+        try:
+            growth.take_all()
+        except BaseException:
+            growth.stop()
+            raise
+        finally:
+            wait(others)
+        for other in others:
+            other.result()
+
+
+class _Turns(Generic[Result]):
+    """Tasks that threads take in turns; their results in order."""
+
+    def __init__(self, function: Callable[..., Result], tasks: list[tuple[Any, ...]]) -> None:
+        self._function = function
+        self.tasks = tasks
+        self._next = 0
+        self._found: dict[int, tuple[Result | None, BaseException | None]] = {}
+        self._changed = threading.Condition()
+
+    def take_all(self) -> None:
+        """Do tasks until all are taken."""
+        while self._take_one():
+            pass
+
+    def results(self) -> Iterator[Result]:
+        """Yield results in order; do tasks while the next one is not there."""
+        try:
+            for index in range(len(self.tasks)):
+                while index not in self._found and self._take_one():
+                    pass
+                with self._changed:
+                    while index not in self._found:
+                        self._changed.wait()
+                    result, error = self._found.pop(index)
+                if error is not None:
+                    raise error
+                yield cast(Result, result)
+        finally:
+            self._stop()
+
+    def _take_one(self) -> bool:
+        """Do the next task; False if all are taken."""
+        with self._changed:
+            index = self._next
+            if index >= len(self.tasks):
+                return False
+            self._next += 1
+        result, error = None, None
+        try:
+            result = self._function(*self.tasks[index])
+        except BaseException as raised:  # noqa: BLE001  raised where its result is awaited
+            error = raised
+            self._stop()  # of those before it, each is taken
+        with self._changed:
+            self._found[index] = result, error
+            self._changed.notify_all()
+        return True
+
+    def _stop(self) -> None:
+        with self._changed:
+            self._next = len(self.tasks)
+
+
+class _Growth(Generic[T]):
+    """Things that wait for a thread, newest last, and how many threads may add to them."""
+
+    def __init__(self, work: Callable[[T], Iterable[T]], things: list[T]) -> None:
+        self._work = work
+        self._waiting = things[::-1]
+        self._n_busy = 0
+        self._is_stopped = False
+        self._changed = threading.Condition()
+
+    def take_all(self) -> None:
+        """Work until nothing waits, and nothing more can come."""
+        while True:
+            with self._changed:
+                while not self._waiting and self._n_busy:
+                    self._changed.wait()
+                if not self._waiting:
+                    return
+                thing = self._waiting.pop()
+                self._n_busy += 1
+            following: list[T] = []
+            try:
+                following = list(self._work(thing))
+            except BaseException:
+                self.stop()
+                raise
+            finally:
+                with self._changed:
+                    if not self._is_stopped:
+                        self._waiting += following[::-1]
+                    self._n_busy -= 1
+                    self._changed.notify_all()
+
+    def stop(self) -> None:
+        """Let threads end after what they are at."""
+        with self._changed:
+            self._is_stopped = True
+            self._waiting.clear()

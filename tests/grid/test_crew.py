@@ -1,0 +1,131 @@
+"""Crews: everything is done once, in any order, by so many threads; the first error counts."""
+
+import threading
+import time
+
+import pytest
+
+from terrainwave.grid.crew import Crew
+
+CREWS = pytest.mark.parametrize("n_threads", [1, 2, 5])
+
+
+@CREWS
+def test_results_come_in_order(n_threads):
+    def doubled(number):
+        time.sleep(0.002 if number % 3 == 0 else 0)  # so that later ones are done earlier
+        return 2 * number
+
+    with Crew(n_threads) as crew:
+        assert list(crew.map(doubled, range(50))) == list(range(0, 100, 2))
+        assert list(crew.map(doubled, [])) == []
+
+
+def test_a_task_gets_one_of_each_iterable():
+    with Crew(2) as crew:
+        assert list(crew.map(pow, [2, 3, 4], [5, 2, 9, 9])) == [32, 9, 4**9]
+
+
+@CREWS
+def test_so_many_threads_work_and_the_asking_one_is_one_of_them(n_threads):
+    # Passed only when all are there.
+    together = threading.Barrier(n_threads, timeout=20)
+
+    def meet(_):
+        together.wait()
+        return threading.current_thread()
+
+    with Crew(n_threads) as crew:
+        threads = set(crew.map(meet, range(n_threads)))
+    assert len(threads) == n_threads
+    assert threading.current_thread() in threads
+
+
+def test_one_thread_starts_no_other():
+    before = threading.active_count()
+    with Crew(1) as crew:
+        assert list(crew.map(lambda _: threading.active_count(), range(3))) == [before] * 3
+        crew.grow(lambda number: range(number), [3])
+        assert threading.active_count() == before
+
+
+@CREWS
+def test_the_first_error_in_order_is_raised_and_ends_the_work(n_threads):
+    done = []
+
+    def work(number):
+        if number == 3:
+            raise KeyError(number)
+        done.append(number)
+        return number
+
+    with Crew(n_threads) as crew:
+        found = crew.map(work, range(1000))
+        assert [next(found) for _ in range(3)] == [0, 1, 2]
+        with pytest.raises(KeyError, match="3"):
+            next(found)
+    assert len(done) < 1000
+
+
+def test_tasks_may_ask_for_more():
+    with Crew(2) as crew:
+        rows = crew.map(lambda row: sum(crew.map(lambda col: row * col, range(10))), range(20))
+        assert list(rows) == [45 * row for row in range(20)]
+
+
+def test_there_is_no_timeout():
+    with Crew(2) as crew, pytest.raises(ValueError, match="timeout"):
+        crew.map(abs, [1], timeout=1.0)
+
+
+@CREWS
+def test_what_grows_is_done_once(n_threads):
+    # The nodes of a binary tree by their numbers.
+    done = []
+
+    def children(node):
+        done.append(node)
+        return [2 * node, 2 * node + 1] if node < 64 else []
+
+    with Crew(n_threads) as crew:
+        crew.grow(children, [1])
+        crew.grow(children, [])
+    assert sorted(done) == list(range(1, 128))
+
+
+def test_the_newest_is_done_first():
+    done = []
+
+    def children(node):
+        done.append(node)
+        return [2 * node, 2 * node + 1] if node < 4 else []
+
+    with Crew(1) as crew:
+        crew.grow(children, [1])
+    assert done == [1, 2, 4, 5, 3, 6, 7]
+
+
+@pytest.mark.parametrize("n_threads", [1, 3])
+def test_an_error_ends_growth(n_threads):
+    def children(node):
+        if node == 8:
+            raise KeyError(node)
+        return [2 * node, 2 * node + 1]  # without end
+
+    with Crew(n_threads) as crew, pytest.raises(KeyError, match="8"):
+        crew.grow(children, [1])
+
+
+def test_an_error_of_another_thread_is_raised():
+    here = threading.current_thread()
+    started = threading.Event()
+
+    def work(_):
+        if threading.current_thread() is here:
+            assert started.wait(20)
+            return []
+        started.set()
+        raise KeyError("there")
+
+    with Crew(2) as crew, pytest.raises(KeyError, match="there"):
+        crew.grow(work, [1, 2])
