@@ -476,9 +476,11 @@ def test_samples_have_the_contexts_and_symbols_that_the_kernels_give_them(step, 
         mask[20:50, 60:90] = False
     file = FileTables(7, rapid_tables.family_of(step) + family, ((FileStencil(1),) * 3,) * 4, {})
     both = window[None], mask[None]
-    decoded = rapid_fitting._coded(
-        Tables(file), rapid_fitting._Sample(*both, step, 1.0, is_inner=True), map
-    )[1]
+    decoded = np.stack(
+        rapid_fitting._coded(
+            Tables(file), rapid_fitting._Sample(*both, step, 1.0, is_inner=True), map
+        )[1]
+    )
     seen = rapid_samples.look_at(decoded, mask[None], Tables(file), step)
     counted = rapid_samples.Counter(seen, step).counts(Tables(file))
     coded = rapid_fitting.count(file, *both, step, is_inner=True)

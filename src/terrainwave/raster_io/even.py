@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from terrainwave.errors import TerrainwaveError
 from terrainwave.grid.quadtree import Region
-from terrainwave.raster_io.gdal import bounded_env
 
 # Blocks of a GeoTIFF of which is kept whether they have bytes: one byte each.
 _MOST_BLOCKS = 1 << 25
@@ -179,8 +178,7 @@ class SparseBlocks:
     def _has_bytes(self, row: int, col: int) -> bool:
         if not self._state[row, col]:
             name = f"BLOCK_OFFSET_{col}_{row}"
-            with bounded_env():
-                offset = self._dataset.get_tag_item(name, "TIFF", bidx=self._band)
+            offset = self._dataset.get_tag_item(name, "TIFF", bidx=self._band)
             self._state[row, col] = 2 if offset is None else 1
         return bool(self._state[row, col] == 1)
 

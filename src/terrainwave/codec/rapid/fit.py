@@ -39,17 +39,17 @@ from terrainwave.grid.sample_windows import HeightsOf, MaskOf, spread_windows
 
 # Samples a side of a window, and samples of the raster for one; from 2 to 16 windows in all.
 _WINDOW = 257
-_SHARE = 1 << 16
+_SHARE = 1 << 17
 _LEAST_WINDOWS, _MOST_WINDOWS = 2, 16
 # Where there are more than 4, so many samples a side of at most 4 decide on stencils.
 _MOST_WHOLE, _FEW, _MOST_DECIDING = 4, 129, 4
 # And at most so many on weights of features and on contexts.
-_MOST_LOOKED_AT = 5
+_MOST_LOOKED_AT = 4
 _MIN_SAMPLES = 300
 _COST_OF_NONE = COST_UNIT * (11 + ESCAPE_BITS)  # of a symbol that takes an escape
 _FREQ_BITS = 3
 # A context starts from its trained frequencies as if it had been seen so often.
-_PRIOR = 120
+_PRIOR = 240
 _RAREST = N_SLOTS * ESCAPE_BITS * 2 // 3
 _SAVED_BY_REACH = 1 / 256
 # Bits of the samples that a weight is fitted to, which it saves by chance.
@@ -147,7 +147,7 @@ def _look(tables: FileTables, sample: "_Sample", each: Each) -> _Looked:
     windows, masks, read = sample.windows[every], sample.masks[every], Tables(tables)
     if sample.step > 1:
         some = _Sample(windows, masks, sample.step, sample.share, is_inner=True)
-        windows = _coded(read, some, each)[1]
+        windows = np.stack(_coded(read, some, each)[1])
     seen = look_at(windows, masks, read, sample.step, each)
     counter = Counter(seen, sample.step)
     n_samples = sample.share * sample.windows.size / windows.size * np.count_nonzero(masks)
@@ -242,7 +242,9 @@ def count(
     return _coded(Tables(tables), _Sample(windows, masks, step, 1.0, is_inner), each)[0]
 
 
-def _coded(tables: Tables, sample: "_Sample", each: Each) -> tuple[NDArray[np.int64], Heights]:
+def _coded(
+    tables: Tables, sample: "_Sample", each: Each
+) -> tuple[NDArray[np.int64], list[Heights]]:
     """Code windows as root blocks; return how often each symbol came, and the decoded heights."""
     coder = UnitCoder(tables)
 
@@ -258,7 +260,7 @@ def _coded(tables: Tables, sample: "_Sample", each: Each) -> tuple[NDArray[np.in
     found = list(each(code, list(zip(sample.windows, sample.masks, strict=True))))
     counts = np.add.reduce([own for own, _ in found]).sum(0)
     by_context = counts.reshape(N_CONTEXTS, 1 << SYMBOL_BITS)[:, :N_SYMBOLS]
-    return np.ascontiguousarray(by_context), np.stack([heights for _, heights in found])
+    return np.ascontiguousarray(by_context), [heights for _, heights in found]
 
 
 @cache
