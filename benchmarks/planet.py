@@ -9,7 +9,9 @@ they were measured: what counts is how many there are, and where.
 Every stage is a process of its own with two threads. `window` rows open the file, and read
 512 x 512 samples of the finest level and of every level by an open file, from disk and from a
 server on this machine, whose requests are counted, and the rounds of them: those that are out at
-the same time. `verify original` compares with the VRT. `decompress` writes the full grid of an 8th
+the same time. `orbit` is a picture of the whole, `low` one from 9000 m, `ground` from 100 m above
+the ground. `first picture` opens what `publish` made in Chromium (`benchmarks.first_picture`).
+`verify original` compares with the VRT. `decompress` writes the full grid of an 8th
 of the planet or less, else the finest level that is as small.
 
 Exit status: 0 good; 1 a command failed; 2 wrong usage.
@@ -40,11 +42,12 @@ SEAS = (
 # Where the dense area begins: north-west of it, in degrees.
 DENSE = (60.0, 60.0)
 STAGES = (
-    "compress", "verify", "verify original", "window", "mesh", "tiles", "publish", "orbit", "low",
-    "decompress",
+    "compress", "verify", "verify original", "window", "mesh", "tiles", "publish", "first picture",
+    "orbit", "low", "ground", "decompress",
 )  # fmt: skip
-# The part of rows and columns that is decompressed, and seconds of a round trip to the server.
-DECOMPRESSED, LATENCY = 8, 0.05
+# The part of rows and columns that is decompressed; seconds of a round trip to the server, and bits
+# a second to the page.
+DECOMPRESSED, LATENCY, BITS = 8, 0.05, 20e6
 
 _MAKE = """
 import sys
@@ -73,6 +76,24 @@ import sys
 import terrainwave
 with terrainwave.open(sys.argv[1], threads=2) as terrain:
     terrain.read((*map(int, sys.argv[2:4]), 512, 512))
+"""
+_GROUND = """
+import sys
+import terrainwave
+from terrainwave.cli import main
+twz, lon, lat, above, view, *more = sys.argv[1:]
+with terrainwave.open(twz) as terrain:
+    height = terrain.sample([(float(lon), float(lat))])[0] + float(above)
+main(["render", twz, *more, "--camera", f"{lon},{lat},{height},{view}"])
+"""
+_FIRST_PICTURE = """
+import sys
+from pathlib import Path
+from benchmarks.first_picture import WATCH, first_picture
+from ext.browser import chromium
+with chromium() as driver:
+    driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": WATCH})
+    print(*first_picture(driver, Path(sys.argv[1]), *map(float, sys.argv[2:])))
 """
 
 # One line of the CSV.
@@ -153,7 +174,7 @@ def dense_place(share: int) -> tuple[int, int]:
 
 
 def commands(folder: Path, share: int) -> dict[str, list[str]]:
-    """Return the command of every stage but `window`."""
+    """Return the command of every stage but `window` and `first picture`."""
     row, col = (place + 1000 for place in dense_place(share))
     twz, tif = str(folder / "planet.twz"), str(folder / "planet.vrt")
     common_options = ["--overwrite", "--quiet", "--threads", THREADS]
@@ -178,9 +199,10 @@ def commands(folder: Path, share: int) -> dict[str, list[str]]:
             str(-1 - _n_coarser(share)),
         ],
     }
+    ground = [twz, str(lon), str(lat), "100", "135,-10,60", *picture]
     return {
         stage: [sys.executable, "-c", common.CLI, *arguments] for stage, arguments in found.items()
-    }
+    } | {"ground": [sys.executable, "-c", _GROUND, *ground]}
 
 
 def _n_coarser(share: int) -> int:
@@ -200,6 +222,9 @@ def measured(data: Path, folder: Path, share: int, dense: int, stages: list[str]
         if stage == "window":
             yield from _window_rows(folder, share, dense)
             continue
+        if stage == "first picture":
+            yield _first_picture_row(folder, share, dense)
+            continue
         used = common.run_and_measure(every[stage])
         n = n_samples >> 2 * _n_coarser(share) if stage == "decompress" else n_samples
         yield Row(share, dense, stage, n, *map(_rounded, used), 0, 0, twz.stat().st_size)
@@ -218,6 +243,16 @@ def _window_rows(folder: Path, share: int, dense: int) -> Iterator[Row]:
             n_bytes = sum(exchange.n_bytes for exchange in server.log)
             counts = len(server.log), n_rounds(server.log), n_bytes
         yield Row(share, dense, f"{name} http", n_samples, *map(_rounded, used), *counts)
+
+
+def _first_picture_row(folder: Path, share: int, dense: int) -> Row:
+    """Open the published page in a browser, whose processor time and memory are not known."""
+    arguments = [str(folder / "site"), str(LATENCY), str(BITS)]
+    command = [sys.executable, "-c", _FIRST_PICTURE, *arguments]
+    told = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout.split()
+    n_requests, n_bytes, _paint, seconds = map(float, told)
+    counts = int(n_requests), 0, int(n_bytes)
+    return Row(share, dense, "first picture", 0, _rounded(seconds), 0, 0, *counts)
 
 
 def n_rounds(log: list[Exchange]) -> int:

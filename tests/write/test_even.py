@@ -2,6 +2,7 @@
 
 import gc
 import random
+import shutil
 import tracemalloc
 
 import numpy as np
@@ -15,6 +16,7 @@ from terrainwave.codec.unit_specs import unit_spec
 from terrainwave.container.page import page_layout
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.targets.kept import Kept
+from terrainwave.errors import StorageError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid, Region
 from terrainwave.raster_io import dataset as dataset_module
@@ -27,6 +29,7 @@ from terrainwave.verification.original import Original
 from terrainwave.write import encoder
 from terrainwave.write.passes import proof, resuming
 from terrainwave.write.passes.repeats import Repeats
+from terrainwave.write.passes.windows import check_free_space
 
 SIDE = 2600
 VOID = -9999
@@ -483,6 +486,19 @@ def test_blocks_whose_aprons_are_cut_are_no_repeats(rings, n_clipped):
     assert not any(repeats._is_whole(block) for block in clipped)
     kept = [block for block in inside if repeats._is_whole(block)]
     assert len(kept) == len(inside) - n_clipped
+
+
+def test_room_on_the_disk_is_asked_for_what_may_not_be_even(tmp_path, monkeypatch):
+    write_tif(tmp_path / "a.tif", terrain_like(100, 100))
+    path = vrt(tmp_path / "wide.vrt", [("a.tif", 0, 0, 100, 100)], side=100_000)
+    needed = 1024**2 * 4 // 3  # a window around the tile: heights of all levels above it
+    usage = shutil.disk_usage(tmp_path)
+    with RasterSource(path) as source:
+        monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=needed))
+        check_free_space(source, tmp_path)
+        monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=needed - 1))
+        with pytest.raises(StorageError, match="name another directory"):
+            check_free_space(source, tmp_path)
 
 
 def test_finished_units_take_little_memory(tmp_path):

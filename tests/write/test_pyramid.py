@@ -1,5 +1,6 @@
 """Target heights, masks and fills of the levels, against `reference.py`."""
 
+import os
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
@@ -12,8 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import terrain_like, valid_masks
 
+from terrainwave.container.targets.kept import Kept
 from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.quantum import HeightScan
+from terrainwave.raster_io import temporary
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.write import pyramid as pyramid_module
 from terrainwave.write.pyramid import Base, Pyramid, SubtreeRegion
@@ -228,6 +231,74 @@ def test_a_part_of_a_level_is_that_part_of_the_whole(monkeypatch, limit):
         spool.close()
 
 
+def test_what_nobody_reads_any_more_is_not_on_the_disk(monkeypatch, tmp_path):
+    monkeypatch.setattr("terrainwave.raster_io.temporary.MEMORY_LIMIT", 2000)
+    heights = whole_heights((301, 280))
+    valid = np.random.default_rng(6).random(heights.shape) < 0.7
+    scan = HeightScan("int32")
+    scan.update(heights, valid)
+    with ThreadPoolExecutor(1) as executor, Kept(tmp_path) as kept:
+        pyramid = Pyramid(
+            ArraySource(heights, valid),
+            scan.quantizer(Fraction(0)),
+            Grid(*heights.shape, 32),
+            kind="nested",
+            has_voids=True,
+            directory=tmp_path,
+            executor=executor,
+        )
+        pyramid.kept = kept
+        pyramid.build(lambda done, total: None)
+        pyramid.close()
+    arrays = {path.name for path in tmp_path.glob("*-?.array")}
+    # Masks of level 3, of 1330 bytes, are in memory: a run that goes on makes it of level 2.
+    assert {name for name in arrays if name.startswith(("averages", "known"))} == {
+        "averages-2.array",
+        "averages-3.array",
+        "known-2.array",
+    }
+    assert {name for name in arrays if name.startswith("fills")} == {"fills-nested-1.array"}
+    assert {name for name in arrays if name.startswith("nested")} == {
+        f"nested-{shift}.array" for shift in (1, 2, 3)
+    }
+
+
+# Temporary arrays
+
+
+@pytest.mark.parametrize(("distance", "n_bytes"), [(255, 1), (256, 2), (65535, 2), (65536, 4)])
+def test_tiles_take_as_many_bytes_as_their_range_needs(monkeypatch, tmp_path, distance, n_bytes):
+    monkeypatch.setattr(temporary, "MEMORY_LIMIT", 0)
+    side = temporary.TILE
+    whole = np.full((side, side + 9), -(2**31), dtype=np.int32)
+    whole[3, 5] += distance
+    whole[:, side:] = 2**31 - 1  # a tile that the edge cuts
+    whole[7, side] -= distance
+    spool = Spool(whole.shape, np.int32, tmp_path)
+    spool.write(spool.region, whole)
+    assert os.fstat(spool._file.fileno()).st_size == 2 * n_bytes * side**2
+    np.testing.assert_array_equal(spool.read(spool.region), whole)
+    part = Region(1, side - 2, 9, 5)
+    np.testing.assert_array_equal(spool.read(part), whole[1:10, side - 2 : side + 3])
+    spool.close()
+
+
+@pytest.mark.parametrize("dtype", ["int16", "int32", "uint16", "float32"])
+def test_a_tile_that_is_written_again_holds_what_was_written_last(monkeypatch, tmp_path, dtype):
+    monkeypatch.setattr(temporary, "MEMORY_LIMIT", 0)
+    side = temporary.TILE
+    whole = (np.arange(side * side) % 200).reshape(side, side).astype(dtype)
+    spool = Spool(whole.shape, dtype, tmp_path)
+    for place, value in [(Region(9, 9, 3, 4), 30_000), (spool.region, 5), (Region(0, 0, 9, 9), 7)]:
+        spool.write(spool.region, whole)
+        whole[place.slices_in(spool.region)] = value
+        whole[0, 0] = 1
+        spool.write(place, whole[place.slices_in(spool.region)])
+        spool.write(Region(0, 0, 1, 1), whole[:1, :1])
+        np.testing.assert_array_equal(spool.read(spool.region), whole)
+    spool.close()
+
+
 # Parts and bases
 
 SPLIT = 2  # the shift at which parts end and the base begins
@@ -262,7 +333,12 @@ class SplitPyramids:
             "executor": executor,
         }
         self.whole = self.pyramid()
-        self.whole.build(lambda done, total: None)
+        if scan.has_voids:
+            self.whole.push()
+            self.whole.pull()
+            at = Region(0, 0, *self.grid.level_shape(self.grid.k_max - SPLIT))
+            self.fills = self.spool(self.whole.fills(SPLIT, at))  # nobody asks for them later
+        self.whole.make_heights(lambda done, total: None)
         self.level = self.grid.k_max - SPLIT
         self.shape = self.grid.level_shape(self.level)
 
@@ -320,7 +396,7 @@ def test_a_base_has_the_same_levels_above_it(split, voids):
         np.testing.assert_array_equal(top.own(level, region), pyramids.whole.own(level, region))
     if voids.any():
         base = Region(0, 0, *pyramids.shape)
-        np.testing.assert_array_equal(top.fills(SPLIT, base), pyramids.whole.fills(SPLIT, base))
+        np.testing.assert_array_equal(top.fills(SPLIT, base), pyramids.fills.read(base))
 
 
 @pytest.mark.large
@@ -331,7 +407,7 @@ def test_a_part_has_the_same_levels(split, voids, region):
     part = pyramids.pyramid(part=SubtreeRegion(region, SPLIT))
     if voids.any():
         part.push()
-        part.pull(pyramids.spool(pyramids.whole.fills(SPLIT, Region(0, 0, *pyramids.shape))))
+        part.pull(pyramids.spool(pyramids.fills.read(Region(0, 0, *pyramids.shape))))
     part.make_heights(lambda done, total: None)
     for shift in range(SPLIT + 1):
         level = pyramids.grid.k_max - shift

@@ -16,12 +16,16 @@ from terrainwave.grid.quadtree import Region
 # Arrays up to this many bytes are held in memory: below it the disk would only cost time.
 MEMORY_LIMIT = 20 << 20
 TILE = 256
-# What is known of tiles of a file that is kept.
-_IN_FILE, _OF_ONE_VALUE = 1, 2
+# What a tile is: never written, or of one value, which needs no room; else it is in the file, in so
+# many bytes a sample.
+_UNWRITTEN, _OF_ONE_VALUE = 0, 255
 
 
 class Spool:
     """A 2-D array of fixed shape with windowed reads and writes; thread-safe for disjoint writes.
+
+    Whole numbers of a tile that lie close together take one or two bytes each in the file, as
+    distances from the lowest, if the tile was written as a whole.
 
     Parameters
     ----------
@@ -50,43 +54,39 @@ class Spool:
         self.dtype = np.dtype(dtype)
         self._memory: NDArray[Any] | None = None
         self._file: Any = None
-        self._is_there: Any = None
         self._lock = threading.Lock()
-        self._directory = directory
+        self._directory, self._path = directory, path
         self.is_kept = self.was_there = False
-        if shape[0] * shape[1] * self.dtype.itemsize <= MEMORY_LIMIT:
+        if is_small(shape, dtype):
             self._memory = np.zeros(shape, dtype=self.dtype)
-        else:
-            n_tiles = -(-shape[0] // TILE), -(-shape[1] // TILE)
-            # Where a tile lies in the file, in tiles; -1 where it has one value, which needs none.
-            self._slots = np.full(n_tiles, -1, dtype=np.int32)
-            self._values: Any = np.zeros(n_tiles, dtype=self.dtype)
-            self._n_slots = 0
-            if path is not None:
-                self._open(path)
-            else:
-                # Unbuffered, unnamed where the system can: nothing is left behind by a kill.
-                self._file = tempfile.TemporaryFile(dir=directory, buffering=0)
+            return
+        n_tiles = -(-shape[0] // TILE), -(-shape[1] // TILE)
+        if path is not None:
+            self._open(path, n_tiles)
+            return
+        # Unbuffered, unnamed where the system can: nothing is left behind by a kill.
+        self._file = tempfile.TemporaryFile(dir=directory, buffering=0)
+        self._states: Any = np.full(n_tiles, _UNWRITTEN, dtype=np.uint8)
+        # The value of all samples of a tile that is not in the file, or the lowest.
+        self._values: Any = np.zeros(n_tiles, dtype=self.dtype)
+        # Where a tile lies in the file, in tiles of one byte a sample.
+        self._slots: Any = np.zeros(n_tiles, dtype=np.int32)
+        self._n_slots = 0
 
-    def _open(self, path: Path) -> None:
-        """Use a file that outlives this object.
+    def _open(self, path: Path, n_tiles: tuple[int, int]) -> None:
+        """Use a file that outlives this object, in which each tile has a place of its own.
 
-        Of two others beside it, one says which tiles were written, and the other the values of
-        those that have one, which are not in the file.
+        What takes less has a hole there. Of two others beside it, one says what the tiles are, and
+        the other their values.
         """
-        tiles, values = (
-            path.with_name(f"{path.stem}-{name}{path.suffix}") for name in ("tiles", "values")
-        )
-        is_there = self.was_there = path.exists() and tiles.exists() and values.exists()
+        states, values = _beside(path)
+        is_there = self.was_there = path.exists() and states.exists() and values.exists()
         mode: Any = "r+" if is_there else "w+"
         with storage_errors(f"cannot write {path}"):
             self._file = open(path, f"{mode[0]}+b", buffering=0)
-            shape = self._slots.shape
-            self._is_there = np.memmap(tiles, np.uint8, mode, shape=shape)
-            self._values = np.memmap(values, self.dtype, mode, shape=shape)
-        self._was_there = self._is_there != 0
-        in_file = self._is_there == _IN_FILE
-        self._slots[in_file] = np.flatnonzero(in_file)
+            self._states = np.memmap(states, np.uint8, mode, shape=n_tiles)
+            self._values = np.memmap(values, self.dtype, mode, shape=n_tiles)
+        self._was_there = self._states != _UNWRITTEN
         self.is_kept = True
 
     @property
@@ -108,9 +108,10 @@ class Spool:
         window = np.empty(region.shape, dtype=self.dtype)
         for tile, at in self._tiles(region):
             part = tile.intersect(region)
-            slot = self._slots[at]
             window[part.slices_in(region)] = (
-                self._values[at] if slot < 0 else self._read_tile(slot)[part.slices_in(tile)]
+                self._read_tile(at, part.slices_in(tile))
+                if _is_in_file(self._states[at])
+                else self._values[at]
             )
         return window
 
@@ -141,28 +142,21 @@ class Spool:
             return
         for tile, at in self._tiles(region):
             part, own = tile.intersect(region), tile.intersect(self.region)
-            is_whole = part.shape == own.shape
+            new = values[part.slices_in(region)]
+            if part.shape == own.shape:
+                content = new.astype(self.dtype, copy=False)
+                low, n_bytes = _narrowest(content)
+                with self._lock:
+                    self._write_tile(at, content, low, n_bytes)
+                continue
             with self._lock:
-                slot = self._slots[at]
-                if is_whole or slot < 0:
-                    content = np.full((TILE, TILE), self._values[at])
-                else:
-                    content = self._read_tile_locked(slot)
-                content[part.slices_in(tile)] = values[part.slices_in(region)]
-                if slot < 0 and _is_one(content[own.slices_in(tile)]):
-                    self._values[at] = content[0, 0]
-                    if self.is_kept:
-                        self._is_there[at] = _OF_ONE_VALUE
-                    continue
-                if slot < 0:
-                    slot = self._n_slots
-                    if self.is_kept:
-                        slot = at[0] * self._slots.shape[1] + at[1]
-                    self._n_slots += 1
-                self._write_tile_locked(slot, content)
-                self._slots[at] = slot
-                if self.is_kept:
-                    self._is_there[at] = _IN_FILE
+                content = self._whole_tile(at)
+                content[part.slices_in(tile)] = new
+                # What is written in parts keeps its place, and what was there stays in it.
+                is_one = _is_one(content[own.slices_in(tile)])
+                is_one &= not _is_in_file(self._states[at])
+                low = content[0, 0]
+                self._write_tile(at, content, low, 0 if is_one else self.dtype.itemsize)
 
     def fill(self, region: Region, value: Any) -> None:
         """Store one value in a region; whole tiles that were never written take no room.
@@ -178,7 +172,7 @@ class Spool:
             end % TILE == 0 or end == size for end, size in zip(ends, self.shape, strict=True)
         )
         tiles = np.s_[row // TILE : -(-ends[0] // TILE), col // TILE : -(-ends[1] // TILE)]
-        is_written = self._slots[tiles] >= 0
+        is_written = _is_in_file(self._states[tiles])
         if self.is_kept:
             is_written &= ~self._was_there[tiles]
         if not are_whole or is_written.any():
@@ -194,7 +188,15 @@ class Spool:
         self._memory = None
         if self._file is not None:
             self._file.close()
-            self._file = self._is_there = self._values = None
+            self._file = self._states = self._values = self._slots = None
+
+    def drop(self) -> None:
+        """Free the memory or delete the file, also one that has a path of its own."""
+        self.close()
+        if self.is_kept and self._path is not None:
+            with storage_errors(f"cannot use {self._path}"):
+                for path in (self._path, *_beside(self._path)):
+                    path.unlink(missing_ok=True)
 
     def _tiles(self, region: Region) -> list[tuple[Region, tuple[int, int]]]:
         row, col = region.row - self.origin[0], region.col - self.origin[1]
@@ -209,36 +211,101 @@ class Spool:
             for c in cols
         ]
 
-    def _read_tile(self, number: int) -> NDArray[Any]:
-        size, number = TILE * TILE * self.dtype.itemsize, int(number)
+    def _offset(self, at: tuple[int, int]) -> int:
+        """Return where a tile begins in the file."""
+        if self.is_kept:
+            number = (at[0] * self._states.shape[1] + at[1]) * self.dtype.itemsize
+        else:
+            number = int(self._slots[at])
+        return number * TILE * TILE
+
+    def _whole_tile(self, at: tuple[int, int]) -> NDArray[Any]:
+        """Return all samples of a tile, with the lock."""
+        if not _is_in_file(self._states[at]):
+            return np.full((TILE, TILE), self._values[at])
+        n_bytes = int(self._states[at])
+        self._file.seek(self._offset(at))
+        data = self._file.read(TILE * TILE * n_bytes)
+        return self._samples(at, data, n_bytes, np.s_[:, :])
+
+    def _read_tile(self, at: tuple[int, int], part: tuple[slice, slice]) -> NDArray[Any]:
+        """Return samples of a tile that is in the file."""
+        n_bytes = int(self._states[at])
         if hasattr(os, "pread"):
-            data = os.pread(self._file.fileno(), size, number * size)
-            return _tile_from_bytes(data, self.dtype)
+            data = os.pread(self._file.fileno(), TILE * TILE * n_bytes, self._offset(at))
+            return self._samples(at, data, n_bytes, part)
         with self._lock:
-            return self._read_tile_locked(number)
+            return self._whole_tile(at)[part]
 
-    def _read_tile_locked(self, number: int) -> NDArray[Any]:
-        size = TILE * TILE * self.dtype.itemsize
-        self._file.seek(int(number) * size)
-        return _tile_from_bytes(self._file.read(size), self.dtype)
+    def _samples(
+        self, at: tuple[int, int], data: bytes, n_bytes: int, part: tuple[slice, slice]
+    ) -> NDArray[Any]:
+        """Return samples of a tile of a file's bytes, which are fewer where a write has failed."""
+        is_narrow = n_bytes < self.dtype.itemsize
+        stored = np.dtype(f"u{n_bytes}") if is_narrow else self.dtype
+        tile = np.frombuffer(data.ljust(TILE * TILE * n_bytes, b"\0"), dtype=stored)
+        samples = tile.reshape(TILE, TILE)[part].astype(self.dtype)
+        if is_narrow:
+            samples += self._values[at]
+        return samples
 
-    def _write_tile_locked(self, number: int, content: NDArray[Any]) -> None:
-        try:
-            self._file.seek(int(number) * content.nbytes)
-            if self._file.write(content.tobytes()) != content.nbytes:
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        except OSError as error:
-            raise cannot_write(self._directory, error, advice=TEMPORARY_ADVICE) from error
+    def _write_tile(
+        self, at: tuple[int, int], content: NDArray[Any], low: Any, n_bytes: int
+    ) -> None:
+        """Store a tile in so many bytes a sample, with the lock; 0 where all are `low`."""
+        if n_bytes:
+            if n_bytes < self.dtype.itemsize:
+                content = (content - low).astype(f"u{n_bytes}")
+            if content.shape != (TILE, TILE):  # the array's edge cuts it
+                content = np.pad(content, [(0, TILE - n) for n in content.shape])
+            if not self.is_kept and n_bytes > self._n_bytes_in_file(at):
+                self._slots[at] = self._n_slots
+                self._n_slots += n_bytes
+            try:
+                self._file.seek(self._offset(at))
+                if self._file.write(content.tobytes()) != content.nbytes:
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            except OSError as error:
+                raise cannot_write(self._directory, error, advice=TEMPORARY_ADVICE) from error
+        self._values[at] = low
+        self._states[at] = n_bytes or _OF_ONE_VALUE
+
+    def _n_bytes_in_file(self, at: tuple[int, int]) -> int:
+        state = self._states[at]
+        return int(state) if _is_in_file(state) else 0
+
+
+def is_small(shape: tuple[int, int], dtype: DTypeLike) -> bool:
+    """Say whether an array is held in memory."""
+    return shape[0] * shape[1] * np.dtype(dtype).itemsize <= MEMORY_LIMIT
+
+
+def _beside(path: Path) -> list[Path]:
+    """Return the files that say what the tiles of a kept one are, and their values."""
+    return [path.with_name(f"{path.stem}-{name}{path.suffix}") for name in ("tiles", "values")]
+
+
+def _is_in_file(states: Any) -> Any:
+    return (states != _UNWRITTEN) & (states != _OF_ONE_VALUE)
+
+
+def _narrowest(values: NDArray[Any]) -> tuple[Any, int]:
+    """Return the lowest of the values, and the bytes that each distance from it needs.
+
+    0 if there is one value; the size of the type, and any value, if they are not whole numbers.
+    """
+    if _is_one(values):
+        return values[0, 0], 0
+    if values.dtype.kind in "iu":
+        low = values.min()
+        distance = int(values.max()) - int(low)
+        for n_bytes in (1, 2):
+            if distance >> 8 * n_bytes == 0 and n_bytes < values.dtype.itemsize:
+                return low, n_bytes
+    return values[0, 0], values.dtype.itemsize
 
 
 def _is_one(values: NDArray[Any]) -> bool:
     """Say whether all values are the same, bit for bit."""
     bits = values.view(f"u{values.itemsize}")
     return bool((bits[0] == bits[0, 0]).all() and (bits == bits[0, 0]).all())
-
-
-def _tile_from_bytes(data: bytes, dtype: np.dtype[Any]) -> NDArray[Any]:
-    tile = np.zeros(TILE * TILE, dtype=dtype)
-    present = np.frombuffer(data, dtype=dtype)  # shorter where a write has failed
-    tile[: present.size] = present
-    return tile.reshape(TILE, TILE)

@@ -39,15 +39,15 @@ from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.grid.remainders import Remainders, remainders
 from terrainwave.raster_io.even import Even, EvenOf, even_parts
-from terrainwave.raster_io.temporary import Spool
+from terrainwave.raster_io.temporary import Spool, is_small
 
 TILE = 512  # samples per side of the windows in which levels are made
 _LOWPASS_HALO, _LOWPASS53_HALO = 4, 2
 # Samples around a window of a level that say whether all levels below it are even there. The masks
 # and averages of a level reach less than one of its samples far.
 _EVEN_MARGIN = 2
-# So far from valid samples nothing reads fills, in sides of windows or blocks: a unit has two
-# blocks a side, and a window near valid samples is made of one of twice its side on the level
+# So far from valid samples nothing reads fills, in sides of blocks or parts of windows: a unit has
+# two blocks a side, and a part near valid samples is made of one of twice its side on the level
 # below. And so many samples more: those that masks and averages reach, and aprons.
 _FILL_MARGIN, _FILL_REACH = 2, 16
 # Windows that wait for a thread at a time: what waits takes more memory than a window's place.
@@ -180,14 +180,16 @@ class Pyramid:
         self._heights: dict[int, Spool] = {}
         self._masks: dict[int, Spool] = {}
         self._own: dict[int, Spool] = {}
-        self._fills: dict[int, Spool] = {}
+        # Averages of valid samples, and where there are any; from `pull` on, fills of all samples.
+        self._averages: dict[int, Spool] = {}
         self._known: dict[int, Spool] = {}
+        self._fills: dict[int, Spool] = {}
         self._first = 0
         self._last = grid.k_max if part is None else part.shift
         if base is not None:
             self._first = base.shift
             self._heights[base.shift] = base.heights
-            levels = self._masks, self._fills, self._known, self._own
+            levels = self._masks, self._averages, self._known, self._own
             made = base.masks, base.pushed, base.known, base.own
             for spools, spool in zip(levels, made, strict=True):
                 if spool is not None:
@@ -203,46 +205,81 @@ class Pyramid:
     def push(self) -> None:
         """Make the masks of all levels, and average valid heights up to one sample."""
         self._build_masks()
-        shift = self._first
+        shift, dropped = self._first, self._dropped_averages()
         while shift < self._last or (self._part is None and max(self._shape(shift)) > 1):
             shift += 1
+            if shift in dropped:
+                continue
             region = self._inside(shift, self._part.push_region(shift) if self._part else None)
-            fills = self._fills[shift] = self._new_spool(region, np.int32, f"fills-{shift}")
-            known = self._known[shift] = self._new_spool(region, np.bool_, f"known-{shift}")
+            averages = self._new_spool(region, np.int32, f"averages-{shift}")
+            known = self._new_spool(region, np.bool_, f"known-{shift}")
+            self._averages[shift], self._known[shift] = averages, known
 
             def fill(
-                window: Region, even: Even, fills: Spool = fills, known: Spool = known
+                window: Region, even: Even, averages: Spool = averages, known: Spool = known
             ) -> None:
-                fills.fill(window, even.value)
+                averages.fill(window, even.value)
                 known.fill(window, even.is_valid)
 
             windows = _uneven(region, partial(self._even, shift), fill)
             work = partial(self._push_window, shift)
-            self._in_windows(f"push-{shift}", (fills, known), windows, work)
+            self._in_windows(f"push-{shift}", (averages, known), windows, work)
 
     def pushed(self, shift: int, region: Region) -> tuple[Heights, Mask]:
         """Return averages of valid heights and where they are known, before `pull`."""
-        return self._fills[shift].read(region), self._known[shift].read(region)
+        return self._averages[shift].read(region), self._known[shift].read(region)
 
     def pull(self, coarsest: Spool | None = None) -> None:
         """Interpolate from the coarsest level down where nothing is known.
 
         A part needs the fills of its coarsest level, where it would not know enough by itself.
         """
-        if not self._fills:  # a raster of one sample
+        if not self._averages:  # a raster of one sample
             return
-        top = max(self._fills)
-        if coarsest is not None:
-            self._fills[top].close()
-            self._fills[top] = coarsest
+        top = max(self._averages)
+        self._fills[top] = coarsest or self._averages.pop(top)
+        self._drop_averages(top)
         for finer in range(top - 1, max(self._first - 1, 0), -1):
+            # Those of level 1 fill the full grid; of others nobody reads any more after heights.
+            if finer > 1 and self._is_kept_whole(self._kind, finer):
+                self._drop_averages(finer)
+                continue
             region = self._inside(finer, self._part.fill_region(finer) if self._part else None)
-            spools = self._fills[finer], self._known[finer]
-            windows = _uneven(region, partial(self._unread, finer), lambda *_: None)
-            work = partial(self._pull_window, finer)
-            self._in_windows(f"pull-{self._kind}-{finer}", spools, windows, work)
-        for spool in self._known.values():
-            spool.close()
+            name = f"fills-{self._kind}-{finer}"
+            spool = self._fills[finer] = self._new_spool(region, np.int32, name)
+
+            def fill(window: Region, even: Even, spool: Spool = spool) -> None:
+                spool.fill(window, even.value)
+
+            windows = _uneven(region, partial(self._unread, finer), fill)
+            self._make_windows(name, spool, partial(self._pull_window, finer), windows)
+            self._drop_averages(finer)
+
+    def _drop_averages(self, shift: int) -> None:
+        """Give up what was averaged on a level, unless a later run makes the next ones of it."""
+        is_needed = is_small(self._shape(shift + 1), np.bool_)
+        for spools in (self._averages, self._known):
+            if shift in spools:
+                (spools[shift].close if is_needed else spools[shift].drop)()
+                del spools[shift]
+
+    def _dropped_averages(self) -> set[int]:
+        """Return the levels whose averages an earlier run has dropped, if no level needs them."""
+        dropped = set()
+        for shift in self._level_shifts():
+            path = self.kept.path(f"averages-{shift}")
+            if path is None or is_small(self._shape(shift), np.bool_):
+                continue
+            if not path.exists():
+                dropped.add(shift)
+        kinds = self._kind, f"fills-{self._kind}"
+        is_filled = (any(self._is_kept_whole(kind, shift) for kind in kinds) for shift in dropped)
+        return dropped if all(is_filled) else set()
+
+    def _is_kept_whole(self, kind: str, shift: int) -> bool:
+        """Say whether an earlier run has left all heights or fills of a level."""
+        path = self.kept.path(f"{kind}-{shift}")
+        return path is not None and path.exists() and self.kept.is_whole(f"{kind}-{shift}")
 
     def fills(self, shift: int, region: Region) -> Heights:
         """Return the heights given to voids on a level, after `pull`."""
@@ -267,12 +304,15 @@ class Pyramid:
 
             windows = _uneven(region, partial(self._even_heights, shift), fill)
             self._make_windows(name, spool, partial(make, shift), windows)
+            if shift > 1 and shift in self._fills:
+                self._fills.pop(shift).drop()
             done += region.n_rows * region.n_cols
             report(done, total)
 
     def close(self) -> None:
         """Delete the spools."""
-        for spools in (self._heights, self._masks, self._own, self._fills, self._known):
+        levels = self._heights, self._masks, self._own, self._averages, self._known, self._fills
+        for spools in levels:
             for spool in spools.values():
                 spool.close()
 
@@ -348,7 +388,7 @@ class Pyramid:
         Filters of other kinds than nested ones reach from level to level.
         """
         if self._kind == "nested":
-            margin = _FILL_MARGIN * max(TILE, self._grid.block) + _FILL_REACH
+            margin = _FILL_MARGIN * max(TILE // 2, self._grid.block) + _FILL_REACH
             even = self._even(shift, region, margin)
             if even is not None and not even.is_valid:
                 return even
@@ -426,20 +466,31 @@ class Pyramid:
         return np.clip(heights, self._quantizer.z_min, self._quantizer.z_max, out=heights)
 
     def _nested_window(self, shift: int, region: Region) -> Heights:
-        fine = Region(2 * region.row, 2 * region.col, 2 * region.n_rows - 1, 2 * region.n_cols - 1)
         if shift > 1:
-            even = self._even(shift, region) if self._has_voids else None
-            if even is not None and not even.is_valid:
-                # The same: below a void, fills at these places are those of this level. Further
-                # from valid samples than here, the level below has none.
-                return self._fills[shift].read(region)
-            return self._heights[shift - 1].view(fine)[::2, ::2]
-        raw, valid = (np.ascontiguousarray(part[::2, ::2]) for part in self._source.read(*fine))
+            return self._nested_parts(shift, region)
+        raw, valid = self._source.read(*_below(region))
+        raw, valid = (np.ascontiguousarray(part[::2, ::2]) for part in (raw, valid))
         quanta = self._quantizer.quantize(raw, valid)
         if self._has_voids and not valid.all():
             # These samples lie on those of the level above, whose fills are theirs.
             np.copyto(quanta, self._fills[shift].read(region), where=~valid)
         return quanta
+
+    def _nested_parts(self, shift: int, region: Region) -> Heights:
+        """Return heights of the level below; where all below a part is void, this level's fills.
+
+        They are the same there. Further from valid samples than here, the level below has none.
+        """
+        if not self._has_voids:
+            return self._heights[shift - 1].view(_below(region))[::2, ::2]
+        heights = np.empty(region.shape, dtype=np.int32)
+        for part, even in even_parts(region, TILE // 2, partial(self._even, shift)):
+            if even is None or even.is_valid:
+                own = self._heights[shift - 1].view(_below(part))[::2, ::2]
+            else:
+                own = self._fills[shift].view(part)
+            heights[part.slices_in(region)] = own
+        return heights
 
     def _build_masks(self) -> None:
         for shift in self._level_shifts():
@@ -480,15 +531,14 @@ class Pyramid:
 
     def _push_window(self, shift: int, window: Region) -> None:
         values, known = self._pushed(shift, window)
-        self._fills[shift].write(window, values)
+        self._averages[shift].write(window, values)
         self._known[shift].write(window, known)
 
-    def _pull_window(self, shift: int, window: Region) -> None:
-        known = self._known[shift].read(window)
+    def _pull_window(self, shift: int, window: Region) -> Heights:
+        values, known = self.pushed(shift, window)
         if not known.all():
-            values = self._fills[shift].read(window)
             self._fill(shift, window, values, known)
-            self._fills[shift].write(window, values)
+        return values
 
     def _pushed(self, shift: int, region: Region) -> tuple[Heights, Mask]:
         window = Region(
@@ -576,6 +626,11 @@ class Pyramid:
         windows = iter(windows)
         while batch := list(islice(windows, _BATCH)):
             yield from self._executor.map(work, batch)
+
+
+def _below(region: Region) -> Region:
+    """Return the samples of a region, and those between them, on the level below."""
+    return Region(2 * region.row, 2 * region.col, 2 * region.n_rows - 1, 2 * region.n_cols - 1)
 
 
 def _uneven(

@@ -35,7 +35,7 @@ _JOURNAL, _ARRAY = "journal", ".array"
 _HEAD = struct.Struct("<4sIQI")
 _MAGIC = b"twzK"
 # A journal of another layout is not read: it says so by the name of its first record.
-_RUN, _BOOT, _SYNCED = "run 1", "boot", "synced"
+_RUN, _BOOT, _SYNCED = "run 2", "boot", "synced"
 # Seconds between two records of work that goes on, and between two times of synchronising.
 TICK, _SYNC = 0.2, 10.0
 _CHUNK = 1 << 20  # bytes read at a time to be checked
@@ -176,8 +176,12 @@ class Kept:
             done += 1
             if is_kept:
                 self.tick(name, lambda: {"done": done})  # noqa: B023  called at once
-        if is_kept and self.get(name) != {"done": done}:
-            self.put(name, {"done": done})
+        if is_kept and not self.is_whole(name):
+            self.put(name, {"done": done, "is_whole": True})
+
+    def is_whole(self, name: str) -> bool:
+        """Say whether all items of `each` are done."""
+        return "is_whole" in (self.get(name) or {})
 
     def clear(self) -> None:
         """Remove all work."""

@@ -26,8 +26,9 @@ from terrainwave.write.pyramid import SourceWindows
 _SCAN, _VALID = "scan", "valid"
 # Heights, validity, row and column of the first sample.
 Window = tuple[NDArray[Any], NDArray[np.bool_], int, int]
-# Samples a side of windows in which even regions are looked for, or shown, as a whole.
-_SIDE = 4096
+# Samples a side of windows in which even regions are shown as a whole, and in which they are looked
+# for: beside even ones, fills of voids take about as much room.
+_SIDE, _UNEVEN_SIDE = 4096, 1024
 
 
 class Windows(SourceWindows):
@@ -166,11 +167,12 @@ def _update_by_windows(scan: HeightScan, region: Region, even: Even) -> None:
 def check_free_space(source: RasterSource, directory: Path, n_there: int = 0) -> None:
     """Refuse to begin what the temporary directory cannot hold; `n_there` bytes are there.
 
-    Even regions take no room.
+    Levels are a third as many samples as the raster, of four bytes at most; where some are void, of
+    fewer, which leaves room for fills. Even regions take none.
     """
     info, n_samples = source.info, 0
     whole = Region(0, 0, info.n_rows, info.n_cols)
-    for part, even in even_parts(whole, _SIDE, source.even):
+    for part, even in even_parts(whole, _UNEVEN_SIDE, source.even):
         n_samples += part.n_rows * part.n_cols * (even is None)
     n_bytes = n_samples * np.dtype(info.dtype).itemsize
     needed = n_samples * 4 // 3 + (n_bytes if source.is_striped else 0) - n_there
