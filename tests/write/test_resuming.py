@@ -24,6 +24,7 @@ from terrainwave.raster_io import temporary
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.write.encoder import UnitEncoder
 from terrainwave.write.passes import resuming
+from terrainwave.write.passes import seen as seen_module
 from terrainwave.write.passes import windows as windows_module
 from terrainwave.write.patch import patch
 
@@ -47,6 +48,7 @@ def small_runs_are_long(monkeypatch):
     monkeypatch.setattr(temporary, "MEMORY_LIMIT", 1 << 14)
     monkeypatch.setattr(windows_module, "MEMORY_LIMIT", 1 << 14)
     monkeypatch.setattr(source_module, "_NARROW_COLS", 100)
+    monkeypatch.setattr(seen_module, "SIDE", 64)
 
 
 @pytest.fixture
@@ -57,14 +59,14 @@ def raster(tmp_path):
     return tiled
 
 
-def sparse_geotiff(folder, name, nodata):
-    """Write a raster of whose blocks most have no bytes: void, or 0 where there is no `nodata`."""
+def mostly_even(folder, name, nodata, *, is_sparse):
+    """Write a raster that is mostly void, or 0 without `nodata`, whose blocks may have no bytes."""
     heights = np.full((1300, 1100), nodata or 0, dtype=np.int16)
     heights[520:900, 300:650] = terrain_like(380, 350, seed=4)
     path = folder / name
     with rasterio.open(
         path, "w", driver="GTiff", width=1100, height=1300, count=1, dtype="int16", nodata=nodata,
-        tiled=True, blockxsize=64, blockysize=64, SPARSE_OK=True, crs="EPSG:32633",
+        tiled=True, blockxsize=64, blockysize=64, SPARSE_OK=is_sparse, crs="EPSG:32633",
         transform=rasterio.Affine(30, 0, 5e5, 0, -30, 5e6),
     ) as dataset:  # fmt: skip
         dataset.write(heights, 1)
@@ -74,8 +76,9 @@ def sparse_geotiff(folder, name, nodata):
 @pytest.fixture
 def source_of(tmp_path, raster):
     def source(name):
-        if name.startswith("sparse"):
-            return sparse_geotiff(tmp_path, name, NODATA if name == "sparse.tif" else None)
+        if name.startswith(("sparse", "full")):
+            nodata = None if name.endswith("of 0.tif") else NODATA
+            return mostly_even(tmp_path, name, nodata, is_sparse=name.startswith("sparse"))
         return tmp_path / name
 
     return source
@@ -138,6 +141,8 @@ def n_records(work, monkeypatch):
             ("rapid", "dem.tif", "halves"),
             ("rapid", "sparse.tif", "halves"),
             ("predictive", "striped.tif", "zerotree"),
+            ("rapid", "full of 0.tif", "none"),
+            ("rapid", "full.tif", "halves"),
             ("rapid", "sparse of 0.tif", "none"),
             ("rapid", "striped.tif", "halves"),
             ("cdf97", "sparse.tif", "none"),
@@ -434,7 +439,7 @@ def test_a_digest_that_is_wanted_now_is_made(tmp_path, raster, monkeypatch):
     assert hidden_in(tmp_path) == []
 
 
-@pytest.mark.parametrize("gone", ["heights", "valid", "nested-1", "own-1"])
+@pytest.mark.parametrize("gone", ["heights", "valid", "seen", "nested-1", "own-1"])
 def test_arrays_that_are_gone_are_made_again(tmp_path, raster, monkeypatch, gone):
     source, target = tmp_path / "striped.tif", tmp_path / "out.twz"
     terrainwave.compress(source, target, **OPTIONS)

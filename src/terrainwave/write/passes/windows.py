@@ -20,10 +20,12 @@ from terrainwave.raster_io.even import Even, even_parts
 from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import MEMORY_LIMIT, Spool
+from terrainwave.write.passes.seen import SeenTiles
 from terrainwave.write.pyramid import SourceWindows
 
-# Records of what is kept: of the scan, and that there is an array of which samples are valid.
-_SCAN, _VALID = "scan", "valid"
+# Records of what is kept: of the scan, and that there is an array of which samples are valid; a
+# file of tiles that are even.
+_SCAN, _VALID, _SEEN = "scan", "valid", "seen"
 # Heights, validity, row and column of the first sample.
 Window = tuple[NDArray[Any], NDArray[np.bool_], int, int]
 # Samples a side of windows in which even regions are shown as a whole, and in which they are looked
@@ -48,9 +50,12 @@ class Windows(SourceWindows):
             path = kept.path("heights")
             self._heights = Spool(self._shape, source.info.dtype, directory, path=path)
         self._kept = kept
+        self._seen = SeenTiles(self._shape, source.info.dtype, kept.path(_SEEN))
 
     def n_scanned(self) -> int:
         """Return how many windows an earlier run has scanned; 0 if it has not left them."""
+        if not self._seen.was_there:
+            return 0
         if self._heights is not None:
             has_voids = self._kept.get(_VALID) is not None
             arrays = [self._heights, *([self._valid_spool()] if has_voids else [])]
@@ -73,6 +78,7 @@ class Windows(SourceWindows):
                 yield region, even
                 continue
             heights, valid = self._source.read(*region)
+            self._seen.note(region, heights, valid)
             if self._heights is not None:
                 self._heights.write(region, heights)
                 if self._valid is not None or not valid.all():
@@ -80,6 +86,7 @@ class Windows(SourceWindows):
             yield heights, valid, region.row, region.col
 
     def _keep_even(self, region: Region, even: Even) -> None:
+        self._seen.note_even(region, even)
         if self._heights is not None:
             self._heights.fill(region, even.value)
             if self._valid is not None or not even.is_valid:
@@ -94,11 +101,11 @@ class Windows(SourceWindows):
         return self._valid
 
     def even(self, region: Region) -> Even | None:
-        """Return what all samples of a region are, where the source knows it without reading."""
-        return self._source.even(region)
+        """Return what all samples of a region are; None where neither index nor scan tell."""
+        return self._source.even(region) or self._seen.even(region)
 
     def holds(self, region: Region, even: Even) -> bool:
-        """Say whether samples of a region are what the source's index says (`RasterSource`)."""
+        """Say whether samples of a region are what index or scan say (`RasterSource`)."""
         return self._source.holds(region, even)
 
     def read(
@@ -114,6 +121,7 @@ class Windows(SourceWindows):
 
     def close(self) -> None:
         """Delete the spools."""
+        self._seen.close()
         for spool in (self._heights, self._valid):
             if spool is not None:
                 spool.close()

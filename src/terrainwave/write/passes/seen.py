@@ -1,0 +1,136 @@
+"""Tiles of a raster that a scan found to be of one value, or void.
+
+A sea of 0 or voids whose blocks have bytes look to an index like any ground. Once they have been
+read, they are as even as those that the index tells (`raster_io.even`), and cost as little.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from terrainwave.container.spool import storage_errors
+from terrainwave.grid.quadtree import Region
+from terrainwave.raster_io.even import Even
+
+# Samples a side of a tile.
+SIDE = 512
+_UNSEEN, _MIXED, _VALID, _VOID = range(4)
+
+
+class SeenTiles:
+    """What the tiles of a raster are, as far as their samples were noted.
+
+    To note samples once more changes nothing.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns of the raster.
+    dtype : dtype
+        Type of its heights.
+    path : Path, optional
+        A file that outlives this object.
+
+    Attributes
+    ----------
+    was_there : bool
+        Whether the file was there.
+    """
+
+    def __init__(self, shape: tuple[int, int], dtype: DTypeLike, path: Path | None) -> None:
+        n_tiles = -(-shape[0] // SIDE), -(-shape[1] // SIDE)
+        kinds = np.dtype([("state", np.uint8), ("value", dtype)])
+        self.was_there = path is not None and path.exists()
+        self._tiles: Any
+        if path is None:
+            self._tiles = np.zeros(n_tiles, dtype=kinds)
+        else:
+            with storage_errors(f"cannot write {path}"):
+                mode: Any = "r+" if self.was_there else "w+"
+                self._tiles = np.memmap(path, kinds, mode, shape=n_tiles)
+        self._has_even: bool | None = None
+
+    def note(self, region: Region, heights: NDArray[Any], valid: NDArray[np.bool_]) -> None:
+        """Note the samples of a window."""
+        for tiles, part in self._parts(region):
+            if (self._tiles[tiles]["state"] != _MIXED).all():
+                there = part.slices_in(region)
+                self._merge(tiles, *_what(heights[there], valid[there]))
+
+    def note_even(self, region: Region, even: Even) -> None:
+        """Note samples that are known without reading."""
+        self._merge(_tiles_of(region), _VALID if even.is_valid else _VOID, even.value)
+
+    def even(self, region: Region) -> Even | None:
+        """Return what all samples of a region are, if its tiles are all alike; None if not.
+
+        Only when all samples have been noted.
+        """
+        if self._has_even is None:
+            self._has_even = bool((self._tiles["state"] > _MIXED).any())
+        if not self._has_even:
+            return None
+        tiles = self._tiles[_tiles_of(region)]
+        state, value = tiles[0, 0]["state"], tiles[0, 0]["value"]
+        if state <= _MIXED or (tiles["state"] != state).any():
+            return None
+        if state == _VALID and not _is_bits(tiles["value"], value).all():
+            return None
+        return Even(value, bool(state == _VALID))
+
+    def close(self) -> None:
+        """Free the memory, or close the file."""
+        self._tiles = None
+
+    def _parts(self, region: Region) -> list[tuple[tuple[slice, slice], Region]]:
+        """Return the tiles that a region touches, and what it has of each."""
+        rows, cols = _tiles_of(region)
+        return [
+            (
+                (slice(row, row + 1), slice(col, col + 1)),
+                Region(row * SIDE, col * SIDE, SIDE, SIDE).intersect(region),
+            )
+            for row in range(rows.start, rows.stop)
+            for col in range(cols.start, cols.stop)
+        ]
+
+    def _merge(self, at: tuple[slice, slice], state: int, value: Any) -> None:
+        tiles = self._tiles[at]
+        states, values = tiles["state"], tiles["value"]
+        is_new = states == _UNSEEN
+        is_same = states == state
+        if state == _VALID:
+            is_same &= _is_bits(values, value)
+        values[is_new] = value
+        states[is_new] = state
+        states[~(is_new | is_same)] = _MIXED
+
+
+def _what(heights: NDArray[Any], valid: NDArray[np.bool_]) -> tuple[int, Any]:
+    """Return what all samples are, and their value; most often a few of them tell."""
+    value, is_valid = heights[0, 0], valid[0, 0]
+    last_row, last_col = heights.shape[0] - 1, heights.shape[1] - 1
+    few = np.s_[[0, last_row // 2, last_row, last_row], [last_col, last_col // 2, 0, last_col]]
+    for part in (few, np.s_[:, :]):
+        if not (valid[part] == is_valid).all():
+            return _MIXED, value
+        if is_valid and not _is_bits(heights[part], value).all():
+            return _MIXED, value
+    return (_VALID if is_valid else _VOID), value
+
+
+def _is_bits(values: NDArray[Any], value: Any) -> NDArray[np.bool_]:
+    """Say which values are a value bit for bit: -0.0 is not 0.0."""
+    bits = f"u{values.dtype.itemsize}"
+    return values.view(bits) == np.asarray(value, dtype=values.dtype).view(bits)
+
+
+def _tiles_of(region: Region) -> tuple[slice, slice]:
+    """Return the rows and columns of tiles that a region touches."""
+    rows, cols = (
+        slice(first // SIDE, (first + n - 1) // SIDE + 1)
+        for first, n in zip(region[:2], region.shape, strict=True)
+    )
+    return rows, cols
