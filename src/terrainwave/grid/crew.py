@@ -23,7 +23,7 @@ class Crew(ThreadPoolExecutor):
 
     def __init__(self, n_threads: int) -> None:
         super().__init__(max(n_threads - 1, 1), thread_name_prefix="terrainwave")
-        self._n_others = n_threads - 1
+        self.n_threads = n_threads
 
     def map(
         self,
@@ -36,7 +36,7 @@ class Crew(ThreadPoolExecutor):
         if timeout is not None:
             raise ValueError(f"found `timeout` {timeout}, expected None")
         turns = _Turns(fn, list(zip(*iterables, strict=False)))
-        for _ in range(min(self._n_others, len(turns.tasks) - 1)):
+        for _ in range(min(self.n_threads, len(turns.tasks)) - 1):
             self.submit(turns.take_all)
         return turns.results()
 
@@ -47,7 +47,7 @@ class Crew(ThreadPoolExecutor):
         ended what they were at.
         """
         growth = _Growth(work, list(things))
-        others = [self.submit(growth.take_all) for _ in range(self._n_others)]
+        others = [self.submit(growth.take_all) for _ in range(self.n_threads - 1)]
         try:
             growth.take_all()
         except BaseException:

@@ -1,5 +1,6 @@
 """A band of anything that rasterio opens."""
 
+import copy
 import errno
 import math
 import os
@@ -28,7 +29,7 @@ from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs, is_exact
 from terrainwave.raster_io.earlier_loss import EarlierLoss
-from terrainwave.raster_io.even import Even, StoredValues, stored_values
+from terrainwave.raster_io.even import Even, SparseBlocks, StoredValues, stored_values
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
 from terrainwave.raster_io.tags import PLAIN_COLORS, is_statistic, select_tags
 
@@ -161,6 +162,17 @@ def _other_places(dataset: Any) -> list[str]:
     return [name for name, value in found.items() if value]
 
 
+def _stamp(dataset: Any) -> tuple[int, ...] | None:
+    """Return what tells a local GeoTIFF from another one of its name; None of other datasets."""
+    try:
+        found = os.stat(dataset.name)
+    except (OSError, ValueError):
+        return None
+    if dataset.driver != "GTiff":
+        return None
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
+
+
 class DatasetBackend:
     """A band of a rasterio dataset."""
 
@@ -181,6 +193,7 @@ class DatasetBackend:
         self._dataset = dataset
         self._band = band
         self._georeference = georeference
+        self._stamp = _stamp(dataset) if owned else None
         try:
             self._check()
         except BaseException:
@@ -349,6 +362,27 @@ class DatasetBackend:
                 f"{self.name}: rows {row} to {row + n_rows - 1}, columns {col} to"
                 f" {col + n_cols - 1} cannot be read: {_reason(error)}"
             ) from error
+
+    def again(self) -> "DatasetBackend | None":
+        """Return the band of the same file, opened once more; None if it is not sure to be that.
+
+        It is of a local GeoTIFF that is as it was, without masks, which may be other files.
+        """
+        if self._stamp is None or self.has_mask:
+            return None
+        try:
+            dataset = open_dataset(self.name)
+        except TerrainwaveError:  # too many files are open
+            return None
+        if _stamp(dataset) != self._stamp:
+            dataset.close()
+            return None
+        other = copy.copy(self)
+        other._dataset = dataset
+        stored = other.__dict__.pop("_stored", None)
+        if isinstance(stored, SparseBlocks):
+            other._stored = stored.of(dataset, other._sample)
+        return other
 
     def even(self, region: Region) -> Even | None:
         """Return what all samples of a region are, by the file's index; None: only reading tells.

@@ -4,6 +4,7 @@ Gaps of a VRT, blocks of a sparse GeoTIFF that have no bytes. GDAL reads the sam
 samples there, found by reading one of them. In doubt nothing is said: then heights are read.
 """
 
+import copy
 import math
 import os
 import xml.etree.ElementTree as ET
@@ -155,6 +156,12 @@ class SparseBlocks:
         is_small = n_rows * n_cols <= _MOST_BLOCKS
         self._state = np.zeros((n_rows, n_cols) if is_small else (0, 0), dtype=np.uint8)
         self._value: Any = None
+
+    def of(self, dataset: Any, read_sample: Callable[[int, int], Any]) -> "SparseBlocks":
+        """Return the same, asked of the same file opened again; what either finds, both know."""
+        other = copy.copy(self)
+        other._dataset, other._read_sample = dataset, read_sample
+        return other
 
     def value(self, region: Region) -> Any:
         """Return the value of blocks without bytes, where all of a region are such."""

@@ -13,7 +13,7 @@ from terrainwave.grid.quadtree import Region
 # GDAL's default block cache is 5 % of the machine's memory, which alone can break a memory limit.
 GDAL_CACHE_BYTES = 64 * 2**20
 
-# Samples per window of a sequential scan: 32 MB of float64, large against GDAL's overhead per call.
+# Samples per window that is written: 32 MB of float64, large against GDAL's overhead per call.
 SCAN_SAMPLES = 4 * 2**20
 
 # What rasterio raises when GDAL fails; a failed copy gives the last two.

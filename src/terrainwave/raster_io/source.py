@@ -28,14 +28,11 @@ from terrainwave.errors import (
 from terrainwave.grid.affine import IDENTITY, Transform
 from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.arrays import ArrayBackend, Claim, LabelledBackend
-from terrainwave.raster_io.backend import RasterBackend
+from terrainwave.raster_io.backend import RasterBackend, Readers
 from terrainwave.raster_io.dataset import DatasetBackend, is_twz, open_dataset
 from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.even import Even, even_parts, is_same
-from terrainwave.raster_io.gdal import (
-    SCAN_SAMPLES,
-    scan_windows,
-)
+from terrainwave.raster_io.gdal import scan_windows
 from terrainwave.raster_io.mosaic import MosaicBackend
 from terrainwave.raster_io.raster_info import (
     SUPPORTED_DTYPES,
@@ -71,6 +68,9 @@ _NARROW_COLS = 1024
 # Samples a side of the smallest parts of windows that are asked whether they are even.
 _EVEN_SIDE = 512
 _BAND_ROWS = 4096
+# Samples per window of a sequential scan: large against GDAL's overhead per call, and several
+# of a small raster, so that threads share them.
+_SCAN_SAMPLES = 1 << 19
 
 
 class RasterSource:
@@ -118,8 +118,9 @@ class RasterSource:
 
     Notes
     -----
-    Thread-safe: reads are serialised by a lock, as a GDAL dataset serves one thread at a time. A
-    dataset that the caller passed must not be used elsewhere meanwhile.
+    Thread-safe. A GDAL dataset serves one thread at a time: a local GeoTIFF is opened again for
+    each further thread, others are read by one thread at a time. A dataset that the caller passed
+    must not be used elsewhere meanwhile.
     """
 
     def __init__(
@@ -140,10 +141,11 @@ class RasterSource:
                 raise InvalidArgumentError(
                     f"found `nodata` {shown(given)}, expected a number, or nan"
                 )
-        self._lock = threading.Lock()
+        self._counting = threading.Lock()
         self.n_bytes_read = 0
         opening = _Opening(band, nodata, georeference, open_terrain)
         self._backend = opening.backend(source)
+        self._readers = Readers(self._backend)
         self.name: str = self._backend.name
         try:
             notes = list(self._backend.notes())
@@ -251,8 +253,9 @@ class RasterSource:
 
     def _read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
         info = self.info
-        with self._lock:
-            heights, valid = self._backend.read(row, col, n_rows, n_cols)
+        with self._readers.lent() as backend:
+            heights, valid = backend.read(row, col, n_rows, n_cols)
+        with self._counting:
             self.n_bytes_read += heights.nbytes
         if info.nodata is not None and not math.isnan(info.nodata):
             valid &= heights != stored_nodata(info.nodata, self._dtype)
@@ -266,8 +269,8 @@ class RasterSource:
 
         None where the source does not know it by its index alone.
         """
-        with self._lock:
-            even = self._backend.even(region)
+        with self._readers.lent() as backend:
+            even = backend.even(region)
         if even is None or not even.is_valid:
             return even
         value, nodata = even.value, self.info.nodata
@@ -302,7 +305,7 @@ class RasterSource:
                 f" expected finite heights (if it marks a void, use `nodata` {value})"
             )
 
-    def blocks(self, max_samples: int = SCAN_SAMPLES) -> Iterator[Region]:
+    def blocks(self, max_samples: int = _SCAN_SAMPLES) -> Iterator[Region]:
         """Yield windows that cover the grid once, in the order the source stores its blocks.
 
         Each holds at most `max_samples` samples: full-width strips where they fit, else rows of
@@ -339,7 +342,7 @@ class RasterSource:
 
     def close(self) -> None:
         """Close what the source opened itself."""
-        self._backend.close()
+        self._readers.close()
 
     def __enter__(self) -> Self:
         return self

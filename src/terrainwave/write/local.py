@@ -48,7 +48,7 @@ class LocalPasses:
         first = self._windows.n_scanned()
         scan = scan_windows(
             self.source.info,
-            self._windows.scan(first),
+            self._windows.scan(self.executor, first),
             self.reporter,
             has_digest=self.has_digest or by_heights,
             steps=steps,

@@ -29,6 +29,8 @@ OUR_FAULT = (
 # Samples per side of the windows that are compared, where groups are smaller than that.
 _PROOF_SIDE = 512
 _CACHE_BYTES = 64 << 20
+# So many windows give too few shares to keep threads busy.
+_FEW = 16
 # How many windows are shared out at a time, and shares handed to threads.
 _BATCH, _SHARES = 4096, 1024
 Share = Sequence[Region | Block]
@@ -44,11 +46,13 @@ def proof_windows(grid: Grid, within: Region | None = None) -> list[Region]:
 def proof_shares(grid: Grid, windows: list[Region] | None = None) -> list[list[Region]]:
     """Return windows in shares for threads, which decode the levels above them.
 
-    By default those of `proof_windows`.
+    By default those of `proof_windows`. A few are shared out one by one, the largest first.
     """
     side = _side_of(grid)
     if windows is None:
         windows = proof_windows(grid)
+    if len(windows) <= _FEW:
+        return [[one] for one in sorted(windows, key=lambda one: -one.n_rows * one.n_cols)]
     return shares_of(windows, lambda window: (window.row // side, window.col // side))
 
 

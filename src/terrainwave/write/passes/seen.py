@@ -4,6 +4,7 @@ A sea of 0 or voids whose blocks have bytes look to an index like any ground. On
 read, they are as even as those that the index tells (`raster_io.even`), and cost as little.
 """
 
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ _UNSEEN, _MIXED, _VALID, _VOID = range(4)
 
 
 class SeenTiles:
-    """What the tiles of a raster are, as far as their samples were noted.
+    """What the tiles of a raster are, as far as their samples were noted; by any threads.
 
     To note samples once more changes nothing.
 
@@ -51,6 +52,7 @@ class SeenTiles:
                 mode: Any = "r+" if self.was_there else "w+"
                 self._tiles = np.memmap(path, kinds, mode, shape=n_tiles)
         self._has_even: bool | None = None
+        self._lock = threading.Lock()
 
     def note(self, region: Region, heights: NDArray[Any], valid: NDArray[np.bool_]) -> None:
         """Note the samples of a window."""
@@ -99,13 +101,14 @@ class SeenTiles:
     def _merge(self, at: tuple[slice, slice], state: int, value: Any) -> None:
         tiles = self._tiles[at]
         states, values = tiles["state"], tiles["value"]
-        is_new = states == _UNSEEN
-        is_same = states == state
-        if state == _VALID:
-            is_same &= _is_bits(values, value)
-        values[is_new] = value
-        states[is_new] = state
-        states[~(is_new | is_same)] = _MIXED
+        with self._lock:
+            is_new = states == _UNSEEN
+            is_same = states == state
+            if state == _VALID:
+                is_same &= _is_bits(values, value)
+            values[is_new] = value
+            states[is_new] = state
+            states[~(is_new | is_same)] = _MIXED
 
 
 def _what(heights: NDArray[Any], valid: NDArray[np.bool_]) -> tuple[int, Any]:

@@ -1,7 +1,9 @@
 """Pass A: a raster's windows, scanned once and read again."""
 
 import shutil
+import threading
 from collections.abc import Iterable, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ from numpy.typing import NDArray
 from terrainwave.arguments import count_of, size_of
 from terrainwave.container.targets.kept import Kept
 from terrainwave.errors import StorageError
+from terrainwave.grid.crew import Crew
 from terrainwave.grid.digest import HeightDigest
 from terrainwave.grid.quadtree import Region
 from terrainwave.grid.quantum import HeightScan
@@ -51,6 +54,7 @@ class Windows(SourceWindows):
             self._heights = Spool(self._shape, source.info.dtype, directory, path=path)
         self._kept = kept
         self._seen = SeenTiles(self._shape, source.info.dtype, kept.path(_SEEN))
+        self._lock = threading.Lock()
 
     def n_scanned(self) -> int:
         """Return how many windows an earlier run has scanned; 0 if it has not left them."""
@@ -63,27 +67,34 @@ class Windows(SourceWindows):
                 return 0
         return int((self._kept.get(_SCAN) or {"n_windows": 0})["n_windows"])
 
-    def scan(self, first: int = 0) -> Iterator[Window | tuple[Region, Even]]:
+    def scan(self, crew: Crew, first: int = 0) -> Iterator[Window | tuple[Region, Even]]:
         """Yield (heights, validity, row, column), once over the raster in the source's order.
 
         Or a region that is even, with what it is. Those before `first` have been scanned by an
-        earlier run.
+        earlier run. The threads of `crew` read a window each.
         """
+        parts = self._parts(first)
+        while some := list(islice(parts, crew.n_threads)):
+            yield from crew.map(self._scanned, some)
+
+    def _parts(self, first: int) -> Iterator[tuple[Region, Even | None]]:
         for number, (region, even) in enumerate(self._source.parts()):
             if even is not None:
                 self._keep_even(region, even)
-            if number < first:
-                continue
-            if even is not None:
+            if number >= first:
                 yield region, even
-                continue
-            heights, valid = self._source.read(*region)
-            self._seen.note(region, heights, valid)
-            if self._heights is not None:
-                self._heights.write(region, heights)
-                if self._valid is not None or not valid.all():
-                    self._valid_spool().write(region, valid)
-            yield heights, valid, region.row, region.col
+
+    def _scanned(self, part: tuple[Region, Even | None]) -> Window | tuple[Region, Even]:
+        region, even = part
+        if even is not None:
+            return region, even
+        heights, valid = self._source.read(*region)
+        self._seen.note(region, heights, valid)
+        if self._heights is not None:
+            self._heights.write(region, heights)
+            if self._valid is not None or not valid.all():
+                self._valid_spool().write(region, valid)
+        return heights, valid, region.row, region.col
 
     def _keep_even(self, region: Region, even: Even) -> None:
         self._seen.note_even(region, even)
@@ -93,11 +104,13 @@ class Windows(SourceWindows):
                 self._valid_spool().fill(region, even.is_valid)
 
     def _valid_spool(self) -> Spool:
-        if self._valid is None:
-            path = self._kept.path(_VALID)
-            self._valid = Spool(self._shape, np.bool_, self._directory, path=path)
-            self._valid.fill(self._valid.region, True)  # what came before the first void
-            self._kept.put(_VALID, {})
+        with self._lock:
+            if self._valid is None:
+                path = self._kept.path(_VALID)
+                valid = Spool(self._shape, np.bool_, self._directory, path=path)
+                valid.fill(valid.region, True)  # what came before the first void
+                self._kept.put(_VALID, {})
+                self._valid = valid
         return self._valid
 
     def even(self, region: Region) -> Even | None:
