@@ -118,11 +118,9 @@ def measure(
 def main(paths, bounds, crop, runs, methods, folder, out) -> None:
     """Write the nanoseconds per sample of each stage to a CSV."""
     common.pin_to_cores()
-    name = "terrainwave.read.window_reader.ThreadPoolExecutor"
-    with mock.patch(name, return_value=common.InlineExecutor()):
-        cases = itertools.product([load_raster(path, crop) for path in paths], bounds, methods)
-        rows = (row for case in cases for row in measure(*case, runs, folder))
-        common.write_rows(out, rows)
+    cases = itertools.product([load_raster(path, crop) for path in paths], bounds, methods)
+    rows = (row for case in cases for row in measure(*case, runs, folder))
+    common.write_rows(out, rows)
 
 
 if __name__ == "__main__":

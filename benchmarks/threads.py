@@ -1,8 +1,9 @@
-"""What threads gain when a raster is compressed: ``python -m benchmarks.threads dem.tif``.
+"""What threads gain when a raster is compressed and read: ``python -m benchmarks.threads dem.tif``.
 
 The raster, mirrored, in sizes: `compress` in one process, kernels warm, 1, 2, 4 … threads in turns.
-"bare" is without meshes and proof, "whole" with both. On a machine that lends the threads of one
-core as processors nothing can be gained, so it is measured as well what a loop of a kernel gains.
+"bare" is without meshes and proof, "whole" with both; "read" opens that file and reads all of it,
+without the native library. On a machine that lends the threads of one core as processors nothing
+can be gained, so it is measured as well what a loop of a kernel gains.
 """
 
 import os
@@ -35,10 +36,10 @@ def loop(n_steps: int) -> int:
     return total
 
 
-def loops(n_threads: int) -> None:
+def loops(threads: int) -> None:
     """Run a loop in each of some threads."""
-    with ThreadPoolExecutor(n_threads) as executor:
-        list(executor.map(loop, [_N_STEPS] * n_threads))
+    with ThreadPoolExecutor(threads) as executor:
+        list(executor.map(loop, [_N_STEPS] * threads))
 
 
 def measure(dem: Path, sizes, numbers, bound: float, folder: Path) -> Iterator[Row]:
@@ -46,24 +47,29 @@ def measure(dem: Path, sizes, numbers, bound: float, folder: Path) -> Iterator[R
     loop(1)
     yield from rows_of(("", "", "loop", ""), numbers, loops, n_samples=0)
     for size in sizes:
-        source = folder / "mirrored.tif"
+        source, target = folder / "mirrored.tif", folder / "threads.twz"
         source.unlink(missing_ok=True)
         make_mirrored(dem, source, size)
         for name, options in COMMANDS.items():
-
-            def compress(n_threads: int, source=source, options=options) -> None:
-                terrainwave.compress(
-                    source, folder / "threads.twz", max_error=bound, threads=n_threads,
-                    overwrite=True, **options,
-                )  # fmt: skip
-
-            compress(1)
+            compress = partial(
+                terrainwave.compress, source, target, max_error=bound, overwrite=True, **options
+            )
+            compress(threads=1)
             yield from rows_of((dem.stem, size, name, bound), numbers, compress, size * size)
+        yield from rows_of(
+            (dem.stem, size, "read", bound), numbers, partial(read, target), size * size
+        )
+
+
+def read(path: Path, threads: int) -> None:
+    """Open a file and read all of it."""
+    with terrainwave.open(path, threads=threads, native=False) as terrain:
+        terrain.read()
 
 
 def rows_of(case, numbers, task, n_samples: int) -> Iterator[Row]:
-    """Yield the rows of a task, which takes a number of threads."""
-    tasks = [partial(task, n) for n in numbers]
+    """Yield the rows of a task, which takes a number of `threads`."""
+    tasks = [partial(task, threads=n) for n in numbers]
     found = common.take_turns(lambda: tasks, N_RUNS, clock=time.perf_counter)
     for n, timed in zip(numbers, found, strict=True):
         work = n if not n_samples else 1

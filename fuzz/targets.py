@@ -111,7 +111,7 @@ def pages(data: bytes) -> None:
         n_bytes = 17 * n_keys + N_CODES * n_blocks + 12 * n_children
         page = page[:12].ljust(12, b"\0") + deflate(page[12:].ljust(n_bytes, b"\0")[:n_bytes])
     found = unpack_page(page, layout, "a page")
-    starts = payload_starts(found, layout.keys, 1000)
+    starts = payload_starts(found, layout, 1000)
     assert min(starts) >= 1000
     assert max(starts) <= 1000 + found.body_length
     assert found.children_end >= found.first_child

@@ -74,7 +74,7 @@ def test_a_damaged_payload_is_named_and_others_still_read():
     key = Block(5, 10, 0)
     container = open_container(DATA)
     segment = container.segment(container.grid.segment_head(key))
-    start = segment.payload_range(segment.key_rows[key]).offset
+    start = segment.payload_range(segment.layout.key_rows[key]).offset
     damaged = bytearray(DATA)
     damaged[start] ^= 1
     container = open_container(bytes(damaged))

@@ -132,7 +132,7 @@ def test_each_payload_begins_where_the_one_before_it_in_the_file_ends():
     page = empty_page(layout)
     page.payload_lengths[:] = np.arange(len(layout.keys)) + 10
     page.mesh_lengths[::3] = 7
-    starts = payload_starts(page, layout.keys, 1000)
+    starts = payload_starts(page, layout, 1000)
     end = 1000
     for row in file_order(layout.keys):
         assert starts[row] == end

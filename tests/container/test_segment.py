@@ -73,6 +73,6 @@ def test_never_more_than_the_segment_nor_a_mebibyte_is_read_with_its_page():
 def test_a_segment_without_bytes_or_payloads_is_its_page():
     assert ahead(top_segment(0, 10_000), {HEAD}) == 0
     parent = top_segment(100, 10_000)
-    parent.page.child_lengths[parent.child_rows[HEAD]] = 0
-    parent.page.child_page_lengths[parent.child_rows[HEAD]] = 0
+    parent.page.child_lengths[parent.layout.child_rows[HEAD]] = 0
+    parent.page.child_page_lengths[parent.layout.child_rows[HEAD]] = 0
     assert page_and_payloads(parent, HEAD, LAYOUT, {HEAD}) == ByteRange(START, 0)

@@ -129,3 +129,14 @@ def test_an_error_of_another_thread_is_raised():
 
     with Crew(2) as crew, pytest.raises(KeyError, match="there"):
         crew.grow(work, [1, 2])
+
+
+def test_a_crew_that_works_for_others_keeps_nobody_waiting():
+    is_free, done = threading.Event(), []
+    with Crew(2) as crew:
+        crew.submit(is_free.wait)
+        crew.grow(lambda number: done.append(number) or [], [1, 2, 3])
+        assert list(crew.map(abs, [-1, -2])) == [1, 2]
+        assert not is_free.is_set()
+        is_free.set()
+    assert done == [1, 2, 3]

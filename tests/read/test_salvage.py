@@ -87,7 +87,7 @@ def ends_of_units(terrain):
         keys = [key] if tiles is None else [key, tiles.key_of(key)]
         for one in keys:
             segment = container.segment(None if one.is_root_key else grid.segment_head(one))
-            payload = segment.payload_range(segment.key_rows[one])
+            payload = segment.payload_range(segment.layout.key_rows[one])
             above = max(above, min(segment.payload_starts), payload.end)
         return above
 

@@ -338,7 +338,9 @@ class StoredSegments:
         """Return the codes of `block`: z_min, z_max, error, mesh error."""
         head = None if block.level == 0 else self._grid.segment_head(block.parent)
         segment = self._segment(head)
-        z_min, z_max, error, mesh_error = segment.page.codes[segment.block_rows[block]].tolist()
+        z_min, z_max, error, mesh_error = segment.page.codes[
+            segment.layout.block_rows[block]
+        ].tolist()
         return z_min, z_max, error, mesh_error
 
     def close(self) -> None:
@@ -354,7 +356,7 @@ class StoredSegments:
     def _section(self, key: Block, *, is_mesh: bool) -> bytes:
         head = None if key.is_root_key else self._grid.segment_head(key)
         segment = self._segment(head)
-        row = segment.key_rows[key]
+        row = segment.layout.key_rows[key]
         if is_mesh:
             wanted, crcs, kind = segment.mesh_range(row), segment.page.mesh_crcs, "mesh"
         else:

@@ -4,7 +4,7 @@ import struct
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import chain, pairwise
 from typing import Any, NamedTuple
 
@@ -23,17 +23,39 @@ _PREFIX = struct.Struct("<I Q")
 _MIN_PAGE = _PREFIX.size + 1
 
 
-class PageLayout(NamedTuple):
-    """What the page of a segment lists, in its order; it follows from the grid alone."""
-
+class _Lists(NamedTuple):
     keys: list[Block]
     blocks: list[Block]
     children: list[Block]
 
-    @property
+
+class PageLayout(_Lists):
+    """What the page of a segment lists, in its order; it follows from the grid alone."""
+
+    @cached_property
+    def order(self) -> list[int]:
+        """Return the rows of keys in the order in which their payloads lie in the file."""
+        return file_order(self.keys)
+
+    @cached_property
     def keys_in_file(self) -> list[Block]:
-        """Return the keys in the order in which their payloads lie in the file."""
-        return [self.keys[row] for row in file_order(self.keys)]
+        """Return the keys in that order."""
+        return [self.keys[row] for row in self.order]
+
+    @cached_property
+    def key_rows(self) -> dict[Block, int]:
+        """Return the row of each key."""
+        return {key: row for row, key in enumerate(self.keys)}
+
+    @cached_property
+    def block_rows(self) -> dict[Block, int]:
+        """Return the row of each block."""
+        return {block: row for row, block in enumerate(self.blocks)}
+
+    @cached_property
+    def child_rows(self) -> dict[Block, int]:
+        """Return the row of each child."""
+        return {child: row for row, child in enumerate(self.children)}
 
 
 @lru_cache(maxsize=32)
@@ -282,9 +304,9 @@ def file_order(keys: Sequence[Block]) -> list[int]:
     return [*first, *chain.from_iterable(below.values()), *reversed(fourth)]
 
 
-def payload_starts(page: Page, keys: Sequence[Block], body_start: int) -> Sequence[int]:
+def payload_starts(page: Page, layout: PageLayout, body_start: int) -> Sequence[int]:
     """Return the file offset of each key's payload; its mesh follows it (FORMAT.md §3.2)."""
-    order = file_order(keys)
+    order = layout.order
     lengths = (page.payload_lengths.astype(np.int64) + page.mesh_lengths)[order]
     starts = np.empty(len(order), dtype=np.int64)
     starts[order] = body_start + np.cumsum(lengths) - lengths

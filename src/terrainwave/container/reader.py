@@ -19,7 +19,6 @@ from terrainwave.container.page import (
     describe_head,
     describe_key,
     empty_page,
-    file_order,
     page_layout,
     unpack_page,
 )
@@ -257,7 +256,7 @@ class Container:
             _log.debug("read %d payloads, %d bytes", len(keys), n_bytes)
             for key, head in heads.items():
                 crcs = known[head].page.payload_crcs
-                check_crc(payloads[key], crcs[known[head].key_rows[key]], "payload", key)
+                check_crc(payloads[key], crcs[known[head].layout.key_rows[key]], "payload", key)
         return [payloads[key] for key in keys]
 
     def rounds(self) -> RoundReader:
@@ -327,14 +326,16 @@ class Container:
             raise KeyError(f"the grid has no {block}")
         head = None if block.level == 0 else self.grid.segment_head(block.parent)
         segment = self.segment(head)
-        z_min, z_max, error, mesh_error = segment.page.codes[segment.block_rows[block]].tolist()
+        z_min, z_max, error, mesh_error = segment.page.codes[
+            segment.layout.block_rows[block]
+        ].tolist()
         return z_min, z_max, error, mesh_error
 
     def _rows(self, keys: Sequence[Block]) -> list[tuple[Segment, int]]:
         heads = [self._head_of(key) for key in keys]
         segments = self.segments(heads)
         return [
-            (segments[head], segments[head].key_rows[key])
+            (segments[head], segments[head].layout.key_rows[key])
             for key, head in zip(keys, heads, strict=True)
         ]
 
@@ -377,7 +378,7 @@ class Container:
     def _check_payloads(self, segment: Segment) -> Iterator[str]:
         batch: list[int] = []
         size = 0
-        for row in file_order(segment.layout.keys):
+        for row in segment.layout.order:
             batch.append(row)
             size += segment.payload_range(row).length + segment.mesh_range(row).length
             if size > _CHECK_BATCH:
@@ -422,7 +423,7 @@ def _payload_places(
 ) -> dict[Block, ByteRange]:
     """Return where payloads lie, of the keys whose segments are known."""
     return {
-        key: known[head].payload_range(known[head].key_rows[key])
+        key: known[head].payload_range(known[head].layout.key_rows[key])
         for key, head in heads.items()
         if head in known
     }

@@ -25,9 +25,6 @@ class Segment:
     start: int
     end: int
     payload_starts: Sequence[int]
-    key_rows: dict[Block, int]
-    block_rows: dict[Block, int]
-    child_rows: dict[Block, int]
     child_starts: Sequence[int]
 
     def payload_range(self, row: int) -> ByteRange:
@@ -45,12 +42,12 @@ class Segment:
 
     def page_range(self, child: Block) -> ByteRange:
         """Return where the page of `child` lies; of length 0 if the segment is absent."""
-        row = self.child_rows[child]
+        row = self.layout.child_rows[child]
         return ByteRange(self.child_starts[row], int(self.page.child_page_lengths[row]))
 
     def child_range(self, child: Block) -> ByteRange:
         """Return where the segment of `child` lies; of length 0 if it is absent."""
-        row = self.child_rows[child]
+        row = self.layout.child_rows[child]
         return ByteRange(self.child_starts[row], int(self.page.child_lengths[row]))
 
 
@@ -68,10 +65,7 @@ def segment_of_page(
         page=page,
         start=start,
         end=end,
-        payload_starts=payload_starts(page, layout.keys, start + page_length),
-        key_rows={key: row for row, key in enumerate(layout.keys)},
-        block_rows={block: row for row, block in enumerate(layout.blocks)},
-        child_rows={child: row for row, child in enumerate(layout.children)},
+        payload_starts=payload_starts(page, layout, start + page_length),
         child_starts=child_starts,
     )
 
@@ -102,7 +96,7 @@ def page_and_payloads(
 
 def _length_above(parent: Segment, head: Block) -> float:
     """Return the bytes of the key above a segment, scaled by the segment's part of those below."""
-    row = parent.key_rows[head.parent]
+    row = parent.layout.key_rows[head.parent]
     length = parent.mesh_range(row).end - parent.payload_range(row).offset
     siblings = [child for child in parent.layout.children if child.parent == head.parent]
     total = sum(parent.child_range(sibling).length for sibling in siblings)

@@ -353,7 +353,7 @@ class DescribedFile:
         """Return the largest stored error of the blocks of each level, the coarsest level first."""
         codes = [0] * self.n_levels
         for segment in self.container.present_segments():
-            for block, row in segment.block_rows.items():
+            for block, row in segment.layout.block_rows.items():
                 codes[block.level] = max(codes[block.level], int(segment.page.codes[row, 2]))
         unit = self.quantizer.quantum * abs(self._raster.scale)
         return [decode_error(code) * unit for code in codes]

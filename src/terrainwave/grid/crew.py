@@ -54,8 +54,10 @@ class Crew(ThreadPoolExecutor):
             growth.stop()
             raise
         finally:
-            wait(others)
-        for other in others:
+            # Not for those that have not begun: they may be behind the work of another caller.
+            begun = [other for other in others if not other.cancel()]
+            wait(begun)
+        for other in begun:
             other.result()
 
 

@@ -4,7 +4,6 @@ import contextlib
 import logging
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,12 +12,12 @@ from numpy.typing import NDArray
 from terrainwave.codec.refiner import Decoded
 from terrainwave.errors import CorruptStreamError, StorageError
 from terrainwave.forks import renew_after_fork
+from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.grid.remainders import restored
 from terrainwave.read.decoder import Beginnings, TreeDecoder, unit_key
 from terrainwave.read.lost import LostUnits
-from terrainwave.read.schedule import run_after_parents
 
 _log = logging.getLogger(__name__)
 
@@ -43,18 +42,18 @@ class WindowReader:
         self._quantizer = quantizer
         self._dtype = np.dtype(quantizer.dtype)
         self._n_threads = n_threads
-        self._executor: ThreadPoolExecutor | None = None
-        self._lock = threading.Lock()
+        self._is_closed = False
+        self.renew()
         renew_after_fork(self)
 
     def renew(self) -> None:
         """Begin anew after a fork, which takes no threads along: the first read starts some."""
-        self._executor, self._lock = None, threading.Lock()
+        self._crew = Crew(self._n_threads)
 
     def close(self) -> None:
         """Stop the threads."""
-        if self._executor is not None:
-            self._executor.shutdown()
+        self._is_closed = True
+        self._crew.shutdown()
 
     def read(
         self,
@@ -133,23 +132,28 @@ class WindowReader:
 
     def _run(self, work: Callable[[Block], None], keys: list[Block]) -> None:
         """Call `work` for every unit, those above it first, in the threads."""
-        with self._lock:
-            if self._executor is None:
-                self._executor = ThreadPoolExecutor(
-                    self._n_threads, thread_name_prefix="terrainwave"
-                )
-            executor = self._executor
+        first, below = _by_parent(keys)
 
-        def submit(function: Callable[[Block], None], key: Block) -> Future[None]:
-            try:
-                return executor.submit(function, key)
-            except RuntimeError as error:  # its threads have been stopped
-                raise StorageError(f"{self._name} is closed") from error
+        def work_through(key: Block) -> list[Block]:
+            work(key)
+            return below[key]
 
-        run_after_parents(
-            submit, self._n_threads + 1, keys,
-            lambda key: None if key.is_root_key else unit_key(key), work,
-        )  # fmt: skip
+        try:
+            self._crew.grow(work_through, first)
+        except RuntimeError as error:  # its threads have been stopped
+            if not self._is_closed:
+                raise
+            raise StorageError(f"{self._name} is closed") from error
+
+
+def _by_parent(keys: list[Block]) -> tuple[list[Block], dict[Block, list[Block]]]:
+    """Return the keys of units without one above them, and the keys below each unit."""
+    first: list[Block] = []
+    below: dict[Block, list[Block]] = {key: [] for key in keys}
+    for key in keys:
+        parent = None if key.is_root_key else unit_key(key)
+        (first if parent is None else below.get(parent, first)).append(key)
+    return first, below
 
 
 def bilinear(

@@ -175,7 +175,7 @@ def _copied(
         for key in segment.layout.keys:
             codes = bytearray()
             for block in grid.key_blocks(key):
-                row = segment.page.codes[segment.block_rows[block]]
+                row = segment.page.codes[segment.layout.block_rows[block]]
                 codes += bytes(row[: N_CODES - 1]) + bytes([mesh_codes.get(block, 0)])
             mesh = container.mesh(key) if sections is None else sections.get(key, b"")
             spool.add(key, container.payload(key), codes=bytes(codes), mesh=mesh)
