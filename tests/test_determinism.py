@@ -13,6 +13,7 @@ from twz import grouped, twz_bytes
 
 from terrainwave.container.page import page_layout
 from terrainwave.grid.crew import Crew
+from terrainwave.raster_io.source import RasterSource
 from terrainwave.write import compress as compression
 from terrainwave.write import pyramid
 
@@ -41,6 +42,17 @@ def expected(method):
 @pytest.mark.parametrize("threads", [1, 2, 7])
 def test_the_number_of_threads_does_not_matter(method, expected, threads):
     assert twz_bytes(HEIGHTS, method=method, threads=threads, **options_of(method)) == expected
+
+
+@pytest.mark.parametrize("limit", [0, 1 << 30], ids=["on disk", "in memory"])
+def test_threads_that_scan_a_file_do_not_matter(monkeypatch, tmp_path, limit):
+    path = write_geotiff(tmp_path / "a.tif", HEIGHTS, nodata=-32768)
+    monkeypatch.setattr("terrainwave.raster_io.temporary.MEMORY_LIMIT", limit)
+    monkeypatch.setattr("terrainwave.write.passes.windows.MEMORY_LIMIT", 1 << 30)
+    monkeypatch.setattr(RasterSource.blocks, "__defaults__", (700,))  # samples of a window
+    assert len(list(RasterSource(path).blocks())) > 20
+    first, second = (twz_bytes(path, threads=n, max_error=2) for n in (1, 4))
+    assert first == second
 
 
 class ShuffledCrew(Crew):
