@@ -27,7 +27,9 @@ Read = Callable[[int, int], bytes]
 
 
 class Desk:
-    """Lets a bounded number of requests decode, or read, at a time; a context manager that ends the threads.
+    """Lets a bounded number of requests decode, or read, at a time.
+
+    A context manager that ends the threads.
 
     Parameters
     ----------
