@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from functools import cache
 
 _VARIABLE = "MALLOC_TRIM_THRESHOLD_"
-# Of glibc's malloc.h, with its default for arrays that are mapped one by one, and the most it takes.
+# Of glibc's malloc.h; its default for arrays that are mapped one by one, and the most it takes.
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 _MMAP_DEFAULT, _MMAP_MOST = 128 << 10, 32 << 20
 # Bytes that may be free at the end of a heap.
