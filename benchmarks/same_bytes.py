@@ -7,7 +7,8 @@ compressed anew, and the file compared byte by byte with the one of the first en
 Kernels are compiled anew for each interpreter and for each setting that changes them.
 
 ``--python NAME=PATH`` adds an environment of another interpreter, which needs what the package
-depends on, and hypothesis (a test's module makes the rasters). `widest` is what additions of
+depends on, and hypothesis (a test's module makes the rasters). ``--decode-only`` writes no files:
+emulated processors compile for minutes. `widest` is what additions of
 int32 in a loop use in that environment: xmm, ymm or zmm.
 
 Exit status: 0 good; 1 something differs; 2 wrong usage.
@@ -69,16 +70,21 @@ Row = namedtuple(
 )
 
 
-def found_in(python: str, threads: int, cache: Path, more: dict[str, str], folder: Path) -> dict:
+def found_in(
+    python: str, threads: int, cache: Path, more: dict[str, str], folder: Path, *, writes: bool
+) -> dict:
     """Return what the worker finds in an environment."""
     result = folder / "found.json"
     command = [python, "-c", _WORKER, str(threads), str(folder), str(result)]
+    command += ["decode only"] * (not writes)
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), **more}
     subprocess.run(command, env=environment, cwd=common.ROOT, check=True)
     return json.loads(result.read_text(encoding="utf-8"))
 
 
-def measured(pythons: dict[str, str], threads: list[int], names: list[str], folder: Path):
+def measured(
+    pythons: dict[str, str], threads: list[int], names: list[str], folder: Path, *, writes: bool
+):
     """Yield the rows of all environments."""
     runs = [(name, sys.executable, ENVIRONMENTS[name], 1) for name in names]
     runs[1:1] = [("host", sys.executable, {}, n) for n in threads if n > 1]
@@ -87,7 +93,7 @@ def measured(pythons: dict[str, str], threads: list[int], names: list[str], fold
     for name, python, more, n_threads in runs:
         compiling = [name for name in more if name.startswith("NUMBA_")]
         cache = folder / f"cache {Path(python).parts[-3]} {name if compiling else 'host'}"
-        found = found_in(python, n_threads, cache, more, folder)
+        found = found_in(python, n_threads, cache, more, folder, writes=writes)
         first = first or found["written"]
         n_equal = sum(first[case] == digest for case, digest in found["written"].items())
         for case, digest in found["written"].items():
@@ -118,11 +124,12 @@ def _pairs(_context, _parameter, values: tuple[str, ...]) -> dict[str, str]:
     type=click.Choice(list(ENVIRONMENTS)),
     default=list(ENVIRONMENTS),
 )
+@common.option("--decode-only", is_flag=True, help="Write no files.")
 @common.option("--append", is_flag=True, help="Keep the rows that are there.")
-def main(pythons, threads, only, append, folder: Path, out: Path) -> None:
+def main(pythons, threads, only, decode_only, append, folder: Path, out: Path) -> None:
     """Run all environments."""
     names = ["host", *(name for name in only if name != "host")]
-    rows: Iterator[Row] = measured(pythons, threads, names, folder)
+    rows: Iterator[Row] = measured(pythons, threads, names, folder, writes=not decode_only)
     if append and out.exists():
         next(rows)  # what others are compared with is there
     written = common.write_rows(out, rows, append=append)

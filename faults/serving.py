@@ -30,6 +30,8 @@ Row = namedtuple(
 )
 Held = namedtuple("Held", "when memory_mb handles threads connections")
 _TERRAINWAVE = [sys.executable, "-m", "terrainwave"]
+# How often the memory is looked at under load.
+_N_LOOKS = 6
 # The files: name and options of compress.
 _FILES = {"lossless": ["--max-error", "0"], "metre": ["--max-error", "1"]}
 
@@ -96,10 +98,10 @@ def run(
         stdout=subprocess.PIPE, cwd=common.ROOT,
     ) as clients:  # fmt: skip
         began = time.monotonic()
-        for part in (1, 2, 3):
+        for part in range(1, _N_LOOKS + 1):
             # Shortly before the end: at the end the clients leave.
-            time.sleep(max(0.0, began + (part / 3 - 0.02) * seconds - time.monotonic()))
-            held.append(held_by(server, f"at {seconds * part / 3:.0f} s"))
+            time.sleep(max(0.0, began + (part / _N_LOOKS - 0.02) * seconds - time.monotonic()))
+            held.append(held_by(server, f"at {seconds * part / _N_LOOKS:.0f} s"))
         try:
             told, _ = clients.communicate(timeout=seconds + 120)
         finally:

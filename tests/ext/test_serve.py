@@ -316,6 +316,30 @@ def test_no_more_requests_decode_at_a_time_than_allowed(hilly, monkeypatch):
     assert sorted(found) == [204] * 3 + [503] * 3
 
 
+def test_bytes_of_files_and_heads_do_not_wait_for_tiles(hilly, monkeypatch):
+    monkeypatch.setattr(sending, "N_WAITING", 0)
+    has_begun, release = threading.Event(), threading.Event()
+
+    def slow(*_):
+        has_begun.set()
+        release.wait(20)
+
+    monkeypatch.setattr(tiling, "rgb_tile", slow)
+    with client_of(hilly, n_decoding=1) as client:
+        tile = threading.Thread(target=client.get, args=["/hills/rgb/0/0/0.png"])
+        tile.start()
+        assert has_begun.wait(20)
+        statuses = [
+            client.get("/hills/rgb/1/0/0.png").status_code,
+            client.head("/hills.tif").status_code,
+            client.get("/hills.twz", headers={"Range": "bytes=0-9"}).status_code,
+            client.get("/hills.twz").status_code,
+        ]
+        release.set()
+        tile.join(20)
+    assert statuses == [503, 200, 206, 200]
+
+
 def test_two_files_of_one_name_are_refused(hilly, tmp_path):
     other = tmp_path / "hills.twz"
     other.write_bytes(hilly.read_bytes())

@@ -1,11 +1,14 @@
 """Does a raster come back from disk as it went in, and is each fault one clear error?"""
 
+import errno
 import json
 import math
 import os
+import shutil
 import socketserver
 import subprocess
 import sys
+import tempfile
 import threading
 import warnings
 from types import SimpleNamespace
@@ -691,6 +694,23 @@ def test_interrupted_writing_leaves_the_target_as_it_was(tmp_path, cog):
         write_and_stop()
     assert path.read_bytes() == b"mine"
     assert file_names(tmp_path) == ["a.tif"]
+
+
+@pytest.mark.parametrize("takes_more", [True, False])
+def test_a_full_disk_ends_a_sink_of_several_threads_at_once(tmp_path, monkeypatch, takes_more):
+    def temporary_file(**_):
+        raise OSError(errno.ENOSPC, "no space")
+
+    heights, valid = np.zeros((512, 512), np.int16), np.ones((512, 512), np.bool_)
+    sink = RasterSink(tmp_path / "a.tif", RasterInfo(600, 600, "int16"), n_threads=2)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=0))
+    if takes_more:  # of this user alone
+        sink.write(0, 0, heights, valid)
+    monkeypatch.setattr(tempfile, "TemporaryFile", temporary_file)
+    with pytest.raises(StorageError, match=r"a\.tif: the disk is full"):
+        sink.write(0, 0, heights, valid)
+    sink.abort()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_target_made_meanwhile_is_not_replaced(tmp_path):

@@ -379,8 +379,10 @@ with only_writer(path, path.parent, "it"):
 
 def test_a_second_writer_of_the_same_target_is_refused_in_one_line(tmp_path, raster):
     target = tmp_path / "out.twz"
+    source = tmp_path / "source.twz"
     terrainwave.compress(raster, target, **OPTIONS)
     before = target.read_bytes()
+    source.write_bytes(before)
     with subprocess.Popen(
         [sys.executable, "-c", _HOLD, target], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as other:
@@ -390,6 +392,8 @@ def test_a_second_writer_of_the_same_target_is_refused_in_one_line(tmp_path, ras
             terrainwave.compress(raster, target, overwrite=True, **OPTIONS)
         with pytest.raises(StorageError, match=message):
             patch(target, raster)
+        with pytest.raises(StorageError, match=message):
+            terrainwave.store_meshes(source, target, overwrite=True)
         assert target.read_bytes() == before
         other.kill()  # who is gone holds nothing
     terrainwave.compress(raster, target, overwrite=True, **OPTIONS)

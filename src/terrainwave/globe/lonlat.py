@@ -281,15 +281,13 @@ class Globe:
             across = col - left if n_cols > 1 else np.zeros_like(col)
             right = np.minimum(left + 1, n_cols - 1)
         bottom = np.minimum(top + 1, n_rows - 1)
-        window = self._read(level, int(top.min()), int(bottom.max()), np.union1d(left, right))
-        total, is_void = np.zeros(row.shape), np.zeros(row.shape, dtype=np.bool_)
-        for at_row, row_weight in ((top, 1 - down), (bottom, down)):
-            for at_col, col_weight in ((left, 1 - across), (right, across)):
-                at = at_row - window.row, np.searchsorted(window.columns, at_col)
-                weight = row_weight * col_weight
-                total += np.where(window.valid[at], window.heights[at], 0.0) * weight
-                is_void |= ~window.valid[at] & (weight != 0)
-        heights[inside] = np.where(is_void, np.nan, total)
+        window = self._read(level, int(top.min()), int(bottom.max()), _distinct(left, right))
+        total, is_void = _weighted(
+            window,
+            ((top - window.row, 1 - down), (bottom - window.row, down)),
+            ((_among(window.columns, left), 1 - across), (_among(window.columns, right), across)),
+        )
+        heights[inside] = total if is_void is None else np.where(is_void, np.nan, total)
         return heights, window
 
     def _around(
@@ -394,6 +392,51 @@ class Globe:
             return 0.0, 0.0
         low, high = sorted((info.minimum * self.metres, info.maximum * self.metres))
         return low, high
+
+
+def _distinct(first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the columns that are in one of two arrays, in ascending order, without sorting."""
+    least = min(int(first.min()), int(second.min()))
+    most = max(int(first.max()), int(second.max()))
+    is_there = np.zeros(most - least + 1, dtype=np.bool_)
+    is_there[first - least] = is_there[second - least] = True
+    return least + np.flatnonzero(is_there)
+
+
+def _among(columns: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the places of columns among those of a window."""
+    if columns[-1] - columns[0] == columns.size - 1:
+        return wanted - columns[0]
+    return np.searchsorted(columns, wanted)
+
+
+_Weighted = tuple[NDArray[np.int64], Numbers]
+
+
+def _weighted(
+    window: Window, rows: tuple[_Weighted, _Weighted], cols: tuple[_Weighted, _Weighted]
+) -> tuple[Numbers, NDArray[np.bool_] | None]:
+    """Return weighted sums of four samples of a window, and where one of these is void.
+
+    `rows` and `cols` are places in the window with their weights. None instead of what is void if
+    nothing in the window is.
+    """
+    n_cols = window.columns.size
+    is_whole = bool(window.valid.all())
+    known = (window.heights if is_whole else np.where(window.valid, window.heights, 0.0)).ravel()
+    missing = None if is_whole else ~window.valid.ravel()
+    total = np.zeros(rows[0][0].shape)
+    is_void = None if is_whole else np.zeros(total.shape, dtype=np.bool_)
+    for row, row_weight in rows:
+        start = row * n_cols
+        for col, col_weight in cols:
+            at = start + col
+            weight = row_weight * col_weight
+            if is_void is not None and missing is not None:
+                is_void |= missing[at] & (weight != 0)
+            weight *= known[at]
+            total += weight
+    return total, is_void
 
 
 def _clamped(places: Numbers, n_samples: int) -> tuple[Numbers, NDArray[np.bool_]]:

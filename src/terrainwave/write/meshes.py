@@ -16,6 +16,7 @@ from terrainwave.container.metadata import without_origin
 from terrainwave.container.page import N_CODES
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.targets.publication import publish, refuse_own_source, scratch_directory
+from terrainwave.container.targets.unfinished import only_writer
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.file import TerrainFile
@@ -74,7 +75,8 @@ def store_meshes(
     CorruptStreamError
         If the file is damaged; `dst` is untouched.
     StorageError
-        If something cannot be read or written, or `dst` is `src`; `dst` is untouched.
+        If something cannot be read or written, `dst` is `src`, or another run is writing it; `dst`
+        is untouched.
     """
     check_mesh(mesh, or_none=False)
     error = checked_error("mesh_error", mesh_error)
@@ -83,8 +85,10 @@ def store_meshes(
     refuse_own_source(src, dst)
     refuse_raster(dst)
     reporter = Reporter(progress)
+    final = Path(os.path.realpath(dst))
     with (
         publish(dst, overwrite=overwrite) as part,
+        only_writer(final, final.parent, os.fspath(dst)),
         TerrainFile(src, threads=1) as terrain,
         scratch_directory(Path(dst).absolute().parent, Path(dst).name) as directory,
         Crew(n_threads) as executor,

@@ -53,7 +53,7 @@ from terrainwave.write.boxes import (
 )
 from terrainwave.write.encoder import Stats, TreeEncoder
 from terrainwave.write.job import Job
-from terrainwave.write.passes.proof import Comparison, allowed_error, unproved
+from terrainwave.write.passes.proof import Comparison, allowed_error, shares_in_turns, unproved
 from terrainwave.write.pyramid import Pyramid, SubtreeRegion
 
 _CACHE_BYTES = 64 << 20
@@ -462,6 +462,10 @@ def prove_region(site: Site, path: str | os.PathLike[str], region: Region) -> fl
     """
     job = site.job
     allowed = allowed_error(job.quantizer, job.raw_bound, job.effective_error)
-    with site.raster.open() as source, TerrainFile(path, threads=1, native=False) as terrain:
+    with (
+        site.raster.open() as source,
+        TerrainFile(path, threads=1, cache_bytes=_CACHE_BYTES, native=False) as terrain,
+    ):
         comparison = Comparison(terrain, source, allowed)
-        return comparison.all(unproved(terrain, source, site.grid, region))
+        shares = shares_in_turns(site.grid, unproved(terrain, source, site.grid, region))
+        return max(map(comparison.all, shares), default=0.0)

@@ -47,13 +47,20 @@ class _Route(APIRoute):
 class Answers:
     """What is answered, from the files of a shelf; a method for each address.
 
-    `look` is that of tiles where a request asks for none.
+    `desk` has what is decoded, `reading` the bytes of files, which need not wait for that. `look`
+    is that of tiles where a request asks for none.
     """
 
     def __init__(
-        self, layers: dict[str, Layer], shelf: Shelf, desk: Desk, look: Look, sea_level: str | float
+        self,
+        layers: dict[str, Layer],
+        shelf: Shelf,
+        desk: Desk,
+        reading: Desk,
+        look: Look,
+        sea_level: str | float,
     ) -> None:
-        self._layers, self._shelf, self._desk = layers, shelf, desk
+        self._layers, self._shelf, self._desk, self._reading = layers, shelf, desk, reading
         self._look, self._sea_level = look, sea_level
 
     def router(self) -> APIRouter:
@@ -177,16 +184,17 @@ class Answers:
 
     async def _geotiff(self, request: Request, name: str) -> Response:
         raster = self._shelf.find(name)
-        size = await self._desk.do(lambda: raster.geotiff.size)
+        made = raster.geotiff
         headers = self._tagged(request, raster)
-        read = raster.geotiff.read_at
-        return await self._send(request, headers, "image/tiff", size, read, raster.ahead)
+        return await self._send(
+            request, headers, "image/tiff", made.size, made.read_at, self._desk, raster.ahead
+        )
 
     async def _file(self, request: Request, name: str) -> Response:
         raster = self._shelf.find(name)
-        source = raster.terrain.container.source
+        source, headers = raster.terrain.container.source, self._tagged(request, raster)
         return await self._send(
-            request, self._tagged(request, raster), MEDIA_TYPE, source.size, source.read
+            request, headers, MEDIA_TYPE, source.size, source.read, self._reading
         )
 
     async def _send(
@@ -196,6 +204,7 @@ class Answers:
         media_type: str,
         size: int,
         read: Callable[[int, int], bytes],
+        desk: Desk,
         ahead: Ahead | None = None,
     ) -> Response:
         """Return the bytes that are asked for of a resource, or what HEAD wants to know."""
@@ -207,9 +216,9 @@ class Answers:
         if request.method == "HEAD":
             return Response(status_code=status, headers=headers, media_type=media_type)
         if span.stop - span.start <= PART:
-            body = await self._desk.do(read, span.start, span.stop - span.start)
+            body = await desk.do(read, span.start, span.stop - span.start)
             return Response(body, status, headers, media_type)
-        made = await begun(parts(self._desk, read, span, ahead))
+        made = await begun(parts(desk, read, span, ahead))
         return StreamingResponse(made, status, headers, media_type)
 
     async def _height(

@@ -1,8 +1,8 @@
 """The web application: `answers` from `layers`, within `guards`.
 
 Only the files named at start are served, and those that `Shelf.add` names. Requests are answered
-in threads; at most `n_decoding` of them decode at a time and `sending.N_WAITING` wait,
-the rest are told to come back.
+in threads; at most `n_decoding` of them decode at a time, and `_N_READING` others read bytes of
+files; `sending.N_WAITING` of either kind wait, the rest are told to come back.
 """
 
 import logging
@@ -30,6 +30,8 @@ from terrainwave.place.vertical import note_as_is
 from terrainwave.render.look.colorings import AUTO
 from terrainwave.render.look.style import check_sea_level
 
+# Requests for bytes of files that are read at a time: from disk, or from a server, which is slow.
+_N_READING = 4
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "[::1]")
 _log = logging.getLogger(__name__)
 
@@ -81,7 +83,7 @@ def make_app(
     """
     check_sea_level(sea_level)
     look = Look(tiling.encoding_of(encoding).name, transparent_voids)
-    desk = Desk(n_decoding)
+    desk, reading = Desk(n_decoding), Desk(_N_READING)
     layers = open_layers(paths, radius, vertical) if paths else {}
     for layer in layers.values():
         if vertical == AS_IS:
@@ -92,7 +94,7 @@ def make_app(
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> Any:
-        with shelf, desk:
+        with shelf, desk, reading:
             yield
 
     app = FastAPI(
@@ -131,6 +133,6 @@ def make_app(
         # The one answer that does not pass through `Guarded`.
         return JSONResponse({"detail": "internal error"}, 500, guards)
 
-    app.include_router(Answers(layers, shelf, desk, look, sea_level).router())
+    app.include_router(Answers(layers, shelf, desk, reading, look, sea_level).router())
     app.mount("/static", StaticFiles(directory=STATIC), name="static")
     return app

@@ -27,12 +27,14 @@ Read = Callable[[int, int], bytes]
 
 
 class Desk:
-    """Lets a bounded number of requests decode at a time; a context manager that ends the threads.
+    """Lets a bounded number of requests decode, or read, at a time.
+
+    A context manager that ends the threads.
 
     Parameters
     ----------
     n_decoding : int
-        Threads that decode at once.
+        Threads that do it at once.
     """
 
     def __init__(self, n_decoding: int) -> None:

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import shutil
+import tempfile
 import threading
 import warnings
 import zlib
@@ -38,6 +39,9 @@ from terrainwave.raster_io.tags import PLAIN_COLORS, writable_tags
 
 # Samples a side of a GeoTIFF's tile.
 TILE = 512
+
+# Bytes; where fewer are free, a disk is asked whether it takes so many.
+_NEARLY_FULL = 64 << 10
 
 # Compressed output may be far smaller than its raw size; below this share it cannot fit.
 _SMALLEST_SHARE = 0.05
@@ -244,6 +248,10 @@ class RasterSink:
                 self._written.append(_Written(window, zlib.crc32(heights.data), mask_crc))
         except GDAL_ERRORS as error:
             raise self._cannot_write(error) from error
+        # GDAL's threads don't tell: all windows would be written, with a line of libtiff's for each
+        # tile.
+        if self._n_threads > 1 and _is_full(self._part.parent):
+            raise self._full_disk()
 
     def close(self) -> None:
         """Finish the file and move it to its place."""
@@ -298,7 +306,7 @@ class RasterSink:
             except GDAL_ERRORS:
                 is_complete = False
         if not is_complete:
-            raise StorageError(f"cannot write {self._path}: the disk is full")
+            raise self._full_disk()
 
     def _holds_what_was_written(self, part: Path) -> bool:
         with rasterio.open(part, num_threads=self._n_threads) as dataset:
@@ -310,6 +318,9 @@ class RasterSink:
                     if zlib.crc32(np.packbits(valid).data) != mask_crc:
                         return False
         return True
+
+    def _full_disk(self) -> StorageError:
+        return StorageError(f"cannot write {self._path}: the disk is full")
 
     def _cannot_write(self, error: BaseException) -> StorageError:
         return cannot_write(self._path, one_line(error))
@@ -333,6 +344,17 @@ class RasterSink:
             self.close()
         else:
             self.abort()
+
+
+def _is_full(folder: Path) -> bool:
+    """Say whether a disk takes nothing any more: what looks free may not be, and the reverse."""
+    if shutil.disk_usage(folder).free >= _NEARLY_FULL:
+        return False
+    try:
+        with tempfile.TemporaryFile(dir=folder, buffering=0) as file:
+            return file.write(bytes(_NEARLY_FULL)) < _NEARLY_FULL
+    except OSError:
+        return True
 
 
 def _holds_all_tiles(path: Path, *, may_be_sparse: bool) -> bool:

@@ -271,7 +271,7 @@ def measured_error(largest: float, quantizer: Quantizer) -> float:
     return largest
 
 
-def _shares_in_turns(grid: Grid, whole: Iterator[Region | Block]) -> Iterator[Share]:
+def shares_in_turns(grid: Grid, whole: Iterator[Region | Block]) -> Iterator[Share]:
     """Yield shares of what `unproved` yields: not all at once, for they are millions."""
     while batch := list(islice(whole, _BATCH)):
         yield from ([one] for one in batch if isinstance(one, Block))
@@ -329,7 +329,7 @@ def prove(
         total = grid.n_rows * grid.n_cols
         count = reporter.counter("proving", total, np.dtype(job.info.dtype).itemsize)
         compare = partial(executor.map, comparison.all)
-        shares = _shares_in_turns(grid, whole)
+        shares = shares_in_turns(grid, whole)
         for share, error in proven_shares(path, shares, compare, kept):
             largest = max(largest, error)
             count(sum(_n_samples(grid, one) for one in share))

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, Protocol, Self
 from terrainwave.arguments import in_one_line
 from terrainwave.container.depot import Meter
 from terrainwave.errors import CorruptStreamError, StorageError, TerrainwaveError
+from terrainwave.write.tasks.heap import kept_heap
 
 
 class Workplace(NamedTuple):
@@ -52,7 +53,8 @@ def run_task(function: Callable[..., Any], task: Task, *arguments: Any) -> TaskO
     result: Any = None
     error: TerrainwaveError | None = None
     try:
-        result = function(task.at(meter, place.folder), *arguments)
+        with kept_heap():
+            result = function(task.at(meter, place.folder), *arguments)
     except (StorageError, CorruptStreamError) as problem:
         error = problem
     except (OSError, MemoryError) as problem:
