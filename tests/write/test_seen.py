@@ -8,10 +8,12 @@ import rasterio
 from strategies import terrain_like
 
 import terrainwave as tw
+from terrainwave.codec.predictive import fit as predictive_fit
+from terrainwave.codec.rapid import fit as rapid_fit
 from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.even import Even
 from terrainwave.raster_io.source import RasterSource
-from terrainwave.write import encoder
+from terrainwave.write import encoder, pyramid
 from terrainwave.write.passes import seen
 from terrainwave.write.passes.seen import SeenTiles
 
@@ -173,3 +175,23 @@ def test_files_are_the_same_and_units_of_seas_are_coded_once(
     if method != "cdf53":
         assert n_with < 0.7 * n_coded
     assert tw.verify(tmp_path / "seen.twz", source).ok
+
+
+@pytest.mark.parametrize("void", [False, True])
+def test_heights_that_change_after_the_scan_are_found_by_the_proof(void, tmp_path):
+    heights = np.zeros((900, 1000), dtype=np.int16)
+    heights[:, 700:] = terrain_like(900, 300, dtype="int16", seed=4)
+    nodata = 0 if void else None
+
+    def change(progress):
+        if progress.stage != "scanning":
+            heights[300:303, 200:205] = 500
+
+    with pytest.raises(tw.BoundViolationError, match="row"):
+        tw.compress(heights, tmp_path / "a.twz", block=32, nodata=nodata, progress=change)
+    assert not (tmp_path / "a.twz").exists()
+
+
+def test_windows_that_tables_are_fitted_to_reach_no_unmade_fills():
+    margin = pyramid._FILL_MARGIN * (pyramid.TILE // 2) + pyramid._FILL_REACH
+    assert margin >= max(rapid_fit._WINDOW, predictive_fit._WINDOW)

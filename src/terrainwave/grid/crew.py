@@ -32,7 +32,10 @@ class Crew(ThreadPoolExecutor):
         timeout: float | None = None,
         chunksize: int = 1,  # noqa: ARG002  of pools of processes
     ) -> Iterator[Result]:
-        """Do as `Executor.map`; what waits for a result works meanwhile. There is no `timeout`."""
+        """Do as `Executor.map`; what waits for a result works meanwhile. There is no `timeout`.
+
+        One thread does nothing until it is asked for the first result.
+        """
         if timeout is not None:
             raise ValueError(f"found `timeout` {timeout}, expected None")
         turns = _Turns(fn, list(zip(*iterables, strict=False)))
@@ -129,7 +132,7 @@ class _Growth(Generic[T]):
         """Work until nothing waits, and nothing more can come."""
         while True:
             with self._changed:
-                while not self._waiting and self._n_busy:
+                while not self._waiting and self._n_busy and not self._is_stopped:
                     self._changed.wait()
                 if not self._waiting:
                     return
@@ -153,3 +156,4 @@ class _Growth(Generic[T]):
         with self._changed:
             self._is_stopped = True
             self._waiting.clear()
+            self._changed.notify_all()

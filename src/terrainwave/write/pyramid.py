@@ -48,7 +48,8 @@ _LOWPASS_HALO, _LOWPASS53_HALO = 4, 2
 _EVEN_MARGIN = 2
 # So far from valid samples nothing reads fills, in sides of blocks or parts of windows: a unit has
 # two blocks a side, and a part near valid samples is made of one of twice its side on the level
-# below. And so many samples more: those that masks and averages reach, and aprons.
+# below. And so many samples more: those that masks and averages reach, and aprons. Windows that
+# tables are fitted to must reach no farther.
 _FILL_MARGIN, _FILL_REACH = 2, 16
 # Windows that wait for a thread at a time: what waits takes more memory than a window's place.
 _BATCH = 4096

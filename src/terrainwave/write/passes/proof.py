@@ -63,8 +63,8 @@ def unproved(
 
     Windows, and blocks on whose every sample the source has one height: heads of finest segments,
     and blocks as large as a window. Of voids that the source knows, the file's index proves the
-    most; windows in which the file has heights there are compared. Some samples of what the source
-    knows are read all the same.
+    most; windows in which the file has heights there are compared. Some samples of what an index
+    tells are read all the same, and all of what only the scan has told.
 
     Raises
     ------
@@ -76,8 +76,8 @@ def unproved(
     for part, even in even_parts(whole, side, source.even):
         if even is not None and not source.holds(part, even):
             raise BoundViolationError(
-                f"the source's index and its heights differ within {part.n_rows} x {part.n_cols}"
-                f" samples from row {part.row}, column {part.col}; {OUR_FAULT}"
+                f"heights within {part.n_rows} x {part.n_cols} samples from row {part.row}, column"
+                f" {part.col} are not what the source's index or the scan say; {OUR_FAULT}"
             )
         if even is None:
             yield part

@@ -78,7 +78,7 @@ class SeenTiles:
         state, value = tiles[0, 0]["state"], tiles[0, 0]["value"]
         if state <= _MIXED or (tiles["state"] != state).any():
             return None
-        if state == _VALID and not _is_bits(tiles["value"], value).all():
+        if state == _VALID and not is_bits(tiles["value"], value).all():
             return None
         return Even(value, bool(state == _VALID))
 
@@ -105,7 +105,7 @@ class SeenTiles:
             is_new = states == _UNSEEN
             is_same = states == state
             if state == _VALID:
-                is_same &= _is_bits(values, value)
+                is_same &= is_bits(values, value)
             values[is_new] = value
             states[is_new] = state
             states[~(is_new | is_same)] = _MIXED
@@ -119,12 +119,12 @@ def _what(heights: NDArray[Any], valid: NDArray[np.bool_]) -> tuple[int, Any]:
     for part in (few, np.s_[:, :]):
         if not (valid[part] == is_valid).all():
             return _MIXED, value
-        if is_valid and not _is_bits(heights[part], value).all():
+        if is_valid and not is_bits(heights[part], value).all():
             return _MIXED, value
     return (_VALID if is_valid else _VOID), value
 
 
-def _is_bits(values: NDArray[Any], value: Any) -> NDArray[np.bool_]:
+def is_bits(values: NDArray[Any], value: Any) -> NDArray[np.bool_]:
     """Say which values are a value bit for bit: -0.0 is not 0.0."""
     bits = f"u{values.dtype.itemsize}"
     return values.view(bits) == np.asarray(value, dtype=values.dtype).view(bits)

@@ -23,7 +23,7 @@ from terrainwave.raster_io.even import Even, even_parts
 from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import MEMORY_LIMIT, Spool
-from terrainwave.write.passes.seen import SIDE, SeenTiles
+from terrainwave.write.passes.seen import SIDE, SeenTiles, is_bits
 from terrainwave.write.pyramid import SourceWindows
 
 # Records of what is kept: of the scan, and that there is an array of which samples are valid; a
@@ -118,12 +118,21 @@ class Windows(SourceWindows):
         return self._source.even(region) or self._seen.even(region)
 
     def holds(self, region: Region, even: Even) -> bool:
-        """Say whether samples of the even parts of a region are what the source's index says.
+        """Say whether a region is what index or scan say, by reading it again.
 
-        The others have been read, each sample (`RasterSource.holds`).
+        All samples of what the scan found, and some of each part that the index tells
+        (`RasterSource.holds`).
         """
-        parts = even_parts(region, SIDE, self._source.even)
-        return all(self._source.holds(part, even) for part, known in parts if known is not None)
+        return all(
+            self._source.holds(part, known) if known is not None else self._is_all(part, even)
+            for part, known in even_parts(region, SIDE, self._source.even)
+        )
+
+    def _is_all(self, region: Region, even: Even) -> bool:
+        heights, valid = self.read(*region)
+        if not even.is_valid:
+            return not valid.any()
+        return bool(valid.all() and is_bits(heights, even.value).all())
 
     def read(
         self, row: int, col: int, n_rows: int, n_cols: int
