@@ -21,7 +21,9 @@ from PIL import Image
 from benchmarks import common, tables
 from benchmarks.codecs import (
     BOUNDS,
+    SLOW,
     exit_with_failures,
+    leave_slow_speeds,
     measure_missing,
     measure_speeds,
     read_cases,
@@ -110,16 +112,23 @@ def draw(curves: Curves, results: Path) -> None:
 @common.rasters_argument
 @common.option("--only", "parts", cls=common.ListOption, type=PART, default=[*FAMILIES])
 @click.option("--again", cls=common.ListOption, type=PART, help="Throw away first.")
+@click.option(
+    "--fast", is_flag=True, help="Of speeds, those of fast codecs; others stay as they are."
+)
 @common.bounds_option(*BOUNDS)
-def main(paths, parts, again, bounds, folder, out) -> None:
+def main(paths, parts, again, fast, bounds, folder, out) -> None:
     """Measure what is missing; write CSVs, tables and the plot."""
     common.pin_to_cores()
     for part in again:
-        (out / f"{part}.csv").unlink(missing_ok=True)
+        if part == "speeds" and fast:
+            leave_slow_speeds(out / "speeds.csv")
+        else:
+            (out / f"{part}.csv").unlink(missing_ok=True)
     rows = []
     for part in parts:
         codecs, file = make_codecs(*FAMILIES[part], folder), out / f"{part}.csv"
         if part == "speeds":
+            codecs = [codec for codec in codecs if not (fast and codec.name.startswith(SLOW))]
             common.write_rows(file, measure_speeds(paths, out, codecs), append=True)
             continue
         cases = measure_missing(paths, codecs, bounds, read_cases(file))

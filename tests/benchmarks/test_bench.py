@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 pytest.importorskip("matplotlib")
 
-from benchmarks.codecs import SpeedRow, read_cases
+from benchmarks.codecs import SpeedRow, leave_slow_speeds, read_cases
 from benchmarks.common import take_turns, write_rows
 from benchmarks.tables import markdown
 
@@ -35,6 +35,16 @@ def test_rows_that_are_not_appended_take_the_place_of_others(tmp_path):
     for codec in ("sperr", "terrainwave-cdf97"):
         write_rows(path, [speed_row(codec, 1.0)])
     assert read_cases(path) == {("hill", 3.0, "terrainwave-cdf97")}
+
+
+def test_speeds_of_slow_codecs_stay_where_those_of_fast_ones_are_measured_again(tmp_path):
+    path = tmp_path / "speeds.csv"
+    slow = [speed_row("cog", 9.0, slow=True), speed_row("sperr", 1.0, slow=True)]
+    write_rows(path, slow)
+    before = path.read_bytes()
+    write_rows(path, [speed_row("cog", 8.0), *slow, speed_row("terrainwave-rapid", 7.0)])
+    leave_slow_speeds(path)
+    assert path.read_bytes() == before
 
 
 def test_speeds_are_told_beside_the_cog_of_the_same_turns_with_the_slowest_case(tmp_path):
