@@ -6,20 +6,23 @@ over all latitudes, some over each other, one across 180 degrees; one dense area
 constant 0, a GeoTIFF whose blocks have no bytes; void elsewhere. The real heights do not lie where
 they were measured: what counts is how many there are, and where.
 
-Every stage is a process of its own with two threads. `window` rows open the file, and read
-512 x 512 samples of the finest level and of every level by an open file, from disk and from a
-server on this machine, whose requests are counted, and the rounds of them: those that are out at
-the same time. `orbit` is a picture of the whole, `low` one from 9000 m, `ground` from 100 m above
-the ground. `first picture` opens what `publish` made in Chromium (`benchmarks.first_picture`).
-`verify original` compares with the VRT. `decompress` writes the full grid of an 8th
-of the planet or less, else the finest level that is as small.
+Every stage is a process of its own with two threads. `window` rows open the file, and read 512 x
+512 samples of the finest level and of every level by an open file, from disk and from a server on
+this machine, whose requests are counted, and the rounds of them: those that are out at the same
+time. `orbit` is a picture of the whole, `low` one from 9000 m, `ground` from 100 m above the
+ground. `first picture` opens what `publish` made in Chromium (`benchmarks.first_picture`). `levels`
+is the part of `compress` before the first unit is coded, with the most bytes that its temporary
+files had on the disk. `verify original` compares with the VRT. `decompress` writes the full grid of
+an 8th of the planet or less, else the finest level that is as small.
 
 Exit status: 0 good; 1 a command failed; 2 wrong usage.
 """
 
 import os
+import shutil
 import subprocess
 import sys
+import threading
 from collections import namedtuple
 from collections.abc import Iterator
 from pathlib import Path
@@ -43,7 +46,7 @@ SEAS = (
 DENSE = (60.0, 60.0)
 STAGES = (
     "compress", "verify", "verify original", "window", "mesh", "tiles", "publish", "first picture",
-    "orbit", "low", "ground", "decompress",
+    "orbit", "low", "ground", "decompress", "levels",
 )  # fmt: skip
 # The part of rows and columns that is decompressed; seconds of a round trip to the server, and bits
 # a second to the page.
@@ -85,6 +88,15 @@ twz, lon, lat, above, view, *more = sys.argv[1:]
 with terrainwave.open(twz) as terrain:
     height = terrain.sample([(float(lon), float(lat))])[0] + float(above)
 main(["render", twz, *more, "--camera", f"{lon},{lat},{height},{view}"])
+"""
+_LEVELS = """
+import sys
+import terrainwave
+def stop(progress):
+    if progress.stage == "encoding":
+        sys.exit()
+tif, twz, temporary = sys.argv[1:]
+terrainwave.compress(tif, twz, max_error=1, threads=2, temp_dir=temporary, progress=stop)
 """
 _FIRST_PICTURE = """
 import sys
@@ -174,7 +186,7 @@ def dense_place(share: int) -> tuple[int, int]:
 
 
 def commands(folder: Path, share: int) -> dict[str, list[str]]:
-    """Return the command of every stage but `window` and `first picture`."""
+    """Return the command of every stage that is one."""
     row, col = (place + 1000 for place in dense_place(share))
     twz, tif = str(folder / "planet.twz"), str(folder / "planet.vrt")
     common_options = ["--overwrite", "--quiet", "--threads", THREADS]
@@ -222,8 +234,9 @@ def measured(data: Path, folder: Path, share: int, dense: int, stages: list[str]
         if stage == "window":
             yield from _window_rows(folder, share, dense)
             continue
-        if stage == "first picture":
-            yield _first_picture_row(folder, share, dense)
+        if stage in ("first picture", "levels"):
+            row_of = _levels_row if stage == "levels" else _first_picture_row
+            yield row_of(folder, share, dense)
             continue
         used = common.run_and_measure(every[stage])
         n = n_samples >> 2 * _n_coarser(share) if stage == "decompress" else n_samples
@@ -243,6 +256,36 @@ def _window_rows(folder: Path, share: int, dense: int) -> Iterator[Row]:
             n_bytes = sum(exchange.n_bytes for exchange in server.log)
             counts = len(server.log), n_rounds(server.log), n_bytes
         yield Row(share, dense, f"{name} http", n_samples, *map(_rounded, used), *counts)
+
+
+def _levels_row(folder: Path, share: int, dense: int) -> Row:
+    """Make all levels, in a folder that is looked at every second; no file comes of it."""
+    temporary, ended, most = folder / "temporary", threading.Event(), 0
+    temporary.mkdir()
+
+    def look() -> None:
+        nonlocal most
+        while not ended.wait(1):
+            most = max(most, sum(map(_on_disk, temporary.rglob("*"))))
+
+    thread = threading.Thread(target=look)
+    thread.start()
+    places = [str(folder / name) for name in ("planet.vrt", "levels.twz", "temporary")]
+    try:
+        used = common.run_and_measure([sys.executable, "-c", _LEVELS, *places])
+    finally:
+        ended.set()
+        thread.join()
+        shutil.rmtree(temporary)
+    n_samples = 180 * 360 * DEGREE**2 // share**2
+    return Row(share, dense, "levels", n_samples, *map(_rounded, used), 0, 0, most)
+
+
+def _on_disk(path: Path) -> int:
+    try:
+        return path.stat().st_blocks * 512
+    except FileNotFoundError:  # given up meanwhile
+        return 0
 
 
 def _first_picture_row(folder: Path, share: int, dense: int) -> Row:
