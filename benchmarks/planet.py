@@ -80,6 +80,7 @@ import terrainwave
 with terrainwave.open(sys.argv[1], threads=2) as terrain:
     terrain.read((*map(int, sys.argv[2:4]), 512, 512))
 """
+WINDOWS = {"open": _OPEN, "finest": _FINEST, "levels": _WINDOWS}
 _GROUND = """
 import sys
 import terrainwave
@@ -246,7 +247,7 @@ def measured(data: Path, folder: Path, share: int, dense: int, stages: list[str]
 def _window_rows(folder: Path, share: int, dense: int) -> Iterator[Row]:
     row, col = (str(place + 1000) for place in dense_place(share))
     path = str(folder / "planet.twz")
-    for name, code in (("open", _OPEN), ("finest", _FINEST), ("levels", _WINDOWS)):
+    for name, code in WINDOWS.items():
         command = [sys.executable, "-c", code]
         n_samples = 0 if name == "open" else 512**2
         used = common.run_and_measure([*command, path, row, col])
@@ -308,6 +309,23 @@ def n_rounds(log: list[Exchange]) -> int:
     return n
 
 
+def forget(out: Path, share: int, stages: list[str]) -> None:
+    """Take out of the CSV what is to be measured again."""
+    if not out.exists():
+        return
+    names = {*stages}
+    if "window" in names:
+        names |= {f"{name} {place}" for name in WINDOWS for place in ("disk", "http")}
+    head, *lines = out.read_text(encoding="utf-8").splitlines(keepends=True)
+    left = [line for line in lines if _is_other(line, share, names)]
+    out.write_text(head + "".join(left), encoding="utf-8")
+
+
+def _is_other(line: str, share: int, names: set[str]) -> bool:
+    of_line, _, name, *_ = line.split(",")
+    return int(of_line) != share or name not in names
+
+
 def _rounded(number: float) -> float:
     return round(number, 2)
 
@@ -317,13 +335,15 @@ def _rounded(number: float) -> float:
 @common.option("--share", type=click.IntRange(min=1), default=1, help="1: the planet; 8: an 8th.")
 @common.option("--dense", type=click.IntRange(min=4096), default=65536)
 @common.option("--stages", cls=common.ListOption, type=click.Choice(STAGES), default=STAGES)
-@common.option("--append", is_flag=True, help="Keep the rows that are there.")
+@common.option("--append", is_flag=True, help="Keep the rows of other parts and stages.")
 def main(
     data: Path, share: int, dense: int, stages: list[str], append: bool, folder: Path, out: Path
 ) -> None:
     """Run the measurement."""
     if not hasattr(os, "wait4"):
         raise click.UsageError("needs os.wait4: Linux or macOS")
+    if append:
+        forget(out, share, stages)
     rows = measured(data.absolute(), folder.absolute(), share, dense, stages)
     common.write_rows(out, rows, append=append)
 
