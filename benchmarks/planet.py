@@ -9,11 +9,12 @@ they were measured: what counts is how many there are, and where.
 Every stage is a process of its own with two threads. `window` rows open the file, and read 512 x
 512 samples of the finest level and of every level by an open file, from disk and from a server on
 this machine, whose requests are counted, and the rounds of them: those that are out at the same
-time. `orbit` is a picture of the whole, `low` one from 9000 m, `ground` from 100 m above the
-ground. `first picture` opens what `publish` made in Chromium (`benchmarks.first_picture`). `levels`
-is the part of `compress` before the first unit is coded, with the most bytes that its temporary
-files had on the disk. `verify original` compares with the VRT. `decompress` writes the full grid of
-an 8th of the planet or less, else the finest level that is as small.
+time. `orbit` is a picture of the whole, `low` one from 9000 m, `low 192` the same with `--memory
+192`, `ground` from 100 m above the ground. `first picture` opens what `publish` made in Chromium
+(`benchmarks.first_picture`). `levels` is the part of `compress` before the first unit is coded,
+with the most bytes that its temporary files had on the disk. `verify original` compares with the
+VRT. `decompress` writes the full grid of an 8th of the planet or less, else the finest level that
+is as small.
 
 Exit status: 0 good; 1 a command failed; 2 wrong usage.
 """
@@ -46,7 +47,7 @@ SEAS = (
 DENSE = (60.0, 60.0)
 STAGES = (
     "compress", "verify", "verify original", "window", "mesh", "tiles", "publish", "first picture",
-    "orbit", "low", "ground", "decompress", "levels",
+    "orbit", "low", "low 192", "ground", "decompress", "levels",
 )  # fmt: skip
 # The part of rows and columns that is decompressed; seconds of a round trip to the server, and bits
 # a second to the page.
@@ -194,6 +195,7 @@ def commands(folder: Path, share: int) -> dict[str, list[str]]:
     lat, lon = (90 - row / DEGREE * share), (col / DEGREE * share - 180)
     window = ["--window", f"{row},{col},2048,2048"]
     picture = [str(folder / "picture.png"), *common_options]
+    low = ["--camera", f"{lon},{lat},9000,135,-30,60"]
     found = {
         "compress": ["compress", tif, twz, "--max-error", "1", *common_options],
         "verify": ["verify", twz, "--quiet", "--threads", THREADS],
@@ -202,7 +204,8 @@ def commands(folder: Path, share: int) -> dict[str, list[str]]:
         "tiles": ["tiles", twz, str(folder / "tiles"), "--max-zoom", "4", *common_options],
         "publish": ["publish", twz, str(folder / "site"), "--overwrite", "--quiet"],
         "orbit": ["render", twz, *picture],
-        "low": ["render", twz, *picture, "--camera", f"{lon},{lat},9000,135,-30,60"],
+        "low": ["render", twz, *picture, *low],
+        "low 192": ["render", twz, *picture, *low, "--memory", "192"],
         "decompress": [
             "decompress",
             twz,
