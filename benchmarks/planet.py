@@ -6,20 +6,24 @@ over all latitudes, some over each other, one across 180 degrees; one dense area
 constant 0, a GeoTIFF whose blocks have no bytes; void elsewhere. The real heights do not lie where
 they were measured: what counts is how many there are, and where.
 
-Every stage is a process of its own with two threads. `window` rows open the file, and read
-512 x 512 samples of the finest level and of every level by an open file, from disk and from a
-server on this machine, whose requests are counted, and the rounds of them: those that are out at
-the same time. `orbit` is a picture of the whole, `low` one from 9000 m, `ground` from 100 m above
-the ground. `first picture` opens what `publish` made in Chromium (`benchmarks.first_picture`).
-`verify original` compares with the VRT. `decompress` writes the full grid of an 8th
-of the planet or less, else the finest level that is as small.
+Every stage is a process of its own with two threads. `window` rows open the file, and read 512 x
+512 samples of the finest level and of every level by an open file, from disk and from a server on
+this machine, whose requests are counted, and the rounds of them: those that are out at the same
+time. `orbit` is a picture of the whole, `low` one from 9000 m, `low 192` the same with `--memory
+192`, `ground` from 100 m above the ground. `first picture` opens what `publish` made in Chromium
+(`benchmarks.first_picture`). `levels` is the part of `compress` before the first unit is coded,
+with the most bytes that its temporary files had on the disk. `verify original` compares with the
+VRT. `decompress` writes the full grid of an 8th of the planet or less, else the finest level that
+is as small.
 
 Exit status: 0 good; 1 a command failed; 2 wrong usage.
 """
 
 import os
+import shutil
 import subprocess
 import sys
+import threading
 from collections import namedtuple
 from collections.abc import Iterator
 from pathlib import Path
@@ -43,7 +47,7 @@ SEAS = (
 DENSE = (60.0, 60.0)
 STAGES = (
     "compress", "verify", "verify original", "window", "mesh", "tiles", "publish", "first picture",
-    "orbit", "low", "ground", "decompress",
+    "orbit", "low", "low 192", "ground", "decompress", "levels",
 )  # fmt: skip
 # The part of rows and columns that is decompressed; seconds of a round trip to the server, and bits
 # a second to the page.
@@ -77,6 +81,7 @@ import terrainwave
 with terrainwave.open(sys.argv[1], threads=2) as terrain:
     terrain.read((*map(int, sys.argv[2:4]), 512, 512))
 """
+WINDOWS = {"open": _OPEN, "finest": _FINEST, "levels": _WINDOWS}
 _GROUND = """
 import sys
 import terrainwave
@@ -85,6 +90,15 @@ twz, lon, lat, above, view, *more = sys.argv[1:]
 with terrainwave.open(twz) as terrain:
     height = terrain.sample([(float(lon), float(lat))])[0] + float(above)
 main(["render", twz, *more, "--camera", f"{lon},{lat},{height},{view}"])
+"""
+_LEVELS = """
+import sys
+import terrainwave
+def stop(progress):
+    if progress.stage == "encoding":
+        sys.exit()
+tif, twz, temporary = sys.argv[1:]
+terrainwave.compress(tif, twz, max_error=1, threads=2, temp_dir=temporary, progress=stop)
 """
 _FIRST_PICTURE = """
 import sys
@@ -174,13 +188,14 @@ def dense_place(share: int) -> tuple[int, int]:
 
 
 def commands(folder: Path, share: int) -> dict[str, list[str]]:
-    """Return the command of every stage but `window` and `first picture`."""
+    """Return the command of every stage that is one."""
     row, col = (place + 1000 for place in dense_place(share))
     twz, tif = str(folder / "planet.twz"), str(folder / "planet.vrt")
     common_options = ["--overwrite", "--quiet", "--threads", THREADS]
     lat, lon = (90 - row / DEGREE * share), (col / DEGREE * share - 180)
     window = ["--window", f"{row},{col},2048,2048"]
     picture = [str(folder / "picture.png"), *common_options]
+    low = ["--camera", f"{lon},{lat},9000,135,-30,60"]
     found = {
         "compress": ["compress", tif, twz, "--max-error", "1", *common_options],
         "verify": ["verify", twz, "--quiet", "--threads", THREADS],
@@ -189,7 +204,8 @@ def commands(folder: Path, share: int) -> dict[str, list[str]]:
         "tiles": ["tiles", twz, str(folder / "tiles"), "--max-zoom", "4", *common_options],
         "publish": ["publish", twz, str(folder / "site"), "--overwrite", "--quiet"],
         "orbit": ["render", twz, *picture],
-        "low": ["render", twz, *picture, "--camera", f"{lon},{lat},9000,135,-30,60"],
+        "low": ["render", twz, *picture, *low],
+        "low 192": ["render", twz, *picture, *low, "--memory", "192"],
         "decompress": [
             "decompress",
             twz,
@@ -222,8 +238,9 @@ def measured(data: Path, folder: Path, share: int, dense: int, stages: list[str]
         if stage == "window":
             yield from _window_rows(folder, share, dense)
             continue
-        if stage == "first picture":
-            yield _first_picture_row(folder, share, dense)
+        if stage in ("first picture", "levels"):
+            row_of = _levels_row if stage == "levels" else _first_picture_row
+            yield row_of(folder, share, dense)
             continue
         used = common.run_and_measure(every[stage])
         n = n_samples >> 2 * _n_coarser(share) if stage == "decompress" else n_samples
@@ -233,7 +250,7 @@ def measured(data: Path, folder: Path, share: int, dense: int, stages: list[str]
 def _window_rows(folder: Path, share: int, dense: int) -> Iterator[Row]:
     row, col = (str(place + 1000) for place in dense_place(share))
     path = str(folder / "planet.twz")
-    for name, code in (("open", _OPEN), ("finest", _FINEST), ("levels", _WINDOWS)):
+    for name, code in WINDOWS.items():
         command = [sys.executable, "-c", code]
         n_samples = 0 if name == "open" else 512**2
         used = common.run_and_measure([*command, path, row, col])
@@ -243,6 +260,36 @@ def _window_rows(folder: Path, share: int, dense: int) -> Iterator[Row]:
             n_bytes = sum(exchange.n_bytes for exchange in server.log)
             counts = len(server.log), n_rounds(server.log), n_bytes
         yield Row(share, dense, f"{name} http", n_samples, *map(_rounded, used), *counts)
+
+
+def _levels_row(folder: Path, share: int, dense: int) -> Row:
+    """Make all levels, in a folder that is looked at every second; no file comes of it."""
+    temporary, ended, most = folder / "temporary", threading.Event(), 0
+    temporary.mkdir()
+
+    def look() -> None:
+        nonlocal most
+        while not ended.wait(1):
+            most = max(most, sum(map(_on_disk, temporary.rglob("*"))))
+
+    thread = threading.Thread(target=look)
+    thread.start()
+    places = [str(folder / name) for name in ("planet.vrt", "levels.twz", "temporary")]
+    try:
+        used = common.run_and_measure([sys.executable, "-c", _LEVELS, *places])
+    finally:
+        ended.set()
+        thread.join()
+        shutil.rmtree(temporary)
+    n_samples = 180 * 360 * DEGREE**2 // share**2
+    return Row(share, dense, "levels", n_samples, *map(_rounded, used), 0, 0, most)
+
+
+def _on_disk(path: Path) -> int:
+    try:
+        return path.stat().st_blocks * 512
+    except FileNotFoundError:  # given up meanwhile
+        return 0
 
 
 def _first_picture_row(folder: Path, share: int, dense: int) -> Row:
@@ -265,6 +312,23 @@ def n_rounds(log: list[Exchange]) -> int:
     return n
 
 
+def forget(out: Path, share: int, stages: list[str]) -> None:
+    """Take out of the CSV what is to be measured again."""
+    if not out.exists():
+        return
+    names = {*stages}
+    if "window" in names:
+        names |= {f"{name} {place}" for name in WINDOWS for place in ("disk", "http")}
+    head, *lines = out.read_text(encoding="utf-8").splitlines(keepends=True)
+    left = [line for line in lines if _is_other(line, share, names)]
+    out.write_text(head + "".join(left), encoding="utf-8")
+
+
+def _is_other(line: str, share: int, names: set[str]) -> bool:
+    of_line, _, name, *_ = line.split(",")
+    return int(of_line) != share or name not in names
+
+
 def _rounded(number: float) -> float:
     return round(number, 2)
 
@@ -274,13 +338,15 @@ def _rounded(number: float) -> float:
 @common.option("--share", type=click.IntRange(min=1), default=1, help="1: the planet; 8: an 8th.")
 @common.option("--dense", type=click.IntRange(min=4096), default=65536)
 @common.option("--stages", cls=common.ListOption, type=click.Choice(STAGES), default=STAGES)
-@common.option("--append", is_flag=True, help="Keep the rows that are there.")
+@common.option("--append", is_flag=True, help="Keep the rows of other parts and stages.")
 def main(
     data: Path, share: int, dense: int, stages: list[str], append: bool, folder: Path, out: Path
 ) -> None:
     """Run the measurement."""
     if not hasattr(os, "wait4"):
         raise click.UsageError("needs os.wait4: Linux or macOS")
+    if append:
+        forget(out, share, stages)
     rows = measured(data.absolute(), folder.absolute(), share, dense, stages)
     common.write_rows(out, rows, append=append)
 

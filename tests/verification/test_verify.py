@@ -50,6 +50,9 @@ class FakeTerrain:
     def transform(self):
         return self._transform
 
+    def even_blocks(self):
+        return None
+
     def check(self):
         yield from self.problems
 

@@ -401,9 +401,47 @@ def test_verify_finds_heights_where_the_original_knows_a_void(tiles, tmp_path):
 def test_verify_does_not_believe_an_index_that_is_wrong(tiles, monkeypatch):
     with rasterio.open(sources_of(tiles)["vrt"]) as dataset:
         raster = Original(dataset, 1, None)
-        assert raster.knows_void(Region(700, 700, 300, 300))
-        monkeypatch.setattr(Original, "_void", lambda *_: Even(VOID, True))
-        assert not raster.knows_void(Region(5, 9, 110, 140))
+        even = Even(np.int16(VOID), False)
+        assert raster.holds(Region(700, 700, 300, 300), even)
+        assert not raster.holds(Region(700, 700, 300, 300), Even(np.int16(0), True))
+        assert not raster.holds(Region(5, 9, 110, 140), even)
+        monkeypatch.setattr(original, "_WINDOW_SIDE", 256)
+        monkeypatch.setattr(Original, "_even", lambda *_: Even(np.int16(0), True))
+        assert all(known is None for _, known in raster.windows())
+
+
+@pytest.mark.parametrize("max_error", [0, 3])
+def test_verify_reads_one_sample_of_sea_that_decodes_to_one_height(
+    sea, tmp_path, monkeypatch, max_error
+):
+    tw.compress(sea[0], tmp_path / "a.twz", block=32, max_error=max_error)
+    monkeypatch.setattr(original, "_WINDOW_SIDE", 128)
+    n_read = 0
+    read = Original.read
+
+    def counted(self, row, col, n_rows, n_cols):
+        nonlocal n_read
+        n_read += n_rows * n_cols
+        return read(self, row, col, n_rows, n_cols)
+
+    monkeypatch.setattr(Original, "read", counted)
+    report = tw.verify(tmp_path / "a.twz", sea[0])
+    assert report.ok
+    assert n_read < 2700**2 // 2
+    monkeypatch.setattr(Original, "_even", lambda *_: None)
+    plain = tw.verify(tmp_path / "a.twz", sea[0])
+    assert n_read > 2700**2
+    assert report.errors.n_valid == plain.errors.n_valid == 2700**2
+    assert report.errors.max_error == plain.errors.max_error
+    assert report.errors.rmse == pytest.approx(plain.errors.rmse)
+
+
+def test_verify_finds_sea_of_another_height(sea, higher, monkeypatch):
+    monkeypatch.setattr(original, "_WINDOW_SIDE", 128)
+    report = tw.verify(sea[1], higher)
+    assert any("further from the original" in problem for problem in report.problems)
+    monkeypatch.setattr(Original, "_even", lambda *_: None)
+    assert report.problems == tw.verify(sea[1], higher).problems
 
 
 def test_tiles_of_a_geotiff_that_are_void_take_no_bytes(tiles, tmp_path):

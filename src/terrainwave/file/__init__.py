@@ -28,6 +28,7 @@ from terrainwave.read.places import places_of, to_samples
 from terrainwave.read.resample import RESAMPLING, resample
 
 if TYPE_CHECKING:
+    from terrainwave.read.coded import EvenBlocks
     from terrainwave.read.decoder import TreeDecoder
     from terrainwave.read.levels import LevelReader
     from terrainwave.read.native import NativeFile
@@ -387,6 +388,14 @@ class TerrainFile(DescribedFile):
         if METHODS[self.header.method].is_tiled:
             return iter([region])
         return coded_parts(self.container, self.level_index(level), region)
+
+    def even_blocks(self) -> "EvenBlocks | None":
+        """Return what finds parts of one height without decoding each; None for tiled methods."""
+        from terrainwave.read.coded import EvenBlocks
+
+        if METHODS[self.header.method].is_tiled:
+            return None
+        return EvenBlocks(self.container, self.decoder)
 
     def check(self) -> Iterator[str]:
         """Check all checksums and decode every unit; yield what is wrong, in plain words."""

@@ -107,7 +107,7 @@ class _Seams:
         if height is None:
             return self._decoder.shared(key, other)
         common = self._decoder.spec(key).region.intersect(self._decoder.spec(other).region)
-        return Decoded(np.full(common.shape, height, dtype=np.int32), ALL_VALID)
+        return Decoded(np.broadcast_to(np.int32(height), common.shape), ALL_VALID)
 
     def _agree(self, before: Block, key: Block) -> bool:
         one = self._lines.pop((before, key), None)

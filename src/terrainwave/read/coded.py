@@ -14,8 +14,9 @@ from terrainwave.read.decoder import TreeDecoder, unit_key
 
 # Bytes of a segment of one height, and of a payload: longer ones are not.
 _MOST_BYTES, _MOST_IN_PAYLOAD = 1 << 16, 1 << 10
-# Blocks and payloads whose heights are kept.
+# Blocks and payloads whose heights are kept, and segments.
 _MOST_KNOWN = 1 << 14
+_MOST_CONTENTS = 1 << 8
 
 
 class Content(NamedTuple):
@@ -43,6 +44,8 @@ class EvenBlocks:
         # Of a unit's level, the height above it and its payload; False where it has several.
         self._known: Cache[tuple[int, tuple[int, int], int, bytes], int | bool] = Cache(_MOST_KNOWN)
         self._heights: Cache[Block, int | bool] = Cache(_MOST_KNOWN)
+        # Of finest segments: the one height below; False where there are several.
+        self._below: Cache[Content, int | bool] = Cache(_MOST_CONTENTS)
 
     def of_block(self, block: Block) -> int | None:
         """Return the one height of a block and its apron; None if not all have it, all valid."""
@@ -91,6 +94,30 @@ class EvenBlocks:
                     return None
                 found |= {int(unit.heights.min()), int(unit.heights.max())}
         return found
+
+    def own(self, region: Region) -> int | None:
+        """Return the one height of a region of the full grid, if a block has just that for itself.
+
+        None where it is not so, or no larger than a unit, or larger than a segment.
+        """
+        grid = self._container.grid
+        depth = (region.n_rows // grid.block).bit_length() - 1
+        side = grid.block << max(depth, 0)
+        block = Block(grid.k_max - depth, region.row // side, region.col // side)
+        if not 0 < depth <= SEGMENT_LEVELS or block.level < 0 or not grid.is_inside(block):
+            return None
+        if region != Region(block.row * side, block.col * side, side, side):
+            return None
+        content = self.content(block)
+        if content is None:
+            found = self._one_below(block)
+        else:
+            found = self._below.get_or_make(content, lambda: self._one_below(block))
+        return None if found is False else found
+
+    def _one_below(self, block: Block) -> int | bool:
+        found = self.below(block)
+        return found.pop() if found is not None and len(found) == 1 else False
 
     def content(self, head: Block) -> Content | None:
         """Return what the units of the segment of `head` decode to follows from.

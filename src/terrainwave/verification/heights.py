@@ -2,7 +2,8 @@
 
 Shares nothing with the encoder: the original is read by rasterio alone (`original`), the decoded
 heights come from an ordinary `Terrain`. Only where the index of both files says that all is void,
-samples are read instead of all. Memory holds a few windows.
+samples are read instead of all; and of large parts of one height in both, one sample for all that
+have these heights. Memory holds a few windows.
 """
 
 import math
@@ -10,6 +11,7 @@ import os
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,6 +32,7 @@ from terrainwave.errors import InvalidArgumentError, TerrainwaveError
 from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS
 from terrainwave.progress import Progress, ProgressCallback
+from terrainwave.raster_io.even import Even, even_parts
 from terrainwave.verification.metrics import ErrorReport, ErrorSum
 from terrainwave.verification.original import Original, open_original, place_text
 from terrainwave.verification.raster_metadata import metadata_problems
@@ -242,8 +245,11 @@ class _Comparison:
         self._dtype, self._scale = original.dtype, original.scale
         self._bound = _bound(terrain, max_error)
         self._strict_bound = float(terrain.max_error if max_error is None else max_error)
+        self._even = terrain.even_blocks()
         # Samples that the index of both files knows to be void.
         self._n_known = 0
+        # Of heights of the file and the original: where they are first, and how many samples.
+        self._alike: dict[tuple[int, bytes], tuple[Region, int]] = {}
 
     def run(self, twz: Any, original: Any, progress: ProgressCallback | None) -> VerifyReport:
         terrain = self._terrain
@@ -269,7 +275,7 @@ class _Comparison:
             if progress is not None:
                 progress(Progress("verify", n_done, total, n_done * self._dtype.itemsize))
 
-        for row, col, n_rows, n_cols in self._windows():
+        for (row, col, n_rows, n_cols), n_alike in self._windows():
             original, valid = self._original.read(row, col, n_rows, n_cols)
             try:
                 decoded = self._terrain.read(window=(row, col, n_rows, n_cols), masked=True)
@@ -279,12 +285,13 @@ class _Comparison:
                 )
                 continue
             heights, decoded_valid = np.ma.getdata(decoded), ~np.ma.getmaskarray(decoded)
-            differences = errors.add(row, col, original, heights, valid, decoded_valid)
-            allowed = self._allowed(original, heights, valid & decoded_valid)
-            beyond.add(row, col, differences, allowed)
-            signs.add(row, col, original, heights, valid & decoded_valid)
-            n_taken += int(np.count_nonzero(self._original.is_nodata(heights) & decoded_valid))
-            n_done += n_rows * n_cols
+            both = valid & decoded_valid
+            differences = errors.add(row, col, original, heights, valid, decoded_valid, n_alike)
+            beyond.add(row, col, differences, self._allowed(original, heights, both), n_alike)
+            signs.add(row, col, original, heights, both, n_alike)
+            is_taken = self._original.is_nodata(heights) & decoded_valid
+            n_taken += n_alike * int(np.count_nonzero(is_taken))
+            n_done += n_alike * n_rows * n_cols
             report(n_done + self._n_known)
         report(total)
         problems = [
@@ -295,17 +302,36 @@ class _Comparison:
         ]
         return errors, problems
 
-    def _windows(self) -> Iterator[Region]:
-        """Yield windows to compare: all but those that are void by the index of both files."""
-        for window in self._original.windows():
-            parts = window.tiles(*self._original.window_shape)
-            if self._original.knows_void(window):
-                is_known = self._is_void(window)
-                left = [] if is_known else [part for part in parts if not self._is_void(part)]
-                n_left = sum(part.n_rows * part.n_cols for part in left)
-                self._n_known += window.n_rows * window.n_cols - n_left
-                parts = iter(left)
-            yield from parts
+    def _windows(self) -> Iterator[tuple[Region, int]]:
+        """Yield windows to compare, and how many samples each of theirs stands for.
+
+        Those that are void by the index of both files are left out.
+        """
+        for window, even in self._original.windows():
+            if even is None:
+                yield window, 1
+                continue
+            for part, known in even_parts(window, self._original.side, partial(self._known, even)):
+                if known is None:
+                    yield from ((one, 1) for one in part.tiles(*self._original.window_shape))
+                elif not known.is_valid:
+                    self._n_known += part.n_rows * part.n_cols
+                else:
+                    heights = known.value, even.value.tobytes()
+                    first, n_before = self._alike.get(heights, (part, 0))
+                    self._alike[heights] = first, n_before + part.n_rows * part.n_cols
+        for first, n_alike in self._alike.values():
+            yield first._replace(n_rows=1, n_cols=1), n_alike
+
+    def _known(self, even: Even, region: Region) -> Even | None:
+        """Return what the file knows a region of an even one to be: void, or of one height."""
+        if not even.is_valid:
+            return even if self._is_void(region) else None
+        try:
+            height = None if self._even is None else self._even.own(region)
+        except TerrainwaveError:  # whoever reads there is told
+            return None
+        return None if height is None else Even(height, True)
 
     def _is_void(self, region: Region) -> bool:
         """Say whether the index of the .twz file has no heights in a region."""
@@ -358,7 +384,13 @@ class _Signs:
         self._first = 0, 0
 
     def add(
-        self, row: int, col: int, original: np.ndarray, decoded: np.ndarray, both: np.ndarray
+        self,
+        row: int,
+        col: int,
+        original: np.ndarray,
+        decoded: np.ndarray,
+        both: np.ndarray,
+        n_alike: int,
     ) -> None:
         if not self._counts:
             return
@@ -369,7 +401,7 @@ class _Signs:
         if not self._count:
             at_row, at_col = np.argwhere(differ)[0]
             self._first = row + int(at_row), col + int(at_col)
-        self._count += int(np.count_nonzero(differ))
+        self._count += n_alike * int(np.count_nonzero(differ))
 
     def problems(self) -> Iterator[str]:
         if self._count:
@@ -390,11 +422,11 @@ class _Worst:
         self._row = self._col = 0
         self._difference = 0.0
 
-    def add(self, row: int, col: int, differences: np.ndarray, allowed: Any) -> None:
+    def add(self, row: int, col: int, differences: np.ndarray, allowed: Any, n_alike: int) -> None:
         if np.ndim(allowed) == 0 and differences.max() <= allowed:
             return
         excess = differences - allowed
-        self._count += int(np.count_nonzero(excess > 0))
+        self._count += n_alike * int(np.count_nonzero(excess > 0))
         at = int(np.argmax(excess))
         if excess.flat[at] > self._excess:
             self._excess = float(excess.flat[at])

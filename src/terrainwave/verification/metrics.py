@@ -40,8 +40,9 @@ class ErrorReport:
 class ErrorSum:
     """Adds up differences over windows; `report` gives the result.
 
-    Differences are taken in float64 (exact for every integer type, and for float32 unless the two
-    heights are more than 2^29 times apart) and multiplied by `scale` afterwards.
+    Differences are taken in float64, and of short integers in int32 (exact for every integer type,
+    and for float32 unless the two heights are more than 2^29 times apart), and multiplied by
+    `scale` afterwards.
     """
 
     def __init__(self, scale: float = 1.0) -> None:
@@ -60,28 +61,30 @@ class ErrorSum:
         decoded: np.ndarray,
         valid: np.ndarray,
         decoded_valid: np.ndarray,
+        n_alike: int = 1,
     ) -> np.ndarray:
-        """Add the window at (row, col).
+        """Add the window at (row, col), each of whose samples stands for `n_alike`.
 
         Returns
         -------
-        differences : ndarray of float64, shape of the window
+        differences : ndarray of float64 or int32, shape of the window
             Absolute unscaled differences; 0 where a sample is void in either raster.
         """
         both = valid & decoded_valid
-        self._n_mask_differences += int(np.count_nonzero(valid != decoded_valid))
-        differences = np.zeros(both.shape, dtype=np.float64)
-        # Voids may hold infinities and NaN: they are never subtracted.
-        with np.errstate(invalid="ignore"):
-            np.subtract(decoded, original, out=differences, where=both, dtype=np.float64)
-        np.abs(differences, out=differences)
-        # NaN or infinity on one side, which no bound covers and no comparison would find.
-        differences[np.isnan(differences)] = np.inf
-        self._n_valid += int(np.count_nonzero(both))
-        self._squares += float(np.vdot(differences, differences))
-        at = int(np.argmax(differences)) if differences.size else 0
-        if differences.size and differences.flat[at] > self._largest:
-            self._largest = float(differences.flat[at])
+        n_both, n_one = np.count_nonzero(both), np.count_nonzero(valid != decoded_valid)
+        self._n_mask_differences += n_alike * int(n_one)
+        self._n_valid += n_alike * int(n_both)
+        if original.dtype.kind in "iu" and original.dtype.itemsize <= 2:
+            differences = _small_differences(original, decoded, both, is_whole=n_both == both.size)
+        else:
+            differences = _differences(original, decoded, both)
+        if not differences.size:
+            return differences
+        at = int(np.argmax(differences))
+        largest = float(differences.flat[at])
+        self._squares += n_alike * _sum_of_squares(differences, largest)
+        if largest > self._largest:
+            self._largest = largest
             at_row, at_col = divmod(at, differences.shape[1])
             self._worst = row + at_row, col + at_col
         return differences
@@ -102,3 +105,32 @@ class ErrorSum:
             worst_col=worst_col,
             n_mask_differences=self._n_mask_differences,
         )
+
+
+def _differences(original: np.ndarray, decoded: np.ndarray, both: np.ndarray) -> np.ndarray:
+    differences = np.zeros(both.shape, dtype=np.float64)
+    # Voids may hold infinities and NaN: they are never subtracted.
+    with np.errstate(invalid="ignore"):
+        np.subtract(decoded, original, out=differences, where=both, dtype=np.float64)
+    np.abs(differences, out=differences)
+    # NaN or infinity on one side, which no bound covers and no comparison would find.
+    differences[np.isnan(differences)] = np.inf
+    return differences
+
+
+def _small_differences(
+    original: np.ndarray, decoded: np.ndarray, both: np.ndarray, *, is_whole: bool
+) -> np.ndarray:
+    """Return the same of integers up to 16 bits, as int32: three times as fast."""
+    differences: np.ndarray = np.subtract(decoded, original, dtype=np.int32)
+    if not is_whole:
+        np.copyto(differences, 0, where=~both)
+    return np.abs(differences, out=differences)
+
+
+def _sum_of_squares(differences: np.ndarray, largest: float) -> float:
+    if largest == 0:
+        return 0.0
+    if differences.dtype.kind == "i" and largest**2 * differences.shape[1] < 2**31:
+        return float(np.einsum("ij,ij->i", differences, differences).sum(dtype=np.int64))
+    return float(np.vdot(differences, differences.astype(np.float64, copy=False)))

@@ -1,7 +1,7 @@
 """The original raster, read by rasterio alone; what is valid is decided here anew.
 
-Where its index knows, as `compress` asks it, that all of a large window is void, some samples are
-read instead of all.
+Where its index knows, as `compress` asks it, that all of a large window is void, or of one value,
+some samples are read instead of all.
 """
 
 import math
@@ -23,7 +23,7 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
 from terrainwave.place.units import height_unit
 from terrainwave.raster_io.dataset import DatasetBackend
-from terrainwave.raster_io.even import Even, even_parts
+from terrainwave.raster_io.even import Even, even_parts, is_same
 
 # Samples per window, and its height where the original is striped: windows of few rows would make
 # the decoder run the same blocks again and again.
@@ -103,23 +103,28 @@ class Original:
             return np.zeros(heights.shape, dtype=bool)
         if self.dtype.kind == "f":
             return heights == as_stored(self.nodata, self.dtype)
-        # Compared as float64, which holds every sample of our integer types: a nodata value out of
-        # the type's range equals none of them.
-        return heights.astype(np.float64) == float(self.nodata)
+        nodata, limits = float(self.nodata), np.iinfo(self.dtype)
+        if not nodata.is_integer() or not limits.min <= nodata <= limits.max:
+            return np.zeros(heights.shape, dtype=bool)
+        return heights == self.dtype.type(int(nodata))
 
-    def windows(self) -> Iterator[Region]:
+    def windows(self) -> Iterator[tuple[Region, Even | None]]:
         """Yield windows that suit both sides: squares for tiles, wide strips for strips.
 
-        Those that `knows_void` may be larger.
+        Or larger ones whose samples are all the same by the index, and `holds` says so, too.
         """
         n_rows, n_cols = self.shape
-        rows, cols = self.window_shape
-        side = -(-max(rows, cols) // rows) * rows
-        for part, void in even_parts(Region(0, 0, n_rows, n_cols), side, self._void):
-            if void is None:
-                yield from part.tiles(rows, cols)
+        for part, even in even_parts(Region(0, 0, n_rows, n_cols), self.side, self._even):
+            if even is not None and self.holds(part, even):
+                yield part, even
             else:
-                yield part
+                yield from ((window, None) for window in part.tiles(*self.window_shape))
+
+    @property
+    def side(self) -> int:
+        """Return the side of the smallest windows that the index is asked for."""
+        rows, cols = self.window_shape
+        return -(-max(rows, cols) // rows) * rows
 
     @property
     def window_shape(self) -> tuple[int, int]:
@@ -130,23 +135,25 @@ class Original:
         cols = min(n_cols, _WINDOW_SAMPLES // _WINDOW_ROWS)
         return max(_WINDOW_SAMPLES // cols // _WINDOW_ROWS, 1) * _WINDOW_ROWS, cols
 
-    def knows_void(self, region: Region) -> bool:
-        """Say whether the file's index knows all of a region to be void, and samples of it are."""
-        if self._void(region) is None:
-            return False
+    def holds(self, region: Region, even: Even) -> bool:
+        """Say whether corners and middle of a region, read, are what the index says."""
         row, col, n_rows, n_cols = region
         rows, cols = (row, row + n_rows - 1), (col, col + n_cols - 1)
-        places = [*product(rows, cols), (sum(rows) // 2, sum(cols) // 2)]
-        return not any(self.read(*place, 1, 1)[1].any() for place in places)
+        for place in [*product(rows, cols), (sum(rows) // 2, sum(cols) // 2)]:
+            heights, valid = self.read(*place, 1, 1)
+            is_same_height = not even.is_valid or is_same(heights[0, 0], even.value)
+            if valid[0, 0] != even.is_valid or not is_same_height:
+                return False
+        return True
 
-    def _void(self, region: Region) -> Even | None:
-        """Return what a region is by the file's index, if that is void."""
-        even = self._index.even(region)
+    def _even(self, region: Region) -> Even | None:
+        """Return what a region is by the file's index."""
+        even = None if self._alphas else self._index.even(region)
         if even is None:
             return None
         value = even.heights((1, 1), self.dtype)
         is_void = self.is_nodata(value) | (value != value)  # NaN
-        return even if is_void.all() else None
+        return Even(value[0, 0], not is_void.all())
 
     @cached_property
     def _index(self) -> DatasetBackend:
