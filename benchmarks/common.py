@@ -295,17 +295,23 @@ def take_turns(
     """Return what tasks took that ran in turns, so that all see the same machine.
 
     `tasks` is called before each round and gives the functions to run; what it does is not timed.
-    No round but the first begins when the tasks have taken `patience` seconds.
+    No round but the first begins when the tasks have taken `patience` seconds. What a task returned
+    in the round before is given up just before it runs, so that all find memory alike: new pages
+    for an array cost as much as reading it.
     """
     seconds: list[list[float]] = []
+    results: dict[int, Any] = {}
     while not seconds or (len(seconds) < n_rounds and math.fsum(map(sum, seconds)) < patience):
-        found, results = [], []
-        for task in tasks():
+        found = []
+        for index, task in enumerate(tasks()):
+            results.pop(index, None)
             start = clock()
-            results.append(task())
+            result = task()
             found.append(clock() - start)
+            results[index] = result
+            del result
         seconds.append(found)
     return [
         Timed(statistics.median(column), len(seconds), result, max(column))
-        for column, result in zip(zip(*seconds), results)
+        for column, result in zip(zip(*seconds), results.values())
     ]

@@ -1,6 +1,7 @@
 """`make bench`: it goes on where it stopped, and its tables say what the CSVs say."""
 
 import csv
+import weakref
 
 import numpy as np
 import pytest
@@ -132,3 +133,21 @@ def test_a_second_run_measures_nothing_again(tmp_path, monkeypatch):
     assert "hill," not in again.output
     assert markdown("cases", results).count("\n") == 1  # without predictive and peers: no case
     assert (results / "rates.png").stat().st_size > 0
+
+
+def test_a_result_is_given_up_just_before_its_task_runs_again():
+    class Result:
+        pass
+
+    alive = []
+    kept = [None, None]  # weak references
+
+    def task(index):
+        alive.append([other() is not None if other else None for other in kept])
+        result = Result()
+        kept[index] = weakref.ref(result)
+        return result
+
+    found = take_turns(lambda: [lambda: task(0), lambda: task(1)], 3)
+    assert alive == [[None, None], [True, None], *[[False, True], [True, False]] * 2]
+    assert [type(one.result) for one in found] == [Result, Result]
