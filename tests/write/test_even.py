@@ -12,8 +12,11 @@ from rasterio.transform import Affine
 from strategies import terrain_like
 
 import terrainwave as tw
+from terrainwave.cache import Cache
 from terrainwave.codec.unit_specs import unit_spec
 from terrainwave.container.page import page_layout
+from terrainwave.container.reader import Container
+from terrainwave.container.segment import Segment
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.targets.kept import Kept
 from terrainwave.errors import StorageError
@@ -576,3 +579,20 @@ def test_finished_units_take_little_memory(tmp_path):
 def is_below(key, block):
     depth = key.level - block.level
     return (key.row >> depth, key.col >> depth) == (block.row, block.col)
+
+
+def test_checking_bytes_keeps_no_page_of_a_finest_segment(sea, monkeypatch):
+    n_kept = []
+    check = Container._check_payloads
+
+    def counted(self, segment):
+        n_kept.append(sum(type(one) is Segment for one in gc.get_objects()))
+        return check(self, segment)
+
+    monkeypatch.setattr(Container, "_check_payloads", counted)
+    with tw.open(sea[1]) as terrain:
+        terrain.container._segments = Cache(1)
+        assert list(terrain.container.check()) == []
+        n_finest = sum(not one.layout.children for one in terrain.container.present_segments())
+    assert n_finest > 20
+    assert max(n_kept) - n_kept[0] < 5

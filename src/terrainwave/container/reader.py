@@ -347,18 +347,13 @@ class Container:
         Notes
         -----
         One sequential pass. Below a page that cannot be read nothing is checked. Memory: the
-        index pages of one level.
+        index pages of one level; of the finest, where most are, only one.
         """
-        byte_pos = self._top.start
-        layer: list[Segment] = [self._top]
+        yield from self._check_payloads(self._top)
+        byte_pos, end, layer = self._top.start, self._top.end, [self._top]
         while layer:
-            children: list[tuple[Segment, Block]] = []
-            for segment in layer:
-                yield from self._check_payloads(segment)
-                children += [(segment, child) for child in segment.layout.children]
-            byte_pos = max([byte_pos, *(segment.end for segment in layer)])
-            layer = []
-            for parent, child in children:
+            byte_pos, parents, layer = max(byte_pos, end), layer, []
+            for parent, child in ((one, child) for one in parents for child in one.layout.children):
                 start, length = parent.child_range(child)
                 if not length:
                     continue
@@ -369,9 +364,15 @@ class Container:
                         continue
                 byte_pos = start + length
                 try:
-                    layer.append(self._load([child])[child])
+                    segment = self._load([child])[child]
                 except TerrainwaveError as error:
                     yield str(error)
+                    continue
+                yield from self._check_payloads(segment)
+                end = max(end, segment.end)
+                if segment.layout.children:
+                    layer.append(segment)
+        byte_pos = max(byte_pos, end)
         if byte_pos != self.extents.file_size:
             yield f"the segments end at byte {byte_pos} of {self.extents.file_size}"
 
