@@ -278,7 +278,7 @@ _EFFORTS = [f"{method.name} {method.effort}" for method in METHODS.values() if m
 EFFORT = (
     f"How many ways of coding the encoder tries: {'; '.join(_EFFORTS)}; other methods have one."
     f" For archives: best without --method selects {SMALLEST_METHOD.name}, whose files are"
-    " 0.95 of the default's size (0.78 to 0.99), and are read 5 times as slowly."
+    " 0.95 of the default's size (0.79 to 0.99), and are read 6 times as slowly."
 )
 RADIUS_OPTION = click.option(
     "--radius",
