@@ -359,7 +359,7 @@ def archive_sentence(results: Path) -> str:
 # What tables that compare call codecs, and theirs in the CSVs of sizes and of speeds.
 SIDE_BY_SIDE = {
     "terrainwave": (RAPID, f"{RAPID}+"),
-    "terrainwave without meshes and proof": (RAPID, RAPID),
+    "terrainwave without the proof": (RAPID, RAPID),
     "terrainwave, `--method predictive`, likewise": (PREDICTIVE, PREDICTIVE),
     "COG, LERC_ZSTD": ("cog", "cog"),
     "COG, LERC_ZSTD of float32": ("cog-float32", "cog-float32"),

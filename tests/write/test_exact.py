@@ -240,3 +240,14 @@ def test_meshes_of_heights_that_floats_round_hold(tmp_path, max_error):
     raster = write_geotiff(tmp_path / "dem.tif", heights)
     compress(raster, tmp_path / "dem.twz", max_error=max_error, block=32)
     assert verify(tmp_path / "dem.twz", raster, mesh=True).problems == ()
+
+
+def test_fine_heights_in_a_large_void_keep_their_bound(tmp_path):
+    heights = np.full((1700, 1700), np.nan, dtype=np.float32)
+    noise = np.random.default_rng(0).normal(0, 0.01, (300, 300))
+    heights[:300, :300] = terrain_like(300, 300, dtype="float32", seed=3) + noise
+    compress(heights, tmp_path / "a.twz", max_error=0.001)
+    with terrainwave.open(tmp_path / "a.twz") as terrain:
+        back = terrain.read()
+    np.testing.assert_array_equal(np.isnan(back), np.isnan(heights))
+    assert np.nanmax(np.abs(back.astype(np.float64) - heights)) <= 0.001 + 2**-11

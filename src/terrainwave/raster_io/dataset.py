@@ -4,6 +4,7 @@ import copy
 import errno
 import math
 import os
+import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import closing
@@ -43,6 +44,9 @@ _VOID_TAGS = ("_FillValue", "missing_value")
 # Names that a note lists.
 _N_NAMES = 4
 
+# Held while filters of warnings are changed, which are those of the process.
+_FILTERING = threading.Lock()
+
 
 def open_dataset(path: str) -> Any:
     """Open `path` by rasterio; translate each failure into one line that says what to do."""
@@ -54,7 +58,7 @@ def open_dataset(path: str) -> Any:
             " (terrainwave decompress makes one of it)"
         )
     try:
-        with bounded_env(), warnings.catch_warnings():
+        with _FILTERING, bounded_env(), warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             dataset = rasterio.open(path)
     except UnicodeEncodeError as error:  # bytes of a name that are no text

@@ -120,7 +120,7 @@ class RasterSource:
     -----
     Thread-safe. A GDAL dataset serves one thread at a time: a local GeoTIFF is opened again for
     each further thread, others are read by one thread at a time. A dataset that the caller passed
-    must not be used elsewhere meanwhile.
+    must not be used elsewhere meanwhile, and nothing may be read while `close` runs.
     """
 
     def __init__(

@@ -22,11 +22,13 @@ _MOST_CONTENTS = 1 << 8
 class Content(NamedTuple):
     """All that the units of a finest segment decode to follows from.
 
-    The one height of the block above them, the lengths of their payloads, and these.
+    The one height of the block above them, lengths and checksums of their payloads, and these.
+    Where the checksums are those of another segment, they are right if they are right there.
     """
 
     height: int
     lengths: bytes
+    checksums: bytes
     payloads: bytes
 
 
@@ -137,7 +139,10 @@ class EvenBlocks:
         if height is None:
             return None
         payloads = self._container.source.read(segment.body_start, n_bytes)
-        return Content(height, segment.page.payload_lengths.tobytes(), payloads)
+        page = segment.page
+        return Content(
+            height, page.payload_lengths.tobytes(), page.payload_crcs.tobytes(), payloads
+        )
 
 
 def _one_height(unit: Decoded) -> int | bool:

@@ -251,6 +251,8 @@ def _coded(
     def code(window: tuple[Heights, Mask]) -> tuple[NDArray[np.int64], Heights]:
         target, mask = window
         counts = np.zeros((2, N_CONTEXTS << SYMBOL_BITS), dtype=np.int64)
+        if not mask.any():  # fills alone, which may be far from all heights
+            return counts, target
         low, high = int(target.min()), int(target.max())
         spec = GroupSpec.alone(Region(0, 0, *target.shape), sample.step, low, high)
         spec = replace(spec, level=tables.k_max)
