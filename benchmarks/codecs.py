@@ -205,10 +205,7 @@ def measure_speeds(
 
 def leave_slow_speeds(path: Path) -> None:
     """Remove the rows of fast codecs from ``speeds.csv``: slow ones have a COG of their own."""
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
-    at = SpeedRow._fields.index("is_slow")
-    slow = [line for line in lines[1:] if line.split(",")[at] == "True"]
-    path.write_text("".join([lines[0], *slow]), encoding="utf-8", newline="")
+    common.keep_rows(path, lambda row: row["is_slow"] == "True")
 
 
 def _speeds(trials: Sequence[Trial], *, is_slow: bool) -> Iterator[SpeedRow]:

@@ -182,6 +182,14 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
         return [{name: _number(text) for name, text in row.items()} for row in csv.DictReader(file)]
 
 
+def keep_rows(path: Path, is_kept: Callable[[dict[str, Any]], bool]) -> None:
+    """Leave of a CSV the rows that are to be kept, each as it is; nothing if there is no file."""
+    if path.exists():
+        head, *lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+        kept = [line for line, row in zip(lines, read_rows(path), strict=True) if is_kept(row)]
+        path.write_text("".join([head, *kept]), encoding="utf-8", newline="")
+
+
 def _number(text: str) -> int | float | str:
     for kind in (int, float):
         try:

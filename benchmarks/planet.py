@@ -314,19 +314,10 @@ def n_rounds(log: list[Exchange]) -> int:
 
 def forget(out: Path, share: int, stages: list[str]) -> None:
     """Take out of the CSV what is to be measured again."""
-    if not out.exists():
-        return
     names = {*stages}
     if "window" in names:
         names |= {f"{name} {place}" for name in WINDOWS for place in ("disk", "http")}
-    head, *lines = out.read_text(encoding="utf-8").splitlines(keepends=True)
-    left = [line for line in lines if _is_other(line, share, names)]
-    out.write_text(head + "".join(left), encoding="utf-8")
-
-
-def _is_other(line: str, share: int, names: set[str]) -> bool:
-    of_line, _, name, *_ = line.split(",")
-    return int(of_line) != share or name not in names
+    common.keep_rows(out, lambda row: row["share"] != share or row["stage"] not in names)
 
 
 def _rounded(number: float) -> float:

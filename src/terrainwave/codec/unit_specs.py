@@ -51,5 +51,4 @@ def unit_spec(grid: Grid, parameters: CodecParameters, key: Block) -> GroupSpec:
 
 def block_of_unit(grid: Grid, spec: GroupSpec, decoded: Decoded, block: Block) -> Decoded:
     """Return the part of a decoded unit that is `block`, with its apron if there is one. A view."""
-    apron = 1 if spec.rings == 3 else 0
-    return decoded.part(grid.block_region(block, apron).slices_in(spec.region))
+    return decoded.part(grid.block_region(block, spec.apron).slices_in(spec.region))

@@ -10,6 +10,7 @@ import os
 import xml.etree.ElementTree as ET
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
+from itertools import product
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -52,6 +53,8 @@ class Even(NamedTuple):
 
 # Returns what all samples of a window are; None where only reading tells.
 EvenOf = Callable[[Region], Even | None]
+# Returns heights and validity of a window of so many rows and columns from a row and a column on.
+ReadWindow = Callable[[int, int, int, int], tuple[NDArray[Any], NDArray[np.bool_]]]
 
 
 def even_parts(region: Region, side: int, even_of: EvenOf) -> Iterator[tuple[Region, Even | None]]:
@@ -139,6 +142,26 @@ def _n_samples(region: Region) -> int:
 def is_same(one: Any, other: Any) -> bool:
     """Say whether two values are equal bit for bit: NaN as NaN, -0.0 not as 0.0."""
     return np.asarray(one).tobytes() == np.asarray(other).tobytes()
+
+
+def are_bits(values: NDArray[Any], value: Any) -> NDArray[np.bool_]:
+    """Say which values are a value of their type bit for bit, as `is_same` does."""
+    bits = f"u{values.dtype.itemsize}"
+    return values.view(bits) == np.asarray(value, dtype=values.dtype).view(bits)
+
+
+def is_seen(read: ReadWindow, region: Region, even: Even) -> bool:
+    """Say whether corners and middle of a region, read one by one, are what an index says."""
+    last_row, last_col = region.row + region.n_rows - 1, region.col + region.n_cols - 1
+    middle = (region.row + last_row) // 2, (region.col + last_col) // 2
+    corners = product((region.row, last_row), (region.col, last_col))
+    for row, col in {middle, *corners}:
+        heights, valid = read(row, col, 1, 1)
+        if bool(valid[0, 0]) != even.is_valid:
+            return False
+        if even.is_valid and not is_same(heights[0, 0], even.value):
+            return False
+    return True
 
 
 class SparseBlocks:

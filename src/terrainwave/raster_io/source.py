@@ -6,7 +6,6 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import product
 from types import TracebackType
 from typing import Any, Self
 
@@ -31,7 +30,7 @@ from terrainwave.raster_io.arrays import ArrayBackend, Claim, LabelledBackend
 from terrainwave.raster_io.backend import RasterBackend, Readers
 from terrainwave.raster_io.dataset import DatasetBackend, is_twz, open_dataset
 from terrainwave.raster_io.earlier_loss import EarlierLoss
-from terrainwave.raster_io.even import Even, even_parts, is_same
+from terrainwave.raster_io.even import Even, even_parts, is_seen
 from terrainwave.raster_io.gdal import scan_windows
 from terrainwave.raster_io.mosaic import MosaicBackend
 from terrainwave.raster_io.raster_info import (
@@ -284,16 +283,7 @@ class RasterSource:
 
     def holds(self, region: Region, even: Even) -> bool:
         """Say whether corners and middle of a region, read, are what the index says."""
-        last_row, last_col = region.row + region.n_rows - 1, region.col + region.n_cols - 1
-        middle = (region.row + last_row) // 2, (region.col + last_col) // 2
-        corners = product((region.row, last_row), (region.col, last_col))
-        for row, col in {middle, *corners}:
-            heights, valid = self._read(row, col, 1, 1)
-            if bool(valid[0, 0]) != even.is_valid:
-                return False
-            if even.is_valid and not is_same(heights[0, 0], even.value):
-                return False
-        return True
+        return is_seen(self._read, region, even)
 
     def _check_finite(self, heights: np.ndarray, valid: np.ndarray, row: int, col: int) -> None:
         infinite = np.isinf(heights) & valid

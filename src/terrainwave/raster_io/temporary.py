@@ -12,6 +12,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from terrainwave.container.spool import TEMPORARY_ADVICE, cannot_write, storage_errors
 from terrainwave.grid.quadtree import Region
+from terrainwave.raster_io.even import are_bits
 
 # Arrays up to this many bytes are held in memory: below it the disk would only cost time.
 MEMORY_LIMIT = 20 << 20
@@ -307,5 +308,5 @@ def _narrowest(values: NDArray[Any]) -> tuple[Any, int]:
 
 def _is_one(values: NDArray[Any]) -> bool:
     """Say whether all values are the same, bit for bit."""
-    bits = values.view(f"u{values.itemsize}")
-    return bool((bits[0] == bits[0, 0]).all() and (bits == bits[0, 0]).all())
+    first = values[0, 0]
+    return bool(are_bits(values[0], first).all() and are_bits(values, first).all())

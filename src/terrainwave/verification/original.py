@@ -9,7 +9,6 @@ import os
 import warnings
 from collections.abc import Iterator
 from functools import cached_property
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
 from terrainwave.place.units import height_unit
 from terrainwave.raster_io.dataset import DatasetBackend
-from terrainwave.raster_io.even import Even, even_parts, is_same
+from terrainwave.raster_io.even import Even, even_parts, is_seen
 
 # Samples per window, and its height where the original is striped: windows of few rows would make
 # the decoder run the same blocks again and again.
@@ -137,14 +136,7 @@ class Original:
 
     def holds(self, region: Region, even: Even) -> bool:
         """Say whether corners and middle of a region, read, are what the index says."""
-        row, col, n_rows, n_cols = region
-        rows, cols = (row, row + n_rows - 1), (col, col + n_cols - 1)
-        for place in [*product(rows, cols), (sum(rows) // 2, sum(cols) // 2)]:
-            heights, valid = self.read(*place, 1, 1)
-            is_same_height = not even.is_valid or is_same(heights[0, 0], even.value)
-            if valid[0, 0] != even.is_valid or not is_same_height:
-                return False
-        return True
+        return is_seen(self.read, region, even)
 
     def _even(self, region: Region) -> Even | None:
         """Return what a region is by the file's index."""

@@ -346,7 +346,8 @@ class UnitCoder:
                     "all heights of a unit that is not wide are too far from 0"
                 )
         # A lattice fills all but the apron, whose lines may not meet.
-        for side in _aprons(spec, out):
+        aprons = _aprons(spec, out)
+        for side in aprons:
             side[:] = 0
         unit = _Unit(
             spec=spec,
@@ -367,7 +368,7 @@ class UnitCoder:
             self._code_root(unit, known)
         else:
             self._code_group(unit, parent, n_rows)
-        for side in _aprons(spec, out):
+        for side in aprons:
             np.clip(side, spec.z_min, spec.z_max, out=side)
 
     def _code_group(self, unit: _Unit, parent: Heights, n_rows: int) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from terrainwave.container.spool import storage_errors
 from terrainwave.grid.quadtree import Region
-from terrainwave.raster_io.even import Even
+from terrainwave.raster_io.even import Even, are_bits
 
 # Samples a side of a tile.
 SIDE = 512
@@ -78,7 +78,7 @@ class SeenTiles:
         state, value = tiles[0, 0]["state"], tiles[0, 0]["value"]
         if state <= _MIXED or (tiles["state"] != state).any():
             return None
-        if state == _VALID and not is_bits(tiles["value"], value).all():
+        if state == _VALID and not are_bits(tiles["value"], value).all():
             return None
         return Even(value, bool(state == _VALID))
 
@@ -105,7 +105,7 @@ class SeenTiles:
             is_new = states == _UNSEEN
             is_same = states == state
             if state == _VALID:
-                is_same &= is_bits(values, value)
+                is_same &= are_bits(values, value)
             values[is_new] = value
             states[is_new] = state
             states[~(is_new | is_same)] = _MIXED
@@ -119,15 +119,9 @@ def _what(heights: NDArray[Any], valid: NDArray[np.bool_]) -> tuple[int, Any]:
     for part in (few, np.s_[:, :]):
         if not (valid[part] == is_valid).all():
             return _MIXED, value
-        if is_valid and not is_bits(heights[part], value).all():
+        if is_valid and not are_bits(heights[part], value).all():
             return _MIXED, value
     return (_VALID if is_valid else _VOID), value
-
-
-def is_bits(values: NDArray[Any], value: Any) -> NDArray[np.bool_]:
-    """Say which values are a value bit for bit: -0.0 is not 0.0."""
-    bits = f"u{values.dtype.itemsize}"
-    return values.view(bits) == np.asarray(value, dtype=values.dtype).view(bits)
 
 
 def _tiles_of(region: Region) -> tuple[slice, slice]:

@@ -19,11 +19,11 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.grid.steps import FixedSteps
 from terrainwave.progress import Reporter
-from terrainwave.raster_io.even import Even, even_parts
+from terrainwave.raster_io.even import Even, are_bits, even_parts
 from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import MEMORY_LIMIT, Spool
-from terrainwave.write.passes.seen import SIDE, SeenTiles, is_bits
+from terrainwave.write.passes.seen import SIDE, SeenTiles
 from terrainwave.write.pyramid import SourceWindows
 
 # Records of what is kept: of the scan, and that there is an array of which samples are valid; a
@@ -132,7 +132,7 @@ class Windows(SourceWindows):
         heights, valid = self.read(*region)
         if not even.is_valid:
             return not valid.any()
-        return bool(valid.all() and is_bits(heights, even.value).all())
+        return bool(valid.all() and are_bits(heights, even.value).all())
 
     def read(
         self, row: int, col: int, n_rows: int, n_cols: int
