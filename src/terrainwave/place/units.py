@@ -161,7 +161,7 @@ def meeting(name: str, found: HeightUnit, other_name: str, other: HeightUnit) ->
 
 
 def _note_on(name: str, other_name: str, unit: str | None) -> str:
-    return f"{name} names no unit of heights: taken for {unit}, as {other_name} has"
+    return f"{name}: no unit of heights is named; taken for {unit}, as {other_name} has"
 
 
 def vertical_of(crs_text: str | None) -> Vertical | None:

@@ -10,12 +10,28 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import places_to_pixels
 from terrainwave.grid.quadtree import Region
+from terrainwave.place.units import height_unit, meeting
 from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 
 _WINDOW = 512
 # Of a pixel: how far from the file's samples those of a raster may lie.
 _MISALIGNED = 1e-3
+
+
+def check_units(terrain: TerrainFile, source: RasterSource) -> str:
+    """Return what to note where heights of a raster meet those of a file; empty: nothing.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If they have different units.
+    """
+    unit = height_unit(source.info.units, source.info.crs)
+    met = meeting(source.name, unit, "the file", terrain.height_unit)
+    if met.problem:
+        raise InvalidHeightsError(met.problem)
+    return met.note
 
 
 def place_of(info: RasterInfo, new: RasterInfo) -> Region:
@@ -60,7 +76,8 @@ def place_of(info: RasterInfo, new: RasterInfo) -> Region:
 class Merged:
     """The new raster where it is; elsewhere the original, or the file's decoded heights.
 
-    `place` is where heights are known by more than the file: everywhere, with an original.
+    `place` is where heights are known by more than the file: everywhere, with an original. `notes`
+    say what was taken for granted.
 
     Raises
     ------
@@ -73,6 +90,8 @@ class Merged:
     ) -> None:
         self._terrain = terrain
         self._source = source
+        sources = [source] if original is None else [source, original]
+        self.notes = [*filter(None, (check_units(terrain, one) for one in sources))]
         self._new_place = place_of(terrain.raster_info, source.info)
         self._original = original
         self.place = self._new_place
