@@ -33,8 +33,8 @@ def raster(path, heights, unit=None, crs="EPSG:32632", col=0, **more):
         (0, 4, "km", "EPSG:32632", 1e-5, "1e-05 km, as this is 0.01 m"),
         (20, 900, "ft", "EPSG:32632", 0.01 / 0.3048, "0.0328084 ft, as this is 0.01 m"),
         (20, 900, None, "EPSG:2263+6360", 0.0328083, "0.0328083 US survey foot"),
-        (-2, 3, "K", "EPSG:32632", 5e-4, "0.0005 K, as K is no length"),
-        (0, 3e-6, None, "EPSG:32632", 2e-10, "2e-10, as 0.01 is more than"),
+        (-2, 3, "K", "EPSG:32632", 5e-4, "0.0005 K, as K is no known length"),
+        (0, 3e-6, None, "EPSG:32632", 2e-10, "2e-10, as no unit is named, and 0.01 is more than"),
         (0, 2000, None, "EPSG:32632", 0.01, "0.01, as the heights lie on no vertical grid"),
     ],
 )

@@ -34,14 +34,16 @@ def default_bound(span: Fraction, unit: str | None, length: float | None) -> Def
     if span == 0:
         return DefaultBound(span, "all heights are the same")
     if unit is not None and length is None:
-        return DefaultBound(span * _SHARE, f"{unit} is no length: a 10,000th of the range")
+        return DefaultBound(span * _SHARE, f"{unit} is no known length: a 10,000th of the range")
     usual = _USUAL if length is None else _USUAL / as_fraction(length)
     if usual <= span * (_SHARE if length is None else _MOST):
         metres = "" if usual == _USUAL else "this is 0.01 m, and "
         return DefaultBound(usual, f"{metres}the heights lie on no vertical grid")
     rounded = "a 10,000th of the range, rounded down"
     if length is None:
-        return DefaultBound(_rounded_down(span * _SHARE), f"0.01 is more than {rounded}")
+        return DefaultBound(
+            _rounded_down(span * _SHARE), f"no unit is named, and 0.01 is more than {rounded}"
+        )
     why = f"0.01 m is more than 1 % of the range: {rounded}"
     return DefaultBound(_rounded_down(span * _SHARE), why)
 
