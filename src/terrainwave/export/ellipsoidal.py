@@ -83,7 +83,7 @@ def above_ellipsoid(terrain: TerrainFile, info: RasterInfo, level: int) -> Above
     is_placed = tuple(info.transform) != IDENTITY
     place = place_of(info.crs, terrain.bounds, is_placed=is_placed)
     way = on_own_datum(place, terrain.bounds)
-    metres = height_unit(info.units, info.crs).metres
+    metres = height_unit(info.units, info.crs, info.heights_are).metres
     dtype = "float64" if info.dtype in ("float64", "int32") else "float32"
     bound = None
     if terrain.level_index(level) == terrain.n_levels - 1:

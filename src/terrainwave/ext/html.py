@@ -133,7 +133,7 @@ def _depths(
         frame = frame_of(terrain)
     if frame.body != EARTH or not may_have_water(terrain, frame):
         return np.zeros(heights.shape, dtype=np.bool_)
-    metres, waves = heights * frame.metres[2], waves_of(terrain, frame)
+    metres, waves = frame.to_metres(heights), waves_of(terrain, frame)
     return (find_water(metres, valid, waves) == DEEP) & (metres <= waves)
 
 

@@ -9,7 +9,7 @@ import os
 import re
 import warnings
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,8 @@ _N_ALONG = 9
 # In PROJ's definitions and names of operations.
 _GRIDS = re.compile(r"grids=(\S+)")
 _NO_CHANGE = re.compile(r"^axis order change \(2D\) \+ | \+ axis order change \(2D\)")
+# What makes heights above the ellipsoid of distances from the centre.
+RADII = "radii less those of the ellipsoid"
 # Missing files that a message names.
 _MOST_NAMED = 6
 
@@ -72,6 +74,11 @@ def describe_as_is(crs_text: str | None) -> dict[str, str]:
     return {"heights": AS_IS, "datum": "ellipsoid" if told.is_ellipsoidal else _reference(told)}
 
 
+def describe_radii() -> dict[str, Any]:
+    """Return what files say of heights that were radii."""
+    return {"heights": ELLIPSOID, "operation": RADII, "grids": []}
+
+
 @dataclass(frozen=True)
 class EllipsoidalHeights:
     """The way to heights above the ellipsoid.
@@ -92,6 +99,11 @@ class EllipsoidalHeights:
     _transformer: Any
     _place: Place
     _metres: float
+
+    @classmethod
+    def of_radii(cls, place: Place) -> Self:
+        """Return the way of heights that radii have become: they stay as they are."""
+        return cls(RADII, (), None, None, place, 1.0)
 
     def heights(self, x: Numbers, y: Numbers, heights: Numbers) -> Numbers:
         """Return metres above the ellipsoid of heights in metres, upwards; NaN stays.

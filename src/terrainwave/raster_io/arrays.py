@@ -10,6 +10,8 @@ from terrainwave.arguments import is_twz_name
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
+from terrainwave.place.meaning import Names, Told, told_by
+from terrainwave.place.units import is_length
 from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.labelled import layer_of, variable_of
 from terrainwave.raster_io.labelled.voids import number_of, voids_of
@@ -21,6 +23,7 @@ class ArrayBackend:
 
     is_file = False
     earlier: EarlierLoss | None = None
+    told = Told()
     name = "the array"
 
     def __init__(
@@ -83,7 +86,7 @@ class LabelledBackend(ArrayBackend):
     Understood: a Dataset with one variable of heights, a dimension ``band`` and others of length 1,
     x and y in either order, the coordinate that ``grid_mapping`` names (``spatial_ref``) and
     rioxarray's ``.rio`` accessor, what marks voids, the attributes ``units``, ``long_name``,
-    ``AREA_OR_POINT``, ``scale_factor`` and ``add_offset`` (which are there only while the values
+    ``positive``, ``standard_name``, ``AREA_OR_POINT``, ``scale_factor`` and ``add_offset`` (which are there only while the values
     are as stored), and ``max_error``. A lazy array is read in its own chunks.
     """
 
@@ -102,6 +105,8 @@ class LabelledBackend(ArrayBackend):
             "area_or_point": str(attrs["AREA_OR_POINT"]) if "AREA_OR_POINT" in attrs else None,
             "description": str(attrs["long_name"]) if "long_name" in attrs else None,
         }
+        names = Names(_text(variable.name), tags["description"], is_length(tags["units"]))
+        self.told = told_by(attrs, names, layer.crs)
         chunks = getattr(layer.array, "chunks", None)
         super().__init__(
             layer.array,
@@ -159,6 +164,10 @@ class LabelledBackend(ArrayBackend):
             )  # not as float32, which may not hold them
             valid &= (heights >= low) & (heights <= high)
         return heights, valid
+
+
+def _text(name: Any) -> str | None:
+    return None if name is None else str(name)
 
 
 def _claim(array: Any) -> Claim | None:

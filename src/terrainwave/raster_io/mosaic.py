@@ -15,6 +15,8 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.affine import determinant, of_window, places_to_pixels
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
+from terrainwave.place.meaning import Told
+from terrainwave.place.units import kind_name
 from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.even import Composite, Even, samples_in
@@ -108,6 +110,7 @@ class _Description(NamedTuple):
     asides: tuple[str, ...]
     is_lost: bool
     earlier: EarlierLoss | None
+    told: Told
     even: Even | None
     turn: _Turn = _Turn()
 
@@ -140,12 +143,14 @@ class MosaicBackend:
         Opens one of them as it is.
     nodata : int or float, optional
         Replaces the nodata value of each.
+    heights_are : str, optional
+        What the numbers of all of them are, whatever they say.
 
     Raises
     ------
     InvalidHeightsError
         If several have no place, or they differ in CRS, resolution, type, scale, offset or units,
-        or their pixels don't lie on one grid; the message says which and what to do.
+        or one has depths and another one heights, or their pixels don't lie on one grid; the message says which and what to do.
     StorageError
         If one cannot be opened.
 
@@ -162,6 +167,7 @@ class MosaicBackend:
         sources: Sequence[Any],
         open_member: Callable[[Any], RasterBackend],
         nodata: int | float | None,
+        heights_are: str | None = None,
     ) -> None:
         self._open_member = open_member
         self._open: Cache[str, RasterBackend] = Cache(_MAX_OPEN, drop=lambda one: one.close())
@@ -177,6 +183,9 @@ class MosaicBackend:
         rasters = [one.on_grid_of(first) for one in rasters]
         for other in rasters[1:]:
             _check_alike(first, other)
+            if heights_are is None:
+                _check_kind(first, other)
+        self.told = first.told
         self.name = f"{first.name} and {len(rasters) - 1} more"
         self.dtype = first.dtype
         places = [_place(first, other) for other in rasters]
@@ -251,6 +260,7 @@ class MosaicBackend:
             asides=tuple(backend.asides()),
             is_lost=backend.is_lost,
             earlier=backend.earlier,
+            told=backend.told,
             even=backend.even(Region(0, 0, backend.n_rows, backend.n_cols)),
         )
 
@@ -397,6 +407,18 @@ def _check_alike(first: _Description, other: _Description) -> None:
                 " gdal_calc, or correct the metadata with rio edit-info"
             )
     _place(first, other)
+
+
+def _check_kind(first: _Description, other: _Description) -> None:
+    """Raise InvalidHeightsError if one raster has depths and the other heights."""
+    kinds = [kind_name(one.told.kind, format_crs(one.crs)) for one in (first, other)]
+    if kinds[0] != kinds[1]:
+        by = first.told.by or other.told.by
+        raise InvalidHeightsError(
+            f"{other.name}: found {kinds[1]}, {first.name} has {kinds[0]} ({by}); expected one of"
+            " them: turn the others first, for example gdal_calc --calc=-A, or say what all are by"
+            " `heights_are`"
+        )
 
 
 def _crs_name(crs: CRS | None) -> str:
