@@ -16,7 +16,7 @@ from terrainwave.arguments import AS_IS, UPWARDS, check_choice, check_ending, ch
 from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import check_target, publish
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
-from terrainwave.export.frames import areas, find_place, longest_edge, steepest, to_frame, mesh_unit
+from terrainwave.export.frames import areas, find_place, longest_edge, mesh_unit, steepest, to_frame
 from terrainwave.export.mesh_formats import (
     EXTENSIONS,
     EXTRA,

@@ -20,11 +20,11 @@ from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import publish
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.export.frames import (
-    mesh_unit,
     areas,
     find_place,
     globe_triangles,
     longest_edge,
+    mesh_unit,
     on_ellipsoid,
     steepest,
 )

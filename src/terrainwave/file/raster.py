@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
-from terrainwave.place.meaning import Names, Told, told_by
-from terrainwave.place.units import is_length
+from terrainwave.place.meaning import Told
 from terrainwave.raster_io.earlier_loss import EarlierFile, EarlierLoss, earlier_files
 from terrainwave.raster_io.even import Even
 from terrainwave.raster_io.raster_info import stored_nodata
@@ -55,8 +54,7 @@ class TerrainBackend:
         self.has_mask = info.mask_kind == "mask"
         self.told = Told(info.heights_are, "its metadata")
         if info.heights_are is None:
-            names = Names(None, info.description, is_length(info.units))
-            self.told = told_by(dict(info.band_tags), names, info.crs)
+            self.told = info.told
         bound = terrain.effective_error
         own = EarlierFile(os.path.basename(self.name), bound)
         files = (*earlier_files(terrain.header.metadata), own) if bound else ()

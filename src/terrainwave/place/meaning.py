@@ -16,6 +16,8 @@ KINDS = (HEIGHT, DEPTH, RADIUS)
 PLURALS = {HEIGHT: "heights", DEPTH: "depths", RADIUS: "radii"}
 # The attribute of the CF conventions, and its values.
 POSITIVE, UP, DOWN = "positive", "up", "down"
+# What of an array's attributes a file keeps for that.
+MARKS = (POSITIVE, "standard_name")
 # Of the CF conventions, of which "depth_below_geoid" is one. Others that have "depth" in them are
 # thicknesses or lie below the ground, such as the depth of snow, soil, or the water table.
 _STANDARD_NAMES = re.compile(r"depth|depth_below_geoid|sea_?floor_depth(_below_\w+)?")

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from terrainwave.errors import TerrainwaveWarning
 from terrainwave.place.description import Vertical, describe_quietly
-from terrainwave.place.meaning import DEPTH, HEIGHT, PLURALS, RADIUS
+from terrainwave.place.meaning import DEPTH, HEIGHT, PLURALS, RADIUS, Told
 
 _SURVEY_FOOT = 1200 / 3937
 _METRES = {
@@ -135,6 +135,29 @@ def height_unit(
 def kind_name(heights_are: str | None, crs_text: str | None) -> str:
     """Return what numbers are, in a word: ``heights``, ``depths`` or ``radii``."""
     return PLURALS[height_unit(None, crs_text, heights_are).word]
+
+
+def kind_problem(
+    own: tuple[str | None, Told, str | None], other: tuple[Told, str | None]
+) -> str | None:
+    """Return what is wrong where a raster has depths and a file heights, or the other way round.
+
+    Nothing is where the file has what its own tags do not say: who made it chose that.
+
+    Parameters
+    ----------
+    own : (heights_are, what its tags say, CRS)
+        Of the file.
+    other : (what it says, CRS)
+        Of the raster.
+    """
+    heights_are, told, crs_text = own
+    found = kind_name(other[0].kind, other[1])
+    kinds = [kind_name(kind, crs_text) for kind in (heights_are, told.kind)]
+    if any((kind == PLURALS[DEPTH]) == (found == PLURALS[DEPTH]) for kind in kinds):
+        return None
+    by = f" ({other[0].by})" if other[0].kind else ""
+    return f"found {found}{by}, the file has {kinds[0]}"
 
 
 def vertical_of(crs_text: str | None) -> Vertical | None:

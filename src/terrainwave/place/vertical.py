@@ -99,6 +99,7 @@ class EllipsoidalHeights:
     _transformer: Any
     _place: Place
     _metres: float
+    _has_radii: bool = False
 
     @classmethod
     def of_radii(cls, place: Place) -> Self:
@@ -120,6 +121,9 @@ class EllipsoidalHeights:
             If a place with a height is not covered by the grid.
         """
         found = np.array(heights, dtype=np.float64)
+        if self._has_radii:
+            latitudes = self._place.to_lonlat(np.column_stack([x, y]))[:, 1]
+            return self._place.ellipsoid.heights_of_radii(latitudes, found)
         known = np.isfinite(found)
         if self._transformer is None or not known.any():
             return found
@@ -184,6 +188,23 @@ def onto_wgs84(place: Place, bounds: tuple[float, float, float, float]) -> Ellip
 def on_own_datum(place: Place, bounds: tuple[float, float, float, float]) -> EllipsoidalHeights:
     """Return the way to heights above the ellipsoid of the raster's own CRS."""
     return _way(place, bounds, None)
+
+
+def radii_on_own_datum(place: Place) -> EllipsoidalHeights:
+    """Return the way from radii to heights above the ellipsoid of the raster's own CRS.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If there is none.
+    """
+    if place.system is None:
+        raise InvalidHeightsError(
+            "the raster has no coordinate reference system, so that nothing tells the radius of its"
+            " body; expected one, or `vertical` as-is"
+        )
+    target = place.system.flat.to_3d().to_wkt()
+    return EllipsoidalHeights(RADII, (), target, None, place, 1.0, True)
 
 
 def _way(

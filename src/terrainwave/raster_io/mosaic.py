@@ -150,7 +150,8 @@ class MosaicBackend:
     ------
     InvalidHeightsError
         If several have no place, or they differ in CRS, resolution, type, scale, offset or units,
-        or one has depths and another one heights, or their pixels don't lie on one grid; the message says which and what to do.
+        or one has depths and another one heights, or their pixels don't lie on one grid; the
+        message says which and what to do.
     StorageError
         If one cannot be opened.
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from terrainwave.arguments import crs_name
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.affine import IDENTITY
-from terrainwave.place.meaning import KINDS
+from terrainwave.place.meaning import KINDS, Names, Told, told_by
+from terrainwave.place.units import is_length
 
 SUPPORTED_DTYPES = ("uint8", "int16", "uint16", "int32", "float32", "float64")
 
@@ -89,6 +90,12 @@ class RasterInfo:
     def crs_name(self) -> str:
         """The CRS in few words."""
         return crs_name(self.crs)
+
+    @property
+    def told(self) -> Told:
+        """Return what the band's own tags and names say of its numbers."""
+        names = Names(None, self.description, is_length(self.units))
+        return told_by(dict(self.band_tags), names, self.crs)
 
     @property
     def n_bytes(self) -> int:

@@ -107,6 +107,8 @@ class RasterSource:
         for bands beside one that was chosen, and for what the heights give again.
     n_bytes_read : int
         Bytes of heights, as numbers, that have been read so far.
+    told : Told or None
+        What it says of its numbers; None of plain arrays, which say nothing.
     is_striped : bool
         True if a narrow window makes the source decode much wider ones: a scan in the order of
         `blocks` is then many times cheaper than small windows.
@@ -202,7 +204,7 @@ class RasterSource:
             nodata=nodata,
             transform=transform,
             mask_kind=mask_kind,
-            **{**tags, "heights_are": self.told.kind},
+            **{**tags, "heights_are": self.told.kind if self.told else None},
         )
 
     def settled(self, minimum: float, maximum: float) -> tuple[RasterInfo, list[str]]:
@@ -222,9 +224,10 @@ class RasterSource:
         unit = math.nan  # no length
         if is_length(info.units):
             unit = abs(height_unit(info.units, info.crs).metres)
-        is_unsure = self.told.kind is not None and self.told.is_name and low < 0
+        told = self.told or Told()
+        is_unsure = told.kind is not None and told.is_name and low < 0
         kind, note = settled_kind(
-            self.told,
+            told,
             info.crs,
             (low * unit, high * unit),
             is_mostly_negative=is_unsure and (high <= 0 or self._is_mostly_negative()),

@@ -261,7 +261,7 @@ def compress(
     if client is not None:
         _refuse_tiles(options)
         is_remote = temp_dir is not None and "://" in os.fspath(temp_dir)
-        raster = shared_raster(src, band, nodata)
+        raster = shared_raster(src, band, nodata, heights_are)
         url = temp_dir if is_remote else None
         cluster = _Cluster(Workers(client, on_task), raster, url, task_samples or TASK_SAMPLES)
         temp_dir = None if is_remote else temp_dir

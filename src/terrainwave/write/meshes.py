@@ -31,6 +31,7 @@ from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.tri.mesh_options import MeshOptions, check_mesh, stored_mesh
 from terrainwave.write.compress_options import taking_former
+from terrainwave.write.patching.merged import check_kind
 
 _log = logging.getLogger(__name__)
 
@@ -143,6 +144,7 @@ def _originals(terrain: TerrainFile, original: Any) -> tuple[Originals, Fraction
         decoder = terrain.decoder
         return lambda region: decoder.window(level, region), header.coded_error + rho
     source, quantizer = RasterSource(original), terrain.quantizer
+    check_kind(terrain.raster_info, source)
     if (source.info.n_rows, source.info.n_cols) != terrain.shape:
         raise InvalidHeightsError(
             f"found an original of {source.info.n_rows} x {source.info.n_cols} samples, expected"

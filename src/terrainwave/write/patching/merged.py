@@ -10,6 +10,7 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import places_to_pixels
 from terrainwave.grid.quadtree import Region
+from terrainwave.place.units import kind_problem
 from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 
@@ -57,6 +58,19 @@ def place_of(info: RasterInfo, new: RasterInfo) -> Region:
     return place
 
 
+def check_kind(info: RasterInfo, source: RasterSource) -> None:
+    """Raise `InvalidHeightsError` if a raster has depths and a file heights, or the other way."""
+    if source.told is None:
+        return
+    own, other = (info.heights_are, info.told, info.crs), (source.told, source.info.crs)
+    problem = kind_problem(own, other)
+    if problem is not None:
+        raise InvalidHeightsError(
+            f"{source.name}: {problem}: turn the numbers, for example gdal_calc --calc=-A, or say"
+            " what they are by the tag positive, for example gdal_translate -mo positive=down"
+        )
+
+
 class Merged:
     """The new raster where it is; elsewhere the original, or the file's decoded heights.
 
@@ -84,6 +98,9 @@ class Merged:
                     f" the raster that the file was made of, {terrain.shape[0]} x"
                     f" {terrain.shape[1]}"
                 )
+        for raster in (source, original):
+            if raster is not None:
+                check_kind(terrain.raster_info, raster)
         self._check()
 
     @property
