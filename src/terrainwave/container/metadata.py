@@ -19,9 +19,7 @@ EARLIER = "earlier"
 MAX_NESTING = 16
 MAX_MOVED = 1 << 31
 
-_STRINGS = (
-    "crs", "mask_kind", "units", "description", "software", "color_interpretation", "heights_are",
-)  # fmt: skip
+_STRINGS = ("crs", "mask_kind", "units", "description", "software", "color_interpretation")
 _TEXTS_BY_NAME = ("tags", "band_tags")
 _NUMBERS = ("scale", "offset")
 # A string, or one bracket outside of strings.

@@ -158,7 +158,7 @@ class RasterInfo:
             nodata, problem = fit_nodata(nodata, np.dtype(dtype))
             if problem:
                 raise ValueError(problem)
-        heights_are = _optional_text(fields.get("heights_are"))
+        heights_are = fields.get("heights_are")
         return cls(
             n_rows=_positive(fields["n_rows"]),
             n_cols=_positive(fields["n_cols"]),
@@ -175,7 +175,7 @@ class RasterInfo:
             tags=_tags(fields.get("tags")),
             band_tags=_tags(fields.get("band_tags")),
             color_interpretation=_optional_text(fields.get("color_interpretation")),
-            # One of a later version means nothing here.
+            # What a reader does not know means nothing to it (FORMAT.md §4.2).
             heights_are=heights_are if heights_are in KINDS else None,
         )
 
