@@ -244,7 +244,6 @@ def test_what_tiles_do_not_share_is_named(tmp_path):
         ({"crs": None}, "found CRS none"),
         ({"pixel": 25.0}, r"found pixels of 25 x 25, .*gdalwarp -tr 30 30 -tap"),
         ({"col": 4.5, "row": 0.25}, r"0\.5 columns and 0\.25 rows beside.*gdalwarp -tr 30 30 -tap"),
-        ({"units": ("foot",)}, "found units foot"),
         ({"bands": {"scales": 0.1}}, r"found scale 0\.1"),
         ({"heights": terrain_like(4, 4, "float32")}, "heights are float32"),
     ],
@@ -256,6 +255,32 @@ def test_rasters_that_do_not_fit_are_refused_with_advice(tmp_path, change, messa
     second = tile(tmp_path / "b.tif", **options)
     with pytest.raises(InvalidHeightsError, match=message):
         RasterSource([first, second])
+
+
+@pytest.mark.parametrize(("one", "other"), [("metre", "m"), ("Meters", "METRE"), ("m.", "m")])
+def test_tiles_whose_unit_is_spelled_otherwise_are_one_mosaic(tmp_path, one, other):
+    first = tile(tmp_path / "a.tif", terrain_like(4, 4), units=(one,))
+    second = tile(tmp_path / "b.tif", terrain_like(4, 4), col=4, units=(other,))
+    info, _, _ = read_mosaic([first, second])
+    assert info.units == one
+
+
+def test_tiles_of_other_units_are_refused_with_how_to_convert(tmp_path):
+    first = tile(tmp_path / "a.tif", terrain_like(4, 4), units=("metre",))
+    second = tile(tmp_path / "b.tif", terrain_like(4, 4), col=4, units=("ft",))
+    with pytest.raises(InvalidHeightsError, match=r'b\.tif: found heights in ft.*"A\*0\.3048"'):
+        RasterSource([first, second])
+
+
+def test_tiles_without_a_unit_are_taken_for_that_of_the_others_with_a_note(tmp_path):
+    first = tile(tmp_path / "a.tif", terrain_like(4, 4))
+    second = tile(tmp_path / "b.tif", terrain_like(4, 4), col=4, units=("ft",))
+    third = tile(tmp_path / "c.tif", terrain_like(4, 4), col=8)
+    with pytest.warns(
+        TerrainwaveWarning, match=r"a\.tif and 1 more: no unit .* for ft, as .*b\.tif"
+    ):
+        info, _, _ = read_mosaic([first, second, third])
+    assert info.units == "ft"
 
 
 def test_tags_that_all_tiles_have_are_kept(four_tiles):

@@ -219,6 +219,28 @@ def test_changed_metadata_are_a_problem(compare, changes, problem):
     assert problem in report.problems[0]
 
 
+def test_one_unit_may_be_spelled_in_two_ways(compare):
+    heights = terrain_like(4, 4)
+    assert compare(heights, FakeTerrain(heights, units="m"), units=["metre"]).ok
+
+
+@pytest.mark.parametrize(
+    ("units", "of_original", "problem"),
+    [
+        ("metre", "ft", "A*0.3048"),
+        ("ft", "US survey foot", "A*1.000002"),
+        ("m/yr", "m", "if both mean the same"),
+    ],
+)
+def test_heights_of_another_unit_are_not_compared(compare, units, of_original, problem):
+    heights = terrain_like(4, 4)
+    report = compare(heights, FakeTerrain(heights, units=units), units=[of_original])
+    assert report.errors is None
+    assert len(report.problems) == 1
+    assert f"found heights in {of_original}, the file has {units}" in report.problems[0]
+    assert problem in report.problems[0]
+
+
 def test_crs_is_compared_by_its_definition(compare):
     heights = terrain_like(4, 4)
     nearly = rasterio.CRS.from_epsg(32611).to_wkt().replace("298.257223563", "298.257223564")

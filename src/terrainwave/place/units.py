@@ -1,5 +1,6 @@
 """Vertical units: what they are, where they are told, and how many metres they have."""
 
+import re
 import warnings
 from typing import NamedTuple
 
@@ -7,27 +8,37 @@ from terrainwave.errors import TerrainwaveWarning
 from terrainwave.place.description import Vertical, describe_quietly
 from terrainwave.place.meaning import DEPTH, HEIGHT, PLURALS, RADIUS, Told
 
-_SURVEY_FOOT = 1200 / 3937
+_FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
+# As `_plain` writes them; of longer words without the s of a plural.
 _METRES = {
-    "m": 1.0, "metre": 1.0, "metres": 1.0, "meter": 1.0, "meters": 1.0,
-    "cm": 0.01, "centimetre": 0.01, "centimetres": 0.01, "centimeter": 0.01, "centimeters": 0.01,
-    "dm": 0.1, "decimetre": 0.1, "decimetres": 0.1, "decimeter": 0.1, "decimeters": 0.1,
-    "mm": 0.001, "millimetre": 0.001, "millimetres": 0.001, "millimeter": 0.001,
-    "millimeters": 0.001,
-    "km": 1000.0, "kilometre": 1000.0, "kilometres": 1000.0, "kilometer": 1000.0,
-    "kilometers": 1000.0,
-    "ft": 0.3048, "foot": 0.3048, "feet": 0.3048, "international foot": 0.3048,
-    "international feet": 0.3048, "foot (international)": 0.3048,
-    "ftus": _SURVEY_FOOT, "us-ft": _SURVEY_FOOT, "us survey foot": _SURVEY_FOOT,
-    "us survey feet": _SURVEY_FOOT, "foot_us": _SURVEY_FOOT, "us_survey_foot": _SURVEY_FOOT,
+    "m": 1.0, "metre": 1.0, "meter": 1.0,
+    "dm": 0.1, "decimetre": 0.1, "decimeter": 0.1,
+    "cm": 0.01, "centimetre": 0.01, "centimeter": 0.01,
+    "mm": 0.001, "millimetre": 0.001, "millimeter": 0.001,
+    "µm": 1e-6, "um": 1e-6, "micrometre": 1e-6, "micrometer": 1e-6, "micron": 1e-6,
+    "dam": 10.0, "decametre": 10.0, "decameter": 10.0,
+    "hm": 100.0, "hectometre": 100.0, "hectometer": 100.0,
+    "km": 1000.0, "kilometre": 1000.0, "kilometer": 1000.0,
+    "in": 0.0254, "inch": 0.0254, "inches": 0.0254,
+    "ft": _FOOT, "foot": _FOOT, "feet": _FOOT,
+    "international foot": _FOOT, "international feet": _FOOT, "intl foot": _FOOT,
+    "foot (international)": _FOOT, "feet (international)": _FOOT,
+    "ftus": _SURVEY_FOOT, "usft": _SURVEY_FOOT, "us ft": _SURVEY_FOOT, "ft us": _SURVEY_FOOT,
+    "us survey foot": _SURVEY_FOOT, "us survey feet": _SURVEY_FOOT, "foot us": _SURVEY_FOOT,
     "survey foot": _SURVEY_FOOT, "survey feet": _SURVEY_FOOT, "foot (us survey)": _SURVEY_FOOT,
     "feet (us survey)": _SURVEY_FOOT, "us foot": _SURVEY_FOOT, "us feet": _SURVEY_FOOT,
     "ft (us)": _SURVEY_FOOT, "sftus": _SURVEY_FOOT,
-    "yd": 0.9144, "yard": 0.9144, "yards": 0.9144,
-    "fathom": 1.8288, "fathoms": 1.8288,
+    "yd": 0.9144, "yard": 0.9144,
+    "fathom": 1.8288,
+    "mile": 1609.344, "mi": 1609.344, "nautical mile": 1852.0, "nmi": 1852.0,
 }  # fmt: skip
+# Letters of words that an s makes something else: ms are no metres.
+_SHORT = 3
+# What may stand behind a length: what heights are above. Depths are below, which is no unit.
+_REFERENCE = re.compile(r" (?:above|over|asl|amsl|msl|agl)\b.*| \((?!per\b)[^/()^-]*\)$")
+_HYPHEN = re.compile(r"(?<=[a-z])-(?=[a-z])")
 # What drivers write where no unit is known.
-_NO_UNIT = ("unspecified", "unknown", "undefined", "none")
+_NO_UNIT = ("unspecified", "unknown", "undefined", "none", "n/a", "-")
 BAND, CRS = "band", "CRS"
 # Relative: the survey foot has several roundings, and differs from the foot by 2e-6.
 _SAME_UNIT = 1e-7
@@ -59,11 +70,17 @@ class HeightUnit(NamedTuple):
 
         A name that is not known is warned of and taken for metres.
         """
-        vertical = self.vertical
         sign = -1.0 if self.is_depth else 1.0
+        length = self.length
+        return sign * (metres_per_unit(self.name) if length is None else length)
+
+    @property
+    def length(self) -> float | None:
+        """Return the metres per unit, without sign; None where it is not named, or no length."""
+        vertical = self.vertical
         if vertical is not None and (self.source == CRS or self._is_the_same_name):
-            return sign * vertical.metres
-        return sign * metres_per_unit(self.name)
+            return vertical.metres
+        return None if self.name is None else _length(self.name)
 
     @property
     def is_depth(self) -> bool:
@@ -101,9 +118,7 @@ class HeightUnit(NamedTuple):
         """Return the CRS's unit where the band names another one."""
         if self.source != BAND or self.vertical is None or self._is_the_same_name:
             return None
-        metres = _METRES.get(_plain(self.name or ""))
-        is_same = metres is not None and abs(metres / self.vertical.metres - 1) < _SAME_UNIT
-        return None if is_same else self.vertical.unit
+        return None if _is_same(self.length, self.vertical.metres) else self.vertical.unit
 
     @property
     def _is_the_same_name(self) -> bool:
@@ -160,6 +175,52 @@ def kind_problem(
     return f"found {found}{by}, the file has {kinds[0]}"
 
 
+class Meeting(NamedTuple):
+    """What to do where the heights of two sources meet; nothing where both are empty.
+
+    Parameters
+    ----------
+    problem : str
+        Why the one cannot be taken beside the other, and what to do: refuse.
+    note : str
+        What was taken for granted.
+    """
+
+    problem: str = ""
+    note: str = ""
+
+
+def meeting(name: str, found: HeightUnit, other_name: str, other: HeightUnit) -> Meeting:
+    """Return what to do where heights of `name` are to meet those of `other_name`.
+
+    Units of any spelling are the same if their lengths are. Nothing is converted: heights that are
+    rounded on the way would be within the bound of other heights than the given ones.
+    """
+    if found.name is None and other.name is None:
+        return Meeting()
+    if found.name is None:
+        return Meeting(note=_note_on(name, other_name, other.name))
+    if other.name is None:
+        return Meeting(note=_note_on(other_name, name, found.name))
+    if _is_same(found.length, other.length) or _plain(found.name) == _plain(other.name):
+        return Meeting()
+    problem = f"{name}: found heights in {found.name}, {other_name} has {other.name}; expected one"
+    rename = f'gdal_edit -units "{other.name}"'
+    if found.length is None or other.length is None:
+        return Meeting(
+            f"{problem} unit: if both mean the same, name it alike, for example {rename}"
+        )
+    factor = found.length / other.length
+    return Meeting(
+        f"{problem} unit: convert the heights first, for example gdal_calc"
+        f' --calc "A*{factor:.12g}", then {rename}'
+    )
+
+
+def _note_on(name: str, other_name: str, unit: str | None) -> str:
+    return f"{name}: no unit of heights is named; taken for {unit}, as {other_name} has"
+
+
 def vertical_of(crs_text: str | None) -> Vertical | None:
     """Return the vertical part of a CRS, if it has one."""
     description = describe_quietly(crs_text)
@@ -170,23 +231,42 @@ def metres_per_unit(units: str | None) -> float:
     """Return the metres of one vertical unit; 1 where it is not told, or (warned) not known."""
     if units is None or not units.strip():
         return 1.0
-    name = _plain(units)
-    if name not in _METRES:
+    length = _length(units)
+    if length is None:
         warnings.warn(
             f"the vertical unit {units!r} is not known and taken for metres",
             TerrainwaveWarning,
             stacklevel=2,
         )
-    return _METRES.get(name, 1.0)
+    return 1.0 if length is None else length
+
+
+def _length(name: str) -> float | None:
+    """Return the metres of a unit of length; None of all others."""
+    name = _plain(name)
+    for words in (name, _REFERENCE.sub("", name)):
+        singular = words.removesuffix("s") if len(words) > _SHORT else words
+        for spelling in (words, singular):
+            if spelling in _METRES:
+                return _METRES[spelling]
+    return None
+
+
+def _is_same(length: float | None, other: float | None) -> bool:
+    return length is not None and other is not None and abs(length / other - 1) < _SAME_UNIT
 
 
 def is_length(units: str | None) -> bool:
     """Say whether a unit is a length that is known, or nobody names one."""
-    return not units or _plain(units) in (*_METRES, *_NO_UNIT)
+    unit = height_unit(units, None)
+    return unit.name is None or unit.length is not None
 
 
 def _plain(units: str) -> str:
-    return " ".join(units.lower().replace("[", " ").replace("]", " ").replace(".", "").split())
+    """Return a name of a unit as all of its spellings are written."""
+    for mark, plain in (("[", " "), ("]", " "), ("_", " "), (".", ""), ("\u03bc", "\u00b5")):
+        units = units.replace(mark, plain)
+    return " ".join(_HYPHEN.sub(" ", units.lower()).split())
 
 
 def unit_text(units: str | None) -> str:

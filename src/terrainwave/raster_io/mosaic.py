@@ -16,7 +16,7 @@ from terrainwave.grid.affine import determinant, of_window, places_to_pixels
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
 from terrainwave.place.meaning import Told
-from terrainwave.place.units import kind_name
+from terrainwave.place.units import HeightUnit, Meeting, height_unit, kind_name, meeting
 from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.even import Composite, Even, samples_in
@@ -114,6 +114,11 @@ class _Description(NamedTuple):
     even: Even | None
     turn: _Turn = _Turn()
 
+    @property
+    def unit(self) -> HeightUnit:
+        """Return the unit of the raster's heights."""
+        return height_unit(self.tags["units"], self.tags["crs"])
+
     def on_grid_of(self, first: Self) -> Self:
         """Return the raster in the order of rows and columns that `first` has, if it can be."""
         pixel, size = _pixel(first.transform), max(*first.shape, *self.shape)
@@ -182,8 +187,10 @@ class MosaicBackend:
                 " gdal_edit -a_ullr"
             )
         rasters = [one.on_grid_of(first) for one in rasters]
+        # The first that names a unit: it is that of all.
+        named = next((one for one in rasters if one.unit.name is not None), first)
         for other in rasters[1:]:
-            _check_alike(first, other)
+            _check_alike(first, other, named)
             if heights_are is None:
                 _check_kind(first, other)
         self.told = first.told
@@ -194,7 +201,7 @@ class MosaicBackend:
         self.n_rows = max(row + one.shape[0] for (row, _), one in zip(places, rasters)) - top
         self.n_cols = max(col + one.shape[1] for (_, col), one in zip(places, rasters)) - left
         self.transform = _corner_transform(rasters, places, top, left)
-        self._tags = dict(first.tags)
+        self._tags = {**first.tags, "units": named.tags["units"]}
         self._differing = []
         for name, words in _ALIKE.items():
             if any(one.tags[name] != first.tags[name] for one in rasters):
@@ -223,6 +230,9 @@ class MosaicBackend:
         regions = np.array([member.region for member in self._members], dtype=np.int64)
         self._corners = regions[:, :2], regions[:, :2] + regions[:, 2:]
         self._notes = list(_gathered((one, one.remarks) for one in rasters))
+        nameless = [one for one in rasters if one.unit.name is None]
+        if nameless:
+            self._notes += filter(None, [_units_met(nameless, named).note])
         self._asides = list(_gathered((one, one.asides) for one in rasters))
         declared = [one.nodata for one in rasters if one.nodata is not None]
         self.nodata = declared[0] if declared else None
@@ -385,8 +395,11 @@ class MosaicBackend:
         self._open.clear()
 
 
-def _check_alike(first: _Description, other: _Description) -> None:
-    """Raise InvalidHeightsError unless two rasters can be parts of one mosaic."""
+def _check_alike(first: _Description, other: _Description, named: _Description) -> None:
+    """Raise InvalidHeightsError unless a raster can be part of the first one's mosaic.
+
+    `named` is the raster whose unit they have.
+    """
     if first.crs != other.crs:
         wanted = format_crs(first.crs)
         target = wanted if wanted and len(wanted) < 20 else "the CRS of the first"
@@ -400,7 +413,10 @@ def _check_alike(first: _Description, other: _Description) -> None:
             f"{other.name}: heights are {other.dtype}, {first.name} has {first.dtype}; expected one"
             " type: convert them first, for example gdal_translate -ot Float32"
         )
-    for name in ("units", "scale", "offset"):
+    problem = _units_met([other], named).problem
+    if problem:
+        raise InvalidHeightsError(problem)
+    for name in ("scale", "offset"):
         if first.tags[name] != other.tags[name]:
             raise InvalidHeightsError(
                 f"{other.name}: found {name} {other.tags[name]}, {first.name} has"
@@ -413,13 +429,17 @@ def _check_alike(first: _Description, other: _Description) -> None:
 def _check_kind(first: _Description, other: _Description) -> None:
     """Raise InvalidHeightsError if one raster has depths and the other heights."""
     kinds = [kind_name(one.told.kind, format_crs(one.crs)) for one in (first, other)]
-    if kinds[0] != kinds[1]:
+    if (kinds[0] == "depths") != (kinds[1] == "depths"):
         by = first.told.by or other.told.by
         raise InvalidHeightsError(
             f"{other.name}: found {kinds[1]}, {first.name} has {kinds[0]} ({by}); expected one of"
             " them: turn the others first, for example gdal_calc --calc=-A, or say what all are by"
             " `heights_are`"
         )
+
+
+def _units_met(others: Sequence[_Description], named: _Description) -> Meeting:
+    return meeting(_names(others), others[0].unit, named.name, named.unit)
 
 
 def _crs_name(crs: CRS | None) -> str:

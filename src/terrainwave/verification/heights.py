@@ -35,7 +35,7 @@ from terrainwave.progress import Progress, ProgressCallback
 from terrainwave.raster_io.even import Even, even_parts
 from terrainwave.verification.metrics import ErrorReport, ErrorSum
 from terrainwave.verification.original import Original, open_original, place_text
-from terrainwave.verification.raster_metadata import metadata_problems
+from terrainwave.verification.raster_metadata import metadata_problems, unit_problem
 
 if TYPE_CHECKING:
     from terrainwave.verification.mesh_walk import MeshReport
@@ -112,6 +112,7 @@ def verify(
 
     With `original`: every sample must be within the bound, void where the original is void and
     only there, and size, type, nodata, CRS, transform, units, scale and offset must be the same.
+    Heights of another size, type or unit are not compared.
     Without: all checksums are checked and every block of every level is decoded.
 
     Parameters
@@ -178,7 +179,7 @@ def verify(
             check_band(band, dataset.count, str(original))
             raster = Original(dataset, band, nodata)
             report = _Comparison(terrain, raster, max_error).run(twz, original, progress)
-            if not mesh or report.errors is None:  # of another size or type
+            if not mesh or report.errors is None:  # of another size, type or unit
                 return report
             return _with_meshes(report, terrain, raster.read, progress)
 
@@ -255,7 +256,9 @@ class _Comparison:
         terrain = self._terrain
         problems = list(metadata_problems(terrain, self._original))
         errors, is_strict = None, None
-        if tuple(terrain.shape) == self._original.shape and np.dtype(terrain.dtype) == self._dtype:
+        is_same = tuple(terrain.shape) == self._original.shape
+        is_same &= np.dtype(terrain.dtype) == self._dtype
+        if is_same and not unit_problem(terrain, self._original):
             measured, height_problems = self._compare_heights(progress)
             problems += height_problems
             errors = measured.report()

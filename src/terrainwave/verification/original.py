@@ -20,7 +20,7 @@ from rasterio.windows import Window
 from terrainwave.errors import StorageError
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
-from terrainwave.place.units import height_unit, kind_problem
+from terrainwave.place.units import HeightUnit, height_unit, kind_problem
 from terrainwave.raster_io.dataset import DatasetBackend, told_of
 from terrainwave.raster_io.even import Even, even_parts, is_seen
 from terrainwave.raster_io.raster_info import RasterInfo
@@ -69,10 +69,10 @@ class Original:
         colors = enumerate(dataset.colorinterp, 1)
         self._alphas = [n for n, color in colors if color.name == "alpha" and n != band]
 
-    def unit(self) -> str | None:
-        """Return the original's unit: its band's, else its CRS's, as a file says it."""
+    def unit(self) -> HeightUnit:
+        """Return the original's unit: its band's, else its CRS's."""
         units = self.dataset.units[self.band - 1]
-        return height_unit(units, format_crs(self.dataset.crs)).name
+        return height_unit(units, format_crs(self.dataset.crs))
 
     def kind_problem(self, info: RasterInfo) -> str | None:
         """Return what is wrong where it has depths and the file heights, or the other way round."""

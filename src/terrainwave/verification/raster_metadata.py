@@ -8,6 +8,7 @@ import numpy as np
 from rasterio.crs import CRS
 
 from terrainwave.place.crs import parse_crs
+from terrainwave.place.units import height_unit, meeting
 from terrainwave.raster_io.dataset import is_placed
 from terrainwave.verification.original import Original, as_stored
 
@@ -24,13 +25,18 @@ def metadata_problems(terrain: Any, original: Original) -> Iterator[str]:
     pairs = [
         ("size", tuple(terrain.shape), (dataset.height, dataset.width)),
         ("type", np.dtype(terrain.dtype).name, original.dtype.name),
-        ("units", info.units or None, original.unit()),
         ("scale", float(info.scale), original.scale),
         ("offset", float(info.offset), float(dataset.offsets[index])),
         ("description", info.description or None, dataset.descriptions[index] or None),
         # Area is GDAL's default, and not kept by a GeoTIFF that lies nowhere.
         ("AREA_OR_POINT", info.area_or_point or "Area", original.area_or_point()),
     ]
+    unit, own_unit = original.unit().name, info.units or None
+    problem = unit_problem(terrain, original)
+    if problem:
+        yield problem
+    elif (own_unit is None) != (unit is None):
+        yield f"units is {own_unit!r}, the original's is {unit!r}"
     for name, found, expected in pairs:
         if found != expected:
             yield f"{name} is {found!r}, the original's is {expected!r}"
@@ -45,6 +51,12 @@ def metadata_problems(terrain: Any, original: Original) -> Iterator[str]:
     # Of samples that lie nowhere a file keeps no CRS.
     if terrain.crs or is_placed(dataset):
         yield from _compare_crs(terrain.crs, dataset.crs)
+
+
+def unit_problem(terrain: Any, original: Original) -> str:
+    """Return why heights cannot be compared: they are in different units; empty if they can."""
+    unit = height_unit(terrain.info().units, terrain.crs)
+    return meeting("the original", original.unit(), "the file", unit).problem
 
 
 def _same_nodata(nodata: Any, expected: Any, dtype: np.dtype[Any]) -> bool:

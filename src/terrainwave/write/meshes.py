@@ -2,6 +2,7 @@
 
 import logging
 import os
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from fractions import Fraction
@@ -18,7 +19,7 @@ from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.targets.publication import publish, refuse_own_source, scratch_directory
 from terrainwave.container.targets.unfinished import only_writer
 from terrainwave.container.writer import assemble
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.file import TerrainFile
 from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Block, Region
@@ -31,7 +32,7 @@ from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.tri.mesh_options import MeshOptions, check_mesh, stored_mesh
 from terrainwave.write.compress_options import taking_former
-from terrainwave.write.patching.merged import check_kind
+from terrainwave.write.patching.merged import check_units
 
 _log = logging.getLogger(__name__)
 
@@ -144,12 +145,14 @@ def _originals(terrain: TerrainFile, original: Any) -> tuple[Originals, Fraction
         decoder = terrain.decoder
         return lambda region: decoder.window(level, region), header.coded_error + rho
     source, quantizer = RasterSource(original), terrain.quantizer
-    check_kind(terrain.raster_info, source)
     if (source.info.n_rows, source.info.n_cols) != terrain.shape:
         raise InvalidHeightsError(
             f"found an original of {source.info.n_rows} x {source.info.n_cols} samples, expected"
             f" {terrain.shape[0]} x {terrain.shape[1]}"
         )
+    note = check_units(terrain, source)
+    if note:
+        warnings.warn(note, TerrainwaveWarning, stacklevel=3)
 
     def read(region: Region) -> tuple[Heights, Mask]:
         raw, valid = source.read(*region)

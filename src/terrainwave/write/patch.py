@@ -13,6 +13,7 @@ docs/decisions/0023).
 
 import logging
 import os
+import warnings
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -30,7 +31,7 @@ from terrainwave.container.targets.kept import Kept
 from terrainwave.container.targets.publication import publish, refuse_own_source
 from terrainwave.container.targets.unfinished import only_writer
 from terrainwave.container.writer import assemble
-from terrainwave.errors import BoundViolationError, InvalidHeightsError
+from terrainwave.errors import BoundViolationError, InvalidHeightsError, TerrainwaveWarning
 from terrainwave.file import TerrainFile
 from terrainwave.file.info import format_of
 from terrainwave.grid.crew import Crew
@@ -119,7 +120,7 @@ def patch(
     InvalidArgumentError
         If `path` is a URL.
     InvalidHeightsError
-        If `src` or `original` does not fit the file: heights beyond the file's range, voids in a
+        If `src` or `original` does not fit the file: heights in another unit or beyond the file's range, voids in a
         file that cannot mark them, a valid height that equals the file's nodata value, heights
         between its vertical steps; or if `original` is not what the file was made of.
     BoundViolationError
@@ -165,6 +166,8 @@ def patch(
                 " compress the whole raster again"
             )
         merged = Merged(terrain, source, whole)
+        for note in merged.notes:
+            warnings.warn(note, TerrainwaveWarning, stacklevel=2)
         patcher = _Patcher(terrain, merged, directory, executor, reporter, kept)
         n_recoded, n_copied = patcher.code()
         if patcher.is_changed:
@@ -187,7 +190,11 @@ def patch(
         moved_error=0.0,
         units=terrain.units,
         format=after,
-        notes=[*([] if after == before else [_note_on_format(before, after)]), *taken_up(kept)],
+        notes=[
+            *merged.notes,
+            *([] if after == before else [_note_on_format(before, after)]),
+            *taken_up(kept),
+        ],
     )
 
 

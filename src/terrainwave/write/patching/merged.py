@@ -10,13 +10,37 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import places_to_pixels
 from terrainwave.grid.quadtree import Region
-from terrainwave.place.units import kind_problem
+from terrainwave.place.units import height_unit, kind_problem, meeting
 from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 
 _WINDOW = 512
 # Of a pixel: how far from the file's samples those of a raster may lie.
 _MISALIGNED = 1e-3
+
+
+def check_units(terrain: TerrainFile, source: RasterSource) -> str:
+    """Return what to note where heights of a raster meet those of a file; empty: nothing.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If they have different units, or one has depths and the other heights.
+    """
+    info = terrain.raster_info
+    if source.told is not None:
+        own = info.heights_are, info.told, info.crs
+        problem = kind_problem(own, (source.told, source.info.crs))
+        if problem is not None:
+            raise InvalidHeightsError(
+                f"{source.name}: {problem}: turn the numbers, for example gdal_calc --calc=-A, or"
+                " say what they are, for example gdal_translate -mo positive=down"
+            )
+    unit = height_unit(source.info.units, source.info.crs)
+    met = meeting(source.name, unit, "the file", terrain.height_unit)
+    if met.problem:
+        raise InvalidHeightsError(met.problem)
+    return met.note
 
 
 def place_of(info: RasterInfo, new: RasterInfo) -> Region:
@@ -58,23 +82,11 @@ def place_of(info: RasterInfo, new: RasterInfo) -> Region:
     return place
 
 
-def check_kind(info: RasterInfo, source: RasterSource) -> None:
-    """Raise `InvalidHeightsError` if a raster has depths and a file heights, or the other way."""
-    if source.told is None:
-        return
-    own, other = (info.heights_are, info.told, info.crs), (source.told, source.info.crs)
-    problem = kind_problem(own, other)
-    if problem is not None:
-        raise InvalidHeightsError(
-            f"{source.name}: {problem}: turn the numbers, for example gdal_calc --calc=-A, or say"
-            " what they are by the tag positive, for example gdal_translate -mo positive=down"
-        )
-
-
 class Merged:
     """The new raster where it is; elsewhere the original, or the file's decoded heights.
 
-    `place` is where heights are known by more than the file: everywhere, with an original.
+    `place` is where heights are known by more than the file: everywhere, with an original. `notes`
+    say what was taken for granted.
 
     Raises
     ------
@@ -87,6 +99,8 @@ class Merged:
     ) -> None:
         self._terrain = terrain
         self._source = source
+        sources = [source] if original is None else [source, original]
+        self.notes = [*filter(None, (check_units(terrain, one) for one in sources))]
         self._new_place = place_of(terrain.raster_info, source.info)
         self._original = original
         self.place = self._new_place
@@ -98,9 +112,6 @@ class Merged:
                     f" the raster that the file was made of, {terrain.shape[0]} x"
                     f" {terrain.shape[1]}"
                 )
-        for raster in (source, original):
-            if raster is not None:
-                check_kind(terrain.raster_info, raster)
         self._check()
 
     @property
