@@ -156,7 +156,7 @@ def compress(
         What the numbers are; the file keeps it. Depths go down, radii count from the centre of the
         body; both are stored as they are and turned on the globe, in meshes and views. By default
         told from ``positive``, CF names, the format and the CRS's vertical axis, or, of radii, from
-        the numbers themselves (docs/integrations.md).
+        the numbers themselves (docs/where-things-are.md).
     mesh : str, Zerotree or Rqt
         Triangulation of every block. ``"halves"`` (``"auto"``) is computed when it is read, and so
         is its error (see `measure_meshes`). ``"zerotree"`` is the guaranteed triangulation of
