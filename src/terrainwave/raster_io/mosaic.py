@@ -201,20 +201,7 @@ class MosaicBackend:
         self.n_rows = max(row + one.shape[0] for (row, _), one in zip(places, rasters)) - top
         self.n_cols = max(col + one.shape[1] for (_, col), one in zip(places, rasters)) - left
         self.transform = _corner_transform(rasters, places, top, left)
-        self._tags = {**first.tags, "units": named.tags["units"]}
-        self._differing = []
-        for name, words in _ALIKE.items():
-            if any(one.tags[name] != first.tags[name] for one in rasters):
-                self._tags[name] = None
-                self._differing.append(words)
-        for name in ("tags", "band_tags"):
-            self._tags[name] = common_tags(one.tags[name] for one in rasters)
-        kept = {name for name, _ in (*self._tags["tags"], *self._tags["band_tags"])}
-        found = {
-            name for one in rasters for kind in ("tags", "band_tags") for name, _ in one.tags[kind]
-        }
-        if found - kept:
-            self._differing.append(f"the tags {', '.join(sorted(found - kept))}")
+        self._tags, self._differing = _common(rasters, named)
         self._members = [
             _Member(
                 source,
@@ -393,6 +380,27 @@ class MosaicBackend:
     def close(self) -> None:
         """Close what was opened here."""
         self._open.clear()
+
+
+def _common(
+    rasters: Sequence[_Description], named: _Description
+) -> tuple[dict[str, Any], list[str]]:
+    """Return the tags of a mosaic, and the names of those that differ and are dropped."""
+    first, differing = rasters[0], list[str]()
+    tags = {**first.tags, "units": named.tags["units"]}
+    for name, words in _ALIKE.items():
+        if any(one.tags[name] != first.tags[name] for one in rasters):
+            tags[name] = None
+            differing.append(words)
+    for name in ("tags", "band_tags"):
+        tags[name] = common_tags(one.tags[name] for one in rasters)
+    kept = {name for name, _ in (*tags["tags"], *tags["band_tags"])}
+    found = {
+        name for one in rasters for kind in ("tags", "band_tags") for name, _ in one.tags[kind]
+    }
+    if found - kept:
+        differing.append(f"the tags {', '.join(sorted(found - kept))}")
+    return tags, differing
 
 
 def _check_alike(first: _Description, other: _Description, named: _Description) -> None:

@@ -265,9 +265,8 @@ def compress(
         url = temp_dir if is_remote else None
         cluster = _Cluster(Workers(client, on_task), raster, url, task_samples or TASK_SAMPLES)
         temp_dir = None if is_remote else temp_dir
-    elif task_samples is not None or on_task is not None:
-        found = "`on_task`" if task_samples is None else f"`task_samples` {task_samples}"
-        raise InvalidArgumentError(f"found {found} without a client, expected both or none of them")
+    else:
+        _refuse_tasks(task_samples, on_task)
     check_ending(dst, TWZ_ENDINGS, or_url=True)
     refuse_own_source(src, dst)
     refuse_raster(dst)
@@ -350,6 +349,13 @@ def compress_to_bytes(
         written = _write(file, None, source, options, directory, Reporter(None))
     _warn_of(written.marks)
     return file.getvalue()
+
+
+def _refuse_tasks(task_samples: int | None, on_task: TaskCallback | None) -> None:
+    """Raise `InvalidArgumentError` for options of a cluster without one."""
+    if task_samples is not None or on_task is not None:
+        found = "`on_task`" if task_samples is None else f"`task_samples` {task_samples}"
+        raise InvalidArgumentError(f"found {found} without a client, expected both or none of them")
 
 
 def _refuse_tiles(options: Options) -> None:
