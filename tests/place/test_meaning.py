@@ -149,6 +149,23 @@ def test_marks_and_names_say_what_numbers_are(marks, names, kind):
     assert told_by(marks, names, "EPSG:4326").kind == kind
 
 
+@pytest.mark.parametrize(
+    ("marks", "names", "kind"),
+    [
+        ({}, Names(), None),  # the axis counts
+        ({"positive": "down"}, Names(), "depth"),
+        ({"positive": "up"}, Names(), "height"),
+        ({}, Names(title="elevation", driver="BAG"), "height"),
+        ({}, Names(title="elevation", driver="S102"), "height"),
+        ({}, Names(title="uncertainty", driver="BAG"), None),
+        ({"positive": "down"}, Names(title="elevation", driver="BAG"), "depth"),
+    ],
+)
+def test_what_is_said_counts_before_an_axis_downwards(marks, names, kind):
+    told = told_by(marks, names, rasterio.CRS.from_user_input(DOWN).to_wkt())
+    assert (told.kind, bool(told.note)) == (kind, kind == "height")
+
+
 def netcdf_of(tmp_path):
     return write_netcdf(tmp_path / "d.nc", positive="down", standard_name="depth")
 

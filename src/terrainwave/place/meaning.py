@@ -33,8 +33,9 @@ _OTHER_WORDS = re.compile(
     r"water|flood|inundat|snow|ice\b|frost|soil|bedrock|root|layer|thick|active|optical|burial"
     r"|height|elevation|altitude"
 )
-# GDAL's driver of S-102 gives depths, or on request elevations, and names the band by that.
-_DEPTH_DRIVERS = ("S102",)
+# Formats of hydrographers: GDAL's drivers name bands by what they are. That of S-102 gives depths,
+# or on request elevations; that of BAG elevations, also where the CRS has an axis downwards.
+_NAMING_DRIVERS = ("BAG", "S102")
 # Of the body's radius: how far radii may be from it, and how small a body may be, metres.
 _RADIUS_SHARE, _LEAST_BODY = 0.1, 100_000.0
 
@@ -92,22 +93,24 @@ def told_by(marks: Mapping[str, str], names: Names, crs_text: str | None) -> Tol
         Whose vertical axis may go down.
     """
     said = {name.lower(): str(value).strip().lower() for name, value in marks.items()}
+    title = " ".join((names.title or "").lower().split())
     positive = said.get(POSITIVE, "")
+    by = f"positive: {positive}"
+    if positive not in (UP, DOWN) and names.driver in _NAMING_DRIVERS:
+        by = f"band {title} of {names.driver}"
+        positive = DOWN if title == DEPTH else UP if title.endswith("elevation") else ""
     if positive == DOWN:
-        return Told(DEPTH, "positive: down")
+        return Told(DEPTH, by)
     if positive == UP:
         told = describe_quietly(crs_text)
         if told is None or told.vertical is None or not told.vertical.is_down:
-            return Told(by="positive: up")
+            return Told(by=by)
         return Told(
             HEIGHT,
-            "positive: up",
-            note="it says positive: up, but its CRS counts depths downwards"
-            f" ({told.vertical.name}); the numbers are taken for heights",
+            by,
+            note=f"it says {by}, but its CRS counts depths downwards ({told.vertical.name}): the"
+            " numbers are taken for heights (choose with `heights_are`)",
         )
-    title = " ".join((names.title or "").lower().split())
-    if names.driver in _DEPTH_DRIVERS and title == DEPTH:
-        return Told(DEPTH, f"format {names.driver}")
     name = _depth_name(said, names, title) if names.has_length else None
     return Told() if name is None else Told(DEPTH, name, is_name=True)
 
