@@ -86,6 +86,8 @@ export class Terrain {
   readonly metadata: Readonly<Record<string, unknown>>;
   readonly crs: string | null;
   readonly units: string | null;
+  /** What heights are where the file says it: depths go down, radii count from the body's centre. */
+  readonly heightsAre: "height" | "depth" | "radius" | null;
   readonly scale: number;
   readonly offset: number;
   readonly nodata: number | null;

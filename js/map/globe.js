@@ -9,7 +9,7 @@ import { Places } from "./places.js";
 
 /**
  * `metres` per unit of height (negative where the file counts depths), `pixel` metres between
- * samples, `axis` of the ellipsoid.
+ * samples, `axis` of the ellipsoid. With `radii` heights are distances from its centre.
  */
 const NUMBERS = ["metres", "pixel", "axis", "error", "lowest", "highest"];
 
@@ -22,6 +22,8 @@ export class Globe {
       throw new ArgumentError("this terrain is not described as terrainwave publish does it");
     }
     for (const name of NUMBERS) this[name] = about[name];
+    this.radii = about.radii === true;
+    this.polarAxis = Number.isFinite(about.polar_axis) ? about.polar_axis : this.axis;
     this.terrain = terrain;
     this.places = new Places(placed, terrain);
     this.extent = described.bounds;
@@ -38,13 +40,27 @@ export class Globe {
    * Return { heights, window }: the bilinear heights of a level at places of `Places.toSamples`,
    * NaN where there are none, and what was read for them, null if nothing.
    */
-  async heightsAt({ rows, cols }, level) {
+  async heightsAt({ rows, cols, lat }, level) {
     const heights = new Float64Array(rows.length).fill(NaN);
     const cells = new Cells(this, level, rows, cols);
     if (cells.count === 0) return { heights, window: null };
     const window = await cells.read();
     cells.interpolate(window, heights);
+    if (this.radii) this.#fromRadii(heights, lat);
     return { heights, window };
+  }
+
+  /** Make heights above the ellipsoid of distances from its centre, row by row of latitudes. */
+  #fromRadii(heights, lat) {
+    const nLon = heights.length / lat.length;
+    const e2 = 1 - (this.polarAxis / this.axis) ** 2;
+    for (let i = 0; i < heights.length; i++) {
+      const sine = Math.sin((lat[Math.floor(i / nLon)] * Math.PI) / 180) ** 2;
+      const shrunk = 1 - e2 * sine;
+      const normal = this.axis * Math.sqrt(shrunk);
+      const beyond = heights[i] ** 2 - (this.axis ** 2 * (1 - sine * (2 * e2 - e2 ** 2))) / shrunk;
+      heights[i] = beyond / (normal + Math.sqrt(normal ** 2 + beyond));
+    }
   }
 
   /** Return how far originals can be from the bilinear surface of what was read, in metres. */

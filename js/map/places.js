@@ -43,8 +43,8 @@ export class Places {
   }
 
   /**
-   * Return { rows, cols }: fractional samples of the full grid at all pairs of `lat` and `lon`,
-   * row by row; NaN outside the raster's pixels.
+   * Return { rows, cols, lat }: fractional samples of the full grid at all pairs of `lat` and
+   * `lon`, row by row; NaN outside the raster's pixels.
    */
   toSamples(lon, lat) {
     const [west, south, east, north] = this.domain;
@@ -71,7 +71,7 @@ export class Places {
         cols[i * lon.length + j] = col;
       }
     }
-    return { rows, cols };
+    return { rows, cols, lat };
   }
 
   get nLon() {

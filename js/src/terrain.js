@@ -21,6 +21,8 @@ const SIDE = 2048;
 const PARTS_AT_ONCE = 3;
 /** Smaller windows are read here: workers take their time to start. */
 const FEWEST_UNITS_FOR_WORKERS = 3;
+/** What heights can be, by FORMAT.md §4.2. */
+const KINDS = ["height", "depth", "radius"];
 /** Where nobody asked for workers, they start with a window that takes longer than they need to start. */
 const FEWEST_SAMPLES_TO_START = 2 ** 21;
 
@@ -74,7 +76,8 @@ export class Terrain {
     const all = Object.entries(JSON.parse(text)).filter(([, value]) => value !== null);
     const metadata = Object.fromEntries(all); // defines "__proto__" as a key like any other
     const { crs = null, units = null, scale = 1, offset = 0 } = metadata;
-    Object.assign(this, about, { metadata, crs, units, scale, offset });
+    const heightsAre = KINDS.includes(metadata.heights_are) ? metadata.heights_are : null;
+    Object.assign(this, about, { metadata, crs, units, scale, offset, heightsAre });
     this.hasFills = (features & HAS_FILLS) !== 0;
     this.#given = given;
     Object.freeze(this);

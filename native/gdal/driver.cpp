@@ -9,6 +9,7 @@
 
 #include "area.h"
 #include "cpl_conv.h"
+#include "cpl_json.h"
 #include "cpl_string.h"
 #include "gdal_pam.h"
 #include "gdal_priv.h"
@@ -537,6 +538,14 @@ void Dataset::Describe() {
         object->GDALMajorObject::SetMetadataItem(key, value);
     }
   }
+  /* As the CF conventions say it; a tag of the same name tells what the source said. */
+  CPLJSONDocument metadata;
+  std::string kind;
+  if (metadata.LoadMemory(reinterpret_cast<const GByte *>(info.metadata), static_cast<int>(info.metadata_length)))
+    kind = metadata.GetRoot().GetString("heights_are");
+  if (kind != "depth" && kind != "height" && kind != "radius") kind.clear();
+  if (kind == "depth" || kind == "height")
+    band->GDALMajorObject::SetMetadataItem("positive", kind == "depth" ? "down" : "up");
   if (info.is_point >= 0)
     GDALMajorObject::SetMetadataItem(GDALMD_AREA_OR_POINT, info.is_point ? GDALMD_AOP_POINT : GDALMD_AOP_AREA);
   if (info.description) band->GDALMajorObject::SetDescription(info.description);
@@ -549,6 +558,7 @@ void Dataset::Describe() {
   say("MAX_ERROR_ASKED", TextOf(info.max_error));
   say("BLOCK_SIZE", std::to_string(info.block_size));
   say("MESH", info.mesh_name);
+  if (!kind.empty()) say("HEIGHTS_ARE", kind);
   if (info.software) say("SOFTWARE", info.software);
   say("LEVEL", std::to_string(grid_.level - info.n_levels));
   if (!overviews_.empty()) say("OVERVIEWS", "averages of samples, without a bound");

@@ -12,6 +12,7 @@ import sys
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from crs_texts import sphere
 from ext.browser import chromium, console, screenshot, wait_until
 from ext.rasters import hills, write_raster, write_twz
 from ext.static_server import static_server
@@ -190,6 +191,43 @@ def test_tiles_made_in_javascript_are_those_of_the_server(tmp_path, name):
             assert tile["level"] == expected.level
             assert tile["error"] == pytest.approx(expected.error, abs=0.02)
             assert tile["terrainError"] == pytest.approx(expected.terrain_error)
+
+
+@pytest.mark.full
+@pytest.mark.filterwarnings("ignore:the numbers are radii")
+@pytest.mark.filterwarnings("ignore:the file says that its numbers are depths")
+@pytest.mark.parametrize(
+    ("crs", "offset", "asked"),
+    [
+        ("EPSG:4326", 0, "depth"),
+        (sphere(1_737_400), 1_737_400, "radius"),
+        (sphere(3_396_190, 169.89), 3_380_000, "radius"),
+    ],
+)
+def test_tiles_of_depths_and_radii_made_in_javascript_are_those_of_the_server(
+    tmp_path, crs, offset, asked
+):
+    heights = hills(90, 100).astype(np.float32) + np.float32(offset)
+    source = write_raster(tmp_path / "it.tif", heights, (10, 44, 12, 46), crs)
+    twz = tmp_path / "it.twz"
+    terrainwave.compress(source, twz, max_error=0.5, block=32, threads=1, heights_are=asked)
+    publish_site([str(twz)], tmp_path / "site")
+    with terrainwave.open(twz) as terrain:
+        globe = Globe(terrain)
+        z, x, y = tiles_of(globe)[-1]
+        found = json.loads(
+            node("testing/tiles.js", tmp_path / "site", "it", RIM, f"rgb/{z}/{x}/{y}")
+        )
+        expected, tile = tiling.rgb_tile(globe, z, x, y, RIM), found[f"rgb/{z}/{x}/{y}"]
+    with Image.open(io.BytesIO(expected.png)) as image:
+        own, other = codes(np.asarray(image)), codes(decoded(tile["pixels"]).reshape(256, 256, 4))
+    # Steps of 0.1 m. In the outermost half pixel heights of an ellipsoid go on (Python) or radii do.
+    assert (np.abs(own - other) > 1).mean() < (0.02 if "169" in crs else 1e-6)
+    assert np.abs(own - other).max() <= 20
+    metres = own / 10 - 10_000
+    if asked == "depth":
+        assert -heights.max() - 1 <= metres.min() < metres.max() <= -heights.min() + 1
+    assert abs(metres).max() < 20_000
 
 
 @pytest.mark.full

@@ -52,11 +52,11 @@ def read(source, **options):
 
 
 @pytest.mark.parametrize("georeference", [True, False])
-def test_depths_are_named(georeference):
-    array = labelled(attrs={"positive": "down"})
-    *_, notes = read(array, georeference=georeference)
-    assert sum("its numbers are depths (positive: down)" in note for note in notes) == 1
-    assert not any("depths" in note for note in read(labelled(attrs={"positive": "up"}))[-1])
+def test_depths_are_known(georeference):
+    for positive, kind in (("down", "depth"), ("up", None)):
+        array = labelled(attrs={"positive": positive})
+        *_, info, _ = read(array, georeference=georeference)
+        assert (info.heights_are, info.band_tags) == (kind, (("positive", positive),))
 
 
 # Which dimension is x.

@@ -160,6 +160,16 @@ def test_a_file_says_what_the_geotiff_of_it_says(described):
     assert (found["least"], found["greatest"]) == (heights.min(), heights.max())
 
 
+@pytest.mark.parametrize(("kind", "word"), [("depth", "down"), ("height", "up"), ("radius", None)])
+def test_the_band_says_which_way_its_numbers_go(folder, kind, word):
+    path = folder / f"{kind}.twz"
+    heights = np.arange(400, dtype=np.float32).reshape(20, 20)
+    terrainwave.compress(heights, path, max_error=0, heights_are=kind)
+    found = by_python(DESCRIPTION, str(path))
+    assert found["band tags"].get("positive") == word
+    assert found["own"]["HEIGHTS_ARE"] == kind
+
+
 def test_the_domain_of_the_format_tells_bound_method_and_levels(kinds, described):
     own = by_python(DESCRIPTION, str(described))["own"]
     with terrainwave.open(described) as terrain:

@@ -140,10 +140,10 @@ def suggest_exaggeration(frame: Any) -> None:
 def note_dry_land(scene: Any, style: Any) -> None:
     """Say that what lies below the sea is drawn as land, where that is a guess."""
     frame = scene.scene.frame
-    lowest = min(frame.heights, key=lambda height: height * frame.metres[2])
+    lowest = min(frame.heights, key=frame.to_metres)
     if not style.is_absolute(frame.body) or style.sea_level != AUTO:
         return
-    if lowest * frame.metres[2] <= _SEEN_DEPTH and not scene.water.cells.any():
+    if frame.to_metres(lowest) <= _SEEN_DEPTH and not scene.water.cells.any():
         print_note(
             f"heights from {lowest:g} to 0 are drawn as land, because none is level at 0 or below"
             " -450 m: add --sea-level 0 to draw water there"

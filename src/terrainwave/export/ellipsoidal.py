@@ -14,9 +14,10 @@ from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import IDENTITY, Transform, samples_to_places
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
+from terrainwave.place.meaning import MARKS
 from terrainwave.place.position import place_of
 from terrainwave.place.units import height_unit
-from terrainwave.place.vertical import EllipsoidalHeights, on_own_datum
+from terrainwave.place.vertical import EllipsoidalHeights, on_own_datum, radii_on_own_datum
 from terrainwave.raster_io.raster_info import RasterInfo
 
 # Metres per metre by which PROJ's way from one height to another may stretch a difference.
@@ -82,8 +83,9 @@ def above_ellipsoid(terrain: TerrainFile, info: RasterInfo, level: int) -> Above
     """
     is_placed = tuple(info.transform) != IDENTITY
     place = place_of(info.crs, terrain.bounds, is_placed=is_placed)
-    way = on_own_datum(place, terrain.bounds)
-    metres = height_unit(info.units, info.crs).metres
+    unit = height_unit(info.units, info.crs, info.heights_are)
+    way = radii_on_own_datum(place) if unit.is_radius else on_own_datum(place, terrain.bounds)
+    metres = unit.metres
     dtype = "float64" if info.dtype in ("float64", "int32") else "float32"
     bound = None
     if terrain.level_index(level) == terrain.n_levels - 1:
@@ -105,6 +107,8 @@ def above_ellipsoid(terrain: TerrainFile, info: RasterInfo, level: int) -> Above
         offset=0.0,
         crs=target,
         tags=tuple(sorted(tags.items())),
+        band_tags=tuple(tag for tag in info.band_tags if tag[0].lower() not in MARKS),
+        heights_are=None,
     )
     return AboveEllipsoid(converted, way, info, metres)
 

@@ -10,10 +10,21 @@ from terrainwave.arguments import AS_IS, check_choice, checked_number
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.place.position import LocalAxes, Place, place_of
-from terrainwave.place.units import height_unit
-from terrainwave.place.vertical import check_vertical, describe_as_is, note_as_is, onto_wgs84
+from terrainwave.place.units import HeightUnit, height_unit
+from terrainwave.place.vertical import (
+    check_vertical,
+    describe_as_is,
+    describe_radii,
+    note_as_is,
+    onto_wgs84,
+)
 
 FRAMES = ("local", "native", "ecef")
+
+
+def mesh_unit(mesh: MeshData) -> HeightUnit:
+    """Return the unit of a mesh's heights, and what they are."""
+    return height_unit(mesh.units, mesh.crs, mesh.heights_are)
 
 
 def find_place(mesh: MeshData, *, radius: float | None = None, has_frames: bool = False) -> Place:
@@ -59,7 +70,8 @@ def to_frame(
     mesh : MeshData
         ``attributes["frame"]`` tells what was done: ``name``, ``z_scale``, ``unit`` and, for
         ``local``, ``centre`` in the CRS, ``metres`` per unit of x, y and height, and ``axes``
-        where x does not go east and y north: the directions of the CRS's x and y; for ``ecef``
+        where x does not go east and y north: the directions of the CRS's x and y, ``zero`` where
+        heights are radii: the one that lies at z 0; for ``ecef``
         ``vertical``, what its heights are.
 
     Raises
@@ -102,16 +114,20 @@ def _local(mesh: MeshData, place: Place, z_scale: float) -> MeshData:
     left, bottom, right, top = mesh.area
     centre = ((left + right) / 2, (bottom + top) / 2)
     axes = place.local_axes(*centre)
-    unit = height_unit(mesh.units, mesh.crs)
-    unit.note_depths()
+    unit = mesh_unit(mesh)
+    unit.note_kind()
     per_z = unit.metres
+    zero = place.surface_radius(*centre) / per_z if unit.is_radius else 0.0
     # The origin is subtracted last but one: vertices are small numbers, the origin is not.
     shift = np.array([mesh.origin[0] - centre[0], mesh.origin[1] - centre[1], mesh.origin[2]])
+    shift[2] -= zero
     vertices = mesh.vertices + shift
     vertices[:, :2] = vertices[:, :2] @ axes.matrix.T
     vertices[:, 2] *= per_z * z_scale
     attributes = _attributes(mesh, "local", z_scale, "m")
     attributes["frame"] |= {"centre": list(centre), "metres": [*axes.lengths, per_z]}
+    if zero:
+        attributes["frame"]["zero"] = zero
     if axes.names != ("east", "north"):
         attributes["frame"]["axes"] = list(axes.names)
     return replace(
@@ -141,7 +157,7 @@ def _ecef(mesh: MeshData, place: Place, z_scale: float, vertical: str) -> MeshDa
     attributes["frame"]["vertical"] = placed.about
     return replace(
         mesh,
-        error=mesh.error + placed.error / abs(height_unit(mesh.units, mesh.crs).metres),
+        error=mesh.error + placed.error / abs(mesh_unit(mesh).metres),
         vertices=vertices - centre,
         triangles=globe_triangles(mesh, place),
         origin=(float(centre[0]), float(centre[1]), float(centre[2])),
@@ -174,8 +190,12 @@ def on_ellipsoid(mesh: MeshData, place: Place, vertical: str) -> PlacedPoints:
     InvalidHeightsError
         As `geographic_points`, or if the heights cannot be converted.
     """
-    height_unit(mesh.units, mesh.crs).note_depths()
+    unit = mesh_unit(mesh)
+    unit.note_kind()
     points = geographic_points(mesh, place)
+    if unit.is_radius:
+        check_vertical(vertical)
+        return PlacedPoints(points, describe_radii(), 0.0)
     if not check_vertical(vertical):
         note_as_is(mesh.crs)
         return PlacedPoints(points, describe_as_is(mesh.crs), 0.0)
@@ -217,7 +237,10 @@ def geographic_points(mesh: MeshData, place: Place) -> NDArray[np.float64]:
     """
     points = mesh.points
     points[:, :2] = place.to_lonlat(points[:, :2])
-    points[:, 2] *= height_unit(mesh.units, mesh.crs).metres
+    unit = mesh_unit(mesh)
+    points[:, 2] *= unit.metres
+    if unit.is_radius:
+        points[:, 2] = place.globe_ellipsoid.heights_of_radii(points[:, 1], points[:, 2])
     if not np.isfinite(points).all():
         raise InvalidHeightsError(
             "a part of the mesh has no longitude and latitude in its coordinate reference system"

@@ -99,6 +99,9 @@ def write_height_tile(
     heights, valid = _read(terrain, region, level, shape, reporter)
     scale, offset = terrain.raster_info.scale, terrain.raster_info.offset
     heights = heights * scale + offset
+    if terrain.height_unit.is_depth:  # what reads such tiles knows heights alone
+        terrain.height_unit.note_kind()
+        heights = -heights
     _warn_of_aspect(terrain, region, level, shape)
     # A float is what all voids become; without any nothing is stretched to hold it.
     if filling == "fill":

@@ -28,6 +28,9 @@ class Mesh(MeshData):
         Coordinate reference system as ``AUTH:CODE`` or WKT2.
     units : str, optional
         Unit of heights and of `error`.
+    heights_are : {"height", "depth", "radius"}, optional
+        What heights are, as `compress` has it. None: heights, or depths where the CRS's vertical
+        axis goes down. Depths and radii are turned where the mesh is saved in another frame.
     """
 
     def save(

@@ -16,7 +16,7 @@ from terrainwave.arguments import AS_IS, UPWARDS, check_choice, check_ending, ch
 from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import check_target, publish
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
-from terrainwave.export.frames import areas, find_place, longest_edge, steepest, to_frame
+from terrainwave.export.frames import areas, find_place, longest_edge, mesh_unit, steepest, to_frame
 from terrainwave.export.mesh_formats import (
     EXTENSIONS,
     EXTRA,
@@ -30,7 +30,6 @@ from terrainwave.export.solid import add_skirts, solidify
 from terrainwave.extras import need
 from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.place.position import Place
-from terrainwave.place.units import height_unit
 
 _log = logging.getLogger(__name__)
 
@@ -248,7 +247,7 @@ def _to_write(
     if shape.solid is not None:
         if _is_downward(mesh, shape):
             raise InvalidHeightsError(
-                "found `solid` and a coordinate reference system that counts depths downwards: the"
+                "found `solid` and numbers that count downwards, as depths do: the"
                 " base would lie above the ground; expected `frame` native"
             )
         whole = solidify(mesh, shape.solid)
@@ -274,7 +273,7 @@ def _to_write(
 
 def _is_downward(mesh: MeshData, shape: Shape) -> bool:
     """Say whether heights are depths that the frame turns over."""
-    return shape.frame != "native" and height_unit(mesh.units, mesh.crs).metres < 0
+    return shape.frame != "native" and mesh_unit(mesh).metres < 0
 
 
 def check_extension(path: str | os.PathLike[str]) -> str:
@@ -349,7 +348,7 @@ def _rounding(
     """
     frame = framed.attributes["frame"]
     moved = np.abs(written - framed.vertices).max(axis=0)
-    unit = 1.0 if frame["name"] == "native" else abs(height_unit(mesh.units, mesh.crs).metres)
+    unit = 1.0 if frame["name"] == "native" else abs(mesh_unit(mesh).metres)
     at_joints = framed.attributes.get("solid", {}).get("moved", 0.0) * sum(steepest(mesh))
     if frame["name"] == "ecef":
         slope = _steepest_on(framed, _quiet_place(mesh, radius).globe_ellipsoid)

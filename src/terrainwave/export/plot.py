@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
-from terrainwave.export.frames import areas, find_place
+from terrainwave.export.frames import areas, find_place, mesh_unit
 from terrainwave.extras import need
 from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.place.position import axis_labels
-from terrainwave.place.units import height_unit, unit_text
+from terrainwave.place.units import unit_text
 
 # From the north-west, 45 degrees above the horizon, as maps are lit.
 _LIGHT = np.array([-0.5, 0.5, math.sqrt(0.5)])
@@ -65,7 +65,7 @@ def plot(mesh: MeshData, ax: Any, *, wireframe: bool, cmap: str | None) -> Any:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TerrainwaveWarning)
         place = find_place(mesh)
-        unit = height_unit(mesh.units, mesh.crs).metres
+        unit, word = mesh_unit(mesh).metres, mesh_unit(mesh).word
     left, bottom, right, top = mesh.bounds
     stretch = 1.0
     per_x = per_y = place.unit
@@ -91,7 +91,7 @@ def plot(mesh: MeshData, ax: Any, *, wireframe: bool, cmap: str | None) -> Any:
     ax.set_aspect(1 / stretch)
     label_axes(ax, *_labels(mesh))
     norm = need("matplotlib.colors", extra="demo").Normalize(low, high if high > low else low + 1)
-    add_colour_bar(ax, norm, scale, mesh.units)
+    add_colour_bar(ax, norm, scale, mesh.units, word)
     return ax
 
 
@@ -111,11 +111,11 @@ def label_axes(ax: Any, x: str, y: str) -> None:
         ax.locator_params(axis="x", nbins=5)  # eastings have many digits
 
 
-def add_colour_bar(ax: Any, norm: Any, cmap: Any, units: str | None) -> None:
+def add_colour_bar(ax: Any, norm: Any, cmap: Any, units: str | None, word: str) -> None:
     """Say beside axes what colours of heights mean."""
     pyplot = need("matplotlib.pyplot", extra="demo")
     scale = pyplot.cm.ScalarMappable(norm=norm, cmap=cmap)
-    ax.figure.colorbar(scale, ax=ax, shrink=0.8, label=f"height, {unit_text(units)}")
+    ax.figure.colorbar(scale, ax=ax, shrink=0.8, label=f"{word}, {unit_text(units)}")
 
 
 def _brightness(corners: NDArray[np.float64]) -> NDArray[np.float64]:

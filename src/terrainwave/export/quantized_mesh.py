@@ -24,6 +24,7 @@ from terrainwave.export.frames import (
     find_place,
     globe_triangles,
     longest_edge,
+    mesh_unit,
     on_ellipsoid,
     steepest,
 )
@@ -31,7 +32,6 @@ from terrainwave.export.saved import SavedMesh
 from terrainwave.extras import need
 from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.place.ellipsoid import Ellipsoid
-from terrainwave.place.units import height_unit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -90,7 +90,7 @@ def on_globe(
 
 def _metres(mesh: MeshData) -> float:
     """Return the length of a unit of heights in metres."""
-    return abs(height_unit(mesh.units, mesh.crs).metres)
+    return abs(mesh_unit(mesh).metres)
 
 
 def encode_tile(globe: GeographicMesh, bounds: "Sequence[float]") -> Tile:

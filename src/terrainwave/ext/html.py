@@ -5,6 +5,7 @@ All text may come from an untrusted file: it is escaped and stripped of control 
 
 import base64
 import html
+import math
 import warnings
 
 import numpy as np
@@ -14,10 +15,11 @@ from terrainwave.arguments import crs_name, in_one_line
 from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.file import TerrainFile
 from terrainwave.place.bodies import EARTH
+from terrainwave.place.meaning import PLURALS
 from terrainwave.render.look.png import encode_png
 from terrainwave.render.look.ramps import N_COLORS, ramp_colors
 from terrainwave.render.look.water import DEEP, find_water, may_have_water, waves_of
-from terrainwave.render.scene.frame import frame_of
+from terrainwave.render.scene.frame import Frame, frame_of
 
 # Pixels of the picture's longer side.
 _SIDE = 320
@@ -63,7 +65,7 @@ def _rows(terrain: TerrainFile) -> list[tuple[str, str]]:
             f" {info.ratio:.3g} times smaller than raw",
         ),
         ("bound", f"every height within {info.effective_error:.6g}{unit} of the original"),
-        ("heights", heights),
+        (PLURALS[info.heights_are], heights),
         ("unit", info.units or "unknown"),
         ("levels", ", ".join(f"{rows} × {cols}" for rows, cols in info.level_shapes)),
         ("CRS", crs_name(info.crs)),
@@ -100,9 +102,13 @@ def picture(terrain: TerrainFile) -> NDArray[np.uint8]:
     heights = heights * terrain.raster_info.scale + terrain.raster_info.offset
     image = np.full((*shape, 3), _VOID, dtype=np.uint8)
     if valid.any():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", TerrainwaveWarning)  # a picture shows what is meant
+            frame = frame_of(terrain)
+        heights = (heights - frame.zero) * math.copysign(1, frame.metres[2])
         low, high = float(heights[valid].min()), float(heights[valid].max())
         heights[~valid] = low
-        has_depth = _depths(terrain, heights, valid)
+        has_depth = _depths(terrain, frame, heights, valid)
         if has_depth.any():  # land below the sea has the colour of the shore
             colours = _ramp(heights, 0.0, max(high, 0.0), None)
             colours[has_depth] = _ramp(heights, low, high, 0.0)[has_depth]
@@ -123,17 +129,12 @@ def _ramp(
 
 
 def _depths(
-    terrain: TerrainFile, heights: NDArray[np.float64], valid: NDArray[np.bool_]
+    terrain: TerrainFile, frame: Frame, heights: NDArray[np.float64], valid: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Return where the sea's floor is."""
-    with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", TerrainwaveWarning
-        )  # a picture shows how its place is meant
-        frame = frame_of(terrain)
+    """Return where the sea's floor is, by heights upwards in the file's unit."""
     if frame.body != EARTH or not may_have_water(terrain, frame):
         return np.zeros(heights.shape, dtype=np.bool_)
-    metres, waves = heights * frame.metres[2], waves_of(terrain, frame)
+    metres, waves = heights * frame.error_metres, waves_of(terrain, frame)
     return (find_water(metres, valid, waves) == DEEP) & (metres <= waves)
 
 

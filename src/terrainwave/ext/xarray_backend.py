@@ -142,9 +142,11 @@ def terrain_dataset(
     packing = _packing(terrain)
     heights = _LazyHeights(terrain, index, mask_and_scale=mask_and_scale)
     n_rows, n_cols = heights.shape
-    attrs: dict[str, Any] = {"long_name": raster.description or "height"}
+    attrs: dict[str, Any] = {"long_name": raster.description or terrain.height_unit.word}
     if raster.units is not None:
         attrs["units"] = raster.units
+    if terrain.height_unit.is_depth:
+        attrs["positive"] = "down"
     if raster.area_or_point is not None:
         attrs["AREA_OR_POINT"] = raster.area_or_point
     if index == terrain.n_levels - 1:

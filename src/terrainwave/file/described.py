@@ -150,7 +150,7 @@ class DescribedFile:
     @cached_property
     def height_unit(self) -> HeightUnit:
         """Return the unit of heights, and who names it."""
-        return unit_of(self._raster.units, self._raster.crs)
+        return unit_of(self._raster.units, self._raster.crs, self._raster.heights_are)
 
     @property
     def res(self) -> tuple[float, float]:

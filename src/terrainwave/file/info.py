@@ -25,6 +25,7 @@ class Info:
     from the original, ``"max_error"``.
     `units` is the unit of heights, and `units_from` its origin: the ``"band"`` or the ``"CRS"``.
     `units_of_crs` is the unit of the CRS's vertical axis, if the band names another one.
+    `heights_are` is what the numbers are: ``"height"``, ``"depth"`` or ``"radius"``.
     `voids` is how the source marks voids: ``"none"``, a ``"nodata"`` value, ``"nan"`` or a
     ``"mask"``. The source may mark voids and have none.
     """
@@ -45,6 +46,7 @@ class Info:
     units: str | None
     units_from: str | None
     units_of_crs: str | None
+    heights_are: str
     method: str
     effort: str
     format: str
@@ -109,6 +111,7 @@ def info_of(terrain: DescribedFile) -> Info:
         units=terrain.units,
         units_from=terrain.height_unit.source,
         units_of_crs=terrain.height_unit.of_crs,
+        heights_are=terrain.height_unit.word,
         method=header.method,
         effort=EFFORTS[min(header.effort, len(EFFORTS) - 1)],
         format=format_of(header),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
+from terrainwave.place.meaning import Told
 from terrainwave.raster_io.earlier_loss import EarlierFile, EarlierLoss, earlier_files
 from terrainwave.raster_io.even import Even
 from terrainwave.raster_io.raster_info import stored_nodata
@@ -51,6 +52,9 @@ class TerrainBackend:
         self.transform: tuple[float, ...] = tuple(info.transform) if self._is_placed else IDENTITY
         self.crs: Any = info.rasterio_crs() if self._is_placed else None
         self.has_mask = info.mask_kind == "mask"
+        self.told = Told(info.heights_are, "its metadata")
+        if info.heights_are is None:
+            self.told = info.told
         bound = terrain.effective_error
         own = EarlierFile(os.path.basename(self.name), bound)
         files = (*earlier_files(terrain.header.metadata), own) if bound else ()

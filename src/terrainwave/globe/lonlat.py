@@ -17,7 +17,6 @@ from terrainwave.grid.affine import IDENTITY, determinant, places_to_samples, sa
 from terrainwave.grid.quadtree import Block
 from terrainwave.place.ellipsoid import Ellipsoid
 from terrainwave.place.position import place_of
-from terrainwave.place.units import height_unit
 from terrainwave.place.vertical import EllipsoidalHeights, onto_wgs84
 
 if TYPE_CHECKING:
@@ -45,7 +44,7 @@ _POLE = 90.0
 class Window(NamedTuple):
     """Samples of a level: rows from `row` on, the columns `columns` in ascending order.
 
-    `heights` in metres, float64, and `valid` have shape (n_rows, n_columns).
+    `heights` in metres, float64, radii as such, and `valid` have shape (n_rows, n_columns).
     """
 
     level: int
@@ -117,10 +116,11 @@ class Globe:
         rows_are_parallels = place.is_plain and place.longitude_axis == 0 and b == d == 0
         self.turn = 360 / (abs(a) * place.unit) if rows_are_parallels else None
         self.is_whole_turn = self.turn is not None and abs(self.turn - terrain.shape[1]) < 0.01
-        # Per unit of height; negative where the CRS counts depths.
-        unit = height_unit(raster.units, raster.crs)
-        unit.note_depths()
+        # Per unit of height; negative where heights are depths.
+        unit = terrain.height_unit
+        unit.note_kind()
         self.metres = unit.metres
+        self.has_radii = unit.is_radius
 
     # Places
 
@@ -287,8 +287,20 @@ class Globe:
             ((top - window.row, 1 - down), (bottom - window.row, down)),
             ((_among(window.columns, left), 1 - across), (_among(window.columns, right), across)),
         )
+        total = self._above(total, rows[inside], cols[inside])
         heights[inside] = total if is_void is None else np.where(is_void, np.nan, total)
         return heights, window
+
+    def _above(self, metres: Numbers, rows: Numbers, cols: Numbers) -> Numbers:
+        """Return heights at places of metres as samples have them: of radii, those beyond the body.
+
+        After interpolation: between two samples of a coarse level an ellipsoid bends.
+        """
+        if not self.has_radii:
+            return metres
+        if self.ellipsoid.e2 == 0:
+            return metres - self.ellipsoid.axis
+        return self.ellipsoid.heights_of_radii(self.from_samples(rows, cols)[1], metres)
 
     def _around(
         self, col: Numbers, n_cols: int, stride: int
@@ -327,7 +339,7 @@ class Globe:
         full_rows = stride * (rows + window.row).astype(np.float64)
         full_cols = stride * window.columns[cols].astype(np.float64)
         places = self.from_samples(full_rows, full_cols)
-        heights = window.heights[rows, cols]
+        heights = self._above(window.heights[rows, cols], full_rows, full_cols)
         if ellipsoidal is not None:
             heights = self.heights_on(ellipsoidal, full_rows, full_cols, heights)
         return places, heights
@@ -342,6 +354,8 @@ class Globe:
         InvalidHeightsError
             If the CRS names no vertical datum, or PROJ lacks an operation or a grid.
         """
+        if self.has_radii:
+            return EllipsoidalHeights.of_radii(self._place)
         return onto_wgs84(self._place, self.terrain.bounds)
 
     def heights_on(
@@ -391,7 +405,12 @@ class Globe:
         if info.minimum is None or info.maximum is None:
             return 0.0, 0.0
         low, high = sorted((info.minimum * self.metres, info.maximum * self.metres))
-        return low, high
+        if not self.has_radii:
+            return low, high
+        south, north = self.extent.south, self.extent.north
+        nearest = min(max(0.0, south), north)  # to the equator, where the body is widest
+        surface = self.ellipsoid.surface_radius(np.array([south, north, nearest]))
+        return low - float(surface.max()), high - float(surface.min())
 
 
 def _distinct(first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.int64]:

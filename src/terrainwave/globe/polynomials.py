@@ -60,6 +60,7 @@ class FittedPlaces:
             "goes_round": globe.is_whole_turn,
             "error_samples": self.error,
             "metres": globe.metres,
+            "radii": globe.has_radii,
             "pixel": globe.pixel,
             "axis": globe.ellipsoid.axis,
             "polar_axis": globe.ellipsoid.axis * math.sqrt(1 - globe.ellipsoid.e2),

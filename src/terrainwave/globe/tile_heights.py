@@ -11,7 +11,7 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.export.quantized_mesh import STEPS
 from terrainwave.globe.lonlat import Window
 from terrainwave.globe.tile_scheme import TileScheme
-from terrainwave.place.vertical import check_vertical, describe_as_is
+from terrainwave.place.vertical import check_vertical, describe_as_is, describe_radii
 
 # A mesh may take half of the error that Cesium assumes, and no more than 1/16 of the terrain's
 # range of heights.
@@ -63,6 +63,8 @@ class TileHeights:
         """Return what heights in tiles are."""
         if self._ellipsoidal is not None:
             return self._ellipsoidal.describe()
+        if self._globe.has_radii:
+            return describe_radii()
         return describe_as_is(self._globe.terrain.crs)
 
     def tolerance(self, zoom: int) -> float:

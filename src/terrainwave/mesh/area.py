@@ -355,4 +355,7 @@ class _Extractor(Generic[Made]):
         corners = np.array([(r, c) for r in (first_row, last_row) for c in (first_col, last_col)])
         x, y = samples_to_places(raster.transform, *(corners.T / 2))
         attributes["area"] = (float(x.min()), float(y.min()), float(x.max()), float(y.max()))
-        return self._kind(points, triangles, origin, error, crs, self._terrain.units, attributes)
+        return self._kind(
+            points, triangles, origin, error, crs, self._terrain.units, attributes,
+            raster.heights_are,
+        )  # fmt: skip

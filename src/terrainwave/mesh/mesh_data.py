@@ -24,6 +24,7 @@ class MeshData:
     crs: str | None = None
     units: str | None = None
     attributes: dict[str, Any] = field(default_factory=dict)
+    heights_are: str | None = None
 
     def __repr__(self) -> str:
         return in_one_line(

@@ -84,6 +84,8 @@ class Description(NamedTuple):
     vertical : Vertical or None
     iau_code : int or None
         The code, where the authority is the IAU.
+    radius : float or None
+        Semi-major axis of its ellipsoid in metres.
     """
 
     kind: str
@@ -91,6 +93,7 @@ class Description(NamedTuple):
     y: Axis
     vertical: Vertical | None
     iau_code: int | None
+    radius: float | None = None
 
     @property
     def in_degrees(self) -> bool:
@@ -162,7 +165,7 @@ def read_projjson(told: dict[str, Any]) -> Description:
     kind = _KINDS.get(str(flat.get("type")), OTHER)
     if flat.get("coordinate_system", {}).get("subtype") == "spherical" and len(axes) == 2:
         kind = GEOGRAPHIC  # longitudes and planetocentric latitudes
-    return Description(kind, x, y, _vertical(vertical, axes), _iau_code(told))
+    return Description(kind, x, y, _vertical(vertical, axes), _iau_code(told), _radius(flat))
 
 
 def _is_north_first(x: Axis, y: Axis) -> bool:
@@ -214,6 +217,21 @@ def _vertical(vertical: dict[str, Any] | None, axes: list[dict[str, Any]]) -> Ve
         return None
     is_down = axis.direction == "down"
     return Vertical(name, axis.unit, axis.factor, is_down, is_ellipsoidal, datum)
+
+
+def _radius(told: dict[str, Any]) -> float | None:
+    """Return the semi-major axis of a CRS's ellipsoid in metres, of the system behind it too."""
+    for owner in (told.get("datum"), told.get("datum_ensemble")):
+        ellipsoid = (owner or {}).get("ellipsoid", {})
+        axis = ellipsoid.get("semi_major_axis", ellipsoid.get("radius"))
+        if isinstance(axis, dict):
+            unit = axis.get("unit")
+            factor = unit.get("conversion_factor", 1.0) if isinstance(unit, dict) else 1.0
+            axis = float(axis.get("value", math.nan)) * float(factor)
+        if isinstance(axis, int | float) and math.isfinite(axis) and axis > 0:
+            return float(axis)
+    inner = (told[key] for key in _INNER if key in told)
+    return next((radius for part in inner if (radius := _radius(part)) is not None), None)
 
 
 def _iau_code(told: dict[str, Any]) -> int | None:

@@ -25,6 +25,38 @@ class Ellipsoid(NamedTuple):
         root = math.sqrt(1 - self.e2 * math.sin(math.radians(latitude)) ** 2)
         return self.axis * (1 - self.e2) / root**3, self.axis / root
 
+    def surface_radius(self, latitudes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how far places on the ellipsoid are from its centre, in metres.
+
+        Parameters
+        ----------
+        latitudes : ndarray of float64
+            Geodetic, degrees.
+        """
+        return self.axis * np.sqrt(self._of_radii(latitudes)[1])
+
+    def heights_of_radii(
+        self, latitudes: NDArray[np.float64], radii: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the heights of places, along the normal, that lie `radii` metres from the centre.
+
+        With N the normal's length, h² + 2 h N (1 − e² sin² φ) + ρ² = r², ρ the ellipsoid's own.
+        """
+        normal, share = self._of_radii(latitudes)
+        surface = self.axis**2 * share
+        heights: NDArray[np.float64] = (radii**2 - surface) / (
+            normal + np.sqrt(normal**2 + radii**2 - surface)
+        )
+        return heights
+
+    def _of_radii(
+        self, latitudes: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return N (1 − e² sin² φ) in metres and (ρ/a)², ρ the distance from the centre."""
+        sine = np.sin(np.radians(latitudes)) ** 2
+        shrunk = 1 - self.e2 * sine
+        return self.axis * np.sqrt(shrunk), (1 - sine * (2 * self.e2 - self.e2**2)) / shrunk
+
     def geocentric(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return geocentric x, y, z in metres of (longitude, latitude in degrees, height in m)."""
         longitude, latitude = np.radians(points[:, 0]), np.radians(points[:, 1])

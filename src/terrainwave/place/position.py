@@ -218,6 +218,13 @@ class Place:
             (along_x[0] * east, along_x[1] * north), (along_y[0] * east, along_y[1] * north)
         )
 
+    def surface_radius(self, x: float, y: float) -> float:
+        """Return how far the ellipsoid's surface at a point is from its centre, metres."""
+        if self.ellipsoid.e2 == 0 or not self.has_globe:
+            return self.ellipsoid.axis
+        latitude = self.to_lonlat(np.array([[x, y]]))[:, 1]
+        return float(self.ellipsoid.surface_radius(np.nan_to_num(latitude))[0])
+
     def side_latitudes(
         self, bounds: tuple[float, float, float, float]
     ) -> tuple[float, float] | None:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from terrainwave.errors import TerrainwaveWarning
 from terrainwave.place.description import Vertical, describe_quietly
+from terrainwave.place.meaning import DEPTH, HEIGHT, PLURALS, RADIUS, Told
 
 _FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
 # As `_plain` writes them; of longer words without the s of a plural.
@@ -54,19 +55,22 @@ class HeightUnit(NamedTuple):
         Who does.
     vertical : Vertical or None
         What the CRS says.
+    kind : {"height", "depth", "radius"} or None
+        What the numbers are; None where only the CRS tells it.
     """
 
     name: str | None
     source: str | None
     vertical: Vertical | None
+    kind: str | None = None
 
     @property
     def metres(self) -> float:
-        """Return the metres per unit, negative where the CRS counts depths: up is positive.
+        """Return the metres per unit, negative where the numbers are depths: up is positive.
 
         A name that is not known is warned of and taken for metres.
         """
-        sign = -1.0 if self.vertical is not None and self.vertical.is_down else 1.0
+        sign = -1.0 if self.is_depth else 1.0
         length = self.length
         return sign * (metres_per_unit(self.name) if length is None else length)
 
@@ -78,15 +82,36 @@ class HeightUnit(NamedTuple):
             return vertical.metres
         return None if self.name is None else _length(self.name)
 
-    def note_depths(self) -> None:
-        """Warn where numbers are depths and are turned, so that they go down."""
-        if self.vertical is not None and self.vertical.is_down:
-            warnings.warn(
-                f"the coordinate reference system counts depths downwards ({self.vertical.name});"
-                " a depth of 10 becomes a height of -10",
-                TerrainwaveWarning,
-                stacklevel=3,
-            )
+    @property
+    def is_depth(self) -> bool:
+        """Say whether the numbers are depths: a mark and the CRS together turn them once."""
+        if self.kind is not None:
+            return self.kind == DEPTH
+        return self.vertical is not None and self.vertical.is_down
+
+    @property
+    def word(self) -> str:
+        """Return what a number is: a ``height``, ``depth`` or ``radius``."""
+        return DEPTH if self.is_depth else self.kind or HEIGHT
+
+    @property
+    def is_radius(self) -> bool:
+        """Say whether the numbers are distances from the centre of the body."""
+        return self.kind == RADIUS
+
+    def note_kind(self) -> None:
+        """Warn where numbers are depths, which are turned to go down, or radii."""
+        if self.is_radius:
+            words = "the numbers are radii; heights are what they have beyond the body's own radius"
+        elif not self.is_depth:
+            return
+        else:
+            told = "the file says that its numbers are depths"
+            if self.kind is None and self.vertical is not None:
+                name = self.vertical.name
+                told = f"the coordinate reference system counts depths downwards ({name})"
+            words = f"{told}; a depth of 10 becomes a height of -10"
+        warnings.warn(words, TerrainwaveWarning, stacklevel=3)
 
     @property
     def of_crs(self) -> str | None:
@@ -101,7 +126,9 @@ class HeightUnit(NamedTuple):
         return other is not None and _plain(other) == _plain(self.name or "")
 
 
-def height_unit(units: str | None, crs_text: str | None) -> HeightUnit:
+def height_unit(
+    units: str | None, crs_text: str | None, heights_are: str | None = None
+) -> HeightUnit:
     """Return the unit of heights: the band's, else that of the CRS's vertical axis.
 
     Parameters
@@ -109,13 +136,43 @@ def height_unit(units: str | None, crs_text: str | None) -> HeightUnit:
     units : str, optional
         What the band says.
     crs_text : str, optional
+    heights_are : {"height", "depth", "radius"}, optional
+        As `RasterInfo` has it.
     """
     vertical = vertical_of(crs_text)
     if units and units.strip() and _plain(units) not in _NO_UNIT:
-        return HeightUnit(units.strip(), BAND, vertical)
+        return HeightUnit(units.strip(), BAND, vertical, heights_are)
     if vertical is not None and vertical.unit != "unknown":
-        return HeightUnit(vertical.unit, CRS, vertical)
-    return HeightUnit(None, None, vertical)
+        return HeightUnit(vertical.unit, CRS, vertical, heights_are)
+    return HeightUnit(None, None, vertical, heights_are)
+
+
+def kind_name(heights_are: str | None, crs_text: str | None) -> str:
+    """Return what numbers are, in a word: ``heights``, ``depths`` or ``radii``."""
+    return PLURALS[height_unit(None, crs_text, heights_are).word]
+
+
+def kind_problem(
+    own: tuple[str | None, Told, str | None], other: tuple[Told, str | None]
+) -> str | None:
+    """Return what is wrong where a raster has depths and a file heights, or the other way round.
+
+    Nothing is where the file has what its own tags do not say: who made it chose that.
+
+    Parameters
+    ----------
+    own : (heights_are, what its tags say, CRS)
+        Of the file.
+    other : (what it says, CRS)
+        Of the raster.
+    """
+    heights_are, told, crs_text = own
+    found = kind_name(other[0].kind, other[1])
+    kinds = [kind_name(kind, crs_text) for kind in (heights_are, told.kind)]
+    if any((kind == PLURALS[DEPTH]) == (found == PLURALS[DEPTH]) for kind in kinds):
+        return None
+    by = f" ({other[0].by})" if other[0].kind else ""
+    return f"found {found}{by}, the file has {kinds[0]}"
 
 
 class Meeting(NamedTuple):
@@ -197,6 +254,12 @@ def _length(name: str) -> float | None:
 
 def _is_same(length: float | None, other: float | None) -> bool:
     return length is not None and other is not None and abs(length / other - 1) < _SAME_UNIT
+
+
+def is_length(units: str | None) -> bool:
+    """Say whether a unit is a length that is known, or nobody names one."""
+    unit = height_unit(units, None)
+    return unit.name is None or unit.length is not None
 
 
 def _plain(units: str) -> str:

@@ -9,7 +9,7 @@ import os
 import re
 import warnings
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,8 @@ _N_ALONG = 9
 # In PROJ's definitions and names of operations.
 _GRIDS = re.compile(r"grids=(\S+)")
 _NO_CHANGE = re.compile(r"^axis order change \(2D\) \+ | \+ axis order change \(2D\)")
+# What makes heights above the ellipsoid of distances from the centre.
+RADII = "radii less those of the ellipsoid"
 # Missing files that a message names.
 _MOST_NAMED = 6
 
@@ -72,6 +74,11 @@ def describe_as_is(crs_text: str | None) -> dict[str, str]:
     return {"heights": AS_IS, "datum": "ellipsoid" if told.is_ellipsoidal else _reference(told)}
 
 
+def describe_radii() -> dict[str, Any]:
+    """Return what files say of heights that were radii."""
+    return {"heights": ELLIPSOID, "operation": RADII, "grids": []}
+
+
 @dataclass(frozen=True)
 class EllipsoidalHeights:
     """The way to heights above the ellipsoid.
@@ -92,6 +99,12 @@ class EllipsoidalHeights:
     _transformer: Any
     _place: Place
     _metres: float
+    _has_radii: bool = False
+
+    @classmethod
+    def of_radii(cls, place: Place) -> Self:
+        """Return the way of heights that radii have become: they stay as they are."""
+        return cls(RADII, (), None, None, place, 1.0)
 
     def heights(self, x: Numbers, y: Numbers, heights: Numbers) -> Numbers:
         """Return metres above the ellipsoid of heights in metres, upwards; NaN stays.
@@ -108,6 +121,9 @@ class EllipsoidalHeights:
             If a place with a height is not covered by the grid.
         """
         found = np.array(heights, dtype=np.float64)
+        if self._has_radii:
+            latitudes = self._place.to_lonlat(np.column_stack([x, y]))[:, 1]
+            return self._place.ellipsoid.heights_of_radii(latitudes, found)
         known = np.isfinite(found)
         if self._transformer is None or not known.any():
             return found
@@ -172,6 +188,23 @@ def onto_wgs84(place: Place, bounds: tuple[float, float, float, float]) -> Ellip
 def on_own_datum(place: Place, bounds: tuple[float, float, float, float]) -> EllipsoidalHeights:
     """Return the way to heights above the ellipsoid of the raster's own CRS."""
     return _way(place, bounds, None)
+
+
+def radii_on_own_datum(place: Place) -> EllipsoidalHeights:
+    """Return the way from radii to heights above the ellipsoid of the raster's own CRS.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If there is none.
+    """
+    if place.system is None:
+        raise InvalidHeightsError(
+            "the raster has no coordinate reference system, so that nothing tells the radius of its"
+            " body; expected one, or `vertical` as-is"
+        )
+    target = place.system.flat.to_3d().to_wkt()
+    return EllipsoidalHeights(RADII, (), target, None, place, 1.0, True)
 
 
 def _way(

@@ -10,6 +10,8 @@ from terrainwave.arguments import is_twz_name
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
+from terrainwave.place.meaning import MARKS, Names, Told, told_by
+from terrainwave.place.units import is_length
 from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.labelled import layer_of, variable_of
 from terrainwave.raster_io.labelled.voids import number_of, voids_of
@@ -21,6 +23,8 @@ class ArrayBackend:
 
     is_file = False
     earlier: EarlierLoss | None = None
+    # Plain numbers say nothing, and fit whatever a file has.
+    told: Told | None = None
     name = "the array"
 
     def __init__(
@@ -83,8 +87,9 @@ class LabelledBackend(ArrayBackend):
     Understood: a Dataset with one variable of heights, a dimension ``band`` and others of length 1,
     x and y in either order, the coordinate that ``grid_mapping`` names (``spatial_ref``) and
     rioxarray's ``.rio`` accessor, what marks voids, the attributes ``units``, ``long_name``,
-    ``AREA_OR_POINT``, ``scale_factor`` and ``add_offset`` (which are there only while the values
-    are as stored), and ``max_error``. A lazy array is read in its own chunks.
+    ``positive``, ``standard_name``, ``AREA_OR_POINT``, ``scale_factor`` and ``add_offset`` (which
+    are there only while the values are as stored), and ``max_error``. A lazy array is read in its
+    own chunks.
     """
 
     def __init__(
@@ -101,7 +106,10 @@ class LabelledBackend(ArrayBackend):
             "offset": number_of(attrs, "add_offset", 0.0),
             "area_or_point": str(attrs["AREA_OR_POINT"]) if "AREA_OR_POINT" in attrs else None,
             "description": str(attrs["long_name"]) if "long_name" in attrs else None,
+            "band_tags": tuple((name, str(attrs[name])) for name in MARKS if name in attrs),
         }
+        names = Names(_text(variable.name), tags["description"], is_length(tags["units"]))
+        self.told = told_by(attrs, names, layer.crs)
         chunks = getattr(layer.array, "chunks", None)
         super().__init__(
             layer.array,
@@ -159,6 +167,10 @@ class LabelledBackend(ArrayBackend):
             )  # not as float32, which may not hold them
             valid &= (heights >= low) & (heights <= high)
         return heights, valid
+
+
+def _text(name: Any) -> str | None:
+    return None if name is None else str(name)
 
 
 def _claim(array: Any) -> Claim | None:

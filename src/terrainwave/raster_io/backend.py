@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.grid.quadtree import Region
+from terrainwave.place.meaning import Told
 from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.even import Even
 
@@ -17,7 +18,7 @@ class RasterBackend(Protocol):
     """One band of a raster that lies somewhere: a dataset of GDAL's, or a .twz file.
 
     `is_lost` says that nothing tells where its samples lie, `has_mask` that `read` knows voids that
-    no nodata value marks.
+    no nodata value marks. `told` is what it says of its numbers.
     """
 
     name: str
@@ -32,6 +33,7 @@ class RasterBackend(Protocol):
     is_lost: bool
     has_mask: bool
     earlier: EarlierLoss | None
+    told: Told
 
     def notes(self) -> Iterator[str]:
         """Yield what is left out or was chosen, one sentence each."""

@@ -29,6 +29,8 @@ from terrainwave.errors import (
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs, is_exact
+from terrainwave.place.meaning import Names, Told, told_by
+from terrainwave.place.units import is_length
 from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.even import Even, SparseBlocks, StoredValues, stored_values
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
@@ -177,6 +179,18 @@ def _stamp(dataset: Any) -> tuple[int, ...] | None:
     return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
 
 
+def told_of(dataset: Any, band: int) -> Told:
+    """Return what the tags and names of a band say of its numbers."""
+    marks = dataset.tags(band)
+    if dataset.count == 1:
+        marks = {**dataset.tags(), **marks}
+    # HDF5:file.h5://group/variable
+    variable = dataset.name.rsplit("/", 1)[-1] if dataset.driver == "HDF5Image" else None
+    title, units = dataset.descriptions[band - 1], dataset.units[band - 1]
+    names = Names(variable, title, is_length(units), dataset.driver)
+    return told_by(marks, names, format_crs(dataset.crs))
+
+
 class DatasetBackend:
     """A band of a rasterio dataset."""
 
@@ -231,6 +245,7 @@ class DatasetBackend:
         self.has_mask = self._has_own_mask or bool(self._alphas)
         self._tags = select_tags(dataset.tags())
         self._band_tags = select_tags(dataset.tags(band))
+        self.told = told_of(dataset, band)
 
     def notes(self) -> Iterator[str]:
         """Yield what is left out or was chosen, one sentence each."""

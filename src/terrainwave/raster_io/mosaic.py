@@ -15,7 +15,8 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.affine import determinant, of_window, places_to_pixels
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
-from terrainwave.place.units import HeightUnit, Meeting, height_unit, meeting
+from terrainwave.place.meaning import Told
+from terrainwave.place.units import HeightUnit, Meeting, height_unit, kind_name, meeting
 from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.even import Composite, Even, samples_in
@@ -109,6 +110,7 @@ class _Description(NamedTuple):
     asides: tuple[str, ...]
     is_lost: bool
     earlier: EarlierLoss | None
+    told: Told
     even: Even | None
     turn: _Turn = _Turn()
 
@@ -146,12 +148,15 @@ class MosaicBackend:
         Opens one of them as it is.
     nodata : int or float, optional
         Replaces the nodata value of each.
+    heights_are : str, optional
+        What the numbers of all of them are, whatever they say.
 
     Raises
     ------
     InvalidHeightsError
         If several have no place, or they differ in CRS, resolution, type, scale, offset or units,
-        or their pixels don't lie on one grid; the message says which and what to do.
+        or one has depths and another one heights, or their pixels don't lie on one grid; the
+        message says which and what to do.
     StorageError
         If one cannot be opened.
 
@@ -168,6 +173,7 @@ class MosaicBackend:
         sources: Sequence[Any],
         open_member: Callable[[Any], RasterBackend],
         nodata: int | float | None,
+        heights_are: str | None = None,
     ) -> None:
         self._open_member = open_member
         self._open: Cache[str, RasterBackend] = Cache(_MAX_OPEN, drop=lambda one: one.close())
@@ -185,6 +191,9 @@ class MosaicBackend:
         named = next((one for one in rasters if one.unit.name is not None), first)
         for other in rasters[1:]:
             _check_alike(first, other, named)
+            if heights_are is None:
+                _check_kind(first, other)
+        self.told = first.told
         self.name = f"{first.name} and {len(rasters) - 1} more"
         self.dtype = first.dtype
         places = [_place(first, other) for other in rasters]
@@ -192,20 +201,7 @@ class MosaicBackend:
         self.n_rows = max(row + one.shape[0] for (row, _), one in zip(places, rasters)) - top
         self.n_cols = max(col + one.shape[1] for (_, col), one in zip(places, rasters)) - left
         self.transform = _corner_transform(rasters, places, top, left)
-        self._tags = {**first.tags, "units": named.tags["units"]}
-        self._differing = []
-        for name, words in _ALIKE.items():
-            if any(one.tags[name] != first.tags[name] for one in rasters):
-                self._tags[name] = None
-                self._differing.append(words)
-        for name in ("tags", "band_tags"):
-            self._tags[name] = common_tags(one.tags[name] for one in rasters)
-        kept = {name for name, _ in (*self._tags["tags"], *self._tags["band_tags"])}
-        found = {
-            name for one in rasters for kind in ("tags", "band_tags") for name, _ in one.tags[kind]
-        }
-        if found - kept:
-            self._differing.append(f"the tags {', '.join(sorted(found - kept))}")
+        self._tags, self._differing = _common(rasters, named)
         self._members = [
             _Member(
                 source,
@@ -262,6 +258,7 @@ class MosaicBackend:
             asides=tuple(backend.asides()),
             is_lost=backend.is_lost,
             earlier=backend.earlier,
+            told=backend.told,
             even=backend.even(Region(0, 0, backend.n_rows, backend.n_cols)),
         )
 
@@ -385,6 +382,27 @@ class MosaicBackend:
         self._open.clear()
 
 
+def _common(
+    rasters: Sequence[_Description], named: _Description
+) -> tuple[dict[str, Any], list[str]]:
+    """Return the tags of a mosaic, and the names of those that differ and are dropped."""
+    first, differing = rasters[0], list[str]()
+    tags = {**first.tags, "units": named.tags["units"]}
+    for name, words in _ALIKE.items():
+        if any(one.tags[name] != first.tags[name] for one in rasters):
+            tags[name] = None
+            differing.append(words)
+    for name in ("tags", "band_tags"):
+        tags[name] = common_tags(one.tags[name] for one in rasters)
+    kept = {name for name, _ in (*tags["tags"], *tags["band_tags"])}
+    found = {
+        name for one in rasters for kind in ("tags", "band_tags") for name, _ in one.tags[kind]
+    }
+    if found - kept:
+        differing.append(f"the tags {', '.join(sorted(found - kept))}")
+    return tags, differing
+
+
 def _check_alike(first: _Description, other: _Description, named: _Description) -> None:
     """Raise InvalidHeightsError unless a raster can be part of the first one's mosaic.
 
@@ -414,6 +432,18 @@ def _check_alike(first: _Description, other: _Description, named: _Description) 
                 " gdal_calc, or correct the metadata with rio edit-info"
             )
     _place(first, other)
+
+
+def _check_kind(first: _Description, other: _Description) -> None:
+    """Raise InvalidHeightsError if one raster has depths and the other heights."""
+    kinds = [kind_name(one.told.kind, format_crs(one.crs)) for one in (first, other)]
+    if (kinds[0] == "depths") != (kinds[1] == "depths"):
+        by = first.told.by or other.told.by
+        raise InvalidHeightsError(
+            f"{other.name}: found {kinds[1]}, {first.name} has {kinds[0]} ({by}); expected one of"
+            " them: turn the others first, for example gdal_calc --calc=-A, or say what all are by"
+            " `heights_are`"
+        )
 
 
 def _units_met(others: Sequence[_Description], named: _Description) -> Meeting:

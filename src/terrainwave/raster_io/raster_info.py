@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from terrainwave.arguments import crs_name
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.affine import IDENTITY
+from terrainwave.place.meaning import KINDS, Names, Told, told_by
+from terrainwave.place.units import is_length
 
 SUPPORTED_DTYPES = ("uint8", "int16", "uint16", "int32", "float32", "float64")
 
@@ -50,6 +52,9 @@ class RasterInfo:
     mask_kind : str
         How voids are told from heights: ``"none"`` (there are none), ``"nodata"`` (a number),
         ``"nan"``, or ``"mask"`` (a mask band or alpha, perhaps beside a nodata value).
+    heights_are : str or None
+        What the stored numbers are, one of `place.meaning.KINDS`; None: heights, or depths where
+        the CRS's vertical axis goes down.
     """
 
     n_rows: int
@@ -67,6 +72,7 @@ class RasterInfo:
     tags: Tags = ()
     band_tags: Tags = ()
     color_interpretation: str | None = None
+    heights_are: str | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -84,6 +90,12 @@ class RasterInfo:
     def crs_name(self) -> str:
         """The CRS in few words."""
         return crs_name(self.crs)
+
+    @property
+    def told(self) -> Told:
+        """Return what the band's own tags and names say of its numbers."""
+        names = Names(None, self.description, is_length(self.units))
+        return told_by(dict(self.band_tags), names, self.crs)
 
     @property
     def n_bytes(self) -> int:
@@ -146,6 +158,7 @@ class RasterInfo:
             nodata, problem = fit_nodata(nodata, np.dtype(dtype))
             if problem:
                 raise ValueError(problem)
+        heights_are = fields.get("heights_are")
         return cls(
             n_rows=_positive(fields["n_rows"]),
             n_cols=_positive(fields["n_cols"]),
@@ -162,6 +175,8 @@ class RasterInfo:
             tags=_tags(fields.get("tags")),
             band_tags=_tags(fields.get("band_tags")),
             color_interpretation=_optional_text(fields.get("color_interpretation")),
+            # What a reader does not know means nothing to it (FORMAT.md §4.2).
+            heights_are=heights_are if heights_are in KINDS else None,
         )
 
 

@@ -5,7 +5,7 @@ import os
 import threading
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Any, Self
 
@@ -26,6 +26,8 @@ from terrainwave.errors import (
 )
 from terrainwave.grid.affine import IDENTITY, Transform
 from terrainwave.grid.quadtree import Region
+from terrainwave.place.meaning import Told, check_kind, settled_kind
+from terrainwave.place.units import height_unit, is_length
 from terrainwave.raster_io.arrays import ArrayBackend, Claim, LabelledBackend
 from terrainwave.raster_io.backend import RasterBackend, Readers
 from terrainwave.raster_io.dataset import DatasetBackend, is_twz, open_dataset
@@ -87,6 +89,8 @@ class RasterSource:
         Replaces the declared nodata value.
     georeference : bool
         False leaves place and CRS out, whatever the source says of them.
+    heights_are : {"height", "depth", "radius"}, optional
+        What the numbers are, whatever the source says of them.
     warn : bool
         Issue `notes` as warnings; tasks that open the same raster again don't.
     open_terrain : callable, optional
@@ -103,6 +107,8 @@ class RasterSource:
         for bands beside one that was chosen, and for what the heights give again.
     n_bytes_read : int
         Bytes of heights, as numbers, that have been read so far.
+    told : Told or None
+        What it says of its numbers; None of plain arrays, which say nothing.
     is_striped : bool
         True if a narrow window makes the source decode much wider ones: a scan in the order of
         `blocks` is then many times cheaper than small windows.
@@ -129,10 +135,12 @@ class RasterSource:
         band: int = 1,
         nodata: int | float | None = None,
         georeference: bool = True,
+        heights_are: str | None = None,
         warn: bool = True,
         open_terrain: OpenTerrain | None = None,
     ) -> None:
         check_flags(georeference=georeference)
+        check_kind(heights_are)
         band = checked_whole("band", band, least=1)
         if nodata is not None:
             given, nodata = nodata, number_of(nodata)
@@ -142,8 +150,12 @@ class RasterSource:
                 )
         self._counting = threading.Lock()
         self.n_bytes_read = 0
-        opening = _Opening(band, nodata, georeference, open_terrain)
+        opening = _Opening(band, nodata, georeference, open_terrain, heights_are)
         self._backend = opening.backend(source)
+        self.told = self._backend.told
+        if heights_are is not None:
+            self.told = Told(heights_are, "`heights_are`")
+        self._is_asked = heights_are is not None
         self._readers = Readers(self._backend)
         self.name: str = self._backend.name
         try:
@@ -192,8 +204,43 @@ class RasterSource:
             nodata=nodata,
             transform=transform,
             mask_kind=mask_kind,
-            **tags,
+            **{**tags, "heights_are": self.told.kind if self.told else None},
         )
+
+    def settled(self, minimum: float, maximum: float) -> tuple[RasterInfo, list[str]]:
+        """Return `info` with what the numbers are, and notes on it, by all valid ones.
+
+        Reads the raster again where only a name says that they are depths and some are below 0.
+
+        Parameters
+        ----------
+        minimum, maximum : float
+            Of all valid heights, as stored.
+        """
+        info = self.info
+        if self._is_asked or minimum > maximum:
+            return info, []
+        low, high = sorted(end * info.scale + info.offset for end in (minimum, maximum))
+        unit = math.nan  # no length
+        if is_length(info.units):
+            unit = abs(height_unit(info.units, info.crs).metres)
+        told = self.told or Told()
+        is_unsure = told.kind is not None and told.is_name and low < 0
+        kind, note = settled_kind(
+            told,
+            info.crs,
+            (low * unit, high * unit),
+            is_mostly_negative=is_unsure and (high <= 0 or self._is_mostly_negative()),
+        )
+        return replace(info, heights_are=kind), [f"{self.name}: {note}"] if note else []
+
+    def _is_mostly_negative(self) -> bool:
+        n_below = n_valid = 0
+        for region in self.blocks():
+            heights, valid = self.read(*region)
+            n_valid += int(valid.sum())
+            n_below += int((self.info.to_physical(heights[valid]) < 0).sum())
+        return 2 * n_below > n_valid
 
     def _asides(self) -> Iterator[str]:
         """Yield notes that are no reason for a warning."""
@@ -379,6 +426,7 @@ class _Opening:
     nodata: int | float | None
     georeference: bool
     open_terrain: OpenTerrain | None
+    heights_are: str | None
 
     def backend(self, source: Any) -> RasterBackend | MosaicBackend | ArrayBackend:
         """Return the opened source.
@@ -395,7 +443,7 @@ class _Opening:
                         f"found `georeference` False and {len(source)} rasters, expected one: a"
                         " mosaic is put together by their places"
                     )
-                return MosaicBackend(source, self._raster, self.nodata)
+                return MosaicBackend(source, self._raster, self.nodata, self.heights_are)
             source = source[0]
         if self._is_raster(source):
             return self._raster(source)

@@ -20,9 +20,10 @@ from rasterio.windows import Window
 from terrainwave.errors import StorageError
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
-from terrainwave.place.units import HeightUnit, height_unit
-from terrainwave.raster_io.dataset import DatasetBackend
+from terrainwave.place.units import HeightUnit, height_unit, kind_problem
+from terrainwave.raster_io.dataset import DatasetBackend, told_of
 from terrainwave.raster_io.even import Even, even_parts, is_seen
+from terrainwave.raster_io.raster_info import RasterInfo
 
 # Samples per window, and its height where the original is striped: windows of few rows would make
 # the decoder run the same blocks again and again.
@@ -72,6 +73,12 @@ class Original:
         """Return the original's unit: its band's, else its CRS's."""
         units = self.dataset.units[self.band - 1]
         return height_unit(units, format_crs(self.dataset.crs))
+
+    def kind_problem(self, info: RasterInfo) -> str | None:
+        """Return what is wrong where it has depths and the file heights, or the other way round."""
+        told = told_of(self.dataset, self.band)
+        own = info.heights_are, info.told, info.crs
+        return kind_problem(own, (told, format_crs(self.dataset.crs)))
 
     def area_or_point(self) -> str:
         """Return GDAL's tag; Area is its default."""

@@ -85,7 +85,9 @@ def task_level(grid: Grid, task_samples: int) -> int | None:
     return levels[0] if levels else None
 
 
-def shared_raster(src: Any, band: int, nodata: float | None) -> RasterPlace:
+def shared_raster(
+    src: Any, band: int, nodata: float | None, heights_are: str | None = None
+) -> RasterPlace:
     """Return the raster as other machines open it.
 
     Raises
@@ -101,7 +103,7 @@ def shared_raster(src: Any, band: int, nodata: float | None) -> RasterPlace:
         )
     paths = [os.fspath(source) for source in sources]
     shared = tuple(os.path.abspath(path) if os.path.exists(path) else path for path in paths)
-    return RasterPlace(shared, band, nodata)
+    return RasterPlace(shared, band, nodata, heights_are)
 
 
 @dataclass

@@ -100,6 +100,7 @@ def compress(
     nodata: float | None = None,
     band: int = 1,
     georeference: bool = True,
+    heights_are: str | None = None,
     mesh: str | MeshOptions = "auto",
     mesh_error: float | None = None,
     measure_meshes: bool = False,
@@ -152,6 +153,11 @@ def compress(
     georeference : bool
         False compresses the heights without georeference and CRS, for example those of a
         curvilinear grid, which are refused otherwise.
+    heights_are : {"height", "depth", "radius"}, optional
+        What the numbers are; the file keeps it. Depths go down, radii count from the centre of the
+        body; both are stored as they are and turned on the globe, in meshes and views. By default
+        told from ``positive``, CF names, the format and the CRS's vertical axis, or, of radii, from
+        the numbers themselves (docs/where-things-are.md).
     mesh : str, Zerotree or Rqt
         Triangulation of every block. ``"halves"`` (``"auto"``) is computed when it is read, and so
         is its error (see `measure_meshes`). ``"zerotree"`` is the guaranteed triangulation of
@@ -256,13 +262,12 @@ def compress(
     if client is not None:
         _refuse_tiles(options)
         is_remote = temp_dir is not None and "://" in os.fspath(temp_dir)
-        raster = shared_raster(src, band, nodata)
+        raster = shared_raster(src, band, nodata, heights_are)
         url = temp_dir if is_remote else None
         cluster = _Cluster(Workers(client, on_task), raster, url, task_samples or TASK_SAMPLES)
         temp_dir = None if is_remote else temp_dir
-    elif task_samples is not None or on_task is not None:
-        found = "`on_task`" if task_samples is None else f"`task_samples` {task_samples}"
-        raise InvalidArgumentError(f"found {found} without a client, expected both or none of them")
+    else:
+        _refuse_tasks(task_samples, on_task)
     check_ending(dst, TWZ_ENDINGS, or_url=True)
     refuse_own_source(src, dst)
     refuse_raster(dst)
@@ -273,12 +278,13 @@ def compress(
             f"found a client and {display_name(name)} as `dst`, expected a path that all workers"
             " can use"
         )
-    of_source = {"band": band, "nodata": repr(nodata), "georeference": georeference}
+    of_source: dict[str, Any] = {"band": band, "nodata": nodata, "georeference": georeference}
+    of_source["heights_are"] = heights_are
     coded = [options.to_metadata(), keep_origin]
-    depends_on = {"command": "compress", **of_source, "options": coded}
+    depends_on = {"command": "compress", **of_source, "nodata": repr(nodata), "options": coded}
     with (
         _made(name, overwrite=overwrite, temp_dir=temp_dir) as part,
-        raster_source(src, band=band, nodata=nodata, georeference=georeference) as source,
+        raster_source(src, **of_source) as source,
         _directory(
             name, src, source, depends_on, temp_dir, fresh=fresh, is_kept=cluster is None
         ) as (directory, kept),
@@ -344,6 +350,13 @@ def compress_to_bytes(
         written = _write(file, None, source, options, directory, Reporter(None))
     _warn_of(written.marks)
     return file.getvalue()
+
+
+def _refuse_tasks(task_samples: int | None, on_task: TaskCallback | None) -> None:
+    """Raise `InvalidArgumentError` for options of a cluster without one."""
+    if task_samples is not None or on_task is not None:
+        found = "`on_task`" if task_samples is None else f"`task_samples` {task_samples}"
+        raise InvalidArgumentError(f"found {found} without a client, expected both or none of them")
 
 
 def _refuse_tiles(options: Options) -> None:
@@ -429,9 +442,10 @@ def _write(
         with closing(made) as passes:
             left = for_heights_of(source, options)
             scan = passes.scan(fixed_steps(left, source.info))
-            marks = note_on_marks(source, scan.minimum, scan.maximum)
+            info, marks = source.settled(scan.minimum, scan.maximum)
+            marks += note_on_marks(source, scan.minimum, scan.maximum)
             earlier = earlier_of(source, options, scan.steps)
-            job, notes = settled(left, scan, source.info, earlier)
+            job, notes = settled(left, scan, info, earlier)
             coded = _coded(passes, job, options.choice, source.info.n_bytes)
             if coded.job.options.named_method != options.named_method:
                 notes.append("the heights do not compress: stored as they are")

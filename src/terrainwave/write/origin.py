@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 from terrainwave.container.metadata import EARLIER, ORIGIN, without_origin
@@ -23,6 +24,7 @@ def difference(
     band: int = 1,
     nodata: float | None = None,
     georeference: bool = True,
+    heights_are: str | None = None,
     progress: ProgressCallback | None = None,
     **options: Any,
 ) -> str | None:
@@ -51,19 +53,24 @@ def difference(
     if origin.get("options") != asked.to_metadata():
         return "it was made with other options"
     with raster_source(
-        src, band=band, nodata=nodata, georeference=georeference, warn=False
-    ) as source:
+        src, band=band, nodata=nodata, georeference=georeference, heights_are=heights_are,
+        warn=False,
+    ) as source:  # fmt: skip
         info = source.info
         size = info.n_rows, info.n_cols, info.dtype
         metadata = without_origin(header.metadata)
         metadata.pop("software", None)
         metadata.pop("moved", None)
         files = earlier_files({EARLIER: metadata.pop(EARLIER, None)})
-        if size != (header.n_rows, header.n_cols, header.dtype) or metadata != metadata_of(info):
+        kind = metadata.pop("heights_are", None)
+        told = metadata_of(replace(info, heights_are=None))
+        if size != (header.n_rows, header.n_cols, header.dtype) or metadata != told:
             return "it was made of another raster"
         if files != (source.earlier.files if source.earlier else ()):
             return "it was made of another .twz file"
         scan = scan_windows(info, _windows(source), Reporter(progress), has_digest=True)
+        if source.settled(scan.minimum, scan.maximum)[0].heights_are != kind:
+            return "its numbers mean something else"
     return None if origin == origin_of(asked, scan) else "it was made of other heights"
 
 

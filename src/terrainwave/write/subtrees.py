@@ -71,6 +71,7 @@ class RasterPlace:
     paths: tuple[str, ...]
     band: int
     nodata: float | None
+    heights_are: str | None = None
     meter: Meter = field(default_factory=Meter, compare=False)
     folder: str | None = field(default=None, compare=False)
 
@@ -82,7 +83,9 @@ class RasterPlace:
     def open(self) -> Iterator[RasterSource]:
         """Open it; notes have been issued where the run began."""
         name = self.paths[0] if len(self.paths) == 1 else list(self.paths)
-        with raster_source(name, band=self.band, nodata=self.nodata, warn=False) as source:
+        with raster_source(
+            name, band=self.band, nodata=self.nodata, heights_are=self.heights_are, warn=False
+        ) as source:
             try:
                 yield source
             finally:

@@ -52,6 +52,7 @@ from terrainwave.names import (
     FORMATS,
     SMALLEST_METHOD,
 )
+from terrainwave.place.meaning import KINDS
 from terrainwave.progress import ProgressCallback
 
 
@@ -123,6 +124,12 @@ from terrainwave.progress import ProgressCallback
     "--no-georeference",
     is_flag=True,
     help="Compress the heights alone and ignore the raster's transform and CRS.",
+)
+@click.option(
+    "--heights-are",
+    type=click.Choice(KINDS),
+    help="What the numbers are. Depths and radii (distances from the centre of the body) are stored"
+    " as they are and turned on the globe, in meshes and views. Default: as the raster says.",
 )
 @click.option("--no-verify", is_flag=True, help="Do not decode and compare every sample.")
 @resumable
@@ -261,7 +268,7 @@ def _compress_each(
 
 
 # What is asked of the raster that is read, and of the run, and not of the file that is made.
-_OF_SOURCE = ("nodata", "band", "georeference")
+_OF_SOURCE = ("nodata", "band", "georeference", "heights_are")
 _OF_RUN = ("temp_dir", "overwrite", "threads", "fresh")
 
 

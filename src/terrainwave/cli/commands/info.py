@@ -200,7 +200,7 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
         ),
         ("made from", files_before(info.earlier)),
         ("quantum", f"{info.quantum:.6g}{unit}"),
-        ("heights", extent),
+        ("heights", extent + _MEANINGS[info.heights_are]),
         ("unit", _unit_in_words(info)),
         ("voids", _voids_in_words(info, n_voids)),
         ("method", f"{info.method}, {way}, border rings {info.border_rings}"),
@@ -220,6 +220,13 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
         ("colour", info.color_interpretation or ""),
     ]
     return [(name, value) for name, value in rows if value != ""]
+
+
+_MEANINGS = {
+    "height": "",
+    "depth": " (depths: they go down)",
+    "radius": " (radii: from the centre of the body)",
+}
 
 
 def _unit_in_words(info: Any) -> str:

@@ -27,6 +27,7 @@ from terrainwave.errors import CorruptStreamError, StorageError
 from terrainwave.forks import renew_after_fork
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
+from terrainwave.place.meaning import DEPTH, DOWN, HEIGHT, POSITIVE, UP
 from terrainwave.raster_io.gdal import (
     GDAL_ERRORS,
     SCAN_SAMPLES,
@@ -67,10 +68,19 @@ def geotiff_profile(info: RasterInfo) -> dict[str, Any]:
     return profile
 
 
+def band_tags_of(info: RasterInfo) -> dict[str, str]:
+    """Return the band's tags, with what its numbers are; the file's own word counts."""
+    tags = dict(writable_tags(info.band_tags))
+    if info.heights_are in (DEPTH, HEIGHT):
+        tags = {name: value for name, value in tags.items() if name.lower() != POSITIVE}
+        tags[POSITIVE] = DOWN if info.heights_are == DEPTH else UP
+    return tags
+
+
 def write_description(dataset: Any, info: RasterInfo) -> None:
     """Write all that a raster says of itself besides its profile."""
     dataset.update_tags(**dict(writable_tags(info.tags)))
-    dataset.update_tags(1, **dict(writable_tags(info.band_tags)))
+    dataset.update_tags(1, **band_tags_of(info))
     color = info.color_interpretation
     if color in ColorInterp.__members__ and color not in PLAIN_COLORS:
         dataset.colorinterp = (ColorInterp[color],)

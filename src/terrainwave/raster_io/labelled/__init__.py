@@ -26,11 +26,6 @@ from terrainwave.raster_io.labelled.signs import (
     title,
 )
 
-_DEPTHS = (
-    "{} says that its numbers are depths (positive: down); they are taken as they are, so terrain"
-    " made of them is upside down: give the array negated, without that attribute"
-)
-
 
 class LabelledArray(NamedTuple):
     """Rows and columns of one array, and what its coordinates, attributes and accessor say."""
@@ -52,8 +47,6 @@ def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> Label
         If there is no such band.
     """
     crs, notes = crs_of(array, source)
-    goes_down = str(array.attrs.get("positive", "")).lower() == "down"
-    depth_notes = [_DEPTHS.format(title(array))] * goes_down
     roles = _roles(array, source)
     if len(roles) < 2:
         roles = _unnamed(array, roles, may_guess=not georeference or crs is None)
@@ -66,9 +59,9 @@ def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> Label
             " along each: choose another part"
         )
     if not georeference:
-        return LabelledArray(layer, IDENTITY, None, [*band_notes, *depth_notes])
+        return LabelledArray(layer, IDENTITY, None, band_notes)
     transform = transform_of(layer, crs)
-    notes = [*band_notes, *depth_notes, *notes]
+    notes = [*band_notes, *notes]
     if transform is None:
         if crs is not None:
             notes.append(

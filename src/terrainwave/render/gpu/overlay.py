@@ -8,6 +8,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.place.meaning import RADIUS
 from terrainwave.render.gpu.surface import release_all
 from terrainwave.render.look.marks import FONT_SIZE, WHITE, Ink, pillow
 from terrainwave.render.scene.camera import Camera, Viewport, project
@@ -148,22 +149,26 @@ def _draw_profile(ink: Ink, profile: Profile) -> None:
     ink.draw.rectangle(
         (_MARGIN - 8, top - 14, left + width + 10, ink.image.height - 4), fill=(0, 0, 0, 170)
     )
-    known = profile.heights[~np.isnan(profile.heights)]
+    upwards = profile.upwards
+    known = upwards[~np.isnan(upwards)]
     if not len(known):
         ink.text(left, top, "no data")
         return
     low, high = float(known.min()), float(known.max())
     span, length = max(high - low, 1e-9), max(profile.horizontal, 1e-9)
     x = left + profile.distances / length * (width - 1)
-    y = top + (1 - (profile.heights - low) / span) * (height - 24)
+    y = top + (1 - (upwards - low) / span) * (height - 24)
     is_gap = np.isnan(y)
     for first in np.flatnonzero(~is_gap & np.concatenate([[True], is_gap[:-1]])).tolist():
         gaps = np.flatnonzero(is_gap[first:])
         end = first + int(gaps[0]) if len(gaps) else len(y)
         places = list(zip(x[first:end].tolist(), y[first:end].tolist(), strict=True))
         ink.draw.line(places if len(places) > 1 else places * 2, fill=LINE_COLOR, width=2)
+    sign = math.copysign(1, profile.metres_per_height)
+    digits = 9 if profile.word == RADIUS else 6
     for value, at in ((high, top), (low, top + height - 24)):
-        ink.draw.text((left - 8, at), f"{value:.6g}", font=ink.font, fill=WHITE, anchor="rm")
+        text = f"{sign * value:.{digits}g}"
+        ink.draw.text((left - 8, at), text, font=ink.font, fill=WHITE, anchor="rm")
     for text, at, anchor in (("0", left, "lt"), (distance_text(length), left + width, "rt")):
         place = (at, top + height - 16)
         ink.draw.text(place, text, font=ink.font, fill=WHITE, anchor=anchor)

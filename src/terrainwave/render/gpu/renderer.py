@@ -166,7 +166,7 @@ class Renderer:
             errors = self._scene.table.errors[frames.nodes]
             return error_palette(max(float(errors.max(initial=0.0)), 1e-6))
         frame = self._scene.frame
-        low, high = sorted(height * frame.metres[2] for height in frame.heights)
+        low, high = frame.height_range
         if not style.is_absolute(frame.body):
             return relative_palette(style.ramp_on(frame.body), low, high)
         sea = waves_of(self._scene.terrain, frame)

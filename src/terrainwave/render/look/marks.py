@@ -85,7 +85,7 @@ def legend_of(
     """
     per_unit = frame.metres[2]
     title = f"{'depth' if per_unit < 0 else 'height'}, {unit_text(units)}"
-    low, high = sorted(frame.heights)
+    low, high = (height - frame.zero for height in sorted(frame.heights))
     if style.coloring == "slope":
         per_unit, title = 1.0, "slope, degrees"
         _, _, low, high = palette.ranges

@@ -109,8 +109,8 @@ class Batched(BoundedMode):
         self._side = terrain.grid.block
         self._scale = HeightScale.of(terrain, frame)
         self._patches = PatchBuilder(terrain, frame)
-        low, high = (height * frame.metres[2] for height in frame.heights)
-        self._middle, self._largest = (low + high) / 2, abs(high - low) / 2
+        low, high = frame.height_range
+        self._middle, self._largest = (low + high) / 2, (high - low) / 2
         self._grids: Cache[Block, BlockGrid] = Cache(_CACHED_GRIDS)
 
     def _checked_detail(self, detail: float | None) -> float:
@@ -152,7 +152,7 @@ class Batched(BoundedMode):
         Its vertices do, too, by `_grid`; the last of its float32 is left to them.
         """
         rounding = self._largest * FLOAT32_ROUNDING
-        low, high = sorted(z * self.frame.metres[2] for z in self.terrain.block_box(block))
+        low, high = sorted(map(self.frame.to_metres, self.terrain.block_box(block)))
         return low - rounding, high + rounding
 
     def _bound(self, block: Block, error: float) -> float:

@@ -320,10 +320,11 @@ class FrontMode(Mode):
         """Return box and error of a piece, as the index has them."""
         terrain = self.terrain
         region = self.region(piece)
-        stride, per_unit = terrain.grid.stride(piece.level), self.frame.metres[2]
+        stride = terrain.grid.stride(piece.level)
         blocks = self._blocks(piece.level, region)
         error = self._level_error(piece.level, blocks)
-        z = [height * per_unit for block in blocks for height in terrain.block_box(block)]
+        boxes = [height for block in blocks for height in terrain.block_box(block)]
+        z = [self.frame.to_metres(height) for height in boxes]
         rows = np.array([region.row, region.row + region.n_rows - 1]) * stride
         cols = np.array([region.col, region.col + region.n_cols - 1]) * stride
         xy = self.frame.samples_to_local(np.repeat(rows, 2), np.tile(cols, 2))
@@ -337,8 +338,8 @@ class FrontMode(Mode):
         error = terrain.quanta_error
         if level < self.n_levels - 1:
             error = max(terrain.block_error(block) for block in blocks)
-        largest = max(abs(height) for height in self.frame.heights)
-        return (error + largest * FLOAT32_ROUNDING) * self.frame.error_metres
+        largest = max(map(abs, self.frame.height_range))
+        return error * self.frame.error_metres + largest * FLOAT32_ROUNDING
 
     # In worker threads
 

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,8 @@ from terrainwave.place.units import height_unit
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
+
+Numbers = TypeVar("Numbers", float, NDArray[np.float64])
 
 # How far below the lowest height the block's base lies: of the raster's extent; metres.
 _BASE_SHARE, _LEAST_DEPTH = 0.035, 1.0
@@ -52,6 +54,8 @@ class Frame:
         Degrees, of the middles of the lower and the upper side.
     axes : LocalAxes, optional
         Metres to the east and north of steps along x and y; by default x goes east and y north.
+    zero : float
+        The number in the file's unit that lies at local z 0: of radii the body's own.
     """
 
     centre: tuple[float, float]
@@ -63,6 +67,7 @@ class Frame:
     body: str = UNKNOWN
     latitudes: tuple[float, float] | None = None
     axes: LocalAxes | None = None
+    zero: float = 0.0
 
     @cached_property
     def box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -71,9 +76,19 @@ class Frame:
         rows = np.array([0, 0, n_rows - 1, n_rows - 1])
         cols = np.array([0, n_cols - 1, 0, n_cols - 1])
         xy = self.samples_to_local(rows, cols)
-        z = np.array(self.heights) * self.metres[2] * self.exaggeration
+        z = np.array(self.height_range) * self.exaggeration
         low, high = np.array([*xy.min(axis=0), z.min()]), np.array([*xy.max(axis=0), z.max()])
         low.flags.writeable = high.flags.writeable = False
+        return low, high
+
+    def to_metres(self, heights: Numbers) -> Numbers:
+        """Return metres upwards, without exaggeration, of numbers in the file's unit."""
+        return (heights - self.zero) * self.metres[2]
+
+    @property
+    def height_range(self) -> tuple[float, float]:
+        """Return the metres of the lowest and the highest place, without exaggeration."""
+        low, high = sorted(self.to_metres(height) for height in self.heights)
         return low, high
 
     @property
@@ -146,14 +161,14 @@ class Frame:
 
     def to_local(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return local metres of (x, y, height) in the file's CRS and unit."""
-        shift = np.array([*self.centre, 0.0])
+        shift = np.array([*self.centre, self.zero])
         local: NDArray[np.float64] = (points - shift) @ self._matrix.T
         return local
 
     def to_world(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (x, y, height) in the file's CRS and unit; the inverse of `to_local`."""
         world: NDArray[np.float64] = points @ np.linalg.inv(self._matrix).T
-        return world + np.array([*self.centre, 0.0])
+        return world + np.array([*self.centre, self.zero])
 
     @cached_property
     def _matrix(self) -> NDArray[np.float64]:
@@ -229,8 +244,9 @@ def frame_of(
     linear = axes.matrix @ np.array([[a, b], [d, e]])
     first = axes.matrix @ np.array([x[0] - centre_x, y[0] - centre_y])
     info = terrain.info()
-    unit = height_unit(raster.units, raster.crs)
-    unit.note_depths()
+    unit = height_unit(raster.units, raster.crs, raster.heights_are)
+    unit.note_kind()
+    zero = place.surface_radius(centre_x, centre_y) / unit.metres if unit.is_radius else 0.0
     frame = Frame(
         (centre_x, centre_y),
         (*axes.lengths, unit.metres),
@@ -240,5 +256,6 @@ def frame_of(
         body=place.body,
         latitudes=place.side_latitudes(outline),
         axes=axes,
+        zero=zero,
     )
     return frame.exaggerated(exaggeration)

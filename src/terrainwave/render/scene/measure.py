@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.place.position import Place, place_of
-from terrainwave.place.units import height_unit, unit_text
+from terrainwave.place.units import unit_text
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
@@ -31,13 +31,21 @@ class Profile(NamedTuple):
     heights : ndarray of float64, shape (n,)
         In the file's unit; NaN in voids and outside.
     metres_per_height : float
-        Metres per unit of height.
+        Metres per unit of height; negative where heights are depths.
+    word : str
+        What they are: ``height``, ``depth`` or ``radius``.
     """
 
     places: NDArray[np.float64]
     distances: NDArray[np.float64]
     heights: NDArray[np.float64]
     metres_per_height: float
+    word: str = "height"
+
+    @property
+    def upwards(self) -> NDArray[np.float64]:
+        """Return the heights, of depths negated, in the file's unit."""
+        return self.heights if self.metres_per_height > 0 else -self.heights
 
     @property
     def horizontal(self) -> float:
@@ -53,13 +61,13 @@ class Profile(NamedTuple):
     @property
     def rise(self) -> float:
         """Return how much higher the last place is than the first, in the file's unit."""
-        return float(self.heights[-1] - self.heights[0])
+        return float(self.upwards[-1] - self.upwards[0])
 
     def csv(self) -> str:
-        """Return a table of distances, places and heights."""
+        """Return a table of distances, places and heights, as the file has them."""
         text = io.StringIO()
         table = csv.writer(text, lineterminator="\n")
-        table.writerow(["distance_m", "x", "y", "height"])
+        table.writerow(["distance_m", "x", "y", self.word])
         for distance, (x, y), height in zip(
             self.distances.tolist(), self.places.tolist(), self.heights.tolist(), strict=True
         ):
@@ -118,8 +126,8 @@ def read_profile(
         parts.append(start + (end - start) * (np.arange(1, n + 1) / n)[:, None])
     places = np.concatenate(parts)
     distances = np.concatenate([[0.0], np.cumsum(ruler.lengths(places))])
-    per_height = abs(height_unit(terrain.raster_info.units, terrain.crs).metres)
-    return Profile(places, distances, terrain.sample(places), per_height)
+    unit = terrain.height_unit
+    return Profile(places, distances, terrain.sample(places), unit.metres, unit.word)
 
 
 def describe_place(terrain: "TerrainFile", x: float, y: float, height: float) -> str:

@@ -181,7 +181,7 @@ class PatchBuilder:
         cols = np.array([region.col, region.col + region.n_cols - 1])
         xy = self._frame.samples_to_local(np.repeat(rows, 2), np.tile(cols, 2))
         error = self.error(piece)
-        low, high = sorted(z * self._frame.metres[2] for z in self._terrain.block_box(block))
+        low, high = sorted(map(self._frame.to_metres, self._terrain.block_box(block)))
         (left, bottom), (right, top) = xy.min(axis=0), xy.max(axis=0)
         return NodeInfo(
             piece,

@@ -38,10 +38,9 @@ class HeightScale:
         """Return the scale of a file."""
         header, raster = terrain.header, terrain.raster_info
         quantum = header.quantum.numerator / header.quantum.denominator
-        per_unit = frame.metres[2]
         return cls(
-            quantum * raster.scale * per_unit,
-            (header.base * quantum * raster.scale + raster.offset) * per_unit,
+            quantum * raster.scale * frame.metres[2],
+            frame.to_metres(header.base * quantum * raster.scale + raster.offset),
         )
 
     def metres(self, quanta: NDArray[Any]) -> NDArray[np.float64]:
@@ -63,7 +62,7 @@ class HeightTexels:
     @classmethod
     def of(cls, frame: Frame) -> Self:
         """Return the one that fits the heights of a frame."""
-        low, high = sorted(height * frame.metres[2] for height in frame.heights)
+        low, high = frame.height_range
         reference = min(max(0.0, low), high)
         largest = max(reference - low, high - reference)
         return cls(reference, max(largest / _LARGEST_HEIGHT, 1.0))

@@ -108,7 +108,7 @@ def read_metres(
     """Return heights in metres, 0 in voids, and which are valid."""
     raw, valid = terrain.read_with_mask(window, level=level, on_error="mask", voids="any")
     raster = terrain.raster_info
-    metres = (raw.astype(np.float64) * raster.scale + raster.offset) * frame.metres[2]
+    metres = frame.to_metres(raw.astype(np.float64) * raster.scale + raster.offset)
     return np.where(valid, metres, 0.0), valid
 
 

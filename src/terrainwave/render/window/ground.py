@@ -62,7 +62,7 @@ class Ground:
             self._look(camera, frame)
         if self._height is None:
             return None
-        return camera.position[2] - self._height * frame.metres[2] * frame.exaggeration
+        return camera.position[2] - frame.to_metres(self._height) * frame.exaggeration
 
     def _look(self, camera: Camera, frame: Frame) -> None:
         x, y, _ = camera.position

@@ -60,7 +60,7 @@ def choose_camera(
     if area is not None:
         left, bottom, right, top = area.bounds
         ends = frame.to_local(np.array([[left, bottom, 0.0], [right, top, 0.0]]))
-        z = np.sort(np.array(area.heights) * frame.metres[2] * frame.exaggeration)
+        z = np.sort(frame.to_metres(np.array(area.heights)) * frame.exaggeration)
         low, high = np.array([*ends[0, :2], z[0]]), np.array([*ends[1, :2], z[1]])
     return home((low, high), viewport)
 

@@ -103,7 +103,7 @@ def plot(terrain: "TerrainFile", ax: Any, *, cmap: str | None, shade: float, bou
     ax.set_aspect(per_y / per_x)
     is_placed = tuple(raster.transform) != IDENTITY
     label_axes(ax, *axis_labels(terrain.crs, is_placed=is_placed))
-    add_colour_bar(ax, norm, colours, terrain.units)
+    add_colour_bar(ax, norm, colours, terrain.units, terrain.height_unit.word)
     return ax
 
 

@@ -10,7 +10,7 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import places_to_pixels
 from terrainwave.grid.quadtree import Region
-from terrainwave.place.units import height_unit, meeting
+from terrainwave.place.units import height_unit, kind_problem, meeting
 from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 
@@ -25,8 +25,17 @@ def check_units(terrain: TerrainFile, source: RasterSource) -> str:
     Raises
     ------
     InvalidHeightsError
-        If they have different units.
+        If they have different units, or one has depths and the other heights.
     """
+    info = terrain.raster_info
+    if source.told is not None:
+        own = info.heights_are, info.told, info.crs
+        problem = kind_problem(own, (source.told, source.info.crs))
+        if problem is not None:
+            raise InvalidHeightsError(
+                f"{source.name}: {problem}: turn the numbers, for example gdal_calc --calc=-A, or"
+                " say what they are, for example gdal_translate -mo positive=down"
+            )
     unit = height_unit(source.info.units, source.info.crs)
     met = meeting(source.name, unit, "the file", terrain.height_unit)
     if met.problem:
