@@ -44,7 +44,9 @@ def level_errors(terrain: Any, kind: str) -> LevelErrors:
     heights = [float(of_level.max()) for of_level in errors]
     if terrain.mesh_kind in {"none", *UNBOUNDED_MESHES}:
         return LevelErrors(heights)
-    return LevelErrors(heights, [float(of_level.max()) for of_level in _mesh_errors(terrain, errors)])
+    return LevelErrors(
+        heights, [float(of_level.max()) for of_level in _mesh_errors(terrain, errors)]
+    )
 
 
 def recursive_errors(
