@@ -17,13 +17,14 @@ without a wavelet. Models of both start trained: those of the paper's contours o
 in a run before. Encoder and decoder are changed here.
 
 ``--only shares``: meshes of the trees alone: their largest error, and the share of the samples that
-are within the tolerance of guaranteed meshes.
+are within the tolerance of guaranteed meshes, Err_Tri, and within twice the bound.
 """
 
 import math
 from collections import namedtuple
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from copy import copy
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -52,9 +53,11 @@ from terrainwave.coding.rangecoder import (
     new_models,
 )
 from terrainwave.grid.quadtree import Block, Grid
+from terrainwave.mesh.loose import LooseMesher
 from terrainwave.mesh.statistics import mesh_levels
 from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import Camera, Viewport, home
+from terrainwave.tri.block_mesh import FRACTION_BITS
 
 BLOCKS, BOUNDS, RINGS = (64, 256), (1.0, 3.0, 10.0), (1, 3)
 # What the trees are, and whether the file is faithful.
@@ -85,8 +88,13 @@ ContourRow = namedtuple(
     "raster block rings max_error way samples contour_bits measured_error heights_bits",
 )
 # Of the level above the finest: `coarse` triangles within tolerance, `loose` ones of trees alone,
-# with their error in metres and the share of the samples within the tolerance.
-ShareRow = namedtuple("ShareRow", "raster block max_error trees coarse loose loose_error share")
+# with their error in metres and the share of the samples within the tolerance; the least and the
+# greatest tolerance of its blocks, in metres, and the share within twice the bound.
+ShareRow = namedtuple(
+    "ShareRow",
+    "raster block max_error trees coarse loose loose_error share least_tolerance most_tolerance"
+    " in_two_bounds",
+)
 
 
 def measure_grid(dem: Path, folder: Path) -> Iterator[GridRow]:
@@ -434,13 +442,54 @@ def measure_shares(dem: Path, folder: Path) -> Iterator[ShareRow]:
                 dem, file, max_error=max_error, block=block, mesh=kind,
                 method=Cdf97(faithful=is_faithful), verify=False, overwrite=True,
             )  # fmt: skip
-            with terrainwave.open(file) as terrain:
+            with (
+                terrainwave.open(file) as terrain,
+                mock.patch.object(
+                    LooseMesher,
+                    "samples_within",
+                    new=(counts := SharesWithin(terrain, 2 * max_error)).count,
+                ),
+            ):
                 loose = terrain.mesh(guarantee=False)
                 coarse = mesh_levels(terrain)[-2].n_triangles
             yield ShareRow(
                 dem.stem, block, max_error, trees, coarse, loose.n_triangles,
-                round(loose.error, 2), round(loose.share, 4),
+                round(loose.error, 2), round(loose.share, 4), *counts.summary(),
             )  # fmt: skip
+
+
+class SharesWithin:
+    """Counts of samples within another distance of a loose mesh than its blocks' tolerances.
+
+    Counts of a mesh that was refined replace the earlier ones.
+    """
+
+    def __init__(self, terrain: Any, distance: float) -> None:
+        self.unit = terrain.quantizer.quantum / (1 << FRACTION_BITS)
+        self.distance = int(distance / self.unit)
+        self.tolerances: dict[Block, int] = {}
+        self.found: dict[Block, tuple[int, int]] = {}
+        self.samples_within = LooseMesher.samples_within
+
+    @property
+    def count(self) -> Any:
+        """Return what takes the place of `LooseMesher.samples_within`."""
+
+        def samples_within(mesher: Any, block: Block, mesh: Any) -> tuple[int, int]:
+            self.tolerances[block] = mesher._mesher.tolerance(block)
+            other = copy(mesher)
+            other._mesher = copy(mesher._mesher)
+            other._mesher.tolerance = lambda _: self.distance
+            self.found[block] = self.samples_within(other, block, mesh)
+            return self.samples_within(mesher, block, mesh)
+
+        return samples_within
+
+    def summary(self) -> tuple[float, float, float]:
+        """Return the least and the greatest tolerance in metres, and the share within."""
+        covered, within = (sum(counts) for counts in zip(*self.found.values(), strict=True))
+        tolerances = [tolerance * self.unit for tolerance in self.tolerances.values()]
+        return round(min(tolerances), 2), round(max(tolerances), 2), round(within / covered, 4)
 
 
 def resampled(dem: Path, factor: int, folder: Path) -> Path:

@@ -7,6 +7,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import click
 import nbformat
 import numpy as np
 import pytest
@@ -77,6 +78,19 @@ def test_notebooks_run(path, tmp_path):
     notebook = nbformat.read(path, as_version=4)
     assert all(not cell.get("outputs") for cell in notebook.cells), "clear its outputs"
     NotebookClient(notebook, timeout=600, resources={"metadata": {"path": tmp_path}}).execute()
+
+
+def test_commands_of_the_systems_have_these_options():
+    """They are parsed, not run: their systems have tests of their own."""
+    text = (DOCS / "systems.md").read_text(encoding="utf-8")
+    table = text.split("## System, commands, page")[1].split("\n## ")[0]
+    lines = re.findall(r"`terrainwave ([^`]+)`", table)
+    assert len(lines) > 10
+    for line in lines:
+        name, *arguments = shlex.split(line.replace("FILE", "dem.twz"))
+        command = main.commands[name]
+        context = click.Context(command, info_name=name)
+        command.parse_args(context, arguments)  # an error says what is wrong
 
 
 def test_every_page_has_a_place_in_the_site():

@@ -95,6 +95,23 @@ def test_commands_of_the_integrations_run(rasters):
     assert (rasters / "both.twz").exists()
 
 
+@pytest.mark.large
+def test_the_wavelet_system_of_the_readme_is_that_of_the_paper(rasters):
+    import terrainwave
+    from terrainwave.cli import main
+
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    lines = re.findall(r"^terrainwave (.*papers\.twz.*)$", readme, re.MULTILINE)
+    assert [line.split()[0] for line in lines] == ["compress", "mesh", "view"]
+    for line in lines[:2]:
+        done = CliRunner().invoke(main, line.split())
+        assert done.exit_code == 0, done.output
+    assert "guaranteed error" in done.output
+    with terrainwave.open("papers.twz") as terrain:
+        assert terrain.info().faithful
+        assert terrain.mesh_kind == "zerotree-coded"
+
+
 def test_commands_of_the_readme_exist():
     from terrainwave.cli import main
 

@@ -49,7 +49,7 @@ class Method:
     is_clusterable : bool
         A part of the raster can be coded without the rest, on another machine.
     may_be_faithful : bool
-        Its files may follow its paper to the letter (`codec.cdf97.Cdf97`).
+        Its files may follow its paper (`faithful` of `codec.cdf97.Cdf97`).
     is_patchable : bool
         A unit can be coded again so that heights that still hold come back as they were: its loop
         takes corrections (`codec.corrections`).

@@ -15,6 +15,7 @@ import pytest
 import rasterio
 from commands import one_line, run, start
 from rasterio.transform import Affine
+from reference import recursive_errors
 from strategies import read_geotiff, terrain_like, write_geotiff
 
 import terrainwave
@@ -24,7 +25,7 @@ from terrainwave.cli import output as cli_output
 from terrainwave.cli.output import Bar, plain
 from terrainwave.cli.signals import Terminated, ending_by_signals
 from terrainwave.errors import CorruptStreamError, InvalidArgumentError, StorageError
-from terrainwave.mesh.level_errors import level_errors
+from terrainwave.grid.quadtree import Block
 from terrainwave.progress import Progress
 
 REPOSITORY = Path(__file__).parent.parent.parent
@@ -387,18 +388,48 @@ def test_recursive_errors_are_never_below_the_measured_ones(tmp_path):
     assert float(measured[-1].split()[3]) == 2
 
 
-def test_recursive_error_of_a_spike_is_its_distance_from_the_interpolation(tmp_path):
-    # Lossless; level -2 holds every second sample, all 0, and the spike at (1, 1) is 8 off.
-    heights = np.zeros((200, 200), "int16")
-    heights[1, 1] = 8
+def test_recursive_error_of_a_spike_is_that_of_equation_2(tmp_path):
+    # A bound of 1 makes steps of 3, and 2 of all heights from 1 to 3. Level -2 holds every second
+    # sample, 2 everywhere. The spike at (1, 1) is 2 + 3 * 3. By hand: 1, then 1 + 9 + 1.
+    heights = np.ones((65, 65), "int16")
+    heights[1, 1], heights[1, 33] = 11, 2
     target = tmp_path / "a.twz"
-    terrainwave.compress(heights, target, max_error=0, method="store", block=32)
+    terrainwave.compress(heights, target, max_error=1, method="store", block=32, mesh="none")
     with terrainwave.open(target) as terrain:
         coarse = terrain.read(level=-2)
-        errors = level_errors(terrain, "recursive")
-    assert errors[-1] == 0
-    corner = np.abs(heights[1, 1] - coarse[:2, :2].mean())
-    assert errors[-2] >= corner > 0
+        assert (terrain.read()[1, 1], coarse.min(), coarse.max()) == (11, 2, 2)
+    fields = json.loads(run("info", target, "--json", "--errors", "recursive").stdout)
+    assert fields["level_errors"][-2:] == [11, 1]
+    assert "level_mesh_errors" not in fields
+
+
+@pytest.mark.parametrize("method", [terrainwave.Cdf97(faithful=True), "rapid"], ids=str)
+def test_recursive_errors_are_those_of_equations_2_and_3(tmp_path, method):
+    """Against `reference.recursive_errors`, in heights of half metres."""
+    target, bound = tmp_path / "a.twz", 3
+    heights = (0.5 * terrain_like(129, 129)).astype(np.float32)
+    options = {"method": method, "mesh": "zerotree", "block": 32}
+    terrainwave.compress(heights, target, max_error=bound, **options)
+    with terrainwave.open(target) as terrain:
+        levels = [terrain.read(level=level) for level in range(terrain.n_levels)]
+        quanta = [(2 * level).astype(np.int64) for level in levels]
+        heights_errors, sums = [], []
+        for level, errors in enumerate(recursive_errors(quanta, 32, 2 * bound)):
+            above = terrain.n_levels - 1 - level
+            heights_errors.append(float(max(errors.values())) / 2)
+            # Err_Tri of section 2.6: a quarter is of the error that the index holds, rounded up.
+            own = {place: terrain.block_error(Block(level, *place)) for place in errors}
+            sums.append(
+                max(
+                    float(error) / 2 + max(bound * 2**above, own[place] / 4 if above else 0)
+                    for place, error in errors.items()
+                )
+            )
+    fields = json.loads(run("info", target, "--json", "--errors", "recursive").stdout)
+    assert fields["level_errors"] == heights_errors
+    assert fields["level_mesh_errors"] == sums
+    last = run("info", target, "--errors", "recursive").stdout.splitlines()[-1]
+    assert last.split()[-2:] == ["3", "6"]
 
 
 # --- verify ------------------------------------------------------------------------------------

@@ -181,7 +181,7 @@ def test_neighbours_decode_the_same_bits_in_any_order(size, rings, has_voids):
     levels.reverse()
     rng = np.random.default_rng(11)
     masks = [rng.random(level.shape) < (0.7 if has_voids else 2) for level in levels]
-    # Those with a void of the file are to the letter.
+    # In faithful files, those with a void of the file.
     check_neighbours(Cdf97Refiner(), grid, levels, rings, 0, masks, is_faithful=has_voids)
 
 

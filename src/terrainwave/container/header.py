@@ -41,7 +41,7 @@ _METHOD_NAMES = {method.number: method.name for method in METHODS.values()}
 DTYPE_CODES = {"uint8": 1, "uint16": 3, "int16": 4, "int32": 6, "float32": 7, "float64": 8}
 # Remainders make every height of the full grid exact (FORMAT.md §5.3).
 HAS_REMAINDERS = 1
-# The file follows the paper of its method to the letter (FORMAT.md §7.9).
+# The file follows the paper of its method (FORMAT.md §7.9).
 IS_FAITHFUL = 2
 # Bit 2 stays unused: an invalid file of the conformance set has it.
 # The tables of rapid have contexts by reach (format-rapid.md R.10, layout 3).
@@ -156,7 +156,7 @@ class Header:
 
     @property
     def is_faithful(self) -> bool:
-        """Say whether the file follows the paper of its method to the letter."""
+        """Say whether the file follows the paper of its method (FORMAT.md §7.9)."""
         return bool(self.features & IS_FAITHFUL)
 
     @property

@@ -17,7 +17,7 @@ class Info:
     """Summary of a .twz file; errors are in physical units.
 
     `format` is the first version of the format whose readers can read the file.
-    `faithful` says whether the file follows the paper of its method to the letter.
+    `faithful` says whether the file was made with `faithful=True` (`Cdf97`).
     `float_error` is how much more than `max_error` stored floats may differ: one float spacing if
     they stand for decimal numbers and the file is not strict, otherwise 0.
     `moved_error` is the part of `effective_error` that comes from patches or an earlier file.

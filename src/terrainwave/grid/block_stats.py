@@ -180,7 +180,7 @@ def _largest_deviation(
 def distance_of_children(heights: Heights, finer: Heights, mask: Mask) -> int:
     """Return how far samples of a block's children are from its bilinear surface: Err_Int.
 
-    D. Yusov, V. Turlapov 2010, §2.2.
+    E. Yusov, V. Turlapov 2010, §2.2.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ class CodecParameters:
     effort: int
     # Bytes per sample of remainders, which make heights exact beyond their quanta; 0 without.
     remainder_bytes: int = 0
-    # Whether the file follows its method's paper to the letter (FORMAT.md §7.9).
+    # Whether the file follows its method's paper (FORMAT.md §7.9).
     is_faithful: bool = False
     # Whether the file tells which samples of coarse levels are fills (FORMAT.md §5.4).
     has_fills: bool = False

@@ -1,41 +1,65 @@
-"""The largest error of each level: as stored in the file, or by the recursion of Y10 §2.2.
+"""Largest error of each level: as stored in the file, or by equations (2) and (3) of Y10.
 
-Stored is the measured one: how far any valid original under a block is from the bilinear surface
-of the block's decoded samples. The recursion needs no original: Err(B) = the bound on the full
-grid, and above it the largest Err of B's children + the largest distance of their decoded samples
-from B's bilinear surface. It is an upper bound of the measured error.
+E. Yusov, V. Turlapov 2010 (Y10), §2.2 and §2.6. Stored is the measured error: the largest distance
+of valid originals under a block from the bilinear surface of its decoded samples. The equations
+need no original. They give errors above the measured ones, but for originals past the last sample
+of a coarse level; and (3) takes a surface of triangles for the bilinear one.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.grid.quadtree import Region
+from terrainwave.grid.quadtree import Block, Region
+from terrainwave.mesh.sections import mesher_of
+from terrainwave.names import UNBOUNDED_MESHES
+from terrainwave.tri.block_mesh import FRACTION_BITS
 
 
-def level_errors(terrain: Any, kind: str) -> list[float]:
-    """Return the largest error of each level in physical units, the coarsest level first.
+class LevelErrors(NamedTuple):
+    """The largest error of each level in physical units, the coarsest level first.
+
+    Parameters
+    ----------
+    heights : list of float
+        Of the bilinear surfaces of blocks.
+    meshes : list of float, optional
+        Of their meshes, by equation (3). None where the file has no meshes with a tolerance.
+    """
+
+    heights: list[float]
+    meshes: list[float] | None = None
+
+
+def level_errors(terrain: Any, kind: str) -> LevelErrors:
+    """Return the largest error of each level.
 
     ``"measured"`` reads the index; ``"recursive"`` decodes all levels, windows at a time.
     """
     if kind == "measured":
-        return terrain.level_errors()
-    return [float(errors.max()) for errors in recursive_errors(terrain)]
+        return LevelErrors(terrain.level_errors())
+    errors = recursive_errors(terrain)
+    heights = [float(of_level.max()) for of_level in errors]
+    if terrain.mesh_kind in {"none", *UNBOUNDED_MESHES}:
+        return LevelErrors(heights)
+    return LevelErrors(
+        heights, [float(of_level.max()) for of_level in _mesh_errors(terrain, errors)]
+    )
 
 
 def recursive_errors(
-    terrain: Any, *, as_printed: bool = False, count: Callable[[int], None] = lambda _: None
+    terrain: Any, *, count: Callable[[int], None] = lambda _: None
 ) -> list[NDArray[np.float64]]:
-    """Follow Y10 equation (2) block by block, from the full grid up: Err_Appr of every block.
+    """Return Err_Appr of every block, by Y10 equation (2).
+
+    On the full grid Err_Appr(B) = delta, the bound that holds. Above it Err_Appr(B) = the largest
+    of B's children + Err_Int(B) + delta, where Err_Int(B) is the largest distance of the children's
+    decoded samples from B's bilinear surface.
 
     Parameters
     ----------
-    as_printed : bool
-        Add the bound on every level, as Y10 does because its children's errors are relative to the
-        pyramid. Here they are relative to the full grid's originals on every level, so it is left
-        out by default; with it the errors are upper bounds all the same.
     count : callable
         Called with numbers of samples of the full grid as they have been looked at.
 
@@ -50,19 +74,34 @@ def recursive_errors(
     """
     side = terrain.grid.block
     scale = abs(terrain.raster_info.scale)
-    added = terrain.quanta_error if as_printed else 0.0
-    levels = [np.full(terrain.grid.level_blocks(terrain.n_levels - 1), terrain.quanta_error)]
+    bound = terrain.quanta_error
+    levels = [np.full(terrain.grid.level_blocks(terrain.n_levels - 1), bound)]
     for level in range(terrain.n_levels - 2, -1, -1):
         finer = levels[-1]
         errors = np.zeros(terrain.grid.level_blocks(level))
         for row, col in np.ndindex(errors.shape):
             children = finer[2 * row : 2 * row + 2, 2 * col : 2 * col + 2]
             apart = _interpolation_error(terrain, level, row * side, col * side) * scale
-            errors[row, col] = children.max(initial=0.0) + apart + added
+            errors[row, col] = children.max(initial=0.0) + apart + bound
             if level == terrain.n_levels - 2:
                 count(4 * side * side)
         levels.append(errors)
     return levels[::-1]
+
+
+def _mesh_errors(terrain: Any, errors: list[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
+    """Return Err of the mesh of every block: Err_Appr + Err_Tri, Y10 equation (3).
+
+    Err_Tri is the tolerance that the block's mesh keeps, by §2.6 from the block's error as the
+    index holds it, rounded up.
+    """
+    mesher = mesher_of(terrain)
+    unit = terrain.quantizer.quantum * abs(terrain.raster_info.scale) / (1 << FRACTION_BITS)
+    sums = [of_level.copy() for of_level in errors]
+    for level, of_level in enumerate(sums):
+        for row, col in np.ndindex(of_level.shape):
+            of_level[row, col] += mesher.tolerance(Block(level, row, col)) * unit
+    return sums
 
 
 def _interpolation_error(terrain: Any, level: int, row: int, col: int) -> float:

@@ -156,7 +156,7 @@ class Options:
 
     @property
     def faithful(self) -> bool:
-        """Say whether the file follows its method's paper to the letter."""
+        """Say whether the file follows its method's paper."""
         return getattr(self.method, "faithful", False)
 
     @property

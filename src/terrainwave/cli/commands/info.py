@@ -25,8 +25,8 @@ from terrainwave.names import UNBOUNDED_MESHES
 @click.option(
     "--errors",
     type=click.Choice(["measured", "recursive"]),
-    help="List the largest error of each level: as stored, or an upper bound computed from the"
-    " decoded heights (slow).",
+    help="List the largest error of each level: as stored, or by equations (2) and (3) of Yusov &"
+    " Turlapov (2010) from the decoded heights, with that of its meshes (slow).",
 )
 @click.option("--voids", is_flag=True, help="Count voids (slow: decodes all heights).")
 @click.option(
@@ -70,7 +70,7 @@ class _Found:
     """What options ask for; None where they do not."""
 
     parts: Any
-    level_errors: list[float] | None
+    level_errors: Any
     n_voids: int | None
     meshes: Any
 
@@ -91,9 +91,11 @@ class _Found:
 
     def to_dict(self) -> dict[str, Any]:
         """Return what was asked for, for --json."""
+        errors = self.level_errors
         fields = {
             "parts": None if self.parts is None else asdict(self.parts),
-            "level_errors": self.level_errors,
+            "level_errors": None if errors is None else errors.heights,
+            "level_mesh_errors": None if errors is None else errors.meshes,
             "n_voids": self.n_voids,
             "meshes": None if self.meshes is None else [level._asdict() for level in self.meshes],
         }
@@ -159,12 +161,14 @@ def _print_mesh_levels(levels: Any) -> None:
     print_grid(["level", "triangles", "bits/sample", "significant nodes", "loose triangles"], rows)
 
 
-def _print_level_errors(shapes: Any, errors: list[float]) -> None:
+def _print_level_errors(shapes: Any, errors: Any) -> None:
+    columns = [errors.heights] if errors.meshes is None else [errors.heights, errors.meshes]
     rows = [
-        [str(level), *map(str, shape), f"{error:.6g}"]
-        for level, (shape, error) in enumerate(zip(shapes, errors, strict=True))
+        [str(level), *map(str, shape), *(f"{error:.6g}" for error in of_level)]
+        for level, (shape, *of_level) in enumerate(zip(shapes, *columns, strict=True))
     ]
-    print_grid(["level", "rows", "columns", "largest error"], rows)
+    heads = ["level", "rows", "columns", "largest error", "of meshes"]
+    print_grid(heads[: 3 + len(columns)], rows)
 
 
 def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:

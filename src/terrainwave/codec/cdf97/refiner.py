@@ -1,6 +1,6 @@
 """The `cdf97` method: wavelet coefficients in joint zero trees plus residuals (FORMAT.md §7).
 
-D. Yusov, V. Turlapov 2010, §2: difference layers between the levels of a low-pass 9/7 pyramid, each
+E. Yusov, V. Turlapov 2010, §2: difference layers between the levels of a low-pass 9/7 pyramid, each
 transformed inside its group, quantised, and followed by a residual that keeps the bound.
 """
 

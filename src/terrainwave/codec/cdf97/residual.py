@@ -1,6 +1,6 @@
 """Residuals in quantiser steps: what makes the bound hold (FORMAT.md §7.7, §7.9).
 
-D. Yusov, V. Turlapov 2010, §2.1: r = round(error / n), coded in the sample domain after the
+E. Yusov, V. Turlapov 2010, §2.1: r = round(error / n), coded in the sample domain after the
 wavelet stage, with the same bound on every level; coarse levels of faithful files are quantised
 as it prints for them. Departure: the error is not that of the wavelet's
 heights (the *base*) alone but what is left of it after a prediction from the base's curvature and

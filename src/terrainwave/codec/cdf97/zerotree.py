@@ -1,6 +1,6 @@
 """Joint zero trees of quantised wavelet coefficients (FORMAT.md §7.5).
 
-D. Yusov, V. Turlapov 2010, §2.4 ("triple tree"): one tree for the three bands. Contexts are ours:
+E. Yusov, V. Turlapov 2010, §2.4 ("triple tree"): one tree for the three bands. Contexts are ours:
 the paper's reference for its models could not be had.
 
 Node grids halve, rounding up, from the finest (half the region) to 1 x 1. A node of the grid of

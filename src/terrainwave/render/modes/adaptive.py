@@ -42,7 +42,7 @@ class Adaptive(BoundedMode):
             return None
         n_rows, n_cols = self.terrain.shape
         count = Reporter(self.progress).counter("errors", n_rows * n_cols, 4)
-        return recursive_errors(self.terrain, as_printed=True, count=count)
+        return recursive_errors(self.terrain, count=count)
 
     def roots(self) -> list[NodeInfo]:
         """Return the root blocks."""
