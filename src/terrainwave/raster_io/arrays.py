@@ -14,6 +14,7 @@ from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.labelled import layer_of, variable_of
 from terrainwave.raster_io.labelled.voids import number_of, voids_of
 from terrainwave.raster_io.raster_info import fit_nodata, stored_nodata
+from terrainwave.raster_io.vrt.warped import remark_on_named
 
 
 class ArrayBackend:
@@ -110,6 +111,9 @@ class LabelledBackend(ArrayBackend):
             block_shape=None if chunks is None else (max(chunks[0]), max(chunks[1])),
         )
         self._notes = list(layer.notes)
+        windows = None if _is_loaded(variable) else remark_on_named(variable.encoding.get("source"))
+        if windows is not None:
+            self._notes.append(windows)
         self._others: list[Any] = []
         voids = voids_of(variable, band)
         self._valid_range = voids.valid_range
@@ -159,6 +163,11 @@ class LabelledBackend(ArrayBackend):
             )  # not as float32, which may not hold them
             valid &= (heights >= low) & (heights <= high)
         return heights, valid
+
+
+def _is_loaded(array: Any) -> bool:
+    """Return True if the values of a DataArray are in memory, not read when they are needed."""
+    return bool(getattr(array.variable, "_in_memory", True))
 
 
 def _claim(array: Any) -> Claim | None:

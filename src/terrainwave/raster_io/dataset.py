@@ -17,6 +17,7 @@ import rasterio
 import rasterio.shutil
 from rasterio.enums import MaskFlags
 from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
+from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
 from terrainwave.arguments import check_band
@@ -33,6 +34,7 @@ from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.even import Even, SparseBlocks, StoredValues, stored_values
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
 from terrainwave.raster_io.tags import PLAIN_COLORS, is_statistic, select_tags
+from terrainwave.raster_io.vrt.warped import is_warped, remark_on_windows
 
 # What GDAL tells of a file rather than keeps in it, and places, which have a note of their own.
 _DERIVED_TAGS = (
@@ -248,6 +250,9 @@ class DatasetBackend:
         if len(self._alphas) > 1:
             numbers = " and ".join(map(str, self._alphas))
             yield f"bands {numbers} are alpha bands: heights are void where one of them is 0"
+        windows = remark_on_windows(dataset)
+        if windows is not None:
+            yield windows
         yield from self._notes_on_place()
         yield from self._notes_on_nodata()
         if dataset.subdatasets:
@@ -318,10 +323,14 @@ class DatasetBackend:
 
     def _notes_on_nodata(self) -> Iterator[str]:
         if self._dataset.driver == "VRT" and self.nodata is None and not self.has_mask:
+            remedy = "set it with gdalbuildvrt -vrtnodata, or name the files themselves"
+            if isinstance(self._dataset, WarpedVRT):
+                remedy = "make the WarpedVRT with nodata=…, or with add_alpha=True"
+            elif is_warped(self._dataset):
+                remedy = "set it with gdalwarp -dstnodata, or add a mask with -dstalpha"
             yield (
                 "the VRT declares no nodata value: where none of its sources lies, heights are 0"
-                " and count as such; set it with gdalbuildvrt -vrtnodata, or name the files"
-                " themselves"
+                f" and count as such; {remedy}"
             )
         tags = self._dataset.tags(self._band)
         for name in _VOID_TAGS:

@@ -1,5 +1,6 @@
 """Values that look like voids and are not declared."""
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -70,7 +71,7 @@ def note_on_marks(source: RasterSource, minimum: float, maximum: float) -> list[
     for end in ends:
         if np.isfinite(end) and abs(end) >= _BEYOND:
             number = np.dtype(source.info.dtype).type(end)
-            found = _survey(source, lambda heights: heights == number).found[0]
+            found = _survey(source, partial(np.equal, number)).found[0]
             raise InvalidHeightsError(
                 f"{found}, which is no height: if this marks voids, declare the nodata value"
                 f" {found.value!s}"

@@ -8,6 +8,7 @@ have these heights. Memory holds a few windows.
 
 import math
 import os
+import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
@@ -28,11 +29,12 @@ from terrainwave.arguments import (
     number_of,
     shown,
 )
-from terrainwave.errors import InvalidArgumentError, TerrainwaveError
+from terrainwave.errors import InvalidArgumentError, TerrainwaveError, TerrainwaveWarning
 from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS
 from terrainwave.progress import Progress, ProgressCallback
 from terrainwave.raster_io.even import Even, even_parts
+from terrainwave.raster_io.vrt.warped import remark_on_windows
 from terrainwave.verification.metrics import ErrorReport, ErrorSum
 from terrainwave.verification.original import Original, open_original, place_text
 from terrainwave.verification.raster_metadata import metadata_problems
@@ -177,6 +179,9 @@ def verify(
         with open_original(original) as dataset:
             check_band(band, dataset.count, str(original))
             raster = Original(dataset, band, nodata)
+            windows = remark_on_windows(dataset)
+            if windows is not None:
+                warnings.warn(f"{original}: {windows}", TerrainwaveWarning, stacklevel=2)
             report = _Comparison(terrain, raster, max_error).run(twz, original, progress)
             if not mesh or report.errors is None:  # of another size or type
                 return report
