@@ -90,6 +90,15 @@ class RasterInfo:
         """Size of the uncompressed samples."""
         return self.n_rows * self.n_cols * np.dtype(self.dtype).itemsize
 
+    @property
+    def impossible_places(self) -> str | None:
+        """Return a sentence if samples lie at degrees that no globe has, with the likely cause."""
+        # Imported here: `terrainwave info` needs no rasterio.
+        from terrainwave.place.position import impossible_places
+
+        is_placed = self.transform != IDENTITY
+        return impossible_places(self.crs, self.transform, self.shape, is_placed=is_placed)
+
     def to_physical(self, heights: NDArray[Any]) -> NDArray[Any]:
         """Return heights after scale and offset, in float64; as they are where there are none."""
         if (self.scale, self.offset) == (1.0, 0.0):

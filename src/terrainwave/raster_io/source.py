@@ -185,7 +185,7 @@ class RasterSource:
             mask_kind = "nan"
         else:
             mask_kind = "none" if nodata is None else "nodata"
-        return RasterInfo(
+        info = RasterInfo(
             n_rows=backend.n_rows,
             n_cols=backend.n_cols,
             dtype=dtype.name,
@@ -194,6 +194,12 @@ class RasterSource:
             mask_kind=mask_kind,
             **tags,
         )
+        if info.impossible_places is not None:
+            notes.append(
+                f"{self.name}: {info.impossible_places}. Tiles, servers, STAC items and geocentric"
+                " meshes of the file are refused"
+            )
+        return info
 
     def _asides(self) -> Iterator[str]:
         """Yield notes that are no reason for a warning."""
