@@ -127,6 +127,10 @@ def test_nodata_option_goes_for_every_tile(tmp_path):
     second = tile(tmp_path / "b.tif", np.array([[9, 1]], np.int16), 1, 1)
     info, heights, valid = read_mosaic([first, second], nodata=9)
     assert info.nodata == 9
+    assert heights.tolist() == [[9, 9, 9], [9, 9, 1]]
+    assert valid.tolist() == [[False, False, False], [False, False, True]]
+    info, heights, valid = read_mosaic([first, second], nodata="only:9")
+    assert info.nodata == 9
     assert heights.tolist() == [[1, 9, 9], [9, 9, 1]]
     assert valid.tolist() == [[True, False, False], [False, False, True]]
 

@@ -272,14 +272,6 @@ def test_alpha_band_makes_voids_and_is_no_second_band(tmp_path):
         assert read_all(source)[1].tolist() == [[True, False, True]]
 
 
-def test_nodata_override_replaces_the_declared_value(tmp_path):
-    heights = np.array([[1, 2, 3]], dtype="int16")
-    path = write_geotiff(tmp_path / "a.tif", heights, nodata=1)
-    with RasterSource(path, nodata=3) as source:
-        assert source.info.nodata == 3
-        assert read_all(source)[1].tolist() == [[True, True, False]]
-
-
 def test_float32_nodata_of_few_digits_matches_its_stored_value(tmp_path):
     heights = np.array([[1, -3.4028234663852886e38, 2]], dtype="float32")
     path = write_geotiff(tmp_path / "a.tif", heights, nodata=-3.40282346638529e38)

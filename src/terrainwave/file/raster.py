@@ -33,6 +33,7 @@ class TerrainBackend:
     """
 
     is_file = True
+    undeclared: tuple[int | float, ...] = ()
 
     def __init__(self, source: Any, *, georeference: bool = True) -> None:
         self._owned = not isinstance(source, TerrainFile)

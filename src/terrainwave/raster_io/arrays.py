@@ -6,14 +6,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from terrainwave.arguments import is_twz_name
+from terrainwave.arguments import NodataChoice, is_twz_name
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.labelled import layer_of, variable_of
 from terrainwave.raster_io.labelled.voids import number_of, voids_of
-from terrainwave.raster_io.raster_info import fit_nodata, stored_nodata
+from terrainwave.raster_io.raster_info import fit_nodata, stored_nodata, undeclared_by
 from terrainwave.raster_io.vrt.warped import remark_on_named
 
 
@@ -23,6 +23,7 @@ class ArrayBackend:
     is_file = False
     earlier: EarlierLoss | None = None
     name = "the array"
+    undeclared: tuple[int | float, ...] = ()
 
     def __init__(
         self,
@@ -88,9 +89,7 @@ class LabelledBackend(ArrayBackend):
     are as stored), and ``max_error``. A lazy array is read in its own chunks.
     """
 
-    def __init__(
-        self, source: Any, band: int, *, override: int | float | None, georeference: bool
-    ) -> None:
+    def __init__(self, source: Any, band: int, *, nodata: NodataChoice, georeference: bool) -> None:
         variable = variable_of(source)
         layer = layer_of(variable, source, band, georeference=georeference)
         attrs = variable.attrs
@@ -118,10 +117,11 @@ class LabelledBackend(ArrayBackend):
         voids = voids_of(variable, band)
         self._valid_range = voids.valid_range
         self._notes += voids.notes
-        if override is None:
-            self._declare(voids.values)
+        if nodata.keeps_declared:
+            self._declare([*([] if nodata.value is None else [nodata.value]), *voids.values])
+        self.undeclared = undeclared_by(nodata, voids.values, self.dtype)
         if self._valid_range is not None and self.nodata is None and self.dtype.kind != "f":
-            self.has_mask = override is None
+            self.has_mask = nodata.value is None
         self.claim = _claim(variable)
 
     def _declare(self, values: list[int | float]) -> None:

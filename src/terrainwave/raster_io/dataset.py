@@ -20,7 +20,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
 from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
-from terrainwave.arguments import check_band
+from terrainwave.arguments import NodataChoice, check_band
 from terrainwave.container.sources.addresses import display_name, without_secrets
 from terrainwave.errors import (
     InvalidHeightsError,
@@ -33,6 +33,7 @@ from terrainwave.place.crs import format_crs, is_exact
 from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.even import Even, SparseBlocks, StoredValues, stored_values
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
+from terrainwave.raster_io.raster_info import undeclared_by
 from terrainwave.raster_io.tags import PLAIN_COLORS, is_statistic, select_tags
 from terrainwave.raster_io.vrt.warped import is_warped, remark_on_windows
 
@@ -193,8 +194,10 @@ class DatasetBackend:
         owned: bool,
         georeference: bool = True,
         nested: int = 0,
+        nodata: NodataChoice | None = None,
     ) -> None:
         self._owned = owned
+        self._choice = nodata or NodataChoice()
         self._nested = nested
         self._dataset = dataset
         self._band = band
@@ -215,6 +218,7 @@ class DatasetBackend:
         self.n_rows, self.n_cols = int(dataset.height), int(dataset.width)
         self.dtype = np.dtype(dataset.dtypes[band - 1])
         self.nodata = dataset.nodatavals[band - 1]
+        self.undeclared = undeclared_by(self._choice, [self.nodata], self.dtype)
         self.block_shape: tuple[int, int] = dataset.block_shapes[band - 1]
         self.transform = tuple(float(value) for value in dataset.transform[:6])
         self.crs = dataset.crs
@@ -322,7 +326,9 @@ class DatasetBackend:
             )
 
     def _notes_on_nodata(self) -> Iterator[str]:
-        if self._dataset.driver == "VRT" and self.nodata is None and not self.has_mask:
+        chosen = self._choice.value
+        is_open = self.nodata is None and chosen is None and not self.has_mask
+        if self._dataset.driver == "VRT" and is_open:
             remedy = "set it with gdalbuildvrt -vrtnodata, or name the files themselves"
             if isinstance(self._dataset, WarpedVRT):
                 remedy = "make the WarpedVRT with nodata=…, or with add_alpha=True"
@@ -335,7 +341,7 @@ class DatasetBackend:
         tags = self._dataset.tags(self._band)
         for name in _VOID_TAGS:
             value = _number(tags.get(name, ""))
-            if value is not None and value != self.nodata:
+            if value is not None and value not in (self.nodata, chosen):
                 yield (
                     f"the band's tag {name} is {tags[name]}, its nodata value"
                     f" {'none' if self.nodata is None else f'{self.nodata:g}'}: heights of"

@@ -1,13 +1,14 @@
 """All of a raster but its heights: size, type, nodata, place, units; as plain metadata."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import crs_name
+from terrainwave.arguments import NodataChoice, crs_name
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.affine import IDENTITY
 
@@ -238,6 +239,25 @@ def fit_nodata(nodata: int | float, dtype: np.dtype[Any]) -> tuple[int | float |
     if not limits.min <= nodata <= limits.max:
         return None, f"nodata {nodata!r} is outside {dtype.name} ({limits.min} to {limits.max})"
     return int(nodata), None
+
+
+def undeclared_by(
+    choice: NodataChoice, declared: Iterable[Any], dtype: np.dtype[Any]
+) -> tuple[int | float, ...]:
+    """Return the declared nodata values that `nodata` makes heights of; NaN stays a void."""
+    if choice.keeps_declared or dtype.name not in SUPPORTED_DTYPES:
+        return ()
+    fitting = (fit_nodata(value, dtype)[0] for value in declared if value is not None)
+    found = dict.fromkeys(value for value in fitting if value is not None and value == value)
+    kept = choice.value
+    return tuple(value for value in found if kept is None or not is_same_value(value, kept, dtype))
+
+
+def is_same_value(one: int | float, other: int | float, dtype: np.dtype[Any]) -> bool:
+    """Return True if two nodata values mean the same samples of a type."""
+    if math.isnan(one) or math.isnan(other):
+        return math.isnan(one) and math.isnan(other)
+    return bool(stored_nodata(one, dtype) == stored_nodata(other, dtype))
 
 
 def stored_nodata(nodata: int | float, dtype: np.dtype[Any]) -> Any:

@@ -7,6 +7,7 @@ import numpy as np
 
 from terrainwave.arguments import count_of
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.raster_io.raster_info import stored_nodata
 from terrainwave.raster_io.source import RasterSource
 
 # Values that programs write for unknown heights: ends of integer types, and rows of nines.
@@ -87,6 +88,37 @@ def note_on_marks(source: RasterSource, minimum: float, maximum: float) -> list[
         f"{found}, far from all others: if this marks voids, declare the nodata value"
         f" {found.value!s}"
         for found in apart
+    ]
+
+
+def note_on_undeclared(
+    source: RasterSource, minimum: float = -np.inf, maximum: float = np.inf
+) -> list[str]:
+    """Return a sentence that counts the heights that were voids but for `nodata`.
+
+    Reads the raster again where such a value is among its heights, else nothing.
+
+    Parameters
+    ----------
+    minimum, maximum : float
+        Of all valid heights, as stored.
+    """
+    dtype = np.dtype(source.info.dtype)
+    values = source.undeclared_values
+    # As stored: heights of float32 are compared with what float32 makes of a value.
+    if not any(minimum <= float(stored_nodata(value, dtype)) <= maximum for value in values):
+        return []
+    count = 0
+    for region in source.blocks():
+        found = source.undeclared(region)
+        count += 0 if found is None else int(np.count_nonzero(found))
+    if not count:
+        return []
+    are = "sample is a height" if count == 1 else "samples are heights"
+    shown = ", ".join(f"{value:g}" for value in values)
+    return [
+        f"{source.name}: {count:,} {are}, although the source declares {shown} as nodata, which"
+        " `nodata` overrides"
     ]
 
 

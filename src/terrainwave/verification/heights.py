@@ -26,10 +26,9 @@ from terrainwave.arguments import (
     checked_error,
     checked_path,
     checked_whole,
-    number_of,
-    shown,
+    nodata_choice,
 )
-from terrainwave.errors import InvalidArgumentError, TerrainwaveError, TerrainwaveWarning
+from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS
 from terrainwave.progress import Progress, ProgressCallback
@@ -105,7 +104,7 @@ def verify(
     *,
     max_error: float | None = None,
     band: int = 1,
-    nodata: float | None = None,
+    nodata: float | str | None = None,
     mesh: bool = False,
     threads: int | None = None,
     progress: ProgressCallback | None = None,
@@ -126,8 +125,8 @@ def verify(
         Check this bound, in physical units, instead of the file's own.
     band : int
         The band of `original` that was compressed.
-    nodata : float, optional
-        The nodata value given at compression, where it differs from the raster's own.
+    nodata : float or str, optional
+        What was given at compression, where it differs from the raster's own value.
     mesh : bool
         Check all meshes too: each covers its area once, without gaps, folds and T-junctions;
         neighbours fit; and no sample is further from a mesh than the mesh states.
@@ -161,8 +160,7 @@ def verify(
     check_callback(progress)
     max_error = checked_error("max_error", max_error)
     band = checked_whole("band", band, least=1)
-    if nodata is not None and number_of(nodata) is None:
-        raise InvalidArgumentError(f"found `nodata` {shown(nodata)}, expected a number, or nan")
+    nodata_choice(nodata)
     checked_path(twz)
     if original is not None:
         checked_path(original)

@@ -17,6 +17,7 @@ from rasterio.enums import MaskFlags
 from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
 from rasterio.windows import Window
 
+from terrainwave.arguments import nodata_choice
 from terrainwave.errors import StorageError
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
@@ -54,14 +55,18 @@ def open_original(path: str | os.PathLike[str]) -> Any:
 
 
 class Original:
-    """A band of a dataset of rasterio; `nodata` replaces the value that it declares."""
+    """A band of a dataset of rasterio; `nodata` as in `compress`."""
 
-    def __init__(self, dataset: Any, band: int, nodata: float | None) -> None:
+    def __init__(self, dataset: Any, band: int, nodata: float | str | None) -> None:
         self.dataset, self.band = dataset, band
         self.shape = dataset.height, dataset.width
         self.dtype = np.dtype(dataset.dtypes[band - 1])
         declared = dataset.nodatavals[band - 1]
-        self.nodata = declared if nodata is None else nodata
+        choice = nodata_choice(nodata)
+        if not choice.keeps_declared:
+            declared = None
+        self.nodata = declared if choice.value is None else choice.value
+        self._voids = {self.nodata, declared}
         self.scale = float(dataset.scales[band - 1])
         flags = dataset.mask_flag_enums[band - 1]
         self._has_mask = MaskFlags.all_valid not in flags and flags != [MaskFlags.nodata]
@@ -83,7 +88,7 @@ class Original:
         try:
             with rasterio.Env(GDAL_CACHEMAX=_GDAL_CACHE_BYTES):
                 heights = self.dataset.read(self.band, window=window)
-                valid = ~self.is_nodata(heights)
+                valid = ~self._is_void(heights)
                 if self._has_mask:
                     valid &= self.dataset.read_masks(self.band, window=window) > 0
                 for alpha in self._alphas:
@@ -96,13 +101,21 @@ class Original:
             valid &= ~np.isnan(heights)
         return heights, valid
 
+    def _is_void(self, heights: np.ndarray) -> np.ndarray:
+        """Return which heights are a value that marks voids."""
+        found = (self._equals(heights, value) for value in self._voids)
+        return np.logical_or.reduce(list(found))
+
     def is_nodata(self, heights: np.ndarray) -> np.ndarray:
-        """Return which heights are the nodata value."""
-        if self.nodata is None or math.isnan(self.nodata):
+        """Return which heights are the nodata value of the file."""
+        return self._equals(heights, self.nodata)
+
+    def _equals(self, heights: np.ndarray, value: Any) -> np.ndarray:
+        if value is None or math.isnan(value):
             return np.zeros(heights.shape, dtype=bool)
         if self.dtype.kind == "f":
-            return heights == as_stored(self.nodata, self.dtype)
-        nodata, limits = float(self.nodata), np.iinfo(self.dtype)
+            return heights == as_stored(value, self.dtype)
+        nodata, limits = float(value), np.iinfo(self.dtype)
         if not nodata.is_integer() or not limits.min <= nodata <= limits.max:
             return np.zeros(heights.shape, dtype=bool)
         return heights == self.dtype.type(int(nodata))
@@ -144,7 +157,7 @@ class Original:
         if even is None:
             return None
         value = even.heights((1, 1), self.dtype)
-        is_void = self.is_nodata(value) | (value != value)  # NaN
+        is_void = self._is_void(value) | (value != value)  # NaN
         return Even(value[0, 0], not is_void.all())
 
     @cached_property

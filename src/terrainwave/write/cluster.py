@@ -85,7 +85,7 @@ def task_level(grid: Grid, task_samples: int) -> int | None:
     return levels[0] if levels else None
 
 
-def shared_raster(src: Any, band: int, nodata: float | None) -> RasterPlace:
+def shared_raster(src: Any, band: int, nodata: float | str | None) -> RasterPlace:
     """Return the raster as other machines open it.
 
     Raises

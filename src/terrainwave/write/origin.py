@@ -21,7 +21,7 @@ def difference(
     src: Any,
     *,
     band: int = 1,
-    nodata: float | None = None,
+    nodata: float | str | None = None,
     georeference: bool = True,
     progress: ProgressCallback | None = None,
     **options: Any,

@@ -13,6 +13,7 @@ docs/decisions/0023).
 
 import logging
 import os
+import warnings
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -30,7 +31,7 @@ from terrainwave.container.targets.kept import Kept
 from terrainwave.container.targets.publication import publish, refuse_own_source
 from terrainwave.container.targets.unfinished import only_writer
 from terrainwave.container.writer import assemble
-from terrainwave.errors import BoundViolationError, InvalidHeightsError
+from terrainwave.errors import BoundViolationError, InvalidHeightsError, TerrainwaveWarning
 from terrainwave.file import TerrainFile
 from terrainwave.file.info import format_of
 from terrainwave.grid.crew import Crew
@@ -38,6 +39,7 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS, methods_that
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.source import RasterSource
+from terrainwave.raster_io.undeclared_voids import note_on_undeclared
 from terrainwave.write.passes.proof import (
     OUR_FAULT,
     allowed_error,
@@ -84,7 +86,7 @@ def patch(
     src: Any,
     *,
     band: int = 1,
-    nodata: float | None = None,
+    nodata: float | str | None = None,
     original: Any = None,
     temp_dir: str | os.PathLike[str] | None = None,
     threads: int | None = None,
@@ -164,6 +166,9 @@ def patch(
                 f"{path} has method {method.name}; only files of method {fit} can be patched:"
                 " compress the whole raster again"
             )
+        notes = note_on_undeclared(source)
+        for note in notes:
+            warnings.warn(note, TerrainwaveWarning, stacklevel=2)
         merged = Merged(terrain, source, whole)
         patcher = _Patcher(terrain, merged, directory, executor, reporter, kept)
         n_recoded, n_copied = patcher.code()
@@ -187,7 +192,11 @@ def patch(
         moved_error=0.0,
         units=terrain.units,
         format=after,
-        notes=[*([] if after == before else [_note_on_format(before, after)]), *taken_up(kept)],
+        notes=[
+            *notes,
+            *([] if after == before else [_note_on_format(before, after)]),
+            *taken_up(kept),
+        ],
     )
 
 
