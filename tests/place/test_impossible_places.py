@@ -122,7 +122,7 @@ def test_nothing_on_a_globe_is_made_of_impossible_places(twz, make):
     with (
         terrainwave.open(twz) as terrain,
         pytest.raises(
-            InvalidHeightsError, match="latitudes of 99.995 degrees.*x and y look swapped"
+            InvalidHeightsError, match=r"latitudes of 99\.995 degrees.*x and y look swapped"
         ),
     ):
         make(terrain)

@@ -188,7 +188,7 @@ def test_units_scale_offset_description_and_nodata_come_back(tmp_path, cog):
 )
 def test_crs_comes_back(tmp_path, crs, expected):
     heights = terrain_like(5, 6)
-    place = Affine(30, 0, 4e5, 0, -30, 4e6)
+    place = Affine(0.3, 0, 40, 0, -0.3, 40)
     source_path = write_geotiff(tmp_path / "a.tif", heights, crs=crs, transform=place)
     with RasterSource(source_path) as source:
         info = source.info

@@ -74,6 +74,7 @@ class TerrainBackend:
         info = self._info
         return {
             "crs": info.crs if self._is_placed else None,
+            "coordinate_epoch": info.coordinate_epoch if self._is_placed else None,
             "units": info.units,
             "scale": info.scale,
             "offset": info.offset,

@@ -110,9 +110,9 @@ class LabelledBackend(ArrayBackend):
             block_shape=None if chunks is None else (max(chunks[0]), max(chunks[1])),
         )
         self._notes = list(layer.notes)
-        windows = None if _is_loaded(variable) else remark_on_named(variable.encoding.get("source"))
-        if windows is not None:
-            self._notes.append(windows)
+        if not _is_loaded(variable):
+            windows = remark_on_named(variable.encoding.get("source"))
+            self._notes += [] if windows is None else [windows]
         self._others: list[Any] = []
         voids = voids_of(variable, band)
         self._valid_range = voids.valid_range
@@ -167,7 +167,7 @@ class LabelledBackend(ArrayBackend):
 
 def _is_loaded(array: Any) -> bool:
     """Return True if the values of a DataArray are in memory, not read when they are needed."""
-    return bool(getattr(array.variable, "_in_memory", True))
+    return bool(getattr(getattr(array, "variable", None), "_in_memory", True))
 
 
 def _claim(array: Any) -> Claim | None:

@@ -35,6 +35,7 @@ from terrainwave.raster_io.even import Even, SparseBlocks, StoredValues, stored_
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
 from terrainwave.raster_io.raster_info import undeclared_by
 from terrainwave.raster_io.tags import PLAIN_COLORS, is_statistic, select_tags
+from terrainwave.raster_io.vrt.copied import Unreported, unreported
 from terrainwave.raster_io.vrt.warped import is_warped, remark_on_windows
 
 # What GDAL tells of a file rather than keeps in it, and places, which have a note of their own.
@@ -271,6 +272,7 @@ class DatasetBackend:
             for name in (*dataset.tag_namespaces(), *dataset.tag_namespaces(band))
             if name not in _DERIVED_TAGS
         }
+        dropped |= set(self._unreported.others)
         if dataset.colorinterp[band - 1].name == "palette":
             dropped.add("its colour table")
         left_out = [*self._tags.left_out, *self._band_tags.left_out]
@@ -354,6 +356,7 @@ class DatasetBackend:
         color = dataset.colorinterp[index].name
         return {
             "crs": format_crs(self.crs),
+            "coordinate_epoch": self._unreported.coordinate_epoch if self.crs else None,
             "units": dataset.units[index] or None,
             "scale": float(dataset.scales[index]),
             "offset": float(dataset.offsets[index]),
@@ -363,6 +366,10 @@ class DatasetBackend:
             "tags": self._tags.kept,
             "band_tags": self._band_tags.kept,
         }
+
+    @cached_property
+    def _unreported(self) -> Unreported:
+        return unreported(self._dataset, self._band)
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Return heights (a copy) and False where a mask says void."""

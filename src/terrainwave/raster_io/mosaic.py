@@ -16,6 +16,8 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.affine import determinant, of_window, places_to_pixels
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
+from terrainwave.place.description import added_vertical
+from terrainwave.place.position import longitude_turn
 from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.even import Composite, Even, samples_in
@@ -28,10 +30,17 @@ _TOLERANCE = 0.01
 _MAX_OPEN = 128
 # What a mosaic has where all of its rasters agree in it, and what notes call that.
 _ALIKE = {
+    "coordinate_epoch": "the coordinate epoch",
     "area_or_point": "AREA_OR_POINT",
     "description": "the band's description",
     "color_interpretation": "the band's colour interpretation",
 }
+# Why a mosaic of degrees may be nearly empty.
+_ACROSS = (
+    ": they lie on both sides of 180 degrees (or of 0), so that their longitudes are a whole turn"
+    " apart; give one side longitudes that go on from the other's, for example by gdal_translate"
+    " -a_ullr"
+)
 # Striped files wider than this are read by whole strips.
 _WIDE = 1024
 
@@ -286,8 +295,21 @@ class MosaicBackend:
             share = 100 * self._n_covered / (self.n_rows * self.n_cols)
             yield (
                 f"{self.name} cover {share:.3g} % of the {self.n_rows} x {self.n_cols} samples"
-                " around them; the rest is void"
+                f" around them; the rest is void{_ACROSS * self._is_across}"
             )
+
+    @property
+    def _is_across(self) -> bool:
+        """Return True if the rasters lie next to each other a whole turn of longitude apart."""
+        turn = longitude_turn(self._tags["crs"])
+        a, b, _, d, e, _ = self.transform
+        if turn is None or b or d:
+            return False
+        first, last = (corners[:, 1 - turn.axis] for corners in self._corners)
+        start, end = int(first.min()), int(last.max())
+        west = first + last < start + end
+        moved = np.where(west, turn.length / abs((a, e)[turn.axis]), 0.0)
+        return bool((last + moved).max() - (first + moved).min() < (end - start) / 2)
 
     def asides(self) -> Iterator[str]:
         """Yield what is no reason for a warning."""
@@ -396,6 +418,13 @@ class MosaicBackend:
 def _check_alike(first: _Description, other: _Description) -> None:
     """Raise InvalidHeightsError unless two rasters can be parts of one mosaic."""
     if first.crs != other.crs:
+        if first.crs and other.crs and (vertical := added_vertical(first.crs, other.crs)):
+            raise InvalidHeightsError(
+                f"{other.name}: found CRS {_crs_name(other.crs)}, {first.name} has"
+                f" {_crs_name(first.crs)}; only one of them has a vertical datum, {vertical[0]}:"
+                " if the heights of both are above it, name it in the other raster first, by"
+                f" gdal_edit -a_srs {vertical[1]}"
+            )
         wanted = format_crs(first.crs)
         target = wanted if wanted and len(wanted) < 20 else "the CRS of the first"
         raise InvalidHeightsError(

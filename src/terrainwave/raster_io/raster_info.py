@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any, Self
 
@@ -34,6 +35,8 @@ class RasterInfo:
     crs : str or None
         ``"AUTH:CODE"`` where that code's definition equals the raster's, else WKT (2, where that
         gives the same system back, or 1).
+    coordinate_epoch : float or None
+        Year that the coordinates of a dynamic CRS are of, such as 2020.5.
     transform : tuple of 6 float
         Affine map from (col, row) to (x, y): ``x = a*col + b*row + c``, ``y = d*col + e*row + f``.
     units : str or None
@@ -68,6 +71,7 @@ class RasterInfo:
     tags: Tags = ()
     band_tags: Tags = ()
     color_interpretation: str | None = None
+    coordinate_epoch: float | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -172,6 +176,7 @@ class RasterInfo:
             tags=_tags(fields.get("tags")),
             band_tags=_tags(fields.get("band_tags")),
             color_interpretation=_optional_text(fields.get("color_interpretation")),
+            coordinate_epoch=_year(fields.get("coordinate_epoch")),
         )
 
 
@@ -179,6 +184,13 @@ def _number_to_plain(value: int | float | None) -> int | float | str | None:
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)  # "nan", "inf" or "-inf"
     return value
+
+
+def _year(value: Any) -> float | None:
+    """Return the epoch that a file states; None for what is no number (FORMAT.md §4.2)."""
+    with suppress(ValueError):
+        return _finite(value)
+    return None
 
 
 def _number_from_plain(value: Any) -> int | float | None:

@@ -195,6 +195,7 @@ class RasterSource:
             has_crs = tags["crs"] is not None
             notes.append(f"{problem}, so it is ignored{', and the CRS with it' * has_crs}")
             transform, tags["crs"] = IDENTITY, None
+            tags["coordinate_epoch"] = None
         if backend.has_mask:
             mask_kind = "mask"
         elif dtype.kind == "f" and (nodata is None or math.isnan(nodata)):

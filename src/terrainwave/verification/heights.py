@@ -176,10 +176,15 @@ def verify(
             return _with_meshes(report, terrain, None, progress) if mesh else report
         with open_original(original) as dataset:
             check_band(band, dataset.count, str(original))
-            raster = Original(dataset, band, nodata)
-            windows = remark_on_windows(dataset)
-            if windows is not None:
-                warnings.warn(f"{original}: {windows}", TerrainwaveWarning, stacklevel=2)
+            raster = Original(dataset, band, nodata, terrain.transform)
+            remarks = [remark_on_windows(dataset)]
+            if raster.flips != (False, False):
+                remarks.append(
+                    "rows or columns are stored in another order than in the file; turned to its"
+                    " order"
+                )
+            for remark in filter(None, remarks):
+                warnings.warn(f"{original}: {remark}", TerrainwaveWarning, stacklevel=2)
             report = _Comparison(terrain, raster, max_error).run(twz, original, progress)
             if not mesh or report.errors is None:  # of another size or type
                 return report

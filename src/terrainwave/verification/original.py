@@ -24,12 +24,16 @@ from terrainwave.place.crs import format_crs
 from terrainwave.place.units import height_unit
 from terrainwave.raster_io.dataset import DatasetBackend
 from terrainwave.raster_io.even import Even, even_parts, is_seen
+from terrainwave.raster_io.vrt.copied import unreported
 
 # Samples per window, and its height where the original is striped: windows of few rows would make
 # the decoder run the same blocks again and again.
 _WINDOW_SAMPLES = 4 * 2**20
 _WINDOW_SIDE = 2048
 _WINDOW_ROWS = 256
+
+# Part of a pixel by which places of one grid may differ.
+_SAME_PIXEL = 1e-6
 
 _GDAL_CACHE_BYTES = 64 * 2**20
 
@@ -55,10 +59,20 @@ def open_original(path: str | os.PathLike[str]) -> Any:
 
 
 class Original:
-    """A band of a dataset of rasterio; `nodata` as in `compress`."""
+    """A band of a dataset of rasterio; `nodata` as in `compress`.
 
-    def __init__(self, dataset: Any, band: int, nodata: float | str | None) -> None:
+    Rows and columns are read in the order that `transform` has, a file's, where the dataset stores
+    them the other way round, such as with the southernmost row first.
+    """
+
+    def __init__(
+        self, dataset: Any, band: int, nodata: float | str | None, transform: Any = None
+    ) -> None:
         self.dataset, self.band = dataset, band
+        self.transform = tuple(dataset.transform)[:6]
+        self.flips = _flips(dataset, self.transform if transform is None else tuple(transform)[:6])
+        if self.flips != (False, False):
+            self.transform = tuple(transform)[:6]
         self.shape = dataset.height, dataset.width
         self.dtype = np.dtype(dataset.dtypes[band - 1])
         declared = dataset.nodatavals[band - 1]
@@ -78,12 +92,18 @@ class Original:
         units = self.dataset.units[self.band - 1]
         return height_unit(units, format_crs(self.dataset.crs)).name
 
+    def coordinate_epoch(self) -> float | None:
+        """Return the epoch of the original's coordinates."""
+        return unreported(self.dataset, self.band).coordinate_epoch if self.dataset.crs else None
+
     def area_or_point(self) -> str:
         """Return GDAL's tag; Area is its default."""
         return str(self.dataset.tags().get("AREA_OR_POINT", "Area"))
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Return raw heights and validity of a window of the original."""
+        flip_rows, flip_cols = self.flips
+        row, col = self._stored(Region(row, col, n_rows, n_cols))[:2]
         window = Window(col, row, n_cols, n_rows)
         try:
             with rasterio.Env(GDAL_CACHEMAX=_GDAL_CACHE_BYTES):
@@ -99,7 +119,16 @@ class Original:
             ) from error
         if self.dtype.kind == "f":
             valid &= ~np.isnan(heights)
-        return heights, valid
+        order = slice(None, None, -1 if flip_rows else 1), slice(None, None, -1 if flip_cols else 1)
+        return heights[order], valid[order]
+
+    def _stored(self, region: Region) -> Region:
+        """Return where a region lies in the dataset's own order of rows and columns."""
+        row, col, n_rows, n_cols = region
+        flip_rows, flip_cols = self.flips
+        row = self.shape[0] - row - n_rows if flip_rows else row
+        col = self.shape[1] - col - n_cols if flip_cols else col
+        return Region(row, col, n_rows, n_cols)
 
     def _is_void(self, heights: np.ndarray) -> np.ndarray:
         """Return which heights are a value that marks voids."""
@@ -153,7 +182,7 @@ class Original:
 
     def _even(self, region: Region) -> Even | None:
         """Return what a region is by the file's index."""
-        even = None if self._alphas else self._index.even(region)
+        even = None if self._alphas else self._index.even(self._stored(region))
         if even is None:
             return None
         value = even.heights((1, 1), self.dtype)
@@ -163,6 +192,23 @@ class Original:
     @cached_property
     def _index(self) -> DatasetBackend:
         return DatasetBackend(self.dataset, self.band, owned=True)
+
+
+def _flips(dataset: Any, wanted: tuple[float, ...]) -> tuple[bool, bool]:
+    """Return if rows and if columns of a dataset lie in the opposite order of a transform's."""
+    for flips in ((True, False), (False, True), (True, True)):
+        a, b, c, d, e, f = tuple(dataset.transform)[:6]
+        if flips[0]:
+            b, e, c, f = -b, -e, c + dataset.height * b, f + dataset.height * e
+        if flips[1]:
+            a, d, c, f = -a, -d, c + dataset.width * a, f + dataset.width * d
+        pixel = max(map(abs, (a, b, d, e)))
+        size = max(dataset.height, dataset.width)
+        off = [abs(one - other) for one, other in zip((a, b, c, d, e, f), wanted, strict=True)]
+        # Corners that were computed another way differ by rounding.
+        if max(off[2], off[5], size * max(off[0], off[1], off[3], off[4])) <= _SAME_PIXEL * pixel:
+            return flips
+    return False, False
 
 
 def place_text(row: int, col: int, n_rows: int, n_cols: int) -> str:
