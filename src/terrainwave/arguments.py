@@ -5,9 +5,10 @@ import numbers
 import os
 import unicodedata
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from decimal import Decimal
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
 from terrainwave.errors import InvalidArgumentError
@@ -215,6 +216,44 @@ def number_of(value: object) -> int | float | None:
         return float(value)
     except (ValueError, OverflowError):  # Decimal's signalling NaN, a fraction too large
         return math.nan
+
+
+class NodataChoice(NamedTuple):
+    """The argument `nodata`.
+
+    `value` marks voids; without `keeps_declared` the values that a raster declares are heights.
+    """
+
+    value: int | float | None = None
+    keeps_declared: bool = True
+
+
+_ONLY = "only:"
+
+
+def nodata_choice(given: object) -> NodataChoice:
+    """Return what `nodata` asks for: None, a number, ``"only:NUMBER"`` or ``"none"``.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If it is something else.
+    """
+    if given is None:
+        return NodataChoice()
+    value = None if isinstance(given, str) else number_of(given)
+    if value is not None:
+        return NodataChoice(value)
+    if isinstance(given, str):
+        if given == "none":
+            return NodataChoice(None, keeps_declared=False)
+        if given.startswith(_ONLY):
+            for kind in (int, float):
+                with suppress(ValueError):
+                    return NodataChoice(kind(given.removeprefix(_ONLY)), keeps_declared=False)
+    raise InvalidArgumentError(
+        f"found `nodata` {shown(given)}, expected a number, or nan, only:NUMBER or none"
+    )
 
 
 def checked_number(

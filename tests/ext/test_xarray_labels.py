@@ -639,13 +639,17 @@ def test_all_declared_values_mark_voids_and_the_first_finite_one_is_stored(tmp_p
         assert (found[~valid] == -9999).all()
 
 
-def test_nodata_that_is_asked_for_replaces_what_is_declared():
+@pytest.mark.parametrize(
+    ("nodata", "stored", "voids"),
+    [(-9999, -9999, (0, -1, -9999)), ("only:-9999", -9999, (-9999,)), ("none", None, ())],
+)
+def test_nodata_that_is_asked_for_adds_to_what_is_declared_or_replaces_it(nodata, stored, voids):
     heights = HEIGHTS.copy()
     heights.ravel()[:3] = 0, -1, -9999
     array = labelled(heights=heights, attrs={"_FillValue": 0, "missing_value": -1})
-    _, valid, info, _ = read(array, nodata=-9999)
-    assert info.nodata == -9999
-    np.testing.assert_array_equal(valid, heights != -9999)
+    _, valid, info, _ = read(array, nodata=nodata)
+    assert info.nodata == stored
+    np.testing.assert_array_equal(valid, ~np.isin(heights, voids))
 
 
 def test_values_that_the_type_cannot_hold_are_noted():

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+import rasterio
 from commands import run
 from strategies import terrain_like, write_geotiff
 
@@ -94,3 +95,22 @@ def test_a_raster_without_a_place_has_no_item(tmp_path):
     path = made(tmp_path, None, (1.0, 0.0, 0.0, 0.0, 1.0, 0.0))
     with pytest.raises(InvalidHeightsError, match="no coordinate reference system"):
         item_of(path)
+
+
+def test_statistics_are_of_pixels_before_scale_and_offset(tmp_path):
+    heights = terrain_like(40, 60)
+    place = {"crs": "EPSG:32633", "transform": (30.0, 0.0, 5e5, 0.0, -30.0, 5.2e6)}
+    path = write_geotiff(tmp_path / "a.tif", heights, **place)
+    with rasterio.open(path, "r+") as dataset:
+        dataset.scales, dataset.offsets = (0.5,), (-100,)
+    terrainwave.compress(path, tmp_path / "a.twz", max_error=0, method="store")
+    band = item_of(tmp_path / "a.twz")["assets"]["data"]["raster:bands"][0]
+    assert band["statistics"] == {"minimum": heights.min(), "maximum": heights.max()}
+    assert (band["scale"], band["offset"]) == (0.5, -100)
+
+
+def test_voids_alone_have_no_statistics(tmp_path):
+    place = {"crs": "EPSG:32633", "transform": (30.0, 0.0, 5e5, 0.0, -30.0, 5.2e6)}
+    path = write_geotiff(tmp_path / "a.tif", np.full((9, 9), -1, "int16"), nodata=-1, **place)
+    terrainwave.compress(path, tmp_path / "a.twz", max_error=0, method="store")
+    assert "statistics" not in item_of(tmp_path / "a.twz")["assets"]["data"]["raster:bands"][0]

@@ -127,6 +127,10 @@ def test_nodata_option_goes_for_every_tile(tmp_path):
     second = tile(tmp_path / "b.tif", np.array([[9, 1]], np.int16), 1, 1)
     info, heights, valid = read_mosaic([first, second], nodata=9)
     assert info.nodata == 9
+    assert heights.tolist() == [[9, 9, 9], [9, 9, 1]]
+    assert valid.tolist() == [[False, False, False], [False, False, True]]
+    info, heights, valid = read_mosaic([first, second], nodata="only:9")
+    assert info.nodata == 9
     assert heights.tolist() == [[1, 9, 9], [9, 9, 1]]
     assert valid.tolist() == [[True, False, False], [False, False, True]]
 
@@ -431,3 +435,38 @@ def test_vrt_of_more_files_than_may_be_open_says_what_helps(four_tiles, tmp_path
                 source.read(0, 0, 40, 60)
         finally:
             resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+
+
+@pytest.mark.parametrize("lefts", [(179, -180), (-180, 179), (359, 0)])
+def test_a_mosaic_of_both_sides_of_180_says_why_it_is_empty(tmp_path, lefts):
+    paths = [
+        write_geotiff(
+            tmp_path / f"{left}.tif", terrain_like(4, 4), nodata=-1, crs="EPSG:4326",
+            transform=Affine(0.25, 0, left, 0, -0.25, 10),
+        )
+        for left in lefts
+    ]  # fmt: skip
+    with pytest.warns(TerrainwaveWarning, match=r"cover .* void: they lie on both sides of 180"):
+        RasterSource(paths).close()
+
+
+def test_a_mosaic_with_gaps_elsewhere_does_not_speak_of_180(tmp_path):
+    place = {"crs": "EPSG:4326", "nodata": -1}
+    paths = [
+        write_geotiff(
+            tmp_path / f"{left}.tif", terrain_like(4, 4), **place,
+            transform=Affine(0.25, 0, left, 0, -0.25, 10),
+        )
+        for left in (0, 90)
+    ]  # fmt: skip
+    with pytest.warns(TerrainwaveWarning, match="the rest is void$"):
+        RasterSource(paths).close()
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_vertical_datum_that_one_raster_names_is_to_be_named_by_the_other(tmp_path, order):
+    first = tile(tmp_path / "a.tif", terrain_like(4, 4), crs="EPSG:2056")
+    second = tile(tmp_path / "b.tif", terrain_like(4, 4), 0, 4, crs="EPSG:2056+5728")
+    words = r"has a vertical datum, LN02 height.*gdal_edit -a_srs EPSG:2056\+5728"
+    with pytest.raises(InvalidHeightsError, match=words):
+        RasterSource([first, second][::order])

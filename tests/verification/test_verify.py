@@ -10,6 +10,7 @@ import rasterio
 from rasterio.transform import Affine
 from strategies import terrain_like, write_geotiff
 
+import terrainwave
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, StorageError
 from terrainwave.verification.heights import verify
 from terrainwave.verification.metrics import ErrorSum
@@ -40,6 +41,7 @@ class FakeTerrain:
             "rounding_error": 0.05,
             "method": "rapid",
             "earlier": (),
+            "coordinate_epoch": None,
         }
         self._info = SimpleNamespace(**(fields | changes))
 
@@ -342,3 +344,26 @@ def test_the_sign_of_zero_counts_only_where_every_bit_was_promised(compare, meth
     (problem,) = compare(heights, FakeTerrain(unsigned)).problems
     assert "1 sample is 0.0 in one of the two and -0.0 in the other" in problem
     assert "row 0, column 1" in problem
+
+
+@pytest.mark.parametrize("layout", [{}, {"tiled": True, "blockxsize": 16, "blockysize": 16}])
+@pytest.mark.parametrize("flips", [(True, False), (False, True), (True, True)])
+def test_a_copy_in_another_order_of_rows_and_columns_is_turned(tmp_path, flips, layout):
+    heights = terrain_like(40, 50)
+    heights[3:9, 20:] = -1
+    place = {"crs": "EPSG:32633", "nodata": -1}
+    north = write_geotiff(
+        tmp_path / "north.tif", heights, transform=Affine(30, 0, 5e5, 0, -30, 5e6), **place
+    )
+    terrainwave.compress(north, tmp_path / "a.twz", max_error=2)
+    turned = Affine(30, 0, 5e5, 0, -30, 5e6)
+    if flips[0]:
+        turned, heights = turned @ Affine(1, 0, 0, 0, -1, 40), heights[::-1]
+    if flips[1]:
+        turned, heights = turned @ Affine(-1, 0, 50, 0, 1, 0), heights[:, ::-1]
+    south = write_geotiff(tmp_path / "south.tif", heights, transform=turned, **place, **layout)
+    with pytest.warns(terrainwave.TerrainwaveWarning, match="turned to its order"):
+        assert verify(tmp_path / "a.twz", south).ok
+    other = write_geotiff(tmp_path / "other.tif", heights + 9, transform=turned, **place)
+    with pytest.warns(terrainwave.TerrainwaveWarning, match="turned to its order"):
+        assert not verify(tmp_path / "a.twz", other).ok

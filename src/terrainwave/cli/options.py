@@ -3,6 +3,7 @@
 import math
 import os
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 import click
@@ -16,6 +17,7 @@ from terrainwave.arguments import (
     check_ending,
     check_local,
     checked_path,
+    nodata_choice,
 )
 from terrainwave.cli.streams import STREAM, read_stream
 from terrainwave.errors import InvalidArgumentError
@@ -198,18 +200,20 @@ class Positive(Finite):
 
 
 class Nodata(click.ParamType):
-    """A number, nan, inf or -inf; whole numbers stay whole."""
+    """A number, nan, inf or -inf, only:NUMBER or none; whole numbers stay whole."""
 
-    name = "number"
+    name = "number|only:number|none"
 
-    def convert(self, value: Any, param: Any, ctx: Any) -> int | float:
-        """Return an int where the text is one, else a float."""
+    def convert(self, value: Any, param: Any, ctx: Any) -> int | float | str:
+        """Return an int where the text is one, else a float, or the text."""
         for kind in (int, float):
-            try:
+            with suppress(ValueError):
                 return kind(value)
-            except ValueError:
-                continue
-        self.fail(f"found {value}, expected a number or nan", param, ctx)
+        try:
+            nodata_choice(value)
+        except InvalidArgumentError:
+            self.fail(f"found {value}, expected a number or nan, only:NUMBER or none", param, ctx)
+        return str(value)
 
 
 class BlockSide(click.ParamType):

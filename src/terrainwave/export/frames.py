@@ -235,6 +235,8 @@ def geographic_points(mesh: MeshData, place: Place) -> NDArray[np.float64]:
     InvalidHeightsError
         If the mesh has no CRS that could be told from, or a point has no place there.
     """
+    if "impossible" in mesh.attributes:
+        raise InvalidHeightsError(mesh.attributes["impossible"])
     points = mesh.points
     points[:, :2] = place.to_lonlat(points[:, :2])
     unit = mesh_unit(mesh)

@@ -17,7 +17,7 @@ from terrainwave.place.description import Description, read_projjson
 from terrainwave.raster_io.geotiff.sidecar import (
     SIDECAR,
     crs_of_geotiff,
-    read_crs_and_unit,
+    read_place,
     remove_beside,
     write_beside,
 )
@@ -53,11 +53,11 @@ def keep_place(path: str | os.PathLike[str], info: RasterInfo) -> None:
     crs = _crs_of(info)
     if crs is None:
         return
-    found = _differences(path, crs, info.units)
+    found = _differences(path, crs, info)
     if not found:
         return
-    write_beside(path, crs, info.units)
-    still = _differences(path, crs, info.units)
+    write_beside(path, crs, info.units, info.coordinate_epoch)
+    still = _differences(path, crs, info)
     kept = (
         f"and is written into the {SIDECAR} beside it: keep both files together"
         if not still
@@ -71,9 +71,11 @@ def keep_place(path: str | os.PathLike[str], info: RasterInfo) -> None:
     )
 
 
-def _differences(path: str | os.PathLike[str], crs: CRS, unit: str | None) -> list[str]:
-    found, found_unit = read_crs_and_unit(path)
-    differences = crs_differences(crs, found)
+def _differences(path: str | os.PathLike[str], crs: CRS, info: RasterInfo) -> list[str]:
+    found, found_unit, epoch = read_place(path)
+    differences, unit = crs_differences(crs, found), info.units
+    if epoch != info.coordinate_epoch:
+        differences.append(f"the coordinate epoch {info.coordinate_epoch:.10g} is lost")
     if unit is not None and found_unit != unit:
         differences.append(f"the unit {unit} becomes {found_unit or 'unknown'}")
     return differences
@@ -157,6 +159,8 @@ def warn_of_crs(head: bytes, info: RasterInfo) -> None:
     """
     crs = _crs_of(info)
     found = [] if crs is None else crs_differences(crs, crs_of_geotiff(head))
+    if crs is not None and info.coordinate_epoch is not None:
+        found.append(f"the coordinate epoch {info.coordinate_epoch:.10g} is lost")
     if found:
         warnings.warn(
             f"a GeoTIFF does not hold all of this coordinate reference system"

@@ -59,6 +59,7 @@ class Info:
     n_levels: int
     level_shapes: tuple[tuple[int, int], ...]
     crs: str | None
+    coordinate_epoch: float | None
     transform: tuple[float, ...]
     bounds: tuple[float, float, float, float]
     nodata: float | int | None
@@ -124,6 +125,7 @@ def info_of(terrain: DescribedFile) -> Info:
         n_levels=terrain.n_levels,
         level_shapes=tuple(terrain.grid.level_shape(level) for level in range(terrain.n_levels)),
         crs=raster.crs,
+        coordinate_epoch=raster.coordinate_epoch,
         transform=tuple(raster.transform),
         bounds=terrain.bounds,
         nodata=raster.nodata,

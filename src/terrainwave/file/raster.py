@@ -34,6 +34,7 @@ class TerrainBackend:
     """
 
     is_file = True
+    undeclared: tuple[int | float, ...] = ()
 
     def __init__(self, source: Any, *, georeference: bool = True) -> None:
         self._owned = not isinstance(source, TerrainFile)
@@ -77,6 +78,7 @@ class TerrainBackend:
         info = self._info
         return {
             "crs": info.crs if self._is_placed else None,
+            "coordinate_epoch": info.coordinate_epoch if self._is_placed else None,
             "units": info.units,
             "scale": info.scale,
             "offset": info.offset,

@@ -93,7 +93,7 @@ class Globe:
     Raises
     ------
     InvalidHeightsError
-        If the raster has no place on a globe.
+        If the raster has no place on a globe, or one that no globe has.
     """
 
     def __init__(self, terrain: "TerrainFile", *, radius: float | None = None) -> None:
@@ -106,6 +106,8 @@ class Globe:
             )
         if determinant(raster.transform) == 0:
             raise InvalidHeightsError("the affine transform cannot be inverted")
+        if raster.impossible_places is not None:
+            raise InvalidHeightsError(raster.impossible_places)
         place.note_sphere()
         self.terrain = terrain
         self._place = place

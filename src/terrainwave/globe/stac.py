@@ -65,7 +65,7 @@ def stac_item(terrain: "TerrainFile", href: str | None = None) -> dict[str, Any]
         "scale": info.scale if info.scale != 1 else None,
         "offset": info.offset or None,
         "spatial_resolution": metres,
-        "statistics": {"minimum": info.minimum, "maximum": info.maximum},
+        "statistics": _statistics(terrain),
         "sampling": (info.area_or_point or "Area").lower(),
     }
     properties = {
@@ -99,6 +99,15 @@ def stac_item(terrain: "TerrainFile", href: str | None = None) -> dict[str, Any]
         "links": [],
         "assets": {"data": asset},
     }
+
+
+def _statistics(terrain: "TerrainFile") -> dict[str, float] | None:
+    """Return the range of pixels, before scale and offset as nodata is; None if all are void."""
+    header = terrain.header
+    if header.z_min > header.z_max:
+        return None
+    height_of = terrain.quantizer.height_of
+    return {"minimum": height_of(header.z_min), "maximum": height_of(header.z_max)}
 
 
 def _crs(terrain: "TerrainFile") -> dict[str, str]:

@@ -352,6 +352,8 @@ class _Extractor(Generic[Made]):
         origin = (*samples_to_places(raster.transform, float(row_0), float(col_0)), 0.0)
         # An array without a place: its columns and rows are no degrees.
         attributes: dict[str, Any] = {"is_placed": raster.transform != IDENTITY}
+        if raster.impossible_places is not None:
+            attributes["impossible"] = raster.impossible_places
         corners = np.array([(r, c) for r in (first_row, last_row) for c in (first_col, last_col)])
         x, y = samples_to_places(raster.transform, *(corners.T / 2))
         attributes["area"] = (float(x.min()), float(y.min()), float(x.max()), float(y.max()))

@@ -14,7 +14,8 @@ class MeshData:
     """A triangulated surface in world coordinates: the fields of `export.mesh.Mesh`, told there.
 
     `attributes` are passed on with the mesh: ``is_placed`` tells whether its x and y are places,
-    ``area`` what `area` returns, ``share`` what `share` does.
+    ``impossible`` why these are on no globe, ``area`` what `area` returns, ``share`` what `share`
+    does.
     """
 
     vertices: NDArray[np.float64]

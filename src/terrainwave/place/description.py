@@ -174,6 +174,39 @@ def _is_north_first(x: Axis, y: Axis) -> bool:
     return (x.direction, y.direction) == ("north", "east") or around_pole
 
 
+def added_vertical(one: Any, other: Any) -> tuple[str, str] | None:
+    """Return the name of the vertical CRS that one of two has, and the text of that compound CRS.
+
+    None unless this is all in which the two differ. The text is what GDAL takes for a CRS.
+
+    Parameters
+    ----------
+    one, other : rasterio.crs.CRS
+    """
+    told = [crs.to_dict(projjson=True) for crs in (one, other)]
+    for compound, plain in (told, told[::-1]):
+        parts = compound.get("components", [])
+        if len(parts) == 2 and "components" not in plain and _core(parts[0]) == _core(plain):
+            own, first, second = (
+                part.get("id", {}) for part in (compound, parts[0] | plain, parts[1])
+            )
+            text = "with the WKT of the other"
+            if own:
+                text = f"{own['authority']}:{own['code']}"
+            elif first and second and first["authority"] == second["authority"]:
+                text = f"{first['authority']}:{first['code']}+{second['code']}"
+            return str(parts[1].get("name", "")), text
+    return None
+
+
+def _core(told: Any) -> Any:
+    """Return what a CRS defines, without what is said about it."""
+    if isinstance(told, dict):
+        left_out = ("$schema", "id", "ids", "scope", "area", "bbox", "usages", "remarks")
+        return {key: _core(value) for key, value in told.items() if key not in left_out}
+    return [_core(value) for value in told] if isinstance(told, list) else told
+
+
 def _parts(told: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any] | None]:
     """Return the CRS that has x and y, and the vertical one of a compound CRS."""
     while told.get("type") == "BoundCRS":

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from terrainwave.arguments import is_twz_name
+from terrainwave.arguments import NodataChoice, is_twz_name
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
@@ -15,7 +15,8 @@ from terrainwave.place.units import is_length
 from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.labelled import layer_of, variable_of
 from terrainwave.raster_io.labelled.voids import number_of, voids_of
-from terrainwave.raster_io.raster_info import fit_nodata, stored_nodata
+from terrainwave.raster_io.raster_info import fit_nodata, stored_nodata, undeclared_by
+from terrainwave.raster_io.vrt.warped import remark_on_named
 
 
 class ArrayBackend:
@@ -26,6 +27,7 @@ class ArrayBackend:
     # Plain numbers say nothing, and fit whatever a file has.
     told: Told | None = None
     name = "the array"
+    undeclared: tuple[int | float, ...] = ()
 
     def __init__(
         self,
@@ -92,9 +94,7 @@ class LabelledBackend(ArrayBackend):
     own chunks.
     """
 
-    def __init__(
-        self, source: Any, band: int, *, override: int | float | None, georeference: bool
-    ) -> None:
+    def __init__(self, source: Any, band: int, *, nodata: NodataChoice, georeference: bool) -> None:
         variable = variable_of(source)
         layer = layer_of(variable, source, band, georeference=georeference)
         attrs = variable.attrs
@@ -118,14 +118,18 @@ class LabelledBackend(ArrayBackend):
             block_shape=None if chunks is None else (max(chunks[0]), max(chunks[1])),
         )
         self._notes = list(layer.notes)
+        if not _is_loaded(variable):
+            windows = remark_on_named(variable.encoding.get("source"))
+            self._notes += [] if windows is None else [windows]
         self._others: list[Any] = []
         voids = voids_of(variable, band)
         self._valid_range = voids.valid_range
         self._notes += voids.notes
-        if override is None:
-            self._declare(voids.values)
+        if nodata.keeps_declared:
+            self._declare([*([] if nodata.value is None else [nodata.value]), *voids.values])
+        self.undeclared = undeclared_by(nodata, voids.values, self.dtype)
         if self._valid_range is not None and self.nodata is None and self.dtype.kind != "f":
-            self.has_mask = override is None
+            self.has_mask = nodata.value is None
         self.claim = _claim(variable)
 
     def _declare(self, values: list[int | float]) -> None:
@@ -171,6 +175,11 @@ class LabelledBackend(ArrayBackend):
 
 def _text(name: Any) -> str | None:
     return None if name is None else str(name)
+
+
+def _is_loaded(array: Any) -> bool:
+    """Return True if the values of a DataArray are in memory, not read when they are needed."""
+    return bool(getattr(getattr(array, "variable", None), "_in_memory", True))
 
 
 def _claim(array: Any) -> Claim | None:

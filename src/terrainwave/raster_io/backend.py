@@ -17,6 +17,7 @@ from terrainwave.raster_io.even import Even
 class RasterBackend(Protocol):
     """One band of a raster that lies somewhere: a dataset of GDAL's, or a .twz file.
 
+    `undeclared` are values that it declares to be void and that `nodata` makes heights of;
     `is_lost` says that nothing tells where its samples lie, `has_mask` that `read` knows voids that
     no nodata value marks. `told` is what it says of its numbers.
     """
@@ -26,6 +27,7 @@ class RasterBackend(Protocol):
     n_cols: int
     dtype: np.dtype[Any]
     nodata: Any
+    undeclared: tuple[int | float, ...]
     block_shape: tuple[int, int]
     transform: tuple[float, ...]
     crs: Any

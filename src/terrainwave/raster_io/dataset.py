@@ -17,9 +17,10 @@ import rasterio
 import rasterio.shutil
 from rasterio.enums import MaskFlags
 from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
+from rasterio.vrt import WarpedVRT
 from rasterio.windows import Window
 
-from terrainwave.arguments import check_band
+from terrainwave.arguments import NodataChoice, check_band
 from terrainwave.container.sources.addresses import display_name, without_secrets
 from terrainwave.errors import (
     InvalidHeightsError,
@@ -34,7 +35,10 @@ from terrainwave.place.units import is_length
 from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.even import Even, SparseBlocks, StoredValues, stored_values
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
+from terrainwave.raster_io.raster_info import undeclared_by
 from terrainwave.raster_io.tags import PLAIN_COLORS, is_statistic, select_tags
+from terrainwave.raster_io.vrt.copied import Unreported, unreported
+from terrainwave.raster_io.vrt.warped import is_warped, remark_on_windows
 
 # What GDAL tells of a file rather than keeps in it, and places, which have a note of their own.
 _DERIVED_TAGS = (
@@ -205,8 +209,10 @@ class DatasetBackend:
         owned: bool,
         georeference: bool = True,
         nested: int = 0,
+        nodata: NodataChoice | None = None,
     ) -> None:
         self._owned = owned
+        self._choice = nodata or NodataChoice()
         self._nested = nested
         self._dataset = dataset
         self._band = band
@@ -227,6 +233,7 @@ class DatasetBackend:
         self.n_rows, self.n_cols = int(dataset.height), int(dataset.width)
         self.dtype = np.dtype(dataset.dtypes[band - 1])
         self.nodata = dataset.nodatavals[band - 1]
+        self.undeclared = undeclared_by(self._choice, [self.nodata], self.dtype)
         self.block_shape: tuple[int, int] = dataset.block_shapes[band - 1]
         self.transform = tuple(float(value) for value in dataset.transform[:6])
         self.crs = dataset.crs
@@ -263,6 +270,9 @@ class DatasetBackend:
         if len(self._alphas) > 1:
             numbers = " and ".join(map(str, self._alphas))
             yield f"bands {numbers} are alpha bands: heights are void where one of them is 0"
+        windows = remark_on_windows(dataset)
+        if windows is not None:
+            yield windows
         yield from self._notes_on_place()
         yield from self._notes_on_nodata()
         if dataset.subdatasets:
@@ -277,6 +287,7 @@ class DatasetBackend:
             for name in (*dataset.tag_namespaces(), *dataset.tag_namespaces(band))
             if name not in _DERIVED_TAGS
         }
+        dropped |= set(self._unreported.others)
         if dataset.colorinterp[band - 1].name == "palette":
             dropped.add("its colour table")
         left_out = [*self._tags.left_out, *self._band_tags.left_out]
@@ -332,16 +343,22 @@ class DatasetBackend:
             )
 
     def _notes_on_nodata(self) -> Iterator[str]:
-        if self._dataset.driver == "VRT" and self.nodata is None and not self.has_mask:
+        chosen = self._choice.value
+        is_open = self.nodata is None and chosen is None and not self.has_mask
+        if self._dataset.driver == "VRT" and is_open:
+            remedy = "set it with gdalbuildvrt -vrtnodata, or name the files themselves"
+            if isinstance(self._dataset, WarpedVRT):
+                remedy = "make the WarpedVRT with nodata=…, or with add_alpha=True"
+            elif is_warped(self._dataset):
+                remedy = "set it with gdalwarp -dstnodata, or add a mask with -dstalpha"
             yield (
                 "the VRT declares no nodata value: where none of its sources lies, heights are 0"
-                " and count as such; set it with gdalbuildvrt -vrtnodata, or name the files"
-                " themselves"
+                f" and count as such; {remedy}"
             )
         tags = self._dataset.tags(self._band)
         for name in _VOID_TAGS:
             value = _number(tags.get(name, ""))
-            if value is not None and value != self.nodata:
+            if value is not None and value not in (self.nodata, chosen):
                 yield (
                     f"the band's tag {name} is {tags[name]}, its nodata value"
                     f" {'none' if self.nodata is None else f'{self.nodata:g}'}: heights of"
@@ -354,6 +371,7 @@ class DatasetBackend:
         color = dataset.colorinterp[index].name
         return {
             "crs": format_crs(self.crs),
+            "coordinate_epoch": self._unreported.coordinate_epoch if self.crs else None,
             "units": dataset.units[index] or None,
             "scale": float(dataset.scales[index]),
             "offset": float(dataset.offsets[index]),
@@ -363,6 +381,10 @@ class DatasetBackend:
             "tags": self._tags.kept,
             "band_tags": self._band_tags.kept,
         }
+
+    @cached_property
+    def _unreported(self) -> Unreported:
+        return unreported(self._dataset, self._band)
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Return heights (a copy) and False where a mask says void."""

@@ -10,12 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from rasterio.crs import CRS
 
+from terrainwave.arguments import NodataChoice
 from terrainwave.cache import Cache
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.affine import determinant, of_window, places_to_pixels
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
+from terrainwave.place.description import added_vertical
 from terrainwave.place.meaning import Told
+from terrainwave.place.position import longitude_turn
 from terrainwave.place.units import HeightUnit, Meeting, height_unit, kind_name, meeting
 from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.earlier_loss import EarlierLoss
@@ -29,10 +32,17 @@ _TOLERANCE = 0.01
 _MAX_OPEN = 128
 # What a mosaic has where all of its rasters agree in it, and what notes call that.
 _ALIKE = {
+    "coordinate_epoch": "the coordinate epoch",
     "area_or_point": "AREA_OR_POINT",
     "description": "the band's description",
     "color_interpretation": "the band's colour interpretation",
 }
+# Why a mosaic of degrees may be nearly empty.
+_ACROSS = (
+    ": they lie on both sides of 180 degrees (or of 0), so that their longitudes are a whole turn"
+    " apart; give one side longitudes that go on from the other's, for example by gdal_translate"
+    " -a_ullr"
+)
 # Striped files wider than this are read by whole strips.
 _WIDE = 1024
 
@@ -89,7 +99,8 @@ class _Member(NamedTuple):
     name: str
     region: Region
     turn: _Turn
-    nodata: int | float | None
+    voids: tuple[int | float, ...]
+    undeclared: tuple[int | float, ...]
     has_mask: bool
     even: Even | None
 
@@ -102,6 +113,7 @@ class _Description(NamedTuple):
     transform: tuple[float, ...]
     dtype: np.dtype[Any]
     nodata: int | float | None
+    undeclared: tuple[int | float, ...]
     has_mask: bool
     block_shape: tuple[int, int]
     crs: CRS | None
@@ -146,8 +158,8 @@ class MosaicBackend:
         What `open_member` takes.
     open_member : callable
         Opens one of them as it is.
-    nodata : int or float, optional
-        Replaces the nodata value of each.
+    nodata : NodataChoice
+        Adds to the nodata value of each, or replaces it.
     heights_are : str, optional
         What the numbers of all of them are, whatever they say.
 
@@ -172,7 +184,7 @@ class MosaicBackend:
         self,
         sources: Sequence[Any],
         open_member: Callable[[Any], RasterBackend],
-        nodata: int | float | None,
+        nodata: NodataChoice,
         heights_are: str | None = None,
     ) -> None:
         self._open_member = open_member
@@ -208,7 +220,12 @@ class MosaicBackend:
                 one.name,
                 Region(row - top, col - left, *one.shape),
                 one.turn,
-                one.nodata if nodata is None else nodata,
+                tuple(
+                    value
+                    for value in (one.nodata if nodata.keeps_declared else None, nodata.value)
+                    if value is not None and value == value
+                ),
+                one.undeclared,
                 one.has_mask,
                 one.even,
             )
@@ -222,15 +239,16 @@ class MosaicBackend:
             self._notes += filter(None, [_units_met(nameless, named).note])
         self._asides = list(_gathered((one, one.asides) for one in rasters))
         declared = [one.nodata for one in rasters if one.nodata is not None]
-        self.nodata = declared[0] if declared else None
-        if nodata is None:
+        self.undeclared = tuple(dict.fromkeys(value for one in rasters for value in one.undeclared))
+        self.nodata = nodata.value
+        if nodata.keeps_declared:
+            self.nodata = next(iter(declared), None) if nodata.value is None else nodata.value
             self._notes += _notes_on_nodata(rasters, self.nodata)
-        self._nodata = self.nodata if nodata is None else nodata
         losses = [one.earlier for one in rasters if one.earlier is not None]
         self.earlier = max(losses, key=lambda loss: loss.max_error, default=None)
         self._n_covered = samples_in([member.region for member in self._members])
         has_voids = self._has_gaps or any(one.has_mask for one in rasters)
-        self.has_mask = self._nodata is None and self.dtype.kind != "f" and has_voids
+        self.has_mask = self.nodata is None and self.dtype.kind != "f" and has_voids
         self.block_shape = first.block_shape
         if first.block_shape[1] >= first.shape[1] > _WIDE:
             self.block_shape = first.block_shape[0], self.n_cols
@@ -250,6 +268,7 @@ class MosaicBackend:
             transform=backend.transform,
             dtype=backend.dtype,
             nodata=nodata,
+            undeclared=backend.undeclared,
             has_mask=backend.has_mask,
             block_shape=backend.block_shape,
             crs=backend.crs,
@@ -284,8 +303,21 @@ class MosaicBackend:
             share = 100 * self._n_covered / (self.n_rows * self.n_cols)
             yield (
                 f"{self.name} cover {share:.3g} % of the {self.n_rows} x {self.n_cols} samples"
-                " around them; the rest is void"
+                f" around them; the rest is void{_ACROSS * self._is_across}"
             )
+
+    @property
+    def _is_across(self) -> bool:
+        """Return True if the rasters lie next to each other a whole turn of longitude apart."""
+        turn = longitude_turn(self._tags["crs"])
+        a, b, _, d, e, _ = self.transform
+        if turn is None or b or d:
+            return False
+        first, last = (corners[:, 1 - turn.axis] for corners in self._corners)
+        start, end = int(first.min()), int(last.max())
+        west = first + last < start + end
+        moved = np.where(west, turn.length / abs((a, e)[turn.axis]), 0.0)
+        return bool((last + moved).max() - (first + moved).min() < (end - start) / 2)
 
     def asides(self) -> Iterator[str]:
         """Yield what is no reason for a warning."""
@@ -316,6 +348,16 @@ class MosaicBackend:
             valid[there] |= is_valid
         return heights, valid
 
+    def declared_voids(self, window: Region) -> NDArray[np.bool_]:
+        """Return which heights of a window their raster declares to be void, against `nodata`."""
+        found = np.zeros(window.shape, dtype=np.bool_)
+        for member in self._touching(window):
+            part = member.region.intersect(window)
+            samples, is_valid = self._read_member(member, part)
+            values = [stored_nodata(value, self.dtype) for value in member.undeclared]
+            found[part.slices_in(window)][is_valid] = np.isin(samples, values)[is_valid]
+        return found
+
     def even(self, region: Region) -> Even | None:
         """Return what all samples of a region are: those of gaps, and of rasters of one value."""
         composite, is_any = Composite(region), False
@@ -323,9 +365,9 @@ class MosaicBackend:
             if member.even is None:
                 return None
             value = member.even.value
-            if not member.even.is_valid or self._is_void(value, member.nodata):
+            if not member.even.is_valid or self._is_void(value, *member.voids):
                 continue
-            if self._is_void(value, self._nodata):  # which reading refuses
+            if self._is_void(value, self.nodata):  # which reading refuses
                 return None
             if not composite.put(value, member.region):
                 return None
@@ -335,12 +377,11 @@ class MosaicBackend:
         value = composite.value(lambda: None)
         return None if value is None else Even(value, True)
 
-    def _is_void(self, value: Any, nodata: int | float | None) -> bool:
+    def _is_void(self, value: Any, *voids: int | float | None) -> bool:
         if self.dtype.kind == "f" and math.isnan(value):
             return True
-        if nodata is None or math.isnan(nodata):
-            return False
-        return bool(value == stored_nodata(nodata, self.dtype))
+        known = (void for void in voids if void is not None and not math.isnan(void))
+        return any(bool(value == stored_nodata(void, self.dtype)) for void in known)
 
     def _touching(self, region: Region) -> Iterator[_Member]:
         """Yield the rasters that a region touches, in their order."""
@@ -352,8 +393,8 @@ class MosaicBackend:
             yield self._members[number]
 
     def _void_value(self) -> Any:
-        if self._nodata is not None:
-            return stored_nodata(self._nodata, self.dtype)
+        if self.nodata is not None:
+            return stored_nodata(self.nodata, self.dtype)
         return math.nan if self.dtype.kind == "f" else 0
 
     def _read_member(self, member: _Member, part: Region) -> tuple[NDArray[Any], NDArray[np.bool_]]:
@@ -361,17 +402,17 @@ class MosaicBackend:
         place = part.row - own.row, part.col - own.col
         window = turn.before(Region(*place, *part.shape), own.shape)
         heights, valid = map(turn.of_array, self._backend(member.source).read(*window))
-        if member.nodata is not None and not math.isnan(member.nodata):
-            valid &= heights != stored_nodata(member.nodata, self.dtype)
+        for value in member.voids:
+            valid &= heights != stored_nodata(value, self.dtype)
         if self.dtype.kind == "f":
             valid &= ~np.isnan(heights)
-        if self._nodata is not None and self._nodata != member.nodata:
-            taken = (heights == stored_nodata(self._nodata, self.dtype)) & valid
+        if self.nodata is not None and self.nodata not in member.voids:
+            taken = (heights == stored_nodata(self.nodata, self.dtype)) & valid
             if taken.any():
                 at_row, at_col = np.argwhere(taken)[0] + place
                 raise InvalidHeightsError(
                     f"{member.name}: the height at row {at_row}, column {at_col} is"
-                    f" {self._nodata:g}, which marks voids in {self._members[0].name}: give the"
+                    f" {self.nodata:g}, which marks voids in {self._members[0].name}: give the"
                     " rasters one nodata value first, for example gdal_translate -a_nodata or"
                     " gdalwarp -dstnodata"
                 )
@@ -409,6 +450,13 @@ def _check_alike(first: _Description, other: _Description, named: _Description) 
     `named` is the raster whose unit they have.
     """
     if first.crs != other.crs:
+        if first.crs and other.crs and (vertical := added_vertical(first.crs, other.crs)):
+            raise InvalidHeightsError(
+                f"{other.name}: found CRS {_crs_name(other.crs)}, {first.name} has"
+                f" {_crs_name(first.crs)}; only one of them has a vertical datum, {vertical[0]}:"
+                " if the heights of both are above it, name it in the other raster first, by"
+                f" gdal_edit -a_srs {vertical[1]}"
+            )
         wanted = format_crs(first.crs)
         target = wanted if wanted and len(wanted) < 20 else "the CRS of the first"
         raise InvalidHeightsError(
@@ -519,7 +567,7 @@ def _names(rasters: Sequence[Any]) -> str:
 def _notes_on_nodata(rasters: Sequence[_Description], kept: float | None) -> Iterator[str]:
     """Say where the rasters declare several nodata values, of which the mosaic has one."""
     values = dict.fromkeys(repr(one.nodata) for one in rasters if one.nodata is not None)
-    if len(values) > 1:
+    if len(values) > 1 or (values and repr(kept) not in values):
         yield (
             f"{_names(rasters)}: found the nodata values {', '.join(values)}; all voids get"
             f" {kept!r}"

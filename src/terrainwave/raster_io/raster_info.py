@@ -1,13 +1,15 @@
 """All of a raster but its heights: size, type, nodata, place, units; as plain metadata."""
 
 import math
+from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import crs_name
+from terrainwave.arguments import NodataChoice, crs_name
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.place.meaning import KINDS, Names, Told, told_by
@@ -35,6 +37,8 @@ class RasterInfo:
     crs : str or None
         ``"AUTH:CODE"`` where that code's definition equals the raster's, else WKT (2, where that
         gives the same system back, or 1).
+    coordinate_epoch : float or None
+        Year that the coordinates of a dynamic CRS are of, such as 2020.5.
     transform : tuple of 6 float
         Affine map from (col, row) to (x, y): ``x = a*col + b*row + c``, ``y = d*col + e*row + f``.
     units : str or None
@@ -73,6 +77,7 @@ class RasterInfo:
     band_tags: Tags = ()
     color_interpretation: str | None = None
     heights_are: str | None = None
+    coordinate_epoch: float | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -101,6 +106,15 @@ class RasterInfo:
     def n_bytes(self) -> int:
         """Size of the uncompressed samples."""
         return self.n_rows * self.n_cols * np.dtype(self.dtype).itemsize
+
+    @property
+    def impossible_places(self) -> str | None:
+        """Return a sentence if samples lie at degrees that no globe has, with the likely cause."""
+        # Imported here: `terrainwave info` needs no rasterio.
+        from terrainwave.place.position import impossible_places
+
+        is_placed = self.transform != IDENTITY
+        return impossible_places(self.crs, self.transform, self.shape, is_placed=is_placed)
 
     def to_physical(self, heights: NDArray[Any]) -> NDArray[Any]:
         """Return heights after scale and offset, in float64; as they are where there are none."""
@@ -177,6 +191,7 @@ class RasterInfo:
             color_interpretation=_optional_text(fields.get("color_interpretation")),
             # What a reader does not know means nothing to it (FORMAT.md §4.2).
             heights_are=heights_are if heights_are in KINDS else None,
+            coordinate_epoch=_year(fields.get("coordinate_epoch")),
         )
 
 
@@ -184,6 +199,13 @@ def _number_to_plain(value: int | float | None) -> int | float | str | None:
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)  # "nan", "inf" or "-inf"
     return value
+
+
+def _year(value: Any) -> float | None:
+    """Return the epoch that a file states; None for what is no number (FORMAT.md §4.2)."""
+    with suppress(ValueError):
+        return _finite(value)
+    return None
 
 
 def _number_from_plain(value: Any) -> int | float | None:
@@ -244,6 +266,25 @@ def fit_nodata(nodata: int | float, dtype: np.dtype[Any]) -> tuple[int | float |
     if not limits.min <= nodata <= limits.max:
         return None, f"nodata {nodata!r} is outside {dtype.name} ({limits.min} to {limits.max})"
     return int(nodata), None
+
+
+def undeclared_by(
+    choice: NodataChoice, declared: Iterable[Any], dtype: np.dtype[Any]
+) -> tuple[int | float, ...]:
+    """Return the declared nodata values that `nodata` makes heights of; NaN stays a void."""
+    if choice.keeps_declared or dtype.name not in SUPPORTED_DTYPES:
+        return ()
+    fitting = (fit_nodata(value, dtype)[0] for value in declared if value is not None)
+    found = dict.fromkeys(value for value in fitting if value is not None and value == value)
+    kept = choice.value
+    return tuple(value for value in found if kept is None or not is_same_value(value, kept, dtype))
+
+
+def is_same_value(one: int | float, other: int | float, dtype: np.dtype[Any]) -> bool:
+    """Return True if two nodata values mean the same samples of a type."""
+    if math.isnan(one) or math.isnan(other):
+        return math.isnan(one) and math.isnan(other)
+    return bool(stored_nodata(one, dtype) == stored_nodata(other, dtype))
 
 
 def stored_nodata(nodata: int | float, dtype: np.dtype[Any]) -> Any:

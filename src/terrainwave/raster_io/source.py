@@ -12,11 +12,12 @@ from typing import Any, Self
 import numpy as np
 
 from terrainwave.arguments import (
+    NodataChoice,
     check_flags,
     checked_path,
     checked_whole,
     is_twz_name,
-    number_of,
+    nodata_choice,
     shown,
 )
 from terrainwave.errors import (
@@ -39,6 +40,7 @@ from terrainwave.raster_io.raster_info import (
     SUPPORTED_DTYPES,
     RasterInfo,
     fit_nodata,
+    is_same_value,
     stored_nodata,
 )
 
@@ -85,8 +87,9 @@ class RasterSource:
         `open_terrain` also .twz files, by their paths or open.
     band : int
         Number of the band, from 1. Band 1 of several is noted, as it may not be a choice.
-    nodata : int or float, optional
-        Replaces the declared nodata value.
+    nodata : int, float or str, optional
+        A value that marks voids, besides the values that the raster declares; ``"only:V"`` takes V
+        instead of these, ``"none"`` no value at all.
     georeference : bool
         False leaves place and CRS out, whatever the source says of them.
     heights_are : {"height", "depth", "radius"}, optional
@@ -133,7 +136,7 @@ class RasterSource:
         source: Any,
         *,
         band: int = 1,
-        nodata: int | float | None = None,
+        nodata: int | float | str | None = None,
         georeference: bool = True,
         heights_are: str | None = None,
         warn: bool = True,
@@ -142,15 +145,10 @@ class RasterSource:
         check_flags(georeference=georeference)
         check_kind(heights_are)
         band = checked_whole("band", band, least=1)
-        if nodata is not None:
-            given, nodata = nodata, number_of(nodata)
-            if nodata is None:
-                raise InvalidArgumentError(
-                    f"found `nodata` {shown(given)}, expected a number, or nan"
-                )
+        choice = nodata_choice(nodata)
         self._counting = threading.Lock()
         self.n_bytes_read = 0
-        opening = _Opening(band, nodata, georeference, open_terrain, heights_are)
+        opening = _Opening(band, choice, georeference, open_terrain, heights_are)
         self._backend = opening.backend(source)
         self.told = self._backend.told
         if heights_are is not None:
@@ -160,7 +158,7 @@ class RasterSource:
         self.name: str = self._backend.name
         try:
             notes = list(self._backend.notes())
-            self.info = self._complete_info(nodata, notes)
+            self.info = self._complete_info(choice, notes)
         except BaseException:
             self.close()
             raise
@@ -169,21 +167,39 @@ class RasterSource:
             warnings.warn(note, TerrainwaveWarning, stacklevel=2)
         self._dtype = np.dtype(self.info.dtype)
 
-    def _complete_info(self, override: int | float | None, notes: list[str]) -> RasterInfo:
+    def _settle_nodata(self, choice: NodataChoice, notes: list[str]) -> int | float | None:
+        """Return the file's nodata value, and keep which other values are voids."""
+        dtype, declared = self._backend.dtype, self._backend.nodata
+        # Stored values that mark voids, of which the file's nodata value is one.
+        self._voids: list[Any] = []
+        nodata = None
+        if choice.value is not None:
+            nodata, problem = fit_nodata(choice.value, dtype)
+            if problem:
+                raise InvalidArgumentError(f"{problem}: choose another `nodata`")
+        if declared is not None and choice.keeps_declared:
+            declared, problem = fit_nodata(declared, dtype)
+            if problem:
+                notes.append(f"{problem}, so no sample can equal it: ignored")
+            elif nodata is None:
+                nodata = declared
+            elif declared is not None and not is_same_value(declared, nodata, dtype):
+                notes.append(
+                    f"{self.name}: {declared:g} marks voids too; the file marks all of them by"
+                    f" {nodata:g}"
+                )
+                self._voids.append(stored_nodata(declared, dtype))
+        if nodata is not None:
+            self._voids.append(stored_nodata(nodata, dtype))
+        self._voids = [value for value in self._voids if value == value]
+        return nodata
+
+    def _complete_info(self, choice: NodataChoice, notes: list[str]) -> RasterInfo:
         """Check the band's type and settle nodata; appends to `notes`."""
         backend = self._backend
         dtype = backend.dtype
         _check_dtype(dtype, self.name)
-        if override is not None:
-            nodata, problem = fit_nodata(override, dtype)
-            if problem:
-                raise InvalidArgumentError(f"{problem}: choose another `nodata`")
-        elif backend.nodata is not None:
-            nodata, problem = fit_nodata(backend.nodata, dtype)
-            if problem:
-                notes.append(f"{problem}, so no sample can equal it: ignored")
-        else:
-            nodata = None
+        nodata = self._settle_nodata(choice, notes)
         transform = backend.transform
         tags = dict(backend.tags())
         problem = _problem_of(transform)
@@ -191,13 +207,14 @@ class RasterSource:
             has_crs = tags["crs"] is not None
             notes.append(f"{problem}, so it is ignored{', and the CRS with it' * has_crs}")
             transform, tags["crs"] = IDENTITY, None
+            tags["coordinate_epoch"] = None
         if backend.has_mask:
             mask_kind = "mask"
         elif dtype.kind == "f" and (nodata is None or math.isnan(nodata)):
             mask_kind = "nan"
         else:
             mask_kind = "none" if nodata is None else "nodata"
-        return RasterInfo(
+        info = RasterInfo(
             n_rows=backend.n_rows,
             n_cols=backend.n_cols,
             dtype=dtype.name,
@@ -206,6 +223,12 @@ class RasterSource:
             mask_kind=mask_kind,
             **{**tags, "heights_are": self.told.kind if self.told else None},
         )
+        if info.impossible_places is not None:
+            notes.append(
+                f"{self.name}: {info.impossible_places}. Tiles, servers, STAC items and geocentric"
+                " meshes of the file are refused"
+            )
+        return info
 
     def settled(self, minimum: float, maximum: float) -> tuple[RasterInfo, list[str]]:
         """Return `info` with what the numbers are, and notes on it, by all valid ones.
@@ -298,13 +321,12 @@ class RasterSource:
         return self._read(row, col, n_rows, n_cols)
 
     def _read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
-        info = self.info
         with self._readers.lent() as backend:
             heights, valid = backend.read(row, col, n_rows, n_cols)
         with self._counting:
             self.n_bytes_read += heights.nbytes
-        if info.nodata is not None and not math.isnan(info.nodata):
-            valid &= heights != stored_nodata(info.nodata, self._dtype)
+        for value in self._voids:
+            valid &= heights != value
         if self._dtype.kind == "f":
             valid &= ~np.isnan(heights)
             self._check_finite(heights, valid, row, col)
@@ -319,14 +341,32 @@ class RasterSource:
             even = backend.even(region)
         if even is None or not even.is_valid:
             return even
-        value, nodata = even.value, self.info.nodata
+        value = even.value
         is_float = self._dtype.kind == "f"
         if is_float and np.isinf(value):  # which reading refuses
             return None
         is_void = is_float and bool(np.isnan(value))
-        if nodata is not None and not math.isnan(nodata):
-            is_void |= bool(value == stored_nodata(nodata, self._dtype))
+        is_void |= any(bool(value == one) for one in self._voids)
         return Even(value, not is_void)
+
+    def undeclared(self, region: Region) -> np.ndarray | None:
+        """Return which heights of a region a source declares to be void, against `nodata`.
+
+        None where no such value was declared.
+        """
+        if not self._backend.undeclared:
+            return None
+        heights, valid = self.read(*region)
+        with self._readers.lent() as backend:
+            if isinstance(backend, MosaicBackend):
+                return valid & backend.declared_voids(region)
+        values = [stored_nodata(value, self._dtype) for value in self._backend.undeclared]
+        return valid & np.isin(heights, values)
+
+    @property
+    def undeclared_values(self) -> tuple[int | float, ...]:
+        """Return the values that sources declare to be void, and `nodata` does not."""
+        return tuple(self._backend.undeclared)
 
     def holds(self, region: Region, even: Even) -> bool:
         """Say whether corners and middle of a region, read, are what the index says."""
@@ -423,7 +463,7 @@ class _Opening:
     """How sources are opened: arguments of `RasterSource`."""
 
     band: int
-    nodata: int | float | None
+    nodata: NodataChoice
     georeference: bool
     open_terrain: OpenTerrain | None
     heights_are: str | None
@@ -451,7 +491,7 @@ class _Opening:
             return ArrayBackend(source)
         if hasattr(source, "dims") and hasattr(source, "coords"):
             return LabelledBackend(
-                source, self.band, override=self.nodata, georeference=self.georeference
+                source, self.band, nodata=self.nodata, georeference=self.georeference
             )
         if isinstance(source, list | tuple):
             return ArrayBackend(np.asarray(source))
@@ -480,7 +520,9 @@ class _Opening:
             return self.open_terrain(source, georeference=self.georeference)
         is_path = isinstance(source, str | os.PathLike)
         dataset = open_dataset(checked_path(source)) if is_path else source
-        return DatasetBackend(dataset, self.band, owned=is_path, georeference=self.georeference)
+        return DatasetBackend(
+            dataset, self.band, owned=is_path, georeference=self.georeference, nodata=self.nodata
+        )
 
     def _refuse_options_of_rasters(self, source: Any) -> None:
         """Raise `InvalidArgumentError` where an option cannot be meant for a .twz file."""
@@ -489,8 +531,9 @@ class _Opening:
             raise InvalidArgumentError(
                 f"found `band` {self.band} and {name}, expected 1: a .twz file has one band"
             )
-        if self.nodata is not None:
+        if self.nodata != NodataChoice():
+            given = "none" if self.nodata.value is None else f"{self.nodata.value:g}"
             raise InvalidArgumentError(
-                f"found `nodata` {self.nodata:g} and {name}, expected none: a .twz file knows its"
+                f"found `nodata` {given} and {name}, expected no such option: a .twz file knows its"
                 " voids"
             )

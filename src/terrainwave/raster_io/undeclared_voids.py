@@ -1,36 +1,34 @@
-"""Values that look like voids and are not declared: what a scan's extremes may be."""
+"""Values that look like voids and are not declared."""
 
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from terrainwave.arguments import count_of
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.raster_io.raster_info import stored_nodata
 from terrainwave.raster_io.source import RasterSource
 
-# What programs write where they know nothing: ends of integer types, and rows of nines.
-_MARKS = (-9999, -32768, -32767, -99999, -999999, 9999, 32767, 65535, 99999)
+# Values that programs write for unknown heights: ends of integer types, and rows of nines.
+_MARKS = (
+    -9999, -32768, -32767, -99999, -999999, -2147483648, -2147483647,
+    9999, 32767, 65535, 99999, 999999, 2147483647,
+)  # fmt: skip
+# Programs that distinguish several kinds of unknown heights number them one by one: ISIS writes
+# -32768 to -32764.
+_NEAR = 4
 # No height, on any body in any unit: ±3.4e38 of float32, 1e30, netCDF's 9.97e36, ±1.8e308.
 _BEYOND = 1e30
 
 
-class _Mark(NamedTuple):
-    """Where a value is, and what lies next to it."""
+class _Found(NamedTuple):
+    """Samples of one value: their number, and the place of the first."""
 
-    value: np.generic
+    value: Any
     n_samples: int
     row: int
     col: int
-    others: tuple[float, float]
-
-    @property
-    def stands_apart(self) -> bool:
-        """Say whether all other heights are closer to one another than to the value."""
-        low, high = self.others
-        return (
-            low <= high
-            and min(abs(float(self.value) - low), abs(float(self.value) - high)) > high - low
-        )
 
     def __str__(self) -> str:
         are = "is" if self.n_samples == 1 else "are"
@@ -40,10 +38,25 @@ class _Mark(NamedTuple):
         )
 
 
-def note_on_marks(source: RasterSource, minimum: float, maximum: float) -> list[str]:
-    """Return a sentence for each end of the heights that looks like an undeclared void.
+class _Survey(NamedTuple):
+    """Values near a mark, and the ranges of all other heights, with 0 and without."""
 
-    Reads the raster again where an end is a number that programs write for voids, else nothing.
+    found: list[_Found]
+    ranges: list[tuple[float, float]]
+
+    def stands_apart(self, value: float) -> bool:
+        """Return True if all other heights are closer to one another than to the value."""
+        return any(
+            low <= high and min(abs(value - low), abs(value - high)) > high - low
+            for low, high in self.ranges
+        )
+
+
+def note_on_marks(source: RasterSource, minimum: float, maximum: float) -> list[str]:
+    """Return a sentence for each value that looks like an undeclared void.
+
+    Reads the raster again where an end of the heights is close to a number that programs write for
+    voids, else nothing. Several such values may lie next to each other.
 
     Parameters
     ----------
@@ -55,41 +68,92 @@ def note_on_marks(source: RasterSource, minimum: float, maximum: float) -> list[
     InvalidHeightsError
         If an end is far beyond any height.
     """
-    notes = []
-    for end in dict.fromkeys((minimum, maximum)):
+    ends = dict.fromkeys((minimum, maximum))
+    for end in ends:
         if np.isfinite(end) and abs(end) >= _BEYOND:
-            mark = _find(source, end)
+            number = np.dtype(source.info.dtype).type(end)
+            found = _survey(source, partial(np.equal, number)).found[0]
             raise InvalidHeightsError(
-                f"{mark}, which is no height: if this marks voids, declare the nodata value"
-                f" {mark.value!s}"
+                f"{found}, which is no height: if this marks voids, declare the nodata value"
+                f" {found.value!s}"
             )
-        if end in _MARKS and minimum < maximum:
-            mark = _find(source, end)
-            if mark.stands_apart:
-                notes.append(
-                    f"{mark}, far from all others: if this marks voids, declare the nodata value"
-                    f" {mark.value!s}"
-                )
-    return notes
+    if minimum >= maximum or not any(_is_near_mark(np.float64(end)) for end in ends):
+        return []
+    survey = _survey(source, _is_near_mark)
+    apart = [found for found in survey.found if survey.stands_apart(float(found.value))]
+    # Values next to a mark are suspect only together with it.
+    if not any(found.value in _MARKS for found in apart):
+        return []
+    return [
+        f"{found}, far from all others: if this marks voids, declare the nodata value"
+        f" {found.value!s}"
+        for found in apart
+    ]
 
 
-def _find(source: RasterSource, value: float) -> _Mark:
-    number = np.dtype(source.info.dtype).type(value)
-    n_samples, row, col, low, high = 0, 0, 0, np.inf, -np.inf
+def note_on_undeclared(
+    source: RasterSource, minimum: float = -np.inf, maximum: float = np.inf
+) -> list[str]:
+    """Return a sentence that counts the heights that were voids but for `nodata`.
+
+    Reads the raster again where such a value is among its heights, else nothing.
+
+    Parameters
+    ----------
+    minimum, maximum : float
+        Of all valid heights, as stored.
+    """
+    dtype = np.dtype(source.info.dtype)
+    values = source.undeclared_values
+    # As stored: heights of float32 are compared with what float32 makes of a value.
+    if not any(minimum <= float(stored_nodata(value, dtype)) <= maximum for value in values):
+        return []
+    count = 0
+    for region in source.blocks():
+        found = source.undeclared(region)
+        count += 0 if found is None else int(np.count_nonzero(found))
+    if not count:
+        return []
+    are = "sample is a height" if count == 1 else "samples are heights"
+    shown = ", ".join(f"{value:g}" for value in values)
+    return [
+        f"{source.name}: {count:,} {are}, although the source declares {shown} as nodata, which"
+        " `nodata` overrides"
+    ]
+
+
+def _is_near_mark(heights: Any) -> Any:
+    """Return which heights are within `_NEAR` of a mark."""
+    near = np.zeros(np.shape(heights), dtype=np.bool_)
+    for mark in _MARKS:
+        near |= (heights >= mark - _NEAR) & (heights <= mark + _NEAR)
+    return near
+
+
+def _survey(source: RasterSource, is_suspect: Any) -> _Survey:
+    """Read all heights; return the suspect ones by their values, and the ranges of the others."""
+    found: dict[Any, _Found] = {}
+    ranges = {True: (np.inf, -np.inf), False: (np.inf, -np.inf)}
     for region, even in source.parts():
         if even is not None and not even.is_valid:
             continue
         heights, valid = source.read(*region)
-        found = valid & (heights == number)
-        rest = heights[valid & ~found]
-        if rest.size:
-            low, high = min(low, float(rest.min())), max(high, float(rest.max()))
-        if not found.any():
+        suspect = valid & is_suspect(heights)
+        for has_zero in ranges:
+            rest = heights[valid & ~suspect & (has_zero | (heights != 0))]
+            if rest.size:
+                low, high = ranges[has_zero]
+                ranges[has_zero] = min(low, float(rest.min())), max(high, float(rest.max()))
+        if not suspect.any():
             continue
-        there_row, there_col = divmod(int(np.argmax(found)), region.n_cols)
-        there = (region.row + there_row, region.col + there_col)
-        row, col = there if not n_samples else min((row, col), there)
-        n_samples += int(np.count_nonzero(found))
-    return _Mark(
-        number.item() if number.dtype.kind != "f" else number, n_samples, row, col, (low, high)
-    )
+        places = np.flatnonzero(suspect)
+        values, first, counts = np.unique(
+            heights.ravel()[places], return_index=True, return_counts=True
+        )
+        for value, at, count in zip(values, places[first].tolist(), counts.tolist(), strict=True):
+            row, col = divmod(at, region.n_cols)
+            there = region.row + row, region.col + col
+            known = found.get(value, _Found(value, 0, *there))
+            there = min(there, known[2:])
+            found[value] = _Found(value, known.n_samples + count, *there)
+    return _Survey([found[value] for value in sorted(found)], list(ranges.values()))

@@ -8,6 +8,7 @@ have these heights. Memory holds a few windows.
 
 import math
 import os
+import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
@@ -25,14 +26,14 @@ from terrainwave.arguments import (
     checked_error,
     checked_path,
     checked_whole,
-    number_of,
-    shown,
+    nodata_choice,
 )
-from terrainwave.errors import InvalidArgumentError, TerrainwaveError
+from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS
 from terrainwave.progress import Progress, ProgressCallback
 from terrainwave.raster_io.even import Even, even_parts
+from terrainwave.raster_io.vrt.warped import remark_on_windows
 from terrainwave.verification.metrics import ErrorReport, ErrorSum
 from terrainwave.verification.original import Original, open_original, place_text
 from terrainwave.verification.raster_metadata import metadata_problems, unit_problem
@@ -103,7 +104,7 @@ def verify(
     *,
     max_error: float | None = None,
     band: int = 1,
-    nodata: float | None = None,
+    nodata: float | str | None = None,
     mesh: bool = False,
     threads: int | None = None,
     progress: ProgressCallback | None = None,
@@ -125,8 +126,8 @@ def verify(
         Check this bound, in physical units, instead of the file's own.
     band : int
         The band of `original` that was compressed.
-    nodata : float, optional
-        The nodata value given at compression, where it differs from the raster's own.
+    nodata : float or str, optional
+        What was given at compression, where it differs from the raster's own value.
     mesh : bool
         Check all meshes too: each covers its area once, without gaps, folds and T-junctions;
         neighbours fit; and no sample is further from a mesh than the mesh states.
@@ -160,8 +161,7 @@ def verify(
     check_callback(progress)
     max_error = checked_error("max_error", max_error)
     band = checked_whole("band", band, least=1)
-    if nodata is not None and number_of(nodata) is None:
-        raise InvalidArgumentError(f"found `nodata` {shown(nodata)}, expected a number, or nan")
+    nodata_choice(nodata)
     checked_path(twz)
     if original is not None:
         checked_path(original)
@@ -177,7 +177,15 @@ def verify(
             return _with_meshes(report, terrain, None, progress) if mesh else report
         with open_original(original) as dataset:
             check_band(band, dataset.count, str(original))
-            raster = Original(dataset, band, nodata)
+            raster = Original(dataset, band, nodata, terrain.transform)
+            remarks = [remark_on_windows(dataset)]
+            if raster.flips != (False, False):
+                remarks.append(
+                    "rows or columns are stored in another order than in the file; turned to its"
+                    " order"
+                )
+            for remark in filter(None, remarks):
+                warnings.warn(f"{original}: {remark}", TerrainwaveWarning, stacklevel=2)
             report = _Comparison(terrain, raster, max_error).run(twz, original, progress)
             if not mesh or report.errors is None:  # of another size, type or unit
                 return report

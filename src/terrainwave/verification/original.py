@@ -17,6 +17,7 @@ from rasterio.enums import MaskFlags
 from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
 from rasterio.windows import Window
 
+from terrainwave.arguments import nodata_choice
 from terrainwave.errors import StorageError
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
@@ -24,12 +25,16 @@ from terrainwave.place.units import HeightUnit, height_unit, kind_problem
 from terrainwave.raster_io.dataset import DatasetBackend, told_of
 from terrainwave.raster_io.even import Even, even_parts, is_seen
 from terrainwave.raster_io.raster_info import RasterInfo
+from terrainwave.raster_io.vrt.copied import unreported
 
 # Samples per window, and its height where the original is striped: windows of few rows would make
 # the decoder run the same blocks again and again.
 _WINDOW_SAMPLES = 4 * 2**20
 _WINDOW_SIDE = 2048
 _WINDOW_ROWS = 256
+
+# Part of a pixel by which places of one grid may differ.
+_SAME_PIXEL = 1e-6
 
 _GDAL_CACHE_BYTES = 64 * 2**20
 
@@ -55,14 +60,28 @@ def open_original(path: str | os.PathLike[str]) -> Any:
 
 
 class Original:
-    """A band of a dataset of rasterio; `nodata` replaces the value that it declares."""
+    """A band of a dataset of rasterio; `nodata` as in `compress`.
 
-    def __init__(self, dataset: Any, band: int, nodata: float | None) -> None:
+    Rows and columns are read in the order that `transform` has, a file's, where the dataset stores
+    them the other way round, such as with the southernmost row first.
+    """
+
+    def __init__(
+        self, dataset: Any, band: int, nodata: float | str | None, transform: Any = None
+    ) -> None:
         self.dataset, self.band = dataset, band
+        self.transform = tuple(dataset.transform)[:6]
+        self.flips = _flips(dataset, self.transform if transform is None else tuple(transform)[:6])
+        if self.flips != (False, False):
+            self.transform = tuple(transform)[:6]
         self.shape = dataset.height, dataset.width
         self.dtype = np.dtype(dataset.dtypes[band - 1])
         declared = dataset.nodatavals[band - 1]
-        self.nodata = declared if nodata is None else nodata
+        choice = nodata_choice(nodata)
+        if not choice.keeps_declared:
+            declared = None
+        self.nodata = declared if choice.value is None else choice.value
+        self._voids = {self.nodata, declared}
         self.scale = float(dataset.scales[band - 1])
         flags = dataset.mask_flag_enums[band - 1]
         self._has_mask = MaskFlags.all_valid not in flags and flags != [MaskFlags.nodata]
@@ -80,17 +99,23 @@ class Original:
         own = info.heights_are, info.told, info.crs
         return kind_problem(own, (told, format_crs(self.dataset.crs)))
 
+    def coordinate_epoch(self) -> float | None:
+        """Return the epoch of the original's coordinates."""
+        return unreported(self.dataset, self.band).coordinate_epoch if self.dataset.crs else None
+
     def area_or_point(self) -> str:
         """Return GDAL's tag; Area is its default."""
         return str(self.dataset.tags().get("AREA_OR_POINT", "Area"))
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Return raw heights and validity of a window of the original."""
+        flip_rows, flip_cols = self.flips
+        row, col = self._stored(Region(row, col, n_rows, n_cols))[:2]
         window = Window(col, row, n_cols, n_rows)
         try:
             with rasterio.Env(GDAL_CACHEMAX=_GDAL_CACHE_BYTES):
                 heights = self.dataset.read(self.band, window=window)
-                valid = ~self.is_nodata(heights)
+                valid = ~self._is_void(heights)
                 if self._has_mask:
                     valid &= self.dataset.read_masks(self.band, window=window) > 0
                 for alpha in self._alphas:
@@ -101,15 +126,32 @@ class Original:
             ) from error
         if self.dtype.kind == "f":
             valid &= ~np.isnan(heights)
-        return heights, valid
+        order = slice(None, None, -1 if flip_rows else 1), slice(None, None, -1 if flip_cols else 1)
+        return heights[order], valid[order]
+
+    def _stored(self, region: Region) -> Region:
+        """Return where a region lies in the dataset's own order of rows and columns."""
+        row, col, n_rows, n_cols = region
+        flip_rows, flip_cols = self.flips
+        row = self.shape[0] - row - n_rows if flip_rows else row
+        col = self.shape[1] - col - n_cols if flip_cols else col
+        return Region(row, col, n_rows, n_cols)
+
+    def _is_void(self, heights: np.ndarray) -> np.ndarray:
+        """Return which heights are a value that marks voids."""
+        found = (self._equals(heights, value) for value in self._voids)
+        return np.logical_or.reduce(list(found))
 
     def is_nodata(self, heights: np.ndarray) -> np.ndarray:
-        """Return which heights are the nodata value."""
-        if self.nodata is None or math.isnan(self.nodata):
+        """Return which heights are the nodata value of the file."""
+        return self._equals(heights, self.nodata)
+
+    def _equals(self, heights: np.ndarray, value: Any) -> np.ndarray:
+        if value is None or math.isnan(value):
             return np.zeros(heights.shape, dtype=bool)
         if self.dtype.kind == "f":
-            return heights == as_stored(self.nodata, self.dtype)
-        nodata, limits = float(self.nodata), np.iinfo(self.dtype)
+            return heights == as_stored(value, self.dtype)
+        nodata, limits = float(value), np.iinfo(self.dtype)
         if not nodata.is_integer() or not limits.min <= nodata <= limits.max:
             return np.zeros(heights.shape, dtype=bool)
         return heights == self.dtype.type(int(nodata))
@@ -147,16 +189,33 @@ class Original:
 
     def _even(self, region: Region) -> Even | None:
         """Return what a region is by the file's index."""
-        even = None if self._alphas else self._index.even(region)
+        even = None if self._alphas else self._index.even(self._stored(region))
         if even is None:
             return None
         value = even.heights((1, 1), self.dtype)
-        is_void = self.is_nodata(value) | (value != value)  # NaN
+        is_void = self._is_void(value) | (value != value)  # NaN
         return Even(value[0, 0], not is_void.all())
 
     @cached_property
     def _index(self) -> DatasetBackend:
         return DatasetBackend(self.dataset, self.band, owned=True)
+
+
+def _flips(dataset: Any, wanted: tuple[float, ...]) -> tuple[bool, bool]:
+    """Return if rows and if columns of a dataset lie in the opposite order of a transform's."""
+    for flips in ((True, False), (False, True), (True, True)):
+        a, b, c, d, e, f = tuple(dataset.transform)[:6]
+        if flips[0]:
+            b, e, c, f = -b, -e, c + dataset.height * b, f + dataset.height * e
+        if flips[1]:
+            a, d, c, f = -a, -d, c + dataset.width * a, f + dataset.width * d
+        pixel = max(map(abs, (a, b, d, e)))
+        size = max(dataset.height, dataset.width)
+        off = [abs(one - other) for one, other in zip((a, b, c, d, e, f), wanted, strict=True)]
+        # Corners that were computed another way differ by rounding.
+        if max(off[2], off[5], size * max(off[0], off[1], off[3], off[4])) <= _SAME_PIXEL * pixel:
+            return flips
+    return False, False
 
 
 def place_text(row: int, col: int, n_rows: int, n_cols: int) -> str:

@@ -45,11 +45,14 @@ def metadata_problems(terrain: Any, original: Original) -> Iterator[str]:
         yield f"the original's numbers mean something else: {problem}"
     if not _same_nodata(terrain.nodata, original.nodata, original.dtype):
         yield f"nodata is {terrain.nodata!r}, the original's is {original.nodata!r}"
-    found, expected = tuple(terrain.transform)[:6], tuple(dataset.transform)[:6]
+    found, expected = tuple(terrain.transform)[:6], original.transform
     if found != expected:
         yield f"the transform is {found}, the original's is {expected}"
     # Of samples that lie nowhere a file keeps no CRS.
     if terrain.crs or is_placed(dataset):
+        epoch, expected_epoch = info.coordinate_epoch, original.coordinate_epoch()
+        if epoch != expected_epoch:
+            yield f"the coordinate epoch is {epoch}, the original's is {expected_epoch}"
         yield from _compare_crs(terrain.crs, dataset.crs)
 
 

@@ -86,7 +86,7 @@ def task_level(grid: Grid, task_samples: int) -> int | None:
 
 
 def shared_raster(
-    src: Any, band: int, nodata: float | None, heights_are: str | None = None
+    src: Any, band: int, nodata: float | str | None, heights_are: str | None = None
 ) -> RasterPlace:
     """Return the raster as other machines open it.
 

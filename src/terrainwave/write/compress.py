@@ -46,7 +46,7 @@ from terrainwave.place.units import height_unit
 from terrainwave.progress import ProgressCallback, Reporter, TaskCallback
 from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.raster_io.source import RasterSource
-from terrainwave.raster_io.undeclared_voids import note_on_marks
+from terrainwave.raster_io.undeclared_voids import note_on_marks, note_on_undeclared
 from terrainwave.tri.mesh_options import MeshOptions
 from terrainwave.write.cluster import (
     TASK_SAMPLES,
@@ -97,7 +97,7 @@ def compress(
     method: str | MethodOptions = "auto",
     block: int = 256,
     effort: str = "default",
-    nodata: float | None = None,
+    nodata: float | str | None = None,
     band: int = 1,
     georeference: bool = True,
     heights_are: str | None = None,
@@ -146,8 +146,9 @@ def compress(
     effort : str
         ``"fast"``, ``"default"`` or ``"best"``: how many ways of coding methods predictive and
         cdf97 try. Without a method, best selects predictive. Other methods ignore it.
-    nodata : float, optional
-        Nodata value to use instead of the raster's own.
+    nodata : float or str, optional
+        A value that marks voids, besides the raster's own. ``"only:V"`` takes the number V instead
+        of the raster's own, ``"none"`` no value; a note counts samples that become heights so.
     band : int, optional
         Band to compress, from 1.
     georeference : bool
@@ -316,7 +317,7 @@ def compress_to_bytes(
     method: str | MethodOptions = "auto",
     block: int = 256,
     effort: str = "default",
-    nodata: float | None = None,
+    nodata: float | str | None = None,
     georeference: bool = True,
     mesh: str | MeshOptions = "none",
     strict: bool = False,
@@ -443,6 +444,7 @@ def _write(
             left = for_heights_of(source, options)
             scan = passes.scan(fixed_steps(left, source.info))
             info, marks = source.settled(scan.minimum, scan.maximum)
+            marks += note_on_undeclared(source, scan.minimum, scan.maximum)
             marks += note_on_marks(source, scan.minimum, scan.maximum)
             earlier = earlier_of(source, options, scan.steps)
             job, notes = settled(left, scan, info, earlier)

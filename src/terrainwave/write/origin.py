@@ -22,7 +22,7 @@ def difference(
     src: Any,
     *,
     band: int = 1,
-    nodata: float | None = None,
+    nodata: float | str | None = None,
     georeference: bool = True,
     heights_are: str | None = None,
     progress: ProgressCallback | None = None,

@@ -39,6 +39,7 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS, methods_that
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.source import RasterSource
+from terrainwave.raster_io.undeclared_voids import note_on_undeclared
 from terrainwave.write.passes.proof import (
     OUR_FAULT,
     allowed_error,
@@ -85,7 +86,7 @@ def patch(
     src: Any,
     *,
     band: int = 1,
-    nodata: float | None = None,
+    nodata: float | str | None = None,
     original: Any = None,
     temp_dir: str | os.PathLike[str] | None = None,
     threads: int | None = None,
@@ -166,6 +167,9 @@ def patch(
                 f"{path} has method {method.name}; only files of method {fit} can be patched:"
                 " compress the whole raster again"
             )
+        notes = note_on_undeclared(source)
+        for note in notes:
+            warnings.warn(note, TerrainwaveWarning, stacklevel=2)
         merged = Merged(terrain, source, whole)
         for note in merged.notes:
             warnings.warn(note, TerrainwaveWarning, stacklevel=2)
@@ -193,6 +197,7 @@ def patch(
         format=after,
         notes=[
             *merged.notes,
+            *notes,
             *([] if after == before else [_note_on_format(before, after)]),
             *taken_up(kept),
         ],

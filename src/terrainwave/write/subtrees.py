@@ -70,7 +70,7 @@ class RasterPlace:
 
     paths: tuple[str, ...]
     band: int
-    nodata: float | None
+    nodata: float | str | None
     heights_are: str | None = None
     meter: Meter = field(default_factory=Meter, compare=False)
     folder: str | None = field(default=None, compare=False)

@@ -117,7 +117,9 @@ from terrainwave.progress import ProgressCallback
     show_default=True,
     help=f"Format of the file; terrainwave 1.0 reads {FORMATS[0]} only.",
 )
-@click.option("--nodata", type=Nodata(), help="Nodata value; replaces the raster's own.")
+@click.option("--nodata", type=Nodata(),
+              help="Value that marks voids, besides the raster's own; only:V replaces"
+                   " that, none drops it.")  # fmt: skip
 @click.option("--band", type=click.IntRange(min=1), default=1, show_default=True,
               help="Band to compress.")  # fmt: skip
 @click.option(

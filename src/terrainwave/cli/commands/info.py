@@ -214,6 +214,7 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
         ("levels", f"{info.n_levels}: {levels}"),
         ("nodata", "none" if info.nodata is None else info.nodata),
         ("CRS", crs),
+        ("epoch", "" if info.coordinate_epoch is None else f"{info.coordinate_epoch:.10g}"),
         ("bounds", ", ".join(f"{value:.10g}" for value in info.bounds)),
         ("pixel", f"{info.transform[0]:.10g}, {info.transform[4]:.10g}"),
         ("a pixel is", (info.area_or_point or "").lower()),

@@ -23,7 +23,7 @@ from terrainwave.cli.output import (
 @click.command(cls=Command)
 @click.argument("file", type=NamedInput())
 @click.argument("new", type=Input())
-@click.option("--nodata", type=Nodata(), help="Nodata value of NEW; replaces its own.")
+@click.option("--nodata", type=Nodata(), help="Value that marks voids of NEW, as of compress.")
 @click.option("--band", type=click.IntRange(min=1), default=1, show_default=True,
               help="Band of NEW.")  # fmt: skip
 @click.option(

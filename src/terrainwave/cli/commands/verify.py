@@ -36,7 +36,7 @@ from terrainwave.progress import ProgressCallback
 @click.option(
     "--band", type=click.IntRange(min=1), default=1, show_default=True, help="Band of ORIGINAL."
 )
-@click.option("--nodata", type=Nodata(), help="Nodata value that was given to compress.")
+@click.option("--nodata", type=Nodata(), help="What was given to compress.")
 @click.option("--mesh", is_flag=True, help="Check errors, borders and coverage of all meshes, too.")
 @THREADS_OPTION
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing; the exit status is the result.")

@@ -16,16 +16,18 @@ from rasterio.io import MemoryFile
 from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import publish
 from terrainwave.raster_io.gdal import bounded_env
+from terrainwave.raster_io.vrt.copied import unreported
 
 SIDECAR = ".aux.xml"
 
 
-def read_crs_and_unit(path: str | os.PathLike[str]) -> tuple[CRS | None, str | None]:
-    """Return the CRS and the band's unit that GDAL finds, in the .aux.xml beside it first."""
+def read_place(path: str | os.PathLike[str]) -> tuple[CRS | None, str | None, float | None]:
+    """Return the CRS, the band's unit and the epoch that GDAL finds, in the .aux.xml first."""
     with bounded_env(), warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         with rasterio.open(path) as dataset:
-            return dataset.crs, dataset.units[0] or None
+            epoch = unreported(dataset, 1).coordinate_epoch
+            return dataset.crs, dataset.units[0] or None, epoch
 
 
 def remove_beside(path: str | os.PathLike[str]) -> None:
@@ -45,8 +47,10 @@ def remove_beside(path: str | os.PathLike[str]) -> None:
             target.unlink(missing_ok=True)
 
 
-def write_beside(path: str | os.PathLike[str], crs: CRS, unit: str | None) -> None:
-    """Write the CRS and the unit of a raster's band into the .aux.xml beside it.
+def write_beside(
+    path: str | os.PathLike[str], crs: CRS, unit: str | None, epoch: float | None = None
+) -> None:
+    """Write the CRS, its epoch and the unit of a raster's band into the .aux.xml beside it.
 
     GDAL reads it first.
 
@@ -57,7 +61,10 @@ def write_beside(path: str | os.PathLike[str], crs: CRS, unit: str | None) -> No
     """
     target = Path(f"{os.fspath(path)}{SIDECAR}")
     content = ElementTree.Element("PAMDataset")
-    content.append(_as_gdal_writes_it(crs))
+    system = _as_gdal_writes_it(crs)
+    if epoch is not None:
+        system.set("coordinateEpoch", repr(epoch))
+    content.append(system)
     if unit is not None:
         band = ElementTree.SubElement(content, "PAMRasterBand", band="1")
         ElementTree.SubElement(band, "UnitType").text = unit

@@ -1,0 +1,151 @@
+"""Rasters whose heights depend on the windows that are read, found by the XML of VRTs.
+
+GDAL's warper follows an approximation of the transformation that it makes for each window, within a
+tolerance, by default 0.125 pixels. With nearest neighbours a sample can then come from another
+pixel. Sources of a VRT that are resampled differ by the rounding of floats.
+"""
+
+import os
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from typing import Any
+
+import rasterio
+from rasterio.vrt import WarpedVRT
+
+from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env
+
+_HEAD = b"<VRTDataset"
+# Before it a file may have a byte order mark and an XML declaration.
+_HEAD_BYTES = 256
+# Bytes of a VRT that is looked through.
+_MOST_BYTES = 1 << 27
+# VRTs in VRTs that are looked through.
+_MOST_NESTED = 8
+_NAMES = ("SourceFilename", "SourceDataset")
+_DEPENDS = (
+    "so its heights depend on the windows that are read; the bound holds for those that were read"
+    " here, not for what other reads find"
+)
+
+
+def is_warped(dataset: Any) -> bool:
+    """Return True for a VRT that is warped when it is read, exactly or not."""
+    return "VRTWarpedDataset" in "".join(dataset.tags(ns="xml:VRT").values())[:1000]
+
+
+def remark_on_windows(dataset: Any) -> str | None:
+    """Return a sentence if heights of a dataset depend on the windows that are read."""
+    kind = _kind_of(dataset, set(), 0)
+    if kind == "warped" and isinstance(dataset, WarpedVRT):
+        return (
+            f"this WarpedVRT is warped when it is read, by an approximation, {_DEPENDS}; make it,"
+            " and each VRT below it, with tolerance=0 (gdalwarp -et 0), or write it to a file first"
+        )
+    if kind == "warped":
+        return (
+            f"the VRT is warped when it is read, by an approximation, {_DEPENDS}; make it with"
+            " gdalwarp -et 0 (rasterio: tolerance=0), or write a file first (gdal_translate)"
+        )
+    if kind == "resampled":
+        return (
+            f"the VRT resamples its sources when it is read, with rounding, {_DEPENDS}; write a"
+            " file first (gdal_translate)"
+        )
+    if kind == "index":
+        return (
+            "the tile index warps its rasters when it is read where these differ in CRS or"
+            f" resolution, {_DEPENDS}; write a file first (gdal_translate), or name the rasters"
+            " themselves"
+        )
+    return None
+
+
+def remark_on_named(name: Any) -> str | None:
+    """Return the same for a raster that is read by other code, known by its name alone."""
+    text = str(name)
+    if text.startswith("WarpedVRT("):
+        return (
+            f"{text} is warped when it is read; unless its tolerance is 0, {_DEPENDS[3:]}; load the"
+            " array first (.load()), or make the WarpedVRT with tolerance=0"
+        )
+    if not _may_be_vrt(text):
+        return None
+    try:
+        with bounded_env(), rasterio.open(text) as dataset:
+            return remark_on_windows(dataset)
+    except GDAL_ERRORS:
+        return None
+
+
+def _kind_of(dataset: Any, seen: set[str], depth: int) -> str | None:
+    """Return "warped", "resampled" or "index" if reads depend on windows; None if they do not."""
+    if dataset.driver == "GTI":
+        return "index"
+    if dataset.driver != "VRT":
+        return None
+    found: set[str] = set()
+    inner = getattr(dataset, "src_dataset", None)
+    if isinstance(inner, WarpedVRT) and depth < _MOST_NESTED:  # which has no name to open it by
+        found.add(_kind_of(inner, seen, depth + 1) or "")
+    text = "".join(dataset.tags(ns="xml:VRT").values())
+    if len(text) > _MOST_BYTES:
+        return None
+    try:
+        root = ET.fromstring(text)
+    except ET.ParseError:
+        return None
+    found |= set(_own_kinds(root))
+    for name in dict.fromkeys(_sources(root, _folder_of(str(dataset.name)))):
+        if "warped" in found or depth >= _MOST_NESTED:
+            break
+        if name not in seen and _may_be_vrt(name):
+            seen.add(name)
+            try:
+                with bounded_env(), rasterio.open(name) as source:
+                    found.add(_kind_of(source, seen, depth + 1) or "")
+            except GDAL_ERRORS:  # reading says what is wrong
+                continue
+    return next((kind for kind in ("warped", "index", "resampled") if kind in found), None)
+
+
+def _own_kinds(root: ET.Element) -> Iterator[str]:
+    """Yield how a VRT itself, without its sources, depends on windows."""
+    for transformer in root.iter("ApproxTransformer"):
+        if float(transformer.findtext("MaxError", "0")) > 0:
+            yield "warped"
+    for source in root.iter():
+        if source.get("resampling", "nearest").lower() in ("nearest", "near"):
+            continue
+        sizes = [
+            [rectangle.get(name) for name in ("xSize", "ySize")]
+            for rectangle in (source.find("SrcRect"), source.find("DstRect"))
+            if rectangle is not None
+        ]
+        if len(sizes) == 2 and sizes[0] != sizes[1]:
+            yield "resampled"
+
+
+def _folder_of(name: str) -> str:
+    """Return the folder of a VRT, which its name or its connection string says."""
+    return "" if name.startswith("<") else os.path.dirname(name.removeprefix("vrt://"))
+
+
+def _sources(root: ET.Element, folder: str) -> Iterator[str]:
+    """Yield the names of a VRT's sources, relative ones from its folder."""
+    for element in root.iter():
+        if element.tag in _NAMES and element.text:
+            is_relative = element.get("relativeToVRT", "0") == "1"
+            yield os.path.join(folder, element.text) if is_relative else element.text
+
+
+def _may_be_vrt(name: str) -> bool:
+    """Return True if a name may be that of a VRT or a tile index; local files by their head."""
+    lower = name.strip().lower()
+    if lower.startswith(("<", "vrt:", "gti:")) or ".gti" in lower:
+        return True
+    try:
+        with open(name, "rb") as file:
+            return _HEAD in file.read(_HEAD_BYTES)
+    except (OSError, ValueError):
+        return ".vrt" in lower
