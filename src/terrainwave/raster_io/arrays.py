@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -70,13 +70,6 @@ class ArrayBackend:
         """Do nothing: the array is the caller's."""
 
 
-class Claim(NamedTuple):
-    """A bound that came with heights, in physical units, and the .twz file that it is of."""
-
-    max_error: float
-    path: str | None
-
-
 class LabelledBackend(ArrayBackend):
     """A layer of heights of xarray's, with all that its names and attributes say.
 
@@ -84,7 +77,7 @@ class LabelledBackend(ArrayBackend):
     x and y in either order, the coordinate that ``grid_mapping`` names (``spatial_ref``) and
     rioxarray's ``.rio`` accessor, what marks voids, the attributes ``units``, ``long_name``,
     ``AREA_OR_POINT``, ``scale_factor`` and ``add_offset`` (which are there only while the values
-    are as stored), and ``max_error``. A lazy array is read in its own chunks.
+    are as stored). A lazy array is read in its own chunks.
     """
 
     def __init__(
@@ -118,7 +111,7 @@ class LabelledBackend(ArrayBackend):
             self._declare(voids.values)
         if self._valid_range is not None and self.nodata is None and self.dtype.kind != "f":
             self.has_mask = override is None
-        self.claim = _claim(variable)
+        self.came_from = _came_from(variable)
 
     def _declare(self, values: list[int | float]) -> None:
         """Take the first finite value as nodata; the others are voids as well."""
@@ -161,13 +154,9 @@ class LabelledBackend(ArrayBackend):
         return heights, valid
 
 
-def _claim(array: Any) -> Claim | None:
-    """Return the bound that `terrain_dataset` stated of an array, if it still says so."""
-    found = array.attrs.get("max_error")
-    is_number = isinstance(found, int | float | np.number) and not isinstance(found, bool)
-    if not is_number or not 0 < found < math.inf:
-        return None
-    # Arithmetic keeps attributes and coordinates, and drops the encoding.
+def _came_from(array: Any) -> str | None:
+    """Return the .twz file that the encoding of an array names; its heights may have changed."""
+    # Arithmetic keeps coordinates, and drops the encoding.
     holders = [array, *(coord for coord in array.coords.values() if not getattr(coord, "ndim", 1))]
     paths = (getattr(holder, "encoding", {}).get("source") for holder in holders)
-    return Claim(float(found), next((str(path) for path in paths if is_twz_name(path)), None))
+    return next((str(path) for path in paths if is_twz_name(path)), None)
