@@ -214,7 +214,7 @@ CHANGED = {
     "beside": lambda array: array.shift(x=1),
     "rolled": lambda array: array.roll(x=5),
     "rolled with its place": lambda array: array.roll(x=5, roll_coords=False),
-    "between": lambda array: array.interp(x=array.x[:-1] + 15.0),
+    "between": lambda array: array.interp(x=array.x.values[:-1] + 15.0),
     "smoothed": lambda array: array.rolling(x=3, center=True).mean(),
     "whole numbers": lambda array: (array / 10).fillna(-999).astype("int16"),
     "a level above": lambda array: array[::2, ::2] + 1,

@@ -161,6 +161,8 @@ def terrain_dataset(
                 stacklevel=2,
             )
         attrs |= packing.fields
+        if "scale_factor" in packing.fields and heights.dtype.kind == "f":
+            encoding["dtype"] = terrain.dtype  # says that floats are packed
     elif packing.fields and packing.fill is not None:
         encoding |= packing.fields | {"dtype": terrain.dtype}
     elif heights.dtype.kind == "f":

@@ -12,7 +12,8 @@ from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.labelled import layer_of, variable_of
-from terrainwave.raster_io.labelled.voids import number_of, voids_of
+from terrainwave.raster_io.labelled.packing import packing_of
+from terrainwave.raster_io.labelled.voids import voids_of
 from terrainwave.raster_io.raster_info import fit_nodata, stored_nodata
 
 
@@ -76,8 +77,7 @@ class LabelledBackend(ArrayBackend):
     Understood: a Dataset with one variable of heights, a dimension ``band`` and others of length 1,
     x and y in either order, the coordinate that ``grid_mapping`` names (``spatial_ref``) and
     rioxarray's ``.rio`` accessor, what marks voids, the attributes ``units``, ``long_name``,
-    ``AREA_OR_POINT``, ``scale_factor`` and ``add_offset`` (which are there only while the values
-    are as stored). A lazy array is read in its own chunks.
+    ``AREA_OR_POINT``, ``scale_factor`` and ``add_offset``. A lazy array is read in its own chunks.
     """
 
     def __init__(
@@ -85,13 +85,13 @@ class LabelledBackend(ArrayBackend):
     ) -> None:
         variable = variable_of(source)
         layer = layer_of(variable, source, band, georeference=georeference)
-        attrs = variable.attrs
+        attrs, packing = variable.attrs, packing_of(variable)
         units = attrs.get("units")
         tags = {
             "crs": layer.crs,
             "units": None if units in (None, "") else str(units),
-            "scale": number_of(attrs, "scale_factor", 1.0),
-            "offset": number_of(attrs, "add_offset", 0.0),
+            "scale": packing.scale,
+            "offset": packing.offset,
             "area_or_point": str(attrs["AREA_OR_POINT"]) if "AREA_OR_POINT" in attrs else None,
             "description": str(attrs["long_name"]) if "long_name" in attrs else None,
         }
@@ -102,9 +102,9 @@ class LabelledBackend(ArrayBackend):
             tags=tags,
             block_shape=None if chunks is None else (max(chunks[0]), max(chunks[1])),
         )
-        self._notes = list(layer.notes)
+        self._notes = [*layer.notes, *packing.notes]
         self._others: list[Any] = []
-        voids = voids_of(variable, band)
+        voids = voids_of(variable, band, packing)
         self._valid_range = voids.valid_range
         self._notes += voids.notes
         if override is None:
