@@ -85,8 +85,19 @@ def test_the_profile_is_that_of_the_source(source_and_terrain, name):
 def test_the_bound_and_the_unit_are_told(source_and_terrain):
     _, terrain = source_and_terrain
     with opened(terrain) as dataset:
-        assert float(dataset.tags()["TERRAINWAVE_MAX_ERROR"]) == terrain.effective_error
+        assert float(dataset.tags(ns="TERRAINWAVE")["MAX_ERROR"]) == terrain.effective_error
         assert dataset.units == ("m",)
+
+
+@pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # of rioxarray
+def test_the_bound_does_not_go_on_to_rasters_of_other_heights(source_and_terrain, tmp_path):
+    _, terrain = source_and_terrain
+    with rioxarray.open_rasterio(stream_of(terrain)) as array:
+        assert not any("ERROR" in name for name in array.attrs)
+        (array // 2).rio.to_raster(tmp_path / "other.tif")
+    with rasterio.open(tmp_path / "other.tif") as dataset:
+        assert "TERRAINWAVE" not in dataset.tag_namespaces()
+        assert not any("ERROR" in name for name in dataset.tags())
 
 
 def test_a_mask_of_its_own_comes_back(tmp_path):

@@ -45,7 +45,7 @@ def test_file_opens_without_naming_an_engine(terrain_file):
         assert dataset.heights.dims == ("y", "x")
         np.testing.assert_array_equal(dataset.heights, expected)
         assert dataset.heights.attrs["units"] == "m"
-        assert dataset.heights.attrs["max_error"] == 1
+        assert dataset.heights.terrainwave.bound() == 1
 
 
 def test_rioxarray_finds_crs_transform_and_nodata(terrain_file):
@@ -148,7 +148,6 @@ def test_stored_values_and_levels_can_be_asked_for(terrain_file):
         np.testing.assert_array_equal(dataset.heights, terrain.read(level=-2))
         assert dataset.heights.dtype == np.int16
         assert dataset.heights.attrs["_FillValue"] == -9999
-        assert "max_error" not in dataset.heights.attrs  # holds on the full grid
 
 
 def test_variables_can_be_dropped(terrain_file):

@@ -41,7 +41,7 @@ def grids(tmp_path, monkeypatch):
     pyproj.datadir.set_data_dir(before)
 
 
-def raster(tmp_path, crs, heights, *, nodata=None, units=None, max_error=0):
+def raster(tmp_path, crs, heights, *, nodata=None, units=None, **options):
     """Return the path of a .twz file around 10.2 E, 46.1 N."""
     path = tmp_path / "dem.twz"
     transform = rasterio.Affine(1e-3, 0, 10.2, 0, -1e-3, 46.1)
@@ -54,7 +54,7 @@ def raster(tmp_path, crs, heights, *, nodata=None, units=None, max_error=0):
         dataset.write(heights, 1)
         if units:
             dataset.units = (units,)
-        path.write_bytes(twz_bytes(dataset, max_error=max_error))
+        path.write_bytes(twz_bytes(dataset, **{"max_error": 0} | options))
     return path
 
 
@@ -90,9 +90,9 @@ def test_decompress_writes_heights_above_the_ellipsoid(grids, tmp_path, crs, met
     assert sum("above the ellipsoid, by PROJ" in str(one.message) for one in told) == 1
     with rasterio.open(tif) as dataset:
         found, tags, units = dataset.read(1), dataset.tags(), dataset.units
+        bound = float(dataset.tags(ns="TERRAINWAVE")["MAX_ERROR"])
         known = pyproj.CRS.from_wkt(dataset.crs.to_wkt(version="WKT2_2019"))
     expected = heights * metres + undulation(*places(twz))
-    bound = float(tags["TERRAINWAVE_MAX_ERROR"])
     assert bound < 1e-3
     assert np.abs(found - expected).max() <= bound + 2e-5  # the grid's float32
     assert "grid" not in tags["TERRAINWAVE_VERTICAL"]
@@ -123,10 +123,34 @@ def test_the_bound_of_converted_heights_holds_for_the_originals(grids, tmp_path)
         warnings.simplefilter("ignore")
         terrainwave.decompress(path, tif, vertical="ellipsoid")
     with rasterio.open(tif) as dataset:
-        found, bound = dataset.read(1), float(dataset.tags()["TERRAINWAVE_MAX_ERROR"])
+        found, bound = dataset.read(1), float(dataset.tags(ns="TERRAINWAVE")["MAX_ERROR"])
     errors = np.abs(found - heights * SURVEY_FOOT - undulation(*places(path)))
     assert 0.3 < errors.max() <= bound + 2e-5
     assert bound == pytest.approx(5 * SURVEY_FOOT, rel=0.01)
+
+
+@pytest.mark.parametrize("cog", [False, True])
+def test_the_bound_of_converted_heights_stays_in_their_file(grids, tmp_path, cog):
+    path, tif = raster(tmp_path, FEET, hills()), tmp_path / "above.tif"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        terrainwave.decompress(path, tif, vertical="ellipsoid", cog=cog)
+        terrainwave.compress(tif, tmp_path / "lossy.twz", max_error=20)
+        terrainwave.decompress(tmp_path / "lossy.twz", tmp_path / "back.tif")
+    for name, expected in (("above.tif", True), ("back.tif", False)):
+        with rasterio.open(tmp_path / name) as dataset:
+            assert ("MAX_ERROR" in dataset.tags(ns="TERRAINWAVE")) == expected
+            assert not any("ERROR" in tag for tag in dataset.tags())
+
+
+def test_heights_of_a_part_of_the_bits_state_no_bound(grids, tmp_path):
+    path = raster(tmp_path, EGM96, hills(), max_error=1, method="cdf53")
+    tif = tmp_path / "above.tif"
+    with pytest.warns(TerrainwaveWarning) as told:
+        terrainwave.decompress(path, tif, vertical="ellipsoid", quality=1)
+    assert not any("of the originals" in str(one.message) for one in told)
+    with rasterio.open(tif) as dataset:
+        assert "TERRAINWAVE" not in dataset.tag_namespaces()
 
 
 # The globe

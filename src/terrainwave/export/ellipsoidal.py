@@ -32,9 +32,13 @@ class AboveEllipsoid:
     ----------
     info : RasterInfo
         In metres, of the CRS with ellipsoidal heights.
+    bound : float, optional
+        How far they may be from the originals, in metres; None on a coarse level and of
+        a part of the bits.
     """
 
     info: RasterInfo
+    bound: float | None
     _way: EllipsoidalHeights
     _source: RasterInfo
     _metres: float
@@ -66,7 +70,9 @@ class AboveEllipsoid:
         return found
 
 
-def above_ellipsoid(terrain: TerrainFile, info: RasterInfo, level: int) -> AboveEllipsoid:
+def above_ellipsoid(
+    terrain: TerrainFile, info: RasterInfo, level: int, *, is_early: bool
+) -> AboveEllipsoid:
     """Return what a raster becomes above the ellipsoid of its own CRS, and warn how.
 
     Parameters
@@ -75,6 +81,8 @@ def above_ellipsoid(terrain: TerrainFile, info: RasterInfo, level: int) -> Above
     info : RasterInfo
         Of the window that is written, as it would be.
     level : int
+    is_early : bool
+        Only a part of the bits is read: the file's bound doesn't hold.
 
     Raises
     ------
@@ -88,13 +96,11 @@ def above_ellipsoid(terrain: TerrainFile, info: RasterInfo, level: int) -> Above
     metres = unit.metres
     dtype = "float64" if info.dtype in ("float64", "int32") else "float32"
     bound = None
-    if terrain.level_index(level) == terrain.n_levels - 1:
+    if not is_early and terrain.level_index(level) == terrain.n_levels - 1:
         bound = _bound(terrain, abs(metres), np.dtype(dtype))
     within = "" if bound is None else f", within {bound:.6g} m of the originals"
     warnings.warn(f"{way.words}{within}", TerrainwaveWarning, stacklevel=3)
     tags = dict(info.tags) | {"TERRAINWAVE_VERTICAL": way.words}
-    if bound is not None:
-        tags["TERRAINWAVE_MAX_ERROR"] = repr(bound)
     target = info.crs if way.target is None else format_crs(CRS.from_wkt(way.target))
     converted = replace(
         info,
@@ -110,7 +116,7 @@ def above_ellipsoid(terrain: TerrainFile, info: RasterInfo, level: int) -> Above
         band_tags=tuple(tag for tag in info.band_tags if tag[0].lower() not in MARKS),
         heights_are=None,
     )
-    return AboveEllipsoid(converted, way, info, metres)
+    return AboveEllipsoid(converted, bound, way, info, metres)
 
 
 def _bound(terrain: TerrainFile, metres: float, dtype: np.dtype[Any]) -> float:

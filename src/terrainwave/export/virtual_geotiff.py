@@ -52,9 +52,9 @@ class VirtualGeoTIFF:
             n_overviews += 1
             side = -(-side // 2)
         tags = {
-            "TERRAINWAVE_MAX_ERROR": repr(terrain.effective_error),
-            "TERRAINWAVE_METHOD": terrain.header.method,
-            "TERRAINWAVE_OVERVIEWS": "averages of samples, without a bound",
+            "MAX_ERROR": repr(terrain.effective_error),
+            "METHOD": terrain.header.method,
+            "OVERVIEWS": "averages of samples, without a bound",
         }
         return sparse_geotiff(info_to_write(terrain), n_overviews, tags)
 

@@ -39,6 +39,7 @@ def read_twz(
     surface : pyvista.PolyData
         Points relative to ``field_data["origin"]``; point data ``heights`` in the file's unit;
         ``field_data`` has also ``error``, the distance from any valid original, ``units``, ``crs``.
+        The error is that of the surface as returned: pyvista's filters copy it to others.
 
     Raises
     ------

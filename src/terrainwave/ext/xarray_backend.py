@@ -135,7 +135,8 @@ def terrain_dataset(
     Its variable is ``heights(y, x)``; ``spatial_ref`` holds CRS and transform as rioxarray writes
     them. Coordinates are rioxarray's too, to the last bit: x and y of columns and rows, or xc and
     yc of each sample where the raster is turned. Whatever writes the dataset finds a value for
-    voids in the encoding, or a float type.
+    voids in the encoding, or a float type. Neither attributes nor encoding state a bound: both
+    survive operations that change the heights.
     """
     index = terrain.level_index(level)
     raster = terrain.raster_info
@@ -149,8 +150,6 @@ def terrain_dataset(
         attrs["positive"] = "down"
     if raster.area_or_point is not None:
         attrs["AREA_OR_POINT"] = raster.area_or_point
-    if index == terrain.n_levels - 1:
-        attrs["max_error"] = terrain.effective_error
     encoding = _origin(terrain) | {
         "preferred_chunks": {"y": min(CHUNK, n_rows), "x": min(CHUNK, n_cols)},
         "grid_mapping": GRID_MAPPING,
@@ -164,6 +163,8 @@ def terrain_dataset(
                 stacklevel=2,
             )
         attrs |= packing.fields
+        if "scale_factor" in packing.fields and heights.dtype.kind == "f":
+            encoding["dtype"] = terrain.dtype  # says that floats are packed
     elif packing.fields and packing.fill is not None:
         encoding |= packing.fields | {"dtype": terrain.dtype}
     elif heights.dtype.kind == "f":
@@ -176,7 +177,7 @@ def terrain_dataset(
 
 
 def _origin(terrain: TerrainFile) -> dict[str, Any]:
-    """Return the encoding that names the file: `max_error` is believed of its heights alone."""
+    """Return the encoding that names the file, whose heights an array is compared with."""
     if not isinstance(terrain.name, str | os.PathLike) or terrain.name == "<bytes>":
         return {}
     name = str(terrain.name)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +14,8 @@ from terrainwave.place.meaning import MARKS, Names, Told, told_by
 from terrainwave.place.units import is_length
 from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.labelled import layer_of, variable_of
-from terrainwave.raster_io.labelled.voids import number_of, voids_of
+from terrainwave.raster_io.labelled.packing import packing_of
+from terrainwave.raster_io.labelled.voids import voids_of
 from terrainwave.raster_io.raster_info import fit_nodata, stored_nodata, undeclared_by
 from terrainwave.raster_io.vrt.warped import remark_on_named
 
@@ -76,34 +77,26 @@ class ArrayBackend:
         """Do nothing: the array is the caller's."""
 
 
-class Claim(NamedTuple):
-    """A bound that came with heights, in physical units, and the .twz file that it is of."""
-
-    max_error: float
-    path: str | None
-
-
 class LabelledBackend(ArrayBackend):
     """A layer of heights of xarray's, with all that its names and attributes say.
 
     Understood: a Dataset with one variable of heights, a dimension ``band`` and others of length 1,
     x and y in either order, the coordinate that ``grid_mapping`` names (``spatial_ref``) and
     rioxarray's ``.rio`` accessor, what marks voids, the attributes ``units``, ``long_name``,
-    ``positive``, ``standard_name``, ``AREA_OR_POINT``, ``scale_factor`` and ``add_offset`` (which
-    are there only while the values are as stored), and ``max_error``. A lazy array is read in its
-    own chunks.
+    ``positive``, ``standard_name``, ``AREA_OR_POINT``, ``scale_factor`` and ``add_offset``. A lazy
+    array is read in its own chunks.
     """
 
     def __init__(self, source: Any, band: int, *, nodata: NodataChoice, georeference: bool) -> None:
         variable = variable_of(source)
         layer = layer_of(variable, source, band, georeference=georeference)
-        attrs = variable.attrs
+        attrs, packing = variable.attrs, packing_of(variable)
         units = attrs.get("units")
         tags = {
             "crs": layer.crs,
             "units": None if units in (None, "") else str(units),
-            "scale": number_of(attrs, "scale_factor", 1.0),
-            "offset": number_of(attrs, "add_offset", 0.0),
+            "scale": packing.scale,
+            "offset": packing.offset,
             "area_or_point": str(attrs["AREA_OR_POINT"]) if "AREA_OR_POINT" in attrs else None,
             "description": str(attrs["long_name"]) if "long_name" in attrs else None,
             "band_tags": tuple((name, str(attrs[name])) for name in MARKS if name in attrs),
@@ -117,12 +110,12 @@ class LabelledBackend(ArrayBackend):
             tags=tags,
             block_shape=None if chunks is None else (max(chunks[0]), max(chunks[1])),
         )
-        self._notes = list(layer.notes)
+        self._notes = [*layer.notes, *packing.notes]
         if not _is_loaded(variable):
             windows = remark_on_named(variable.encoding.get("source"))
             self._notes += [] if windows is None else [windows]
         self._others: list[Any] = []
-        voids = voids_of(variable, band)
+        voids = voids_of(variable, band, packing)
         self._valid_range = voids.valid_range
         self._notes += voids.notes
         if nodata.keeps_declared:
@@ -130,7 +123,7 @@ class LabelledBackend(ArrayBackend):
         self.undeclared = undeclared_by(nodata, voids.values, self.dtype)
         if self._valid_range is not None and self.nodata is None and self.dtype.kind != "f":
             self.has_mask = nodata.value is None
-        self.claim = _claim(variable)
+        self.came_from = _came_from(variable)
 
     def _declare(self, values: list[int | float]) -> None:
         """Take the first finite value as nodata; the others are voids as well."""
@@ -182,13 +175,9 @@ def _is_loaded(array: Any) -> bool:
     return bool(getattr(getattr(array, "variable", None), "_in_memory", True))
 
 
-def _claim(array: Any) -> Claim | None:
-    """Return the bound that `terrain_dataset` stated of an array, if it still says so."""
-    found = array.attrs.get("max_error")
-    is_number = isinstance(found, int | float | np.number) and not isinstance(found, bool)
-    if not is_number or not 0 < found < math.inf:
-        return None
-    # Arithmetic keeps attributes and coordinates, and drops the encoding.
+def _came_from(array: Any) -> str | None:
+    """Return the .twz file that the encoding of an array names; its heights may have changed."""
+    # Arithmetic keeps coordinates, and drops the encoding.
     holders = [array, *(coord for coord in array.coords.values() if not getattr(coord, "ndim", 1))]
     paths = (getattr(holder, "encoding", {}).get("source") for holder in holders)
-    return Claim(float(found), next((str(path) for path in paths if is_twz_name(path)), None))
+    return next((str(path) for path in paths if is_twz_name(path)), None)

@@ -29,7 +29,7 @@ from terrainwave.grid.affine import IDENTITY, Transform
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.meaning import Told, check_kind, settled_kind
 from terrainwave.place.units import height_unit, is_length
-from terrainwave.raster_io.arrays import ArrayBackend, Claim, LabelledBackend
+from terrainwave.raster_io.arrays import ArrayBackend, LabelledBackend
 from terrainwave.raster_io.backend import RasterBackend, Readers
 from terrainwave.raster_io.dataset import DatasetBackend, is_twz, open_dataset
 from terrainwave.raster_io.earlier_loss import EarlierLoss
@@ -279,9 +279,9 @@ class RasterSource:
         return self._backend.earlier
 
     @property
-    def claim(self) -> Claim | None:
-        """Return the bound that came with an array, if one did."""
-        return self._backend.claim if isinstance(self._backend, LabelledBackend) else None
+    def came_from(self) -> str | None:
+        """Return the .twz file that an array names as its source, if it names one."""
+        return self._backend.came_from if isinstance(self._backend, LabelledBackend) else None
 
     @property
     def is_file(self) -> bool:

@@ -3,9 +3,9 @@
 Of a .twz file the bound is known, and what `compress` is asked for is the bound from the original:
 the new loss may be what is left of it.
 
-An array says how far it may be from the original (``max_error``), and goes on saying so when its
-heights have become others: xarray keeps attributes. So the bound counts only where the heights are
-compared with those of the file, and are the same. It adds to the bound that is asked for.
+An array names the file that it came from, and goes on naming it when its heights have become
+others: xarray keeps encodings. So a bound counts only where the heights have been compared with
+those of the file, and are the same. It adds to the bound that is asked for.
 """
 
 import os
@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidArgumentError, TerrainwaveError
 from terrainwave.file import TerrainFile
-from terrainwave.grid.affine import strides_on
+from terrainwave.grid.affine import Strides, strides_on
 from terrainwave.grid.quantum import as_fraction, rounded_up
 from terrainwave.grid.steps import FixedSteps
+from terrainwave.place.crs import format_crs
 from terrainwave.raster_io.earlier_loss import EarlierFile, earlier_files
+from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.write.compress_options import Options
 
@@ -99,7 +101,7 @@ def for_heights_of(source: RasterSource, options: Options) -> Options:
 def earlier_of(source: RasterSource, asked: Options, steps: FixedSteps | None) -> Earlier:
     """Return what heights had lost before.
 
-    Where an array claims something, reads the heights once more, and the file; else nothing.
+    Where an array came from a lossy file, reads the heights once more, and the file; else nothing.
     `steps` are those that heights will be rounded to.
     """
     loss = source.earlier
@@ -112,50 +114,106 @@ def earlier_of(source: RasterSource, asked: Options, steps: FixedSteps | None) -
         if asked.max_error is None and not asked.is_embedded:
             note = f"no --max-error given: {note}"
         return Earlier(loss.max_error, note=note, files=loss.files, asked=asked)
-    claim = source.claim
-    if claim is None:
+    path = source.came_from
+    if path is None:
         return NOTHING
-    reason = "and no .twz file to compare them with"
-    if claim.path is not None:
-        try:
-            with TerrainFile(claim.path) as terrain:
-                if _has_same_heights(terrain, source):
-                    is_still = steps is not None and _is_on(source, steps)
-                    bound = terrain.effective_error
-                    own = EarlierFile(os.path.basename(claim.path), bound)
-                    return Earlier(
-                        bound,
-                        is_still,
-                        f"the heights are those of {claim.path}, within"
-                        f" {bound:.6g} of an original{', and do not move' * is_still}",
-                        (*earlier_files(terrain.header.metadata), own),
-                    )
-            reason = f"and are not those of {claim.path}"
-        except TerrainwaveError as error:
-            reason = f"and cannot be compared: {error}"
+    try:
+        with TerrainFile(path) as terrain:
+            # Levels of a lossless file have errors; it is no reason to read its full grid.
+            if not terrain.effective_error and _is_of_full_grid(terrain, source.info):
+                return NOTHING
+            bound = _bound_of(terrain, source)
+            if bound is not None:
+                return _of_file(terrain, bound, steps is not None and _is_on(source, steps))
+            if not terrain.effective_error:
+                return NOTHING
+        reason = "and are not its heights at their place any more"
+    except TerrainwaveError as error:
+        reason = f"and cannot be compared with it: {error}"
     return Earlier(
-        note=f"the heights came with the attribute max_error, {claim.max_error:.6g}, {reason}: the"
-        " file's bound is from the heights as they are now"
+        note=f"the heights came from {path}, {reason}: the file's bound is from the heights as they"
+        " are now"
     )
 
 
-def _has_same_heights(terrain: TerrainFile, source: RasterSource) -> bool:
-    """Say whether all of an array is samples of a file, at the places that it says."""
+def _of_file(terrain: TerrainFile, bound: float, is_still: bool) -> Earlier:
+    """Return what heights of a file had lost, `bound`."""
+    if not bound:
+        return NOTHING
+    return Earlier(
+        bound,
+        is_still,
+        f"the heights are those of {terrain.name}, within"
+        f" {bound:.6g} of an original{', and do not move' * is_still}",
+        (
+            *earlier_files(terrain.header.metadata),
+            EarlierFile(os.path.basename(str(terrain.name)), bound),
+        ),
+    )
+
+
+def bound_of(source: RasterSource) -> float | None:
+    """Return the bound of an array's heights, if they are those of the file that it came from.
+
+    Reads both. The bound is from the file's original, in its unit. None where values, voids or
+    place are others, and where the array names no file.
+
+    Raises
+    ------
+    TerrainwaveError
+        If either cannot be read.
+    """
+    if source.came_from is None:
+        return None
+    with TerrainFile(source.came_from) as terrain:
+        return _bound_of(terrain, source)
+
+
+def _bound_of(terrain: TerrainFile, source: RasterSource) -> float | None:
+    info, theirs = source.info, terrain.raster_info
+    is_scaled = (info.scale, info.offset) != (1.0, 0.0)
+    if is_scaled and (info.scale, info.offset) != (theirs.scale, theirs.offset):
+        return None
+    # What is not said may have got lost on the way.
+    if info.units is not None and info.units != theirs.units:
+        return None
+    if info.crs is not None and info.crs != format_crs(theirs.rasterio_crs()):
+        return None
+    finest = terrain.n_levels - 1
+    for level in range(finest, -1, -1):
+        if _has_same_heights(terrain, level, source):
+            return terrain.effective_error if level == finest else terrain.level_errors()[level]
+    return None
+
+
+def _strides(terrain: TerrainFile, level: int, info: RasterInfo) -> Strides | None:
+    """Return where all of an array lies on the samples of a level; None if it doesn't."""
+    place = tuple(terrain.transform_of(level)[:6])
+    return strides_on(info.transform, (info.n_rows, info.n_cols), place)
+
+
+def _is_of_full_grid(terrain: TerrainFile, info: RasterInfo) -> bool:
+    """Say whether an array lies on neighbouring samples, which coarser levels don't have."""
+    strides = _strides(terrain, terrain.n_levels - 1, info)
+    return strides is not None and abs(strides.row_stride) == abs(strides.col_stride) == 1
+
+
+def _has_same_heights(terrain: TerrainFile, level: int, source: RasterSource) -> bool:
+    """Say whether all of an array is samples of a level, at the places that it says."""
     info, theirs = source.info, terrain.raster_info
     is_stored = (info.scale, info.offset) == (theirs.scale, theirs.offset)
-    if not is_stored and (info.scale, info.offset) != (1.0, 0.0):
-        return False
-    strides = strides_on(info.transform, (info.n_rows, info.n_cols), theirs.transform)
+    n_rows, n_cols = terrain.level_shape(level)
+    strides = _strides(terrain, level, info)
     if strides is None:
         return False
     for region in source.blocks():
         heights, valid = source.read(*region)
         rows = _samples(strides.row, strides.row_stride, region.row, region.n_rows)
         cols = _samples(strides.col, strides.col_stride, region.col, region.n_cols)
-        if not (_are_within(rows, theirs.n_rows) and _are_within(cols, theirs.n_cols)):
+        if not (_are_within(rows, n_rows) and _are_within(cols, n_cols)):
             return False
         window = (rows.min(), cols.min(), np.ptp(rows) + 1, np.ptp(cols) + 1)
-        stored, is_valid = terrain.read_with_mask(tuple(map(int, window)))
+        stored, is_valid = terrain.read_with_mask(tuple(map(int, window)), level=level)
         at = np.ix_(rows - rows.min(), cols - cols.min())
         if not np.array_equal(is_valid[at], valid):
             return False

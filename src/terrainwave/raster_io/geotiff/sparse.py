@@ -86,7 +86,7 @@ def sparse_geotiff(
     n_overviews : int
         Overviews of half, a quarter, … of the size.
     tags : mapping of str
-        Further items of the dataset's metadata.
+        Further metadata, in the domain TERRAINWAVE.
 
     Raises
     ------
@@ -156,8 +156,7 @@ def _written_by_gdal(
     with bounded_env(**options), warnings.catch_warnings(), MemoryFile(ext=".tif") as memory:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         with memory.open(**profile) as dataset:
-            write_description(dataset, info)
-            dataset.update_tags(**tags)
+            write_description(dataset, info, tags)
             if info.mask_kind == "mask":
                 dataset.write_mask(np.zeros((1, 1), dtype=np.uint8), window=Window(0, 0, 1, 1))
         if n_overviews:

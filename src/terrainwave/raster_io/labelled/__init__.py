@@ -13,7 +13,12 @@ from terrainwave.arguments import check_band
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.affine import IDENTITY, Transform
 from terrainwave.place.crs import format_crs
-from terrainwave.raster_io.labelled.place import crs_of, stored_transform, transform_of
+from terrainwave.raster_io.labelled.place import (
+    crs_of,
+    stored_transform,
+    told_transform,
+    transform_of,
+)
 from terrainwave.raster_io.labelled.signs import (
     by_axis,
     by_name,
@@ -60,8 +65,8 @@ def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> Label
         )
     if not georeference:
         return LabelledArray(layer, IDENTITY, None, band_notes)
-    transform = transform_of(layer, crs)
-    notes = [*band_notes, *notes]
+    transform, place_notes = transform_of(layer, crs, told_transform(array, source))
+    notes = [*band_notes, *notes, *place_notes]
     if transform is None:
         if crs is not None:
             notes.append(

@@ -2,7 +2,7 @@
 
 import contextlib
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +15,17 @@ from terrainwave.grid.affine import (
     Fit,
     Transform,
     coordinates,
+    determinant,
     grid_of_axes,
     grid_of_places,
     is_turned,
     of_strides,
+    of_window,
     strides_on,
 )
 from terrainwave.place.crs import crs_of_grid_mapping, format_crs, parse_crs
 from terrainwave.place.description import describe_quietly
+from terrainwave.raster_io.labelled.packing import numbers_of
 from terrainwave.raster_io.labelled.signs import (
     NO_PLACE,
     coords_along,
@@ -62,6 +65,10 @@ def crs_of(array: Any, source: Any) -> tuple[CRS | None, list[str]]:
     name = mapping.get("grid_mapping_name")
     if name is not None:
         return _crs_of_mapping(mapping)
+    for owner in (array, source):
+        crs = _plain_crs(getattr(owner, "attrs", {}).get("crs"))
+        if crs is not None:
+            return crs, []
     asked = {"grid_mapping"} & {*getattr(array, "encoding", {}), *array.attrs}
     if asked and not mapping:
         return None, [
@@ -69,6 +76,13 @@ def crs_of(array: Any, source: Any) -> tuple[CRS | None, list[str]]:
             ' so there is no CRS: open the file with decode_coords="all", or give the Dataset'
         ]
     return None, []
+
+
+def _plain_crs(told: Any) -> CRS | None:
+    """Return the CRS of an attribute `crs`, which rioxarray reads where it is imported."""
+    if hasattr(told, "to_wkt"):
+        told = told.to_wkt()
+    return parse_crs(told) if isinstance(told, str) else None
 
 
 def _crs_of_mapping(mapping: dict[str, Any]) -> tuple[CRS | None, list[str]]:
@@ -94,11 +108,40 @@ def stored_transform(array: Any) -> Transform | None:
     return None
 
 
-def transform_of(array: Any, crs: CRS | None) -> Transform | None:
-    """Return where the pixels are, by the coordinates of their centres and the stored transform.
+class ToldTransform(NamedTuple):
+    """The attribute `transform`, and the shape of the raster that it was written for, if told."""
 
-    The stored one is exact, but stays as it was when the array is cut, turned over or thinned
-    out: the centres then tell which samples these are. None if nothing says where they lie.
+    transform: Transform
+    shape: tuple[int, int] | None
+
+
+def told_transform(array: Any, source: Any) -> ToldTransform | None:
+    """Return the attribute `transform`, as stackstac writes it and rasterio orders it."""
+    for owner in (array, source):
+        attrs = getattr(owner, "attrs", {})
+        value = attrs.get("transform")
+        if value is not None and not isinstance(value, str):
+            with contextlib.suppress(TypeError):
+                value = list(value)
+        numbers = numbers_of(value)
+        if len(numbers) == 6 or (len(numbers) == 9 and numbers[6:] == [0, 0, 1]):
+            a, b, c, d, e, f = map(float, numbers[:6])
+            transform = (a, b, c, d, e, f)
+            if all(map(math.isfinite, transform)) and determinant(transform):
+                shape = getattr(attrs.get("spec"), "shape", None)
+                return ToldTransform(transform, None if shape is None else tuple(shape))
+    return None
+
+
+def transform_of(
+    array: Any, crs: CRS | None, told: ToldTransform | None
+) -> tuple[Transform | None, list[str]]:
+    """Return where the pixels are, and notes: by coordinates and the transforms that are stored.
+
+    Coordinates are centres of pixels. The transform beside the CRS is exact, but stays as it was
+    when the array is cut, turned over or thinned out: the centres then tell which samples these
+    are. So does `told`, the attribute, by which coordinates may be corners, too. None if nothing
+    says where samples lie.
 
     Raises
     ------
@@ -107,18 +150,24 @@ def transform_of(array: Any, crs: CRS | None) -> Transform | None:
     """
     shape = array.shape[0], array.shape[1]
     stored = stored_transform(array)
+    if told is not None and (told.transform == IDENTITY or stored not in (None, told.transform)):
+        told = None
     axes = [_centres(array, dim, crs) for dim in array.dims]
     places = places_of(array)
     if all(centres is None for _, centres in axes):
+        if places is None and told is not None:
+            return _without_coordinates(array, told)
         if places is None:
-            return None if stored == IDENTITY else stored
+            return (None if stored == IDENTITY else stored), []
         fit = grid_of_places(_reader(places, array.dims), shape)
+        told = None
         for place in places:
             _check_unit(array, str(place.name), place, crs)
         names = " and ".join(str(place.name) for place in places)
         _check_even(array, f"{names} are", fit)
     elif stored is not None and is_turned(stored, shape):
-        return stored  # as rioxarray does: coordinates of one number can't tell a turned grid
+        # As rioxarray does: coordinates of one number can't tell a turned grid.
+        return stored, []
     else:
         (y_name, y), (x_name, x) = axes
         if stored is not None:
@@ -134,10 +183,15 @@ def transform_of(array: Any, crs: CRS | None) -> Transform | None:
         fit, y_fit = grid_of_axes(x, y)
         _check_even(array, f"{x_name} is", fit)
         _check_even(array, f"{y_name} is", y_fit)
+    notes: list[str] = []
+    if told is not None and shape != (1, 1):
+        by_told, notes = _by_told(array, fit.transform, told.transform)
+        if by_told is not None:
+            return by_told, notes
     strides = None if stored is None else strides_on(fit.transform, shape, stored)
     if stored is not None and strides is not None:
         # The identity is what rasterio gives where a file has none.
-        return None if stored == IDENTITY else of_strides(stored, *strides)
+        return None if stored == IDENTITY else of_strides(stored, *strides), notes
     for size, dim in zip(shape, array.dims):
         if size == 1:
             raise InvalidHeightsError(
@@ -145,7 +199,45 @@ def transform_of(array: Any, crs: CRS | None) -> Transform | None:
                 f" it reaches; expected a transform too: write one by array.rio.write_transform, or"
                 f" {NO_PLACE}"
             )
-    return fit.transform
+    return fit.transform, notes
+
+
+def _without_coordinates(array: Any, told: ToldTransform) -> tuple[Transform | None, list[str]]:
+    """Return the attribute's transform where nothing says that the array was cut since."""
+    shape = tuple(array.shape)
+    if told.shape is None:
+        return told.transform, [
+            f"{title(array)} has no coordinates: its attribute transform places it, which would be"
+            " wrong if it was cut since"
+        ]
+    if told.shape == shape:
+        return told.transform, []
+    return None, [
+        f"{title(array)} has {shape[0]} x {shape[1]} samples, and its attribute transform is of"
+        f" {told.shape[0]} x {told.shape[1]}: it is ignored"
+    ]
+
+
+def _by_told(array: Any, fitted: Transform, told: Transform) -> tuple[Transform | None, list[str]]:
+    """Return where pixels of the attribute's size lie, whose centres or corners coordinates are.
+
+    None, with a note, if the coordinates are of other pixels: averages of 2 x 2 centres look like
+    every second corner.
+    """
+    shape = array.shape[0], array.shape[1]
+    for shift in (0.0, -0.5):
+        strides = strides_on(fitted, shape, of_window(told, shift, shift))
+        if strides is None or {abs(strides.row_stride), abs(strides.col_stride)} != {1}:
+            continue
+        notes = [
+            f"x and y of {title(array)} are corners of pixels by its attribute transform, which"
+            " counts: centres are half a pixel further"
+        ]
+        return of_strides(told, *strides), notes if shift else []
+    return None, [
+        f"x and y of {title(array)} are not those of its attribute transform; they are taken for"
+        " centres of pixels (of stackstac: xy_coords='center')"
+    ]
 
 
 def _centres(array: Any, dim: Any, crs: CRS | None) -> tuple[str, NDArray[np.generic] | None]:

@@ -2,12 +2,12 @@
 
 import contextlib
 import math
-import re
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.raster_io.labelled.packing import Packing, number_of, numbers_of
 from terrainwave.raster_io.labelled.signs import title
 
 
@@ -19,7 +19,7 @@ class Voids(NamedTuple):
     notes: list[str]
 
 
-def voids_of(array: Any, band: int) -> Voids:
+def voids_of(array: Any, band: int, packing: Packing) -> Voids:
     """Return what the accessor, attributes and encoding of a DataArray declare to be void.
 
     As the CF conventions allow, several values may. `array` is the very object that was given: what
@@ -43,11 +43,15 @@ def voids_of(array: Any, band: int) -> Voids:
         declared += [fields.get(name) for name in _FILL_NAMES]
         per_band = np.atleast_1d(np.asarray(fields.get("nodatavals", ()), dtype=object))
         declared += list(per_band[band - 1 : band] if per_band.size > 1 else per_band)
+    numbers = [number for value in declared for number in numbers_of(value)]
+    if packing.applied is not None:  # to voids, too
+        scale, offset = packing.applied
+        numbers += [number * scale + offset for number in numbers]
     values: dict[Any, int | float] = {}
-    for value in declared:
-        for number in _numbers(value):
-            values.setdefault("nan" if number != number else number, number)
-    return Voids(list(values.values()), *_valid_range(attrs, encoding, array.dtype))
+    for number in numbers:
+        values.setdefault("nan" if number != number else number, number)
+    by_hand = packing.applied is not None
+    return Voids(list(values.values()), *_valid_range(attrs, encoding, array.dtype, by_hand))
 
 
 def _is_unsigned(fields: Any) -> bool:
@@ -58,53 +62,25 @@ def _is_unsigned(fields: Any) -> bool:
 _FILL_NAMES = ("_FillValue", "missing_value", "fill_value", "nodata")
 
 
-def _numbers(value: Any) -> list[int | float]:
-    """Return the numbers of an attribute, which may be one or several, or text."""
-    if value is None or isinstance(value, bool):
-        return []
-    with contextlib.suppress(TypeError, ValueError):
-        words = re.split(r"[\s,;]+", value.strip("[](){} ")) if isinstance(value, str) else value
-        numbers = np.atleast_1d(np.asarray(words))
-        if numbers.dtype.kind not in "iuf":
-            numbers = numbers.astype(np.float64)
-        return [number.item() for number in numbers.ravel()]
-    return []
-
-
-def number_of(fields: Any, name: str, default: float) -> float:
-    """Return the one number that an attribute has.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If it has another value.
-    """
-    if name not in fields:
-        return default
-    numbers = _numbers(fields[name])
-    if len(numbers) != 1:
-        raise InvalidHeightsError(
-            f"the attribute {name} is {str(fields[name])[:40]!r}; expected a number: correct it"
-        )
-    return float(numbers[0])
-
-
 def _valid_range(
-    attrs: Any, encoding: Any, dtype: np.dtype[Any]
+    attrs: Any, encoding: Any, dtype: np.dtype[Any], by_hand: bool
 ) -> tuple[tuple[float, float] | None, list[str]]:
     """Return the range of valid values, in the numbers that the array holds, and a note.
 
     The range is of packed numbers, unless it is of a wider type than these (CF 1.11, 2.5.1).
+    `by_hand`: the attributes' scale has been applied, to whole numbers as it seems.
     """
-    ends = _numbers(attrs.get("valid_range"))
+    ends = numbers_of(attrs.get("valid_range"))
     if len(ends) != 2:
-        low, high = (_numbers(attrs.get(name)) for name in ("valid_min", "valid_max"))
+        low, high = (numbers_of(attrs.get(name)) for name in ("valid_min", "valid_max"))
         ends = [low[0] if len(low) == 1 else -math.inf, high[0] if len(high) == 1 else math.inf]
     if ends == [-math.inf, math.inf] or any(end != end for end in ends):
         return None, []
     is_decoded = bool({"scale_factor", "add_offset"} & set(encoding)) or _is_unsigned(encoding)
     packing = encoding if is_decoded else attrs
     packed_type = np.dtype(encoding.get("dtype", dtype)) if is_decoded else dtype
+    if by_hand:
+        is_decoded, packed_type = True, np.dtype(np.int64)
     stated = [end for end in ends if math.isfinite(end)]
     is_wide = packed_type.kind in "iu" and any(isinstance(end, float) for end in stated)
     if is_decoded and _is_unsigned(encoding) and packed_type.kind in "iu" and not is_wide:

@@ -1,0 +1,242 @@
+"""Attributes that survive operations: stackstac's transform, and scale and offset."""
+
+import warnings
+
+import numpy as np
+import pytest
+import rioxarray
+import xarray as xr
+from rasterio.transform import Affine
+from strategies import terrain_like, write_geotiff
+
+import terrainwave
+from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
+from terrainwave.raster_io.source import RasterSource
+
+# rioxarray 0.19 multiplies transforms, which affine 3 will deprecate.
+pytestmark = pytest.mark.filterwarnings("ignore:Use .@. matmul:PendingDeprecationWarning")
+
+QUICK = {"method": "store", "mesh": "none"}
+N = 12
+PLACE = (10.0, 0.0, 500_000.0, 0.0, -10.0, 5_000_000.0)
+
+
+class Spec:
+    """stackstac's RasterSpec, as far as it is read."""
+
+    shape = N, N
+
+
+SPEC = Spec()
+
+
+def stacked(xy_coords, spec=SPEC, **attrs):
+    """Return an array as stackstac 0.5 makes it, with `xy_coords` as in its `stack`."""
+    corners = {"x": 500_000 + 10.0 * np.arange(N), "y": 5_000_000 - 10.0 * np.arange(N)}
+    found = {
+        "topleft": corners,
+        "center": {"x": corners["x"] + 5, "y": corners["y"] - 5},
+        False: {},
+    }[xy_coords]
+    attrs = {"crs": "epsg:32632", "transform": Affine(*PLACE), "resolution": 10, **attrs}
+    if spec is not None:
+        attrs["spec"] = spec
+    return xr.DataArray(
+        terrain_like(N, N, "float32")[None, None],
+        dims=("time", "band", "y", "x"),
+        coords={"time": [0], "band": ["dem"], "epsg": 32632, **found},
+        attrs=attrs,
+    )
+
+
+def read(array, **options):
+    """Return information and notes of an array."""
+    with RasterSource(array, warn=False, **options) as source:
+        return source.info, list(source.notes)
+
+
+# By hand: places of pixels, whatever the coordinates are of.
+PARTS = {
+    "whole": (lambda array: array, PLACE),
+    "cut": (
+        lambda array: array.isel(x=slice(3, 9), y=slice(2, 11)),
+        (10.0, 0.0, 500_030.0, 0.0, -10.0, 4_999_980.0),
+    ),
+    "turned over": (
+        lambda array: array.isel(y=slice(None, None, -1)),
+        (10.0, 0.0, 500_000.0, 0.0, 10.0, 4_999_880.0),
+    ),
+    "one row": (
+        lambda array: array.isel(y=slice(4, 5)),
+        (10.0, 0.0, 500_000.0, 0.0, -10.0, 4_999_960.0),
+    ),
+    "in chunks": (lambda array: array.chunk(x=5), PLACE),
+    "with a CRS by rioxarray": (lambda array: array.rio.write_crs(32632), PLACE),
+    "a Dataset": (lambda array: array.to_dataset(dim="band"), PLACE),
+    "numbers": (lambda array: array.assign_attrs(transform=PLACE), PLACE),
+    "numbers of a file": (
+        lambda array: array.assign_attrs(transform=np.array([*PLACE, 0.0, 0.0, 1.0])), PLACE
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("xy_coords", ["topleft", "center"])
+@pytest.mark.parametrize("part", PARTS)
+def test_pixels_lie_where_the_transform_says(xy_coords, part):
+    change, place = PARTS[part]
+    info, notes = read(change(stacked(xy_coords)))
+    assert info.transform == pytest.approx(place, rel=0, abs=1e-6)
+    assert info.crs == "EPSG:32632"
+    assert any("corners of pixels" in note for note in notes) == (xy_coords == "topleft")
+
+
+def shifted(array, x, y):
+    return array.assign_coords(x=array.x + x, y=array.y + y)
+
+
+CENTRES = {
+    "averages of 2": (
+        lambda array: array.coarsen(x=2, y=2).mean(),
+        (20.0, 0.0, 500_000.0, 0.0, -20.0, 5_000_000.0),
+    ),
+    "averages of 3": (
+        lambda array: array.coarsen(x=3, y=3).mean(),
+        (30.0, 0.0, 500_000.0, 0.0, -30.0, 5_000_000.0),
+    ),
+    "every other one": (
+        lambda array: array[..., ::2, ::2],
+        (20.0, 0.0, 499_995.0, 0.0, -20.0, 5_000_005.0),
+    ),
+    "between columns": (
+        lambda array: array.interp(x=array.x.values[:-1] + 5),
+        (10.0, 0.0, 500_005.0, 0.0, -10.0, 5_000_000.0),
+    ),
+    "moved": (lambda array: shifted(array, 3, 3), (10.0, 0.0, 500_003.0, 0.0, -10.0, 5_000_003.0)),
+    "moved by half a pixel down": (
+        lambda array: shifted(array, 0, -5), (10.0, 0.0, 500_000.0, 0.0, -10.0, 4_999_995.0)
+    ),
+    "finer": (
+        lambda array: array.interp(x=500_020 + 5.0 * np.arange(9)),
+        (5.0, 0.0, 500_017.5, 0.0, -10.0, 5_000_000.0),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("change", CENTRES)
+def test_coordinates_count_where_the_transform_is_of_other_pixels(change):
+    change, place = CENTRES[change]
+    info, notes = read(change(stacked("center")))
+    assert info.transform == pytest.approx(place, rel=0, abs=1e-6)
+    assert any("are not those of its attribute transform" in note for note in notes)
+
+
+def test_one_sample_of_an_unknown_size_is_refused():
+    with pytest.raises(InvalidHeightsError, match="has one sample along y"):
+        read(stacked("topleft")[..., 3:4, 5:6])
+
+
+def test_array_without_coordinates_has_the_place_of_its_transform():
+    info, notes = read(stacked(False))
+    assert (info.transform, info.crs, notes) == (PLACE, "EPSG:32632", [])
+    info, notes = read(stacked(False, spec=None))
+    assert (info.transform, info.crs) == (PLACE, "EPSG:32632")
+    assert any("would be wrong if it was cut since" in note for note in notes)
+
+
+@pytest.mark.parametrize("write_crs", [False, True])
+def test_transform_of_another_shape_is_no_place(write_crs):
+    array = stacked(False)[..., 2:, :]
+    info, notes = read(array.rio.write_crs(32632) if write_crs else array)
+    assert info.crs is None
+    assert any("10 x 12 samples, and its attribute transform is of 12 x 12" in n for n in notes)
+
+
+@pytest.mark.parametrize(
+    "transform", ["UTM", None, 3, PLACE[:5], (0.0,) * 6, (*PLACE, 0, 0, 2), (np.nan, *PLACE[1:])]
+)
+def test_attribute_that_is_no_transform_says_nothing(transform):
+    info, notes = read(stacked("center", transform=transform))
+    assert (info.transform, notes) == (PLACE, [])
+
+
+def test_stored_transform_of_rioxarray_counts_before_the_attribute():
+    moved = Affine(10.0, 0.0, 600_000.0, 0.0, -10.0, 5_000_000.0)
+    array = stacked(False).rio.write_crs(32632).rio.write_transform(moved)
+    info, _ = read(array.assign_attrs(transform=Affine(*PLACE)))
+    assert info.transform == tuple(moved)[:6]
+
+
+# Scale and offset.
+
+
+def packed(tmp_path, dtype="int16", nodata=-9):
+    """Return the path of a raster of 200 to 1000 m in tenths above 100 m, with a void."""
+    stored = np.linspace(1000, 9000, 20 * 20).reshape(20, 20).astype(dtype)
+    stored[3, 4] = nodata
+    return write_geotiff(
+        tmp_path / "a.tif", stored, nodata=nodata, bands={"scales": 0.1, "offsets": 100.0},
+        crs="EPSG:32632", transform=Affine(*PLACE),
+    )  # fmt: skip
+
+
+def by_hand(array):
+    return array * array.attrs["scale_factor"] + array.attrs["add_offset"]
+
+
+OPENED = {
+    "as stored": ({}, lambda array: array),
+    "masked": ({"masked": True}, lambda array: array),
+    "masked, cut": ({"masked": True}, lambda array: array[:, :, 1:]),
+    "decoded": ({"mask_and_scale": True}, lambda array: array),
+    "decoded, smoothed": ({"mask_and_scale": True}, lambda array: (array + array) / 2),
+    "by hand": ({}, by_hand),
+    "masked, by hand": ({"masked": True}, by_hand),
+    "by hand, in chunks": ({}, lambda array: by_hand(array.chunk(x=7))),
+    "by hand, as a copy": ({}, lambda array: array.copy(data=by_hand(array))),
+    "by a function": ({}, lambda array: xr.apply_ufunc(lambda z: z * 0.1 + 100, array)),
+}
+
+
+@pytest.mark.parametrize(
+    ("dtype", "way"),
+    [("int16", way) for way in OPENED]
+    # Nothing tells a copy of the same type from packed heights.
+    + [("float32", way) for way in OPENED if way != "by hand, as a copy"],
+)
+def test_heights_are_scaled_once(tmp_path, dtype, way):
+    options, change = OPENED[way]
+    array = change(rioxarray.open_rasterio(packed(tmp_path, dtype), **options))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TerrainwaveWarning)
+        terrainwave.compress(array, tmp_path / "a.twz", max_error=0.05, **QUICK)
+    with terrainwave.open(tmp_path / "a.twz") as terrain:
+        info = terrain.info()
+        assert (info.minimum, info.maximum) == pytest.approx((200, 1000), abs=2.5)
+        valid = terrain.read_with_mask()[1]
+        assert valid.sum() == valid.size - 1
+
+
+def test_floats_that_keep_scale_and_offset_are_named():
+    attrs = {"scale_factor": 0.1, "add_offset": 100.0}
+    array = xr.DataArray(np.full((3, 4), 250.5), dims=("y", "x"), attrs=attrs)
+    info, notes = read(array)
+    assert (info.scale, info.offset) == (1.0, 0.0)
+    assert ["not applied" in note for note in notes] == [True]
+    info, notes = read(array.astype("int16"))
+    assert (info.scale, info.offset, notes) == (0.1, 100.0, [])
+
+
+def test_valid_range_of_packed_numbers_is_scaled_with_them():
+    attrs = {"scale_factor": 0.1, "valid_range": np.array([0, 1000], "i2")}
+    heights = np.array([[-0.1, 0.0, 99.9, 100.1]])
+    with RasterSource(xr.DataArray(heights, dims=("y", "x"), attrs=attrs), warn=False) as source:
+        assert source.read(0, 0, 1, 4)[1].tolist() == [[False, True, True, False]]
+
+
+@pytest.mark.parametrize("dtype", ["int16", "float32"])
+def test_stored_values_of_a_file_are_scaled_once(tmp_path, dtype):
+    terrainwave.compress(packed(tmp_path, dtype), tmp_path / "a.twz", max_error=0, **QUICK)
+    with xr.open_dataset(tmp_path / "a.twz", mask_and_scale=False) as dataset:
+        assert read(dataset.heights[1:])[0].scale == 0.1
+        assert dataset.heights.terrainwave.bound() == 0
+        assert read(by_hand(dataset.heights))[0].scale == 1.0
