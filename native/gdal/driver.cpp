@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <iterator>
 #include <limits>
 #include <memory>
 #include <string>
@@ -24,6 +25,8 @@ constexpr char MAGIC[] = "\x89TWZ\r\n\x1a\n";
 constexpr size_t MAGIC_BYTES = 8;
 constexpr char PREFIX[] = "TWZ:";
 constexpr char DOMAIN[] = "TERRAINWAVE";
+/* Tags that earlier versions wrote into GeoTIFFs; compressed, they are of other heights. */
+constexpr const char *OF_OTHERS[] = {"TERRAINWAVE_MAX_ERROR", "TERRAINWAVE_METHOD", "TERRAINWAVE_OVERVIEWS"};
 /* Of the band, in DOMAIN: it goes into the .aux.xml and marks of which file statistics there are. */
 constexpr char FINGERPRINT[] = "FINGERPRINT";
 /* Samples a side that overviews stop at, as Terrain.geotiff has it. */
@@ -575,7 +578,10 @@ void Dataset::Describe() {
     GDALMajorObject *object = of_band ? static_cast<GDALMajorObject *>(band) : this;
     const char *key, *value;
     for (size_t i = 0; twz_file_tag(file_->Get(), of_band, i, &key, &value); i++) {
-      if (*key && !strchr(key, '=') && !STARTS_WITH_CI(key, "STATISTICS_"))
+      const bool is_of_others =
+          STARTS_WITH_CI(key, "STATISTICS_") ||
+          std::any_of(std::begin(OF_OTHERS), std::end(OF_OTHERS), [&](const char *name) { return EQUAL(key, name); });
+      if (*key && !strchr(key, '=') && !is_of_others)
         object->GDALMajorObject::SetMetadataItem(key, value);
     }
   }

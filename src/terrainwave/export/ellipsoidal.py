@@ -31,9 +31,12 @@ class AboveEllipsoid:
     ----------
     info : RasterInfo
         In metres, of the CRS with ellipsoidal heights.
+    stated : dict of str
+        What it states of its heights: the bound of the full grid; nothing of coarse levels.
     """
 
     info: RasterInfo
+    stated: dict[str, str]
     _way: EllipsoidalHeights
     _source: RasterInfo
     _metres: float
@@ -91,8 +94,7 @@ def above_ellipsoid(terrain: TerrainFile, info: RasterInfo, level: int) -> Above
     within = "" if bound is None else f", within {bound:.6g} m of the originals"
     warnings.warn(f"{way.words}{within}", TerrainwaveWarning, stacklevel=3)
     tags = dict(info.tags) | {"TERRAINWAVE_VERTICAL": way.words}
-    if bound is not None:
-        tags["TERRAINWAVE_MAX_ERROR"] = repr(bound)
+    stated = {} if bound is None else {"MAX_ERROR": repr(bound)}
     target = info.crs if way.target is None else format_crs(CRS.from_wkt(way.target))
     converted = replace(
         info,
@@ -106,7 +108,7 @@ def above_ellipsoid(terrain: TerrainFile, info: RasterInfo, level: int) -> Above
         crs=target,
         tags=tuple(sorted(tags.items())),
     )
-    return AboveEllipsoid(converted, way, info, metres)
+    return AboveEllipsoid(converted, stated, way, info, metres)
 
 
 def _bound(terrain: TerrainFile, metres: float, dtype: np.dtype[Any]) -> float:

@@ -7,7 +7,7 @@ import tempfile
 import threading
 import warnings
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -35,7 +35,7 @@ from terrainwave.raster_io.gdal import (
     scan_windows,
 )
 from terrainwave.raster_io.raster_info import RasterInfo, stored_nodata
-from terrainwave.raster_io.tags import PLAIN_COLORS, writable_tags
+from terrainwave.raster_io.tags import DOMAIN, PLAIN_COLORS, writable_tags
 
 # Samples a side of a GeoTIFF's tile.
 TILE = 512
@@ -133,6 +133,8 @@ class RasterSink:
         Replace an existing file.
     n_threads : int
         Threads that GDAL compresses with.
+    stated : mapping of str, optional
+        Items of the band's metadata, in `DOMAIN`. GDAL does not take them into a COG.
 
     Raises
     ------
@@ -158,8 +160,10 @@ class RasterSink:
         cog: bool = False,
         overwrite: bool = False,
         n_threads: int = 1,
+        stated: Mapping[str, str] | None = None,
     ) -> None:
         self.info = info
+        self._stated = stated or {}
         self._path = os.fspath(path)
         self._cog = cog
         self._n_threads = _THREADS.allowed(n_threads)
@@ -204,6 +208,8 @@ class RasterSink:
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             dataset = rasterio.open(self._part, "w", **profile)
             write_description(dataset, self.info)
+            if self._stated:
+                dataset.update_tags(1, ns=DOMAIN, **self._stated)
         return dataset
 
     @property
