@@ -29,6 +29,7 @@ constexpr char DOMAIN[] = "TERRAINWAVE";
 constexpr const char *OF_OTHERS[] = {"TERRAINWAVE_MAX_ERROR", "TERRAINWAVE_METHOD", "TERRAINWAVE_OVERVIEWS"};
 /* Of the band, in DOMAIN: it goes into the .aux.xml and marks of which file statistics there are. */
 constexpr char FINGERPRINT[] = "FINGERPRINT";
+constexpr uint32_t HAS_REMAINDERS = 1; /* feature bit 0 */
 /* Samples a side that overviews stop at, as Terrain.geotiff has it. */
 constexpr uint32_t SMALLEST_OVERVIEW = 512;
 /* Blocks are as large as units of decoding, within these. Of 128 to 2048 samples a side, 512 took least, units being
@@ -563,7 +564,9 @@ double Dataset::Bound() const {
   if (IsOverview()) return -1;
   /* Levels of these methods have samples of the full grid; those of others are filtered. */
   const bool is_nested = info.method == TWZ_STORE || info.method == TWZ_PREDICTIVE || info.method == TWZ_RAPID;
-  if (IsFinest() || is_nested) return info.effective_bound;
+  if (IsFinest()) return info.effective_bound;
+  /* Remainders make the full grid exact; coarser levels have none. */
+  if (is_nested) return info.features & HAS_REMAINDERS ? info.raw_rho * std::fabs(info.scale) : info.effective_bound;
   const double raw = StatedError(*file_, handle_, grid_.level);
   if (raw < 0) return raw;
   const bool is_float = info.dtype == TWZ_FLOAT32 || info.dtype == TWZ_FLOAT64;

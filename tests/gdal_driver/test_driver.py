@@ -245,6 +245,27 @@ def test_each_level_states_a_bound_that_holds_for_its_samples(rough):
     assert is_nested == (max(excesses) <= 0)
 
 
+@pytest.mark.parametrize("method", ["cdf97", "predictive", "rapid", "store"])
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_levels_of_exact_floats_on_no_grid_state_what_rounding_leaves(folder, method, dtype):
+    y, x = np.mgrid[0:140, 0:130]
+    heights = (300 * np.sin(x / 31) * np.cos(y / 27) * np.pi).astype(dtype)
+    path = folder / f"floats-{method}-{dtype}.twz"
+    path.write_bytes(
+        terrainwave.compress_to_bytes(heights, max_error=0, method=method, block=32, threads=1)
+    )
+    worst = []
+    for _, level, own, structure in by_python(BOUNDS, [str(path)]):
+        with terrainwave.open(path) as terrain:
+            originals = heights[:: terrain.grid.stride(level), :: terrain.grid.stride(level)]
+        samples = np.load(f"{path}.{level}.npy")
+        worst.append(np.abs(samples.astype(float) - originals).max())
+        bound = float(own["MAX_ERROR"])
+        assert worst[-1] <= bound
+        assert (structure["COMPRESSION_REVERSIBILITY"] == "LOSSLESS") == (bound == 0)
+    assert worst[-1] == 0 < max(worst)
+
+
 def test_a_filtered_level_of_a_file_on_a_server_states_no_bound(rough):
     method, _, paths = rough
     code = """
