@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <iterator>
 #include <limits>
 #include <memory>
 #include <string>
@@ -10,6 +11,7 @@
 #include "area.h"
 #include "cpl_conv.h"
 #include "cpl_json.h"
+#include "cpl_minixml.h"
 #include "cpl_string.h"
 #include "gdal_pam.h"
 #include "gdal_priv.h"
@@ -23,6 +25,12 @@ namespace {
 constexpr char MAGIC[] = "\x89TWZ\r\n\x1a\n";
 constexpr size_t MAGIC_BYTES = 8;
 constexpr char PREFIX[] = "TWZ:";
+constexpr char DOMAIN[] = "TERRAINWAVE";
+/* Tags that earlier versions wrote into GeoTIFFs; compressed, they are of other heights. */
+constexpr const char *OF_OTHERS[] = {"TERRAINWAVE_MAX_ERROR", "TERRAINWAVE_METHOD", "TERRAINWAVE_OVERVIEWS"};
+/* Of the band, in DOMAIN: it goes into the .aux.xml and marks of which file statistics there are. */
+constexpr char FINGERPRINT[] = "FINGERPRINT";
+constexpr uint32_t HAS_REMAINDERS = 1; /* feature bit 0 */
 /* Samples a side that overviews stop at, as Terrain.geotiff has it. */
 constexpr uint32_t SMALLEST_OVERVIEW = 512;
 /* Blocks are as large as units of decoding, within these. Of 128 to 2048 samples a side, 512 took least, units being
@@ -132,6 +140,8 @@ class Band final : public ReadingBand<GDALPamRasterBand> {
                            GDALProgressFunc progress, void *data) override;
   CPLErr GetHistogram(double least, double greatest, int n, GUIntBig *counts, int with_others, int is_rough,
                       GDALProgressFunc progress, void *data) override;
+  /* Drop statistics and histograms that an .aux.xml brought. */
+  void ForgetStatistics();
 
  private:
   double Extreme(bool is_least, int *is_known);
@@ -162,7 +172,8 @@ class Dataset final : public GDALPamDataset {
   }
 
   const twz_info &Info() const { return file_->Info(); }
-  bool IsFinest() const { return grid_.stride == 0 && grid_.level == Info().n_levels - 1; }
+  bool IsOverview() const { return grid_.stride != 0; }
+  bool IsFinest() const { return !IsOverview() && grid_.level == Info().n_levels - 1; }
   bool HasMask() const { return mask_ != nullptr; }
   MaskBand *Mask() const { return mask_.get(); }
   const std::string &UnitOfCrs() const { return unit_of_crs_; }
@@ -187,8 +198,10 @@ class Dataset final : public GDALPamDataset {
 
  private:
   Dataset(std::shared_ptr<SharedFile> file, VSILFILE *handle, const Grid &grid, int n_threads);
-  void AddOverviews();
   void Describe();
+  void DescribePlace();
+  double Bound() const;
+  void LoadSidecar(char **siblings);
   void DescribeCrs();
   bool ReadDirectly(GDALRasterBand &band, const Request &request);
   bool FillBlocks(GDALRasterBand &band, const Request &request);
@@ -494,6 +507,17 @@ CPLErr Band::GetHistogram(double least, double greatest, int n, GUIntBig *counts
   });
 }
 
+void Band::ForgetStatistics() {
+  const CPLStringList known(CSLDuplicate(GDALMajorObject::GetMetadata()));
+  for (int i = 0; i < known.size(); i++) {
+    const std::string key = known[i], name = key.substr(0, key.find('='));
+    if (STARTS_WITH_CI(name.c_str(), "STATISTICS_")) GDALMajorObject::SetMetadataItem(name.c_str(), nullptr);
+  }
+  if (!psPam || !psPam->psSavedHistograms) return;
+  CPLDestroyXMLNode(psPam->psSavedHistograms);
+  psPam->psSavedHistograms = nullptr;
+}
+
 /* ---- What a file says of itself ---- */
 
 void Dataset::DescribeCrs() {
@@ -518,23 +542,50 @@ void Dataset::DescribeCrs() {
   if (unit) unit_of_crs_ = unit;
 }
 
-void Dataset::Describe() {
+void Dataset::DescribePlace() {
   const twz_info &info = Info();
-  /* A coarse level has one even where the raster has none: rows and columns of the full grid. */
-  has_transform_ = info.has_transform != 0 || info.crs != nullptr || !IsFinest();
+  has_transform_ = info.has_transform != 0 || info.crs != nullptr;
   twz_level level;
-  if (twz_file_level(file_->Get(), grid_.level, &level, nullptr) == TWZ_OK) {
+  if (twz_file_level(file_->Get(), IsOverview() ? info.n_levels - 1 : grid_.level, &level, nullptr) == TWZ_OK) {
+    /* Pixels of overviews cover the raster, as GDAL has it for the overviews of any raster. */
+    const double across = IsOverview() ? static_cast<double>(info.n_cols) / grid_.n_cols : 1;
+    const double down = IsOverview() ? static_cast<double>(info.n_rows) / grid_.n_rows : 1;
     const double *t = level.transform;
-    const double ordered[6] = {t[2], t[0], t[1], t[5], t[3], t[4]};
+    const double ordered[6] = {t[2], t[0] * across, t[1] * down, t[5], t[3] * across, t[4] * down};
     std::copy(ordered, ordered + 6, transform_);
   }
+  /* A coarse level has one even where the raster has none: rows and columns of the full grid. */
+  if (!IsOverview() && !IsFinest()) has_transform_ = true;
   DescribeCrs();
+}
+
+/* The bound of the samples that the dataset shows, in physical units; negative: none is known. */
+double Dataset::Bound() const {
+  const twz_info &info = Info();
+  if (IsOverview()) return -1;
+  /* Levels of these methods have samples of the full grid; those of others are filtered. */
+  const bool is_nested = info.method == TWZ_STORE || info.method == TWZ_PREDICTIVE || info.method == TWZ_RAPID;
+  if (IsFinest()) return info.effective_bound;
+  /* Remainders make the full grid exact; coarser levels have none. */
+  if (is_nested) return info.features & HAS_REMAINDERS ? info.raw_rho * std::fabs(info.scale) : info.effective_bound;
+  const double raw = StatedError(*file_, handle_, grid_.level);
+  if (raw < 0) return raw;
+  const bool is_float = info.dtype == TWZ_FLOAT32 || info.dtype == TWZ_FLOAT64;
+  const bool is_rounded = !is_float && info.quantum != std::floor(info.quantum);
+  return (raw + (is_rounded ? 0.5 : 0)) * std::fabs(info.scale);
+}
+
+void Dataset::Describe() {
+  const twz_info &info = Info();
   GDALRasterBand *band = GetRasterBand(1);
   for (int of_band = 0; of_band < 2; of_band++) {
     GDALMajorObject *object = of_band ? static_cast<GDALMajorObject *>(band) : this;
     const char *key, *value;
     for (size_t i = 0; twz_file_tag(file_->Get(), of_band, i, &key, &value); i++) {
-      if (*key && !strchr(key, '=') && !STARTS_WITH_CI(key, "STATISTICS_"))
+      const bool is_of_others =
+          STARTS_WITH_CI(key, "STATISTICS_") ||
+          std::any_of(std::begin(OF_OTHERS), std::end(OF_OTHERS), [&](const char *name) { return EQUAL(key, name); });
+      if (*key && !strchr(key, '=') && !is_of_others)
         object->GDALMajorObject::SetMetadataItem(key, value);
     }
   }
@@ -549,37 +600,55 @@ void Dataset::Describe() {
   if (info.is_point >= 0)
     GDALMajorObject::SetMetadataItem(GDALMD_AREA_OR_POINT, info.is_point ? GDALMD_AOP_POINT : GDALMD_AOP_AREA);
   if (info.description) band->GDALMajorObject::SetDescription(info.description);
-  const auto say = [this](const char *key, const std::string &value) {
-    GDALMajorObject::SetMetadataItem(key, value.c_str(), "TERRAINWAVE");
-  };
-  say("METHOD", info.method_name);
-  say("LEVELS", std::to_string(info.n_levels));
-  say("MAX_ERROR", TextOf(info.effective_bound));
-  say("MAX_ERROR_ASKED", TextOf(info.max_error));
-  say("BLOCK_SIZE", std::to_string(info.block_size));
-  say("MESH", info.mesh_name);
-  if (!kind.empty()) say("HEIGHTS_ARE", kind);
-  if (info.software) say("SOFTWARE", info.software);
-  say("LEVEL", std::to_string(grid_.level - info.n_levels));
-  if (!overviews_.empty()) say("OVERVIEWS", "averages of samples, without a bound");
+  CPLStringList own;
+  own.SetNameValue("METHOD", info.method_name);
+  own.SetNameValue("LEVELS", std::to_string(info.n_levels).c_str());
+  own.SetNameValue("BLOCK_SIZE", std::to_string(info.block_size).c_str());
+  own.SetNameValue("MESH", info.mesh_name);
+  if (!kind.empty()) own.SetNameValue("HEIGHTS_ARE", kind.c_str());
+  if (info.software) own.SetNameValue("SOFTWARE", info.software);
+  if (!IsOverview()) own.SetNameValue("LEVEL", std::to_string(grid_.level - info.n_levels).c_str());
+  if (IsOverview() || !overviews_.empty()) own.SetNameValue("OVERVIEWS", "averages of samples, without a bound");
+  if (IsFinest()) own.SetNameValue("MAX_ERROR_ASKED", TextOf(info.max_error).c_str());
   GDALMajorObject::SetMetadataItem("COMPRESSION", info.method_name, "IMAGE_STRUCTURE");
-  GDALMajorObject::SetMetadataItem("COMPRESSION_REVERSIBILITY", info.effective_bound > 0 ? "LOSSY" : "LOSSLESS",
-                                   "IMAGE_STRUCTURE");
+  const double bound = Bound();
+  if (bound >= 0) {
+    own.SetNameValue("MAX_ERROR", TextOf(bound).c_str());
+    GDALMajorObject::SetMetadataItem("COMPRESSION_REVERSIBILITY", bound > 0 ? "LOSSY" : "LOSSLESS", "IMAGE_STRUCTURE");
+  }
+  GDALMajorObject::SetMetadata(own.List(), DOMAIN);
   char *json[] = {const_cast<char *>(info.metadata), nullptr};
   GDALMajorObject::SetMetadata(json, "json:TERRAINWAVE");
 }
 
-void Dataset::AddOverviews() {
-  const twz_info &info = Info();
-  Grid grid = grid_;
+/*
+ * Load the .aux.xml. Without the fingerprint of this very file its statistics are another raster's: they are dropped,
+ * and what the file itself says stands against copies of what that raster said.
+ */
+void Dataset::LoadSidecar(char **siblings) {
+  static_cast<void>(TryLoadXML(siblings));
+  Band *band = static_cast<Band *>(GetRasterBand(1));
+  const std::string own = file_->Fingerprint();
+  const char *found = band->GDALMajorObject::GetMetadataItem(FINGERPRINT, DOMAIN);
+  if (!found || own != found) {
+    band->ForgetStatistics();
+    Describe();
+  }
+  band->GDALMajorObject::SetMetadataItem(FINGERPRINT, own.c_str(), DOMAIN);
+}
+
+/* The overviews of a raster, the largest first. */
+std::vector<Grid> OverviewsOf(const twz_info &info, Grid grid) {
+  std::vector<Grid> found;
   for (uint32_t shift = 1;
        std::max(grid.n_rows, grid.n_cols) > SMALLEST_OVERVIEW && static_cast<int>(shift) <= info.n_levels; shift++) {
     grid.level = info.n_levels - static_cast<int>(shift);
     grid.stride = uint32_t{1} << (shift - 1);
     grid.n_rows = (grid.n_rows + 1) / 2;
     grid.n_cols = (grid.n_cols + 1) / 2;
-    overviews_.emplace_back(new Dataset(file_, handle_, grid, n_threads_));
+    found.push_back(grid);
   }
+  return found;
 }
 
 /* ---- Opening ---- */
@@ -617,6 +686,21 @@ int LevelOf(const std::string &text, int n_levels) {
   const long level = strtol(text.c_str(), &end, 10);
   if (text.empty() || *end || level < -n_levels || level >= n_levels) return -1;
   return static_cast<int>(level < 0 ? level + n_levels : level);
+}
+
+/*
+ * Take the overview that GDAL's open option OVERVIEW_LEVEL names, "1" or "1only", with the coarser ones below it. GDAL
+ * itself would show it with the metadata of the full grid, whose bound does not hold for averages.
+ */
+bool TakeOverview(const char *wanted, Grid *grid, std::vector<Grid> *overviews) {
+  if (!wanted || EQUAL(wanted, "NONE")) return true;
+  char *end = nullptr;
+  const long number = strtol(wanted, &end, 10);
+  if (end == wanted || (*end && !EQUAL(end, "only")) || number < 0 || number >= static_cast<long>(overviews->size()))
+    return false;
+  *grid = (*overviews)[static_cast<size_t>(number)];
+  overviews->erase(overviews->begin(), *end ? overviews->end() : overviews->begin() + number + 1);
+  return true;
 }
 
 GDALDataset *Dataset::Open(GDALOpenInfo *info) {
@@ -660,17 +744,29 @@ GDALDataset *Dataset::Open(GDALOpenInfo *info) {
                size.n_rows, size.n_cols);
       return false;
     }
+    const bool is_full = level == told.n_levels - 1;
+    Grid grid = {level, 0, size.n_rows, size.n_cols};
+    std::vector<Grid> overviews;
+    if (is_full) overviews = OverviewsOf(told, grid);
+    const char *overview = CSLFetchNameValue(info->papszOpenOptions, "OVERVIEW_LEVEL");
+    const size_t n_overviews = overviews.size();
+    if (!TakeOverview(overview, &grid, &overviews)) {
+      CPLError(CE_Failure, CPLE_OpenFailed, "%s: found OVERVIEW_LEVEL %s, expected one of the raster's %d overviews, from 0 on",
+               name.file.c_str(), overview, static_cast<int>(n_overviews));
+      return false;
+    }
     const int n_threads = ThreadsOf(CSLFetchNameValue(info->papszOpenOptions, "NUM_THREADS"));
-    dataset.reset(new Dataset(file, handle.get(), {level, 0, size.n_rows, size.n_cols}, n_threads));
+    dataset.reset(new Dataset(file, handle.get(), grid, n_threads));
     handle.release();
     dataset->owns_handle_ = true;
-    const bool is_full = level == told.n_levels - 1;
-    if (is_full) dataset->AddOverviews();
+    for (const Grid &coarser : overviews)
+      dataset->overviews_.emplace_back(new Dataset(file, dataset->handle_, coarser, n_threads));
+    dataset->DescribePlace();
     dataset->Describe();
     dataset->GDALMajorObject::SetDescription(info->pszFilename);
-    if (is_full && !is_named) {
+    if (dataset->IsFinest() && !is_named) {
       dataset->nPamFlags &= ~GPF_NOSAVE;
-      dataset->TryLoadXML(info->GetSiblingFiles());
+      dataset->LoadSidecar(info->GetSiblingFiles());
     }
     return true;
   });
@@ -722,6 +818,8 @@ void GDALRegister_TWZ(void) {
       "<OpenOptionList>"
       "<Option name='LEVEL' type='int' default='-1' description='Level to read, with its own transform: -1 the full "
       "grid, -2 half of it, 0 the coarsest'/>"
+      "<Option name='OVERVIEW_LEVEL' type='string' description='Overview to show, 0 the largest: averages, without a "
+      "bound'/>"
       "<Option name='NUM_THREADS' type='string' description='Threads that decode, or ALL_CPUS; GDAL_NUM_THREADS if "
       "it is not given'/>"
       "</OpenOptionList>");

@@ -2,6 +2,7 @@
 #include "source.h"
 
 #include <algorithm>
+#include <cinttypes>
 #include <cstddef>
 #include <cstdint>
 #include <cstdlib>
@@ -31,6 +32,9 @@ constexpr uint64_t MOST_AHEAD = 64 << 10;
 constexpr uint64_t FREE_GAPS = 64 << 10;
 constexpr size_t MOST_RANGES = 512;
 constexpr size_t HEAD_BYTES = 16 << 10; /* as GDAL reads of remote files at a time */
+/* Blocks whose errors are looked up when a level is opened: some hundred pages of the index. */
+constexpr uint64_t MOST_BLOCKS = 1 << 16;
+constexpr uint32_t BLOCKS_AT_ONCE = 16;
 
 struct Piece {
   uint64_t offset;
@@ -278,6 +282,14 @@ bool SharedFile::Load(vsi_l_offset size) {
 
 SharedFile::~SharedFile() { twz_file_free(file_); }
 
+std::string SharedFile::Fingerprint() const {
+  uint64_t hash = 14695981039346656037u; /* FNV-1a */
+  for (const uint8_t byte : head_) hash = (hash ^ byte) * 1099511628211u;
+  char text[40];
+  CPLsnprintf(text, sizeof text, "%016" PRIx64 "-%" PRIu64, hash, info_->file_size);
+  return text;
+}
+
 namespace {
 
 /* Join pieces with the shortest gaps between them. */
@@ -351,6 +363,72 @@ bool LoadWindow(const SharedFile &file, VSILFILE *handle, twz_window *window, tw
       if (is_remote) ahead.push_back(std::move(piece));
     }
   }
+}
+
+namespace {
+
+/* A part of a level, of whole blocks. */
+struct Blocks {
+  uint32_t row, col, n_rows, n_cols;
+};
+
+/* The largest error that blocks state, in raw units; negative while pages of the index are missing. */
+double LargestError(const twz_window *window, const Blocks &part) {
+  double largest = 0;
+  for (uint32_t row = part.row; row < part.row + part.n_rows; row++) {
+    for (uint32_t col = part.col; col < part.col + part.n_cols; col++) {
+      twz_block block;
+      if (twz_window_block(window, row, col, &block, nullptr) != TWZ_OK) return -1;
+      largest = std::max(largest, block.raw_error);
+    }
+  }
+  return largest;
+}
+
+/* The same, with the pages that it takes; no payload is read. Negative after an error, too. */
+double LoadedError(const SharedFile &file, VSILFILE *handle, int level, const twz_level &size, const Blocks &part) {
+  const uint32_t side = file.Info().block_size, row = part.row * side, col = part.col * side;
+  const twz_box box = {row, col, std::min(part.n_rows * side, size.n_rows - row),
+                       std::min(part.n_cols * side, size.n_cols - col)};
+  twz_window *made = nullptr;
+  if (twz_window_new(file.Get(), level, &box, &made, nullptr) != TWZ_OK) return -1;
+  const std::unique_ptr<twz_window, void (*)(twz_window *)> window(made, twz_window_free);
+  std::vector<twz_range> ranges(MOST_RANGES);
+  for (;;) {
+    const double found = LargestError(made, part);
+    size_t n = 0;
+    if (found >= 0 || twz_window_need(made, ranges.data(), ranges.size(), &n, nullptr) != TWZ_OK || n == 0) return found;
+    for (size_t i = 0; i < n; i++) {
+      std::vector<Piece> page(1);
+      page[0].offset = ranges[i].offset;
+      page[0].bytes.resize(static_cast<size_t>(ranges[i].length));
+      if (!Fetch(handle, page) ||
+          twz_window_feed(made, page[0].offset, page[0].bytes.data(), page[0].bytes.size(), nullptr) != TWZ_OK)
+        return -1;
+    }
+  }
+}
+
+}  // namespace
+
+double StatedError(const SharedFile &file, VSILFILE *handle, int level) {
+  twz_level size;
+  if (file.IsRemote() || twz_file_level(file.Get(), level, &size, nullptr) != TWZ_OK) return -1;
+  const auto count = [&file](uint32_t n) {
+    return std::max(n - 1 + file.Info().block_size - 1, file.Info().block_size) / file.Info().block_size;
+  };
+  const uint32_t n_rows = count(size.n_rows), n_cols = count(size.n_cols);
+  if (uint64_t{n_rows} * n_cols > MOST_BLOCKS) return -1;
+  double largest = 0;
+  for (uint32_t row = 0; row < n_rows; row += BLOCKS_AT_ONCE) {
+    for (uint32_t col = 0; col < n_cols; col += BLOCKS_AT_ONCE) {
+      const Blocks part = {row, col, std::min(BLOCKS_AT_ONCE, n_rows - row), std::min(BLOCKS_AT_ONCE, n_cols - col)};
+      const double error = LoadedError(file, handle, level, size, part);
+      if (error < 0) return error;
+      largest = std::max(largest, error);
+    }
+  }
+  return largest;
 }
 
 int ThreadsOf(const char *option) {

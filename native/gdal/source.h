@@ -27,6 +27,8 @@ class SharedFile {
   const std::string &Name() const { return name_; }
   bool IsRemote() const { return is_remote_; } /* requests are costly */
   const std::vector<uint8_t> &Head() const { return head_; } /* how the file begins */
+  /* A text that another file does not have: of its size, its header, its metadata and the first page of its index. */
+  std::string Fingerprint() const;
 
   /* Tell an error of the library in one line. */
   static void Report(const std::string &name, const twz_error &error);
@@ -46,6 +48,9 @@ class SharedFile {
 
 /* Fetch what a window needs: in few requests if they are costly. */
 bool LoadWindow(const SharedFile &file, VSILFILE *handle, twz_window *window, twz_error *error);
+
+/* The largest error that blocks of a level state, in raw units; negative where it takes too many requests to know. */
+double StatedError(const SharedFile &file, VSILFILE *handle, int level);
 
 /* Threads that the open option, else GDAL_NUM_THREADS, asks for. */
 int ThreadsOf(const char *option);

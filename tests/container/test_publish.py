@@ -140,6 +140,47 @@ def test_a_symbolic_link_is_followed(tmp_path):
     assert real.read_bytes() == b"new"
 
 
+OF_GDAL = ["a.twz.aux.xml", "a.twz.msk", "a.twz.ovr"]
+
+
+def test_what_gdal_kept_of_an_earlier_raster_goes_and_other_neighbours_stay(target):
+    for name in (*OF_GDAL, "a.twz.json", "b.twz.aux.xml"):
+        target.with_name(name).write_bytes(OLD)
+    with publish(target, overwrite=True) as part:
+        part.file.write(b"new")
+        assert set(OF_GDAL) < set(others(target))
+    assert others(target) == ["a.twz.json", "b.twz.aux.xml"]
+
+
+def test_what_gdal_kept_stays_with_an_update_and_after_an_error(target):
+    for name in OF_GDAL:
+        target.with_name(name).write_bytes(OLD)
+    with publish(target, overwrite=True, is_update=True) as part:
+        part.file.write(b"new")
+    with pytest.raises(KeyboardInterrupt), publish(target, overwrite=True):
+        raise KeyboardInterrupt
+    assert others(target) == OF_GDAL
+
+
+def test_what_gdal_kept_next_to_a_symbolic_link_and_its_file_goes(tmp_path):
+    real, link = tmp_path / "a.twz", tmp_path / "link.twz"
+    real.write_bytes(OLD)
+    link.symlink_to(real)
+    for path in (real, link):
+        path.with_name(f"{path.name}.aux.xml").write_bytes(OLD)
+    with publish(link, overwrite=True) as part:
+        part.file.write(b"new")
+    assert others(real) == ["link.twz"]
+
+
+def test_a_file_of_gdal_that_cannot_be_removed_is_named(target):
+    target.with_name("a.twz.aux.xml").mkdir()
+    with pytest.raises(StorageError, match=r"cannot remove .*a\.twz\.aux\.xml"):
+        with publish(target, overwrite=True) as part:
+            part.file.write(b"new")
+    assert target.read_bytes() == b"new"
+
+
 class FullDisk:
     """A file on a disk with room for `room` bytes."""
 

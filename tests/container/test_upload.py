@@ -50,6 +50,23 @@ def test_what_is_there_is_replaced_only_if_asked(raster, memory):
     assert memory.cat("/bucket/dem.twz") != b"other"
 
 
+def test_what_gdal_kept_of_the_file_before_goes(raster, memory):
+    for name in ("dem.twz", "dem.twz.aux.xml", "dem.twz.ovr", "other.twz.aux.xml"):
+        memory.pipe(f"/bucket/{name}", b"other")
+    terrainwave.compress(raster, "memory://bucket/dem.twz", overwrite=True, **OPTIONS)
+    assert names(memory) == ["/bucket/dem.twz", "/bucket/other.twz.aux.xml"]
+
+
+def test_storage_that_forbids_to_look_for_other_files_takes_the_file(raster, memory, monkeypatch):
+    def forbid(self, path):
+        raise PermissionError(path)
+
+    monkeypatch.setattr(MemoryFileSystem, "exists", forbid)
+    memory.pipe("/bucket/dem.twz.aux.xml", b"other")
+    terrainwave.compress(raster, "memory://bucket/dem.twz", overwrite=True, **OPTIONS)
+    assert names(memory) == ["/bucket/dem.twz", "/bucket/dem.twz.aux.xml"]
+
+
 @pytest.mark.parametrize("failing", ["put_file", "mv"])
 def test_a_failed_upload_leaves_the_target_and_keeps_the_work(
     tmp_path, raster, memory, monkeypatch, failing

@@ -117,3 +117,23 @@ def test_what_told_of_a_raster_that_was_there_goes_with_it(tmp_path):
     terrainwave.decompress(tmp_path / "b.twz", target, overwrite=True)
     assert not (tmp_path / "a.tif.aux.xml").exists()
     assert read_crs_and_unit(target) == (None, None)
+
+
+@pytest.mark.parametrize("cog", [False, True])
+def test_statistics_and_overviews_of_a_raster_that_was_there_are_not_read(tmp_path, cog):
+    target, overviews = tmp_path / "a.tif", tmp_path / "a.tif.ovr"
+    write_geotiff(target, np.full((900, 900), 7, dtype="int16"))
+    write_geotiff(overviews, np.full((450, 450), 7, dtype="int16"))
+    (tmp_path / "a.tif.aux.xml").write_text(
+        '<PAMDataset><PAMRasterBand band="1"><Metadata><MDI key="STATISTICS_MEAN">7</MDI>'
+        "</Metadata></PAMRasterBand></PAMDataset>"
+    )
+    with rasterio.open(target) as dataset:
+        assert (dataset.tags(1)["STATISTICS_MEAN"], dataset.overviews(1)) == ("7", [2])
+    write_geotiff(tmp_path / "b.tif", np.full((900, 900), 9, dtype="int16"))
+    terrainwave.compress(tmp_path / "b.tif", tmp_path / "b.twz", max_error=0, method="store")
+    terrainwave.decompress(tmp_path / "b.twz", target, overwrite=True, cog=cog)
+    with rasterio.open(target) as dataset:
+        assert "STATISTICS_MEAN" not in dataset.tags(1)
+        assert dataset.overviews(1) == ([2] if cog else [])
+        assert (dataset.read(1, out_shape=(450, 450)) == 9).all()

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import rasterio
+import rasterio.shutil
 import rioxarray
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
@@ -85,8 +86,32 @@ def test_the_profile_is_that_of_the_source(source_and_terrain, name):
 def test_the_bound_and_the_unit_are_told(source_and_terrain):
     _, terrain = source_and_terrain
     with opened(terrain) as dataset:
-        assert float(dataset.tags(ns="TERRAINWAVE")["MAX_ERROR"]) == terrain.effective_error
+        assert float(dataset.tags(1, ns="TERRAINWAVE")["MAX_ERROR"]) == terrain.effective_error
         assert dataset.units == ("m",)
+
+
+def test_no_overview_and_no_copy_states_the_bound(source_and_terrain, tmp_path):
+    _, terrain = source_and_terrain
+    with opened(terrain) as dataset:
+        rasterio.shutil.copy(dataset, tmp_path / "copy.tif", driver="GTiff")
+        assert not any(key.startswith("TERRAINWAVE") for key in (*dataset.tags(), *dataset.tags(1)))
+        n_overviews = len(dataset.overviews(1))
+    opens = [(tmp_path / "copy.tif", {})]
+    opens += [(stream_of(terrain), {"overview_level": i}) for i in range(n_overviews)]
+    for source, options in opens:
+        with rasterio.open(source, **options) as dataset:
+            assert "MAX_ERROR" not in dataset.tags(ns="TERRAINWAVE")
+            assert "MAX_ERROR" not in dataset.tags(1, ns="TERRAINWAVE")
+
+
+@pytest.mark.parametrize("name", ["MAX_ERROR", "METHOD", "OVERVIEWS"])
+def test_a_bound_among_the_tags_of_a_source_is_not_kept(tmp_path, name):
+    write_geotiff(tmp_path / "dem.tif", HEIGHTS[:9, :9], transform=TRANSFORM, crs="EPSG:32633")
+    with rasterio.open(tmp_path / "dem.tif", "r+") as dataset:
+        dataset.update_tags(**{f"TERRAINWAVE_{name}": "0.0", "TERRAINWAVE_VERTICAL": "kept"})
+    compress(tmp_path / "dem.tif", tmp_path / "dem.twz", max_error=5, method="store", mesh="none")
+    with TerrainFile(tmp_path / "dem.twz") as terrain:
+        assert dict(terrain.raster_info.tags) == {"TERRAINWAVE_VERTICAL": "kept"}
 
 
 @pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # of rioxarray

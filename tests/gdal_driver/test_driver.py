@@ -13,6 +13,7 @@ from gdal_driver.files import KINDS, write_described, write_kind
 from rasterio.windows import Window
 
 import terrainwave
+from benchmarks.slow_server import SlowServer
 from terrainwave.write.job import metadata_of
 
 pytestmark = [pytest.mark.full, pytest.mark.gdal]
@@ -185,6 +186,187 @@ def test_the_domain_of_the_format_tells_bound_method_and_levels(kinds, described
     assert json.loads(text)["crs"] == "EPSG:32632"
 
 
+def test_plain_tags_state_no_bound_of_the_raster_that_was_compressed(folder, monkeypatch):
+    tags = {"TERRAINWAVE_MAX_ERROR": "0.0", "STATISTICS_MEAN": "1", "licence": "kept"}
+    monkeypatch.setattr(
+        "terrainwave.write.job.metadata_of", lambda info: metadata_of(info) | {"tags": tags}
+    )
+    heights = np.arange(2000, dtype=np.int16).reshape(40, 50)
+    data = terrainwave.compress_to_bytes(heights, max_error=5, threads=1, verify=False)
+    (folder / "tagged.twz").write_bytes(data)
+    assert by_python(DESCRIPTION, str(folder / "tagged.twz"))["tags"] == {"licence": "kept"}
+
+
+@pytest.fixture(scope="module", params=["cdf53", "cdf97", "predictive", "rapid", "store"])
+def rough(request, folder):
+    """Lossless and lossy files of a method, of rough heights with voids, and those heights."""
+    y, x = np.mgrid[0:300, 0:280]
+    heights = 300 * np.sin(x / 97) * np.cos(y / 71) + 60 * np.sin((x + y) / 23)
+    heights += np.random.default_rng(3).normal(0, 4, x.shape)
+    heights = np.round(heights).astype(np.int16)
+    heights[100:150, 100:190] = -32768
+    paths = {}
+    for max_error in (0, 3):
+        paths[max_error] = folder / f"rough-{request.param}-{max_error}.twz"
+        paths[max_error].write_bytes(
+            terrainwave.compress_to_bytes(
+                heights, nodata=-32768, method=request.param, max_error=max_error, block=32,
+                threads=1,
+            )
+        )  # fmt: skip
+    return request.param, heights, paths
+
+
+BOUNDS = """
+found = []
+for path in asked:
+    n = int(gdal.Open(path).GetMetadataItem("LEVELS", "TERRAINWAVE"))
+    for level in range(n):
+        named = gdal.Open(f"TWZ:{path}:{level}")
+        opened = gdal.OpenEx(path, open_options=[f"LEVEL={level - n}"])
+        told = [[dataset.GetMetadata(domain) for domain in ("TERRAINWAVE", "IMAGE_STRUCTURE")]
+                for dataset in (named, opened)]
+        told[1][0].pop("FINGERPRINT", None)
+        assert told[0] == told[1]
+        np.save(f"{path}.{level}.npy", named.ReadAsArray())
+        found.append([path, level, *told[0]])
+print(json.dumps(found))
+"""
+
+
+def test_each_level_states_a_bound_that_holds_for_its_samples(rough):
+    method, heights, paths = rough
+    is_nested, excesses = method not in ("cdf53", "cdf97"), []
+    for path, level, own, structure in by_python(BOUNDS, list(map(str, paths.values()))):
+        bound = float(own["MAX_ERROR"])
+        with terrainwave.open(path) as terrain:
+            is_full = level == terrain.n_levels - 1
+            whole, stated = terrain.effective_error, terrain.level_errors()[level]
+            originals = heights[:: terrain.grid.stride(level), :: terrain.grid.stride(level)]
+        assert bound == (whole if is_full or is_nested else stated)
+        samples = np.load(f"{path}.{level}.npy").astype(float)
+        both = (samples != -32768) & (originals != -32768)
+        error = np.abs(samples - originals)[both].max()
+        assert error <= bound, (path, level)
+        assert structure["COMPRESSION_REVERSIBILITY"] == ("LOSSY" if bound else "LOSSLESS")
+        assert ("MAX_ERROR_ASKED" in own) == is_full
+        excesses.append(error - whole)
+    # Levels that are filtered are further away than the full grid is.
+    assert is_nested == (max(excesses) <= 0)
+
+
+@pytest.mark.parametrize("method", ["cdf97", "predictive", "rapid", "store"])
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_levels_of_exact_floats_on_no_grid_state_what_rounding_leaves(folder, method, dtype):
+    y, x = np.mgrid[0:140, 0:130]
+    heights = (300 * np.sin(x / 31) * np.cos(y / 27) * np.pi).astype(dtype)
+    path = folder / f"floats-{method}-{dtype}.twz"
+    path.write_bytes(
+        terrainwave.compress_to_bytes(heights, max_error=0, method=method, block=32, threads=1)
+    )
+    worst = []
+    for _, level, own, structure in by_python(BOUNDS, [str(path)]):
+        with terrainwave.open(path) as terrain:
+            originals = heights[:: terrain.grid.stride(level), :: terrain.grid.stride(level)]
+        samples = np.load(f"{path}.{level}.npy")
+        worst.append(np.abs(samples.astype(float) - originals).max())
+        bound = float(own["MAX_ERROR"])
+        assert worst[-1] <= bound
+        assert (structure["COMPRESSION_REVERSIBILITY"] == "LOSSLESS") == (bound == 0)
+    assert worst[-1] == 0 < max(worst)
+
+
+def test_a_filtered_level_of_a_file_on_a_server_states_no_bound(rough):
+    method, _, paths = rough
+    code = """
+dataset = gdal.Open(f"TWZ:/vsicurl/{asked}:-2")
+print(json.dumps([dataset.GetMetadataItem("MAX_ERROR", "TERRAINWAVE"),
+                  dataset.GetMetadataItem("COMPRESSION_REVERSIBILITY", "IMAGE_STRUCTURE")]))
+"""
+    path = paths[3]
+    with SlowServer(path.parent, latency=0.001, bits_per_second=0) as server:
+        told = by_python(code, server.url(path.name), GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR")
+    assert told == ([None, None] if method in ("cdf53", "cdf97") else ["3", "LOSSY"])
+
+
+OVERVIEW_LEVEL = """
+path, number = asked
+whole = gdal.Open(path)
+opened = gdal.OpenEx(path, open_options=[f"OVERVIEW_LEVEL={number}"])
+band, expected = opened.GetRasterBand(1), whole.GetRasterBand(1).GetOverview(int(number[0]))
+for found, right in ((band, expected), (band.GetMaskBand(), expected.GetMaskBand())):
+    np.testing.assert_array_equal(found.ReadAsArray(), right.ReadAsArray())
+across, down = whole.RasterXSize / opened.RasterXSize, whole.RasterYSize / opened.RasterYSize
+c, a, b, f, d, e = whole.GetGeoTransform()
+np.testing.assert_allclose(
+    opened.GetGeoTransform(), (c, a * across, b * down, f, d * across, e * down), rtol=1e-15)
+assert opened.GetProjection() == whole.GetProjection()
+assert opened.GetMetadata() == whole.GetMetadata()
+sizes = [band.GetOverview(i).XSize for i in range(band.GetOverviewCount())]
+print(json.dumps([opened.GetMetadata("TERRAINWAVE"), opened.GetMetadata("IMAGE_STRUCTURE"), sizes,
+                  whole.GetRasterBand(1).GetOverviewCount()]))
+"""
+
+
+@pytest.mark.parametrize("kind", ["int16-none", "uint8-mask"])
+@pytest.mark.parametrize("number", ["0", "0only", "1"])
+def test_an_overview_that_an_option_names_is_that_of_the_band_and_states_no_bound(
+    kinds, kind, number
+):
+    path = kinds[kind]
+    own, structure, sizes, n_all = by_python(OVERVIEW_LEVEL, [str(path), number])
+    assert not {"MAX_ERROR", "MAX_ERROR_ASKED", "LEVEL"} & set(own)
+    assert "without a bound" in own["OVERVIEWS"]
+    assert "COMPRESSION_REVERSIBILITY" not in structure
+    assert len(sizes) == (0 if number == "0only" else n_all - 1 - int(number))
+    assert own["LEVELS"].isdigit()
+
+
+def test_no_overview_is_the_full_grid(kinds):
+    told = good(
+        "gdalinfo", "-oo", "OVERVIEW_LEVEL=NONE", "-mdd", "TERRAINWAVE", kinds["int16-none"]
+    )
+    assert "Size is 2100, 700" in told
+    assert "MAX_ERROR=" in told
+
+
+@pytest.mark.parametrize("options", [["9"], ["-1"], ["half"], ["0", "LEVEL=-2"]])
+def test_an_overview_that_is_not_there_is_refused_in_one_line(kinds, options):
+    first, *others = options
+    arguments = ["-oo", f"OVERVIEW_LEVEL={first}"]
+    for other in others:
+        arguments += ["-oo", other]
+    ended = run("gdalinfo", *arguments, kinds["int16-none"])
+    assert ended.returncode == 1
+    (line,) = error_lines(ended)
+    assert f"found OVERVIEW_LEVEL {first}, expected" in line
+
+
+COPIES = """
+path, folder = asked
+half = gdal.OpenEx(path, open_options=["OVERVIEW_LEVEL=0"])
+ways = [(path, {}), (path, {"width": 300, "height": 200}), (path, {"format": "VRT"}), (half, {}),
+        (path, {"outputType": gdal.GDT_Float32}), (path, {"scaleParams": [[0, 1, 0, 2]]})]
+made = [gdal.Translate(f"{folder}/{i}.tif", source, options=gdal.TranslateOptions(**options))
+        for i, (source, options) in enumerate(ways)]
+made.append(gdal.Warp(f"{folder}/warped.tif", path, dstSRS="EPSG:4326"))
+made.append(gdal.Warp(f"{folder}/coarse.vrt", path, xRes=60, yRes=60, format="VRT"))
+made.append(gdal.BuildVRT(f"{folder}/built.vrt", [path]))
+found = [line for dataset in made for one in (dataset, dataset.GetRasterBand(1))
+         for domain in one.GetMetadataDomainList() or []
+         for line in one.GetMetadata_List(domain) or []]
+print(json.dumps([len(made), found]))
+"""
+
+
+def test_no_copy_that_gdal_makes_states_the_bound(kinds, folder):
+    n_copies, told = by_python(COPIES, [str(kinds["int16-nodata"]), str(folder)])
+    assert n_copies == 9
+    assert "AREA_OR_POINT=Area" in told
+    words = ("MAX_ERROR", "REVERSIBILITY", "TERRAINWAVE", "FINGERPRINT")
+    assert [line for line in told if any(word in line for word in words)] == []
+
+
 @pytest.mark.parametrize(
     ("kind", "flags", "nodata"),
     [("int16-nodata", 8, -32768), ("uint8-mask", 2, None), ("int16-none", 1, None)],
@@ -329,6 +511,102 @@ def test_a_sidecar_appears_only_where_somebody_asks_for_exact_statistics(kinds, 
     ]  # fmt: skip
     kept = next(line for line in told.splitlines() if "STATISTICS_MEAN" in line)
     assert kept in good("gdalinfo", path)
+
+
+def write_flat(path, height, **options):
+    """Write a .twz file of one height but for three samples; return its path."""
+    heights = np.full((80, 90), height, dtype=np.int16)
+    heights[0, :3] = 0, 1, 100
+    path.write_bytes(terrainwave.compress_to_bytes(heights, max_error=0, threads=1, **options))
+    return path
+
+
+MEASURED = """
+dataset = gdal.Open(asked)
+band = dataset.GetRasterBand(1)
+mean = band.GetStatistics(0, 1)[2]
+counts = band.GetHistogram(-0.5, 100.5, 101, include_out_of_range=0, approx_ok=0)
+plain = {key: value for key, value in band.GetMetadata().items() if "STATISTICS" not in key}
+print(json.dumps([mean, [i for i, count in enumerate(counts) if count > 2], plain,
+                  dataset.GetMetadata(), dataset.GetMetadataItem("MAX_ERROR", "TERRAINWAVE")]))
+"""
+
+
+def kept_statistics(path):
+    return "STATISTICS_MEAN" in good("gdalinfo", path)
+
+
+@pytest.fixture
+def measured(tmp_path):
+    """A file with an .aux.xml of statistics and a histogram, to which a user added metadata."""
+    path = write_flat(tmp_path / "dem.twz", 20)
+    assert by_python(MEASURED, str(path))[1] == [20]
+    code = """
+dataset = gdal.Open(asked)
+dataset.SetMetadataItem("survey", "lidar")
+dataset.GetRasterBand(1).SetMetadataItem("sensor", "a")
+del dataset
+print(0)
+"""
+    by_python(code, str(path))
+    assert kept_statistics(path)
+    return path
+
+
+def test_statistics_of_a_file_that_was_replaced_are_measured_anew(measured, tmp_path):
+    shutil.copy(write_flat(tmp_path / "other.twz", 70), measured)
+    assert not kept_statistics(measured)
+    mean, counts, band_tags, tags, bound = by_python(MEASURED, str(measured))
+    assert mean == pytest.approx(70, abs=0.1)
+    assert counts == [70]
+    assert (band_tags, tags) == ({"sensor": "a"}, {"survey": "lidar"})
+    assert bound == "0"
+    assert kept_statistics(measured)
+
+
+def test_a_sidecar_states_no_bound_of_a_file_that_was_replaced(measured):
+    heights = np.arange(7200, dtype=np.int16).reshape(80, 90)
+    measured.write_bytes(terrainwave.compress_to_bytes(heights, max_error=5, threads=1))
+    told = good("gdalinfo", "-mdd", "TERRAINWAVE", measured)
+    with terrainwave.open(measured) as terrain:
+        assert f"MAX_ERROR={terrain.effective_error:g}\n" in told
+    assert "COMPRESSION_REVERSIBILITY=LOSSY" in told
+    assert "survey=lidar" in told
+
+
+def test_a_sidecar_without_the_files_fingerprint_gives_no_statistics(measured):
+    sidecar = Path(f"{measured}.aux.xml")
+    text = sidecar.read_text()
+    assert text.count("FINGERPRINT") == 1
+    lines = [line for line in text.splitlines() if "FINGERPRINT" not in line]
+    sidecar.write_text("\n".join(lines).replace(">20<", ">70<"))
+    assert not kept_statistics(measured)
+    mean, counts, *_ = by_python(MEASURED, str(measured))
+    assert (round(mean), counts) == (20, [20])
+
+
+def test_statistics_go_with_a_file_that_is_copied_with_its_sidecar(measured, tmp_path):
+    copy = tmp_path / "copy.twz"
+    copy.write_bytes(measured.read_bytes())
+    shutil.copy(f"{measured}.aux.xml", f"{copy}.aux.xml")
+    assert kept_statistics(copy)
+
+
+@pytest.mark.parametrize("way", ["patch", "compress"])
+def test_statistics_after_patch_and_overwrite_are_those_of_the_new_heights(measured, way):
+    heights = np.full((80, 90), 70, dtype=np.int16)
+    heights[0, :3] = 0, 1, 100
+    if way == "patch":
+        terrainwave.patch(measured, heights)
+    else:
+        terrainwave.compress(heights, measured, max_error=0, overwrite=True)
+    sidecar = Path(f"{measured}.aux.xml")
+    assert sidecar.exists() == (way == "patch")
+    assert "STATISTICS" not in (sidecar.read_text() if way == "patch" else "")
+    mean, counts, band_tags, tags, _ = by_python(MEASURED, str(measured))
+    assert (round(mean), counts) == (70, [70])
+    users = ({"sensor": "a"}, {"survey": "lidar"}) if way == "patch" else ({}, {})
+    assert (band_tags, tags) == users
 
 
 def test_names_with_levels_may_hold_colons_and_be_quoted(kinds, folder):

@@ -136,6 +136,69 @@ def test_a_part_is_taken_where_it_is_and_the_rest_stays(placed, tmp_path):
     assert report.ok, report
 
 
+SIDECAR = """<PAMDataset>
+  <Metadata><MDI key="survey">lidar</MDI></Metadata>
+  <Metadata domain="TERRAINWAVE"><MDI key="MAX_ERROR">0</MDI></Metadata>
+  <PAMRasterBand band="1">
+    <Description>ground</Description><Minimum>1</Minimum>
+    <Histograms><HistItem><HistMin>1</HistMin></HistItem></Histograms>
+    <Metadata>
+      <MDI key="STATISTICS_MEAN">1</MDI><MDI key="sensor">a</MDI>
+    </Metadata>
+  </PAMRasterBand>
+</PAMDataset>"""
+STATISTICS_ALONE = """<?xml version="1.0"?><PAMDataset><PAMRasterBand band="1">
+<Metadata><MDI key="STATISTICS_MEAN">1</MDI></Metadata>
+<Metadata domain="TERRAINWAVE"><MDI key="FINGERPRINT">1</MDI></Metadata>
+</PAMRasterBand></PAMDataset>"""
+
+
+@pytest.fixture
+def patched_beside(placed, tmp_path):
+    """Return what patches a file next to an .aux.xml: it gives the result and what is left."""
+    part_of(changed(HEIGHTS), tmp_path / "new.tif", 30, 5, 80, 70)
+
+    def patched(content):
+        path = placed(0)
+        sidecar, overviews = tmp_path / "dem.twz.aux.xml", tmp_path / "dem.twz.ovr"
+        sidecar.write_text(content)
+        overviews.write_bytes(b"overviews of the old heights")
+        result = patch(path, tmp_path / "new.tif")
+        assert result.n_recoded > 0
+        assert not overviews.exists()
+        return result, sidecar.read_text() if sidecar.exists() else None
+
+    return patched
+
+
+def test_statistics_beside_a_patched_file_go_and_what_users_wrote_stays(patched_beside):
+    result, left = patched_beside(SIDECAR)
+    assert all(text in left for text in ("survey", "lidar", "sensor", "<Description>ground<"))
+    assert not any(
+        text in left for text in ("STATISTICS", "Histograms", "Minimum", "MAX_ERROR", "TERRAINWAVE")
+    )
+    assert result.notes == []
+
+
+def test_a_sidecar_of_statistics_alone_goes_with_a_patch(patched_beside):
+    result, left = patched_beside(STATISTICS_ALONE)
+    assert left is None
+    assert result.notes == []
+
+
+def test_a_sidecar_that_is_no_xml_goes_with_a_patch_which_says_so(patched_beside):
+    result, left = patched_beside("<PAMDataset><PAMRasterBand>")
+    assert left is None
+    assert result.notes == ["dem.twz.aux.xml is no XML and may hold old statistics: removed"]
+
+
+def test_statistics_stay_where_a_patch_changes_nothing(placed, tmp_path):
+    path = placed(0)
+    (tmp_path / "dem.twz.aux.xml").write_text(STATISTICS_ALONE)
+    assert patch(path, tmp_path / "old.tif").n_recoded == 0
+    assert (tmp_path / "dem.twz.aux.xml").read_text() == STATISTICS_ALONE
+
+
 def merged(new, row, col, n_rows, n_cols, old=HEIGHTS):
     """Return the old heights with a window of new ones."""
     heights = old.copy()

@@ -32,13 +32,12 @@ class AboveEllipsoid:
     ----------
     info : RasterInfo
         In metres, of the CRS with ellipsoidal heights.
-    bound : float, optional
-        How far they may be from the originals, in metres; None on a coarse level and of
-        a part of the bits.
+    stated : dict of str
+        What it states of its heights: the bound of the full grid; nothing of coarse levels.
     """
 
     info: RasterInfo
-    bound: float | None
+    stated: dict[str, str]
     _way: EllipsoidalHeights
     _source: RasterInfo
     _metres: float
@@ -101,6 +100,7 @@ def above_ellipsoid(
     within = "" if bound is None else f", within {bound:.6g} m of the originals"
     warnings.warn(f"{way.words}{within}", TerrainwaveWarning, stacklevel=3)
     tags = dict(info.tags) | {"TERRAINWAVE_VERTICAL": way.words}
+    stated = {} if bound is None else {"MAX_ERROR": repr(bound)}
     target = info.crs if way.target is None else format_crs(CRS.from_wkt(way.target))
     converted = replace(
         info,
@@ -116,7 +116,7 @@ def above_ellipsoid(
         band_tags=tuple(tag for tag in info.band_tags if tag[0].lower() not in MARKS),
         heights_are=None,
     )
-    return AboveEllipsoid(converted, bound, way, info, metres)
+    return AboveEllipsoid(converted, stated, way, info, metres)
 
 
 def _bound(terrain: TerrainFile, metres: float, dtype: np.dtype[Any]) -> float:

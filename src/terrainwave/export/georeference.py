@@ -18,7 +18,6 @@ from terrainwave.raster_io.geotiff.sidecar import (
     SIDECAR,
     crs_of_geotiff,
     read_place,
-    remove_beside,
     write_beside,
 )
 from terrainwave.raster_io.raster_info import RasterInfo
@@ -40,16 +39,15 @@ def keep_place(path: str | os.PathLike[str], info: RasterInfo) -> None:
     Parameters
     ----------
     path : path
-        A GeoTIFF that has just been finished: an .aux.xml beside it is an earlier raster's.
+        A GeoTIFF that has just been finished, without an .aux.xml.
     info : RasterInfo
         What it ought to say of the CRS and the unit.
 
     Raises
     ------
     StorageError
-        If the .aux.xml cannot be written or removed.
+        If the .aux.xml cannot be written.
     """
-    remove_beside(path)
     crs = _crs_of(info)
     if crs is None:
         return

@@ -90,8 +90,8 @@ def decompress(
     vertical : {"as-is", "ellipsoid"}
         ``"ellipsoid"`` converts heights from the CRS's vertical datum with PROJ's grid. It writes
         metres above the ellipsoid, as float32 or float64, and the CRS with ellipsoidal heights.
-        The tag TERRAINWAVE_VERTICAL names the conversion, MAX_ERROR in the domain TERRAINWAVE the
-        bound.
+        The tag TERRAINWAVE_VERTICAL names the conversion. The band's tag MAX_ERROR in the domain
+        TERRAINWAVE is the bound, for the full grid and not in a COG.
     on_error : {"raise", "mask"}
         ``"mask"``: damaged blocks become void, and a warning names each of them; a file that ends
         too early gives what is there. A raster that has no mark for voids gets a mask.
@@ -158,14 +158,13 @@ def decompress(
                 return terrain.read_with_mask(part, level=level, voids=wanted)
             return terrain.read_early(part, level=level, quality=quality, voids=wanted)[:2]
 
-        own_tags: dict[str, str] = {}
+        stated: dict[str, str] = {}
         if is_converted:
             converted = above_ellipsoid(terrain, info, level, is_early=quality is not None)
-            info, read = converted.info, partial(_converted, converted, read, region)
-            if converted.bound is not None:
-                own_tags["MAX_ERROR"] = repr(converted.bound)
+            info, stated = converted.info, converted.stated
+            read = partial(_converted, converted, read, region)
         with RasterSink(
-            dst, info, cog=cog, overwrite=overwrite, n_threads=n_threads, own_tags=own_tags
+            dst, info, cog=cog, overwrite=overwrite, n_threads=n_threads, stated=stated
         ) as sink:
             has_heights = (
                 partial(_may_have_heights, terrain, asked.level) if sink.may_be_sparse else None

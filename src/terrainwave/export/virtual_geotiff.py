@@ -51,12 +51,12 @@ class VirtualGeoTIFF:
         while side > TILE and n_overviews < terrain.n_levels:
             n_overviews += 1
             side = -(-side // 2)
-        tags = {
+        stated = {
             "MAX_ERROR": repr(terrain.effective_error),
             "METHOD": terrain.header.method,
             "OVERVIEWS": "averages of samples, without a bound",
         }
-        return sparse_geotiff(info_to_write(terrain), n_overviews, tags)
+        return sparse_geotiff(info_to_write(terrain), n_overviews, stated)
 
     def warn_of_crs(self) -> None:
         """Warn of what a GeoTIFF does not hold of the raster's CRS."""

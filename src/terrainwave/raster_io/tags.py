@@ -9,8 +9,14 @@ from terrainwave.raster_io.raster_info import Tags
 _MOST_BYTES = 16 << 10
 # What bands are by default; an alpha or a palette would mean another thing in the output.
 PLAIN_COLORS = ("gray", "undefined", "alpha", "palette")
-# A field of its own, and what was measured before heights were rounded.
-_OWN = ("AREA_OR_POINT",)
+# A domain that GDAL's commands do not copy. They copy plain tags to rasters that were resampled or
+# computed, for which a bound does not hold.
+DOMAIN = "TERRAINWAVE"
+# A field of its own; what versions before 1.1 stated of heights among plain tags; and what was
+# measured before heights were rounded.
+_OWN = (
+    "AREA_OR_POINT", "TERRAINWAVE_MAX_ERROR", "TERRAINWAVE_METHOD", "TERRAINWAVE_OVERVIEWS",
+)  # fmt: skip
 _MEASURED = "STATISTICS_"
 # What rasterio's `update_tags` takes for something else.
 _RESERVED = ("ns", "bidx")

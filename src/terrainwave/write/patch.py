@@ -38,6 +38,7 @@ from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS, methods_that
 from terrainwave.progress import ProgressCallback, Reporter
+from terrainwave.raster_io.geotiff.sidecar import forget_measured
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.undeclared_voids import note_on_undeclared
 from terrainwave.write.passes.proof import (
@@ -101,7 +102,8 @@ def patch(
     ----------
     path : path
         A file of method rapid or predictive. It is replaced at the end; programs that have it open
-        keep the old contents. If nothing differs, it stays as it is.
+        keep the old contents. If nothing differs, it stays as it is. From the .aux.xml next to it,
+        if any, old statistics are removed.
     src : path, rasterio dataset, ndarray or xarray DataArray
         The new heights: all or part of the file's area, on its grid and in its CRS and type. An
         array without a georeference covers the whole file. Its voids become voids of the file.
@@ -176,9 +178,10 @@ def patch(
         patcher = _Patcher(terrain, merged, directory, executor, reporter, kept)
         n_recoded, n_copied = patcher.code()
         if patcher.is_changed:
-            with publish(final, overwrite=True) as part:
+            with publish(final, overwrite=True, is_update=True) as part:
                 assemble(part.file, patcher.header, patcher.sink.spools)
                 error = patcher.prove(part.path)
+            notes += forget_measured(path)
         else:
             error = patcher.prove(final)
         patcher.close()

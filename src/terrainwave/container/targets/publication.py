@@ -33,17 +33,23 @@ _log = logging.getLogger(__name__)
 SUFFIX = ".twz-part"
 SCRATCH_SUFFIX = ".twz-scratch"
 LOCK_SUFFIX = ".twz-lock"
+# What GDAL keeps next to a raster: statistics and other metadata, overviews, a mask.
+OF_GDAL = (".aux.xml", ".ovr", ".msk")
 
 _ON_WINDOWS = os.name == "nt"
 _FIRST_DELAY = 0.05  # seconds; doubles. Virus scanners hold a new file for a moment on Windows
 
 
 @contextmanager
-def publish(target: str | os.PathLike[str], overwrite: bool = False) -> Iterator[Part]:
+def publish(
+    target: str | os.PathLike[str], overwrite: bool = False, *, is_update: bool = False
+) -> Iterator[Part]:
     """Give a file to write that takes the name `target` when the block ends without exception.
 
     On any exception the unfinished file is removed and the target is as it was before. Parts that
     killed runs have left beside the target are removed, if no living process holds their lock.
+    What GDAL keeps next to a raster of that name describes another raster, and is removed at the
+    end, as GDAL does where it makes a raster.
 
     Parameters
     ----------
@@ -51,6 +57,8 @@ def publish(target: str | os.PathLike[str], overwrite: bool = False) -> Iterator
         A symbolic link is followed.
     overwrite : bool
         Whether an existing file may be replaced; it keeps its permissions.
+    is_update : bool
+        The file is a new state of the raster that is there: what GDAL keeps of it stays.
 
     Yields
     ------
@@ -63,7 +71,7 @@ def publish(target: str | os.PathLike[str], overwrite: bool = False) -> Iterator
     StorageError
         Before the block: if the target exists and `overwrite` is false, is no regular file, or
         its directory is missing or not writable. After it: if the disk is full or the target
-        cannot be replaced.
+        cannot be replaced; or, once it is, if a file of GDAL's cannot be removed.
     """
     check_flags(overwrite=overwrite)
     check_local(target)
@@ -86,9 +94,27 @@ def publish(target: str | os.PathLike[str], overwrite: bool = False) -> Iterator
         _replace(part.path, final)
         is_published = True
         _log.debug("wrote %s", final)
+        if not is_update:
+            remove_of_gdal(target, *OF_GDAL)
         _sync_directory(final.parent)
     finally:
         dispose(part, [] if is_published else created)
+
+
+def remove_of_gdal(target: str | os.PathLike[str], *suffixes: str) -> None:
+    """Remove files that GDAL keeps next to a raster, also next to what a symbolic link leads to.
+
+    Raises
+    ------
+    StorageError
+        If one cannot be removed.
+    """
+    for name in {os.path.realpath(target), os.path.abspath(target)}:
+        for path in (Path(f"{name}{suffix}") for suffix in suffixes):
+            # Names as long as the system takes have none.
+            if os.path.lexists(path):
+                with storage_errors(f"cannot remove {path}, which describes an earlier raster"):
+                    path.unlink(missing_ok=True)
 
 
 def check_target(target: str | os.PathLike[str], overwrite: bool = False) -> None:

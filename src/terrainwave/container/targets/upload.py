@@ -13,7 +13,7 @@ from typing import Any
 from terrainwave.arguments import check_flags, in_one_line
 from terrainwave.container.sources.addresses import display_name, without_secrets
 from terrainwave.container.spool import storage_errors
-from terrainwave.container.targets.publication import scratch_directory
+from terrainwave.container.targets.publication import OF_GDAL, scratch_directory
 from terrainwave.container.targets.unfinished import Part
 from terrainwave.errors import InvalidArgumentError, StorageError, TerrainwaveError
 from terrainwave.extras import need
@@ -98,6 +98,12 @@ class _Target:
             raise StorageError(
                 f"cannot write {self.name}: found {found} bytes there, expected {expected}"
             )
+        for path in (f"{self.path}{suffix}" for suffix in OF_GDAL):
+            # The file is there, which is what was asked for. Storage may forbid to look or to
+            # remove, and GDAL's driver ignores old statistics.
+            with suppress(Exception):
+                if self._fs.exists(path):
+                    self._fs.rm_file(path)
 
     def _call(self, function: Callable[..., Any], *args: Any) -> Any:
         # File systems raise what their libraries raise; few of those are OSErrors.

@@ -1,4 +1,4 @@
-"""GDAL's .aux.xml beside a raster: the CRS, where the raster's own format cannot hold all of it."""
+"""GDAL's .aux.xml next to a raster: a CRS that its format cannot hold, and statistics."""
 
 import os
 import tempfile
@@ -14,11 +14,16 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 
 from terrainwave.container.spool import storage_errors
-from terrainwave.container.targets.publication import publish
+from terrainwave.container.targets.publication import publish, remove_of_gdal
 from terrainwave.raster_io.gdal import bounded_env
 from terrainwave.raster_io.vrt.copied import unreported
+from terrainwave.raster_io.tags import is_statistic
 
 SIDECAR = ".aux.xml"
+# Elements of a band that hold what was measured.
+_MEASURED = ("Histograms", "Minimum", "Maximum")
+# Domains of what a .twz file itself says, which GDAL copies.
+_OF_TWZ = ("TERRAINWAVE", "json:TERRAINWAVE", "IMAGE_STRUCTURE")
 
 
 def read_place(path: str | os.PathLike[str]) -> tuple[CRS | None, str | None, float | None]:
@@ -30,21 +35,45 @@ def read_place(path: str | os.PathLike[str]) -> tuple[CRS | None, str | None, fl
             return dataset.crs, dataset.units[0] or None, epoch
 
 
-def remove_beside(path: str | os.PathLike[str]) -> None:
-    """Remove the .aux.xml beside a raster that has just been written, as GDAL does.
+def forget_measured(path: str | os.PathLike[str]) -> list[str]:
+    """Remove what GDAL measured of a raster whose heights have changed; return notes.
 
-    It tells of the raster that was there before, and GDAL would read it first.
+    Statistics and histograms go from the .aux.xml next to it, and overviews with their file. What
+    else the .aux.xml holds stays.
 
     Raises
     ------
     StorageError
-        If it cannot be removed.
+        If a file cannot be written or removed.
     """
-    target = Path(f"{os.fspath(path)}{SIDECAR}")
-    # Beside a name as long as the system takes there is none.
-    if os.path.lexists(target):
-        with storage_errors(f"cannot remove {target}"):
-            target.unlink(missing_ok=True)
+    notes = []
+    for name in sorted({os.path.realpath(path), os.path.abspath(path)}):
+        target = Path(f"{name}{SIDECAR}")
+        if not os.path.lexists(target):
+            continue
+        try:
+            content = ElementTree.parse(target).getroot()
+        except ElementTree.ParseError:
+            notes.append(f"{target.name} is no XML and may hold old statistics: removed")
+            content = ElementTree.Element("PAMDataset")
+        _drop_measured(content)
+        if len(content):
+            _write(target, content)
+        else:
+            remove_of_gdal(name, SIDECAR)
+    remove_of_gdal(path, ".ovr")
+    return notes
+
+
+def _drop_measured(element: Any) -> None:
+    """Drop measured values from an element of GDAL's, and what they leave empty."""
+    for child in list(element):
+        _drop_measured(child)
+        is_domain = child.tag == "Metadata" and child.get("domain") in _OF_TWZ
+        is_value = child.tag == "MDI" and is_statistic(child.get("key", ""))
+        is_empty = child.tag in ("Metadata", "PAMRasterBand") and not len(child)
+        if is_domain or is_value or is_empty or child.tag in _MEASURED:
+            element.remove(child)
 
 
 def write_beside(
@@ -68,6 +97,10 @@ def write_beside(
     if unit is not None:
         band = ElementTree.SubElement(content, "PAMRasterBand", band="1")
         ElementTree.SubElement(band, "UnitType").text = unit
+    _write(target, content)
+
+
+def _write(target: Path, content: Any) -> None:
     with publish(target, True) as part, storage_errors(f"cannot write {target}"):
         part.file.write(ElementTree.tostring(content, encoding="utf-8"))
 

@@ -36,12 +36,10 @@ from terrainwave.raster_io.gdal import (
     scan_windows,
 )
 from terrainwave.raster_io.raster_info import RasterInfo, stored_nodata
-from terrainwave.raster_io.tags import PLAIN_COLORS, writable_tags
+from terrainwave.raster_io.tags import DOMAIN, PLAIN_COLORS, writable_tags
 
 # Samples a side of a GeoTIFF's tile.
 TILE = 512
-# Of metadata that holds for one file, as GDAL's driver for .twz files has it.
-OWN_DOMAIN = "TERRAINWAVE"
 
 # Bytes; where fewer are free, a disk is asked whether it takes so many.
 _NEARLY_FULL = 64 << 10
@@ -79,14 +77,8 @@ def band_tags_of(info: RasterInfo) -> dict[str, str]:
     return tags
 
 
-def write_description(dataset: Any, info: RasterInfo, own_tags: Mapping[str, str]) -> None:
-    """Write all that a raster says of itself besides its profile.
-
-    `own_tags` hold for this file only. GDAL's programs, rioxarray and `compress` pass on the tags
-    of the default domain, also to other heights.
-    """
-    if own_tags:
-        dataset.update_tags(ns=OWN_DOMAIN, **own_tags)
+def write_description(dataset: Any, info: RasterInfo) -> None:
+    """Write all that a raster says of itself besides its profile."""
     dataset.update_tags(**dict(writable_tags(info.tags)))
     dataset.update_tags(1, **band_tags_of(info))
     color = info.color_interpretation
@@ -151,8 +143,8 @@ class RasterSink:
         Replace an existing file.
     n_threads : int
         Threads that GDAL compresses with.
-    own_tags : mapping of str
-        Further metadata, in the domain TERRAINWAVE.
+    stated : mapping of str, optional
+        Items of the band's metadata, in `DOMAIN`. GDAL does not take them into a COG.
 
     Raises
     ------
@@ -178,10 +170,10 @@ class RasterSink:
         cog: bool = False,
         overwrite: bool = False,
         n_threads: int = 1,
-        own_tags: Mapping[str, str] | None = None,
+        stated: Mapping[str, str] | None = None,
     ) -> None:
         self.info = info
-        self._own_tags = own_tags or {}
+        self._stated = stated or {}
         self._path = os.fspath(path)
         self._cog = cog
         self._n_threads = _THREADS.allowed(n_threads)
@@ -225,7 +217,9 @@ class RasterSink:
         with bounded_env(), warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             dataset = rasterio.open(self._part, "w", **profile)
-            write_description(dataset, self.info, self._own_tags)
+            write_description(dataset, self.info)
+            if self._stated:
+                dataset.update_tags(1, ns=DOMAIN, **self._stated)
         return dataset
 
     @property

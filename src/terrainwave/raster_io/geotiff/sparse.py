@@ -22,6 +22,7 @@ from terrainwave.errors import LimitExceededError
 from terrainwave.raster_io.gdal import bounded_env
 from terrainwave.raster_io.geotiff.sink import TILE, geotiff_profile, write_description
 from terrainwave.raster_io.raster_info import RasterInfo
+from terrainwave.raster_io.tags import DOMAIN
 
 # Tags of a directory (TIFF 6.0, sections 8 and 15) and the types of their values.
 _SUBFILE_TYPE, _WIDTH, _LENGTH, _BITS, _COMPRESSION = 254, 256, 257, 258, 259
@@ -77,7 +78,7 @@ class _Entry(NamedTuple):
 
 
 def sparse_geotiff(
-    info: RasterInfo, n_overviews: int, tags: Mapping[str, str]
+    info: RasterInfo, n_overviews: int, stated: Mapping[str, str]
 ) -> tuple[bytes, list[Plane]]:
     """Return the head of a GeoTIFF and where its tiles lie; coarse ones come first.
 
@@ -85,8 +86,8 @@ def sparse_geotiff(
     ----------
     n_overviews : int
         Overviews of half, a quarter, … of the size.
-    tags : mapping of str
-        Further metadata, in the domain TERRAINWAVE.
+    stated : mapping of str
+        Items of the band's metadata, in `DOMAIN`. Overviews do not have them.
 
     Raises
     ------
@@ -96,7 +97,7 @@ def sparse_geotiff(
     tile = _tile_side(info)
     # Overviews and mask add less than half.
     is_big = 3 * info.n_bytes // 2 > _MOST_CLASSIC
-    head = _written_by_gdal(info, n_overviews, tags, is_big, tile)
+    head = _written_by_gdal(info, n_overviews, stated, is_big, tile)
     directories = sorted(_directories(head, is_big), key=_width_of)
     planes: list[Plane] = []
     for fields in directories:
@@ -132,7 +133,7 @@ def _tile_side(info: RasterInfo) -> int:
 
 
 def _written_by_gdal(
-    info: RasterInfo, n_overviews: int, tags: Mapping[str, str], is_big: bool, tile: int
+    info: RasterInfo, n_overviews: int, stated: Mapping[str, str], is_big: bool, tile: int
 ) -> bytearray:
     """Return a sparse file of a small raster, 2 << `n_overviews` samples a side.
 
@@ -156,7 +157,8 @@ def _written_by_gdal(
     with bounded_env(**options), warnings.catch_warnings(), MemoryFile(ext=".tif") as memory:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         with memory.open(**profile) as dataset:
-            write_description(dataset, info, tags)
+            write_description(dataset, info)
+            dataset.update_tags(1, ns=DOMAIN, **stated)
             if info.mask_kind == "mask":
                 dataset.write_mask(np.zeros((1, 1), dtype=np.uint8), window=Window(0, 0, 1, 1))
         if n_overviews:
