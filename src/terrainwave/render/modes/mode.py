@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 ERRORS = ("measured", "paper")
 MAX_TRIANGLES = 20_000_000
+# What `Frames.tau` is where nothing is promised, pixels, or more.
+NO_PROMISE = 1e6
 
 
 class Frames(NamedTuple):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from terrainwave.errors import LimitExceededError, TerrainwaveError
 from terrainwave.progress import ProgressCallback
 from terrainwave.render.modes import mode_class, options_of
-from terrainwave.render.modes.mode import MAX_TRIANGLES, Frames, Mode, ModeNeeds
+from terrainwave.render.modes.mode import MAX_TRIANGLES, NO_PROMISE, Frames, Mode, ModeNeeds
 from terrainwave.render.paging.motion import Motion
 from terrainwave.render.paging.pager import Arrival, Pager
 from terrainwave.render.paging.problems import Problems, replies_of
@@ -275,6 +275,16 @@ class Scene:
                 return frames
             if not self._pager.wait(max(end - time.monotonic(), 0.0)):
                 raise TerrainwaveError(f"the picture is not complete after {timeout:g} seconds")
+
+    def kept_error(self, view: View, frames: Frames) -> float:
+        """Return what a settled frame is within, pixels: τ, or the errors of its finest pieces.
+
+        Infinite where nothing is promised, and where the eye is in the box of a piece.
+        """
+        if not self.mode.is_bound:
+            return math.inf
+        kept = max(frames.tau, float(self.table.on_screen(view, frames.nodes).max(initial=0.0)))
+        return kept if kept < NO_PROMISE else math.inf
 
     def drawn_error(self, view: View, frames: Frames) -> float:
         """Return the largest error on screen, pixels, of what is drawn and could be finer.
