@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
+from terrainwave.grid.quadtree import Region
 from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.marks import draw_marks, legend_of
 from terrainwave.render.modes.mode import Frames
@@ -22,6 +23,7 @@ from terrainwave.render.scene.camera import (
     project,
 )
 from terrainwave.render.scene.frame import Frame
+from terrainwave.render.scene.walls import read_metres
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
 _MAX_KEYS = 100_000
 _FLIGHT = 'a JSON list of cameras: ["x,y,z,heading,pitch,fov", ...]'
 _OVERVIEW_SIDE = 257
+# Samples a side that are measured at a time.
+_MEASURED_SIDE = 2048
 
 
 class ShownArea(NamedTuple):
@@ -191,22 +195,38 @@ def with_marks(
 
 
 def distance_on_screen(canvas: Canvas, style: "Style", max_pixel_error: float) -> float:
-    """Return how far the last picture is from the decoded heights, pixels.
+    """Return how far the surface of the last picture is from the decoded heights, pixels.
 
-    The largest distance of what the middles of its pixels show from the bilinear surface of the
-    finest level above or below it, as the camera sees it. A pixel may show the skirt between two
-    blocks, which reaches as far down as both their errors. Draws the picture again, without smooth
-    edges, and reads the finest level of all that is in view.
+    At every valid sample of the full grid that is in view, as the camera sees it: between samples
+    nothing is known. Where pieces overlap, the furthest counts. Skirts, which close gaps between
+    pieces, have no height at a sample. Draws the picture again, and reads the finest level of all
+    that is in view.
     """
     canvas.draw(canvas.camera, style, max_pixel_error=max_pixel_error, is_smooth=False)
-    frame = canvas.scene.frame
-    pixels, places = canvas.places_seen()
-    world = frame.to_world(places)
-    world[:, 2] = canvas.scene.terrain.sample(world[:, :2], voids="any")
-    known = ~np.isnan(world[:, 2])
-    camera = canvas.camera
-    seen = project(camera, canvas.viewport, frame.to_local(world[known]))[:, :2]
-    return float(np.linalg.norm(seen - pixels[known], axis=1).max(initial=0.0))
+    in_view, largest = canvas.samples_in_view(), 0.0
+    for row in range(in_view.row, in_view.row + in_view.n_rows, _MEASURED_SIDE):
+        for col in range(in_view.col, in_view.col + in_view.n_cols, _MEASURED_SIDE):
+            region = Region(row, col, _MEASURED_SIDE, _MEASURED_SIDE).intersect(in_view)
+            largest = max(largest, _distance_within(canvas, style, region))
+    return largest
+
+
+def _distance_within(canvas: Canvas, style: "Style", region: Region) -> float:
+    """Return `distance_on_screen` of a part of the full grid."""
+    frame, camera, viewport = canvas.scene.frame, canvas.camera, canvas.viewport
+    heights, valid = read_metres(canvas.scene.terrain, frame, tuple(region), -1)
+    rows, cols = np.nonzero(valid)
+    xy = frame.samples_to_local(rows + region.row, cols + region.col)
+    z = heights[rows, cols] * frame.exaggeration
+    asked = project(camera, viewport, np.column_stack([xy, z]))[:, :2]
+    inside = ((asked >= 0) & (asked <= (viewport.width, viewport.height))).all(axis=1)
+    largest = 0.0
+    for drawn in canvas.drawn_heights(region, style):
+        here = inside & ~np.isnan(drawn[rows, cols])
+        seen = project(camera, viewport, np.column_stack([xy[here], drawn[rows, cols][here]]))
+        away = np.linalg.norm(seen[:, :2] - asked[here], axis=1)
+        largest = max(largest, float(np.nanmax(away, initial=0.0)))
+    return largest
 
 
 def statistics(canvas: Canvas, camera: Camera, frames: Frames, seconds: float) -> dict[str, Any]:
