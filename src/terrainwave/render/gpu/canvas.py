@@ -255,6 +255,13 @@ class Canvas:
         return self._drawn[0].camera
 
     @property
+    def kept_error(self) -> float:
+        """Return what the last picture is within, as `Scene.kept_error`."""
+        if self._drawn is None or self._frames is None:
+            raise AssertionError("a picture has been drawn")
+        return self.scene.kept_error(self._drawn[0], self._frames)
+
+    @property
     def framebuffer(self) -> Any:
         """Return the framebuffer with the last picture, one sample per pixel."""
         return self._resolved

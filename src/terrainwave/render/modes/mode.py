@@ -174,6 +174,11 @@ class Mode(ABC):
         return self.error == "measured"
 
     @property
+    def has_limit(self) -> bool:
+        """Say whether pieces are chosen so that pictures are within the τ that was asked for."""
+        return self.is_bound
+
+    @property
     def is_exact(self) -> bool:
         """Say whether errors count as each piece's place in the picture has it (`View`)."""
         return self.error == "measured"

@@ -250,13 +250,17 @@ class Scene:
         self._last_camera = view.camera
         paged = time.perf_counter()
         selection, used = self.governor.select(self.table, view, tau)
-        if self.table.stand_in(view, selection.nodes, used, self._shown):
+        if self.table.stand_in(view, selection.nodes, used, self._shown) or not (
+            self.mode.has_limit or np.isin(selection.nodes, self._shown).all()
+        ):
             # What made the horizon is not all drawn.
             view = replace(view, horizon=Horizon.none())
             selection, used = self.governor.select(self.table, view, tau)
         n_missing = len(missing) + self.problems.n_held
         frames = self.mode.frames(self.table, view, selection, used, n_missing)
-        self._shown, self._tau = frames.nodes, frames.tau
+        self._shown = frames.nodes
+        # What is drawn in the place of another piece is no further from it, but for loose meshes.
+        self._tau = frames.tau if self.mode.has_limit else 2 * used
         self.timings = Timings((paged - started) * 1e3, (time.perf_counter() - paged) * 1e3)
         return frames
 
@@ -303,6 +307,7 @@ class Scene:
         """Return what the pieces of the last frame hide from a camera.
 
         Others may be drawn in their place: within τ all the same, or `NodeTable.stand_in` says so.
+        In modes without a limit, nothing is hidden then.
         """
         if not (self.has_horizon and self.mode.is_bound):
             return Horizon.none()

@@ -1,6 +1,7 @@
 """What `terrainwave render` does: one picture, or the pictures of a flight."""
 
 import json
+import math
 import time
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -12,7 +13,8 @@ from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.grid.quadtree import Region
 from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.marks import draw_marks, legend_of
-from terrainwave.render.modes.mode import Frames
+from terrainwave.render.modes.mode import NO_PROMISE, Frames
+from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import (
     Camera,
     Viewport,
@@ -151,7 +153,7 @@ def fly_through(
                 "the picture would show no terrain: what is in view is void, or `camera` looks"
                 " elsewhere"
             )
-        drawn = statistics(canvas, camera, frames, seconds)
+        drawn = statistics(canvas, camera, frames, seconds, max_pixel_error)
         if measure:
             drawn["measured_pixel_error"] = distance_on_screen(canvas, style, max_pixel_error)
         if legend or scale_bar:
@@ -229,8 +231,33 @@ def _distance_within(canvas: Canvas, style: "Style", region: Region) -> float:
     return largest
 
 
-def statistics(canvas: Canvas, camera: Camera, frames: Frames, seconds: float) -> dict[str, Any]:
+def caption(scene: Scene, tau: float, kept: float) -> str:
+    """Return what a picture promises, in words.
+
+    Parameters
+    ----------
+    tau : float
+        `Frames.tau`, pixels, or what was asked for if that is more.
+    kept : float
+        `Scene.kept_error`, pixels.
+    """
+    if not scene.mode.is_bound:
+        return f"no limit with error {scene.mode.error}"
+    if not scene.mode.has_limit:
+        here = f", here within {kept:.3g} pixels" if math.isfinite(kept) else ""
+        return f"no limit in mode {scene.mode.name}{here}"
+    if tau >= NO_PROMISE:
+        return "no limit: not all that the view needs fits"
+    if kept <= 2 * tau:
+        return f"within {kept:.3g} pixels"
+    return f"within {tau:.3g} pixels where the file's finest meshes are"
+
+
+def statistics(
+    canvas: Canvas, camera: Camera, frames: Frames, seconds: float, max_pixel_error: float
+) -> dict[str, Any]:
     """Return the statistics of a drawn picture, as plain values."""
+    kept = canvas.kept_error
     scene, info = canvas.scene, canvas.context.info
     return {
         "renderer": str(info["GL_RENDERER"]),
@@ -239,7 +266,8 @@ def statistics(canvas: Canvas, camera: Camera, frames: Frames, seconds: float) -
         "camera": format_camera(camera, scene.frame),
         "mode": scene.mode.name,
         "error": scene.mode.error,
-        "max_pixel_error": frames.tau if scene.mode.is_bound else None,
+        "max_pixel_error": kept if math.isfinite(kept) else None,
+        "caption": caption(scene, max(frames.tau, max_pixel_error), kept),
         "measured_pixel_error": None,
         "n_triangles": frames.n_triangles,
         "n_blocks": len(frames.nodes),
