@@ -351,27 +351,30 @@ class Canvas:
         """
         if self._drawn is None or self._frames is None:
             raise AssertionError("a picture has been drawn")
-        view, target = self._drawn[0], self._framebuffer((region.n_cols, region.n_rows), 0)
-        found = np.empty((2, region.n_rows, region.n_cols))
+        view, shape = self._drawn[0], (region.n_rows, region.n_cols)
         low, high = (float(corner[2]) for corner in self.scene.frame.solid_box)
         low, high = low - (high - low), high + (high - low)  # surfaces may leave the box
+        ends = [(high, low), (low, high)]
+        targets = [self._framebuffer(shape[::-1], 0) for _ in ends]
         try:
-            for k, (near, far) in enumerate([(high, low), (low, high)]):
-                target.use()
-                self.context.clear(depth=1.0)
-                matrix = _from_above(self.scene.frame, view.camera.eye, region, near, far)
-                parts = (
-                    self.scene.parts(view) if self.scene.mode.is_partwise else [self._frames]
-                )
-                for frames in parts:
+            for target in targets:
+                target.clear(depth=1.0)
+            is_partwise = self.scene.mode.is_partwise
+            for frames in self.scene.parts(view) if is_partwise else [self._frames]:
+                for target, (near, far) in zip(targets, ends, strict=True):
+                    target.use()
+                    matrix = _from_above(self.scene.frame, view.camera.eye, region, near, far)
                     self.renderer.draw_terrain(view, frames, style, matrix)
+            found = []
+            for target, (near, far) in zip(targets, ends, strict=True):
                 data = target.read(components=1, attachment=-1, dtype="f4", alignment=1)
-                depth = np.frombuffer(data, dtype=np.float32).reshape(found.shape[1:])
-                found[k] = np.where(depth < 1, near + depth * np.float64(far - near), np.nan)
+                depth = np.frombuffer(data, dtype=np.float32).reshape(shape).astype(np.float64)
+                found.append(np.where(depth < 1, near + depth * (far - near), np.nan))
         finally:
             self._resolved.use()
-            target.release()
-        return found
+            for target in targets:
+                target.release()
+        return np.stack(found)
 
     def metres_per_pixel(self) -> float | None:
         """Return the scale of the last picture: in its middle, else of the raster's middle.

@@ -155,7 +155,7 @@ def fly_through(
             )
         drawn = statistics(canvas, camera, frames, seconds, max_pixel_error)
         if measure:
-            drawn["measured_pixel_error"] = distance_on_screen(canvas, style, max_pixel_error)
+            drawn["measured_pixel_error"] = distance_on_screen(canvas, style)
         if legend or scale_bar:
             image = with_marks(canvas, image, frames, style, legend=legend, scale_bar=scale_bar)
         yield image, drawn
@@ -196,15 +196,13 @@ def with_marks(
     return draw_marks(image, legend=explained, metres_per_pixel=scale)
 
 
-def distance_on_screen(canvas: Canvas, style: "Style", max_pixel_error: float) -> float:
+def distance_on_screen(canvas: Canvas, style: "Style") -> float:
     """Return how far the surface of the last picture is from the decoded heights, pixels.
 
     At every valid sample of the full grid that is in view, as the camera sees it: between samples
     nothing is known. Where pieces overlap, the furthest counts. Skirts, which close gaps between
-    pieces, have no height at a sample. Draws the picture again, and reads the finest level of all
-    that is in view.
+    pieces, have no height at a sample. Reads the finest level of all that is in view.
     """
-    canvas.draw(canvas.camera, style, max_pixel_error=max_pixel_error, is_smooth=False)
     in_view, largest = canvas.samples_in_view(), 0.0
     for row in range(in_view.row, in_view.row + in_view.n_rows, _MEASURED_SIDE):
         for col in range(in_view.col, in_view.col + in_view.n_cols, _MEASURED_SIDE):
