@@ -1,9 +1,9 @@
 """Is each picture within what its caption says? ``make long DATA=DIR``.
 
-Of each raster, compressed by default, one picture by `terrainwave render`'s own camera, with default
-errors, walls and all else, in each mode at each τ. `caption` is what `render` prints, `within` the
-pixels in it, `measured` what ``--measure`` finds: the largest distance on screen of the surface as
-drawn from a decoded height in view. `limit` says whether the mode has one at all.
+Of each raster, compressed by default, one picture by `terrainwave render`'s own camera, with
+default errors, walls and all else, in each mode at each τ. `caption` is what `render` prints,
+`within` the pixels in it, `measured` what ``--measure`` finds: the largest distance on screen of
+the surface as drawn from a decoded height in view. `limit` says whether the mode has one at all.
 
 A picture is `bad` if `measured` is more than `within`, or if the caption says more than 2 τ and not
 that there is no limit. Pictures that are in the CSV already are not drawn again: an interrupted run

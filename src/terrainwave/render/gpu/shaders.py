@@ -329,6 +329,7 @@ uniform vec4 sample_axes;
 uniform vec3 origin;        // the first sample at z = 0, relative to the eye
 uniform float z_scale;
 uniform float base;         // z of the base relative to the eye
+uniform float depth;        // of the base below the lowest height, metres
 out vec3 v_seen;
 out vec2 v_normal;
 flat out int v_kind;
@@ -337,12 +338,14 @@ void main() {
     seen.x += in_place.x * sample_axes.x + in_place.y * sample_axes.y;
     seen.y += in_place.x * sample_axes.z + in_place.y * sample_axes.w;
     seen.z = in_kind == 1.0 || in_kind == 2.0 ? base : seen.z + in_height * z_scale;
+    // The floor, which shows through holes, ends within the walls, not along their foot.
+    if (in_kind == 2.0 && base < 0.0) seen.z += 0.1 * depth;
     v_seen = seen;
     v_normal = in_normal;
     v_kind = int(in_kind);
     gl_Position = view_projection * vec4(seen, 1.0);
-    // Skirts end in the plane of a wall, or a little outside: a wall that is seen from outside hides
-    // them. From inside it lets all else be seen.
+    // Skirts end in the plane of a wall, or a little outside: a wall that is seen from outside
+    // hides them. From inside it lets all else be seen.
     if (in_kind <= 1.0) {
         float side = dot(in_normal, seen.xy) < 0.0 ? -1.0 : 1.0;
         gl_Position.z += side * 2e-5 * gl_Position.w;

@@ -8,7 +8,7 @@ from terrainwave.render.gpu import shaders
 from terrainwave.render.gpu.surface import release_all, set_uniforms
 from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.selection import View
-from terrainwave.render.scene.walls import FLOOR, LID, Solid
+from terrainwave.render.scene.walls import LID, Solid
 
 # Pixels from stripe to stripe in a picture of 853 lines.
 _HATCH, _HATCH_LINES = 11.0, 853.0
@@ -27,10 +27,9 @@ class SolidSurface:
         )
         self._vertices = context.buffer(solid.vertices.tobytes())
         self._indices = context.buffer(solid.triangles.tobytes())
-        # Floor, walls and lids lie one after another.
-        kinds = solid.vertices["kind"][solid.triangles[:, 0]]
-        self._n_floor, self._n_lid = (3 * int((kinds == kind).sum()) for kind in (FLOOR, LID))
-        self._n_walls = solid.triangles.size - self._n_floor - self._n_lid
+        # Lids come last.
+        self._n_lid = 3 * int((solid.vertices["kind"][solid.triangles[:, 0]] == LID).sum())
+        self._n_block = solid.triangles.size - self._n_lid
         self._array = context.vertex_array(
             self._program,
             [(self._vertices, "2f 1f 1f 2f", "in_place", "in_height", "in_kind", "in_normal")],
@@ -49,14 +48,10 @@ class SolidSurface:
         }
         set_uniforms(self._program, uniforms | own)
         self._context.enable_only(moderngl.DEPTH_TEST)
-        # From above the floor would show at the foot of walls alone, where both are.
-        if eye[2] < frame.base:
-            self._array.render(moderngl.TRIANGLES, vertices=self._n_floor)
-        self._array.render(moderngl.TRIANGLES, first=self._n_floor, vertices=self._n_walls)
+        self._array.render(moderngl.TRIANGLES, vertices=self._n_block)
         if self._n_lid:
             self._context.polygon_offset = _BEHIND  # the terrain wins where both are
-            first = self._n_floor + self._n_walls
-            self._array.render(moderngl.TRIANGLES, first=first, vertices=self._n_lid)
+            self._array.render(moderngl.TRIANGLES, first=self._n_block, vertices=self._n_lid)
             self._context.polygon_offset = 0.0, 0.0
 
     def release(self) -> None:

@@ -14,7 +14,7 @@ class Loose(Adaptive):
     """The blocks of `Adaptive`, those above the finest level with their non-guaranteed meshes.
 
     They are selected as if they had their guaranteed ones. What a mesh is worth is measured when it
-    is built: `Frames.tau` is the largest of that on screen, most often far above the τ asked for, and
+    is built: `Frames.tau` is the largest of that on screen, often far above the τ asked for, and
     infinite where the eye is in the box of a piece.
     """
 
