@@ -31,15 +31,13 @@ from terrainwave.render.look.style import COLORINGS, Style
 from terrainwave.render.look.water import EVERYWHERE, NOWHERE, Water, waves_of
 from terrainwave.render.modes.mode import Frames
 from terrainwave.render.paging.scene import Scene
-from terrainwave.render.scene.camera import focal_length, projection_matrix, slant, view_matrix
+from terrainwave.render.scene.camera import projection_matrix, slant, view_matrix
 from terrainwave.render.scene.scales import HeightTexels
 from terrainwave.render.scene.selection import View
 from terrainwave.render.scene.walls import Solid, distance_to_walls, haze_of
 
 _CLIP_DISTANCE_0 = 0x3000
 _NEAREST = 1e-5  # of the farthest
-# Of skirts, where nothing says how deep they need be.
-_NO_LIMIT = 1e30
 _GROUND_REACH = 0.38  # of the terrain's diagonal
 
 
@@ -213,7 +211,7 @@ class Renderer:
         values = self._shared_uniforms(view, frames, style)
         palette = self.palette(frames, style)
         own = self._terrain_uniforms(view, palette, style)
-        own["skirt_reach"] = self._skirt_reach(view, frames)
+        own["skirt_reach"] = self._scene.skirt_reach(view, frames)
         if matrix is not None:
             own["view_projection"] = tuple(matrix.T.ravel())
         set_uniforms(self.surface.program, values | own)
@@ -292,19 +290,6 @@ class Renderer:
             "detail_share": 1.0 if self._detail.is_there else 0.0,
             "last": (scene.frame.shape[1] - 1.0, scene.frame.shape[0] - 1.0),
         }
-
-    def _skirt_reach(self, view: View, frames: Frames) -> float:
-        """Return how deep skirts need be, per metre of distance where they are seen from the side.
-
-        A surface and its neighbour's are both within `Scene.kept_error` pixels. A vertical metre at
-        a distance d, h of it level, is f h / d² pixels at least, and counts as that over the slant
-        of the picture's corners at least.
-        """
-        kept = self._scene.kept_error(view, frames)
-        if not math.isfinite(kept):
-            return _NO_LIMIT
-        length = focal_length(view.camera, view.viewport)
-        return 2 * kept * slant(view.camera, view.viewport) / length
 
     def _draw_sky(self, view: View, style: Style) -> None:
         frame = self._scene.frame

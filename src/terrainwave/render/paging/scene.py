@@ -17,7 +17,7 @@ from terrainwave.render.paging.motion import Motion
 from terrainwave.render.paging.pager import Arrival, Pager
 from terrainwave.render.paging.problems import Problems, replies_of
 from terrainwave.render.paging.read_ahead import PATIENCE, read_ahead_of
-from terrainwave.render.scene.camera import Camera, Viewport
+from terrainwave.render.scene.camera import Camera, Viewport, focal_length, slant
 from terrainwave.render.scene.frame import Frame, frame_of
 from terrainwave.render.scene.frustum import may_see
 from terrainwave.render.scene.horizon import Horizon
@@ -48,6 +48,7 @@ _COARSE_SHARE = 32
 _MOST_ASKED = 64
 # Pieces that are known before those that nobody needs are forgotten, at about half a kilobyte each.
 _MOST_KNOWN = 8192
+_NO_REACH = 1e30
 _NO_ROOM = "a block does not fit the memory allowed for pictures"
 
 
@@ -289,6 +290,19 @@ class Scene:
             return math.inf
         kept = max(frames.tau, float(self.table.on_screen(view, frames.nodes).max(initial=0.0)))
         return kept if kept < NO_PROMISE else math.inf
+
+    def skirt_reach(self, view: View, frames: Frames) -> float:
+        """Return how deep skirts need be, per metre of distance where they are seen from the side.
+
+        A surface and its neighbour's are both within `kept_error`. A vertical metre at a distance
+        d, h of it level, is f h / d² pixels at least, and counts as that over the slant of the
+        picture's corners at least. Much where nothing says how deep they need be.
+        """
+        kept = self.kept_error(view, frames)
+        if not math.isfinite(kept):
+            return _NO_REACH
+        length = focal_length(view.camera, view.viewport)
+        return 2 * kept * slant(view.camera, view.viewport) / length
 
     def drawn_error(self, view: View, frames: Frames) -> float:
         """Return the largest error on screen, pixels, of what is drawn and could be finer.
