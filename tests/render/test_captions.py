@@ -159,14 +159,14 @@ def test_measuring_finds_a_surface_that_is_off(context, jagged, monkeypatch):
     with Canvas(jagged, SIZE, context=context) as canvas:
         camera = seen_from_the_side(canvas)
         ((_, right),) = fly_through(canvas, [camera], 1, Style(), 0.5, measure=True)
-        instances = patch_surface.PatchSurface._instances
+        instances = patch_surface.PatchSurface.instances
 
         def moved(self, *arguments):
             found = instances(self, *arguments)
             found[:, 2] += 300.0
             return found
 
-        monkeypatch.setattr(patch_surface.PatchSurface, "_instances", moved)
+        monkeypatch.setattr(patch_surface.PatchSurface, "instances", moved)
         ((_, wrong),) = fly_through(canvas, [camera], 1, Style(), 0.5, measure=True)
         assert right["measured_pixel_error"] <= 0.5
         assert wrong["measured_pixel_error"] > 5
