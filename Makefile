@@ -1,4 +1,4 @@
-# make demo | make test | make test-all | make docs | make qgis | make conformance | make bench
+# make demo | make test | make test-all | make docs | make qgis | make conformance | make bench | make long
 # make native | make native-fuzz | make fuzz | make release-check | make clean
 # All targets set up their own virtual environment in .venv; see CONTRIBUTING.md.
 
@@ -7,6 +7,7 @@ VENV ?= .venv
 WORKERS ?= 2
 DATA ?=
 SECONDS ?= 60
+SIZE ?= 1280x720
 FILES ?= 100
 PREFIX ?= $(CURDIR)/build/native/prefix
 
@@ -20,7 +21,7 @@ COMPILED := $(PYTEST) --dist loadfile --no-loadscope-reorder
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo qgis conformance test test-all system system-full system-native system-arm native native-arm native-aarch64 native-arm32 native-gcc native-clang native-agrees native-compared native-sanitized native-fuzz native-driver native-deb lint test-compiled test-full test-bounds test-python coverage docs bench fuzz release-check clean
+.PHONY: help demo qgis conformance test test-all system system-full system-native system-arm native native-arm native-aarch64 native-arm32 native-gcc native-clang native-agrees native-compared native-sanitized native-fuzz native-driver native-deb lint test-compiled test-full test-bounds test-python coverage docs bench long fuzz release-check clean
 
 help:
 	@echo "make demo            compress a real terrain, check and draw it, into demo/"
@@ -30,6 +31,8 @@ help:
 	@echo "make coverage        the tests as plain Python, with the lines they miss"
 	@echo "make bench DATA=DIR  compare with other codecs on the rasters in DIR: what is not measured yet;"
 	@echo "                     AGAIN='predictive speeds' anew, ONLY='cdf97' that alone"
+	@echo "make long DATA=DIR   pictures of the rasters in DIR in all modes, measured: is each within its caption?"
+	@echo "                     hours; goes on where it stopped; SIZE=1280x720"
 	@echo "make fuzz SECONDS=60 fuzz each target that long, ONLY='rapid opening' these alone: docs/reliability.md"
 	@echo "make native          the native library, its command \`twz\` and GDAL's driver, built and tested with gcc"
 	@echo "                     and clang, installed to PREFIX (build/native/prefix)"
@@ -134,6 +137,11 @@ coverage: $(VENV)/.installed-dev
 	NUMBA_DISABLE_JIT=1 $(BIN)/coverage run -m pytest -n $(WORKERS) -m "not (large or full)"
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report
+
+# Outside CI. Exits with 1 if a caption says less than is measured.
+long: $(VENV)/.installed-bench system
+	@test -n "$(DATA)" || { echo "make long DATA=a-directory-with-GeoTIFFs" >&2; exit 2; }
+	$(BIN)/python -m benchmarks.captions "$(DATA)" --size $(SIZE)
 
 bench: $(VENV)/.installed-bench
 	@test -n "$(DATA)" || { echo "make bench DATA=a-directory-with-GeoTIFFs" >&2; exit 2; }

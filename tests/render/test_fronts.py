@@ -242,14 +242,19 @@ def test_skirts_reach_what_neighbours_draw(gentle, small_patches, mode):
     n_checked = 0
     with Scene(gentle, ListStore(), mode=mode) as scene:
         for camera in low_flight(scene, 2):
-            frames = scene.settle(scene.view(camera, VIEWPORT, 3.0))
+            view = scene.view(camera, VIEWPORT, 3.0)
+            frames = scene.settle(view)
             parts = list(parts_of(scene.mode))
             for k, part in enumerate(parts):
-                for x, y, z, bottom in skirts_of(part):
+                for x, y, z, depth in skirts_of(part):
                     seen = project(camera, VIEWPORT, np.array([[x, y, z]]))[0]
                     if not (0 <= seen[0] <= VIEWPORT.width and 0 <= seen[1] <= VIEWPORT.height):
                         continue
-                    assert z - bottom == pytest.approx(frames.skirts[k])
+                    # No deeper than the shader lets it be, either.
+                    away = np.array([x, y, z]) - camera.eye
+                    reach = scene.skirt_reach(view, frames) * (away @ away) / np.hypot(*away[:2])
+                    bottom = z - min(depth, reach)
+                    assert depth == pytest.approx(frames.skirts[k])
                     for other in parts[:k] + parts[k + 1 :]:
                         beside = surfaces_at(without_skirts(other), x, y)
                         n_checked += len(beside)
@@ -346,18 +351,16 @@ def parts_of(mode):
     for first, end in pairwise(starts):
         inside = (mode.drawn.triangles >= first).all(1) & (mode.drawn.triangles < end).all(1)
         yield mode.drawn._replace(
-            vertices=mode.drawn.vertices[first:end], triangles=mode.drawn.triangles[inside] - first
-        )
+            vertices=mode.drawn.vertices[first:end], triangles=mode.drawn.triangles[inside] - first,
+            depths=mode.drawn.depths[first:end],
+        )  # fmt: skip
 
 
 def skirts_of(part):
-    """Each vertex with one right below it: x, y, z and the other's z."""
-    places = {}
-    for x, y, z in part.vertices.tolist():
-        places.setdefault((x, y), []).append(z)
-    for (x, y), z in places.items():
-        if len(z) == 2:
-            yield x, y, z[0], z[1]
+    """Each vertex of the upper end of a skirt: x, y, z and how deep it is."""
+    is_below = part.depths >= 0
+    for (x, y, z), depth in zip(part.vertices[is_below], part.depths[is_below], strict=True):
+        yield x, y, z, depth
 
 
 @pytest.mark.parametrize("mode", MODES)

@@ -48,7 +48,7 @@ def are_hidden(frame, camera, points):
 
 
 @pytest.mark.large
-@pytest.mark.parametrize("mode", ["adaptive", "batched"])
+@pytest.mark.parametrize("mode", ["adaptive", "batched", "loose"])
 def test_what_is_left_out_lies_behind_the_ground(mountains, mode):
     rng = np.random.default_rng(2)
     n_drawn = n_all = n_wanted = n_wanted_all = 0

@@ -280,11 +280,15 @@ def test_skirts_reach_the_neighbours_surface(original_and_terrain):
     n_shared = 0
     with Scene(terrain, ListStore()) as scene:
         for _ in range(4):
-            frames = scene.settle(scene.view(random_camera(rng, scene), VIEWPORT, 1.5))
+            view = scene.view(random_camera(rng, scene), VIEWPORT, 1.5)
+            frames = scene.settle(view)
+            # What the shader leaves of the skirts of a block, at least.
+            nearest = scene.table.distances(view, frames.nodes)
+            reach = scene.skirt_reach(view, frames) * nearest
             top = np.full(heights.shape, -np.inf)
             low, skirt = np.full(heights.shape, np.inf), np.full(heights.shape, np.inf)
             drawn = drawn_heights(scene, frames, heights.shape)
-            for (rows, cols, z), depth in zip(drawn, frames.skirts, strict=True):
+            for (rows, cols, z), depth in zip(drawn, np.minimum(frames.skirts, reach), strict=True):
                 top[rows, cols] = np.maximum(top[rows, cols], z)
                 low[rows, cols] = np.minimum(low[rows, cols], z)
                 skirt[rows, cols] = np.minimum(skirt[rows, cols], depth)

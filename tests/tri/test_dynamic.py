@@ -60,6 +60,13 @@ def test_parents_are_means_and_the_papers_error_is_the_largest_haar_coefficient(
     assert tree.bounds.tolist() == [[3, 1, 11]]
 
 
+def test_boxes_of_the_papers_errors_hold_valid_samples_and_are_finite_where_all_is_void():
+    heights = np.full((4, 4), np.nan)
+    heights[0, 0], heights[0, 3] = 7.0, 9.0
+    tree = build_tree(heights, patch=4, error="paper")
+    assert tree.bounds[:, 1:].tolist() == [[7, 7], [9, 9], [0, 0], [0, 0], [7, 9]]
+
+
 def test_voids_do_not_count_and_nodes_at_an_outline_have_no_error():
     heights = np.array([[1.0, 3.0, np.nan], [5.0, np.nan, np.nan]])
     tree = build_tree(heights, patch=2)

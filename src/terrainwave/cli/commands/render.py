@@ -145,8 +145,7 @@ def _draw(
 
 
 def _print_picture(name: str, drawn: dict[str, Any], seconds: float) -> None:
-    bound, measured = drawn["max_pixel_error"], drawn["measured_pixel_error"]
-    errors = [f"within {bound:.3g} pixels" if bound is not None else "error in pixels not bounded"]
+    errors, measured = [drawn["caption"]], drawn["measured_pixel_error"]
     if measured is not None:
         errors.append(f"measured {measured:.3g} pixels")
     click.echo(

@@ -6,7 +6,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.render.gpu.shaders import TERRAIN_FRAGMENT
+from terrainwave.render.gpu.shaders import SKIRT_DEPTH, TERRAIN_FRAGMENT
 from terrainwave.render.gpu.surface import OWN_UNIT, release_all, set_uniforms
 from terrainwave.render.gpu.texture_layers import HEIGHTS, SLOPES, LayeredTextures
 from terrainwave.render.scene.selection import View
@@ -40,6 +40,7 @@ flat out ivec2 v_layers;
 out vec2 v_grid;            // column, row of the full grid
 flat out vec4 v_parent;     // unused, unused, level, error
 out float gl_ClipDistance[3];
+SKIRT_DEPTH
 void main() {
     vec4 a = texelFetch(instances, ivec2(0, gl_InstanceID), 0);
     vec4 b = texelFetch(instances, ivec2(1, gl_InstanceID), 0);
@@ -54,7 +55,9 @@ void main() {
     vec3 seen = a.xyz;
     seen.x += full.x * sample_axes.x + full.y * sample_axes.y;
     seen.y += full.x * sample_axes.z + full.y * sample_axes.w;
-    seen.z += z * z_scale - (is_skirt ? b.x : 0.0);
+    seen.z += z * z_scale;
+    v_below = is_skirt ? 1.0 : 0.0;
+    seen.z -= is_skirt ? skirt_depth(seen, b.x) : 0.0;
     v_seen = seen;
     v_sample = vec2(vertex);
     v_layers = ivec2(int(b.y), -1);
@@ -66,7 +69,7 @@ void main() {
     gl_ClipDistance[2] = is_void ? -1e9 : 1.0;
     gl_Position = view_projection * vec4(seen, 1.0);
 }
-"""
+""".replace("SKIRT_DEPTH", SKIRT_DEPTH)
 
 
 def grid_mesh(n: int) -> tuple[NDArray[np.uint16], NDArray[np.uint32]]:

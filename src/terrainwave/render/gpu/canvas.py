@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidArgumentError, TerrainwaveError
 from terrainwave.extras import need
+from terrainwave.grid.quadtree import Region
 from terrainwave.render import DEFAULT_MAX_BYTES
 from terrainwave.render.gpu.shaders import SOLID_ALPHA
 from terrainwave.render.look.drape_detail import DETAIL_SIDE
@@ -15,6 +16,7 @@ from terrainwave.render.modes import mode_class
 from terrainwave.render.modes.mode import Frames
 from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import Camera, Viewport, focal_length
+from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.selection import View
 from terrainwave.render.scene.walls import build_solid
 
@@ -55,6 +57,25 @@ def _open_photo(terrain: "TerrainFile", path: str) -> "Photo":
     from terrainwave.raster_io.drape import Photo
 
     return Photo(path, crs=terrain.crs, affine=terrain.raster_info.transform, shape=terrain.shape)
+
+
+def _from_above(
+    frame: Frame, eye: NDArray[np.float64], region: Region, near: float, far: float
+) -> NDArray[np.float64]:
+    """Return a projection of places relative to an eye, 4 x 4: a pixel for each sample.
+
+    Depths are those of heights from `near` to `far`.
+    """
+    a, b, c, d, e, f = frame.sample_matrix
+    matrix = np.eye(4)
+    matrix[:2, :2] = np.linalg.inv(np.array([[a, b], [d, e]]))
+    first = matrix[:2, :2] @ (eye[:2] - (c, f)) - (region.col, region.row)
+    shape = np.array([region.n_cols, region.n_rows], dtype=np.float64)
+    matrix[:2, :2] *= (2 / shape)[:, None]
+    matrix[:2, 3] = (first + 0.5) * 2 / shape - 1
+    matrix[2, 2] = 2 / (far - near)
+    matrix[2, 3] = (eye[2] - near) * 2 / (far - near) - 1
+    return matrix
 
 
 class Canvas:
@@ -113,6 +134,7 @@ class Canvas:
         self._target: Any = None
         self._resolved: Any = None
         self._drawn: tuple[View, tuple[float, float]] | None = None
+        self._frames: Frames | None = None
         try:
             solid = None if is_late else build_solid(terrain, self.scene.frame)
             self.has_voids = solid is not None and solid.has_lids
@@ -220,7 +242,7 @@ class Canvas:
         else:
             frames = self.scene.settle(view) if settle else self.scene.update(view)
             self.renderer.draw(view, frames, style)
-        self._drawn = view, self.renderer.depth_range(view, frames)
+        self._drawn, self._frames = (view, self.renderer.depth_range(view, frames)), frames
         if self._resolved is not target:
             self.context.copy_framebuffer(self._resolved, target)
         return frames
@@ -231,6 +253,13 @@ class Canvas:
         if self._drawn is None:
             raise AssertionError("a picture has been drawn")
         return self._drawn[0].camera
+
+    @property
+    def kept_error(self) -> float:
+        """Return what the last picture is within, as `Scene.kept_error`."""
+        if self._drawn is None or self._frames is None:
+            raise AssertionError("a picture has been drawn")
+        return self.scene.kept_error(self._drawn[0], self._frames)
 
     @property
     def framebuffer(self) -> Any:
@@ -302,6 +331,50 @@ class Canvas:
         ])  # fmt: skip
         places = view.camera.eye + (across * depth[:, None]) @ view.camera.axes
         return np.column_stack([x, y]), places
+
+    def samples_in_view(self) -> Region:
+        """Return the samples of the full grid around all that the last picture shows of it."""
+        _, places = self.places_seen()
+        grid = Region(0, 0, *self.scene.frame.shape)
+        if not len(places):
+            return grid._replace(n_rows=0, n_cols=0)
+        rows, cols = self.scene.frame.samples_at(places[:, :2])
+        first = int(np.floor(rows.min())), int(np.floor(cols.min()))
+        last = int(np.ceil(rows.max())), int(np.ceil(cols.max()))
+        return Region(*first, last[0] - first[0] + 1, last[1] - first[1] + 1).intersect(grid)
+
+    def drawn_heights(self, region: Region, style: "Style") -> NDArray[np.float64]:
+        """Return the last picture's surface at samples of the full grid: its highest and lowest.
+
+        Local z, shape (2, n_rows, n_cols), NaN where nothing is drawn. The pieces of the picture
+        are drawn once more, from above, with a pixel for each sample.
+        """
+        if self._drawn is None or self._frames is None:
+            raise AssertionError("a picture has been drawn")
+        view, shape = self._drawn[0], (region.n_rows, region.n_cols)
+        low, high = (float(corner[2]) for corner in self.scene.frame.solid_box)
+        low, high = low - (high - low), high + (high - low)  # surfaces may leave the box
+        ends = [(high, low), (low, high)]
+        targets = [self._framebuffer(shape[::-1], 0) for _ in ends]
+        try:
+            for target in targets:
+                target.clear(depth=1.0)
+            is_partwise = self.scene.mode.is_partwise
+            for frames in self.scene.parts(view) if is_partwise else [self._frames]:
+                for target, (near, far) in zip(targets, ends, strict=True):
+                    target.use()
+                    matrix = _from_above(self.scene.frame, view.camera.eye, region, near, far)
+                    self.renderer.draw_terrain(view, frames, style, matrix)
+            found = []
+            for target, (near, far) in zip(targets, ends, strict=True):
+                data = target.read(components=1, attachment=-1, dtype="f4", alignment=1)
+                depth = np.frombuffer(data, dtype=np.float32).reshape(shape).astype(np.float64)
+                found.append(np.where(depth < 1, near + depth * (far - near), np.nan))
+        finally:
+            self._resolved.use()
+            for target in targets:
+                target.release()
+        return np.stack(found)
 
     def metres_per_pixel(self) -> float | None:
         """Return the scale of the last picture: in its middle, else of the raster's middle.

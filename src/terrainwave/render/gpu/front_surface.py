@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import moderngl
 import numpy as np
 
-from terrainwave.render.gpu.shaders import TERRAIN_FRAGMENT
+from terrainwave.render.gpu.shaders import SKIRT_DEPTH, TERRAIN_FRAGMENT
 from terrainwave.render.gpu.surface import OWN_UNIT, release_all, set_uniforms
 from terrainwave.render.gpu.texture_layers import SLOPES, LayeredTextures
 from terrainwave.render.scene.selection import View
@@ -21,7 +21,7 @@ _FIRST_BYTES = 1 << 20
 RING = 3
 
 VERTEX = np.dtype(
-    [("place", "<f4", 3), ("sample", "<f4", 2), ("grid", "<f4", 2), ("about", "<f4", 3)]
+    [("place", "<f4", 3), ("sample", "<f4", 2), ("grid", "<f4", 2), ("about", "<f4", 4)]
 )
 
 # Meshes may reach beyond the raster's outline.
@@ -42,7 +42,7 @@ _VERTEX_SHADER = """
 in vec3 in_place;           // relative to the eye
 in vec2 in_sample;          // column and row of the patch
 in vec2 in_grid;            // column and row of the full grid
-in vec3 in_about;           // layer, size, error
+in vec4 in_about;           // layer, size, error; depth of a skirt's lower end, -1 of a surface
 uniform mat4 view_projection;
 out vec3 v_seen;
 out vec2 v_sample;
@@ -51,16 +51,20 @@ out vec2 v_grid;
 flat out vec4 v_parent;     // unused, unused, size, error
 out float gl_ClipDistance[4];
 CUT_OFF
+SKIRT_DEPTH
 void main() {
+    bool is_skirt = in_about.w >= 0.0;
     v_seen = in_place;
+    v_below = is_skirt ? 1.0 : 0.0;
+    v_seen.z -= is_skirt ? skirt_depth(in_place, in_about.w) : 0.0;
     v_sample = in_sample;
     v_layers = ivec2(int(in_about.x), -1);
     v_grid = in_grid;
     v_parent = vec4(0.0, 0.0, in_about.yz);
-    gl_Position = view_projection * vec4(in_place, 1.0);
+    gl_Position = view_projection * vec4(v_seen, 1.0);
     cut_off(0, in_grid);
 }
-""".replace("CUT_OFF", CUT_OFF)
+""".replace("CUT_OFF", CUT_OFF).replace("SKIRT_DEPTH", SKIRT_DEPTH)
 
 
 class FrontStore:
@@ -169,7 +173,7 @@ class FrontSurface:
             return 0
         vertices = np.empty(len(drawn.vertices), dtype=VERTEX)
         vertices["place"] = drawn.vertices - view.camera.eye
-        vertices["about"][:, 1] = drawn.sizes
+        vertices["about"][:, 1], vertices["about"][:, 3] = drawn.sizes, drawn.depths
         starts = mode.first_vertices
         for k, (node, patch) in enumerate(zip(frames.nodes.tolist(), mode.shown, strict=True)):
             part = vertices[starts[k] : starts[k + 1]]
@@ -195,7 +199,7 @@ class FrontSurface:
             self._array = self._context.vertex_array(
                 self.program,
                 [(
-                    self._vertices, "3f4 2f4 2f4 3f4", "in_place", "in_sample", "in_grid",
+                    self._vertices, "3f4 2f4 2f4 4f4", "in_place", "in_sample", "in_grid",
                     "in_about",
                 )],
                 index_buffer=self._triangles, index_element_size=4,

@@ -5,6 +5,7 @@ from typing import Any
 
 import moderngl
 import numpy as np
+from numpy.typing import NDArray
 
 from terrainwave.raster_io.drape import Drape
 from terrainwave.render.gpu import shaders
@@ -195,8 +196,14 @@ class Renderer:
         self.draw_terrain(view, frames, style)
         self.draw_solid(view, frames, style)
 
-    def draw_terrain(self, view: View, frames: Frames, style: Style) -> None:
-        """Draw the terrain, or a part of it, into a picture that has begun."""
+    def draw_terrain(
+        self, view: View, frames: Frames, style: Style, matrix: NDArray[np.float64] | None = None
+    ) -> None:
+        """Draw the terrain, or a part of it, into a picture that has begun.
+
+        `matrix` projects places relative to the eye, 4 x 4; by default the view's does. The meshes
+        are those of the view in any case.
+        """
         context = self._context
         self.n_draw_calls = 0
         if not len(frames.nodes):
@@ -204,6 +211,9 @@ class Renderer:
         values = self._shared_uniforms(view, frames, style)
         palette = self.palette(frames, style)
         own = self._terrain_uniforms(view, palette, style)
+        own["skirt_reach"] = self._scene.skirt_reach(view, frames)
+        if matrix is not None:
+            own["view_projection"] = tuple(matrix.T.ravel())
         set_uniforms(self.surface.program, values | own)
         # Errors change their range from frame to frame, not their colours.
         key = (style.coloring, style.ramp, style.sea_level)
@@ -257,6 +267,7 @@ class Renderer:
             "haze": (*color, density),
             "haze_start": start,
             "shade": style.shade,
+            "base": self._scene.frame.base - float(view.camera.eye[2]),
         }
 
     def _terrain_uniforms(self, view: View, palette: Palette, style: Style) -> dict[str, Any]:

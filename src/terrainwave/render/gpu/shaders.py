@@ -14,6 +14,19 @@ uniform int in_instance;
 uniform sampler2D instances;
 """
 
+# Skirts reach as far below a surface as one of a neighbour may be: no further than what is within τ
+# may be there, and not below the block under the terrain.
+SKIRT_DEPTH = """
+uniform float skirt_reach;  // metres per metre of distance, where looked at from the side
+uniform float base;         // z of the base relative to the eye
+out float v_below;          // 0 on the surface
+
+float skirt_depth(vec3 seen, float most) {
+    float away = length(seen), beside = max(length(seen.xy), 1e-6);
+    return min(min(skirt_reach * away * away / beside, most), max(seen.z - base, 0.0));
+}
+"""
+
 TERRAIN_VERTEX = (
     """
 #version 330 core
@@ -22,6 +35,7 @@ in vec2 in_place;
 in vec2 in_heights;
 """
     + _INSTANCE
+    + SKIRT_DEPTH
     + """
 uniform mat4 view_projection;
 uniform vec4 sample_axes;   // metres per sample of the full grid: x by col, x by row, y ...
@@ -46,7 +60,9 @@ void main() {
     vec3 seen = a.xyz;
     seen.x += full.x * sample_axes.x + full.y * sample_axes.y;
     seen.y += full.x * sample_axes.z + full.y * sample_axes.w;
-    seen.z += z * z_scale - (is_skirt ? b.x : 0.0);
+    seen.z += z * z_scale;
+    v_below = is_skirt ? 1.0 : 0.0;
+    seen.z -= is_skirt ? skirt_depth(seen, b.x) : 0.0;
     v_seen = seen;
     v_sample = place;
     v_layers = ivec2(b.yz);
@@ -69,12 +85,15 @@ vec3 hazed(vec3 rgb, vec3 seen) {
 }
 """
 
+# Alpha says what is a skirt: `Canvas.skirts_seen`.
+SKIRT_ALPHA = 254
 TERRAIN_FRAGMENT = (
     """
 #version 330 core
 in vec3 v_seen;
 in vec2 v_sample;
 in vec2 v_grid;
+in float v_below;            // above 0 on skirts
 flat in ivec2 v_layers;
 flat in vec4 v_parent;
 uniform sampler2DArray slopes;
@@ -233,9 +252,9 @@ void main() {
     vec3 warm = mix(vec3(0.86, 0.92, 1.06), vec3(1.04, 1.0, 0.94), clamp(lit, 0.0, 1.0));
     vec3 rgb = base * light * mix(vec3(1.0), warm, shading);
     if (coloring == 5) rgb = base;
-    color = vec4(hazed(rgb, v_seen), 1.0);
+    color = vec4(hazed(rgb, v_seen), v_below > 0.0 ? SKIRT : 1.0);
 }
-"""
+""".replace("SKIRT", f"{SKIRT_ALPHA / 255}")
 )
 
 SKY_VERTEX = """
@@ -310,6 +329,7 @@ uniform vec4 sample_axes;
 uniform vec3 origin;        // the first sample at z = 0, relative to the eye
 uniform float z_scale;
 uniform float base;         // z of the base relative to the eye
+uniform float depth;        // of the base below the lowest height, metres
 out vec3 v_seen;
 out vec2 v_normal;
 flat out int v_kind;
@@ -318,10 +338,18 @@ void main() {
     seen.x += in_place.x * sample_axes.x + in_place.y * sample_axes.y;
     seen.y += in_place.x * sample_axes.z + in_place.y * sample_axes.w;
     seen.z = in_kind == 1.0 || in_kind == 2.0 ? base : seen.z + in_height * z_scale;
+    // The floor, which shows through holes, ends within the walls, not along their foot.
+    if (in_kind == 2.0 && base < 0.0) seen.z += 0.1 * depth;
     v_seen = seen;
     v_normal = in_normal;
     v_kind = int(in_kind);
     gl_Position = view_projection * vec4(seen, 1.0);
+    // Skirts end in the plane of a wall, or a little outside: a wall that is seen from outside
+    // hides them. From inside it lets all else be seen.
+    if (in_kind <= 1.0) {
+        float side = dot(in_normal, seen.xy) < 0.0 ? -1.0 : 1.0;
+        gl_Position.z += side * 2e-5 * gl_Position.w;
+    }
 }
 """
 

@@ -8,7 +8,7 @@ from terrainwave.render.gpu import shaders
 from terrainwave.render.gpu.surface import release_all, set_uniforms
 from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.selection import View
-from terrainwave.render.scene.walls import Solid
+from terrainwave.render.scene.walls import LID, Solid
 
 # Pixels from stripe to stripe in a picture of 853 lines.
 _HATCH, _HATCH_LINES = 11.0, 853.0
@@ -27,6 +27,9 @@ class SolidSurface:
         )
         self._vertices = context.buffer(solid.vertices.tobytes())
         self._indices = context.buffer(solid.triangles.tobytes())
+        # Lids come last.
+        self._n_lid = 3 * int((solid.vertices["kind"][solid.triangles[:, 0]] == LID).sum())
+        self._n_block = solid.triangles.size - self._n_lid
         self._array = context.vertex_array(
             self._program,
             [(self._vertices, "2f 1f 1f 2f", "in_place", "in_height", "in_kind", "in_normal")],
@@ -40,15 +43,16 @@ class SolidSurface:
         x, y = frame.sample_matrix[2], frame.sample_matrix[5]
         own = {
             "origin": (x - eye[0], y - eye[1], -eye[2]),
-            "base": frame.base - eye[2],
             "depth": float(frame.box[0][2]) - frame.base,
             "hatch": max(_HATCH * view.viewport.height / _HATCH_LINES, _LEAST_HATCH),
         }
         set_uniforms(self._program, uniforms | own)
         self._context.enable_only(moderngl.DEPTH_TEST)
-        self._context.polygon_offset = _BEHIND  # the terrain wins where both are
-        self._array.render(moderngl.TRIANGLES)
-        self._context.polygon_offset = 0.0, 0.0
+        self._array.render(moderngl.TRIANGLES, vertices=self._n_block)
+        if self._n_lid:
+            self._context.polygon_offset = _BEHIND  # the terrain wins where both are
+            self._array.render(moderngl.TRIANGLES, first=self._n_block, vertices=self._n_lid)
+            self._context.polygon_offset = 0.0, 0.0
 
     def release(self) -> None:
         """Free the GPU's memory."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.render.gpu.front_surface import CUT_OFF, FrontStore
-from terrainwave.render.gpu.shaders import TERRAIN_FRAGMENT
+from terrainwave.render.gpu.shaders import SKIRT_DEPTH, TERRAIN_FRAGMENT
 from terrainwave.render.gpu.surface import OWN_UNIT, release_all, set_uniforms
 from terrainwave.render.modes.front import eye_of
 from terrainwave.render.scene.selection import View
@@ -52,6 +52,7 @@ out vec2 v_grid;
 flat out vec4 v_parent;
 out float gl_ClipDistance[5];
 CUT_OFF
+SKIRT_DEPTH
 
 vec2 across(vec2 place) {
     return in_tree.xy + vec2(dot(level_axes.xy, place), dot(level_axes.zw, place));
@@ -114,7 +115,9 @@ void main() {
         }
     }
     if (is_void) drawn.z = 0.0;
-    v_seen = vec3(across(drawn.xy), drawn.z * z_scale - eye_z - (is_skirt ? skirt : 0.0));
+    v_seen = vec3(across(drawn.xy), drawn.z * z_scale - eye_z);
+    v_below = is_skirt ? 1.0 : 0.0;
+    v_seen.z -= is_skirt ? skirt_depth(v_seen, skirt) : 0.0;
     v_sample = drawn.xy + vec2(first) - lead;
     v_layers = ivec2(int(layer), -1);
     v_grid = v_sample * stride + first_grid;
@@ -124,7 +127,7 @@ void main() {
     cut_off(1, v_grid);
     gl_Position = view_projection * vec4(v_seen, 1.0);
 }
-""".replace("CUT_OFF", CUT_OFF)
+""".replace("CUT_OFF", CUT_OFF).replace("SKIRT_DEPTH", SKIRT_DEPTH)
 
 
 def tree_grid(side: int) -> Grid:

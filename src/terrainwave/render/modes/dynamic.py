@@ -122,7 +122,7 @@ class Dynamic(FrontMode):
                 sizes = drawn.nodes[:, 0] + (self.n_levels - 1 - level)
                 error = self.mesh_error(self.shown[k], eye, self.followed[k])
                 frames[k] = PatchFrame(
-                    Drawn(drawn.vertices, drawn.triangles, sizes), drawn.edges, error
+                    Drawn.surface(drawn.vertices, drawn.triangles, sizes), drawn.edges, error
                 )
         return [frame for _, frame in sorted(frames.items())]
 

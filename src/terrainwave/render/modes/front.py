@@ -17,7 +17,7 @@ are not here yet: it is drawn with a τ that its level is worth, not with all of
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from terrainwave.grid.block_stats import with_outside
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.read.decoder import units_of
-from terrainwave.render.modes.mode import Frames, Mode, ModeNeeds
+from terrainwave.render.modes.mode import NO_PROMISE, Frames, Mode, ModeNeeds
 from terrainwave.render.scene.camera import Camera, focal_length, slant
 from terrainwave.render.scene.patches import Cancelled
 from terrainwave.render.scene.scales import FLOAT32_ROUNDING, HeightScale, Texels
@@ -44,8 +44,6 @@ _MOST_RELAXED = 8.0
 # Where patches do not fit, τ is raised by steps, so far: around the eye no level is good enough. It
 # sinks where no more than a share of the room is taken.
 _STEP, _MOST_SHORT, _WELL_FILLED = 1.1, 16.0, 0.95
-# What τ is said to be where nothing is promised, pixels.
-_NO_PROMISE = 1e6
 
 # Neighbours, or samples beyond the outline, go on beyond all sides of a mesh.
 ALL_OPEN = (True, True, True, True)
@@ -62,11 +60,24 @@ class Drawn(NamedTuple):
         Those of skirts come last, patch by patch.
     sizes : ndarray of int32, shape (n,)
         What `--coloring level` shows: log2 of the vertex's share of the full grid.
+    depths : ndarray of float64, shape (n,)
+        How far below its place a vertex of a skirt's lower end is at most; -1 of all others.
     """
 
     vertices: NDArray[np.float64]
     triangles: NDArray[np.int32]
     sizes: NDArray[np.int32]
+    depths: NDArray[np.float64]
+
+    @classmethod
+    def surface(
+        cls,
+        vertices: NDArray[np.float64],
+        triangles: NDArray[np.int32],
+        sizes: NDArray[np.int32],
+    ) -> Self:
+        """Return a mesh without skirts."""
+        return cls(vertices, triangles, sizes, np.full(len(vertices), -1.0))
 
 
 class PatchFrame(NamedTuple):
@@ -467,8 +478,8 @@ class FrontMode(Mode):
         relaxed = np.where(is_finest, 1.0, np.maximum(on_screen / tau, 1.0))
         within = self._follow_all(eye, wanted, np.minimum(relaxed, _MOST_RELAXED))
         # Levels above τ stay where there is no room for finer ones, or no need (`View.flatness`).
-        most = _NO_PROMISE if self._is_short and not n_missing else view.flatness
-        within = min(within * min(float(relaxed.max(initial=1.0)), most), _NO_PROMISE)
+        most = NO_PROMISE if self._is_short and not n_missing else view.flatness
+        within = min(within * min(float(relaxed.max(initial=1.0)), most), NO_PROMISE)
         self._is_short = False
         depths, n_triangles = self.draw(eye, *table.boxes(nodes, view.exaggeration))
         none = np.zeros(len(nodes))
@@ -569,15 +580,14 @@ def _with_skirts(frame: PatchFrame, depth: float) -> Drawn:
         return drawn
     n = len(drawn.vertices)
     top, numbers = np.unique(edges, return_inverse=True)
-    below = drawn.vertices[top]
-    below[:, 2] -= depth
     a, b = edges.T
     lower_a, lower_b = (n + numbers.reshape(edges.shape)).T
     skirts = np.concatenate(
         [np.column_stack([b, a, lower_a]), np.column_stack([b, lower_a, lower_b])]
     )
     return Drawn(
-        np.concatenate([drawn.vertices, below]),
+        np.concatenate([drawn.vertices, drawn.vertices[top]]),
         np.concatenate([drawn.triangles, skirts.astype(np.int32)]),
         np.concatenate([drawn.sizes, drawn.sizes[top]]),
+        np.concatenate([drawn.depths, np.full(len(top), depth)]),
     )

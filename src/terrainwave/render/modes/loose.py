@@ -1,11 +1,12 @@
 """Each block from its zero trees alone (Yusov & Turlapov 2010, §2.4)."""
 
+import math
 from typing import Any
 
 import numpy as np
 
 from terrainwave.render.modes.adaptive import Adaptive
-from terrainwave.render.modes.mode import Frames, ModeNeeds
+from terrainwave.render.modes.mode import NO_PROMISE, Frames, ModeNeeds
 from terrainwave.render.scene.selection import NodeTable, Piece, Selection, View
 
 
@@ -13,7 +14,8 @@ class Loose(Adaptive):
     """The blocks of `Adaptive`, those above the finest level with their non-guaranteed meshes.
 
     They are selected as if they had their guaranteed ones. What a mesh is worth is measured when it
-    is built: `Frames.tau` is the largest of that on screen, most often far above the τ asked for.
+    is built: `Frames.tau` is the largest of that on screen, often far above the τ asked for, and
+    infinite where the eye is in the box of a piece.
     """
 
     name = "loose"
@@ -22,6 +24,11 @@ class Loose(Adaptive):
     def __init__(self, needs: ModeNeeds, *, orientation: bool = False) -> None:
         super().__init__(needs, orientation=orientation)
         self._drawn_errors: dict[Piece, float] = {}
+
+    @property
+    def has_limit(self) -> bool:
+        """Say no: what meshes are worth is known when they are there."""
+        return False
 
     def keep(self, piece: Piece, built: Any) -> None:
         """Take down what a mesh is worth."""
@@ -40,4 +47,6 @@ class Loose(Adaptive):
         above = np.maximum(errors - table.errors[frames.nodes], 0.0)
         skirts = frames.skirts + (above + above.max(initial=0.0)) * view.exaggeration
         on_screen = table.on_screen(view, frames.nodes, errors).max(initial=0.0)
-        return frames._replace(skirts=skirts, tau=max(frames.tau, float(on_screen)))
+        # From within the box of a piece nothing can be said.
+        kept = float(on_screen) if on_screen < NO_PROMISE else math.inf
+        return frames._replace(skirts=skirts, tau=max(frames.tau, kept))

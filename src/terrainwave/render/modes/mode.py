@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 ERRORS = ("measured", "paper")
 MAX_TRIANGLES = 20_000_000
+# What `Frames.tau` is where nothing is promised, pixels, or more.
+NO_PROMISE = 1e6
 
 
 class Frames(NamedTuple):
@@ -170,6 +172,11 @@ class Mode(ABC):
     def is_bound(self) -> bool:
         """Say whether pictures are within `Frames.tau` pixels of the terrain for certain."""
         return self.error == "measured"
+
+    @property
+    def has_limit(self) -> bool:
+        """Say whether pieces are chosen so that pictures are within the τ that was asked for."""
+        return self.is_bound
 
     @property
     def is_exact(self) -> bool:

@@ -73,5 +73,5 @@ class RqtMode(FrontMode):
         frame = mesh.draw(eye, followed)
         both = frame.places[:, 0] | frame.places[:, 1] | mesh.tile
         sizes = np.log2(both & -both).astype(np.int32) + (self.n_levels - 1 - patch.piece.level)
-        drawn = Drawn(frame.vertices, frame.triangles, sizes)
+        drawn = Drawn.surface(frame.vertices, frame.triangles, sizes)
         return PatchFrame(drawn, frame.edges, frame.border_error)

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from terrainwave.errors import LimitExceededError, TerrainwaveError
 from terrainwave.progress import ProgressCallback
 from terrainwave.render.modes import mode_class, options_of
-from terrainwave.render.modes.mode import MAX_TRIANGLES, Frames, Mode, ModeNeeds
+from terrainwave.render.modes.mode import MAX_TRIANGLES, NO_PROMISE, Frames, Mode, ModeNeeds
 from terrainwave.render.paging.motion import Motion
 from terrainwave.render.paging.pager import Arrival, Pager
 from terrainwave.render.paging.problems import Problems, replies_of
 from terrainwave.render.paging.read_ahead import PATIENCE, read_ahead_of
-from terrainwave.render.scene.camera import Camera, Viewport
+from terrainwave.render.scene.camera import Camera, Viewport, focal_length, slant
 from terrainwave.render.scene.frame import Frame, frame_of
 from terrainwave.render.scene.frustum import may_see
 from terrainwave.render.scene.horizon import Horizon
@@ -48,6 +48,7 @@ _COARSE_SHARE = 32
 _MOST_ASKED = 64
 # Pieces that are known before those that nobody needs are forgotten, at about half a kilobyte each.
 _MOST_KNOWN = 8192
+_NO_REACH = 1e30
 _NO_ROOM = "a block does not fit the memory allowed for pictures"
 
 
@@ -250,13 +251,17 @@ class Scene:
         self._last_camera = view.camera
         paged = time.perf_counter()
         selection, used = self.governor.select(self.table, view, tau)
-        if self.table.stand_in(view, selection.nodes, used, self._shown):
+        if self.table.stand_in(view, selection.nodes, used, self._shown) or not (
+            self.mode.has_limit or np.isin(selection.nodes, self._shown).all()
+        ):
             # What made the horizon is not all drawn.
             view = replace(view, horizon=Horizon.none())
             selection, used = self.governor.select(self.table, view, tau)
         n_missing = len(missing) + self.problems.n_held
         frames = self.mode.frames(self.table, view, selection, used, n_missing)
-        self._shown, self._tau = frames.nodes, frames.tau
+        self._shown = frames.nodes
+        # What is drawn in the place of another piece is no further from it, but for loose meshes.
+        self._tau = frames.tau if self.mode.has_limit else 2 * used
         self.timings = Timings((paged - started) * 1e3, (time.perf_counter() - paged) * 1e3)
         return frames
 
@@ -276,6 +281,29 @@ class Scene:
             if not self._pager.wait(max(end - time.monotonic(), 0.0)):
                 raise TerrainwaveError(f"the picture is not complete after {timeout:g} seconds")
 
+    def kept_error(self, view: View, frames: Frames) -> float:
+        """Return what a settled frame is within, pixels: τ, or the errors of its finest pieces.
+
+        Infinite where nothing is promised, and where the eye is in the box of a piece.
+        """
+        if not self.mode.is_bound:
+            return math.inf
+        kept = max(frames.tau, float(self.table.on_screen(view, frames.nodes).max(initial=0.0)))
+        return kept if kept < NO_PROMISE else math.inf
+
+    def skirt_reach(self, view: View, frames: Frames) -> float:
+        """Return how deep skirts need be, per metre of distance where they are seen from the side.
+
+        A surface and its neighbour's are both within `kept_error`. A vertical metre at a distance
+        d, h of it level, is f h / d² pixels at least, and counts as that over the slant of the
+        picture's corners at least. Much where nothing says how deep they need be.
+        """
+        kept = self.kept_error(view, frames)
+        if not math.isfinite(kept):
+            return _NO_REACH
+        length = focal_length(view.camera, view.viewport)
+        return 2 * kept * slant(view.camera, view.viewport) / length
+
     def drawn_error(self, view: View, frames: Frames) -> float:
         """Return the largest error on screen, pixels, of what is drawn and could be finer.
 
@@ -293,6 +321,7 @@ class Scene:
         """Return what the pieces of the last frame hide from a camera.
 
         Others may be drawn in their place: within τ all the same, or `NodeTable.stand_in` says so.
+        In modes without a limit, nothing is hidden then.
         """
         if not (self.has_horizon and self.mode.is_bound):
             return Horizon.none()

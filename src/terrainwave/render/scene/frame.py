@@ -9,7 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
-from terrainwave.grid.affine import IDENTITY, pixels_to_places, samples_to_places
+from terrainwave.grid.affine import (
+    IDENTITY,
+    pixels_to_places,
+    places_to_pixels,
+    samples_to_places,
+)
 from terrainwave.place.bodies import UNKNOWN
 from terrainwave.place.position import LocalAxes, place_of
 from terrainwave.place.units import height_unit
@@ -158,6 +163,10 @@ class Frame:
     def samples_to_local(self, rows: NDArray[Any], cols: NDArray[Any]) -> NDArray[np.float64]:
         """Return local x, y of full-grid samples, shape (n, 2)."""
         return np.column_stack(pixels_to_places(self.sample_matrix, rows, cols))
+
+    def samples_at(self, xy: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return rows and columns of the full grid under local x, y; the inverse."""
+        return places_to_pixels(self.sample_matrix, xy[:, 0], xy[:, 1])
 
     def to_local(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return local metres of (x, y, height) in the file's CRS and unit."""

@@ -1,6 +1,7 @@
 """What `terrainwave render` does: one picture, or the pictures of a flight."""
 
 import json
+import math
 import time
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -9,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
+from terrainwave.grid.quadtree import Region
 from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.marks import draw_marks, legend_of
-from terrainwave.render.modes.mode import Frames
+from terrainwave.render.modes.mode import NO_PROMISE, Frames
+from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import (
     Camera,
     Viewport,
@@ -22,6 +25,7 @@ from terrainwave.render.scene.camera import (
     project,
 )
 from terrainwave.render.scene.frame import Frame
+from terrainwave.render.scene.walls import read_metres
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
@@ -30,6 +34,8 @@ if TYPE_CHECKING:
 _MAX_KEYS = 100_000
 _FLIGHT = 'a JSON list of cameras: ["x,y,z,heading,pitch,fov", ...]'
 _OVERVIEW_SIDE = 257
+# Samples a side that are measured at a time.
+_MEASURED_SIDE = 2048
 
 
 class ShownArea(NamedTuple):
@@ -147,9 +153,9 @@ def fly_through(
                 "the picture would show no terrain: what is in view is void, or `camera` looks"
                 " elsewhere"
             )
-        drawn = statistics(canvas, camera, frames, seconds)
+        drawn = statistics(canvas, camera, frames, seconds, max_pixel_error)
         if measure:
-            drawn["measured_pixel_error"] = distance_on_screen(canvas, style, max_pixel_error)
+            drawn["measured_pixel_error"] = distance_on_screen(canvas, style)
         if legend or scale_bar:
             image = with_marks(canvas, image, frames, style, legend=legend, scale_bar=scale_bar)
         yield image, drawn
@@ -190,27 +196,66 @@ def with_marks(
     return draw_marks(image, legend=explained, metres_per_pixel=scale)
 
 
-def distance_on_screen(canvas: Canvas, style: "Style", max_pixel_error: float) -> float:
-    """Return how far the last picture is from the decoded heights, pixels.
+def distance_on_screen(canvas: Canvas, style: "Style") -> float:
+    """Return how far the surface of the last picture is from the decoded heights, pixels.
 
-    The largest distance of what the middles of its pixels show from the bilinear surface of the
-    finest level above or below it, as the camera sees it. A pixel may show the skirt between two
-    blocks, which reaches as far down as both their errors. Draws the picture again, without smooth
-    edges, and reads the finest level of all that is in view.
+    At every valid sample of the full grid that is in view, as the camera sees it: between samples
+    nothing is known. Where pieces overlap, the furthest counts. Skirts, which close gaps between
+    pieces, have no height at a sample. Reads the finest level of all that is in view.
     """
-    canvas.draw(canvas.camera, style, max_pixel_error=max_pixel_error, is_smooth=False)
-    frame = canvas.scene.frame
-    pixels, places = canvas.places_seen()
-    world = frame.to_world(places)
-    world[:, 2] = canvas.scene.terrain.sample(world[:, :2], voids="any")
-    known = ~np.isnan(world[:, 2])
-    camera = canvas.camera
-    seen = project(camera, canvas.viewport, frame.to_local(world[known]))[:, :2]
-    return float(np.linalg.norm(seen - pixels[known], axis=1).max(initial=0.0))
+    in_view, largest = canvas.samples_in_view(), 0.0
+    for row in range(in_view.row, in_view.row + in_view.n_rows, _MEASURED_SIDE):
+        for col in range(in_view.col, in_view.col + in_view.n_cols, _MEASURED_SIDE):
+            region = Region(row, col, _MEASURED_SIDE, _MEASURED_SIDE).intersect(in_view)
+            largest = max(largest, _distance_within(canvas, style, region))
+    return largest
 
 
-def statistics(canvas: Canvas, camera: Camera, frames: Frames, seconds: float) -> dict[str, Any]:
+def _distance_within(canvas: Canvas, style: "Style", region: Region) -> float:
+    """Return `distance_on_screen` of a part of the full grid."""
+    frame, camera, viewport = canvas.scene.frame, canvas.camera, canvas.viewport
+    heights, valid = read_metres(canvas.scene.terrain, frame, tuple(region), -1)
+    rows, cols = np.nonzero(valid)
+    xy = frame.samples_to_local(rows + region.row, cols + region.col)
+    z = heights[rows, cols] * frame.exaggeration
+    asked = project(camera, viewport, np.column_stack([xy, z]))[:, :2]
+    inside = ((asked >= 0) & (asked <= (viewport.width, viewport.height))).all(axis=1)
+    largest = 0.0
+    for drawn in canvas.drawn_heights(region, style):
+        here = inside & ~np.isnan(drawn[rows, cols])
+        seen = project(camera, viewport, np.column_stack([xy[here], drawn[rows, cols][here]]))
+        away = np.linalg.norm(seen[:, :2] - asked[here], axis=1)
+        largest = max(largest, float(np.nanmax(away, initial=0.0)))
+    return largest
+
+
+def caption(scene: Scene, tau: float, kept: float) -> str:
+    """Return what a picture promises, in words.
+
+    Parameters
+    ----------
+    tau : float
+        `Frames.tau`, pixels, or what was asked for if that is more.
+    kept : float
+        `Scene.kept_error`, pixels.
+    """
+    if not scene.mode.is_bound:
+        return f"no limit with error {scene.mode.error}"
+    if not scene.mode.has_limit:
+        here = f", here within {kept:.3g} pixels" if math.isfinite(kept) else ""
+        return f"no limit in mode {scene.mode.name}{here}"
+    if tau >= NO_PROMISE:
+        return "no limit: not all that the view needs fits"
+    if kept <= 2 * tau:
+        return f"within {kept:.3g} pixels"
+    return f"within {tau:.3g} pixels where the file's finest meshes are"
+
+
+def statistics(
+    canvas: Canvas, camera: Camera, frames: Frames, seconds: float, max_pixel_error: float
+) -> dict[str, Any]:
     """Return the statistics of a drawn picture, as plain values."""
+    kept = canvas.kept_error
     scene, info = canvas.scene, canvas.context.info
     return {
         "renderer": str(info["GL_RENDERER"]),
@@ -219,7 +264,8 @@ def statistics(canvas: Canvas, camera: Camera, frames: Frames, seconds: float) -
         "camera": format_camera(camera, scene.frame),
         "mode": scene.mode.name,
         "error": scene.mode.error,
-        "max_pixel_error": frames.tau if scene.mode.is_bound else None,
+        "max_pixel_error": kept if math.isfinite(kept) else None,
+        "caption": caption(scene, max(frames.tau, max_pixel_error), kept),
         "measured_pixel_error": None,
         "n_triangles": frames.n_triangles,
         "n_blocks": len(frames.nodes),

@@ -227,7 +227,7 @@ class Session:
         scene, controls = self._scene, self.controls
         style, mode = controls.style, scene.mode
         ramp = "" if style.is_absolute(scene.frame.body) else f", {style.ramp_on(scene.frame.body)}"
-        kept = f"{frames.tau:.3g} drawn" if mode.is_bound else "not bounded"
+        kept = f"{frames.tau:.3g} drawn" if mode.has_limit else "no limit"
         found: dict[str, Any] = {
             "mode": f"{mode.name}, error {mode.error}",
             "pixel error": f"{controls.max_pixel_error:.3g} asked, {kept}",

@@ -15,7 +15,7 @@ from terrainwave.render import DEFAULT_MAX_BYTES
 from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.drape_detail import DrapeDetail
 from terrainwave.render.look.water import may_have_water, read_water
-from terrainwave.render.modes.mode import Frames
+from terrainwave.render.modes.mode import NO_PROMISE, Frames
 from terrainwave.render.paging.background import Background, Outcome
 from terrainwave.render.paging.problems import replies_of
 from terrainwave.render.scene.frame import check_drawable
@@ -361,8 +361,8 @@ class Viewer:
         seconds = float(np.mean(self._times)) if self._times else 0.0
         raised = "" if frames.tau <= controls.max_pixel_error * 1.01 else " (raised)"
         within = f"within {frames.tau:.2g} pixels{raised}"
-        if not scene.mode.is_bound:
-            within = "error in pixels not bounded"
+        if not (scene.mode.has_limit and frames.tau < NO_PROMISE):
+            within = "no limit in pixels"
         loading = f", {frames.n_missing} to come" if frames.n_missing else ""
         lines = [
             f"{1 / max(seconds, 1e-6):.0f} fps, {frames.n_triangles:,} triangles in"

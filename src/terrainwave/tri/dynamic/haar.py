@@ -220,17 +220,20 @@ def _haar_errors(height, layout, z, is_near_void, bounds):
                 child = below + (2 * row + (k >> 1)) * n_cols_below + 2 * col + (k & 1)
                 is_void = np.isnan(z[child])
                 values[k] = z[node] if is_void else z[child]
+                if is_void:
+                    continue
                 if height > 1:
                     low = min(low, bounds[child - first_inner, LOW])
                     high = max(high, bounds[child - first_inner, HIGH])
-                elif not is_void:
+                else:
                     low, high = min(low, z[child]), max(high, z[child])
             a, b, c, d = values
             largest = max(abs(a - b + c - d), abs(a + b - c - d), abs(a - b - c + d)) / 4
             inner = node - first_inner
             error = OUTLINE if is_near_void[node] else largest
-            bounds[inner, ERROR] = 0.0 if np.isnan(z[node]) else error
-            bounds[inner, LOW], bounds[inner, HIGH] = low, high
+            if np.isnan(z[node]):
+                error, low, high = 0.0, 0.0, 0.0
+            bounds[inner, ERROR], bounds[inner, LOW], bounds[inner, HIGH] = error, low, high
 
 
 @kernel

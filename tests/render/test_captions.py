@@ -1,0 +1,172 @@
+"""What captions of pictures promise, what --measure finds, and what is seen of skirts and walls."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from render.scenes import LOUD, hills, terrain_of
+
+from terrainwave.render.gpu.canvas import Canvas
+from terrainwave.render.look.style import Style
+from terrainwave.render.modes import MODES
+from terrainwave.render.scene.camera import Camera, home, project
+from terrainwave.render.window.pictures import caption, fly_through
+
+SIZE = (200, 150)
+_FAST = ["adaptive", "batched", "full", "loose"]
+# What these modes compile takes a minute.
+ALL = [mode if mode in _FAST else pytest.param(mode, marks=pytest.mark.full) for mode in MODES]
+
+
+def scene_of(name="adaptive", *, is_bound=True, has_limit=True, error="measured"):
+    mode = SimpleNamespace(name=name, error=error, is_bound=is_bound, has_limit=has_limit)
+    return SimpleNamespace(mode=mode)
+
+
+@pytest.mark.parametrize(
+    ("scene", "tau", "kept", "text"),
+    [
+        (scene_of(), 1.0, 1.0, "within 1 pixels"),
+        (scene_of(), 1.0, 1.7, "within 1.7 pixels"),
+        (scene_of(), 1.0, 2.1, "within 1 pixels where the file's finest meshes are"),
+        (scene_of(), 1.0, math.inf, "within 1 pixels where the file's finest meshes are"),
+        (scene_of(), 1e6, math.inf, "no limit: not all that the view needs fits"),
+        (scene_of("loose", has_limit=False), 6.0, 6.34, "no limit in mode loose, here within 6.34"
+         " pixels"),
+        (scene_of("loose", has_limit=False), math.inf, math.inf, "no limit in mode loose"),
+        (scene_of(is_bound=False, has_limit=False, error="paper"), 1.0, math.inf,
+         "no limit with error paper"),
+    ],
+)  # fmt: skip
+def test_a_caption_says_what_holds_and_where_there_is_no_limit(scene, tau, kept, text):
+    assert caption(scene, tau, kept) == text
+
+
+@pytest.fixture(scope="module")
+def jagged():
+    """Steep ground of several blocks with holes, one of them across the outline."""
+    heights = np.round(hills(90, 110, 3, 3000.0)).astype(np.int16)
+    heights[20:34, 50:75] = heights[70:, 30:44] = heights[60, 90] = -32768
+    with terrain_of(heights, max_error=0, nodata=-32768, block=32) as terrain:
+        yield terrain
+
+
+@pytest.fixture
+def close():
+    """A terrain without voids."""
+    with terrain_of(np.round(hills(90, 110, 1)).astype(np.int16), max_error=0) as terrain:
+        yield terrain
+
+
+def seen_from_the_side(canvas):
+    return home(canvas.scene.frame.solid_box, canvas.viewport)
+
+
+@pytest.mark.gl
+@pytest.mark.large
+@pytest.mark.parametrize("mode", ALL)
+@pytest.mark.parametrize("tau", [1.0, 2.0, 4.0])
+def test_a_picture_is_within_its_caption(context, jagged, mode, tau):
+    with Canvas(jagged, SIZE, mode=mode, context=context) as canvas:
+        camera = seen_from_the_side(canvas)
+        ((_, drawn),) = fly_through(canvas, [camera], 1, Style(), tau, measure=True)
+        assert drawn["measured_pixel_error"] <= drawn["max_pixel_error"]
+        if canvas.scene.mode.has_limit:
+            assert drawn["max_pixel_error"] <= tau
+            assert drawn["caption"].startswith("within")
+        else:
+            assert drawn["caption"].startswith("no limit")
+
+
+@pytest.mark.gl
+@pytest.mark.large
+@pytest.mark.parametrize("mode", ALL)
+def test_flaps_hang_neither_before_walls_nor_below_the_base(context, jagged, mode):
+    """What shows in a pixel is ground, within τ, or a skirt through a hole, no deeper than it may.
+
+    By the depth buffer: no further from what the samples around a place lie between.
+    """
+    heights, tau = jagged.read(masked=True), 4.0
+    with Canvas(jagged, SIZE, mode=mode, samples=0, context=context) as canvas:
+        frame, camera = canvas.scene.frame, seen_from_the_side(canvas)
+        canvas.draw(camera, Style(), max_pixel_error=tau)
+        pixels, places = canvas.places_seen()
+        assert len(places) > 3000
+        assert places[:, 2].min() > frame.base
+        rows, cols = (np.floor(at).astype(int) for at in frame.samples_at(places[:, :2]))
+        low, high = np.full(len(rows), np.inf), np.full(len(rows), -np.inf)
+        for down in (-1, 0, 1, 2):
+            for across in (-1, 0, 1, 2):
+                at = np.clip(rows + down, 0, 89), np.clip(cols + across, 0, 109)
+                low = np.minimum(low, heights[at].filled(32767))
+                high = np.maximum(high, heights[at].filled(-32768))
+        known = low < high
+        places[:, 2] = np.clip(places[:, 2], low, high)
+        away = project(camera, canvas.viewport, places[known])[:, :2] - pixels[known]
+        # On the walls' sides there are no holes to look through.
+        on_wall = (rows[known] > 88) & (cols[known] < 28)
+        far = np.linalg.norm(away, axis=1)
+        kept = max(canvas.kept_error, tau)
+        assert on_wall.sum() > 5
+        assert far[on_wall].max() <= kept
+        assert far.max() <= 5 * kept
+
+
+@pytest.mark.gl
+@pytest.mark.large
+@pytest.mark.parametrize("pitch", [-12.0, -35.0, -60.0])
+def test_no_hatch_runs_along_the_foot_of_walls(context, close, pitch):
+    """Nothing is void here: the floor's greys show nowhere."""
+    with Canvas(close, SIZE, context=context) as canvas:
+        low, high = canvas.scene.frame.solid_box
+        middle, reach = (low + high) / 2, 1.4 * float(np.linalg.norm(high - low))
+        for heading in (0.0, 30.0, 200.0):
+            camera = Camera((0.0, 0.0, 0.0), heading, pitch, 40.0)
+            camera = Camera(tuple(middle - reach * camera.forward), heading, pitch, 40.0)
+            style = Style(background=LOUD, coloring="flat", shade=0.0, haze=0.0)
+            image = canvas.picture(camera, style)[0].astype(int)
+            assert ((image != LOUD).any(axis=2)).sum() > 1500
+            # Grey, as no mean of wall, ground and background is.
+            is_grey = (np.ptp(image, axis=2) < 6) & (image[..., 0] > 140)
+            assert not is_grey.any()
+
+
+@pytest.mark.gl
+@pytest.mark.large
+def test_heights_as_drawn_are_those_of_the_file_at_its_samples(context, jagged):
+    """All of them, in mode full; where all is void, there are none."""
+    heights = jagged.read(masked=True)
+    with Canvas(jagged, SIZE, mode="full", context=context) as canvas:
+        canvas.draw(seen_from_the_side(canvas), Style())
+        region = canvas.samples_in_view()
+        assert (region.row, region.col) == (0, 0)
+        assert region.shape == heights.shape
+        for drawn in canvas.drawn_heights(region, Style()):
+            inner = drawn[1:-1, 1:-1], heights[1:-1, 1:-1]
+            is_there = ~np.isnan(inner[0]) & ~inner[1].mask
+            assert is_there.sum() > 0.95 * (~inner[1].mask).sum()
+            np.testing.assert_allclose(inner[0][is_there], inner[1][is_there].data, atol=0.51)
+            assert np.isnan(drawn[25:30, 55:70]).all()
+
+
+@pytest.mark.gl
+@pytest.mark.large
+def test_measuring_finds_a_surface_that_is_off(context, jagged, monkeypatch):
+    """By about as many pixels as the vertices were moved."""
+    from terrainwave.render.gpu import patch_surface
+
+    with Canvas(jagged, SIZE, context=context) as canvas:
+        camera = seen_from_the_side(canvas)
+        ((_, right),) = fly_through(canvas, [camera], 1, Style(), 0.5, measure=True)
+        instances = patch_surface.PatchSurface.instances
+
+        def moved(self, *arguments):
+            found = instances(self, *arguments)
+            found[:, 2] += 300.0
+            return found
+
+        monkeypatch.setattr(patch_surface.PatchSurface, "instances", moved)
+        ((_, wrong),) = fly_through(canvas, [camera], 1, Style(), 0.5, measure=True)
+        assert right["measured_pixel_error"] <= 0.5
+        assert wrong["measured_pixel_error"] > 5
