@@ -221,7 +221,7 @@ def test_tiles_of_depths_and_radii_made_in_javascript_are_those_of_the_server(
         expected, tile = tiling.rgb_tile(globe, z, x, y, RIM), found[f"rgb/{z}/{x}/{y}"]
     with Image.open(io.BytesIO(expected.png)) as image:
         own, other = codes(np.asarray(image)), codes(decoded(tile["pixels"]).reshape(256, 256, 4))
-    # Steps of 0.1 m. In the outermost half pixel heights of an ellipsoid go on (Python) or radii do.
+    # Steps of 0.1 m. In the outermost half pixel heights of an ellipsoid go on (Python), or radii.
     assert (np.abs(own - other) > 1).mean() < (0.02 if "169" in crs else 1e-6)
     assert np.abs(own - other).max() <= 20
     metres = own / 10 - 10_000

@@ -91,17 +91,18 @@ class LabelledBackend(ArrayBackend):
         variable = variable_of(source)
         layer = layer_of(variable, source, band, georeference=georeference)
         attrs, packing = variable.attrs, packing_of(variable)
-        units = attrs.get("units")
+        units = None if attrs.get("units") in (None, "") else str(attrs["units"])
+        description = str(attrs["long_name"]) if "long_name" in attrs else None
         tags = {
             "crs": layer.crs,
-            "units": None if units in (None, "") else str(units),
+            "units": units,
             "scale": packing.scale,
             "offset": packing.offset,
             "area_or_point": str(attrs["AREA_OR_POINT"]) if "AREA_OR_POINT" in attrs else None,
-            "description": str(attrs["long_name"]) if "long_name" in attrs else None,
+            "description": description,
             "band_tags": tuple((name, str(attrs[name])) for name in MARKS if name in attrs),
         }
-        names = Names(_text(variable.name), tags["description"], is_length(tags["units"]))
+        names = Names(_text(variable.name), description, is_length(units))
         self.told = told_by(attrs, names, layer.crs)
         chunks = getattr(layer.array, "chunks", None)
         super().__init__(

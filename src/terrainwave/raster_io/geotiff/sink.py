@@ -305,7 +305,6 @@ class RasterSink:
                 overview_resampling="AVERAGE",
                 bigtiff="IF_SAFER",
                 num_threads=self._n_threads,
-                **({"copy_src_mdd": "YES"} if self._own_tags else {}),
             )
 
     def _check_complete(self, part: Path) -> None:
