@@ -46,7 +46,7 @@ def test_a_caption_says_what_holds_and_where_there_is_no_limit(scene, tau, kept,
 @pytest.fixture(scope="module")
 def jagged():
     """Steep ground of several blocks with holes, one of them across the outline."""
-    heights = np.round(hills(90, 110, 3, 3000.0)).astype(np.int16)
+    heights = np.round(hills(90, 110, 3, 700.0)).astype(np.int16)
     heights[20:34, 50:75] = heights[70:, 30:44] = heights[60, 90] = -32768
     with terrain_of(heights, max_error=0, nodata=-32768, block=32) as terrain:
         yield terrain
@@ -92,7 +92,7 @@ def test_flaps_hang_neither_before_walls_nor_below_the_base(context, jagged, mod
         frame, camera = canvas.scene.frame, seen_from_the_side(canvas)
         canvas.draw(camera, Style(), max_pixel_error=tau)
         pixels, places = canvas.places_seen()
-        assert len(places) > 3000
+        assert len(places) > 2000
         assert places[:, 2].min() > frame.base
         rows, cols = (np.floor(at).astype(int) for at in frame.samples_at(places[:, :2]))
         low, high = np.full(len(rows), np.inf), np.full(len(rows), -np.inf)
@@ -104,13 +104,11 @@ def test_flaps_hang_neither_before_walls_nor_below_the_base(context, jagged, mod
         known = low < high
         places[:, 2] = np.clip(places[:, 2], low, high)
         away = project(camera, canvas.viewport, places[known])[:, :2] - pixels[known]
-        # On the walls' sides there are no holes to look through.
-        on_wall = (rows[known] > 88) & (cols[known] < 28)
-        far = np.linalg.norm(away, axis=1)
-        kept = max(canvas.kept_error, tau)
-        assert on_wall.sum() > 5
-        assert far[on_wall].max() <= kept
-        assert far.max() <= 5 * kept
+        far, kept = np.linalg.norm(away, axis=1), max(canvas.kept_error, tau)
+        # In a wall's plane there are no holes to look through.
+        is_at_wall = frame.samples_at(places[known][:, :2])[0] > 88.95
+        assert (far[is_at_wall] <= kept).all()
+        assert far.max() <= 4 * kept
 
 
 @pytest.mark.gl
@@ -146,7 +144,7 @@ def test_heights_as_drawn_are_those_of_the_file_at_its_samples(context, jagged):
             inner = drawn[1:-1, 1:-1], heights[1:-1, 1:-1]
             is_there = ~np.isnan(inner[0]) & ~inner[1].mask
             assert is_there.sum() > 0.95 * (~inner[1].mask).sum()
-            np.testing.assert_allclose(inner[0][is_there], inner[1][is_there].data, atol=0.51)
+            np.testing.assert_allclose(inner[0][is_there], inner[1][is_there].data, atol=1.01)
             assert np.isnan(drawn[25:30, 55:70]).all()
 
 
