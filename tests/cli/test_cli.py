@@ -622,7 +622,7 @@ def test_wrong_bound_is_wrong_usage(tmp_path, dem, bound):
         ("--method", "zip", "'auto'"),
         ("--effort", "huge", "'best'"),
         ("-o", "border_rings=2", "expected 1 or 3"),
-        ("--nodata", "none", "expected a number or nan"),
+        ("--nodata", "some", "expected a number or nan, only:NUMBER or none"),
         ("--band", "0", "x>=1"),
         ("--threads", "0", "x>=1"),
         ("--mesh", "rtin", "'halves'"),
