@@ -99,7 +99,7 @@ class LabelledBackend(ArrayBackend):
         layer = layer_of(variable, source, band, georeference=georeference)
         attrs = variable.attrs
         units = attrs.get("units")
-        tags = {
+        tags: dict[str, Any] = {
             "crs": layer.crs,
             "units": None if units in (None, "") else str(units),
             "scale": number_of(attrs, "scale_factor", 1.0),
