@@ -40,9 +40,9 @@ def metadata_problems(terrain: Any, original: Original) -> Iterator[str]:
     for name, found, expected in pairs:
         if found != expected:
             yield f"{name} is {found!r}, the original's is {expected!r}"
-    problem = original.kind_problem(terrain.raster_info)
-    if problem is not None:
-        yield f"the original's numbers mean something else: {problem}"
+    other_kind = original.kind_problem(terrain.raster_info)
+    if other_kind is not None:
+        yield f"the original's numbers mean something else: {other_kind}"
     if not _same_nodata(terrain.nodata, original.nodata, original.dtype):
         yield f"nodata is {terrain.nodata!r}, the original's is {original.nodata!r}"
     found, expected = tuple(terrain.transform)[:6], tuple(dataset.transform)[:6]
