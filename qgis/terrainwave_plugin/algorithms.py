@@ -144,7 +144,7 @@ class Compress(Algorithm):
             _band_parameter("Band", INPUT),
             _bound_parameter(
                 "Largest allowed error, in the raster's unit; 0 is lossless (default: lossless"
-                " where the heights have a vertical step, else 0.01)"
+                " where the heights have a vertical step, else 0.01 m or less)"
             ),
             QgsProcessingParameterEnum(METHOD, "Method", METHODS, defaultValue=0),
             QgsProcessingParameterFileDestination(OUTPUT, "Compressed", "terrainwave (*.twz)"),

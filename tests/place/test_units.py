@@ -37,6 +37,11 @@ DEPTH = compound('"MSL depth",VERT_DATUM["Mean Sea Level",2005],UNIT["metre",1],
         ("yards", 0.9144),
         ("fathoms", 1.8288),
         ("metre", 1.0),
+        ("us_ft", FOOT_US),
+        ("inches", 0.0254),
+        ("m above mean sea level", 1.0),
+        ("Feet (NAVD88)", 0.3048),
+        ("\u00b5m", 1e-6),
         ("", 1.0),
         (None, 1.0),
     ],
@@ -48,6 +53,14 @@ def test_vertical_units_are_known(units, metres):
 def test_an_unknown_vertical_unit_is_told():
     with pytest.warns(TerrainwaveWarning, match="'furlong' is not known"):
         assert metres_per_unit("furlong") == 1
+
+
+@pytest.mark.parametrize(
+    "units",
+    ["m/yr", "ms", "m s-1", "m (per year)", "mm/a", "m2", "K", "degrees", "1", "m below sea"],
+)
+def test_other_quantities_are_no_lengths(units):
+    assert height_unit(units, None).length is None
 
 
 @pytest.mark.parametrize(

@@ -22,8 +22,6 @@ from terrainwave.grid.digest import HeightDigest
 from terrainwave.grid.steps import FixedSteps
 from terrainwave.names import methods_that
 
-# Of heights on no grid, in physical units, where no bound is named.
-DEFAULT_MAX_ERROR = 0.01
 MAX_QUANTA = 1 << 30
 # A base below and a quantum fit 32 bits together.
 _LARGE = 1 << 29
@@ -368,11 +366,10 @@ class HeightScan:
             stepped = self._with_quantum(self.steps.step, self.steps.loss, self.steps.loss)
             if stepped.z_max - stepped.z_min < MAX_QUANTA - 1:
                 return stepped
-        span = as_fraction(self.maximum) - as_fraction(self.minimum)
         p = self.true_quantum()
         limit = _rounded_down(max_error, self.dtype) if is_strict else max_error
-        if p is None or span / p >= MAX_QUANTA or not self._fits(p):
-            return self._continuous(span, limit, may_have_remainders)
+        if p is None or self.span / p >= MAX_QUANTA or not self._fits(p):
+            return self._continuous(limit, may_have_remainders)
         plain = self._with_quantum(p, max_error, Fraction(0))
         if max_error == 0 and self.has_negative_zeros and may_have_remainders:
             return replace(plain, remainder_bytes=np.dtype(self.dtype).itemsize)
@@ -383,7 +380,7 @@ class HeightScan:
         narrow_limit = max(limit - as_fraction(plain.float_error), Fraction(0))
         narrow = self._with_quantum(p, narrow_limit, Fraction(0))
         try:
-            free = self._continuous(span, limit, may_have_remainders=False)
+            free = self._continuous(limit, may_have_remainders=False)
         except InvalidHeightsError:
             return narrow
         return max(narrow, free, key=lambda quantizer: quantizer.step * quantizer.quantum)
@@ -395,9 +392,7 @@ class HeightScan:
         """Return the largest absolute height."""
         return max(abs(as_fraction(self.minimum)), abs(as_fraction(self.maximum)))
 
-    def _continuous(
-        self, span: Fraction, max_error: Fraction, may_have_remainders: bool
-    ) -> Quantizer:
+    def _continuous(self, max_error: Fraction, may_have_remainders: bool) -> Quantizer:
         largest = self._largest()
         if largest > _MAX_HEIGHT:
             raise InvalidHeightsError(
@@ -405,9 +400,7 @@ class HeightScan:
                 f" {float(_MAX_HEIGHT):g}; if it marks voids, declare it with `nodata`"
             )
         half_ulp = as_fraction(self._output_ulp()) / 2
-        # The finest p whose numbers of quanta fit 30 bits; both ends are rounded.
-        finest = max(_power_of_two_above(span / (MAX_QUANTA - 2)), _FINEST_QUANTUM)
-        smallest = max(finest * (1 << _COARSE_BITS), 4 * half_ulp)
+        finest, smallest = self._finest(), self.least_bound()
         if max_error < smallest and may_have_remainders:
             return self._exact(finest, half_ulp)
         if max_error < smallest:
@@ -419,9 +412,24 @@ class HeightScan:
             )
         # A bound beyond the range buys nothing, and heights must be exact in float64 before they
         # are rounded to the output's type.
-        p = _power_of_two_above(min(max_error, max(span, smallest))) / (1 << _FINE_BITS)
+        p = _power_of_two_above(min(max_error, max(self.span, smallest))) / (1 << _FINE_BITS)
         p = max(min(p, _COARSEST_QUANTUM), finest, _power_of_two_above(largest / _MAX_NUMERATOR))
         return self._with_quantum(p, max_error, p / 2 + half_ulp)
+
+    @property
+    def span(self) -> Fraction:
+        """Return highest less lowest height, in raw units; 0 where none is valid."""
+        if not self.n_valid:
+            return Fraction(0)
+        return as_fraction(self.maximum) - as_fraction(self.minimum)
+
+    def _finest(self) -> Fraction:
+        """Return the finest p whose numbers of quanta fit 30 bits; both ends are rounded."""
+        return max(_power_of_two_above(self.span / (MAX_QUANTA - 2)), _FINEST_QUANTUM)
+
+    def least_bound(self) -> Fraction:
+        """Return the smallest bound of heights on no grid without remainders, in raw units."""
+        return max(self._finest() * (1 << _COARSE_BITS), 2 * as_fraction(self._output_ulp()))
 
     def _exact(self, finest: Fraction, half_ulp: Fraction) -> Quantizer:
         """Return a quantizer with remainders: quanta are some spacings of the largest float32.

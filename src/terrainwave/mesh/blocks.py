@@ -22,7 +22,6 @@ from terrainwave.container.header import MAX_MESH_TOLERANCE
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.block_stats import with_outside
 from terrainwave.grid.quadtree import Block, Grid, Region
-from terrainwave.grid.quantum import DEFAULT_MAX_ERROR, Quantizer, as_fraction
 from terrainwave.grid.shares import shares_of
 from terrainwave.mesh.coefficients import BlockCoefficients
 from terrainwave.mesh.trees import ZeroTrees
@@ -354,19 +353,6 @@ def border_lines(
     `offset` is the place of its first sample in its block of `side` cells.
     """
     return Lines(*vertices_of_lines(samples.heights, samples.locked, *offset, side, *tolerances))
-
-
-def default_mesh_error(quantizer: Quantizer, bound: float, scale: Fraction) -> Fraction:
-    """Return the error of the finest meshes, in raw units, where none is named.
-
-    What the bound of the heights guarantees, or the vertical quantum where that is more. Of exact
-    heights on no grid both are next to nothing: theirs is the bound that such heights have by
-    default. `scale`: physical units per raw one.
-    """
-    error = max(Fraction(bound), Fraction(quantizer.numerator, quantizer.denominator))
-    return (
-        max(error, as_fraction(DEFAULT_MAX_ERROR) / scale) if quantizer.remainder_bytes else error
-    )
 
 
 def mesh_tolerance(error: Fraction, quantum: Fraction) -> int:

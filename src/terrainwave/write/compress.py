@@ -135,7 +135,8 @@ def compress(
     max_error : float, optional
         Largest allowed error (<=) in physical units, after scale and offset; >= 0. 0 keeps every
         bit. By default lossless if the heights are in whole steps (metres, centimetres, feet),
-        otherwise 0.01.
+        otherwise 0.01 m, or less: docs/choosing-a-bound.md has the rules, and `notes` of the
+        result say which one was used.
     method : str, Rapid, Predictive, Cdf97, Cdf53 or Store
         ``"rapid"``, ``"predictive"``, ``"cdf97"``, ``"cdf53"``, ``"store"`` or ``"auto"``, which
         means rapid; or a method with its options, such as ``tw.Cdf97(faithful=True)``. Files of
@@ -166,8 +167,8 @@ def compress(
         takes memory that grows with the raster (`mesh.sections.make_sections`).
     mesh_error : float, optional
         Largest vertical distance of the finest meshes from the decoded heights, in physical units.
-        By default the guaranteed error, or the vertical quantum if that is larger (0.01 for
-        lossless heights that are on no vertical grid).
+        By default the guaranteed error, or the vertical quantum if that is larger (for lossless
+        heights that are on no vertical grid, the bound that these have by default).
     measure_meshes : bool
         Make all meshes and store how far each is from the original. By default a file of `halves`
         stores no errors of meshes above the finest level: who makes such a mesh finds a bound for

@@ -22,10 +22,10 @@ from terrainwave.container.header import (
 )
 from terrainwave.container.metadata import EARLIER, MAX_MOVED, ORIGIN
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.grid.default_bound import default_bound
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid
 from terrainwave.grid.quantum import (
-    DEFAULT_MAX_ERROR,
     MAX_QUANTA,
     HeightScan,
     Quantizer,
@@ -33,7 +33,7 @@ from terrainwave.grid.quantum import (
     rounded_up,
 )
 from terrainwave.grid.steps import FixedSteps
-from terrainwave.mesh.blocks import default_mesh_error, mesh_tolerance
+from terrainwave.mesh.blocks import mesh_tolerance
 from terrainwave.names import Method, mesh_without_coefficients, methods_that
 from terrainwave.place.units import height_unit
 from terrainwave.raster_io.earlier_loss import NO_LOSS, EarlierLoss
@@ -41,6 +41,8 @@ from terrainwave.raster_io.raster_info import RasterInfo, stored_nodata
 from terrainwave.write.compress_options import Options
 from terrainwave.write.earlier import NOTHING, Earlier
 
+# How notes begin that say which bound was taken.
+NO_BOUND = "no --max-error given:"
 # Heights on no grid are rounded to their range / 2^18 or so before a stream of them is cut.
 _FINE_BITS = 18
 
@@ -176,7 +178,7 @@ class Job:
             return 0
         if self.options.mesh_error is None:
             stated = self.effective_error + self.moved_error
-            error = default_mesh_error(quantizer, stated, scale_of(self.info))
+            error = default_mesh_error(quantizer, stated, self.info)
         else:
             error = as_fraction(self.options.mesh_error) / scale_of(self.info)
         return mesh_tolerance(error, self._quantum)
@@ -265,6 +267,22 @@ def scale_of(info: RasterInfo) -> Fraction:
     return abs(as_fraction(info.scale))
 
 
+def default_mesh_error(quantizer: Quantizer, bound: float, info: RasterInfo) -> Fraction:
+    """Return the error of the finest meshes, in raw units, where none is named.
+
+    What the bound of the heights guarantees, or the vertical quantum where that is more. Of exact
+    heights on no grid both are next to nothing: theirs is the bound that such heights have by
+    default.
+    """
+    quantum = Fraction(quantizer.numerator, quantizer.denominator)
+    error = max(Fraction(bound), quantum)
+    if not quantizer.remainder_bytes:
+        return error
+    scale, unit = scale_of(info), height_unit(info.units, info.crs)
+    span = (quantizer.z_max - quantizer.z_min) * quantum * scale
+    return max(error, default_bound(span, unit.name, unit.length).error / scale)
+
+
 def fixed_steps(options: Options, info: RasterInfo) -> FixedSteps | None:
     """Return what heights are to be rounded to before all else; None: to nothing."""
     if not options.stable or options.max_error is None:
@@ -291,7 +309,7 @@ def settled(
     if options.is_embedded:
         quantizer = _fine_quantizer(scan)
     else:
-        bound, notes = _choose_bound(options.max_error, scan, info)
+        bound, notes = _choose_bound(options, scan, info)
         # Tiles code whole levels at once: nothing of theirs could take remainders.
         quantizer = scan.quantizer(
             Fraction(0) if options.stable else _raw_bound(bound, info),
@@ -410,20 +428,21 @@ def _fine_quantizer(scan: HeightScan) -> Quantizer:
 
 
 def _choose_bound(
-    max_error: float | None, scan: HeightScan, info: RasterInfo
+    options: Options, scan: HeightScan, info: RasterInfo
 ) -> tuple[Fraction, list[str]]:
-    if max_error is not None:
-        return as_fraction(max_error), []
-    p = scan.true_quantum()
-    name = height_unit(info.units, info.crs).name
-    unit = f" {name}" if name else ""
+    """Return the bound in physical units, and by which rule it was chosen if none was given."""
+    if options.max_error is not None:
+        return as_fraction(options.max_error), []
+    p, scale = scan.true_quantum(), scale_of(info)
+    unit = height_unit(info.units, info.crs)
+    behind = f" {unit.name}" if unit.name else ""
     if p is not None:
-        physical = float(p * scale_of(info))
-        return Fraction(0), [
-            f"no --max-error given: lossless, as all heights are multiples of {physical:g}{unit};"
-            " --max-error E makes the file smaller"
-        ]
-    return as_fraction(DEFAULT_MAX_ERROR), [
-        f"no --max-error given: {DEFAULT_MAX_ERROR}{unit}, as the heights lie on no vertical grid;"
-        " choose with --max-error E; 0 keeps every bit"
-    ]
+        rule = f"lossless, as all heights are multiples of {float(p * scale):g}{behind}"
+        return Fraction(0), [f"{NO_BOUND} {rule}; --max-error E makes the file smaller"]
+    bound, reason = default_bound(scan.span * scale, unit.name, unit.length)
+    least = scan.least_bound() * scale
+    if options.named_method.is_tiled and bound < least:
+        bound = Fraction(rounded_up(least))
+        reason += f", and method {options.named_method.name} needs this much for such heights"
+    found = f"{float(bound):g}{behind}" if bound else "lossless"
+    return bound, [f"{NO_BOUND} {found}, as {reason}; choose with --max-error E; 0 keeps every bit"]

@@ -24,7 +24,7 @@ from terrainwave.file import TerrainFile
 from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import as_fraction
-from terrainwave.mesh.blocks import Originals, default_mesh_error, measure_meshes, mesh_tolerance
+from terrainwave.mesh.blocks import Originals, measure_meshes, mesh_tolerance
 from terrainwave.mesh.sections import make_meshes
 from terrainwave.names import METHODS
 from terrainwave.progress import ProgressCallback, Reporter
@@ -32,6 +32,7 @@ from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.tri.mesh_options import MeshOptions, check_mesh, stored_mesh
 from terrainwave.write.compress_options import taking_former
+from terrainwave.write.job import default_mesh_error, scale_of
 from terrainwave.write.patching.merged import check_units
 
 _log = logging.getLogger(__name__)
@@ -129,11 +130,11 @@ def store_meshes(
 
 def _tolerance(terrain: TerrainFile, mesh_error: float | None) -> int:
     """Return the tolerance of the finest meshes in 1/16 quanta, rounded down."""
-    header, scale = terrain.header, abs(as_fraction(terrain.raster_info.scale))
+    header, info = terrain.header, terrain.raster_info
     if mesh_error is None:
-        error = default_mesh_error(terrain.quantizer, header.effective_bound, scale)
+        error = default_mesh_error(terrain.quantizer, header.effective_bound, info)
     else:
-        error = as_fraction(mesh_error) / scale
+        error = as_fraction(mesh_error) / scale_of(info)
     return mesh_tolerance(error, header.quantum)
 
 

@@ -120,9 +120,10 @@ def patch(
     InvalidArgumentError
         If `path` is a URL.
     InvalidHeightsError
-        If `src` or `original` does not fit the file: heights in another unit or beyond the file's range, voids in a
-        file that cannot mark them, a valid height that equals the file's nodata value, heights
-        between its vertical steps; or if `original` is not what the file was made of.
+        If `src` or `original` does not fit the file: heights in another unit or beyond the file's
+        range, voids in a file that cannot mark them, a valid height that equals the file's nodata
+        value, heights between its vertical steps; or if `original` is not what the file was made
+        of.
     BoundViolationError
         If the proof fails. The file is untouched.
 

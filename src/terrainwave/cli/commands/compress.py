@@ -62,7 +62,9 @@ from terrainwave.progress import ProgressCallback
     "--max-error",
     type=Bound(),
     help="Largest allowed error, in the raster's vertical unit; 0 is lossless."
-    " Default: lossless for heights in whole steps (metres, centimetres, feet), otherwise 0.01.",
+    " Default: lossless for heights in whole steps (metres, centimetres, feet), otherwise 0.01 m,"
+    " or a 10,000th of the range of heights that span little or are in no unit of length; a note"
+    " says which.",
 )
 @click.option(
     "--method",
@@ -236,6 +238,7 @@ def _compress_each(
 ) -> None:
     """Make a file of each raster, in a directory."""
     import terrainwave
+    from terrainwave.write.job import NO_BOUND
 
     if scheduler is not None or task_log_name is not None:
         found = "--scheduler" if scheduler is not None else "--task-log"
@@ -254,7 +257,8 @@ def _compress_each(
                 f"{plain(display_name(job.source))} names no vertical unit: errors are in the unit"
                 " of its heights, as those of all rasters without one"
             )
-        return Done(_result_line(result), asdict(result))
+        rules = [note.split(";")[0] for note in result.notes if note.startswith(NO_BOUND)]
+        return Done("; ".join([_result_line(result), *rules]), asdict(result))
 
     run_to(
         sources, directory, ".twz", compress_one, "compressed",

@@ -1,0 +1,58 @@
+"""The bound of heights on no vertical grid, where none is named: it follows from unit and range."""
+
+from fractions import Fraction
+from typing import NamedTuple
+
+from terrainwave.grid.quantum import as_fraction
+
+# Metres; where no unit is named, of whatever the heights are in.
+_USUAL = Fraction(1, 100)
+# Of the range of the heights: what is taken where the usual bound has no meaning, and the most that
+# the usual one may be of heights in a unit of length.
+_SHARE, _MOST = Fraction(1, 10_000), Fraction(1, 100)
+
+
+class DefaultBound(NamedTuple):
+    """A bound in physical units, and in words why it is this one."""
+
+    error: Fraction
+    reason: str
+
+
+def default_bound(span: Fraction, unit: str | None, length: float | None) -> DefaultBound:
+    """Return the bound of heights that lie on no vertical grid; 0 if all are the same.
+
+    Parameters
+    ----------
+    span : Fraction
+        Highest less lowest height, in physical units.
+    unit : str, optional
+        What they are in, where that is known.
+    length : float, optional
+        Metres of the unit, if it is one of length.
+    """
+    if span == 0:
+        return DefaultBound(span, "all heights are the same")
+    if unit is not None and length is None:
+        return DefaultBound(span * _SHARE, f"{unit} is no known length: a 10,000th of the range")
+    usual = _USUAL if length is None else _USUAL / as_fraction(length)
+    if usual <= span * (_SHARE if length is None else _MOST):
+        metres = "" if usual == _USUAL else "this is 0.01 m, and "
+        return DefaultBound(usual, f"{metres}the heights lie on no vertical grid")
+    rounded = "a 10,000th of the range, rounded down"
+    if length is None:
+        return DefaultBound(
+            _rounded_down(span * _SHARE), f"no unit is named, and 0.01 is more than {rounded}"
+        )
+    why = f"0.01 m is more than 1 % of the range: {rounded}"
+    return DefaultBound(_rounded_down(span * _SHARE), why)
+
+
+def _rounded_down(value: Fraction) -> Fraction:
+    """Return the largest 1, 2 or 5 times a power of ten that is not above `value`, which is > 0."""
+    power = Fraction(1)
+    while power > value:
+        power /= 10
+    while power * 10 <= value:
+        power *= 10
+    return max(power * digit for digit in (1, 2, 5) if power * digit <= value)
