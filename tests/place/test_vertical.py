@@ -285,7 +285,7 @@ def test_depths_go_down(tmp_path):
         np.testing.assert_allclose(local.points[:, 2], -mesh.points[:, 2])
         with pytest.warns(TerrainwaveWarning, match="counts depths downwards"):
             assert Globe(terrain).height_range[1] < 0
-        with pytest.raises(InvalidHeightsError, match="counts depths downwards"):
+        with pytest.raises(InvalidHeightsError, match="numbers that count downwards, as depths do"):
             mesh.save(tmp_path / "a.stl", frame="local", solid=0.0)
 
 
