@@ -58,8 +58,12 @@ def test_what_gdal_kept_of_the_file_before_goes(raster, memory):
 
 
 def test_storage_that_forbids_to_look_for_other_files_takes_the_file(raster, memory, monkeypatch):
-    def forbid(self, path):
-        raise PermissionError(path)
+    exists = MemoryFileSystem.exists
+
+    def forbid(self, path, **options):
+        if not path.endswith((".twz", ".twz-part")):
+            raise PermissionError(path)
+        return exists(self, path, **options)
 
     monkeypatch.setattr(MemoryFileSystem, "exists", forbid)
     memory.pipe("/bucket/dem.twz.aux.xml", b"other")

@@ -98,12 +98,12 @@ class _Target:
             raise StorageError(
                 f"cannot write {self.name}: found {found} bytes there, expected {expected}"
             )
-        for beside in (f"{self.path}{suffix}" for suffix in OF_GDAL):
+        for old in (f"{self.path}{suffix}" for suffix in OF_GDAL):
             # The file is there, which is what was asked for. Storage may forbid to look or to
             # remove, and GDAL's driver ignores old statistics.
             with suppress(Exception):
-                if self._fs.exists(beside):
-                    self._fs.rm_file(beside)
+                if self._fs.exists(old):
+                    self._fs.rm_file(old)
 
     def _call(self, function: Callable[..., Any], *args: Any) -> Any:
         # File systems raise what their libraries raise; few of those are OSErrors.
