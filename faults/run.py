@@ -1,9 +1,9 @@
 """Kill, starve, cut off and crowd the package, and count what comes of it.
 
-`kills`: commands killed with signal 9 while they write; `disk`: full disks; `network`: a server
-that fails, stalls or lies; `writers`: two of one target; `readers`: forks and threads; `opens`:
-10,000 of them. Each writes a CSV, ``faults_NAME.csv``; the exit status is 1 if one of them found
-a fault.
+`kills`: commands killed with signal 9 while they write; `signals`: commands interrupted; `disk`:
+full disks; `network`: a server that fails, stalls or lies; `writers`: two of one target; `readers`:
+forks and threads; `opens`: 10,000 of them. Each writes a CSV, ``faults_NAME.csv``; the exit status
+is 1 if one of them found a fault.
 """
 
 from collections.abc import Iterable
@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from benchmarks.common import COUNT, EXISTING, ListOption, command, option, write_rows
-from faults import disk, kills, network, sharing
+from faults import disk, kills, network, sharing, signals
 from faults.commands import (
     everything_on_disk,
     make_inputs,
@@ -24,10 +24,10 @@ from faults.commands import (
 
 # Columns in which every number but 0 is a fault.
 FAULTS = (
-    "broken", "leftovers_after_next", "failed_next", "others_touched", "crashes",
+    "broken", "left_behind", "leftovers_after_next", "failed_next", "others_touched", "crashes",
     "hangs", "wrong", "others", "then_wrong", "failed", "errors",
 )  # fmt: skip
-PARTS = ("kills", "disk", "writers", "opens", "readers", "network")
+PARTS = ("kills", "signals", "disk", "writers", "opens", "readers", "network")
 
 
 @command("")
@@ -35,6 +35,7 @@ PARTS = ("kills", "disk", "writers", "opens", "readers", "network")
 @option("--dem", type=EXISTING, help="A raster whose corner is taken. Default: made-up hills.")
 @option("--side", type=COUNT, default=400, help="Samples on a side.")
 @option("--kills", "n_kills", type=COUNT, default=200, help="Of each command, by the clock.")
+@option("--signals", "n_signals", type=COUNT, default=300, help="To each command.")
 @option("--disks", "n_disks", type=COUNT, default=50, help="Sizes for each command.")
 @option("--pairs", "n_pairs", type=COUNT, default=50, help="Of writers, for each command.")
 @option("--forks", "n_forks", type=COUNT, default=100, help="Of each kind.")
@@ -43,7 +44,8 @@ PARTS = ("kills", "disk", "writers", "opens", "readers", "network")
 @option("--seed", type=int, default=0)
 def main(
     out: Path, folder: Path, only: tuple[str, ...], dem: Path | None, side: int, n_kills: int,
-    n_disks: int, n_pairs: int, n_forks: int, n_opens: int, commands: tuple[str, ...], seed: int,
+    n_signals: int, n_disks: int, n_pairs: int, n_forks: int, n_opens: int,
+    commands: tuple[str, ...], seed: int,
 ) -> None:  # fmt: skip
     """Run the trials."""
     everything_on_disk()
@@ -60,6 +62,8 @@ def main(
 
     if "kills" in only:
         write("kills", kills.rows(chosen, folder, n_kills, seed))
+    if "signals" in only:
+        write("signals", signals.rows(chosen, folder, n_signals, seed))
     if "disk" in only:
         write("disk", disk.rows(chosen, folder, n_disks, seed))
     if "writers" in only:

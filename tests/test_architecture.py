@@ -23,14 +23,15 @@ PACKAGE = REPOSITORY / "src" / "terrainwave"
 PLAN = (REPOSITORY / "ARCHITECTURE.md").read_text(encoding="utf-8")
 
 ROOT = {"errors", "progress", "names", "arguments", "_version", "extras", "forks", "cache"}
-ROOT |= {"option_sets"}
+ROOT |= {"interrupts", "option_sets"}
 # What each room may import besides itself, in the order of the data's path: rooms above it, and
 # none beside it. Nothing else, within functions neither.
 GRID = ROOT | {"coding", "grid"}
 MAY_IMPORT = {
     "errors": set(),
     "_version": set(),
-    "progress": {"errors", "arguments"},
+    "interrupts": set(),
+    "progress": {"errors", "arguments", "interrupts"},
     "extras": {"errors"},
     "names": set(),
     "forks": set(),

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from terrainwave import interrupts
 from terrainwave.arguments import check_callback
 
 # Calls closer together than this are dropped, except the last of a stage.
@@ -81,6 +82,7 @@ class Reporter:
 
     def report(self, stage: str, done: int, total: int, n_bytes_in: int = 0, **more: int) -> None:
         """Tell the callback, unless it was told just now; `more` are fields of `Progress`."""
+        interrupts.check()
         if self._callback is None:
             return
         with self._lock:

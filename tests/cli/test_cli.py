@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -19,8 +20,9 @@ from reference import recursive_errors
 from strategies import read_geotiff, terrain_like, write_geotiff
 
 import terrainwave
+from terrainwave import interrupts
 from terrainwave.arguments import count_of
-from terrainwave.cli import main
+from terrainwave.cli import main, signals
 from terrainwave.cli import output as cli_output
 from terrainwave.cli.output import Bar, plain
 from terrainwave.cli.signals import Terminated, ending_by_signals
@@ -803,21 +805,75 @@ def test_a_signal_leaves_the_target_and_nothing_else(tmp_path, name, status, wor
     assert os.listdir(temporary) == []
 
 
+@pytest.fixture
+def usual_signals():
+    """Let SIGTERM end the process, as where no test runs."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    for number in before:
+        signal.signal(number, signal.SIG_DFL)
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="no such signals")
-def test_signals_that_are_ignored_stay_so_and_a_second_one_does_not_stop_the_clearing_up():
+def test_signals_that_are_ignored_stay_so_and_a_second_one_does_not_stop_the_clearing_up(
+    usual_signals,
+):
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    terminated = signal.signal(signal.SIGTERM, signal.SIG_DFL)
     try:
         with ending_by_signals():
             assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+            signal.raise_signal(signal.SIGTERM)
             with pytest.raises(Terminated) as ended:
-                signal.raise_signal(signal.SIGTERM)
+                interrupts.check()
             assert ended.value.status == 143
             signal.raise_signal(signal.SIGTERM)
+            interrupts.check()
         assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     finally:
         signal.signal(signal.SIGHUP, before)
-        signal.signal(signal.SIGTERM, terminated)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_signal_waits_until_no_work_is_half_done(usual_signals, name):
+    lock = threading.Lock()
+    with ending_by_signals():
+        lock.acquire()
+        os.kill(os.getpid(), getattr(signal, name))
+        time.sleep(0.05)
+        lock.release()  # never reached if the signal is raised at once
+        with pytest.raises(Terminated):
+            interrupts.check()
+    assert not interrupts.is_requested()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
+def test_a_signal_ends_what_waits_for_long(usual_signals, monkeypatch):
+    monkeypatch.setattr(signals, "_PATIENCE", 0.05)
+
+    def wait_for_long():
+        with ending_by_signals():
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(60)
+
+    start = time.monotonic()
+    with pytest.raises(Terminated):
+        wait_for_long()
+    assert time.monotonic() - start < 30
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
+def test_a_signal_never_ends_what_numba_is_at(usual_signals, monkeypatch):
+    monkeypatch.setattr(signals, "_PATIENCE", 0.01)
+    namespace = {"__name__": "numba.core.compiler_lock", "time": time}
+    exec("def acquire():\n    time.sleep(0.3)\n    return True", namespace)
+    with ending_by_signals():
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert namespace["acquire"]()
+        with pytest.raises(Terminated):
+            interrupts.check()
 
 
 def test_lack_of_memory_is_one_line(tmp_path, dem, monkeypatch):

@@ -1,5 +1,7 @@
 """Crews: everything is done once, in any order, by so many threads; the first error counts."""
 
+import signal
+import sys
 import threading
 import time
 
@@ -140,3 +142,29 @@ def test_a_crew_that_works_for_others_keeps_nobody_waiting():
         assert not is_free.is_set()
         is_free.set()
     assert done == [1, 2, 3]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one thread only")
+def test_an_interrupted_end_still_waits_for_the_threads():
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    is_done = False
+
+    def work():
+        nonlocal is_done
+        time.sleep(0.5)
+        is_done = True
+
+    def interrupt():
+        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+
+    def work_in_crew():
+        with Crew(3) as crew:
+            crew.submit(work)
+            threading.Timer(0.1, interrupt).start()
+
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            work_in_crew()
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert is_done

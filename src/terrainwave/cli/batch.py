@@ -13,6 +13,7 @@ from typing import Any
 
 import click
 
+from terrainwave import interrupts
 from terrainwave.arguments import checked_path, checked_threads, count_of, path_in_url
 from terrainwave.cli.manifest import Manifest
 from terrainwave.cli.output import (
@@ -204,7 +205,7 @@ def run(
     is_stopped = threading.Event()
 
     def go_on(_: object = None) -> None:
-        if is_stopped.is_set():
+        if is_stopped.is_set() or interrupts.is_requested():
             raise KeyboardInterrupt
 
     def attempt(job: FileJob) -> Done | None:
@@ -231,6 +232,7 @@ def run(
     with Bar(quiet=is_silent) as bar, ThreadPoolExecutor(n_at_once) as executor:
         try:
             for future in as_completed([executor.submit(outcome_of, job) for job in jobs]):
+                interrupts.check()
                 outcome = future.result()
                 outcomes[outcome.job] = outcome
                 _tell(outcome, bar, quiet=is_silent)

@@ -8,6 +8,7 @@ import functools
 import json
 import math
 import os
+import signal
 import sys
 import traceback
 import warnings
@@ -20,7 +21,7 @@ import click
 
 from terrainwave.arguments import AS_IS, in_one_line
 from terrainwave.cli.descriptors import discard_stdout, is_of_stdout, prepare_streams
-from terrainwave.cli.signals import INTERRUPTED, Terminated, ending_by_signals
+from terrainwave.cli.signals import Terminated, ending_by_signals
 from terrainwave.errors import (
     CorruptStreamError,
     InvalidArgumentError,
@@ -186,12 +187,12 @@ class Commands(click.Group):
             print_error(error.format_message())
             sys.exit(1)
         except click.Abort as error:
-            # click turns Ctrl-C, and what is raised for other signals, into Abort.
-            if isinstance(error.__cause__, Terminated):
-                print_error("terminated; the target is untouched", error.__cause__)
-                sys.exit(error.__cause__.status)
-            print_error("interrupted; the target is untouched", error.__cause__)
-            sys.exit(INTERRUPTED)
+            # click turns what is raised for signals into Abort.
+            ended = error.__cause__
+            number = ended.number if isinstance(ended, Terminated) else signal.SIGINT
+            word = "interrupted" if number == signal.SIGINT else "terminated"
+            print_error(f"{word}; the target is untouched", ended)
+            sys.exit(128 + number)
         except Exception as error:  # noqa: BLE001  whatever comes from below is one line, too
             if not is_of_stdout(error):
                 print_error(line_of(error), error)

@@ -28,6 +28,7 @@ from numba.core.untyped_passes import InlineInlinables
 from numba.cpython.builtins import do_minmax
 from numba.extending import intrinsic
 
+from terrainwave import interrupts
 from terrainwave.coding.private_names import missing
 
 
@@ -47,6 +48,7 @@ class Kernel(CPUDispatcher):
 
     def compile(self, sig: Any) -> Any:
         """Compile for some types, or load what has been compiled for them."""
+        interrupts.check()
         with global_compiler_lock, _without_collector(), _with_shortcuts():
             entry = super().compile(sig)
             # Parts were never made ready to be called: the objects that their code refers to.
@@ -77,6 +79,7 @@ class _Callee(CPUDispatcher):
         args = tuple(sig)
         found = self.overloads.get(args)
         if found is None:
+            interrupts.check()
             with self._compiling_counter:
                 found = self.overloads[args] = self._compiler.compile(args, None)
         return found.entry_point

@@ -2,8 +2,11 @@
 
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from types import TracebackType
 from typing import Any, Generic, TypeVar, cast
+
+from terrainwave import interrupts
 
 T = TypeVar("T")
 Result = TypeVar("Result")
@@ -24,6 +27,34 @@ class Crew(ThreadPoolExecutor):
     def __init__(self, n_threads: int) -> None:
         super().__init__(max(n_threads - 1, 1), thread_name_prefix="terrainwave")
         self.n_threads = n_threads
+        self._begun: set[Future[Any]] = set()
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Do as `Executor.submit`."""
+        future = super().submit(fn, *args, **kwargs)
+        self._begun.add(future)
+        future.add_done_callback(self._begun.discard)
+        return future
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Wait for the threads, even if Ctrl-C interrupts that: they read what is closed next."""
+        interruption: BaseException | None = None
+        is_ended = False
+        while not is_ended:
+            try:
+                self.shutdown(wait=False, cancel_futures=error is not None)
+                # Not by joining: a thread counts as ended when its join was interrupted.
+                wait(list(self._begun))
+                is_ended = True
+            except KeyboardInterrupt as found:
+                interruption = found
+        if interruption is not None and error is None:
+            raise interruption
 
     def map(
         self,
@@ -97,6 +128,7 @@ class _Turns(Generic[Result]):
 
     def _take_one(self) -> bool:
         """Do the next task; False if all are taken."""
+        interrupts.check()
         with self._changed:
             index = self._next
             if index >= len(self.tasks):
@@ -131,6 +163,7 @@ class _Growth(Generic[T]):
     def take_all(self) -> None:
         """Work until nothing waits, and nothing more can come."""
         while True:
+            interrupts.check()
             with self._changed:
                 while not self._waiting and self._n_busy and not self._is_stopped:
                     self._changed.wait()

@@ -11,6 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from terrainwave import interrupts
 from terrainwave.arguments import (
     NodataChoice,
     check_flags,
@@ -321,6 +322,7 @@ class RasterSource:
         return self._read(row, col, n_rows, n_cols)
 
     def _read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
+        interrupts.check()
         with self._readers.lent() as backend:
             heights, valid = backend.read(row, col, n_rows, n_cols)
         with self._counting:

@@ -2,6 +2,7 @@
 
 import json
 import re
+import signal
 import socket
 import threading
 import webbrowser
@@ -11,6 +12,7 @@ from typing import Any
 
 import click
 
+from terrainwave import interrupts
 from terrainwave.arguments import count_of
 from terrainwave.cli.options import (
     PAGE_SEA_LEVEL_OPTION,
@@ -125,6 +127,7 @@ def _serve(app: Any, n_files: int, listener: socket.socket, address: str | None)
         arguments = app.state.shelf.add, address, server
         threading.Thread(target=_serve_named, args=arguments, daemon=True).start()
     server.run(sockets=[listener])
+    interrupts.check()
 
 
 @contextmanager
@@ -138,7 +141,7 @@ def _saying_that_it_stopped(*, quiet: bool) -> Iterator[None]:
     except KeyboardInterrupt as ended:
         if not quiet:
             click.echo("\nstopped")
-        if isinstance(ended, Terminated):
+        if isinstance(ended, Terminated) and ended.number != signal.SIGINT:
             click.get_current_context().exit(ended.status)
 
 

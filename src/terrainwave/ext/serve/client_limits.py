@@ -18,6 +18,7 @@ import uvicorn
 from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from terrainwave import interrupts
 from terrainwave.arguments import in_one_line
 from terrainwave.errors import TerrainwaveError
 from terrainwave.ext.serve.causes import Causes
@@ -139,7 +140,15 @@ def server_of(app: ASGIApp, n_files: int = 0) -> uvicorn.Server:
         timeout_graceful_shutdown=_GRACE_SECONDS,
     )
     logging.getLogger("uvicorn.error").addFilter(_Told().is_told)
-    return uvicorn.Server(config)
+    return _Server(config)
+
+
+class _Server(uvicorn.Server):
+    """A server that also ends by signals that uvicorn does not handle, such as SIGHUP."""
+
+    async def on_tick(self, counter: int) -> bool:
+        """Return True if the server shall end; called ten times a second."""
+        return await super().on_tick(counter) or interrupts.is_requested()
 
 
 def _limited(n_files: int) -> type[Connection]:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from terrainwave import interrupts
 from terrainwave.render.scene.patches import Cancelled
 
 _KEPT_TIMES = 4096
@@ -85,6 +86,7 @@ class Pager:
 
     def take(self, max_items: int) -> list[Arrival]:
         """Return finished results, at most `max_items`; never waits for work."""
+        interrupts.check()
         with self._changed:
             outcomes = [self._ready.popleft() for _ in range(min(max_items, len(self._ready)))]
             self._ready_keys.difference_update(built.key for built in outcomes)
