@@ -39,7 +39,7 @@ def ending_by_signals() -> Iterator[None]:
     A handler that is not the default stays, such as nohup's. Only the first signal counts: nothing
     stops the clearing up but SIGKILL, after which the next run clears up.
     """
-    is_over = False
+    is_over, asked = False, 0.0
     timers: list[threading.Timer] = []
 
     def send_again(number: int, seconds: float) -> None:
@@ -61,7 +61,6 @@ def ending_by_signals() -> Iterator[None]:
         else:
             interrupts.raise_now()
 
-    asked = 0.0
     changed = {}
     try:
         for number in _SIGNALS:
