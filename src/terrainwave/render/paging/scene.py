@@ -176,7 +176,7 @@ class Scene:
         # Whether pieces behind others are left out; pictures that are seen through need them all.
         self.has_horizon = horizon
         self._shown, self._tau = np.empty(0, dtype=np.int32), 0.0  # nodes of the last frame
-        self._memory_factor, self._is_short, self._is_final = 1.0, True, True
+        self._memory_factor, self._is_short = 1.0, True
         self._most_known = _MOST_KNOWN
 
     def __enter__(self) -> "Scene":
@@ -251,8 +251,7 @@ class Scene:
         self._last_camera = view.camera
         paged = time.perf_counter()
         selection, used = self.governor.select(self.table, view, tau)
-        self._is_final = self.mode.has_limit or bool(np.isin(selection.nodes, self._shown).all())
-        if self.table.stand_in(view, selection.nodes, used, self._shown) or not self._is_final:
+        if self.table.stand_in(view, selection.nodes, used, self._shown):
             # What made the horizon is not all drawn.
             view = replace(view, horizon=Horizon.none())
             selection, used = self.governor.select(self.table, view, tau)
@@ -272,14 +271,15 @@ class Scene:
         TerrainwaveError
             If it takes longer than `timeout` seconds.
         """
-        end = time.monotonic() + timeout
+        end, n_more = time.monotonic() + timeout, 1 if self.mode.has_limit else 2
         while True:
             frames = self.update(view, max_uploads=1 << 30)
-            if not frames.n_missing and self._is_final:
-                return frames
             if not frames.n_missing:
-                # Loose meshes that came last hide others from the next frame on.
-                return self.update(view, max_uploads=1 << 30)
+                # What loose meshes that came last do not hide is seen in the next frame.
+                n_more -= 1
+                if not n_more:
+                    return frames
+                continue
             if not self._pager.wait(max(end - time.monotonic(), 0.0)):
                 raise TerrainwaveError(f"the picture is not complete after {timeout:g} seconds")
 
@@ -323,7 +323,7 @@ class Scene:
         """Return what the pieces of the last frame hide from a camera.
 
         Others may be drawn in their place: within τ all the same, or `NodeTable.stand_in` says so.
-        In modes without a limit, nothing is hidden then.
+        In modes without a limit, others may be further away, for a frame.
         """
         if not (self.has_horizon and self.mode.is_bound):
             return Horizon.none()

@@ -214,7 +214,7 @@ def distance_on_screen(canvas: Canvas, style: "Style") -> float:
 def _distance_within(canvas: Canvas, style: "Style", region: Region) -> float:
     """Return `distance_on_screen` of a part of the full grid."""
     frame, camera, viewport = canvas.scene.frame, canvas.camera, canvas.viewport
-    heights, valid = read_metres(canvas.scene.terrain, frame, tuple(region), -1)
+    heights, valid = read_metres(canvas.scene.terrain, frame, region, -1)
     rows, cols = np.nonzero(valid)
     xy = frame.samples_to_local(rows + region.row, cols + region.col)
     z = heights[rows, cols] * frame.exaggeration
