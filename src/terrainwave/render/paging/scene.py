@@ -251,9 +251,7 @@ class Scene:
         self._last_camera = view.camera
         paged = time.perf_counter()
         selection, used = self.governor.select(self.table, view, tau)
-        if self.table.stand_in(view, selection.nodes, used, self._shown) or not (
-            self.mode.has_limit or np.isin(selection.nodes, self._shown).all()
-        ):
+        if self.table.stand_in(view, selection.nodes, used, self._shown):
             # What made the horizon is not all drawn.
             view = replace(view, horizon=Horizon.none())
             selection, used = self.governor.select(self.table, view, tau)
@@ -273,11 +271,15 @@ class Scene:
         TerrainwaveError
             If it takes longer than `timeout` seconds.
         """
-        end = time.monotonic() + timeout
+        end, n_more = time.monotonic() + timeout, 1 if self.mode.has_limit else 2
         while True:
             frames = self.update(view, max_uploads=1 << 30)
             if not frames.n_missing:
-                return frames
+                # What loose meshes that came last do not hide is seen in the next frame.
+                n_more -= 1
+                if not n_more:
+                    return frames
+                continue
             if not self._pager.wait(max(end - time.monotonic(), 0.0)):
                 raise TerrainwaveError(f"the picture is not complete after {timeout:g} seconds")
 
@@ -321,7 +323,7 @@ class Scene:
         """Return what the pieces of the last frame hide from a camera.
 
         Others may be drawn in their place: within τ all the same, or `NodeTable.stand_in` says so.
-        In modes without a limit, nothing is hidden then.
+        In modes without a limit, others may be further away, for a frame.
         """
         if not (self.has_horizon and self.mode.is_bound):
             return Horizon.none()
