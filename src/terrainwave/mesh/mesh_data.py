@@ -1,7 +1,7 @@
 """`MeshData`: the numbers of a mesh in world coordinates."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,12 +9,26 @@ from numpy.typing import NDArray
 from terrainwave.arguments import count_of, crs_name, in_one_line
 
 
+# Of what heights leave of an error: for the curvature of a globe. The rest is the mesh's.
+CURVATURE_SHARE = 1 / 8
+
+
+class CurvatureShare(NamedTuple):
+    """Error in the file's unit that the curvature of a globe may add to a mesh on it.
+
+    With `max_triangles` as little as this number of triangles allows, down to `error`.
+    """
+
+    error: float
+    max_triangles: int | None = None
+
+
 @dataclass(frozen=True, repr=False)
 class MeshData:
     """A triangulated surface in world coordinates: the fields of `export.mesh.Mesh`, told there.
 
     `attributes` are passed on with the mesh: ``is_placed`` tells whether its x and y are places,
-    ``area`` what `area` returns, ``share`` what `share` does.
+    ``area`` what `area` returns, ``share`` what `share` does, ``curvature`` a `CurvatureShare`.
     """
 
     vertices: NDArray[np.float64]
