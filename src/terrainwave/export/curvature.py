@@ -37,10 +37,11 @@ Numbers = NDArray[np.float64]
 _THIRD_DEGREE = 9 / 8
 # Of the radius: edges that such terms are small on. Their middle is L²/8R off.
 _LONGEST = 1 / 16
-# A triangle is off by at most 4/3 of its edges' m.
-_OF_EDGES = 1 / (4 / 3 * _THIRD_DEGREE)
+# The same where a grid of a datum, with a kink at each of its lines, bends the surface: a kink near
+# an edge's end is twice its m away from it.
+_KINKS = 2.0
 # Triangles that dividing may add.
-_MOST_ADDED = 1 << 24
+_MOST_ADDED = 1 << 22
 # Steps of the search for the smallest limit within a budget of triangles.
 _BUDGET_STEPS, _BUDGET_RATIO = 12, 1.02
 _NONE = -1
@@ -69,6 +70,16 @@ class GlobeWay:
     def describe(self, crs: str | None) -> dict[str, Any]:
         """Return what files say of the heights on the globe."""
         return describe_as_is(crs) if self.vertical is None else self.vertical.describe()
+
+    @property
+    def slack(self) -> float:
+        """Return the share of `_worst_inside` that a triangle can be off by."""
+        return _THIRD_DEGREE if self.vertical is None else _KINKS
+
+    @property
+    def of_edges(self) -> float:
+        """Return the share of a triangle's error that m of its edges may have."""
+        return 1 / (4 / 3 * self.slack)
 
     @property
     def per_unit(self) -> float:
@@ -135,7 +146,7 @@ def curvature(mesh: MeshData, way: GlobeWay) -> float:
     """
     found = _Bends(mesh, way)
     per_edge = found.of_triangles
-    errors = _THIRD_DEGREE * _worst_inside(per_edge)
+    errors = way.slack * _worst_inside(per_edge)
     corners = found.on_globe[mesh.triangles]
     sides = np.linalg.norm(corners[:, [1, 2, 0]] - corners, axis=2)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -177,7 +188,7 @@ def divided(mesh: MeshData, way: GlobeWay) -> MeshData:
     found = _Bends(mesh, way)
     worst = found.of_triangles.max(axis=1)
     largest = way.place.globe_ellipsoid.axis * _LONGEST**2 / 8
-    wanted = share.error * way.per_unit * _OF_EDGES
+    wanted = share.error * way.per_unit * way.of_edges
     limit = min(max(wanted, _least_limit(worst)), largest)
     if (worst <= limit).all():
         return mesh
@@ -203,7 +214,14 @@ def least_share(mesh: MeshData, way: GlobeWay) -> float:
     Smaller ones would take more than `_MOST_ADDED` further triangles.
     """
     worst = _Bends(mesh, way).of_triangles.max(axis=1)
-    return _least_limit(worst) / _OF_EDGES / way.per_unit
+    return _least_limit(worst) / way.of_edges / way.per_unit
+
+
+def share_of_edge(ends: Numbers, way: GlobeWay) -> float:
+    """Return the error, in the file's unit, for which an edge between two points stays whole."""
+    on_globe = way.geocentric(np.concatenate([ends, ends.mean(axis=0, keepdims=True)]))
+    bend = float(np.linalg.norm(on_globe[2] - on_globe[:2].mean(axis=0)))
+    return bend / way.of_edges / way.per_unit
 
 
 def _least_limit(worst: Numbers) -> float:

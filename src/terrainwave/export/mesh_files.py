@@ -15,7 +15,7 @@ from terrainwave.arguments import AS_IS, UPWARDS, check_choice, check_ending, ch
 from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import check_target, publish
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
-from terrainwave.export.curvature import GlobeWay, divided, least_share
+from terrainwave.export.curvature import GlobeWay, divided, least_share, share_of_edge
 from terrainwave.export.frames import areas, globe_way, quiet_place, steepest, to_frame
 from terrainwave.export.mesh_formats import (
     EXTENSIONS,
@@ -228,10 +228,16 @@ def mesh_for_file(
     InvalidArgumentError
         If the curvature of the globe does not keep to the error.
     """
-    is_on_globe = Shape(**options).is_on_globe(check_extension(path))
-    share = CURVATURE_SHARE * max(max_error - of_heights, 0.0) if is_on_globe else 0.0
+    shape = Shape(**options)
+    is_on_globe = shape.is_on_globe(check_extension(path))
+    left = max(max_error - of_heights, 0.0) if is_on_globe else 0.0
+    share = CURVATURE_SHARE * left
     try:
         first = make(max_error - share)
+        if is_on_globe and (wanted := _share_of_cells(first, shape)) > share < left / 2:
+            # Dividing all cells takes more triangles than a mesh that is nearer to the heights.
+            share = min(wanted, left / 2)
+            first = make(max_error - share)
     except InvalidHeightsError:
         # A coarse level's heights take more; if too much, this raises again.
         first = make(max_error)
@@ -239,7 +245,7 @@ def mesh_for_file(
     surface = first
     for _ in range(_TRIES):
         if is_on_globe:
-            surface = _with_share(surface, share, Shape(**options), max_error)
+            surface = _with_share(surface, share, shape, max_error)
         rounding = file_rounding(surface, path, **options)
         if surface.error + rounding <= max_error:
             return surface, True
@@ -249,6 +255,14 @@ def mesh_for_file(
         except InvalidHeightsError:
             break
     return first, False
+
+
+def _share_of_cells(mesh: MeshData, shape: Shape) -> float:
+    """Return an error, in the file's unit, for which no cell has to be divided."""
+    known: CurvatureShare | None = mesh.attributes.get("curvature")
+    if known is None or known.cell is None:
+        return 0.0
+    return share_of_edge(known.cell, _way(mesh, shape))
 
 
 def _with_share(mesh: Made, share: float, shape: Shape, max_error: float) -> Made:
@@ -267,7 +281,7 @@ def _with_share(mesh: Made, share: float, shape: Shape, max_error: float) -> Mad
             " triangles lie below its curved surface, and a smaller error would take too many of"
             " them"
         )
-    known: CurvatureShare = mesh.attributes["curvature"]
+    known: CurvatureShare = mesh.attributes.get("curvature", CurvatureShare(share))
     curvature = known._replace(error=share)
     return replace(mesh, attributes=mesh.attributes | {"curvature": curvature})
 

@@ -348,7 +348,11 @@ class _Extractor(Generic[Made]):
         if self._goal is not None:
             error = float(self._goal) * quantum
         left = max(error - float(self._errors.coded) * quantum, quantum)
-        return CurvatureShare(left * CURVATURE_SHARE / (1 - CURVATURE_SHARE), self._max_triangles)
+        middle = np.array([size // 2 for size in self._terrain.shape])[:, None] + [0.0, 1.0]
+        x, y = samples_to_places(self._terrain.raster_info.transform, *middle)
+        cell = np.stack([x, y, np.zeros(2)], axis=1)
+        share = left * CURVATURE_SHARE / (1 - CURVATURE_SHARE)
+        return CurvatureShare(share, cell, self._max_triangles)
 
     def _placed(
         self, vertices: NDArray[np.float64], triangles: NDArray[np.int32], error: float
