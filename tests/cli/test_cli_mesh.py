@@ -212,10 +212,12 @@ def test_the_note_on_degrees_names_options_that_there_are(tmp_path, asked, name,
     assert advice in result.stderr
 
 
-def test_curvature_of_a_geocentric_mesh_is_a_note(tmp_path, twz, asked):
-    result = run("mesh", twz, tmp_path / "a.ply", "--frame", "ecef")
-    (note,) = result.stderr.splitlines()
-    assert "below the curved surface" in note
+def test_error_of_a_geocentric_mesh_has_its_curvature_and_needs_no_note(tmp_path, twz, asked):
+    result = run("mesh", twz, tmp_path / "a.ply", "--frame", "ecef", "--json")
+    assert result.stderr == ""
+    saved = json.loads(result.stdout)
+    assert saved["error"] == pytest.approx(0.5 + saved["curvature"])
+    assert 0 < saved["curvature"] < 0.5
 
 
 # Wrong usage

@@ -189,6 +189,8 @@ def divided(mesh: MeshData, way: GlobeWay) -> MeshData:
     worst = found.of_triangles.max(axis=1)
     largest = way.place.globe_ellipsoid.axis * _LONGEST**2 / 8
     wanted = share.error * way.per_unit * way.of_edges
+    if not wanted and share.cell is not None:
+        wanted = _bend_of(share.cell, way)
     limit = min(max(wanted, _least_limit(worst)), largest)
     if (worst <= limit).all():
         return mesh
@@ -219,9 +221,12 @@ def least_share(mesh: MeshData, way: GlobeWay) -> float:
 
 def share_of_edge(ends: Numbers, way: GlobeWay) -> float:
     """Return the error, in the file's unit, for which an edge between two points stays whole."""
+    return _bend_of(ends, way) / way.of_edges / way.per_unit
+
+
+def _bend_of(ends: Numbers, way: GlobeWay) -> float:
     on_globe = way.geocentric(np.concatenate([ends, ends.mean(axis=0, keepdims=True)]))
-    bend = float(np.linalg.norm(on_globe[2] - on_globe[:2].mean(axis=0)))
-    return bend / way.of_edges / way.per_unit
+    return float(np.linalg.norm(on_globe[2] - on_globe[:2].mean(axis=0)))
 
 
 def _least_limit(worst: Numbers) -> float:

@@ -347,7 +347,7 @@ class _Extractor(Generic[Made]):
         quantum = float(self._quantum)
         if self._goal is not None:
             error = float(self._goal) * quantum
-        left = max(error - float(self._errors.coded) * quantum, quantum)
+        left = max(error - float(self._errors.coded) * quantum, 0.0)
         middle = np.array([size // 2 for size in self._terrain.shape])[:, None] + [0.0, 1.0]
         x, y = samples_to_places(self._terrain.raster_info.transform, *middle)
         cell = np.stack([x, y, np.zeros(2)], axis=1)

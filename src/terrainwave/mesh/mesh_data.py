@@ -20,6 +20,7 @@ class CurvatureShare(NamedTuple):
     Parameters
     ----------
     error : float
+        0: as little as without cells divided.
     cell : ndarray of float64, shape (2, 3), optional
         Two opposite corners of a cell in the middle of the raster, at height 0.
     max_triangles : int, optional
