@@ -50,7 +50,8 @@ class Mesh(MeshData):
         path : path
             The extension selects the format: .ply, .obj, .stl, .glb, .gltf, .vtu, .vtk, .terrain.
         frame : {"local", "native", "ecef"}, optional
-            Metres from the middle (default for degrees), the CRS (otherwise), or geocentric.
+            Metres from the middle (default for degrees), the CRS (otherwise), or geocentric: then
+            edges are divided where the globe is too curved for them, and the error has the rest.
         z_scale : float
             Heights are multiplied by it; > 0.
         solid : float, optional

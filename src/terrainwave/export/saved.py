@@ -15,7 +15,8 @@ class SavedMesh:
         Those of a body include its walls and base.
     error : float
         No valid original sample under the mesh is vertically further from the surface in the file,
-        in `units`: the mesh's error and what the rounding of coordinates in the file can add.
+        in `units`: the mesh's error and what the rounding of coordinates in the file can add. On a
+        globe it holds between samples, too, along the normal of the ellipsoid.
     rounding : float
         The part of `error` that rounding can add.
     units : str, optional
@@ -26,8 +27,8 @@ class SavedMesh:
     origin : tuple of float
         What to add to the coordinates in the file to have those of the frame.
     curvature : float
-        Metres that flat triangles can lie below the curved body between their vertices; in
-        geocentric coordinates only, and not part of `error`.
+        Metres that flat triangles can be off the curved body between their vertices: a part of
+        `error`, in geocentric coordinates only.
     vertical : dict, optional
         Of geocentric coordinates: what heights are (``heights``: ``"as-is"`` or ``"ellipsoid"``),
         the CRS's ``datum``, or PROJ's ``operation`` and its ``grids``.

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from terrainwave.arguments import count_of, crs_name, in_one_line
 
-
 # Of what heights leave of an error: for the curvature of a globe. The rest is the mesh's.
 # 1/16 took the fewest triangles on rasters of 30 to 100 m (1/32 … 1/2 were tried).
 CURVATURE_SHARE = 1 / 16
