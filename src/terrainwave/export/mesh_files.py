@@ -242,10 +242,12 @@ def mesh_for_file(
         # A coarse level's heights take more; if too much, this raises again.
         first = make(max_error)
         share = max(max_error - first.error, 0.0)
+    if is_on_globe and not share:
+        _refuse_small_share(first, share, shape, max_error)
     surface = first
     for _ in range(_TRIES):
         if is_on_globe:
-            surface = _with_share(surface, share, shape, max_error)
+            surface = _with_share(surface, share)
         rounding = file_rounding(surface, path, **options)
         if surface.error + rounding <= max_error:
             return surface, True
@@ -254,6 +256,9 @@ def mesh_for_file(
             surface = make(max_error - _ROUNDING_SLACK * rounding)
         except InvalidHeightsError:
             break
+    if is_on_globe:
+        _refuse_small_share(surface, share, shape, max_error)
+        first = _with_share(first, share)
     return first, False
 
 
@@ -265,8 +270,15 @@ def _share_of_cells(mesh: MeshData, shape: Shape) -> float:
     return share_of_edge(known.cell, _way(mesh, shape))
 
 
-def _with_share(mesh: Made, share: float, shape: Shape, max_error: float) -> Made:
-    """Return a mesh whose edges will be divided until the curvature keeps to an error.
+def _with_share(mesh: Made, share: float) -> Made:
+    """Return a mesh whose edges will be divided until the curvature keeps to an error."""
+    known: CurvatureShare = mesh.attributes.get("curvature", CurvatureShare(share))
+    curvature = known._replace(error=share)
+    return replace(mesh, attributes=mesh.attributes | {"curvature": curvature})
+
+
+def _refuse_small_share(mesh: MeshData, share: float, shape: Shape, max_error: float) -> None:
+    """Raise if the curvature cannot keep to an error.
 
     Raises
     ------
@@ -281,9 +293,6 @@ def _with_share(mesh: Made, share: float, shape: Shape, max_error: float) -> Mad
             " triangles lie below its curved surface, and a smaller error would take too many of"
             " them"
         )
-    known: CurvatureShare = mesh.attributes.get("curvature", CurvatureShare(share))
-    curvature = known._replace(error=share)
-    return replace(mesh, attributes=mesh.attributes | {"curvature": curvature})
 
 
 def note_on_rounding(max_error: float) -> str:
