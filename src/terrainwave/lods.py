@@ -23,7 +23,7 @@ from terrainwave.export.mesh_files import (
     prepare,
     save_mesh,
 )
-from terrainwave.export.saved import SavedMesh
+from terrainwave.export.mesh_formats import SavedMesh
 from terrainwave.progress import ProgressCallback
 from terrainwave.terrain import Terrain
 from terrainwave.verification.area_mesh import area_problems

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from terrainwave.arguments import AS_IS
-from terrainwave.export.saved import SavedMesh
+from terrainwave.export.mesh_formats import SavedMesh
 from terrainwave.mesh.mesh_data import MeshData
 
 

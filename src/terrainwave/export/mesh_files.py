@@ -22,10 +22,10 @@ from terrainwave.export.mesh_formats import (
     EXTRA,
     TILE,
     WRITERS,
+    SavedMesh,
     obj_digits,
     turned_y_up,
 )
-from terrainwave.export.saved import SavedMesh
 from terrainwave.export.solid import add_skirts, solidify
 from terrainwave.extras import need
 from terrainwave.mesh.mesh_data import CURVATURE_SHARE, CurvatureShare, MeshData

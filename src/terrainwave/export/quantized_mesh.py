@@ -27,7 +27,7 @@ from terrainwave.export.frames import (
     note_heights,
     steepest,
 )
-from terrainwave.export.saved import SavedMesh
+from terrainwave.export.mesh_formats import SavedMesh
 from terrainwave.extras import need
 from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.place.ellipsoid import Ellipsoid
