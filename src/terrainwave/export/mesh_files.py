@@ -227,6 +227,8 @@ def mesh_for_file(
     ------
     InvalidArgumentError
         If the curvature of the globe does not keep to the error.
+    InvalidHeightsError
+        If the mesh has no place in the frame.
     """
     shape = Shape(**options)
     is_on_globe = shape.is_on_globe(check_extension(path))

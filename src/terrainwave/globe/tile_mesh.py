@@ -119,8 +119,8 @@ class TileMesher:
         )
         surface_error, error = self._errors(mesh, is_valid, samples, zoom, x, y)
         if surface_error is not None and error is not None:
-            triangles = mesh.triangles[_all_of(is_valid, mesh.triangles)]
-            on_globe = MeshData(points, triangles, (0.0, 0.0, 0.0), error)
+            known = mesh.triangles[_all_of(is_valid, mesh.triangles)]
+            on_globe = MeshData(points, known, (0.0, 0.0, 0.0), error)
             sag = curvature(on_globe, self._way)
             surface_error, error = surface_error + sag, error + sag
         heights = low * UNIT, (low + STEPS * step) * UNIT
