@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from terrainwave.codec.store import Store
     from terrainwave.export.geotiff import decompress
     from terrainwave.export.mesh import Mesh
-    from terrainwave.export.saved import SavedMesh
+    from terrainwave.export.mesh_formats import SavedMesh
     from terrainwave.file.info import Info
     from terrainwave.lods import save_lods
     from terrainwave.progress import Progress, TaskReport
@@ -110,7 +110,7 @@ _LAZY = {
     "Info": "file.info",
     "Terrain": "terrain",
     "Mesh": "export.mesh",
-    "SavedMesh": "export.saved",
+    "SavedMesh": "export.mesh_formats",
     "save_lods": "lods",
     "VerifyReport": "verification.heights",
     "verify": "verification.heights",

@@ -23,7 +23,7 @@ from terrainwave.export.mesh_files import (
     prepare,
     save_mesh,
 )
-from terrainwave.export.saved import SavedMesh
+from terrainwave.export.mesh_formats import SavedMesh
 from terrainwave.progress import ProgressCallback
 from terrainwave.terrain import Terrain
 from terrainwave.verification.area_mesh import area_problems
@@ -129,7 +129,7 @@ def save_lods(
                 max_error = mesh.error
                 _refuse_zero(max_error, n_lods)
             else:
-                mesh, is_within = mesh_for_file(made, path, bound, **options)
+                mesh, is_within = mesh_for_file(made, path, bound, terrain.quanta_error, **options)
                 if not is_within:
                     warnings.warn(note_on_rounding(bound), TerrainwaveWarning, stacklevel=2)
             problems, _ = area_problems(terrain, mesh, region, bound)

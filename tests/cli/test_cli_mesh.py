@@ -212,10 +212,12 @@ def test_the_note_on_degrees_names_options_that_there_are(tmp_path, asked, name,
     assert advice in result.stderr
 
 
-def test_curvature_of_a_geocentric_mesh_is_a_note(tmp_path, twz, asked):
-    result = run("mesh", twz, tmp_path / "a.ply", "--frame", "ecef")
-    (note,) = result.stderr.splitlines()
-    assert "below the curved surface" in note
+def test_error_of_a_geocentric_mesh_has_its_curvature_and_needs_no_note(tmp_path, twz, asked):
+    result = run("mesh", twz, tmp_path / "a.ply", "--frame", "ecef", "--json")
+    assert result.stderr == ""
+    saved = json.loads(result.stdout)
+    assert saved["error"] == pytest.approx(0.5 + saved["curvature"])
+    assert 0 < saved["curvature"] < 0.5
 
 
 # Wrong usage
@@ -304,7 +306,17 @@ def with_error(monkeypatch, smallest):
     return asked
 
 
-@pytest.mark.parametrize("name", ["a.stl", "a.glb", "a.terrain"])
+def test_tile_leaves_room_for_rounding_and_curvature(tmp_path, twz, monkeypatch):
+    asked = with_error(monkeypatch, smallest=0.5)
+    found = json.loads(
+        run("mesh", twz, tmp_path / "a.terrain", "--max-error", "2", "--json").stdout
+    )
+    # 1/16 is the curvature's, which takes next to nothing of it on cells of 30 m
+    assert asked == [2 - 2 / 16]
+    assert asked[0] + found["rounding"] < found["error"] <= 2
+
+
+@pytest.mark.parametrize("name", ["a.stl", "a.glb"])
 def test_mesh_leaves_room_for_rounding(tmp_path, twz, monkeypatch, name):
     asked = with_error(monkeypatch, smallest=0.5)
     found = json.loads(run("mesh", twz, tmp_path / name, "--max-error", "2", "--json").stdout)

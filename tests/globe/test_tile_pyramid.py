@@ -475,3 +475,22 @@ def test_zooms_that_are_asked_for_are_written_and_listed(tmp_path):
     there = tiles_in(tmp_path / "t")
     assert tiles_listed(layer) == there
     assert len(there) == sum(tiles.n_tiles for one in expected.values() for tiles in one)
+
+
+def test_errors_of_tiles_have_the_curvature_of_the_globe_between_their_vertices(tmp_path):
+    matrix = Affine(1 / 60, 0.0, 10.0, 0.0, -1 / 60, 47.0)
+    with open_terrain(tmp_path, np.zeros((65, 65), np.int16), matrix, "EPSG:4326") as terrain:
+        pyramid = TilePyramid(terrain, cells=64)
+        zoom = pyramid.max_zoom
+        area = pyramid.available(zoom)[0]
+        tile = pyramid.tile(zoom, area.last_x - 1, area.first_y + 1)
+        points, triangles, about = surface(tile)
+        middles = points[triangles].mean(axis=1)
+        flat = pyramid.globe.ellipsoid.geocentric(points)[triangles].mean(axis=1)
+        below = np.linalg.norm(flat - pyramid.globe.ellipsoid.geocentric(middles), axis=1).max()
+        assert 0 < below <= about["surfaceerror"] <= about["geometricerror"]
+        # edges are as short as the error that the tile's heights may have, or cells are whole
+        whole = (180 / (64 << zoom) * 111e3) ** 2 / 4 / 6367000
+        assert about["surfaceerror"] < max(2 * pyramid._heights.edge_tolerance(zoom), 1.5 * whole)
+        line = [(area.first_x, area.first_y), (area.first_x + 1, area.first_y)]
+        assert_edges_agree(pyramid, zoom, [(*line, "east", "west")])

@@ -1,30 +1,20 @@
 """Coordinate frames of exported meshes: the CRS itself, local metres, geocentric metres."""
 
+import warnings
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.arguments import AS_IS, check_choice, checked_number
-from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
+from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
+from terrainwave.export.curvature import GlobeWay, curvature, mesh_unit, way_onto_globe
 from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.place.position import LocalAxes, Place, place_of
-from terrainwave.place.units import HeightUnit, height_unit
-from terrainwave.place.vertical import (
-    check_vertical,
-    describe_as_is,
-    describe_radii,
-    note_as_is,
-    onto_wgs84,
-)
+from terrainwave.place.vertical import check_vertical, note_as_is
 
 FRAMES = ("local", "native", "ecef")
-
-
-def mesh_unit(mesh: MeshData) -> HeightUnit:
-    """Return the unit of a mesh's heights, and what they are."""
-    return height_unit(mesh.units, mesh.crs, mesh.heights_are)
 
 
 def find_place(mesh: MeshData, *, radius: float | None = None, has_frames: bool = False) -> Place:
@@ -33,6 +23,20 @@ def find_place(mesh: MeshData, *, radius: float | None = None, has_frames: bool 
     return place_of(
         mesh.crs, mesh.bounds, is_placed=is_placed, radius=radius, has_frames=has_frames
     )
+
+
+def quiet_place(mesh: MeshData, radius: float | None) -> Place:
+    """Return `find_place` without its warnings."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TerrainwaveWarning)
+        return find_place(mesh, radius=radius)
+
+
+def globe_way(
+    mesh: MeshData, radius: float | None = None, vertical: str = AS_IS, z_scale: float = 1.0
+) -> GlobeWay:
+    """Return the way of a mesh's points onto the globe, without the warnings of `to_frame`."""
+    return way_onto_globe(mesh, quiet_place(mesh, radius), vertical, z_scale)
 
 
 def to_frame(
@@ -44,6 +48,8 @@ def to_frame(
     vertical: str = AS_IS,
 ) -> MeshData:
     """Return the mesh in a frame; `error` stays in the file's unit.
+
+    With ``ecef``, `error` includes what the globe, and the geoid, bend between vertices.
 
     Parameters
     ----------
@@ -62,8 +68,7 @@ def to_frame(
         Radius of the sphere in metres that degrees lie on, instead of the CRS's ellipsoid.
     vertical : {"as-is", "ellipsoid"}
         With ``ecef``: take heights as above the ellipsoid, with a note where the CRS names another
-        datum, or convert them by PROJ's grid; `error` then counts what the geoid bends between
-        vertices too.
+        datum, or convert them by PROJ's grid.
 
     Returns
     -------
@@ -146,108 +151,36 @@ def _facing_up(mesh: MeshData, axes: LocalAxes) -> NDArray[np.int32]:
 
 def _ecef(mesh: MeshData, place: Place, z_scale: float, vertical: str) -> MeshData:
     place.note_sphere()
-    placed = on_ellipsoid(mesh, place, vertical)
-    points = placed.points.copy()
-    points[:, 2] *= z_scale
-    vertices = place.globe_ellipsoid.geocentric(points)
+    note_heights(mesh, vertical)
+    way = way_onto_globe(mesh, place, vertical, z_scale)
+    vertices = way.geocentric(mesh.points)
     centre = mesh.attributes.get("geocentric_centre")
     if centre is None:
         centre = np.round((vertices.min(axis=0) + vertices.max(axis=0)) / 2)
     attributes = _attributes(mesh, "ecef", z_scale, "m")
-    attributes["frame"]["vertical"] = placed.about
+    attributes["frame"]["vertical"] = way.describe(mesh.crs)
+    sag = curvature(mesh, way)
     return replace(
         mesh,
-        error=mesh.error + placed.error / abs(mesh_unit(mesh).metres),
+        error=mesh.error + sag / way.per_unit,
         vertices=vertices - centre,
         triangles=globe_triangles(mesh, place),
         origin=(float(centre[0]), float(centre[1]), float(centre[2])),
-        attributes=attributes,
+        attributes=attributes | {"sag": sag},
     )
+
+
+def note_heights(mesh: MeshData, vertical: str) -> None:
+    """Warn of what heights are taken for on the globe."""
+    unit = mesh_unit(mesh)
+    unit.note_kind()
+    if not check_vertical(vertical) and not unit.is_radius:
+        note_as_is(mesh.crs)
 
 
 def globe_triangles(mesh: MeshData, place: Place) -> NDArray[np.int32]:
     """Return triangles that face outwards on the globe."""
     return _facing_up(mesh, LocalAxes(*place.directions))
-
-
-class PlacedPoints(NamedTuple):
-    """Vertices in longitude, latitude and metres above the ellipsoid; what these heights are.
-
-    `error` in metres is what is between them and the ellipsoid's distance from the datum, which
-    bends under flat triangles.
-    """
-
-    points: NDArray[np.float64]
-    about: dict[str, Any]
-    error: float
-
-
-def on_ellipsoid(mesh: MeshData, place: Place, vertical: str) -> PlacedPoints:
-    """Return the vertices of a mesh on the globe, their heights above the ellipsoid.
-
-    Raises
-    ------
-    InvalidHeightsError
-        As `geographic_points`, or if the heights cannot be converted.
-    """
-    unit = mesh_unit(mesh)
-    unit.note_kind()
-    points = geographic_points(mesh, place)
-    if unit.is_radius:
-        check_vertical(vertical)
-        return PlacedPoints(points, describe_radii(), 0.0)
-    if not check_vertical(vertical):
-        note_as_is(mesh.crs)
-        return PlacedPoints(points, describe_as_is(mesh.crs), 0.0)
-    way = onto_wgs84(place, mesh.bounds)
-    x, y = mesh.points[:, 0], mesh.points[:, 1]
-    heights = points[:, 2].copy()
-    points[:, 2] = way.heights(x, y, heights)
-    # How far the converted heights of places inside triangles are from their corners' mean. A
-    # surface of second degree is at most 4/3 of its middles of edges from a triangle's plane.
-    worst = 0.0
-    for weights in _INSIDE:
-        at_x, at_y, before, after = (
-            values[mesh.triangles] @ weights for values in (x, y, heights, points[:, 2])
-        )
-        worst = max(worst, float(np.abs(way.heights(at_x, at_y, before) - after).max()))
-    return PlacedPoints(points, way.describe(), _BENT * worst)
-
-
-# Middles of edges and of the triangle, as weights of the corners; see `on_ellipsoid`.
-_INSIDE = np.array([[1, 1, 0], [0, 1, 1], [1, 0, 1], [2 / 3, 2 / 3, 2 / 3]]) / 2
-_BENT = 4 / 3
-
-
-def geographic_points(mesh: MeshData, place: Place) -> NDArray[np.float64]:
-    """Return (longitude, latitude in degrees, height in metres) of the vertices.
-
-    On WGS 84 for the Earth, else on the datum of the CRS.
-
-    Parameters
-    ----------
-    mesh : MeshData
-    place : Place
-        `find_place` of the mesh.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If the mesh has no CRS that could be told from, or a point has no place there.
-    """
-    if "impossible" in mesh.attributes:
-        raise InvalidHeightsError(mesh.attributes["impossible"])
-    points = mesh.points
-    points[:, :2] = place.to_lonlat(points[:, :2])
-    unit = mesh_unit(mesh)
-    points[:, 2] *= unit.metres
-    if unit.is_radius:
-        points[:, 2] = place.globe_ellipsoid.heights_of_radii(points[:, 1], points[:, 2])
-    if not np.isfinite(points).all():
-        raise InvalidHeightsError(
-            "a part of the mesh has no longitude and latitude in its coordinate reference system"
-        )
-    return points
 
 
 def _attributes(mesh: MeshData, name: str, z_scale: float, unit: str | None) -> dict[str, Any]:
@@ -272,13 +205,6 @@ def steepest(mesh: MeshData) -> tuple[float, float]:
     normals = np.cross(along, across)
     slopes = np.abs(normals[:, :2] / normals[:, 2:])
     return float(slopes[:, 0].max()), float(slopes[:, 1].max())
-
-
-def longest_edge(mesh: MeshData) -> float:
-    """Return the length of the longest edge."""
-    corners = mesh.vertices[mesh.triangles]
-    edges = corners - np.roll(corners, 1, axis=1)
-    return float(np.linalg.norm(edges, axis=2).max())
 
 
 def vertex_normals(mesh: MeshData) -> NDArray[np.float64]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from terrainwave.arguments import AS_IS
-from terrainwave.export.saved import SavedMesh
+from terrainwave.export.mesh_formats import SavedMesh
 from terrainwave.mesh.mesh_data import MeshData
 
 
@@ -53,7 +53,8 @@ class Mesh(MeshData):
         path : path
             The extension selects the format: .ply, .obj, .stl, .glb, .gltf, .vtu, .vtk, .terrain.
         frame : {"local", "native", "ecef"}, optional
-            Metres from the middle (default for degrees), the CRS (otherwise), or geocentric.
+            Metres from the middle (default for degrees), the CRS (otherwise), or geocentric: then
+            edges are divided where the globe is too curved for them, and the error has the rest.
         z_scale : float
             Heights are multiplied by it; > 0.
         solid : float, optional

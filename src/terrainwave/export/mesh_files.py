@@ -2,7 +2,6 @@
 
 import logging
 import os
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,21 +14,21 @@ from terrainwave._version import __version__
 from terrainwave.arguments import AS_IS, UPWARDS, check_choice, check_ending, check_flags
 from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import check_target, publish
-from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
-from terrainwave.export.frames import areas, find_place, longest_edge, mesh_unit, steepest, to_frame
+from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
+from terrainwave.export.curvature import GlobeWay, divided, least_share, mesh_unit, share_of_edge
+from terrainwave.export.frames import areas, globe_way, quiet_place, steepest, to_frame
 from terrainwave.export.mesh_formats import (
     EXTENSIONS,
     EXTRA,
     TILE,
     WRITERS,
+    SavedMesh,
     obj_digits,
     turned_y_up,
 )
-from terrainwave.export.saved import SavedMesh
 from terrainwave.export.solid import add_skirts, solidify
 from terrainwave.extras import need
-from terrainwave.mesh.mesh_data import MeshData
-from terrainwave.place.position import Place
+from terrainwave.mesh.mesh_data import CURVATURE_SHARE, CurvatureShare, MeshData
 
 _log = logging.getLogger(__name__)
 
@@ -91,6 +90,10 @@ class Shape:
                 f"found `up` z for {extension}, expected y or none: in glTF y points upwards, and"
                 " programs turn the mesh if theirs is another axis"
             )
+
+    def is_on_globe(self, extension: str) -> bool:
+        """Say whether triangles are flat on a globe."""
+        return extension == TILE or self.frame == "ecef"
 
     def axis_up(self, extension: str) -> str:
         """Return the axis that points upwards in the file."""
@@ -178,7 +181,7 @@ def save_mesh(
         vertical=framed.attributes["frame"].get("vertical"),
         frame=str(framed.attributes["frame"]["name"]),
         origin=framed.origin,
-        curvature=_curvature(mesh, framed, radius),
+        curvature=framed.attributes.get("sag", 0.0),
         share=mesh.share,
     )
 
@@ -202,21 +205,50 @@ def mesh_for_file(
     make: Callable[[float], Made],
     path: str | os.PathLike[str],
     max_error: float,
+    of_heights: float,
     **options: Any,
 ) -> tuple[Made, bool]:
     """Return a mesh for a file, and whether it keeps to the error in the file, too.
 
-    Rounding in the file adds to a mesh's error: the mesh is made again with so much less.
+    Rounding in the file adds to a mesh's error: the mesh is made again with so much less. On a
+    globe, the curvature has a share of what the heights leave of the error.
 
     Parameters
     ----------
     make : callable
         Returns the mesh for an error.
+    of_heights : float
+        The part of `max_error` that the file's heights take.
     path, options
         Of `save_mesh`.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If the curvature of the globe does not keep to the error.
+    InvalidHeightsError
+        If the mesh has no place in the frame.
     """
-    first = surface = make(max_error)
+    shape = Shape(**options)
+    is_on_globe = shape.is_on_globe(check_extension(path))
+    left = max(max_error - of_heights, 0.0) if is_on_globe else 0.0
+    share = CURVATURE_SHARE * left
+    try:
+        first = make(max_error - share)
+        if is_on_globe and (wanted := _share_of_cells(first, shape)) > share < left / 2:
+            # Dividing all cells takes more triangles than a mesh that is nearer to the heights.
+            share = min(wanted, left / 2)
+            first = make(max_error - share)
+    except InvalidHeightsError:
+        # A coarse level's heights take more; if too much, this raises again.
+        first = make(max_error)
+        share = max(max_error - first.error, 0.0)
+    if is_on_globe and not share:
+        _refuse_small_share(first, share, shape, max_error)
+    surface = first
     for _ in range(_TRIES):
+        if is_on_globe:
+            surface = _with_share(surface, share)
         rounding = file_rounding(surface, path, **options)
         if surface.error + rounding <= max_error:
             return surface, True
@@ -225,7 +257,43 @@ def mesh_for_file(
             surface = make(max_error - _ROUNDING_SLACK * rounding)
         except InvalidHeightsError:
             break
+    if is_on_globe:
+        _refuse_small_share(surface, share, shape, max_error)
+        first = _with_share(first, share)
     return first, False
+
+
+def _share_of_cells(mesh: MeshData, shape: Shape) -> float:
+    """Return an error, in the file's unit, for which no cell has to be divided."""
+    known: CurvatureShare | None = mesh.attributes.get("curvature")
+    if known is None or known.cell is None:
+        return 0.0
+    return share_of_edge(known.cell, _way(mesh, shape))
+
+
+def _with_share(mesh: Made, share: float) -> Made:
+    """Return a mesh whose edges will be divided until the curvature keeps to an error."""
+    known: CurvatureShare = mesh.attributes.get("curvature", CurvatureShare(share))
+    curvature = known._replace(error=share)
+    return replace(mesh, attributes=mesh.attributes | {"curvature": curvature})
+
+
+def _refuse_small_share(mesh: MeshData, share: float, shape: Shape, max_error: float) -> None:
+    """Raise if the curvature cannot keep to an error.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If that would take too many triangles.
+    """
+    least = least_share(mesh, _way(mesh, shape))
+    if share < least:
+        smallest = max_error + _ROUNDING_SLACK * (least - share) / CURVATURE_SHARE
+        raise InvalidArgumentError(
+            f"found `max_error` {max_error:g}, expected at least {smallest:.9g} on a globe: flat"
+            " triangles lie below its curved surface, and a smaller error would take too many of"
+            " them"
+        )
 
 
 def note_on_rounding(max_error: float) -> str:
@@ -243,6 +311,8 @@ def _to_write(
 
     Its attribute ``uv`` holds places in a picture of its area, if the format has them.
     """
+    if shape.frame == "ecef":
+        mesh = divided(mesh, _way(mesh, shape))
     whole = mesh
     if shape.solid is not None:
         if _is_downward(mesh, shape):
@@ -351,7 +421,7 @@ def _rounding(
     unit = 1.0 if frame["name"] == "native" else abs(mesh_unit(mesh).metres)
     at_joints = framed.attributes.get("solid", {}).get("moved", 0.0) * sum(steepest(mesh))
     if frame["name"] == "ecef":
-        slope = _steepest_on(framed, _quiet_place(mesh, radius).globe_ellipsoid)
+        slope = _steepest_on(framed, quiet_place(mesh, radius).globe_ellipsoid)
         rounding = float(np.linalg.norm(moved)) * (1 + slope)
     else:
         # A body's walls and base have none or a negative one.
@@ -381,19 +451,5 @@ def _steepest_on(mesh: MeshData, ellipsoid: Any) -> float:
     return float(np.sqrt(steepness.max()))
 
 
-def _curvature(mesh: MeshData, framed: MeshData, radius: float | None) -> float:
-    """Return how far flat triangles can lie below the curved body, in metres.
-
-    A circle of radius r around a triangle with edges up to L, r ≤ L/√3, sags by r²/2R at most.
-    """
-    if framed.attributes["frame"]["name"] != "ecef":
-        return 0.0
-    ellipsoid = _quiet_place(mesh, radius).globe_ellipsoid
-    return longest_edge(framed) ** 2 / (6 * ellipsoid.axis * (1 - ellipsoid.e2))
-
-
-def _quiet_place(mesh: MeshData, radius: float | None) -> Place:
-    """Return `find_place` again, without its warnings."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", TerrainwaveWarning)
-        return find_place(mesh, radius=radius)
+def _way(mesh: MeshData, shape: Shape) -> GlobeWay:
+    return globe_way(mesh, shape.radius, shape.vertical, shape.z_scale)

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
-from terrainwave.export.frames import areas, find_place, mesh_unit
+from terrainwave.export.curvature import mesh_unit
+from terrainwave.export.frames import areas, find_place
 from terrainwave.extras import need
 from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.place.position import axis_labels

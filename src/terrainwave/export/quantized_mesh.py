@@ -19,16 +19,15 @@ from terrainwave.arguments import AS_IS
 from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import publish
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.export.curvature import curvature, divided, mesh_unit, way_onto_globe
 from terrainwave.export.frames import (
     areas,
     find_place,
     globe_triangles,
-    longest_edge,
-    mesh_unit,
-    on_ellipsoid,
+    note_heights,
     steepest,
 )
-from terrainwave.export.saved import SavedMesh
+from terrainwave.export.mesh_formats import SavedMesh
 from terrainwave.extras import need
 from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.place.ellipsoid import Ellipsoid
@@ -52,10 +51,14 @@ class Tile(NamedTuple):
 
 @dataclass(frozen=True)
 class GeographicMesh:
-    """A mesh in degrees and metres, and the ellipsoid these are counted on."""
+    """A mesh in degrees and metres, and the ellipsoid these are counted on.
+
+    `curvature` in metres is the part of the mesh's error that flat triangles on the globe have.
+    """
 
     mesh: MeshData
     ellipsoid: Ellipsoid
+    curvature: float
 
 
 def on_globe(
@@ -64,28 +67,32 @@ def on_globe(
     """Return the mesh in longitude, latitude (degrees) and metres.
 
     Meshes of the Earth go to WGS 84, which Cesium uses; others stay on their own body. Heights are
-    taken as above the ellipsoid, or converted: `vertical` as in `to_frame`.
+    taken as above the ellipsoid, or converted: `vertical` as in `to_frame`. Edges are divided for
+    the globe's curvature (`export.curvature`).
     """
     if not mesh.n_triangles:
         raise InvalidHeightsError("the mesh is empty: there are no valid heights under it")
     place = find_place(mesh, radius=radius)
     place.note_sphere()
-    placed = on_ellipsoid(mesh, place, vertical)
+    note_heights(mesh, vertical)
+    way = way_onto_globe(mesh, place, vertical)
+    mesh = divided(mesh, way)
+    sag = curvature(mesh, way)
     moved = replace(
         mesh,
-        vertices=placed.points,
+        vertices=way.geographic(mesh.points),
         triangles=globe_triangles(mesh, place),
         origin=(0.0, 0.0, 0.0),
-        error=mesh.error * _metres(mesh) + placed.error,
+        error=mesh.error * way.per_unit + sag,
         units="m",
-        attributes=mesh.attributes | {"vertical": placed.about},
+        attributes=mesh.attributes | {"vertical": way.describe(mesh.crs)},
     )
     if not (areas(moved) > 0).all():
         raise InvalidHeightsError(
             "in longitude and latitude some triangles turn over; a mesh across the date line or a"
             " pole cannot be one tile: expected smaller `bounds`"
         )
-    return GeographicMesh(moved, place.globe_ellipsoid)
+    return GeographicMesh(moved, place.globe_ellipsoid, sag)
 
 
 def _metres(mesh: MeshData) -> float:
@@ -230,7 +237,7 @@ def save_tile(
         units=mesh.units,
         frame="ecef",
         origin=(0.0, 0.0, 0.0),
-        curvature=curvature(globe),
+        curvature=globe.curvature,
         vertical=globe.mesh.attributes["vertical"],
         share=mesh.share,
     )
@@ -242,11 +249,3 @@ def tile_rounding(mesh: MeshData, *, radius: float | None = None, vertical: str 
     points, triangles = _in_order_of_use(globe.mesh)
     rounding = _quantize(points, triangles, globe.mesh.bounds)[1]
     return (globe.mesh.error + rounding) / _metres(mesh) - mesh.error
-
-
-def curvature(globe: GeographicMesh) -> float:
-    """Return how far flat triangles can lie below the curved body between vertices, in metres."""
-    axis, e2 = globe.ellipsoid
-    mesh = globe.mesh
-    vertices = globe.ellipsoid.geocentric(mesh.points)
-    return longest_edge(replace(mesh, vertices=vertices)) ** 2 / (6 * axis * (1 - e2))

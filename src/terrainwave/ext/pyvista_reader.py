@@ -2,7 +2,9 @@
 
 from typing import Any
 
-from terrainwave.export.frames import to_frame
+from terrainwave.export.curvature import divided
+from terrainwave.export.frames import globe_way, to_frame
+from terrainwave.export.mesh_files import mesh_for_file
 from terrainwave.export.mesh_formats import to_pyvista
 from terrainwave.file import TerrainFile
 from terrainwave.mesh.area import mesh_area
@@ -48,19 +50,31 @@ def read_twz(
     CorruptStreamError, StorageError
         If the file is damaged or cannot be read.
     """
+    asked = max_error
     with TerrainFile(path) as terrain:
         if max_error is None and max_triangles is None and terrain.mesh_kind == "none":
             max_error = terrain.quanta_error + terrain.info().quantum
-        mesh = mesh_area(
-            terrain, MeshData, window, bounds=bounds, level=level, max_error=max_error,
-            max_triangles=max_triangles, optimise=optimise,
-        )  # fmt: skip
+
+        def made(error: float | None) -> MeshData:
+            return mesh_area(
+                terrain, MeshData, window, bounds=bounds, level=level, max_error=error,
+                max_triangles=max_triangles, optimise=optimise,
+            )  # fmt: skip
+
+        if frame == "ecef" and asked is not None:
+            # Like a file that rounds nothing.
+            shape = {"frame": frame, "z_scale": z_scale}
+            mesh, _ = mesh_for_file(made, "mesh.vtu", asked, terrain.quanta_error, **shape)
+        else:
+            mesh = made(max_error)
+        if frame == "ecef":
+            mesh = divided(mesh, globe_way(mesh, z_scale=z_scale))
         placed = to_frame(mesh, frame, z_scale=z_scale)
         surface = to_pyvista(placed)
         surface.point_data["heights"] = mesh.points[:, 2]
         surface.set_active_scalars("heights")
         surface.field_data["origin"] = placed.origin
-        surface.field_data["error"] = [mesh.error]
+        surface.field_data["error"] = [placed.error]
         surface.field_data["units"] = [terrain.units or ""]
         surface.field_data["crs"] = [terrain.crs or ""]
     return surface

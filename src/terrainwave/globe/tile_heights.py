@@ -78,11 +78,13 @@ class TileHeights:
         On the finest zoom also from the raster's samples within: by half of the file's bound, or by
         what a tile can tell.
         """
-        tolerance = self.tolerance(zoom)
+        return min(self.tolerance(zoom), self.curvature_tolerance(zoom))
+
+    def curvature_tolerance(self, zoom: int) -> float:
+        """Return how far edges may lie below the globe, in metres."""
         if not self._scheme.is_finest(zoom):
-            return tolerance
-        needed = max(self._globe.effective_error / 2, self.edge_step(zoom) * UNIT)
-        return min(tolerance, needed)
+            return self._scheme.geometric_error(zoom) / _TOLERANCE_SHARE
+        return max(self._globe.effective_error / 2, self.edge_step(zoom) * UNIT)
 
     def samples(self, zoom: int, x: int, y: int) -> TileSamples:
         """Return a tile's heights, those of its edges the same in all tiles beside it."""

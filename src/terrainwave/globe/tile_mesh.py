@@ -10,10 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.export.curvature import GlobeWay, curvature
 from terrainwave.export.quantized_mesh import STEPS, tile_bytes
 from terrainwave.globe.tile_heights import UNIT, TileHeights, TileSamples
 from terrainwave.globe.tile_scheme import TileScheme
 from terrainwave.mesh.blocks import BlockSamples, SideTolerances, border_lines
+from terrainwave.mesh.mesh_data import MeshData
+from terrainwave.place.description import GEOGRAPHIC
+from terrainwave.place.position import Place
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.halves.borders import beside_void
 from terrainwave.tri.halves.halves import triangulate
@@ -33,8 +37,8 @@ class TileMesh(NamedTuple):
     n_vertices, n_triangles : int
     surface_error : float or None
         Metres. No sample of the level read, and no bilinear height at the tile's cells, is further
-        from the tile's surface; on the finest zoom no sample of the full grid. None where no
-        triangle has valid heights at all its corners.
+        from the tile's surface; on the finest zoom no sample of the full grid. With what the globe
+        bends between vertices. None where no triangle has valid heights at all its corners.
     error : float or None
         The same, and what originals can be from the level's bilinear surface.
     """
@@ -51,6 +55,8 @@ class TileMesher:
 
     def __init__(self, scheme: TileScheme, heights: TileHeights) -> None:
         self._scheme, self._heights = scheme, heights
+        globe = scheme.globe
+        self._way = GlobeWay(Place(GEOGRAPHIC, 1.0, globe.ellipsoid, globe.body), 1.0)
 
     def _mesh(self, samples: TileSamples, zoom: int) -> BlockMesh:
         """Return the mesh of a tile's heights, places in half cells from its north-west corner."""
@@ -62,7 +68,7 @@ class TileMesher:
             beside_void(samples.valid | ~samples.exists),
             beside_void(~samples.valid | ~samples.exists),
         )
-        spacing = self._scheme.lattice(zoom)
+        spacing = self._scheme.lattice(zoom, self._heights.curvature_tolerance(zoom))
         locked[::spacing, ::spacing] = True
         tolerance = math.floor(self._heights.tolerance(zoom) / UNIT * (1 << FRACTION_BITS))
         # Nothing is put into edges later.
@@ -112,6 +118,11 @@ class TileMesher:
             axis=1,
         )
         surface_error, error = self._errors(mesh, is_valid, samples, zoom, x, y)
+        if surface_error is not None and error is not None:
+            known = mesh.triangles[_all_of(is_valid, mesh.triangles)]
+            on_globe = MeshData(points, known, (0.0, 0.0, 0.0), error)
+            sag = curvature(on_globe, self._way)
+            surface_error, error = surface_error + sag, error + sag
         heights = low * UNIT, (low + STEPS * step) * UNIT
         about: dict[str, Any] = {
             "bounds": [west, south, west + size, south + size],
@@ -203,7 +214,7 @@ class TileMesher:
         x: int,
         y: int,
     ) -> tuple[float | None, float | None]:
-        """Return `TileMesh.surface_error` and `TileMesh.error` of a mesh as it is written."""
+        """Return `TileMesh.surface_error` and `TileMesh.error`, without the globe's curvature."""
         if samples.window is None:
             return None, None
         (rows_, cols_), there = self._heights.samples_in_tile(samples.window, zoom, x, y)

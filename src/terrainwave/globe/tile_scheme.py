@@ -159,16 +159,15 @@ class TileScheme:
         lat = np.where((line >= 0) & (line <= n_lines), -90 + 180 * (line / n_lines), np.nan)
         return lon, lat
 
-    def lattice(self, zoom: int) -> int:
+    def lattice(self, zoom: int, error: float) -> int:
         """Return the distance of cells' corners that stay vertices, a power of two.
 
         A merged cell holds none, so that it is at most one lattice cell by half of one and no edge
         is longer than one and a half of them in either direction: e = 1.5√2 * π/(m 2^zoom) radians
-        on the globe for m of them along a tile. It lies R e²/8 below the globe, which may be half
-        of the zoom's geometric error.
+        on the globe for m of them along a tile. It lies R e²/8 below the globe, which may be
+        `error` in metres. A cell that is too large for it stays whole.
         """
-        squared = 9 / 8 * math.pi**2 * self.globe.ellipsoid.axis
-        squared /= 4**zoom * self.geometric_error(zoom)
+        squared = 9 / 16 * math.pi**2 * self.globe.ellipsoid.axis / (4**zoom * error)
         needed = 1 << max(math.ceil(math.log2(max(squared, 1.0)) / 2), 0)
         return max(self.cells // needed, 1)
 

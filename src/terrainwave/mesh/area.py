@@ -39,7 +39,7 @@ from terrainwave.mesh.cut import Area, Cut, ErrorCut, Errors
 from terrainwave.mesh.fitted import BlockFitter, MeshedBlock
 from terrainwave.mesh.joined import clipped, joined
 from terrainwave.mesh.loose import LooseMesher
-from terrainwave.mesh.mesh_data import MeshData
+from terrainwave.mesh.mesh_data import CURVATURE_SHARE, CurvatureShare, MeshData
 from terrainwave.mesh.outlines import CoveredSamples, finest_outline
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.progress import ProgressCallback, Reporter
@@ -147,6 +147,9 @@ class _Extractor(Generic[Made]):
         self._executor = executor
         self._reporter = reporter
         self._n_tries = 0
+        # The error that meshes are made for; None: that which they have.
+        self._goal: Fraction | None = None
+        self._max_triangles: int | None = None
         scale = abs(as_fraction(terrain.raster_info.scale))
         self._quantum = terrain.header.quantum * scale  # physical height of one quantum
 
@@ -154,7 +157,8 @@ class _Extractor(Generic[Made]):
         """Return the mesh for an error in physical units, or that of the stored meshes."""
         if max_error is None:
             return self._stored_mesh()
-        return self._mesh_within(self._asked(max_error))
+        self._goal = self._asked(max_error)
+        return self._mesh_within(self._goal)
 
     def _asked(self, max_error: float) -> Fraction:
         """Return an error in quanta, unless the heights are further from the originals."""
@@ -175,7 +179,9 @@ class _Extractor(Generic[Made]):
                     "the file stores no meshes of coarse levels: add them with terrainwave mesh"
                     " --store, or give a `max_error`"
                 )
-            return self._mesh_within(self._errors.coded + max(self._errors.coded, Fraction(1)))
+            self._goal = self._errors.coded + max(self._errors.coded, Fraction(1))
+            return self._mesh_within(self._goal)
+        self._goal = self._errors.coded + Fraction(self._header.mesh_tolerance, 1 << FRACTION_BITS)
         blocks = sorted(self._area.blocks(self._area.level))
         if self._area.is_finest and self._area.sweeps:
             pieces = {block: self._errors.stored_piece(block, self._mesher) for block in blocks}
@@ -278,6 +284,7 @@ class _Extractor(Generic[Made]):
 
     def within_budget(self, max_triangles: int, max_error: float | None) -> Made:
         """Return the mesh of the smallest error, up to 2 %, that has at most `max_triangles`."""
+        self._max_triangles = max_triangles
         self._simplify_outlines(max_triangles)
         high = self._largest_error()
         if max_error is not None:
@@ -332,6 +339,21 @@ class _Extractor(Generic[Made]):
             vertices, triangles, float(max(errors, default=Fraction(0)) * self._quantum)
         )
 
+    def _curvature_share(self, error: float) -> CurvatureShare:
+        """Return what a globe's curvature may add: so much as if it had its share of a goal.
+
+        It is the same for all areas of a file that are made for the same error.
+        """
+        quantum = float(self._quantum)
+        if self._goal is not None:
+            error = float(self._goal) * quantum
+        left = max(error - float(self._errors.coded) * quantum, 0.0)
+        middle = np.array([size // 2 for size in self._terrain.shape])[:, None] + [0.0, 1.0]
+        x, y = samples_to_places(self._terrain.raster_info.transform, *middle)
+        cell = np.stack([x, y, np.zeros(2)], axis=1)
+        share = left * CURVATURE_SHARE / (1 - CURVATURE_SHARE)
+        return CurvatureShare(share, cell, self._max_triangles)
+
     def _placed(
         self, vertices: NDArray[np.float64], triangles: NDArray[np.int32], error: float
     ) -> Made:
@@ -354,6 +376,7 @@ class _Extractor(Generic[Made]):
         attributes: dict[str, Any] = {"is_placed": raster.transform != IDENTITY}
         if raster.impossible_places is not None:
             attributes["impossible"] = raster.impossible_places
+        attributes["curvature"] = self._curvature_share(error)
         corners = np.array([(r, c) for r in (first_row, last_row) for c in (first_col, last_col)])
         x, y = samples_to_places(raster.transform, *(corners.T / 2))
         attributes["area"] = (float(x.min()), float(y.min()), float(x.max()), float(y.max()))

@@ -56,7 +56,8 @@ _OF_ONE_MESH = {"max_triangles", "level", "loose"}
     "--max-error",
     type=Bound(),
     help="Largest allowed vertical distance of the mesh from the original heights, in the file's"
-    " unit. Default: use the stored meshes and their error.",
+    " unit; in --frame ecef and .terrain with the curvature of the globe. Default: use the stored"
+    " meshes and their error.",
 )
 @click.option("--max-triangles", type=click.IntRange(min=1), metavar="N",
               help="Make the mesh of smallest error with at most N triangles.")  # fmt: skip
@@ -303,7 +304,7 @@ def _save_mesh(
         if bound is None:
             surface = make(None)
         else:
-            surface, is_within = mesh_for_file(make, target, bound, **shape)
+            surface, is_within = mesh_for_file(make, target, bound, terrain.quanta_error, **shape)
             if not is_within:
                 print_note(note_on_rounding(bound))
     return surface.save(target, overwrite=overwrite, **shape)
@@ -329,7 +330,6 @@ def _print_lods(made: list[Any]) -> None:
     first = made[0]
     click.echo(f"frame {first.frame}{_heights_of(first)}")
     note_unit(first.units)
-    _note_curvature(max(saved.curvature for saved in made))
 
 
 def _print_saved(saved: Any, kind_of_error: str) -> None:
@@ -347,16 +347,7 @@ def _print_saved(saved: Any, kind_of_error: str) -> None:
             f"{saved.share:.1%} of the samples are within the tolerance of guaranteed meshes"
         )
     note_unit(saved.units)
-    _note_curvature(saved.curvature)
 
 
 def _heights_of(saved: Any) -> str:
     return "" if saved.vertical is None else f", heights {vertical_in_words(saved.vertical)}"
-
-
-def _note_curvature(metres: float) -> None:
-    if metres:
-        print_note(
-            f"between their vertices, flat triangles are up to {metres:.3g} m below the curved"
-            " surface; the error does not include this"
-        )
