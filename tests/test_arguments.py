@@ -45,12 +45,13 @@ OF_VOIDS = {"on_error": WORD, "voids": WORD}
 
 WRONG = {
     "compress": OF_RASTERS | OF_CODING | OF_FILES | {
-        "dst": PATH, "mesh_error": NUMBER, "measure_meshes": FLAG, "keep_origin": FLAG,
-        "temp_dir": PATH, "fresh": FLAG, "task_samples": WHOLE, "client": ANYTHING,
-        "on_task": CALLABLE,
+        "dst": PATH, "heights_are": WORD, "mesh_error": NUMBER, "measure_meshes": FLAG,
+        "keep_origin": FLAG, "temp_dir": PATH, "fresh": FLAG, "task_samples": WHOLE,
+        "client": ANYTHING, "on_task": CALLABLE,
     },
     "compress_to_bytes": {name: OF_RASTERS[name] for name in ("src", "nodata", "georeference")}
-    | OF_CODING,
+    | OF_CODING
+    | {"heights_are": WORD},
     "decompress": OF_WINDOWS | OF_FILES | {
         "src": [5, None, ""], "dst": PATH, "bounds": FOUR, "cog": FLAG, "voids": WORD,
         "quality": NUMBER, "vertical": WORD, "on_error": WORD,

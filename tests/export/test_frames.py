@@ -63,7 +63,9 @@ def test_feet_become_metres_and_the_error_stays_in_feet(frame):
     metres = grid_mesh(3 * 0.3048 * hills(5, 5), SECONDS, crs="EPSG:4326", units="m")
     found = to_frame(feet, frame)
     np.testing.assert_allclose(found.points, to_frame(metres, frame).points, rtol=0, atol=1e-8)
-    assert found.error == 4.0
+    of_globe = found.attributes.get("sag", 0.0) / 0.3048
+    assert (of_globe > 0) == (frame == "ecef")
+    assert found.error == 4.0 + of_globe
 
 
 def test_state_plane_feet_become_metres():

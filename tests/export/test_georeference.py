@@ -16,7 +16,7 @@ from strategies import write_geotiff
 import terrainwave
 from terrainwave.errors import TerrainwaveWarning
 from terrainwave.place.crs import format_crs
-from terrainwave.raster_io.geotiff.sidecar import read_crs_and_unit, write_beside
+from terrainwave.raster_io.geotiff.sidecar import read_place, write_beside
 
 # As ENVI's headers have it, without codes: the vertical system becomes another one in a GeoTIFF.
 NO_CODES = CRS.from_user_input("EPSG:2263+6360").to_wkt(version="WKT1_ESRI")
@@ -29,9 +29,11 @@ NOT_HELD = {
 
 def compressed(tmp_path, crs, units=None):
     path = tmp_path / "dem.twz"
+    in_degrees = CRS.from_user_input(crs).is_geographic
+    metres, degrees = (30, 0, 980000, 0, -30, 200000), (0.01, 0, 8, 0, -0.01, 50)
     with rasterio.open(
         "", "w+", driver="MEM", height=9, width=8, count=1, dtype="float32", crs=crs,
-        transform=rasterio.Affine(30, 0, 980000, 0, -30, 200000),
+        transform=rasterio.Affine(*(degrees if in_degrees else metres)),
     ) as dataset:  # fmt: skip
         dataset.write(np.full((1, 9, 8), 1000, np.float32))
         if units:
@@ -116,7 +118,7 @@ def test_what_told_of_a_raster_that_was_there_goes_with_it(tmp_path):
     terrainwave.compress(tmp_path / "b.tif", tmp_path / "b.twz", max_error=0)
     terrainwave.decompress(tmp_path / "b.twz", target, overwrite=True)
     assert not (tmp_path / "a.tif.aux.xml").exists()
-    assert read_crs_and_unit(target) == (None, None)
+    assert read_place(target)[:2] == (None, None)
 
 
 @pytest.mark.parametrize("cog", [False, True])

@@ -138,10 +138,11 @@ def test_the_bound_of_converted_heights_stays_in_their_file(grids, tmp_path, cog
         terrainwave.decompress(path, tif, vertical="ellipsoid", cog=cog)
         terrainwave.compress(tif, tmp_path / "lossy.twz", max_error=20)
         terrainwave.decompress(tmp_path / "lossy.twz", tmp_path / "back.tif")
-    for name, expected in (("above.tif", True), ("back.tif", False)):
+    # GDAL's writer of COGs takes no domain along.
+    for name, expected in (("above.tif", not cog), ("back.tif", False)):
         with rasterio.open(tmp_path / name) as dataset:
-            assert ("MAX_ERROR" in dataset.tags(ns="TERRAINWAVE")) == expected
-            assert not any("ERROR" in tag for tag in dataset.tags())
+            assert ("MAX_ERROR" in dataset.tags(1, ns="TERRAINWAVE")) == expected
+            assert not any("ERROR" in tag for tag in (*dataset.tags(), *dataset.tags(1)))
 
 
 def test_heights_of_a_part_of_the_bits_state_no_bound(grids, tmp_path):

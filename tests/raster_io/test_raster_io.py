@@ -371,6 +371,8 @@ def test_something_else_is_refused():
 class FakeDataArray:
     """The part of xarray.DataArray that is used, as xarray itself is no dependency."""
 
+    name = None
+
     def __init__(self, values, dims, coords=None, attrs=None):
         self.values = values
         self.dims = dims

@@ -12,6 +12,7 @@ from strategies import terrain_like, write_geotiff
 
 import terrainwave
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, StorageError
+from terrainwave.place.meaning import Told
 from terrainwave.verification.heights import verify
 from terrainwave.verification.metrics import ErrorSum
 
@@ -47,6 +48,10 @@ class FakeTerrain:
 
     def info(self):
         return self._info
+
+    @property
+    def raster_info(self):
+        return SimpleNamespace(heights_are=None, told=Told(), crs=self.crs)
 
     @property
     def transform(self):

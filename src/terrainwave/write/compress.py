@@ -319,6 +319,7 @@ def compress_to_bytes(
     effort: str = "default",
     nodata: float | str | None = None,
     georeference: bool = True,
+    heights_are: str | None = None,
     mesh: str | MeshOptions = "none",
     strict: bool = False,
     stable: bool = False,
@@ -345,7 +346,9 @@ def compress_to_bytes(
     )
     file = io.BytesIO()
     with (
-        raster_source(src, nodata=nodata, georeference=georeference) as source,
+        raster_source(
+            src, nodata=nodata, georeference=georeference, heights_are=heights_are
+        ) as source,
         system_scratch() as directory,
     ):
         written = _write(file, None, source, options, directory, Reporter(None))
