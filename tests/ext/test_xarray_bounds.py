@@ -34,7 +34,7 @@ def raster_and_file(tmp_path_factory):
     heights = terrain_like(70, 90) * 7 + np.arange(90, dtype="int16")
     heights[10:20, 30:50] = -9999
     tif = write_geotiff(
-        tmp_path / "a.tif", heights, nodata=-9999, crs="EPSG:32633",
+        tmp_path / "a.tif", heights, nodata=-9999, crs="EPSG:32633", units=("m",),
         transform=Affine(30.0, 0, 500_000.1, 0, -30.0, 5_000_000.7),
     )  # fmt: skip
     terrainwave.compress(tif, tmp_path / "lossy.twz", max_error=1, block=32)
@@ -62,6 +62,7 @@ SAME = {
     "transposed": lambda array: array.T,
     "of another type": lambda array: array.astype("float64"),
     "times 1": lambda array: (array * 1).assign_attrs(array.attrs),
+    "called metre": lambda array: array.assign_attrs(units="metre"),
     "renamed": lambda array: array.rename("z"),
     "a Dataset": lambda array: array.to_dataset(name="z"),
     "one row": lambda array: array[4:5],

@@ -1,4 +1,4 @@
-"""What the numbers of a raster are: heights, depths, or distances from the centre of a body.
+"""Meaning of a raster's numbers: heights, depths, or distances from the centre of a body.
 
 `told_by` reads marks and names, `settled_kind` compares them with the numbers.
 """
@@ -41,7 +41,7 @@ _RADIUS_SHARE, _LEAST_BODY = 0.1, 100_000.0
 
 
 class Told(NamedTuple):
-    """What marks and names say of the numbers.
+    """Meaning that marks and names give to the numbers.
 
     Parameters
     ----------
@@ -62,9 +62,9 @@ class Told(NamedTuple):
 
 
 class Names(NamedTuple):
-    """What a band or array is called: its variable, its description, its unit in metres if known.
+    """Names of a band or array: variable and title.
 
-    `driver` is GDAL's, of files.
+    `has_length` is False if its unit is no length. `driver` is GDAL's, of files.
     """
 
     variable: str | None = None
@@ -131,7 +131,7 @@ def _depth_name(said: Mapping[str, str], names: Names, title: str) -> str | None
 
 
 class Settled(NamedTuple):
-    """What the numbers are, as a file keeps it, and a sentence for who made it."""
+    """Meaning that a file stores, and a note for the user."""
 
     kind: str | None
     note: str = ""
@@ -140,7 +140,7 @@ class Settled(NamedTuple):
 def settled_kind(
     told: Told, crs_text: str | None, metres: tuple[float, float], *, is_mostly_negative: bool
 ) -> Settled:
-    """Return what the numbers are, by what was told and by themselves.
+    """Return the meaning of the numbers, from marks, names and their values.
 
     Parameters
     ----------

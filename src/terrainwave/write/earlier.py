@@ -21,6 +21,7 @@ from terrainwave.grid.affine import Strides, strides_on
 from terrainwave.grid.quantum import as_fraction, rounded_up
 from terrainwave.grid.steps import FixedSteps
 from terrainwave.place.crs import format_crs
+from terrainwave.place.units import height_unit, meeting
 from terrainwave.raster_io.earlier_loss import EarlierFile, earlier_files
 from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
@@ -175,8 +176,10 @@ def _bound_of(terrain: TerrainFile, source: RasterSource) -> float | None:
     if is_scaled and (info.scale, info.offset) != (theirs.scale, theirs.offset):
         return None
     # What is not said may have got lost on the way.
-    if info.units is not None and info.units != theirs.units:
-        return None
+    if info.units is not None:
+        unit, own = height_unit(info.units, info.crs), height_unit(theirs.units, theirs.crs)
+        if own.name is None or meeting(source.name, unit, str(terrain.name), own).problem:
+            return None
     if info.crs is not None and info.crs != format_crs(theirs.rasterio_crs()):
         return None
     finest = terrain.n_levels - 1
