@@ -219,8 +219,7 @@ def test_a_map_whose_own_cell_is_still_running_comes_afterwards(lab, folder):
     notebook = lab("own", f"{code}display(widget)\n{WAITING}")
     (folder / "go").unlink(missing_ok=True)
     notebook.start(0)
-    wait_until(notebook.driver, f"{NOTE} && !{NOTE}.hidden")
-    text = notebook.driver.find_element("css selector", ".terrainwave-note").text
+    text = wait_until(notebook.driver, f"{NOTE} && !{NOTE}.hidden && {NOTE}.textContent")
     assert text.startswith("The kernel is busy, or there is none: the map waits")
     (folder / "go").touch()
     notebook.frame()
