@@ -39,7 +39,7 @@ def ending_by_signals() -> Iterator[None]:
     A handler that is not the default stays, such as nohup's. Only the first signal counts: nothing
     stops the clearing up but SIGKILL, after which the next run clears up.
     """
-    is_over, asked = False, 0.0
+    asked = 0.0
     timers: list[threading.Timer] = []
 
     def send_again(number: int, seconds: float) -> None:
@@ -54,7 +54,7 @@ def ending_by_signals() -> Iterator[None]:
             asked = time.monotonic()
             interrupts.request(Terminated(number))
             send_again(number, _PATIENCE)
-        elif is_over or interrupts.is_raised() or time.monotonic() - asked < _PATIENCE:
+        elif interrupts.is_raised() or time.monotonic() - asked < _PATIENCE:
             return
         elif _is_never_interrupted(frame):
             send_again(number, _AGAIN)
@@ -73,11 +73,11 @@ def ending_by_signals() -> Iterator[None]:
     try:
         yield
     finally:
-        is_over = True
-        for timer in timers:
-            timer.cancel()
+        # First the handlers: they start timers.
         for number, before in changed.items():
             signal.signal(number, before)
+        for timer in timers:
+            timer.cancel()
         interrupts.reset()
 
 
