@@ -29,6 +29,8 @@ def scene_of(name="adaptive", *, is_bound=True, has_limit=True, error="measured"
     [
         (scene_of(), 1.0, 1.0, "within 1 pixels"),
         (scene_of(), 1.0, 1.7, "within 1.7 pixels"),
+        (scene_of(), 1.1, 1.1, "within 1.1 pixels"),
+        (scene_of(), 1.0, 0.96201, "within 0.963 pixels"),
         (scene_of(), 1.0, 2.1, "within 1 pixels where the file's finest meshes are"),
         (scene_of(), 1.0, math.inf, "within 1 pixels where the file's finest meshes are"),
         (scene_of(), 1e6, math.inf, "no limit: not all that the view needs fits"),
@@ -77,6 +79,21 @@ def test_a_picture_is_within_its_caption(context, jagged, mode, tau):
             assert drawn["caption"].startswith("within")
         else:
             assert drawn["caption"].startswith("no limit")
+
+
+@pytest.mark.gl
+def test_no_caption_says_less_than_a_gpu_draws(context):
+    """Flat ground far from its middle: only float32 is between what is drawn and decoded."""
+    heights = np.full((33, 33), 20_000, np.int16)
+    heights[0, 0] = -20_000
+    with (
+        terrain_of(heights, max_error=0) as terrain,
+        Canvas(terrain, SIZE, mode="full", context=context) as canvas,
+    ):
+        camera = home(canvas.scene.frame.solid_box, canvas.viewport)
+        ((_, drawn),) = fly_through(canvas, [camera], 1, Style(), 1.0, measure=True)
+    assert drawn["caption"] == "within 0.00391 pixels"
+    assert drawn["measured_pixel_error"] <= drawn["max_pixel_error"] == 1 / 256
 
 
 @pytest.mark.gl

@@ -49,6 +49,8 @@ _MOST_ASKED = 64
 # Pieces that are known before those that nobody needs are forgotten, at about half a kilobyte each.
 _MOST_KNOWN = 8192
 _NO_REACH = 1e30
+# Pixels: a GPU moves vertices to a grid of this spacing, and its float32 loses less.
+_GPU_GRID = 1 / 256
 _NO_ROOM = "a block does not fit the memory allowed for pictures"
 
 
@@ -286,11 +288,13 @@ class Scene:
     def kept_error(self, view: View, frames: Frames) -> float:
         """Return what a settled frame is within, pixels: τ, or the errors of its finest pieces.
 
-        Infinite where nothing is promised, and where the eye is in the box of a piece.
+        Never less than the grid on which a GPU draws. Infinite where nothing is promised, and where
+        the eye is in the box of a piece.
         """
         if not self.mode.is_bound:
             return math.inf
-        kept = max(frames.tau, float(self.table.on_screen(view, frames.nodes).max(initial=0.0)))
+        finest = float(self.table.on_screen(view, frames.nodes).max(initial=0.0))
+        kept = max(frames.tau, finest, _GPU_GRID)
         return kept if kept < NO_PROMISE else math.inf
 
     def skirt_reach(self, view: View, frames: Frames) -> float:

@@ -4,6 +4,7 @@ import json
 import math
 import time
 from collections.abc import Iterator, Sequence
+from decimal import ROUND_CEILING, Context
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -242,13 +243,18 @@ def caption(scene: Scene, tau: float, kept: float) -> str:
     if not scene.mode.is_bound:
         return f"no limit with error {scene.mode.error}"
     if not scene.mode.has_limit:
-        here = f", here within {kept:.3g} pixels" if math.isfinite(kept) else ""
+        here = f", here within {_upwards(kept)} pixels" if math.isfinite(kept) else ""
         return f"no limit in mode {scene.mode.name}{here}"
     if tau >= NO_PROMISE:
         return "no limit: not all that the view needs fits"
     if kept <= 2 * tau:
-        return f"within {kept:.3g} pixels"
-    return f"within {tau:.3g} pixels where the file's finest meshes are"
+        return f"within {_upwards(kept)} pixels"
+    return f"within {_upwards(tau)} pixels where the file's finest meshes are"
+
+
+def _upwards(pixels: float) -> str:
+    """Return three digits of a limit, rounded up: a caption says no less than holds."""
+    return f"{Context(prec=3, rounding=ROUND_CEILING).create_decimal(repr(pixels)).normalize():f}"
 
 
 def statistics(
