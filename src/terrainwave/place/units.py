@@ -157,7 +157,8 @@ def kind_problem(
 ) -> str | None:
     """Return what is wrong where a raster has depths and a file heights, or the other way round.
 
-    Nothing is where the file has what its own tags do not say: who made it chose that.
+    Nothing is where the file has what its own tags do not say: who made it chose that. A name that
+    was not believed then counts against other names alone.
 
     Parameters
     ----------
@@ -168,7 +169,9 @@ def kind_problem(
     """
     heights_are, told, crs_text = own
     found = kind_name(other[0].kind, other[1])
-    kinds = [kind_name(kind, crs_text) for kind in (heights_are, told.kind)]
+    kinds = [kind_name(heights_are, crs_text)]
+    if other[0].is_name or not told.is_name:
+        kinds.append(kind_name(told.kind, crs_text))
     if any((kind == PLURALS[DEPTH]) == (found == PLURALS[DEPTH]) for kind in kinds):
         return None
     by = f" ({other[0].by})" if other[0].kind else ""
