@@ -20,6 +20,8 @@ from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, Terrai
 from terrainwave.export.frames import areas, to_frame
 from terrainwave.export.mesh_files import add_skirts
 from terrainwave.export.quantized_mesh import on_globe
+from terrainwave.ext.serve.app import make_app
+from terrainwave.globe.cesium import write_tiles
 from terrainwave.globe.lonlat import Globe
 from terrainwave.globe.polynomials import fit_places
 from terrainwave.mesh.mesh_data import MeshData
@@ -574,6 +576,20 @@ def test_radii_become_heights_above_the_ellipsoid(tmp_path):
     quietly(terrainwave.decompress, path, tmp_path / "up.tif", vertical="ellipsoid")
     with rasterio.open(tmp_path / "up.tif") as dataset:
         np.testing.assert_allclose(dataset.read(1), LOLA + 3_396_000.0 - 3_396_190.0, atol=1e-3)
+
+
+def test_what_radii_become_is_not_said_to_be_proj_s_nor_above_a_datum(tmp_path):
+    crs = f'COMPD_CS["c",{MARS},VERT_CS["areoid",VERT_DATUM["areoid",2005],UNIT["metre",1]]]'
+    path, notes = made(write(tmp_path / "r.tif", LOLA + 3_396_000.0, crs=crs), tmp_path)
+    assert "taken for radii" in notes[0]
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        with terrainwave.open(path) as terrain:
+            write_tiles(terrain, tmp_path / "tiles", max_zoom=1)
+        make_app([str(path)])
+        terrainwave.decompress(path, tmp_path / "up.tif", vertical="ellipsoid")
+    texts = [str(one.message) for one in said]
+    assert not [text for text in texts if "are taken for heights above" in text or "PROJ" in text]
 
 
 def test_a_legend_of_radii_has_heights(tmp_path):
