@@ -150,6 +150,23 @@ def test_files_of_all_formats_keep_to_the_error_with_curvature_and_rounding(tmp_
     assert saved["error"] >= saved["curvature"] + saved["rounding"]
 
 
+@pytest.mark.parametrize("max_error", [2, 5, 20, 50])
+def test_steep_ground_of_large_cells_keeps_to_the_error(tmp_path, max_error):
+    # Slivers of a mesh are steep, which adds several times the share of the curvature.
+    rows, cols = np.mgrid[0:64, 0:80]
+    heights = 2000 * np.sin(cols / 9) * np.cos(rows / 7)
+    write_geotiff(
+        tmp_path / "dem.tif", heights, transform=Affine(0.05, 0, 10, 0, -0.05, 70),
+        crs="IAU_2015:30100", units=("m",),
+    )  # fmt: skip
+    terrainwave.compress(tmp_path / "dem.tif", tmp_path / "dem.twz", max_error=1)
+    saved = run(
+        "mesh", tmp_path / "dem.twz", tmp_path / "a.ply", "--frame", "ecef", "--max-error",
+        max_error, "--json",
+    )  # fmt: skip
+    assert max_error / 2 < saved["error"] <= max_error
+
+
 def test_edges_between_blocks_are_divided_alike(tmp_path):
     heights = terrain_like(51, 51).astype(np.int16) // 8
     heights[:, 20:] = 3

@@ -72,6 +72,9 @@ def test_an_archive_holds_every_tile_that_has_terrain(tmp_path, transform, crs):
             beside = [(z, (x + 1) % 2**z, y), (z, x, y + 1)]
             assert all(at in found or rgb_tile(globe, *at, 2) is None for at in beside)
     assert (metadata["encoding"], metadata["attribution"]) == ("mapbox", "© somebody")
+    # a bound of the file does not hold for tiles: each zoom states its own errors
+    assert "max_error" not in metadata
+    assert all(zoom["terrain_error"] > 0 for zoom in metadata["zooms"])
     assert -180e7 <= header["min_lon_e7"] < header["max_lon_e7"] <= 180e7
 
 

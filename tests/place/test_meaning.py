@@ -20,6 +20,8 @@ from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, Terrai
 from terrainwave.export.frames import areas, to_frame
 from terrainwave.export.mesh_files import add_skirts
 from terrainwave.export.quantized_mesh import on_globe
+from terrainwave.ext.serve.app import make_app
+from terrainwave.globe.cesium import write_tiles
 from terrainwave.globe.lonlat import Globe
 from terrainwave.globe.polynomials import fit_places
 from terrainwave.mesh.mesh_data import MeshData
@@ -135,6 +137,7 @@ def quietly(call, *args, **options):
         ({"standard_name": "water_table_depth"}, Names(), None),
         ({"standard_name": "depth_below_sea_floor"}, Names(), None),
         ({"long_name": "snow depth"}, Names("depth"), None),
+        ({"standard_name": "sea_floor_depth_below_geoid standard_error"}, Names("depth"), None),
         ({"long_name": "Maximum water depth of the flood"}, Names("depth"), None),
         ({}, Names("snow_depth"), None),
         ({}, Names("water_depth"), None),
@@ -159,6 +162,8 @@ def test_marks_and_names_say_what_numbers_are(marks, names, kind):
         ({}, Names(title="elevation", driver="S102"), "height"),
         ({}, Names(title="uncertainty", driver="BAG"), None),
         ({"positive": "down"}, Names(title="elevation", driver="BAG"), "depth"),
+        # a name adds nothing to the axis, whatever the numbers are
+        ({"standard_name": "depth"}, Names("depth"), None),
     ],
 )
 def test_what_is_said_counts_before_an_axis_downwards(marks, names, kind):
@@ -339,7 +344,8 @@ def both(tmp_path):
 def test_a_mosaic_of_depths_and_heights_is_refused_unless_told(both, tmp_path, order):
     sources = [both[place] for place in order]
     with pytest.raises(
-        InvalidHeightsError, match=r"found (depths|heights), .* has (heights|depths)"
+        InvalidHeightsError,
+        match=r"found (depths \(positive: down\)|heights), .* has (heights|depths \(pos.*\));",
     ):
         made(sources, tmp_path)
     path, _ = made(sources, tmp_path, heights_are="depth")
@@ -360,6 +366,43 @@ def test_patch_and_verify_refuse_the_other_sign(both, tmp_path, order):
     assert any("numbers mean something else: found" in problem for problem in report.problems)
     assert terrainwave.verify(path, own).ok
     assert terrainwave.patch(path, own).n_recoded == 0
+
+
+def test_patch_and_verify_take_what_numbers_are(both, tmp_path):
+    down, up = both
+    path, _ = made(down, tmp_path)
+    assert terrainwave.patch(path, up, heights_are="depth").n_recoded == 0
+    assert terrainwave.verify(path, up, heights_are="depth").ok
+    for source in (down, DEPTHS):
+        with pytest.raises(InvalidHeightsError, match=r"found heights \(heights_are\)"):
+            terrainwave.patch(path, source, heights_are="height")
+    assert not terrainwave.verify(path, down, heights_are="height").ok
+    # against what was asked for, tags that the file has from its raster count no more
+    path, _ = made(down, tmp_path, heights_are="height")
+    with pytest.raises(InvalidHeightsError, match="found depths"):
+        terrainwave.patch(path, down, heights_are="depth")
+
+
+def test_a_mark_counts_against_a_name_that_was_not_believed(tmp_path):
+    heights = DEPTHS - 40
+    named = write(tmp_path / "n.tif", heights, description="depth")
+    marked = write(tmp_path / "m.tif", heights, band_tags={"positive": "down"})
+    path, notes = made(named, tmp_path)
+    assert "taken for heights" in notes[0]
+    with pytest.raises(InvalidHeightsError, match="found depths"):
+        terrainwave.patch(path, marked)
+    assert terrainwave.patch(path, named).n_recoded == 0
+
+
+def test_the_commands_patch_and_verify_take_it(both, tmp_path):
+    path, _ = made(both[0], tmp_path)
+    for command in ("patch", "verify"):
+        result = CliRunner().invoke(main, [command, str(path), str(both[1])])
+        assert result.exit_code == 1
+        asked = [command, str(path), str(both[1]), "--heights-are", "depth"]
+        assert CliRunner().invoke(main, asked).exit_code == 0
+    result = CliRunner().invoke(main, ["verify", str(path), "--heights-are", "depth"])
+    assert "without ORIGINAL" in result.output
 
 
 def test_a_file_that_was_told_is_verified_and_patched_by_its_own_raster(both, tmp_path):
@@ -533,6 +576,20 @@ def test_radii_become_heights_above_the_ellipsoid(tmp_path):
     quietly(terrainwave.decompress, path, tmp_path / "up.tif", vertical="ellipsoid")
     with rasterio.open(tmp_path / "up.tif") as dataset:
         np.testing.assert_allclose(dataset.read(1), LOLA + 3_396_000.0 - 3_396_190.0, atol=1e-3)
+
+
+def test_what_radii_become_is_not_said_to_be_proj_s_nor_above_a_datum(tmp_path):
+    crs = f'COMPD_CS["c",{MARS},VERT_CS["areoid",VERT_DATUM["areoid",2005],UNIT["metre",1]]]'
+    path, notes = made(write(tmp_path / "r.tif", LOLA + 3_396_000.0, crs=crs), tmp_path)
+    assert "taken for radii" in notes[0]
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        with terrainwave.open(path) as terrain:
+            write_tiles(terrain, tmp_path / "tiles", max_zoom=1)
+        make_app([str(path)])
+        terrainwave.decompress(path, tmp_path / "up.tif", vertical="ellipsoid")
+    texts = [str(one.message) for one in said]
+    assert not [text for text in texts if "are taken for heights above" in text or "PROJ" in text]
 
 
 def test_a_legend_of_radii_has_heights(tmp_path):

@@ -162,3 +162,10 @@ def test_a_tag_of_voids_that_nodata_names_is_not_noted(tmp_path):
     with pytest.warns(TerrainwaveWarning, match="count as heights"):
         RasterSource(path).close()
     RasterSource(path, nodata=-9999).close()
+
+
+@pytest.mark.parametrize("given", ["only:70000", "only:0.5", 70000])
+def test_a_value_that_the_type_cannot_hold_is_refused_in_one_line(tmp_path, given):
+    for source in sources(tmp_path, "int16"):
+        with pytest.raises(InvalidArgumentError, match="choose another nodata"):
+            RasterSource(source, nodata=given)

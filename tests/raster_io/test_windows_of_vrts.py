@@ -92,6 +92,12 @@ def test_exact_warps_and_plain_mosaics_are_not_noted(dem):
 def test_sources_that_are_resampled_with_weights_are_noted(dem):
     assert "resamples" in notes_of(nested("a.vrt", dem, ' resampling="bilinear"', 13))[0]
     assert notes_of(nested("b.vrt", dem, ' resampling="nearest"', 13)) == []
+    # as gdal_translate -srcwin 0.4 … -r bilinear writes it
+    with open(nested("c.vrt", dem, ' resampling="bilinear"')) as file:
+        moved = file.read().replace('SrcRect xOff="0"', 'SrcRect xOff="0.4"')
+    with open("c.vrt", "w") as file:
+        file.write(moved)
+    assert "resamples" in notes_of("c.vrt")[0]
 
 
 @pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # of rioxarray

@@ -1,5 +1,7 @@
 """Which bound `compress` takes where none is given, for files, arrays, mosaics and batches."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 import rasterio
@@ -9,6 +11,9 @@ from strategies import terrain_like, write_geotiff
 
 import terrainwave
 from terrainwave.cli import main
+from terrainwave.grid.default_bound import DefaultBound
+from terrainwave.write import job
+from terrainwave.write.origin import difference
 
 ON_NO_GRID = terrain_like(24, 24, "float64") / 3
 
@@ -124,3 +129,16 @@ def test_the_finest_meshes_of_lossless_heights_follow_unit_and_range(tmp_path):
     for name in ("whole", "stored"):
         with terrainwave.open(tmp_path / f"{name}.twz") as terrain:
             assert 0 < terrain.info().mesh_tolerance <= 1.1e-5
+
+
+def test_a_file_with_the_default_bound_of_other_rules_is_made_again(tmp_path, monkeypatch):
+    source, path = raster(tmp_path / "a.tif", over(-0.004, 0.004), "m"), tmp_path / "a.twz"
+    with monkeypatch.context() as earlier:
+        usual = DefaultBound(Fraction(1, 100), "of terrainwave 1.0")
+        earlier.setattr(job, "default_bound", lambda *_: usual)
+        terrainwave.compress(source, path, keep_origin=True)
+    assert difference(path, source) == "it was made with another default bound"
+    terrainwave.compress(source, path, overwrite=True, keep_origin=True)
+    assert difference(path, source) is None
+    terrainwave.compress(path, tmp_path / "b.twz", keep_origin=True)
+    assert difference(tmp_path / "b.twz", path) is None

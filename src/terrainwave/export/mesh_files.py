@@ -36,6 +36,9 @@ _log = logging.getLogger(__name__)
 # the last try each of them leaves for it.
 _TRIES = 3
 _ROUNDING_SLACK = 1.25
+# Further tries on a globe, each with half of the share of the curvature: steep triangles can add
+# many times that share.
+_HALVINGS = 5
 
 Made = TypeVar("Made", bound=MeshData)
 
@@ -246,17 +249,20 @@ def mesh_for_file(
     if is_on_globe and not share:
         _refuse_small_share(first, share, shape, max_error)
     surface = first
-    for _ in range(_TRIES):
+    for _ in range(_TRIES + _HALVINGS * is_on_globe):
         if is_on_globe:
             surface = _with_share(surface, share)
         rounding = file_rounding(surface, path, **options)
         if surface.error + rounding <= max_error:
             return surface, True
+        if is_on_globe:
+            share, rounding = share / 2, rounding / 2
         try:
             # The next mesh is another one: its rounding may be somewhat more.
             surface = make(max_error - _ROUNDING_SLACK * rounding)
         except InvalidHeightsError:
-            break
+            if not is_on_globe:
+                break
     if is_on_globe:
         _refuse_small_share(surface, share, shape, max_error)
         first = _with_share(first, share)

@@ -253,7 +253,6 @@ def _description(
         "tileSize": tiling.TILE_SIZE,
         "generator": f"terrainwave {__version__}",
         "attribution": attribution,
-        "max_error": globe.effective_error,
         "units": globe.units,
         "zooms": [asdict(zoom) for zoom in summaries],
     }

@@ -254,7 +254,7 @@ def write_tiles(
         min_zoom=min_zoom,
         vertical=vertical,
     )
-    if vertical == AS_IS:
+    if vertical == AS_IS and not terrain.height_unit.is_radius:
         note_as_is(terrain.crs)
     zooms = pyramid.zooms
     n_threads = checked_threads(threads)

@@ -13,6 +13,7 @@ import numpy as np
 from terrainwave.container.header import MEDIA_TYPE
 from terrainwave.container.sources.byte_source import ByteSource
 from terrainwave.globe.lonlat import Globe
+from terrainwave.place.meaning import HEIGHT
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
@@ -76,6 +77,8 @@ def stac_item(terrain: "TerrainFile", href: str | None = None) -> dict[str, Any]
         "proj:transform": list(info.transform),
         # In metres on the globe; in the unit of the heights where nobody names it.
         "terrainwave:max_error": globe.effective_error,
+        # Whose range the statistics are; heights are what is expected.
+        "terrainwave:heights_are": None if info.heights_are == HEIGHT else info.heights_are,
         "terrainwave:method": info.method,
         "terrainwave:levels": info.n_levels,
     }

@@ -101,23 +101,27 @@ def told_by(marks: Mapping[str, str], names: Names, crs_text: str | None) -> Tol
         positive = DOWN if title == DEPTH else UP if title.endswith("elevation") else ""
     if positive == DOWN:
         return Told(DEPTH, by)
-    if positive == UP:
-        told = describe_quietly(crs_text)
-        if told is None or told.vertical is None or not told.vertical.is_down:
+    told = describe_quietly(crs_text)
+    axis = None if told is None else told.vertical
+    if axis is None or not axis.is_down:
+        if positive == UP:
             return Told(by=by)
+        name = _depth_name(said, names, title) if names.has_length else None
+        return Told() if name is None else Told(DEPTH, name, is_name=True)
+    if positive == UP:
         return Told(
             HEIGHT,
             by,
-            note=f"it says {by}, but its CRS counts depths downwards ({told.vertical.name}): the"
-            " numbers are taken for heights (choose with `heights_are`)",
+            note=f"it says {by}, but its CRS counts depths downwards ({axis.name}): the numbers are"
+            " taken for heights (choose with `heights_are`)",
         )
-    name = _depth_name(said, names, title) if names.has_length else None
-    return Told() if name is None else Told(DEPTH, name, is_name=True)
+    return Told()
 
 
 def _depth_name(said: Mapping[str, str], names: Names, title: str) -> str | None:
     """Return the name that means depths; a standard name counts before all others."""
-    standard_name = said.get("standard_name", "").split(" ")[0]
+    # With a modifier, such as standard_error, it is a quantity of another kind.
+    standard_name = said.get("standard_name", "")
     if standard_name:
         is_depth = _STANDARD_NAMES.fullmatch(standard_name)
         return f"standard_name: {standard_name}" if is_depth else None

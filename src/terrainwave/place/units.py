@@ -11,7 +11,7 @@ from terrainwave.place.meaning import DEPTH, HEIGHT, PLURALS, RADIUS, Told
 _FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
 # As `_plain` writes them; of longer words without the s of a plural.
 _METRES = {
-    "m": 1.0, "metre": 1.0, "meter": 1.0,
+    "m": 1.0, "metre": 1.0, "meter": 1.0, "masl": 1.0, "mamsl": 1.0,
     "dm": 0.1, "decimetre": 0.1, "decimeter": 0.1,
     "cm": 0.01, "centimetre": 0.01, "centimeter": 0.01,
     "mm": 0.001, "millimetre": 0.001, "millimeter": 0.001,
@@ -23,11 +23,13 @@ _METRES = {
     "ft": _FOOT, "foot": _FOOT, "feet": _FOOT,
     "international foot": _FOOT, "international feet": _FOOT, "intl foot": _FOOT,
     "foot (international)": _FOOT, "feet (international)": _FOOT,
+    "foot international": _FOOT, "feet international": _FOOT,
     "ftus": _SURVEY_FOOT, "usft": _SURVEY_FOOT, "us ft": _SURVEY_FOOT, "ft us": _SURVEY_FOOT,
     "us survey foot": _SURVEY_FOOT, "us survey feet": _SURVEY_FOOT, "foot us": _SURVEY_FOOT,
     "survey foot": _SURVEY_FOOT, "survey feet": _SURVEY_FOOT, "foot (us survey)": _SURVEY_FOOT,
     "feet (us survey)": _SURVEY_FOOT, "us foot": _SURVEY_FOOT, "us feet": _SURVEY_FOOT,
-    "ft (us)": _SURVEY_FOOT, "sftus": _SURVEY_FOOT,
+    "ft (us)": _SURVEY_FOOT, "foot (us)": _SURVEY_FOOT, "feet (us)": _SURVEY_FOOT,
+    "sftus": _SURVEY_FOOT,
     "yd": 0.9144, "yard": 0.9144,
     "fathom": 1.8288,
     "mile": 1609.344, "mi": 1609.344, "nautical mile": 1852.0, "nmi": 1852.0,
@@ -35,7 +37,10 @@ _METRES = {
 # Letters of words that an s makes something else: ms are no metres.
 _SHORT = 3
 # What may stand behind a length: what heights are above. Depths are below, which is no unit.
-_REFERENCE = re.compile(r" (?:above|over|asl|amsl|msl|agl)\b.*| \((?!per\b)[^/()^-]*\)$")
+_REFERENCE = re.compile(
+    r" (?:above|over|asl|amsl|msl|agl|hae|ahd|odn|nap|nhn|nn|(?:navd|ngvd|egm) ?\d*)\b.*"
+    r"| \((?!per\b)[^/()^-]*\)$"
+)
 _HYPHEN = re.compile(r"(?<=[a-z])-(?=[a-z])")
 # What drivers write where no unit is known.
 _NO_UNIT = ("unspecified", "unknown", "undefined", "none", "n/a", "-")
@@ -157,7 +162,8 @@ def kind_problem(
 ) -> str | None:
     """Return what is wrong where a raster has depths and a file heights, or the other way round.
 
-    Nothing is where the file has what its own tags do not say: who made it chose that.
+    Nothing is where the file has what its own tags do not say: who made it chose that. A name that
+    was not believed then counts against other names alone.
 
     Parameters
     ----------
@@ -168,7 +174,9 @@ def kind_problem(
     """
     heights_are, told, crs_text = own
     found = kind_name(other[0].kind, other[1])
-    kinds = [kind_name(kind, crs_text) for kind in (heights_are, told.kind)]
+    kinds = [kind_name(heights_are, crs_text)]
+    if other[0].is_name or not told.is_name:
+        kinds.append(kind_name(told.kind, crs_text))
     if any((kind == PLURALS[DEPTH]) == (found == PLURALS[DEPTH]) for kind in kinds):
         return None
     by = f" ({other[0].by})" if other[0].kind else ""

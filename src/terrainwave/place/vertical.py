@@ -164,6 +164,8 @@ class EllipsoidalHeights:
         """Return what was done, in a sentence's end."""
         if not self.description:
             return "heights are above the ellipsoid already"
+        if self.description == RADII:
+            return f"heights are above the ellipsoid, {RADII}"
         grids = f" with {', '.join(self.grids)}" if self.grids else ""
         return f"heights are above the ellipsoid, by PROJ's “{self.description}”{grids}"
 

@@ -486,11 +486,13 @@ def _check_kind(first: _Description, other: _Description) -> None:
     """Raise InvalidHeightsError if one raster has depths and the other heights."""
     kinds = [kind_name(one.told.kind, format_crs(one.crs)) for one in (first, other)]
     if (kinds[0] == "depths") != (kinds[1] == "depths"):
-        by = first.told.by or other.told.by
+        own, found = (
+            f"{kind} ({one.told.by})" if one.told.kind else kind
+            for kind, one in zip(kinds, (first, other))
+        )
         raise InvalidHeightsError(
-            f"{other.name}: found {kinds[1]}, {first.name} has {kinds[0]} ({by}); expected one of"
-            " them: turn the others first, for example gdal_calc --calc=-A, or say what all are by"
-            " `heights_are`"
+            f"{other.name}: found {found}, {first.name} has {own}; expected one of them: turn the"
+            " others first, for example gdal_calc --calc=-A, or say what all are by `heights_are`"
         )
 
 

@@ -276,7 +276,8 @@ def undeclared_by(
         return ()
     fitting = (fit_nodata(value, dtype)[0] for value in declared if value is not None)
     found = dict.fromkeys(value for value in fitting if value is not None and value == value)
-    kept = choice.value
+    # One that does not fit is refused later.
+    kept = None if choice.value is None else fit_nodata(choice.value, dtype)[0]
     return tuple(value for value in found if kept is None or not is_same_value(value, kept, dtype))
 
 

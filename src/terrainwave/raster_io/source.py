@@ -113,6 +113,8 @@ class RasterSource:
         Bytes of heights, as numbers, that have been read so far.
     told : Told or None
         What it says of its numbers; None of plain arrays, which say nothing.
+    is_asked : bool
+        `heights_are` was given.
     is_striped : bool
         True if a narrow window makes the source decode much wider ones: a scan in the order of
         `blocks` is then many times cheaper than small windows.
@@ -154,7 +156,7 @@ class RasterSource:
         self.told = self._backend.told
         if heights_are is not None:
             self.told = Told(heights_are, "`heights_are`")
-        self._is_asked = heights_are is not None
+        self.is_asked = heights_are is not None
         self._readers = Readers(self._backend)
         self.name: str = self._backend.name
         try:
@@ -242,7 +244,7 @@ class RasterSource:
             Of all valid heights, as stored.
         """
         info = self.info
-        if self._is_asked or minimum > maximum:
+        if self.is_asked or minimum > maximum:
             return info, []
         low, high = sorted(end * info.scale + info.offset for end in (minimum, maximum))
         unit = math.nan  # no length

@@ -31,6 +31,7 @@ from terrainwave.arguments import (
 from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS
+from terrainwave.place.meaning import check_kind
 from terrainwave.progress import Progress, ProgressCallback
 from terrainwave.raster_io.even import Even, even_parts
 from terrainwave.raster_io.vrt.warped import remark_on_windows
@@ -105,6 +106,7 @@ def verify(
     max_error: float | None = None,
     band: int = 1,
     nodata: float | str | None = None,
+    heights_are: str | None = None,
     mesh: bool = False,
     threads: int | None = None,
     progress: ProgressCallback | None = None,
@@ -128,6 +130,8 @@ def verify(
         The band of `original` that was compressed.
     nodata : float or str, optional
         What was given at compression, where it differs from the raster's own value.
+    heights_are : {"height", "depth", "radius"}, optional
+        What the numbers of `original` are, whatever it says of them.
     mesh : bool
         Check all meshes too: each covers its area once, without gaps, folds and T-junctions;
         neighbours fit; and no sample is further from a mesh than the mesh states.
@@ -162,6 +166,7 @@ def verify(
     max_error = checked_error("max_error", max_error)
     band = checked_whole("band", band, least=1)
     nodata_choice(nodata)
+    check_kind(heights_are)
     checked_path(twz)
     if original is not None:
         checked_path(original)
@@ -177,7 +182,7 @@ def verify(
             return _with_meshes(report, terrain, None, progress) if mesh else report
         with open_original(original) as dataset:
             check_band(band, dataset.count, str(original))
-            raster = Original(dataset, band, nodata, terrain.transform)
+            raster = Original(dataset, band, nodata, terrain.transform, heights_are)
             remarks = [remark_on_windows(dataset)]
             if raster.flips != (False, False):
                 remarks.append(

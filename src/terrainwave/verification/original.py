@@ -21,6 +21,7 @@ from terrainwave.arguments import nodata_choice
 from terrainwave.errors import StorageError
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
+from terrainwave.place.meaning import Told
 from terrainwave.place.units import HeightUnit, height_unit, kind_problem
 from terrainwave.raster_io.dataset import DatasetBackend, told_of
 from terrainwave.raster_io.even import Even, even_parts, is_seen
@@ -60,16 +61,22 @@ def open_original(path: str | os.PathLike[str]) -> Any:
 
 
 class Original:
-    """A band of a dataset of rasterio; `nodata` as in `compress`.
+    """A band of a dataset of rasterio; `nodata` and `heights_are` as in `compress`.
 
     Rows and columns are read in the order that `transform` has, a file's, where the dataset stores
     them the other way round, such as with the southernmost row first.
     """
 
     def __init__(
-        self, dataset: Any, band: int, nodata: float | str | None, transform: Any = None
+        self,
+        dataset: Any,
+        band: int,
+        nodata: float | str | None,
+        transform: Any = None,
+        heights_are: str | None = None,
     ) -> None:
         self.dataset, self.band = dataset, band
+        self._asked_kind = heights_are
         self.transform = tuple(dataset.transform)[:6]
         self.flips = _flips(dataset, self.transform if transform is None else tuple(transform)[:6])
         if self.flips != (False, False):
@@ -95,9 +102,11 @@ class Original:
 
     def kind_problem(self, info: RasterInfo) -> str | None:
         """Return what is wrong where it has depths and the file heights, or the other way round."""
-        told = told_of(self.dataset, self.band)
-        own = info.heights_are, info.told, info.crs
-        return kind_problem(own, (told, format_crs(self.dataset.crs)))
+        told, own = told_of(self.dataset, self.band), info.told
+        if self._asked_kind is not None:
+            told, own = Told(self._asked_kind, "`heights_are`"), Told(info.heights_are)
+        found = told, format_crs(self.dataset.crs)
+        return kind_problem((info.heights_are, own, info.crs), found)
 
     def coordinate_epoch(self) -> float | None:
         """Return the epoch of the original's coordinates."""

@@ -13,7 +13,7 @@ from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.earlier_loss import earlier_files
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.write.compress_options import Options
-from terrainwave.write.job import metadata_of, origin_of
+from terrainwave.write.job import metadata_of, origin_of, settled
 from terrainwave.write.passes.windows import Window, scan_windows
 
 
@@ -69,9 +69,17 @@ def difference(
         if files != (source.earlier.files if source.earlier else ()):
             return "it was made of another .twz file"
         scan = scan_windows(info, _windows(source), Reporter(progress), has_digest=True)
-        if source.settled(scan.minimum, scan.maximum)[0].heights_are != kind:
+        info = source.settled(scan.minimum, scan.maximum)[0]
+        if info.heights_are != kind:
             return "its numbers mean something else"
-    return None if origin == origin_of(asked, scan) else "it was made of other heights"
+    if origin != origin_of(asked, scan):
+        return "it was made of other heights"
+    # Earlier versions had another rule for the default.
+    if asked.max_error is None and not files and not asked.is_embedded:
+        job, _ = settled(asked, scan, info)
+        if job.raw_bound != header.max_error:
+            return "it was made with another default bound"
+    return None
 
 
 def _windows(source: RasterSource) -> Iterator[Window]:

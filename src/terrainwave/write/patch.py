@@ -88,6 +88,7 @@ def patch(
     *,
     band: int = 1,
     nodata: float | str | None = None,
+    heights_are: str | None = None,
     original: Any = None,
     temp_dir: str | os.PathLike[str] | None = None,
     threads: int | None = None,
@@ -109,6 +110,8 @@ def patch(
         array without a georeference covers the whole file. Its voids become voids of the file.
     band, nodata, temp_dir, threads, fresh, progress
         As in `compress`.
+    heights_are : {"height", "depth", "radius"}, optional
+        What the numbers of `src` are, whatever it says of them. Depths go into files of depths.
     original : path, rasterio dataset, ndarray or xarray DataArray, optional
         The raster that the file was made from, with all earlier patches (band 1). Heights that
         `src` does not cover then stay within the bound of it. Without it they stay as they are.
@@ -123,10 +126,10 @@ def patch(
     InvalidArgumentError
         If `path` is a URL.
     InvalidHeightsError
-        If `src` or `original` does not fit the file: heights in another unit or beyond the file's
-        range, voids in a file that cannot mark them, a valid height that equals the file's nodata
-        value, heights between its vertical steps; or if `original` is not what the file was made
-        of.
+        If `src` or `original` does not fit the file: heights in another unit, with the other sign
+        (depths and heights) or beyond the file's range, voids in a file that cannot mark them, a
+        valid height that equals the file's nodata value, heights between its vertical steps; or if
+        `original` is not what the file was made of.
     BoundViolationError
         If the proof fails. The file is untouched.
 
@@ -155,7 +158,7 @@ def patch(
     with (
         only_writer(final, final.parent, os.fspath(path)),
         TerrainFile(final, threads=1, native=False) as terrain,
-        RasterSource(src, band=band, nodata=nodata) as source,
+        RasterSource(src, band=band, nodata=nodata, heights_are=heights_are) as source,
         nullcontext() if original is None else RasterSource(original) as whole,
         run_directory(
             temp_dir or final.parent, final, read, terrain.shape, depends_on, fresh=fresh

@@ -18,12 +18,18 @@ from terrainwave.cli.output import (
     reading,
     unit_behind,
 )
+from terrainwave.place.meaning import KINDS
 
 
 @click.command(cls=Command)
 @click.argument("file", type=NamedInput())
 @click.argument("new", type=Input())
 @click.option("--nodata", type=Nodata(), help="Value that marks voids of NEW, as of compress.")
+@click.option(
+    "--heights-are",
+    type=click.Choice(KINDS),
+    help="What the numbers of NEW are, as of compress. Default: as NEW says.",
+)
 @click.option("--band", type=click.IntRange(min=1), default=1, show_default=True,
               help="Band of NEW.")  # fmt: skip
 @click.option(

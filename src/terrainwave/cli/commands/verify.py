@@ -21,6 +21,7 @@ from terrainwave.cli.output import (
     reading,
 )
 from terrainwave.container.sources.addresses import display_name
+from terrainwave.place.meaning import KINDS
 from terrainwave.progress import ProgressCallback
 
 
@@ -37,6 +38,8 @@ from terrainwave.progress import ProgressCallback
     "--band", type=click.IntRange(min=1), default=1, show_default=True, help="Band of ORIGINAL."
 )
 @click.option("--nodata", type=Nodata(), help="What was given to compress.")
+@click.option("--heights-are", type=click.Choice(KINDS),
+              help="What the numbers of ORIGINAL are. Default: as it says.")  # fmt: skip
 @click.option("--mesh", is_flag=True, help="Check errors, borders and coverage of all meshes, too.")
 @THREADS_OPTION
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing; the exit status is the result.")
@@ -86,7 +89,7 @@ def _verify(
 
 def _refuse_unfit_without_original(ctx: click.Context) -> None:
     """Refuse options that say how to read or compare the original."""
-    for name in ("band", "nodata", "max_error"):
+    for name in ("band", "nodata", "heights_are", "max_error"):
         if ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE:
             option = f"--{name}".replace("_", "-")
             raise click.UsageError(

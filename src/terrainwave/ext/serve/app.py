@@ -86,7 +86,7 @@ def make_app(
     desk, reading = Desk(n_decoding), Desk(_N_READING)
     layers = open_layers(paths, radius, vertical) if paths else {}
     for layer in layers.values():
-        if vertical == AS_IS:
+        if vertical == AS_IS and not layer.terrain.height_unit.is_radius:
             note_as_is(layer.terrain.crs)
         if note := tiling.note_on_range(layer.globe, encoding):
             warnings.warn(TerrainwaveWarning(f"{layer.name}: {note}"), stacklevel=2)

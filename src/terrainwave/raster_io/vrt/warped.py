@@ -49,8 +49,8 @@ def remark_on_windows(dataset: Any) -> str | None:
         )
     if kind == "resampled":
         return (
-            f"the VRT resamples its sources when it is read, with rounding, {_DEPENDS}; write a"
-            " file first (gdal_translate)"
+            f"the VRT resamples its sources when it is read, {_DEPENDS}; write a file first"
+            " (gdal_translate)"
         )
     if kind == "index":
         return (
@@ -117,13 +117,17 @@ def _own_kinds(root: ET.Element) -> Iterator[str]:
     for source in root.iter():
         if source.get("resampling", "nearest").lower() in ("nearest", "near"):
             continue
-        sizes = [
-            [rectangle.get(name) for name in ("xSize", "ySize")]
-            for rectangle in (source.find("SrcRect"), source.find("DstRect"))
-            if rectangle is not None
+        found = [source.find(name) for name in ("SrcRect", "DstRect")]
+        rectangles = [
+            [float(one.get(name, "0")) for name in ("xOff", "yOff", "xSize", "ySize")]
+            for one in found
+            if one is not None
         ]
-        if len(sizes) == 2 and sizes[0] != sizes[1]:
-            yield "resampled"
+        if len(rectangles) == 2:
+            (*first, width, height), (*last, new_width, new_height) = rectangles
+            is_moved = not all(offset.is_integer() for offset in (*first, *last))
+            if is_moved or (width, height) != (new_width, new_height):
+                yield "resampled"
 
 
 def _folder_of(name: str) -> str:

@@ -10,6 +10,7 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import places_to_pixels
 from terrainwave.grid.quadtree import Region
+from terrainwave.place.meaning import Told
 from terrainwave.place.units import height_unit, kind_problem, meeting
 from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
@@ -29,12 +30,12 @@ def check_units(terrain: TerrainFile, source: RasterSource) -> str:
     """
     info = terrain.raster_info
     if source.told is not None:
-        own = info.heights_are, info.told, info.crs
+        own = info.heights_are, Told(info.heights_are) if source.is_asked else info.told, info.crs
         problem = kind_problem(own, (source.told, source.info.crs))
         if problem is not None:
             raise InvalidHeightsError(
                 f"{source.name}: {problem}: turn the numbers, for example gdal_calc --calc=-A, or"
-                " say what they are, for example gdal_translate -mo positive=down"
+                " say what they are by `heights_are`"
             )
     unit = height_unit(source.info.units, source.info.crs)
     met = meeting(source.name, unit, "the file", terrain.height_unit)
