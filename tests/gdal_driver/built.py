@@ -45,17 +45,17 @@ def environment(**variables):
     return kept | {"GDAL_DRIVER_PATH": str(PLUGIN)} | variables
 
 
-def run(*command, **variables):
-    """Run one of GDAL's commands; return what came of it."""
+def run(*command, folder=None, **variables):
+    """Run one of GDAL's commands, in a folder if one is given; return what came of it."""
     return subprocess.run(
         [str(part) for part in command], env=environment(**variables), capture_output=True,
-        text=True, timeout=300, check=False,
+        text=True, timeout=300, check=False, cwd=folder,
     )  # fmt: skip
 
 
-def good(*command, **variables):
+def good(*command, folder=None, **variables):
     """Run one of GDAL's commands, which must succeed in silence; return its output."""
-    ended = run(*command, **variables)
+    ended = run(*command, folder=folder, **variables)
     assert (ended.returncode, ended.stderr) == (0, ""), ended
     return ended.stdout
 
