@@ -725,8 +725,8 @@ def test_what_is_no_file_of_ours_is_told(folder, name, told):
 
 BY_LEVEL = """\
 <VRTDataset rasterXSize="{}" rasterYSize="{}"><VRTRasterBand dataType="UInt16" band="1">
-<SimpleSource><SourceFilename relativeToVRT="1">{}</SourceFilename><SourceBand>1</SourceBand></SimpleSource>
-</VRTRasterBand></VRTDataset>"""
+<SimpleSource><SourceFilename relativeToVRT="1">{}</SourceFilename><SourceBand>1</SourceBand>
+</SimpleSource></VRTRasterBand></VRTDataset>"""
 READ_ALL = "print(json.dumps([gdal.Open(name).ReadAsArray().tolist() for name in asked]))"
 
 
