@@ -10,6 +10,7 @@ SECONDS ?= 60
 SIZE ?= 1280x720
 FILES ?= 100
 PREFIX ?= $(CURDIR)/build/native/prefix
+RELEASES ?= bookworm trixie sid
 
 BIN := $(VENV)/bin
 # Absolute: tests change their directory.
@@ -21,7 +22,7 @@ COMPILED := $(PYTEST) --dist loadfile --no-loadscope-reorder
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo qgis conformance test test-all system system-full system-native system-arm native native-arm native-aarch64 native-arm32 native-gcc native-clang native-agrees native-compared native-sanitized native-fuzz native-driver native-deb lint test-compiled test-full test-bounds test-python coverage docs bench long fuzz release-check clean
+.PHONY: help demo qgis conformance test test-all system system-full system-native system-arm system-nginx system-caddy native native-arm native-aarch64 native-arm32 native-gcc native-clang native-agrees native-compared native-sanitized native-fuzz native-driver native-gdal native-gdals native-deb lint test-compiled test-full test-bounds test-python coverage docs bench long fuzz release-check clean
 
 help:
 	@echo "make demo            compress a real terrain, check and draw it, into demo/"
@@ -37,6 +38,7 @@ help:
 	@echo "make native          the native library, its command \`twz\` and GDAL's driver, built and tested with gcc"
 	@echo "                     and clang, installed to PREFIX (build/native/prefix)"
 	@echo "make native-arm      the same library for ARM of 64 and 32 bits, tested by an emulator: five minutes"
+	@echo "make native-gdals    the driver with GDAL of other releases of Debian, RELEASES='trixie sid'; as root"
 	@echo "make native-deb      the driver as a .deb for this system's GDAL, into dist/"
 	@echo "make native-compared FILES=100  files of any kind, read by the native library and the package"
 	@echo "make native-fuzz SECONDS=60  fuzz its files and its units, each half that long"
@@ -91,6 +93,10 @@ system-full:
 system-native:
 	@sh tools/install_system.sh native
 
+# Servers that tests of web hosts and proxies start.
+system-nginx system-caddy: system-%:
+	@sh tools/install_system.sh $*
+
 system-arm:
 	@sh tools/install_system.sh arm
 
@@ -123,7 +129,7 @@ with_cache = digest=$$(find src tests -name '*.py' -type f -exec sha256sum {} + 
 test-compiled: $(VENV)/.installed-dev system
 	@$(call with_cache,compiled) $(COMPILED) -m "not (full or slow_compile)"
 
-test-full: $(VENV)/.installed-dev system-full system-native tests/ext/node_modules/.installed
+test-full: $(VENV)/.installed-dev system-full system-native system-nginx system-caddy tests/ext/node_modules/.installed
 	@$(call with_cache,compiled) $(COMPILED) -m "not kernels and (full or slow_compile or hypothesis)" --hypothesis-profile=full
 
 test-bounds: $(VENV)/.installed-dev system
@@ -141,6 +147,7 @@ coverage: $(VENV)/.installed-dev
 # Outside CI. Exits with 1 if a caption says less than is measured.
 long: $(VENV)/.installed-bench system
 	@test -n "$(DATA)" || { echo "make long DATA=a-directory-with-GeoTIFFs" >&2; exit 2; }
+	@$(MAKE) --no-print-directory native-gdals
 	$(BIN)/python -m benchmarks.captions "$(DATA)" --size $(SIZE)
 
 bench: $(VENV)/.installed-bench
@@ -183,6 +190,16 @@ native-driver: system-native
 	@folder=$$(dirname $$(find "$(PREFIX)" -name gdal_TWZ.so | head -1)) && \
 		GDAL_DRIVER_PATH=$$folder gdalinfo tests/golden/v1/one-sample.twz >/dev/null && \
 		echo "GDAL reads .twz files where GDAL_DRIVER_PATH is $$folder"
+
+# The tests of the driver, with GDAL of this system and of other releases of Debian: 3.6, 3.10, and the newest there is.
+driver_tests := tests/gdal_driver/test_driver.py tests/gdal_driver/test_commands.py
+
+native-gdal: $(VENV)/.installed-dev system-native
+	@$(call with_cache,compiled) $(COMPILED) $(driver_tests)
+
+native-gdals: $(VENV)/.installed-dev system-native
+	@for release in $(RELEASES); do \
+		$(call with_cache,compiled) sh tools/other_gdal.sh $$release $(COMPILED) $(driver_tests) || exit 1; done
 
 # One for each minor version of GDAL: that of this system.
 native-deb: system-native

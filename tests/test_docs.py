@@ -148,3 +148,17 @@ def test_marks_of_the_table_are_those_that_tests_may_have():
         r"^\| `@pytest\.mark\.(\w+)` \|", TESTS_PAGE.read_text(encoding="utf-8"), re.M
     )
     assert sorted(named) == sorted(markers - {"kernels"})
+
+
+def test_readers_without_a_driver_see_first_what_works_for_them():
+    """Rasterio of a wheel cannot load a driver; colleagues without one need a GeoTIFF."""
+    works = "rasterio.open(terrain.geotiff())"
+    pages = {name: (ROOT / "docs" / name).read_text(encoding="utf-8") for name in (
+        "how-to/gis.md", "how-to/qgis.md", "api.md", "integrations.md"
+    )}  # fmt: skip
+    assert 0 < pages["how-to/gis.md"].find(works) < pages["how-to/gis.md"].find("driver of")
+    assert 0 < pages["api.md"].find(works) < pages["api.md"].find("::: terrainwave.open")
+    assert 0 < pages["integrations.md"].find(works) < pages["integrations.md"].find("xarray")
+    first = pages["how-to/qgis.md"].split("\n\n")[1]
+    assert "without the driver" in first
+    assert "terrainwave decompress dem.twz dem.tif --cog" in first

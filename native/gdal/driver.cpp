@@ -26,6 +26,8 @@ constexpr char MAGIC[] = "\x89TWZ\r\n\x1a\n";
 constexpr size_t MAGIC_BYTES = 8;
 constexpr char PREFIX[] = "TWZ:";
 constexpr char DOMAIN[] = "TERRAINWAVE";
+constexpr char HOW_TO_WRITE[] =
+    "the TWZ driver only reads; to make a .twz file: terrainwave compress dem.tif dem.twz --max-error 0.5";
 /* Tags that earlier versions wrote into GeoTIFFs; compressed, they are of other heights. */
 constexpr const char *OF_OTHERS[] = {"TERRAINWAVE_MAX_ERROR", "TERRAINWAVE_METHOD", "TERRAINWAVE_OVERVIEWS"};
 /* Of the band, in DOMAIN: it goes into the .aux.xml and marks of which file statistics there are. */
@@ -183,6 +185,14 @@ class Dataset final : public GDALPamDataset {
   }
   int BlockSize() const;
 
+  CPLErr IBuildOverviews(const char *, int, const int *, int, const int *, GDALProgressFunc, void *,
+                         CSLConstList) override {
+    is_explained_ = true;
+    CPLError(CE_Failure, CPLE_NotSupported, "%s: a .twz file brings its own overviews; %s", file_->Name().c_str(),
+             HOW_TO_WRITE);
+    return CE_Failure;
+  }
+
   CPLErr ReadBlock(GDALRasterBand &band, int col, int row, void *data);
   /* Answer a request where that is faster than block by block; else see that its blocks are in GDAL's cache. */
   CPLErr Read(GDALRasterBand &band, const Request &request, bool *is_done);
@@ -212,6 +222,7 @@ class Dataset final : public GDALPamDataset {
   std::shared_ptr<SharedFile> file_;
   VSILFILE *handle_; /* of the dataset that was opened; its overviews use it, too */
   bool owns_handle_ = false;
+  bool is_explained_ = true; /* false: the program tried to open the file for update, and has not read since */
   const Grid grid_;
   const int n_threads_;
   bool has_transform_ = false;
@@ -239,6 +250,7 @@ Dataset::Dataset(std::shared_ptr<SharedFile> file, VSILFILE *handle, const Grid 
 }
 
 Dataset::~Dataset() {
+  if (!is_explained_) CPLError(CE_Warning, CPLE_NotSupported, "%s: %s", file_->Name().c_str(), HOW_TO_WRITE);
   static_cast<void>(FlushCache(true));
   overviews_.clear();
   mask_.reset();
@@ -278,6 +290,7 @@ ptrdiff_t LineOfBlock(GDALRasterBand &band) {
 }
 
 CPLErr Dataset::ReadBlock(GDALRasterBand &band, int col, int row, void *data) {
+  is_explained_ = true;
   return Guarded([&] {
     const twz_box box = BoxOf(band, grid_, col, row, 1, 1);
     Area area(*file_, handle_, grid_, box, n_threads_);
@@ -385,6 +398,7 @@ bool Dataset::FillBlocks(GDALRasterBand &band, const Request &request) {
 }
 
 CPLErr Dataset::Read(GDALRasterBand &band, const Request &request, bool *is_done) {
+  is_explained_ = true;
   const int64_t n = static_cast<int64_t>(request.n_cols) * request.n_rows;
   const bool is_whole = request.n_cols == request.buffer_cols && request.n_rows == request.buffer_rows;
   *is_done = is_whole && n >= DIRECT_SAMPLES;
@@ -610,7 +624,7 @@ void Dataset::Describe() {
   if (!IsOverview()) own.SetNameValue("LEVEL", std::to_string(grid_.level - info.n_levels).c_str());
   if (IsOverview() || !overviews_.empty()) own.SetNameValue("OVERVIEWS", "averages of samples, without a bound");
   if (IsFinest()) own.SetNameValue("MAX_ERROR_ASKED", TextOf(info.max_error).c_str());
-  GDALMajorObject::SetMetadataItem("COMPRESSION", info.method_name, "IMAGE_STRUCTURE");
+  /* No COMPRESSION in IMAGE_STRUCTURE: rasterio 1.3 accepts only the names that GeoTIFF has. METHOD names ours. */
   const double bound = Bound();
   if (bound >= 0) {
     own.SetNameValue("MAX_ERROR", TextOf(bound).c_str());
@@ -658,9 +672,25 @@ struct Name {
   std::string file, level;
 };
 
+/*
+ * The prefix in a name, or null. GDAL before 3.8 puts the folder of a VRT before a relative name in it:
+ * FOLDER/TWZ:FILE:LEVEL stands for TWZ:FOLDER/FILE:LEVEL.
+ */
+const char *PrefixIn(const char *text) {
+  if (STARTS_WITH_CI(text, PREFIX)) return text;
+  const char *found = strstr(text, (std::string("/") + PREFIX).c_str());
+  return found ? found + 1 : nullptr;
+}
+
+/* True if a name has the prefix, and is not that of a file. */
+bool IsNamed(const GDALOpenInfo &info) {
+  return STARTS_WITH_CI(info.pszFilename, PREFIX) || (!info.fpL && PrefixIn(info.pszFilename));
+}
+
 Name Parse(const char *text) {
-  if (!STARTS_WITH_CI(text, PREFIX)) return {text, ""};
-  Name name = {text + strlen(PREFIX), ""};
+  const char *prefix = PrefixIn(text);
+  if (!prefix) return {text, ""};
+  Name name = {prefix + strlen(PREFIX), ""};
   const size_t colon = name.file.rfind(':');
   if (colon != std::string::npos && colon + 1 < name.file.size()) {
     const std::string last = name.file.substr(colon + 1);
@@ -671,11 +701,32 @@ Name Parse(const char *text) {
   }
   if (name.file.size() > 1 && name.file.front() == '"' && name.file.back() == '"')
     name.file = name.file.substr(1, name.file.size() - 2);
+  if (prefix != text) name.file = CPLProjectRelativeFilename(std::string(text, prefix).c_str(), name.file.c_str());
   return name;
 }
 
+#if GDAL_VERSION_NUM >= 3080000
+/* Tells GDAL which part of TWZ:FILE:LEVEL is a path: VRT files then keep it relative to themselves. */
+struct SubdatasetInfo final : GDALSubdatasetInfo {
+  explicit SubdatasetInfo(const char *text) : GDALSubdatasetInfo(text) {}
+
+ private:
+  void parseFileName() override {
+    const Name name = Parse(m_fileName.c_str());
+    const std::string quoted = '"' + name.file + '"';
+    m_driverPrefixComponent = "TWZ";
+    m_pathComponent = m_fileName.find(quoted) == std::string::npos ? name.file : quoted;
+    m_subdatasetComponent = name.level;
+  }
+};
+
+GDALSubdatasetInfo *GetSubdatasetInfo(const char *text) {
+  return STARTS_WITH_CI(text, PREFIX) ? new (std::nothrow) SubdatasetInfo(text) : nullptr;
+}
+#endif
+
 int Dataset::Identify(GDALOpenInfo *info) {
-  if (STARTS_WITH_CI(info->pszFilename, PREFIX)) return TRUE;
+  if (IsNamed(*info)) return TRUE;
   return info->fpL && info->nHeaderBytes >= static_cast<int>(MAGIC_BYTES) &&
          memcmp(info->pabyHeader, MAGIC, MAGIC_BYTES) == 0;
 }
@@ -705,23 +756,30 @@ bool TakeOverview(const char *wanted, Grid *grid, std::vector<Grid> *overviews) 
 
 GDALDataset *Dataset::Open(GDALOpenInfo *info) {
   if (!Identify(info)) return nullptr;
-  const Name name = Parse(info->pszFilename);
+  const bool is_named = IsNamed(*info);
+  const Name name = is_named ? Parse(info->pszFilename) : Name{info->pszFilename, ""};
+  /* The file that this thread was last refused for update. gdalwarp hides that error, opens the file again to see if
+   * it is there, and says only that it cannot be updated. */
+  static thread_local std::string refused;
   if (info->eAccess == GA_Update) {
-    CPLError(CE_Failure, CPLE_NotSupported, "%s: the TWZ driver only reads: open the file without update access",
-             name.file.c_str());
+    CPLError(CE_Failure, CPLE_NotSupported, "%s: opened for update, but %s", name.file.c_str(), HOW_TO_WRITE);
+    refused = name.file;
     return nullptr;
   }
+  const bool was_refused = refused == name.file;
+  refused.clear();
   std::unique_ptr<Dataset> dataset;
   const CPLErr result = Guarded([&] {
-    const bool is_named = STARTS_WITH_CI(info->pszFilename, PREFIX);
     std::unique_ptr<VSILFILE, int (*)(VSILFILE *)> handle(is_named ? VSIFOpenL(name.file.c_str(), "rb") : info->fpL,
                                                           VSIFCloseL);
     if (!is_named) info->fpL = nullptr;
     char magic[MAGIC_BYTES];
     if (!handle || VSIFReadL(magic, 1, is_named ? MAGIC_BYTES : 0, handle.get()) != (is_named ? MAGIC_BYTES : 0) ||
         (is_named && memcmp(magic, MAGIC, MAGIC_BYTES) != 0)) {
-      CPLError(CE_Failure, CPLE_OpenFailed, "%s: %s", name.file.c_str(),
-               handle ? "not a .twz file" : "there is no such file, or it cannot be read");
+      const bool may_be_of_vrt = is_named && !name.level.empty() && CPLIsFilenameRelative(name.file.c_str());
+      CPLError(CE_Failure, CPLE_OpenFailed, "%s: %s%s", name.file.c_str(),
+               handle ? "not a .twz file" : "there is no such file, or it cannot be read",
+               handle || !may_be_of_vrt ? "" : "; in a VRT, name the file and give the level by the open option LEVEL");
       return false;
     }
     std::shared_ptr<SharedFile> file = SharedFile::Open(name.file, handle.get());
@@ -759,6 +817,7 @@ GDALDataset *Dataset::Open(GDALOpenInfo *info) {
     dataset.reset(new Dataset(file, handle.get(), grid, n_threads));
     handle.release();
     dataset->owns_handle_ = true;
+    dataset->is_explained_ = !was_refused;
     for (const Grid &coarser : overviews)
       dataset->overviews_.emplace_back(new Dataset(file, dataset->handle_, coarser, n_threads));
     dataset->DescribePlace();
@@ -774,13 +833,9 @@ GDALDataset *Dataset::Open(GDALOpenInfo *info) {
 }
 
 GDALDataset *CannotWrite() {
-  CPLError(CE_Failure, CPLE_NotSupported,
-           "the TWZ driver only reads; to make a .twz file: terrainwave compress dem.tif dem.twz --max-error 0.5");
+  CPLError(CE_Failure, CPLE_NotSupported, "%s", HOW_TO_WRITE);
   return nullptr;
 }
-
-GDALDataset *Create(const char *, int, int, int, GDALDataType, char **) { return CannotWrite(); }
-GDALDataset *CreateCopy(const char *, GDALDataset *, int, char **, GDALProgressFunc, void *) { return CannotWrite(); }
 
 /* GDAL deletes what is there under the name of a raster that is made: a file that could not be made again. */
 CPLErr Delete(const char *name) {
@@ -823,12 +878,19 @@ void GDALRegister_TWZ(void) {
       "<Option name='NUM_THREADS' type='string' description='Threads that decode, or ALL_CPUS; GDAL_NUM_THREADS if "
       "it is not given'/>"
       "</OpenOptionList>");
+#if GDAL_VERSION_NUM >= 3080000
+  driver->SetMetadataItem(GDAL_DMD_SUBDATASETS, "YES");
+  driver->pfnGetSubdatasetInfoFunc = twz::GetSubdatasetInfo;
+#endif
   driver->pfnIdentify = twz::Dataset::Identify;
   driver->pfnOpen = twz::Dataset::Open;
   driver->pfnDelete = twz::Delete;
   driver->pfnUnloadDriver = twz::Unload;
-  driver->pfnCreate = twz::Create;
-  driver->pfnCreateCopy = twz::CreateCopy;
+  /* Options are of one type before GDAL 3.13, and of another from then on. */
+  driver->pfnCreate = [](const char *, int, int, int, GDALDataType, auto) { return twz::CannotWrite(); };
+  driver->pfnCreateCopy = [](const char *, GDALDataset *, int, auto, GDALProgressFunc, void *) {
+    return twz::CannotWrite();
+  };
   GDALDriver *registered = driver.release();
   GetGDALDriverManager()->RegisterDriver(registered);
   /* Left standing, DCAP_CREATECOPY lets gdal_translate come as far as our line, which says what makes such files.

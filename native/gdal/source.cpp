@@ -13,6 +13,9 @@
 #if defined(__linux__)
 #include <sys/mman.h>
 #endif
+#ifndef _WIN32
+#include <sys/stat.h>
+#endif
 
 #include "cpl_conv.h"
 #include "cpl_error.h"
@@ -156,23 +159,54 @@ Recycler &Memory() {
 
 /* ---- Files that are open ---- */
 
+/* Two files that have all of this in common are the same, unchanged. */
 struct Key {
-  std::string name, head; /* a file that was written anew has another head, or another size or time */
+  std::string name, head, version;
   vsi_l_offset size;
-  int64_t time;
   bool operator<(const Key &o) const {
-    return std::tie(name, size, time, head) < std::tie(o.name, o.size, o.time, o.head);
+    return std::tie(name, size, version, head) < std::tie(o.name, o.size, o.version, o.head);
   }
 };
 
 struct Registry {
   std::mutex mutex;
   std::map<Key, std::weak_ptr<SharedFile>> files;
+  uint64_t n_unknown = 0; /* files opened without a known version */
 };
 
 Registry &Files() {
   static Registry registry;
   return registry;
+}
+
+#ifdef __APPLE__
+#define TWZ_TIME(status, kind) (status).st_##kind##timespec
+#else
+#define TWZ_TIME(status, kind) (status).st_##kind##tim
+#endif
+
+/*
+ * Return a text that changes whenever the bytes of an open file do; empty if there is none. A local file has its inode
+ * and times: no program can set the time of the inode's last change. For a remote file GDAL itself relies on the
+ * server's date. Files in memory and in archives have no more than whole seconds, which is too coarse.
+ */
+std::string VersionOf(const std::string &name, VSILFILE *handle) {
+#ifndef _WIN32
+  struct stat status;
+  void *native = VSIFGetNativeFileDescriptorL(handle);
+  if (native && fstat(static_cast<int>(reinterpret_cast<intptr_t>(native)), &status) == 0) {
+    const auto modified = TWZ_TIME(status, m), changed = TWZ_TIME(status, c);
+    return CPLSPrintf("%" PRIu64 " %" PRIu64 " %" PRId64 ".%09ld %" PRId64 ".%09ld",
+                      static_cast<uint64_t>(status.st_dev), static_cast<uint64_t>(status.st_ino),
+                      static_cast<int64_t>(modified.tv_sec), static_cast<long>(modified.tv_nsec),
+                      static_cast<int64_t>(changed.tv_sec), static_cast<long>(changed.tv_nsec));
+  }
+#endif
+  VSIStatBufL stated;
+  if (!IsRemote(name) || VSIStatExL(name.c_str(), &stated, VSI_STAT_EXISTS_FLAG | VSI_STAT_SIZE_FLAG) != 0 ||
+      stated.st_mtime == 0)
+    return "";
+  return CPLSPrintf("%" PRId64, static_cast<int64_t>(stated.st_mtime));
 }
 
 size_t ForgetClosed(Registry &registry) {
@@ -228,14 +262,13 @@ SharedFile::SharedFile(const std::string &name, VSILFILE *handle)
     : name_(name), is_remote_(twz::IsRemote(name)), handle_(handle) {}
 
 std::shared_ptr<SharedFile> SharedFile::Open(const std::string &name, VSILFILE *handle) {
-  Key key{name, std::string(HEAD_BYTES, '\0'), 0, 0};
+  Key key{name, std::string(HEAD_BYTES, '\0'), VersionOf(name, handle), 0};
   key.head.resize(VSIFSeekL(handle, 0, SEEK_SET) == 0 ? VSIFReadL(&key.head[0], 1, HEAD_BYTES, handle) : 0);
   if (VSIFSeekL(handle, 0, SEEK_END) == 0) key.size = VSIFTellL(handle);
-  VSIStatBufL stat;
-  if (VSIStatExL(name.c_str(), &stat, VSI_STAT_EXISTS_FLAG | VSI_STAT_SIZE_FLAG) == 0) key.time = stat.st_mtime;
   Registry &registry = Files();
   {
     std::lock_guard<std::mutex> lock(registry.mutex);
+    if (key.version.empty()) key.version = CPLSPrintf("unknown %" PRIu64, ++registry.n_unknown);
     auto found = registry.files.find(key);
     if (found != registry.files.end()) {
       if (auto open = found->second.lock()) return open;

@@ -26,9 +26,9 @@ PATIENCE = 120  # seconds: WebGL runs on the processor, and machines are shared
 
 
 @contextlib.contextmanager
-def served(app):
+def served(app, port=0):
     """Yield the address at which `app` answers."""
-    with socket.create_server(("127.0.0.1", 0)) as listener:
+    with socket.create_server(("127.0.0.1", port)) as listener:
         server = server_of(app)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         thread.start()

@@ -1,4 +1,8 @@
-"""The driver built from this checkout, and the system's GDAL with it: commands, and Python."""
+"""The driver built from this checkout, and the system's GDAL with it: commands, and Python.
+
+TERRAINWAVE_GDAL_ROOT names the root of another system, whose GDAL is tested instead
+(tools/other_gdal.sh).
+"""
 
 import json
 import os
@@ -7,7 +11,8 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-FOLDER = ROOT / "build" / "native" / "driver-tests"
+OTHER_ROOT = os.environ.get("TERRAINWAVE_GDAL_ROOT", "")
+FOLDER = ROOT / "build" / "native" / f"driver-tests{OTHER_ROOT and '-'}{Path(OTHER_ROOT).name}"
 PLUGIN = FOLDER / "gdal"
 # What belongs to the Python that runs the tests, whose rasterio has a GDAL of its own.
 OF_THIS_PYTHON = {"PYTHONPATH", "PYTHONHOME", "LD_LIBRARY_PATH", "PYTHONWARNINGS"}
@@ -19,6 +24,14 @@ from osgeo import gdal
 gdal.UseExceptions()
 asked = json.loads(sys.argv[1])
 """
+
+
+def inside(command, folder=None):
+    """Return a command as it runs in the system that is tested, in a folder if one is given."""
+    command = [str(part) for part in command]
+    if folder is not None:
+        command = ["sh", "-c", 'cd "$0" && exec "$@"', str(folder), *command]
+    return ["chroot", OTHER_ROOT, *command] if OTHER_ROOT else command
 
 
 def build():
@@ -34,7 +47,7 @@ def build():
             ["cmake", "-S", ROOT / "native", "-B", FOLDER, *options, *compilers],
             ["cmake", "--build", FOLDER, "--target", "gdal_TWZ", "-j", "2"],
         ):
-            ended = subprocess.run(command, capture_output=True, text=True, check=False)
+            ended = subprocess.run(inside(command), capture_output=True, text=True, check=False)
             assert ended.returncode == 0, ended.stdout + ended.stderr
     return PLUGIN
 
@@ -45,17 +58,17 @@ def environment(**variables):
     return kept | {"GDAL_DRIVER_PATH": str(PLUGIN)} | variables
 
 
-def run(*command, **variables):
-    """Run one of GDAL's commands; return what came of it."""
+def run(*command, folder=None, **variables):
+    """Run one of GDAL's commands, in a folder if one is given; return what came of it."""
     return subprocess.run(
-        [str(part) for part in command], env=environment(**variables), capture_output=True,
-        text=True, timeout=300, check=False,
+        inside(command, folder), env=environment(**variables), capture_output=True, text=True,
+        timeout=300, check=False,
     )  # fmt: skip
 
 
-def good(*command, **variables):
+def good(*command, folder=None, **variables):
     """Run one of GDAL's commands, which must succeed in silence; return its output."""
-    ended = run(*command, **variables)
+    ended = run(*command, folder=folder, **variables)
     assert (ended.returncode, ended.stderr) == (0, ""), ended
     return ended.stdout
 

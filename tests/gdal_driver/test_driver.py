@@ -472,6 +472,56 @@ print(json.dumps([before, [after.ReadAsArray().shape, after.GetRasterBand(1).Dat
     assert after[0] == list(KINDS["uint8-mask"][2])
 
 
+@pytest.fixture(scope="module")
+def twins(folder):
+    """Two files of one size and the same first 16 KiB, and their heights, one of which differs."""
+    heights = np.random.default_rng(1).integers(0, 30_000, (700, 700), dtype=np.int16)
+    other = heights.copy()
+    other[601, 601] ^= 1
+    paths = [folder / "twin-a.twz", folder / "twin-b.twz"]
+    for path, values in zip(paths, (heights, other), strict=True):
+        path.write_bytes(
+            terrainwave.compress_to_bytes(
+                values, max_error=0, method="store", block=32, threads=1, mesh="none"
+            )
+        )
+    one, two = (path.read_bytes() for path in paths)
+    assert len(one) == len(two)
+    assert one[: 16 << 10] == two[: 16 << 10]
+    return paths, (int(heights[601, 601]), int(other[601, 601]))
+
+
+TWINS = """
+import os
+one, other, name, way = asked
+def put(source):
+    data = open(source, "rb").read()
+    if way == "replaced":
+        open(name + ".part", "wb").write(data)
+        os.replace(name + ".part", name)
+    elif way == "rewritten":
+        open(name, "wb").write(data)
+    else:
+        gdal.FileFromMemBuffer(name, data)
+    if way != "memory":
+        os.utime(name, ns=(10**18, 10**18))
+kept, found = [], []
+for source in (one, other, one):
+    put(source)
+    kept.append(gdal.Open(name))
+    found.append(int(kept[-1].ReadAsArray()[601, 601]))
+print(json.dumps(found))
+"""
+
+
+@pytest.mark.parametrize("way", ["replaced", "rewritten", "memory"])
+def test_files_of_equal_size_time_and_beginning_are_told_apart(twins, folder, way):
+    (one, other), expected = twins
+    name = "/vsimem/twin.twz" if way == "memory" else str(folder / f"{way}.twz")
+    found = by_python(TWINS, [str(one), str(other), name, way])
+    assert found == [expected[0], expected[1], expected[0]]
+
+
 def test_rasterio_of_the_system_reads_the_same(kinds, folder):
     code = """
 import rasterio
@@ -491,6 +541,34 @@ with rasterio.open(asked[0]) as dataset:
         with rasterio.open(terrain.geotiff()) as dataset:
             np.testing.assert_array_equal(found["small"], dataset.read(1, out_shape=(100, 90)))
     assert (overviews, epsg) == ([2, 4], 32632) or overviews == [2]
+
+
+PROFILES = """
+import rasterio
+from rasterio.merge import merge
+one, other, target = asked
+found = []
+for path in (one, other):
+    with rasterio.open(path) as dataset:
+        found.append([dataset.compression, dataset.profile["driver"]])
+        with rasterio.open(target, "w", **dataset.profile | {"driver": "GTiff"}) as copy:
+            copy.write(dataset.read())
+        with rasterio.open(target) as copy:
+            assert (copy.read() == dataset.read()).all()
+            assert copy.profile["transform"] == dataset.transform
+merged, _ = merge([one, one])
+with rasterio.open(one) as dataset:
+    assert (merged == dataset.read()).all()
+print(json.dumps(found))
+"""
+
+
+@pytest.mark.parametrize("method", ["cdf53", "cdf97", "predictive", "rapid", "store"])
+def test_profiles_and_merges_of_the_systems_rasterio_work(described, folder, method):
+    """Rasterio 1.3 raises for a compression that is not one of GeoTIFF's."""
+    path = write_kind(folder, "uint8-mask", method=method)
+    found = by_python(PROFILES, [str(path), str(described), str(folder / "profile.tif")])
+    assert found == [[None, "TWZ"]] * 2
 
 
 def test_a_sidecar_appears_only_where_somebody_asks_for_exact_statistics(kinds, folder):
@@ -643,6 +721,43 @@ def test_what_is_no_file_of_ours_is_told(folder, name, told):
     assert told in line
 
 
+# ---- Names in VRT files ----
+
+BY_LEVEL = """\
+<VRTDataset rasterXSize="{}" rasterYSize="{}"><VRTRasterBand dataType="UInt16" band="1">
+<SimpleSource><SourceFilename relativeToVRT="1">{}</SourceFilename><SourceBand>1</SourceBand>
+</SimpleSource></VRTRasterBand></VRTDataset>"""
+READ_ALL = "print(json.dumps([gdal.Open(name).ReadAsArray().tolist() for name in asked]))"
+
+
+@pytest.fixture
+def moved(tmp_path):
+    """A folder with VRT files of a file's level -2, made in another folder; and its heights."""
+    made, moved = tmp_path / "made", tmp_path / "moved"
+    (made / "data").mkdir(parents=True)
+    path = write_kind(made / "data", "uint16-nodata").rename(made / "data" / "dem.twz")
+    with terrainwave.open(path) as terrain:
+        heights = terrain.read(level=-2)
+    names = {"named": ["TWZ:data/dem.twz:-2"], "quoted": ['TWZ:"data/dem.twz":-2']}
+    names["option"] = ["-oo", "LEVEL=-2", "data/dem.twz"]
+    for name, arguments in names.items():
+        good("gdalbuildvrt", "-q", f"{name}.vrt", *arguments, folder=made)
+    (made / "relative.vrt").write_text(BY_LEVEL.format(600, 257, "TWZ:data/dem.twz:-2"))
+    made.rename(moved)
+    return moved, heights.tolist()
+
+
+@pytest.mark.parametrize("name", ["named", "quoted", "option", "relative"])
+def test_a_vrt_of_a_level_works_from_any_folder_and_moves_with_its_file(moved, name):
+    folder, heights = moved
+    if name in ("named", "quoted") and by_python("print(gdal.VersionInfo())") < 3080000:
+        # GDAL before 3.8 keeps such names relative to the folder of the program.
+        (line, *_) = error_lines(run("gdalinfo", "-checksum", folder / f"{name}.vrt"))
+        assert "give the level by the open option LEVEL" in line
+        return
+    assert by_python(READ_ALL, [str(folder / f"{name}.vrt")]) == [heights]
+
+
 # ---- Writing ----
 
 
@@ -675,6 +790,52 @@ print(json.dumps(told))
     assert path.read_bytes() == kinds["int16-none"].read_bytes()
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["gdaladdo", "{path}", "2", "4"],
+        ["gdaladdo", "-ro", "{path}", "2"],
+        ["gdaladdo", "-clean", "{path}"],
+        ["gdalwarp", "-q", "{source}", "{path}"],
+        ["gdalwarp", "-q", "-of", "TWZ", "{source}", "{path}"],
+        ["gdalwarp", "-q", "-overwrite", "{source}", "{path}"],
+        ["gdalwarp", "-q", "{source}", "{missing}"],
+        ["gdal_edit.py", "-a_nodata", "5", "{path}"],
+        ["gdaldem", "hillshade", "-q", "{source}", "{missing}"],
+    ],
+    ids=" ".join,
+)
+def test_commands_that_would_write_name_the_one_that_does(kinds, folder, command):
+    path, missing = folder / "target.twz", folder / "missing.twz"
+    shutil.copy(kinds["int16-none"], path)
+    source = kinds["int16-none"].with_suffix(".tif")
+    names = {"path": path, "source": source, "missing": missing}
+    ended = run(*(part.format(**names) for part in command))
+    assert ended.returncode != 0
+    assert "terrainwave compress dem.tif dem.twz" in ended.stderr
+    assert path.read_bytes() == kinds["int16-none"].read_bytes()
+    assert not missing.exists()
+    assert not list(folder.glob("target.twz.*"))
+
+
+def test_a_file_that_is_read_after_a_refusal_is_closed_in_silence(kinds):
+    code = """
+told = []
+gdal.PushErrorHandler(lambda kind, number, text: told.append(text))
+for _ in range(2):
+    try:
+        gdal.Open(asked, gdal.GA_Update)
+    except RuntimeError:
+        pass
+    dataset = gdal.Open(asked)
+    dataset.ReadAsArray(0, 0, 1, 1)
+    del dataset
+print(json.dumps(told))
+"""
+    told = by_python(code, str(kinds["int16-none"]))
+    assert all("opened for update" in line for line in told)
+
+
 def test_opening_for_update_is_refused_in_one_line(kinds):
     code = """
 try:
@@ -682,7 +843,9 @@ try:
 except RuntimeError as error:
     print(json.dumps(str(error)))
 """
-    assert "only reads" in by_python(code, str(kinds["int16-none"]))
+    line = by_python(code, str(kinds["int16-none"]))
+    assert "only reads" in line
+    assert "terrainwave compress" in line
 
 
 # ---- Files that are wrong ----

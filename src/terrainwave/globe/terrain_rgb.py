@@ -89,6 +89,11 @@ class Look(NamedTuple):
     encoding: str = MAPBOX
     transparent_voids: bool = False
 
+    @property
+    def voids(self) -> str:
+        """Name of the look of voids in addresses."""
+        return "transparent" if self.transparent_voids else "height"
+
 
 PLAIN = Look()
 

@@ -48,6 +48,21 @@ def _host_names(_: Any, __: Any, names: tuple[str, ...]) -> tuple[str, ...]:
               help="Port to listen on; 0 selects a free one.")  # fmt: skip
 @click.option("--allow-host", "hosts", multiple=True, metavar="NAME", callback=_host_names,
               help="Accept requests by this host name, too, not only localhost.")  # fmt: skip
+@click.option(
+    "--public-url",
+    metavar="URL",
+    help="Address of this server as browsers see it, if a proxy stands before it, such as"
+    " https://example.org/terrain/. Addresses of tiles begin with it, and requests by its host are"
+    " accepted.",
+)
+@click.option(
+    "--proxy",
+    "proxy",
+    multiple=True,
+    metavar="ADDRESS",
+    help="Believe X-Forwarded-Proto, -Host and -Prefix of a proxy at this IP address or network,"
+    " too, not only of one on this machine.",
+)
 @click.option("--cors", is_flag=True, help="Let pages of other sites read the tiles.")
 @click.option("--threads", "n_decoding", type=click.IntRange(1, 64), default=2, show_default=True,
               help="Requests that decode at the same time.")  # fmt: skip

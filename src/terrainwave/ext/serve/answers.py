@@ -1,7 +1,7 @@
 """The answers to requests: what is asked, checked, goes to the tiles and files of `layers`."""
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any
 from urllib.parse import urlencode
@@ -27,6 +27,10 @@ Rim = Annotated[int, Query(ge=0, le=tiling.MAX_RIM)]
 AskedEncoding = Annotated[str | None, Query(alias="encoding", pattern="^(mapbox|terrarium)$")]
 AskedVoids = Annotated[str | None, Query(alias="voids", pattern="^(height|transparent)$")]
 
+# How long clients may keep a reply: one whose address names all that it depends on, and any other,
+# which they compare with the server's each time.
+_FOREVER, _COMPARED = "max-age=31536000, immutable", "no-cache"
+
 
 def asked_look(look: Look, encoding: str | None, voids: str | None) -> Look:
     """Return the look that a request asks for, `look` where it does not say."""
@@ -48,7 +52,8 @@ class Answers:
     """What is answered, from the files of a shelf; a method for each address.
 
     `desk` has what is decoded, `reading` the bytes of files, which need not wait for that. `look`
-    is that of tiles where a request asks for none.
+    is that of tiles where a request asks for none. `public_url` is the server's address as browsers
+    see it; by default that of each request.
     """
 
     def __init__(
@@ -59,9 +64,10 @@ class Answers:
         reading: Desk,
         look: Look,
         sea_level: str | float,
+        public_url: str | None = None,
     ) -> None:
         self._layers, self._shelf, self._desk, self._reading = layers, shelf, desk, reading
-        self._look, self._sea_level = look, sea_level
+        self._look, self._sea_level, self._public_url = look, sea_level, public_url
 
     def router(self) -> APIRouter:
         """Return the router of all addresses."""
@@ -85,12 +91,18 @@ class Answers:
     def _find(self, name: str) -> Layer:
         return named(name, self._layers)
 
-    def _tagged(self, request: Request, layer: Raster, of: Look | None = None) -> dict[str, str]:
-        """Return the headers of a tile, of a look if it has one; 304 if the client has it."""
-        # A server that begins anew may give another look to the same address.
+    def _tagged(
+        self, request: Request, raster: Raster, of: Look | None = None, *, is_fixed: bool = False
+    ) -> dict[str, str]:
+        """Return the headers of a reply, of a look if it has one; 304 if the client has it.
+
+        Replies to an address that names their version never change if `is_fixed`: nothing else
+        that a server started anew may do otherwise decides about them.
+        """
         kind = "" if of in (None, tiling.PLAIN) else f"-{'-'.join(map(str, of))}"
-        tag = f'"{layer.tag[:16]}{kind}"'
-        headers = {"ETag": tag, "Cache-Control": "max-age=3600"}
+        tag = f'"{raster.version}{kind}"'
+        is_kept = is_fixed and request.query_params.get("v") == raster.version
+        headers = {"ETag": tag, "Cache-Control": _FOREVER if is_kept else _COMPARED}
         if is_same(request.headers.get("if-none-match", ""), tag):
             raise HTTPException(304, headers=headers)
         return headers
@@ -99,7 +111,10 @@ class Answers:
     def _described(self) -> bytes:
         encoding, sea_level = self._look.encoding, self._sea_level
         layers = self._layers.values()
-        found = [describe(layer.name, layer.globe, encoding, sea_level) for layer in layers]
+        found = [
+            describe(layer.name, layer.globe, encoding, sea_level) | {"tag": layer.version}
+            for layer in layers
+        ]
         return bytes(JSONResponse(found).body)
 
     async def _page(self) -> FileResponse:
@@ -117,13 +132,11 @@ class Answers:
         voids: AskedVoids = None,
     ) -> dict[str, object]:
         layer = self._find(name)
-        url = f"{request.base_url}{name}/rgb/{{z}}/{{x}}/{{y}}.png"
-        asked = {"rim": rim or None, "encoding": asked_encoding, "voids": voids}
-        query = urlencode({key: value for key, value in asked.items() if value is not None})
+        url = f"{self._public_url or request.base_url}{name}/rgb/{{z}}/{{x}}/{{y}}.png"
         shown = asked_look(self._look, asked_encoding, voids)
-        return tiling.tile_json(
-            layer.globe, f"{url}?{query}" if query else url, name, shown.encoding
-        )
+        asked = {"v": layer.version, "encoding": shown.encoding, "voids": shown.voids}
+        query = urlencode(asked | ({"rim": str(rim)} if rim else {}))
+        return tiling.tile_json(layer.globe, f"{url}?{query}", name, shown.encoding)
 
     async def _rgb(
         self,
@@ -138,7 +151,8 @@ class Answers:
     ) -> Response:
         layer, shown = self._find(name), asked_look(self._look, asked_encoding, voids)
         check_tile(z, x, y, tiling.MAX_ZOOM)
-        headers = self._tagged(request, layer, shown)
+        is_fixed = asked_encoding is not None and voids is not None
+        headers = self._tagged(request, layer, shown, is_fixed=is_fixed)
         tile = await self._desk.do(layer.rgb_tile, z, x, y, rim, shown)
         if tile is None and rim:
             png = tiling.void_tile(layer.globe, shown)
@@ -161,19 +175,20 @@ class Answers:
     ) -> Response:
         layer = self._find(name)
         check_tile(z, x, y, tiling.MAX_ZOOM)
-        headers = self._tagged(request, layer)
+        headers = self._tagged(request, layer, is_fixed=True)
         png = await self._desk.do(layer.covering, z, x, y, rim, color, Look(self._look.encoding))
         if png is None:
             return Response(status_code=204, headers=headers)
         return Response(png, media_type="image/png", headers=headers)
 
     async def _layer_json(self, name: str) -> dict[str, Any]:
-        return await self._desk.do(self._find(name).tiles.layer)
+        layer = self._find(name)
+        return await self._desk.do(partial(layer.tiles.layer, version=layer.version))
 
     async def _mesh(self, request: Request, name: str, z: int, x: int, y: int) -> Response:
         layer = self._find(name)
         check_tile(z, x, y, LAST_MESH_ZOOM, n_first=2)
-        headers = self._tagged(request, layer)
+        headers = self._tagged(request, layer, is_fixed=True)
         tile = await self._desk.do(layer.tiles.tile, z, x, y)
         if tile is None:
             raise HTTPException(404, f"no tile {z}/{x}/{y}: there is no terrain", headers)

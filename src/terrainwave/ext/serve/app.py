@@ -22,6 +22,8 @@ from terrainwave.ext.serve.answers import STATIC, Answers
 from terrainwave.ext.serve.causes import Causes
 from terrainwave.ext.serve.guards import Guarded, guards_of
 from terrainwave.ext.serve.layers import Shelf, open_layers
+from terrainwave.ext.serve.proxies import Proxied, network_of
+from terrainwave.ext.serve.proxies import public_url as address_of
 from terrainwave.ext.serve.sending import Desk
 from terrainwave.extras import with_extra
 from terrainwave.globe import terrain_rgb as tiling
@@ -48,6 +50,8 @@ def make_app(
     encoding: str = tiling.MAPBOX,
     transparent_voids: bool = False,
     sea_level: str | float = AUTO,
+    public_url: str | None = None,
+    proxy: tuple[str, ...] = (),
 ) -> FastAPI:
     """Return the application that serves these files.
 
@@ -73,15 +77,27 @@ def make_app(
     sea_level : {"auto", "none"} or float
         Of the page's colours: the height in metres below which all is water, or none; by default 0
         where there are heights below -450 m.
+    public_url : str, optional
+        Address of the server as browsers see it, which tiles.json names, such as
+        ``https://example.org/terrain/``; requests by its host are accepted. By default that of each
+        request.
+    proxy : tuple of str
+        IP addresses or networks of proxies whose X-Forwarded-Proto, -Host and -Prefix are believed,
+        besides those on this machine.
 
     Raises
     ------
+    InvalidArgumentError
+        If an option has none of its values.
     InvalidHeightsError
         If two files have the same name or none has a place on the globe.
     TerrainwaveError
         If no file can be opened; one that cannot beside others is a warning.
     """
     check_sea_level(sea_level)
+    public = None if public_url is None else address_of(public_url)
+    networks = [network_of(address) for address in proxy]
+    allowed = [*LOCAL_HOSTS, *hosts, *([] if public is None else [public.host])]
     look = Look(tiling.encoding_of(encoding).name, transparent_voids)
     desk, reading = Desk(n_decoding), Desk(_N_READING)
     layers = open_layers(paths, radius, vertical) if paths else {}
@@ -104,9 +120,10 @@ def make_app(
     guards = guards_of(cors=cors)
     app.state.layers = layers
     app.state.shelf = shelf
-    app.add_middleware(
-        TrustedHostMiddleware, allowed_hosts=[*LOCAL_HOSTS, *hosts], www_redirect=False
-    )
+    # Twice: a page that reaches this server by a name of its own could forward another one.
+    app.add_middleware(TrustedHostMiddleware, allowed_hosts=allowed, www_redirect=False)
+    app.add_middleware(Proxied, proxies=networks)
+    app.add_middleware(TrustedHostMiddleware, allowed_hosts=allowed, www_redirect=False)
     if cors:
         app.add_middleware(
             CORSMiddleware,
@@ -133,6 +150,7 @@ def make_app(
         # The one answer that does not pass through `Guarded`.
         return JSONResponse({"detail": "internal error"}, 500, guards)
 
-    app.include_router(Answers(layers, shelf, desk, reading, look, sea_level).router())
+    address = None if public is None else public.address
+    app.include_router(Answers(layers, shelf, desk, reading, look, sea_level, address).router())
     app.mount("/static", StaticFiles(directory=STATIC), name="static")
     return app

@@ -132,6 +132,8 @@ def server_of(app: ASGIApp, n_files: int = 0) -> uvicorn.Server:
         ws="none",
         log_level="warning",
         server_header=False,
+        # `proxies` has what this would do, and only that.
+        proxy_headers=False,
         # As many as may be connected: of them none is turned away before it is counted.
         backlog=MAX_CONNECTIONS,
         # Of a request that comes bit by bit; the application refuses a whole one that is longer.

@@ -45,7 +45,10 @@ class Guarded:
 
         async def send_guarded(message: Message) -> None:
             if message["type"] == "http.response.start":
-                MutableHeaders(scope=message).update(self._guards)
+                headers = MutableHeaders(scope=message)
+                headers.update(self._guards)
+                # A server started anew may have another page and other terrains.
+                headers.setdefault("Cache-Control", "no-cache")
             await send(message)
 
         if scope["type"] == "http":

@@ -9,6 +9,7 @@ from typing import Any, Self, TypeVar
 
 from fastapi import HTTPException
 
+from terrainwave._version import __version__
 from terrainwave.cache import Cache
 from terrainwave.errors import (
     CorruptStreamError,
@@ -33,8 +34,13 @@ _CACHE_BYTES, _LEAST_CACHE_BYTES = 512 << 20, 16 << 20
 _N_NAMES = 10
 
 
+def version_of(*parts: object) -> str:
+    """Return a short text that changes with each of the parts."""
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
+
+
 class Raster:
-    """One file as it is served: the raster, and what names this version of it."""
+    """One file as it is served: the raster, and the version of all that is made of it."""
 
     def __init__(self, name: str, path: str, cache_bytes: int = 64 << 20) -> None:
         self.name = name
@@ -48,8 +54,7 @@ class Raster:
         self.ahead = Ahead(self.geotiff.read_at)
         # A file that takes the place of this one may have the same size and say the same.
         version = getattr(self.terrain.container.source, "version", "")
-        told = repr((name, version, self.info.n_bytes, self.info))
-        self.tag = hashlib.sha256(told.encode()).hexdigest()
+        self.version = version_of(__version__, name, version, self.info.n_bytes, self.info)
 
 
 class Layer(Raster):
@@ -59,6 +64,7 @@ class Layer(Raster):
         self, name: str, path: str, cache_bytes: int, radius: float | None, vertical: str
     ) -> None:
         super().__init__(name, path, cache_bytes)
+        self.version = version_of(self.version, radius, vertical)
         with ExitStack() as stack:
             stack.enter_context(self.terrain)
             try:

@@ -2,9 +2,9 @@
 
 const at = (terrain, path) => new URL(`${terrain.name}${path}`, document.baseURI).href;
 
-/** Return the addresses of a terrain's tiles, "rgb" or "voids", for a style. */
+/** Return the addresses of a terrain's tiles, "rgb" or "voids", of this version of it, for a style. */
 function tilesOf(terrain, kind, query) {
-  const address = at(terrain, `/${kind}/{z}/{x}/{y}.png?${query}`);
+  const address = at(terrain, `/${kind}/{z}/{x}/{y}.png?v=${terrain.tag}&${query}`);
   return [address.replaceAll("%7B", "{").replaceAll("%7D", "}")];
 }
 
