@@ -21,7 +21,7 @@ COMPILED := $(PYTEST) --dist loadfile --no-loadscope-reorder
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo qgis conformance test test-all system system-full system-native system-arm native native-arm native-aarch64 native-arm32 native-gcc native-clang native-agrees native-compared native-sanitized native-fuzz native-driver native-deb lint test-compiled test-full test-bounds test-python coverage docs bench long fuzz release-check clean
+.PHONY: help demo qgis conformance test test-all system system-full system-native system-arm system-nginx native native-arm native-aarch64 native-arm32 native-gcc native-clang native-agrees native-compared native-sanitized native-fuzz native-driver native-deb lint test-compiled test-full test-bounds test-python coverage docs bench long fuzz release-check clean
 
 help:
 	@echo "make demo            compress a real terrain, check and draw it, into demo/"
@@ -91,6 +91,9 @@ system-full:
 system-native:
 	@sh tools/install_system.sh native
 
+system-nginx:
+	@sh tools/install_system.sh nginx
+
 system-arm:
 	@sh tools/install_system.sh arm
 
@@ -123,7 +126,7 @@ with_cache = digest=$$(find src tests -name '*.py' -type f -exec sha256sum {} + 
 test-compiled: $(VENV)/.installed-dev system
 	@$(call with_cache,compiled) $(COMPILED) -m "not (full or slow_compile)"
 
-test-full: $(VENV)/.installed-dev system-full system-native tests/ext/node_modules/.installed
+test-full: $(VENV)/.installed-dev system-full system-native system-nginx tests/ext/node_modules/.installed
 	@$(call with_cache,compiled) $(COMPILED) -m "not kernels and (full or slow_compile or hypothesis)" --hypothesis-profile=full
 
 test-bounds: $(VENV)/.installed-dev system

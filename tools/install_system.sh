@@ -5,7 +5,8 @@
 # tests of the plugin, and what builds and tests GDAL's driver; with the argument `native` instead of
 # all these what builds and tests the native library, and that driver: cmake, gcc, clang with its
 # sanitizers and libFuzzer, clang 14 with lld for WebAssembly, GDAL; with `arm` what builds the library for ARM of 64 and 32 bits, and
-# runs it: Debian's cross compilers and qemu. Installed where this is Debian or Ubuntu and apt-get may run;
+# runs it: Debian's cross compilers and qemu; with `nginx` that server, unpacked into build/nginx only: an
+# installed one would start and listen. Installed where this is Debian or Ubuntu and apt-get may run;
 # elsewhere one line says what is missing, and the tests that need it fail.
 set -eu
 
@@ -30,6 +31,11 @@ arm)
     packages="cmake make qemu-user gcc-aarch64-linux-gnu libc6-dev-arm64-cross gcc-arm-linux-gnueabihf libc6-dev-armhf-cross"
     needs="the native library for ARM needs cross compilers and an emulator"
     elsewhere="cmake, make, gcc and C libraries for aarch64-linux-gnu and arm-linux-gnueabihf, qemu-user"
+    ;;
+nginx)
+    packages="nginx"
+    needs="a test of published folders needs nginx"
+    elsewhere="/usr/sbin/nginx"
     ;;
 esac
 
@@ -79,6 +85,7 @@ has_arm() {
 case "${1:-}" in
 native) has_compilers && has_gdal && exit 0 ;;
 arm) has_arm && exit 0 ;;
+nginx) [ -x /usr/sbin/nginx ] || [ -x build/nginx/usr/sbin/nginx ] && exit 0 ;;
 *) is_complete && exit 0 ;;
 esac
 
@@ -95,6 +102,13 @@ if ! command -v apt-get >/dev/null; then
     exit 0
 fi
 echo "terrainwave: installing $packages"
+if [ "$packages" = nginx ]; then
+    mkdir -p build/nginx
+    { $as_root apt-get update -qq && cd build/nginx && apt-get download -qq nginx nginx-common &&
+        for package in *.deb; do dpkg -x "$package" .; done; } >/dev/null 2>&1 ||
+        echo "terrainwave: apt-get could not download nginx" >&2
+    exit 0
+fi
 { $as_root apt-get update -qq &&
     $as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
         $packages; } >/dev/null 2>&1 ||

@@ -287,7 +287,7 @@ def test_the_page_has_the_files_of_a_published_folder(twz, tmp_path):
     published = {
         path.relative_to(tmp_path / "site").as_posix(): path
         for path in (tmp_path / "site").rglob("*")
-        if path.suffix in (".html", ".css", ".js", ".mjs")
+        if path.suffix in (".html", ".css", ".js")
     }
     assert published.keys() == page_files().keys()
     other = {
@@ -296,7 +296,7 @@ def test_the_page_has_the_files_of_a_published_folder(twz, tmp_path):
         if gzip.decompress(packed) != published[name].read_bytes()
     }
     # A published folder's page asks for its modules at once.
-    assert other == {"static/host.mjs", "index.html"}
+    assert other == {"static/host.js", "index.html"}
 
 
 def test_the_page_comes_whole_by_one_answer(terrain, page):
