@@ -116,6 +116,15 @@ def test_what_browsers_cannot_show_leaves_no_folder(tmp_path, crs, line):
     assert os.listdir(tmp_path) == ["a.twz"]
 
 
+def test_degrees_without_a_crs_are_published_with_a_note(tmp_path):
+    twz = write_twz(tmp_path, hills(40, 50), BOUNDS, crs=None)
+    result = run("publish", twz, tmp_path / "site")
+    assert result.exit_code == 0, result.output
+    assert result.stderr.count("the coordinates fit degrees on the Earth") == 1
+    (described,) = json.loads((tmp_path / "site" / "terrains.json").read_text())
+    assert described["bounds"] == pytest.approx(BOUNDS)
+
+
 @pytest.mark.parametrize("target", ["site.zip", "-", "site.pmtiles"])
 def test_only_directories_are_published(twz, tmp_path, target):
     result = run("publish", twz, target if target == "-" else tmp_path / target)
