@@ -518,20 +518,17 @@ def test_a_raster_without_a_place_is_refused_with_what_shows_it():
             terrain.explore()
     assert str(caught.value) == (
         "the raster has no coordinate reference system, and no coordinates that fit degrees: it has"
-        " no place on a globe. Name its CRS, for example by gdal_edit -a_srs, and compress it again;"
-        " terrain.view() shows it"
+        " no place on a globe. Name its CRS, for example by gdal_edit -a_srs, and compress it"
+        " again; terrain.view() shows it"
     )
 
 
 def test_degrees_without_a_crs_are_on_the_earth_with_a_note(tmp_path):
     twz = write_twz(tmp_path, hills(40, 50), BOUNDS, crs=None)
-    with (
-        terrainwave.open(twz) as terrain,
-        pytest.warns(terrainwave.TerrainwaveWarning, match="fit degrees on the Earth") as noted,
-    ):
-        widget = terrain.explore()
+    with terrainwave.open(twz) as terrain:
+        with pytest.warns(terrainwave.TerrainwaveWarning, match="fit degrees on the Earth"):
+            widget = terrain.explore()
         assert widget._globe.extent == pytest.approx(BOUNDS)
-    assert len(noted) == 1
 
 
 def test_a_projection_that_polynomials_cannot_tell_is_refused(tmp_path):

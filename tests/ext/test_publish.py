@@ -291,6 +291,9 @@ def test_height_maps_state_their_errors(twz, site):
         assert known.any()
         assert np.abs(heights.ravel() - expected)[known].max() < 0.01
         assert (heights.ravel()[~known] == np.float32(globe.height_range[0] - 1)).all()
+        holes = np.isfinite(rows) & ~known
+        assert 0 < holes.sum() < (~known).sum()
+        assert (decoded(tile["holes"]) == holes).all()
         assert tile["terrainError"] == pytest.approx(globe.heights_error(window))
     assert 0 < tile["error"] < 200
 
