@@ -40,14 +40,18 @@ export function terrainProvider(Cesium, terrain, maker = new TileMaker()) {
     [[0, 1], [1, 1], [0, 0], [1, 0]].forEach(([right, down], i) => {
       if (isThere(2 * x + right, 2 * y + down, z + 1)) childTileMask |= 1 << i;
     });
+    const about = { childTileMask, createdByUpsampling: z > lastZoom };
     if (!holes) {
       errors.set(`${z}/${x}/${y}`, { error, terrainError });
-      return new Cesium.HeightmapTerrainData({ buffer: heights, width: SIZE, height: SIZE, childTileMask });
+      return new Cesium.HeightmapTerrainData({ buffer: heights, width: SIZE, height: SIZE, ...about });
     }
     const skirt = 5 * (errorOfZero / 2 ** z); // as Cesium has it
-    const mesh = meshWithHoles(Cesium, ellipsoid, rectangleOf(z, x, y), { heights, holes, skirt, childTileMask });
+    const mesh = meshWithHoles(Cesium, ellipsoid, rectangleOf(z, x, y), { heights, holes, skirt });
     errors.set(`${z}/${x}/${y}`, { error: error + mesh.rounding, terrainError });
-    return new Cesium.QuantizedMeshTerrainData(mesh);
+    const data = new Cesium.QuantizedMeshTerrainData({ ...mesh, ...about });
+    // Cesium makes finer tiles of a mesh's triangles: inside a hole, of none, it would try for ever.
+    data.upsample = (_scheme, _x, _y, _z, finerX, finerY, finerZ) => makeTile(finerX, finerY, finerZ);
+    return data;
   }
 
   return {
@@ -70,7 +74,7 @@ export function terrainProvider(Cesium, terrain, maker = new TileMaker()) {
  * Return a tile's height map as options of QuantizedMeshTerrainData, without the cells that have a void
  * corner, and by how many metres its heights are rounded.
  */
-function meshWithHoles(Cesium, ellipsoid, [west, south, east, north], { heights, holes, skirt, childTileMask }) {
+function meshWithHoles(Cesium, ellipsoid, [west, south, east, north], { heights, holes, skirt }) {
   const known = heights.filter((_, at) => !holes[at]);
   const [low, high] = known.length ? [Math.min(...known), Math.max(...known)] : [heights[0], heights[0]];
   const n = SIZE * SIZE;
@@ -110,6 +114,5 @@ function meshWithHoles(Cesium, ellipsoid, [west, south, east, north], { heights,
     southSkirtHeight: skirt,
     eastSkirtHeight: skirt,
     northSkirtHeight: skirt,
-    childTileMask,
   };
 }
