@@ -28,7 +28,7 @@ Exchange = namedtuple("Exchange", "start end n_bytes path user_agent")
 
 def _type_of(name: str) -> str:
     """Return the media type of a file: browsers run nothing that is no JavaScript."""
-    if name.endswith((".js", ".mjs")):
+    if name.endswith(".js"):
         return "text/javascript"
     return mimetypes.guess_type(name)[0] or "application/octet-stream"
 

@@ -17,10 +17,11 @@ export function meets([west, south, east, north], z, x, y) {
 }
 
 /**
- * Return { heights, error, terrainError }: size x size heights in metres, Float32Array, from the
+ * Return { heights, holes, error, terrainError }: size x size heights in metres, Float32Array, from the
  * north-west corner on, the outer ones on the tile's edges.
  *
- * Voids and what lies beside the raster are 1 m below the lowest height. `error`: how far the map's
+ * Voids and what lies beside the raster are 1 m below the lowest height. `holes` has 1 where the raster
+ * is void; null without voids. `error`: how far the map's
  * bilinear surface is from that of the samples read, at its places and halfway between them, where
  * nothing is void; `terrainError`: how far originals can be from the latter.
  */
@@ -31,15 +32,18 @@ export async function heightmap(globe, z, x, y, size) {
   const lon = Array.from({ length: n }, (_, i) => west + share(i) * (east - west));
   const lat = Array.from({ length: n }, (_, i) => north - share(i) * (north - south));
   const spacing = ((north - south) / (size - 1) / 180) * Math.PI * globe.axis;
-  const { known, ...errors } = await sampledGrid(globe, lon, lat, size, spacing);
+  const { known, places, ...errors } = await sampledGrid(globe, lon, lat, size, spacing);
   const ofVoids = globe.lowest - VOID_DEPTH;
   const heights = Float32Array.from(known, (height) => (Number.isNaN(height) ? ofVoids : height));
-  return { heights, ...errors };
+  const isInside = (at) => !Number.isNaN(places.rows[2 * Math.floor(at / size) * n + 2 * (at % size)]);
+  const holes = Uint8Array.from(known, (height, at) => Number.isNaN(height) && isInside(at));
+  return { heights, holes: holes.includes(1) ? holes : null, ...errors };
 }
 
 /**
- * Return { known, error, terrainError }: size x size heights, single precision, NaN where void, at every
- * second of the places, of samples at most `spacing` metres apart; the errors of `heightmap`.
+ * Return { known, places, error, terrainError }: size x size heights, single precision, NaN where void, at
+ * every second of the places, of samples at most `spacing` metres apart; the places, as `Places.toSamples`
+ * has them; the errors of `heightmap`.
  */
 export async function sampledGrid(globe, lon, lat, size, spacing) {
   const n = 2 * size - 1;
@@ -51,6 +55,7 @@ export async function sampledGrid(globe, lon, lat, size, spacing) {
   }
   return {
     known,
+    places,
     error: largestDistance(known, surface, n),
     terrainError: window === null ? null : await globe.heightsError(window),
   };

@@ -50,7 +50,7 @@ export class TileMaker {
     signal?: AbortSignal): Promise<({ image: ImageBitmap } & TileErrors) | null>;
   ask(terrain: PublishedTerrain, what: "heightmap",
     args: [z: number, x: number, y: number, size: number],
-    signal?: AbortSignal): Promise<{ heights: Float32Array } & TileErrors>;
+    signal?: AbortSignal): Promise<{ heights: Float32Array; holes: Uint8Array | null } & TileErrors>;
   /** In deck.gl's common space: see mesh.js. */
   ask(terrain: PublishedTerrain, what: "mesh",
     args: [z: number, x: number, y: number, size: number],

@@ -22,7 +22,7 @@ import { gridMesh } from "./mesh.js";
 import { TILE_SIZE, rgbPixels, rgbTile, voidPixels, voidsOf } from "./terrain-rgb.js";
 
 const N_KEPT = 32;
-const globes = new Map(); // by name: promises
+const globes = new Map(); // by `keyOf`: promises
 const brought = new Map(); // by name: sources whose bytes the page brings
 
 function bring({ name, size, port }) {
@@ -36,20 +36,25 @@ function bring({ name, size, port }) {
   brought.set(name, { size, read });
 }
 
-function openGlobe({ name, url, described }) {
-  if (!globes.has(name)) {
-    const opened = open(brought.get(name) ?? url, { blocks: true }).then((terrain) => new Globe(terrain, described));
-    globes.set(name, opened);
-    opened.catch(() => globes.delete(name)); // another try opens it anew
+/** Terrains of two folders may have the same name. */
+const keyOf = ({ name, url }) => (brought.has(name) ? name : url);
+
+function openGlobe(terrain) {
+  const key = keyOf(terrain);
+  if (!globes.has(key)) {
+    const { url, described } = terrain;
+    const opened = open(brought.get(key) ?? url, { blocks: true }).then((file) => new Globe(file, described));
+    globes.set(key, opened);
+    opened.catch(() => globes.delete(key)); // another try opens it anew
   }
-  return globes.get(name);
+  return globes.get(key);
 }
 
 /** What was made last, by place: heights and voids of a tile are asked for apart. */
 const made = new Map();
 
-function madeOnce(make, name, globe, ...args) {
-  const place = JSON.stringify([make.name, name, ...args]);
+function madeOnce(make, key, globe, ...args) {
+  const place = JSON.stringify([make.name, key, ...args]);
   const found = made.get(place) ?? make(globe, ...args);
   made.delete(place);
   made.set(place, found);
@@ -69,14 +74,14 @@ function picture(pixels) {
 
 const WORK = {
   /** `look.errors`, unless false: with errors, which take three quarters of the time. */
-  async rgb(globe, name, z, x, y, rim, { errors = true, ...look } = {}) {
-    const tile = await madeOnce(errors ? rgbTile : rgbPixels, name, globe, z, x, y, rim, look);
+  async rgb(globe, key, z, x, y, rim, { errors = true, ...look } = {}) {
+    const tile = await madeOnce(errors ? rgbTile : rgbPixels, key, globe, z, x, y, rim, look);
     if (tile === null && rim === 0) return null;
     const { error = null, terrainError = null } = tile ?? {};
     return { image: await picture(tile?.pixels ?? voidPixels(globe, look)), error, terrainError };
   },
-  async voids(globe, name, z, x, y, rim, color, { errors: _, ...look } = {}) {
-    const tile = await madeOnce(rgbPixels, name, globe, z, x, y, rim, look);
+  async voids(globe, key, z, x, y, rim, color, { errors: _, ...look } = {}) {
+    const tile = await madeOnce(rgbPixels, key, globe, z, x, y, rim, look);
     if (tile?.isWhole) return null;
     const voids = tile && await voidsOf(globe, z, x, y, rim);
     if (voids && !voids.some((share) => share)) return null;
@@ -87,16 +92,16 @@ const WORK = {
     }
     return { image: await picture(pixels) };
   },
-  async heightmap(globe, name, z, x, y, size) {
+  async heightmap(globe, _key, z, x, y, size) {
     return heightmap(globe, z, x, y, size);
   },
   async open() {
     return null; // it is open
   },
-  async mesh(globe, name, z, x, y, size) {
+  async mesh(globe, _key, z, x, y, size) {
     return gridMesh(globe, z, x, y, size);
   },
-  async height(globe, name, lon, lat) {
+  async height(globe, _key, lon, lat) {
     const { heights } = await globe.heightsAt(globe.places.toSamples([lon], [lat]), globe.kMax);
     const height = Number.isNaN(heights[0]) ? null : heights[0];
     return { lon, lat, height, max_error: globe.error };
@@ -111,7 +116,7 @@ self.onmessage = async ({ data }) => {
   }
   try {
     const globe = await openGlobe(terrain);
-    const found = await WORK[what](globe, terrain.name, ...args);
+    const found = await WORK[what](globe, keyOf(terrain), ...args);
     // What can be moved is not copied.
     const moved = Object.values(found ?? {}).map((value) => (ArrayBuffer.isView(value) ? value.buffer : value))
       .filter((value) => value instanceof ArrayBuffer || value instanceof ImageBitmap);

@@ -1,17 +1,14 @@
 /**
  * What the page is told in a notebook, where it runs in a frame of widget.js: the terrain, the camera
- * and the window that the kernel has. It has the place of the page's host.mjs.
+ * and the window that the kernel has. It has the place of the page's host.js.
  */
 
-import { setWorkerUrl } from "./maplibre/maplibre-gl.mjs";
 import { TileMaker } from "../terrainwave/map/maplibre.js";
-import { open } from "./making.mjs";
+import { open } from "./making.js";
 
 const { model, terrain, source, kernel } = window.frameElement.terrainwave;
 const LINE = "#d43d1a";
 const NONE = { type: "FeatureCollection", features: [] };
-
-setWorkerUrl(String(new URL("./maplibre/maplibre-gl-worker.mjs", import.meta.url)));
 
 export function listed(maplibre) {
   const maker = new TileMaker();

@@ -54,7 +54,7 @@ if (typeof globalThis.postMessage === "function") {
   const take = work((message, moved) => globalThis.postMessage(message, moved));
   globalThis.onmessage = ({ data }) => take(data);
 } else {
-  import(/* @vite-ignore */ THREADS).then(({ parentPort }) => {
+  import(/* @vite-ignore */ /* webpackIgnore: true */ THREADS).then(({ parentPort }) => {
     parentPort.on("message", work((message, moved) => parentPort.postMessage(message, moved)));
   });
 }

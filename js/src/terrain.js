@@ -238,7 +238,7 @@ export class Terrain {
     const own = { ...file, cacheBytes: Math.floor(file.cacheBytes / nWorkers) };
     this.#pool ??= WorkerPool.start(nWorkers, own, fetch).catch((error) => {
       if (signal?.aborted) return null;
-      console.warn(`terrainwave: no workers, the page itself decodes: ${error.message}`);
+      console.warn(`terrainwave: no workers, so the caller's thread decodes: ${error.message}`);
       return null;
     });
     return this.#pool;

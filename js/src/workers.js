@@ -6,7 +6,6 @@ import { Mailbox } from "./mailbox.js";
 const { ArgumentError, TerrainwaveError } = errors;
 /** By default, on pages alone, where decoding would hold up the page. */
 const MOST_BY_DEFAULT = 4;
-const THREADS = "node:worker_threads"; // no literal: bundlers would look for it
 
 /** Return how many workers to use, of the option `workers`. */
 export function numberOfWorkers(asked) {
@@ -38,9 +37,9 @@ async function starter(url) {
       };
     };
   }
-  const threads = await import(/* @vite-ignore */ THREADS);
+  const { startThread } = await import("#threads");
   return (onMessage, onFailure) => {
-    const worker = new threads.Worker(url ?? new URL("./read-worker.js", import.meta.url));
+    const worker = startThread(url);
     worker.on("message", onMessage);
     worker.on("error", (error) => onFailure(error.message));
     worker.on("exit", () => onFailure("it ended"));

@@ -3,6 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
+import { addTerrains, demSource } from "../map/maplibre.js";
 import { gridMesh } from "../map/mesh.js";
 import { Places } from "../map/places.js";
 import { growInto, largestDistance, shareOfVoids, without } from "../map/surfaces.js";
@@ -184,4 +185,25 @@ test("cells with a void corner are in no mesh, and a tile without heights has no
   const none = await gridMesh(slantingGlobe(200), 2, 2, 1, 4);
   assert.equal(none.indices.length, 0);
   assert.deepEqual([none.lowest, none.highest], [0, 0]);
+});
+
+test("terrains of all calls of addTerrains are kept, by URL", async () => {
+  const protocols = {};
+  const maplibre = { addProtocol: (scheme, load) => { protocols[scheme] = load; } };
+  const maker = (name) => ({ ask: async ({ url }) => ({ image: `${name}: ${url}` }) });
+  const terrain = (name, url) => ({ name, url, described: { bounds: [0, 0, 1, 1], maxzoom: 9 } });
+  const load = async (url) => (await protocols.twz({ url }, {})).data;
+  const tileOf = (of) => load(demSource(of).tiles[0].replace("{z}/{x}/{y}", "5/3/4"));
+  const [alps, andes] = [terrain("alps", "a/alps.twz"), terrain("andes", new URL("http://host/a b/andes.twz?c={d}"))];
+  const [one, other] = [terrain("dem", "1/dem.twz"), terrain("dem", "2/dem.twz")];
+  addTerrains(maplibre, [alps, one], maker("first"));
+  addTerrains(maplibre, [andes, other], maker("second"));
+  assert.equal(await tileOf(alps), "first: a/alps.twz");
+  assert.equal(await tileOf(andes), "second: http://host/a%20b/andes.twz?c={d}");
+  assert.equal(await tileOf(one), "first: 1/dem.twz");
+  assert.equal(await tileOf(other), "second: 2/dem.twz");
+  // By name: the later one.
+  assert.equal(await load("twz://alps/rgb/5/3/4"), "first: a/alps.twz");
+  assert.equal(await load("twz://dem/voids/5/3/4?color=dbe4e8"), "second: 2/dem.twz");
+  await assert.rejects(load("twz://none/rgb/5/3/4"), /no such terrain/);
 });

@@ -180,11 +180,11 @@ const textAt = async (address) => (await fetch(address)).text();
 
 test("files find one another by addresses of their own", async () => {
   const address = addressOf("index.html", {
-    "index.html": '<link rel="icon" href="data:,"><link href="static/a/b.css"><script src="static/page.mjs">',
+    "index.html": '<link rel="icon" href="data:,"><link href="static/a/b.css"><script src="static/page.js">',
     "static/a/b.css": "p {}",
-    "static/page.mjs": 'import { x } from "../reader/map/x.js";\nexport { y } from "./y.mjs";',
-    "static/y.mjs": 'export const y = await import("./z.mjs");\nimport "./z.mjs";',
-    "static/z.mjs": "export default 1;",
+    "static/page.js": 'import { x } from "../reader/map/x.js";\nexport { y } from "./y.js";',
+    "static/y.js": 'export const y = await import("./z.js");\nimport "./z.js";',
+    "static/z.js": "export default 1;",
     "reader/map/x.js": 'export const x = new Worker(new URL("./w.js", import.meta.url), { type: "module" });',
     "reader/map/w.js": 'import "../x.js";',
     "reader/x.js": 'postMessage(" from a worker");',

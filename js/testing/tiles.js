@@ -33,7 +33,7 @@ for (const place of places) {
     assert.ok(!quick.isWhole || tile.voids.every((share) => share === 0));
     tile.isWhole = quick.isWhole;
   }
-  for (const array of ["pixels", "voids", "heights"]) {
+  for (const array of ["pixels", "voids", "heights", "holes"]) {
     if (tile?.[array]) tile[array] = text(tile[array]);
   }
   found[place] = tile;

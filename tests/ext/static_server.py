@@ -7,13 +7,18 @@ from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+# Endings that hosts know: nginx's table (since 2004), for one, lacks `.mjs`.
+KNOWN = {
+    ".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".json": "application/json",
+    ".png": "image/png", ".jpg": "image/jpeg",
+}  # fmt: skip
+
 
 class Handler(SimpleHTTPRequestHandler):
     """Answers requests of ranges as the server is told to."""
 
-    extensions_map = SimpleHTTPRequestHandler.extensions_map | {
-        ".mjs": "text/javascript", ".js": "text/javascript",
-    }  # fmt: skip
+    def guess_type(self, path):
+        return self.server.types.get(Path(path).suffix, "application/octet-stream")
 
     def do_GET(self):
         asked = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
@@ -42,14 +47,15 @@ class Handler(SimpleHTTPRequestHandler):
 
 
 @contextlib.contextmanager
-def static_server(folder, *, has_ranges=True, headers=None):
+def static_server(folder, *, has_ranges=True, headers=None, types=KNOWN):
     """Yield a server: `address`, and `asked`, a list of paths with ranges or None.
 
-    Every reply has the `headers`.
+    Every reply has the `headers`. Files with other endings than those in `types` are sent as
+    application/octet-stream.
     """
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(folder)))
     server.asked, server.has_ranges, server.lock = [], has_ranges, threading.Lock()
-    server.headers = headers or {}
+    server.headers, server.types = headers or {}, types
     server.address = f"http://127.0.0.1:{server.server_address[1]}"
     thread = threading.Thread(target=server.serve_forever)
     thread.start()

@@ -18,13 +18,16 @@ from terrainwave.ext.serve.app import make_app
 HERE = Path(__file__).parent
 CESIUM = HERE / "node_modules" / "cesium" / "Build" / "Cesium"
 BOUNDS = (8.0, 46.0, 8.5, 46.4)
+HOLE = (8.42, 46.32)
 
 pytestmark = pytest.mark.full
 
 
 @pytest.fixture(scope="module")
 def twz(tmp_path_factory):
-    return write_twz(tmp_path_factory.mktemp("hills"), hills(129, 161) * 4, BOUNDS, max_error=8)
+    heights = hills(129, 161) * 4
+    heights[18:34, 125:146] = -9999  # around HOLE
+    return write_twz(tmp_path_factory.mktemp("hills"), heights, BOUNDS, max_error=8, nodata=-9999)
 
 
 def cesium_app():
@@ -59,6 +62,7 @@ def check_the_mountains(driver, twz):
         for (longitude, latitude), height in zip(points, terrain.sample(points), strict=True):
             wait_until(driver, f"Math.abs(heightAt({longitude}, {latitude}) - {height}) < 80")
     wait_until(driver, "widget.scene.globe.tilesLoaded")
+    assert driver.execute_script(f"return heightAt{HOLE}") is None
     ground = screenshot(driver)[150:450, 200:600].astype(float)
     assert ground.mean(axis=2).std() > 8
     assert len(np.unique(ground.reshape(-1, 3), axis=0)) > 500

@@ -287,7 +287,7 @@ def test_the_page_has_the_files_of_a_published_folder(twz, tmp_path):
     published = {
         path.relative_to(tmp_path / "site").as_posix(): path
         for path in (tmp_path / "site").rglob("*")
-        if path.suffix in (".html", ".css", ".js", ".mjs")
+        if path.suffix in (".html", ".css", ".js")
     }
     assert published.keys() == page_files().keys()
     other = {
@@ -296,7 +296,7 @@ def test_the_page_has_the_files_of_a_published_folder(twz, tmp_path):
         if gzip.decompress(packed) != published[name].read_bytes()
     }
     # A published folder's page asks for its modules at once.
-    assert other == {"static/host.mjs", "index.html"}
+    assert other == {"static/host.js", "index.html"}
 
 
 def test_the_page_comes_whole_by_one_answer(terrain, page):
@@ -517,9 +517,18 @@ def test_a_raster_without_a_place_is_refused_with_what_shows_it():
         with pytest.raises(terrainwave.InvalidHeightsError) as caught:
             terrain.explore()
     assert str(caught.value) == (
-        "the raster has no coordinate reference system: it has no place on a globe;"
-        " terrain.view() shows it"
+        "the raster has no coordinate reference system, and no coordinates that fit degrees: it has"
+        " no place on a globe. Name its CRS, for example by gdal_edit -a_srs, and compress it"
+        " again; terrain.view() shows it"
     )
+
+
+def test_degrees_without_a_crs_are_on_the_earth_with_a_note(tmp_path):
+    twz = write_twz(tmp_path, hills(40, 50), BOUNDS, crs=None)
+    with terrainwave.open(twz) as terrain:
+        with pytest.warns(terrainwave.TerrainwaveWarning, match="fit degrees on the Earth"):
+            widget = terrain.explore()
+        assert widget._globe.extent == pytest.approx(BOUNDS)
 
 
 def test_a_projection_that_polynomials_cannot_tell_is_refused(tmp_path):

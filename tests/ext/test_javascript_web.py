@@ -1,18 +1,21 @@
 """Is the package for JavaScript usable as web developers use one: bundlers, hosts, policies?"""
 
 import contextlib
+import json
 import os
+import re
 import shutil
 import subprocess
 import tarfile
 from pathlib import Path
 
 import pytest
-from ext.browser import chromium
+from ext.browser import chromium, wait_until
 from ext.rasters import hills, write_twz
-from ext.static_server import static_server
+from ext.static_server import KNOWN, static_server
 
 import terrainwave
+from terrainwave.ext.publish import publish_site
 
 HERE = Path(__file__).parent
 JS = HERE.parents[1] / "js"
@@ -85,7 +88,43 @@ def run(command, folder):
         check=False, env=os.environ | {"CI": "1"},
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    return done.stdout + done.stderr
+
+
+# Bundlers
+
+WORKER = "read-worker=terrainwave/src/read-worker.js"
+WEBPACK = """
+const [path, target] = process.argv.slice(2);
+const done = (error, stats) => {
+  const { errors, warnings } = stats.toJson();
+  const own = warnings.filter(({ moduleName }) => !moduleName.includes("maplibre-gl"));
+  for (const { message } of [...errors, ...own]) console.log(`warning: ${message}`);
+};
+const performance = { hints: false }; // of sizes
+require(path)({ mode: "production", target, performance, entry: "./main.js" }, done);
+"""
+
+
+def bundle(bundler, project, *entries, platform="browser", form="esm"):
+    """Make `dist/main.js` of the project's main.js, and check that the bundler has no warning."""
+    if bundler == "vite":
+        run([BINARIES / "vite", "build"], project)
+        return
+    if bundler == "webpack":
+        (project / "webpack.cjs").write_text(WEBPACK)
+        target = {"browser": "web"}.get(platform, platform)
+        command = ["node", "webpack.cjs", HERE / "node_modules" / "webpack", target]
+    elif bundler == "esbuild":
+        options = ["--bundle", f"--platform={platform}", f"--format={form}", "--outdir=dist"]
+        command = [BINARIES / "esbuild", "main.js", *entries, *options]
+    else:
+        resolve = HERE / "node_modules" / "@rollup" / "plugin-node-resolve"
+        inputs = [word for entry in ("main.js", *entries) for word in ("-i", entry)]
+        command = [BINARIES / "rollup", *inputs, "-d", "dist", "-p", resolve]
+    assert "warning" not in run(command, project).lower()
+    for page in project.glob("*.html"):
+        shutil.copy(page, project / "dist")
 
 
 def found_by(browser, folder, twz, page="index.html", **server_options):
@@ -101,21 +140,33 @@ def loads_of_worker(asked):
     return sum("read-worker" in path for path in asked)
 
 
-def test_vite_builds_it_with_its_default_configuration(project, browser, twz, heights):
-    run([BINARIES / "vite", "build"], project)
+@pytest.mark.parametrize("bundler", ["vite", "webpack", "esbuild", "rollup"])
+def test_a_bundle_for_pages_reads_by_workers(project, browser, twz, heights, bundler):
+    bundle(bundler, project, WORKER)
     found, asked = found_by(browser, project / "dist", twz)
     assert found == {"heights": heights, "warned": []}
-    assert loads_of_worker(asked) >= 1
+    if bundler != "webpack":  # which numbers its files
+        assert loads_of_worker(asked) >= 1
 
 
-def test_esbuild_bundles_it_with_its_worker(project, browser, twz, heights):
-    worker = "read-worker=terrainwave/src/read-worker.js"
-    options = ["--bundle", "--format=esm", "--outdir=dist"]
-    run([BINARIES / "esbuild", "main.js", worker, *options], project)
-    shutil.copy(project / "index.html", project / "dist")
-    found, asked = found_by(browser, project / "dist", twz)
+@pytest.mark.parametrize(
+    ("bundler", "form", "kind"),
+    [
+        ("webpack", "", "commonjs"), ("esbuild", "cjs", "commonjs"), ("esbuild", "esm", "module"),
+        ("rollup", "", "module"),
+    ],
+)  # fmt: skip
+def test_a_bundle_for_node_reads_by_workers(project, twz, heights, bundler, form, kind):
+    bundle(bundler, project, WORKER, platform="node", form=form)
+    shutil.rmtree(project / "node_modules")  # nothing is read from there
+    (project / "dist" / "package.json").write_text(json.dumps({"type": kind}))
+    (project / "run.mjs").write_text("""
+        await import("./dist/main.js");
+        console.log(JSON.stringify(await globalThis.read(process.argv[2])));
+    """)
+    with static_server(twz.parent) as server:
+        found = json.loads(run(["node", "run.mjs", f"{server.address}/{twz.name}"], project))
     assert found == {"heights": heights, "warned": []}
-    assert loads_of_worker(asked) >= 1
 
 
 @pytest.mark.parametrize("form", ["esm", "iife"])
@@ -128,7 +179,7 @@ def test_a_bundle_without_its_worker_decodes_in_the_page_and_says_so(
     found, _ = found_by(browser, project / "dist", twz)
     assert found["heights"] == heights
     assert len(found["warned"]) == 1
-    assert "no workers, the page itself decodes" in found["warned"][0]
+    assert "no workers, so the caller's thread decodes" in found["warned"][0]
 
 
 @pytest.fixture
@@ -183,3 +234,105 @@ def test_a_host_that_hides_content_range_is_told_what_to_send(
     else:
         assert found.startswith("SourceError")
         assert "Access-Control-Expose-Headers: Content-Range" in found
+
+
+# Maps
+
+README = (JS / "README.md").read_text()
+MAP_PAGE = """<!doctype html><title>A map</title><link rel="icon" href="data:,">
+<style>html, body, #map { height: 100%; margin: 0 }</style>
+<div id="map"></div><script type="module" src="./main.js"></script>"""
+IN_A_SCRIPT = """
+import * as maplibregl from "maplibre-gl";
+import { TileMaker, addTerrains, demSource, publishedTerrains } from "terrainwave/maplibre";
+
+publishedTerrains("site/terrains.json").then((terrains) => {
+  LINE;
+  const [{ described: { bounds } }] = terrains;
+  const sources = { dem: demSource(terrains[0]) };
+  const style = { version: 8, sources, terrain: { source: "dem" }, layers: [] };
+  globalThis.map = new maplibregl.Map({ container: "map", bounds, style });
+});
+"""
+
+
+def map_program(bundler, major):
+    """Return the program of the README for a bundler and a release of MapLibre."""
+    blocks = re.findall(r"^```js\n(.*?)^```", README, re.M | re.S)
+    (text,) = (block for block in blocks if "new maplibregl.Map(" in block)
+    if major == 5 or bundler != "vite":
+        text = re.sub(r"^.* // MapLibre 6 with Vite\n", "", text, flags=re.M)
+    if bundler != "vite":
+        text = re.sub(r'^import "maplibre-gl/.*css";\n', "", text, flags=re.M)
+        (row,) = re.findall(
+            rf"^\| .*{bundler}.* \|.*`(maplibregl.setWorkerUrl.*)` \|$", README, re.M | re.I
+        )
+        text = text.replace("const terrains", f"{row};\nconst terrains")
+    return text.replace("const map =", "globalThis.map =")
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize(
+    ("bundler", "major"),
+    [("vite", 6), ("vite", 5), ("webpack", 6), ("esbuild", 6), ("rollup", 6), ("esbuild iife", 5)],
+)
+def test_a_bundled_map_draws_the_terrain(project, browser, twz, bundler, major):
+    release = HERE / "node_modules" / ("maplibre-gl" if major == 6 else "maplibre-gl-5")
+    (project / "node_modules" / "maplibre-gl").symlink_to(release)
+    (project / "index.html").write_text(MAP_PAGE)
+    entries = [WORKER, "worker=terrainwave/map/worker.js"]
+    if bundler == "esbuild iife":
+        (line,) = re.findall(r"`(addTerrains\(maplibregl, terrains, new TileMaker.*?)`", README)
+        (project / "main.js").write_text(IN_A_SCRIPT.replace("LINE", line))
+        bundle("esbuild", project, *entries, form="iife")
+    else:
+        (project / "main.js").write_text(map_program(bundler, major))
+        if major == 6:
+            entries.append("maplibre-worker=maplibre-gl/dist/maplibre-gl-worker.mjs")
+        bundle(bundler, project, *entries)
+    publish_site([str(twz)], project / "dist" / "site")
+    types = KNOWN | ({".mjs": "text/javascript"} if bundler == "webpack" else {})
+    with static_server(project / "dist", types=types) as server:
+        browser.get(server.address)
+        with terrainwave.open(twz) as terrain:
+            height = terrain.sample([(8.25, 46.2)])[0]
+        asked = f"globalThis.map?.queryTerrainElevation?.([8.25, 46.2]) - {height}"
+        wait_until(browser, f"Math.abs({asked}) < 80")
+
+
+def test_two_terrains_of_one_name_are_two(browser, tmp_path):
+    """Of two folders, by one protocol and one worker."""
+    for folder, rise in (("one", 0), ("other", 500)):
+        (tmp_path / folder).mkdir()
+        twz = write_twz(tmp_path / folder, hills(60, 70) + rise, BOUNDS, max_error=0, name="dem")
+        publish_site([str(twz)], tmp_path / folder / "site")
+    script = """
+        const done = arguments[0];
+        (async () => {
+          const { TileMaker, addTerrains, demSource, publishedTerrains } =
+            await import("/one/site/terrainwave/map/maplibre.js");
+          let load;
+          const maplibre = { addProtocol: (_, protocol) => { load = protocol; } };
+          const maker = new TileMaker();
+          const heights = [];
+          const listed = [];
+          for (const folder of ["one", "other"]) {
+            const terrains = await publishedTerrains(`/${folder}/site/terrains.json`);
+            addTerrains(maplibre, terrains, maker);
+            listed.push(terrains[0]);
+          }
+          for (const terrain of listed) {
+            const url = demSource(terrain).tiles[0].replace("{z}/{x}/{y}", "9/267/181");
+            const { data } = await load({ url }, {});
+            const canvas = new OffscreenCanvas(256, 256).getContext("2d");
+            canvas.drawImage(data, 0, 0);
+            const [r, g, b] = canvas.getImageData(128, 128, 1, 1).data;
+            heights.push((r * 65536 + g * 256 + b) / 10 - 10000);
+          }
+          return heights;
+        })().then(done, (error) => done(String(error)));
+    """
+    with static_server(tmp_path) as server:
+        browser.get(f"{server.address}/one/site/static/page.css")
+        one, other = browser.execute_async_script(script)
+    assert other - one == pytest.approx(500, abs=0.11)

@@ -78,7 +78,7 @@ def test_the_folder_is_whole_and_replaced_only_if_told(twz, tmp_path):
         text = module.read_text(encoding="utf-8")
         for name in re.findall(r'(?:from|import\(?|URL\()\s*"(\.[^"]+js)"', text):
             assert (module.parent / name).is_file(), (module, name)
-        assert "http" not in text.replace("http://www.w3.org", "")
+        assert not re.search(r"https?://(?!www\.w3\.org)", text)
     # The page names all modules that it imports, so that no browser finds them one after another.
     page = (target / "index.html").read_text(encoding="utf-8")
     named = re.findall(r'rel="modulepreload" href="([^"]+)"', page)
@@ -88,7 +88,7 @@ def test_the_folder_is_whole_and_replaced_only_if_told(twz, tmp_path):
         for other in re.findall(r'^import [^;]*"(\.[^"]+)";', text, re.MULTILINE):
             imported.add(os.path.relpath((target / name).parent / other, target))
     assert imported < set(named)
-    assert "static/published.mjs" in page.partition("</head>")[0]
+    assert "static/published.js" in page.partition("</head>")[0]
     again = run("publish", twz, target)
     assert again.exit_code == 1
     assert "--overwrite" in again.stderr
@@ -114,6 +114,15 @@ def test_what_browsers_cannot_show_leaves_no_folder(tmp_path, crs, line):
     assert result.exit_code == 1
     assert line in result.stderr
     assert os.listdir(tmp_path) == ["a.twz"]
+
+
+def test_degrees_without_a_crs_are_published_with_a_note(tmp_path):
+    twz = write_twz(tmp_path, hills(40, 50), BOUNDS, crs=None)
+    result = run("publish", twz, tmp_path / "site")
+    assert result.exit_code == 0, result.output
+    assert result.stderr.count("the coordinates fit degrees on the Earth") == 1
+    (described,) = json.loads((tmp_path / "site" / "terrains.json").read_text())
+    assert described["bounds"] == pytest.approx(BOUNDS)
 
 
 @pytest.mark.parametrize("target", ["site.zip", "-", "site.pmtiles"])
@@ -282,6 +291,9 @@ def test_height_maps_state_their_errors(twz, site):
         assert known.any()
         assert np.abs(heights.ravel() - expected)[known].max() < 0.01
         assert (heights.ravel()[~known] == np.float32(globe.height_range[0] - 1)).all()
+        holes = np.isfinite(rows) & ~known
+        assert 0 < holes.sum() < (~known).sum()
+        assert (decoded(tile["holes"]) == holes).all()
         assert tile["terrainError"] == pytest.approx(globe.heights_error(window))
     assert 0 < tile["error"] < 200
 

@@ -400,7 +400,7 @@ def test_a_terrain_across_180_degrees_is_in_its_bounds(tmp_path):
 @pytest.mark.parametrize(
     "path",
     [
-        "/", "/terrains.json", "/hills/tiles.json", "/hills/rgb/9/267/181.png", "/static/page.mjs",
+        "/", "/terrains.json", "/hills/tiles.json", "/hills/rgb/9/267/181.png", "/static/page.js",
         "/hills/mesh/layer.json", "/hills/height?lon=8.2&lat=46.2", "/hills.tif",
         "/hills/rgb/0/9/9.png",
     ],

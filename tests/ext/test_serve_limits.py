@@ -207,7 +207,7 @@ def test_what_is_no_request_is_refused_without_a_line_in_the_log(address, reques
     ("method", "path", "status"),
     [
         ("GET", "/", 200), ("GET", "/none.tif", 404), ("POST", "/hills.twz", 405),
-        ("GET", "/hills/rgb/0/0/0.png", 500), ("GET", "/static/page.mjs", 200),
+        ("GET", "/hills/rgb/0/0/0.png", 500), ("GET", "/static/page.js", 200),
     ],
 )  # fmt: skip
 def test_every_answer_says_what_a_page_may_do_with_it(client, monkeypatch, method, path, status):
@@ -221,7 +221,7 @@ def test_every_answer_says_what_a_page_may_do_with_it(client, monkeypatch, metho
 
 def test_the_page_is_not_sent_in_pieces(client):
     pieces = ",".join(f"{k}-{k}" for k in range(0, 180, 2))
-    for path in ("/", "/static/page.mjs"):
+    for path in ("/", "/static/page.js"):
         assert client.get(path, headers={"Range": f"bytes={pieces}"}).status_code == 200
 
 

@@ -1,5 +1,6 @@
 """Do the pages of examples/web draw the terrain, from a published folder and npm's packages?"""
 
+import re
 import shutil
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 from ext.browser import chromium, console, screenshot, wait_until
 from ext.rasters import hills, write_twz
-from ext.static_server import static_server
+from ext.static_server import KNOWN, static_server
 
 import terrainwave
 from terrainwave.ext.publish import publish_site
@@ -15,6 +16,8 @@ from terrainwave.ext.publish import publish_site
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parents[1] / "examples" / "web"
 BOUNDS = (8.0, 46.0, 8.5, 46.4)
+# npm's MapLibre 6 ends in .mjs.
+TYPES = KNOWN | {".mjs": "text/javascript"}
 POINTS = [(8.25, 46.2), (8.2, 46.22), (8.3, 46.18)]
 
 pytestmark = [pytest.mark.full, pytest.mark.gl, pytest.mark.large]
@@ -72,9 +75,18 @@ def check_requests(server):
     assert all(spans)
 
 
-def test_maplibre_draws_the_terrain(twz, folder, browser):
-    with static_server(folder) as server:
-        shown(browser, server, "maplibre")
+@pytest.mark.parametrize("major", [6, 5])
+def test_maplibre_draws_the_terrain(twz, folder, browser, major):
+    page = "maplibre"
+    if major == 5:
+        text = (folder / "maplibre.html").read_text()
+        script = re.search(r"replace the first import: (<script .*</script>) -->", text)[1]
+        text = re.sub(r"<!-- For MapLibre 5.*-->", script, text)
+        text = re.sub(r"import \* as maplibregl .*;", "", text)
+        page = "maplibre5"
+        (folder / f"{page}.html").write_text(text.replace("maplibre-gl/dist", "maplibre-gl-5/dist"))
+    with static_server(folder, types=TYPES) as server:
+        shown(browser, server, page)
         wait_until(
             browser, "globalThis.map?.loaded?.() && map.areTilesLoaded() && map.isStyleLoaded()"
         )

@@ -203,18 +203,78 @@ def test_heights_in_feet_become_metres(tmp_path):
         np.testing.assert_allclose(points[:, 2], 304.8, atol=1 / 256)
 
 
+VOID = np.ones((24, 24), dtype=bool)
+VOID[8:16, 8:16] = False
+# Of the tile that a raster of 24 x 24 fills.
+SIZE = 180 / 2**9
+ONE_TILE = Affine(SIZE / 24, 0, 0, 0, -SIZE / 24, SIZE)
+
+
+def test_voids_are_holes_and_the_globe_goes_on_around_the_raster(tmp_path):
+    heights = np.full((24, 24), 1000, dtype=np.int16)
+    half = ONE_TILE @ Affine.scale(0.5)  # a quarter of the tile
+    for matrix, beyond in ((ONE_TILE, 1000), (half, -50)):
+        with open_terrain(tmp_path, heights, matrix, "EPSG:4326", mask=VOID) as terrain:
+            pyramid = TilePyramid(terrain, void_height=-50, cells=32)
+            tile = pyramid.tile(9, 512, 256)
+        points, triangles, about = surface(tile)
+        assert (areas_in_steps(tile) > 0).all()
+        cols, rows = np.array([4.5, 12.0, 20.0]), np.array([4.5, 12.0, 4.5])
+        x, y = matrix @ (cols, rows)
+        near = {"abs": pyramid.tolerance(9), "nan_ok": True}
+        found = heights_at(points, triangles, x, y)
+        assert found == pytest.approx([1000, np.nan, 1000], **near)
+        # What is drawn ends within a cell of the last valid sample.
+        x, y = matrix @ (np.full(2, 12.0), np.array([7.5 + 0.8, 7.5 - 0.8]))
+        assert heights_at(points, triangles, x, y) == pytest.approx([np.nan, 1000], **near)
+        outside = heights_at(points, triangles, np.array([0.9 * SIZE]), np.array([0.1 * SIZE]))
+        assert outside[0] == pytest.approx(beyond, abs=1)
+        assert about["surfaceerror"] <= pyramid.tolerance(9)
+
+
+def test_a_tile_of_nothing_but_void_has_one_triangle_of_no_size(tmp_path):
+    heights = np.full((48, 48), 1000, dtype=np.int16)
+    mask = np.zeros((48, 48), dtype=bool)
+    mask[:4, :4] = True
+    matrix = ONE_TILE @ Affine.translation(-24, 0)
+    with open_terrain(tmp_path, heights, matrix, "EPSG:4326", mask=mask) as terrain:
+        tile = TilePyramid(terrain, cells=16).tile(9, 512, 256)
+    assert areas_in_steps(tile).tolist() == [0]
+    assert tile.error is None
+
+
+def test_tiles_beside_one_another_agree_about_a_hole(tmp_path):
+    heights = steep(40, 40)
+    mask = np.ones((40, 40), dtype=bool)
+    mask[5:30, 8:33] = False
+    with open_terrain(tmp_path, heights, UTM, "EPSG:32633", mask=mask) as terrain:
+        pyramid = TilePyramid(terrain, cells=CELLS)
+        zoom = pyramid.max_zoom
+        (found,) = pyramid.available(zoom)
+        pairs = [((x, y), (x + 1, y), "east", "west") for x, y in found.tiles() if x < found.last_x]
+        pairs += [
+            ((x, y), (x, y + 1), "north", "south") for x, y in found.tiles() if y < found.last_y
+        ]
+        n_holes = 0
+        for (x, y), (other_x, other_y), side, facing in pairs:
+            here = edge(pyramid.tile(zoom, x, y), side)
+            there = edge(pyramid.tile(zoom, other_x, other_y), facing)
+            # A vertex at a hole's rim may have all of its triangles on one side.
+            both = here.keys() & there.keys()
+            assert len(here.keys() ^ there.keys()) <= 4
+            assert [here[k] for k in both] == pytest.approx([there[k] for k in both], abs=1e-9)
+            n_holes += bool(both) and max(np.diff(sorted(here)), default=0) > 32767 / CELLS
+        assert n_holes
+
+
 def test_voids_have_the_height_asked_for_and_no_share_in_the_error(tmp_path):
     heights = np.full((24, 24), 1000, dtype=np.int16)
-    mask = np.ones((24, 24), dtype=bool)
-    mask[8:16, 8:16] = False
-    size = 180 / 2**9
-    matrix = Affine(size / 24, 0, 0, 0, -size / 24, size)
-    with open_terrain(tmp_path, heights, matrix, "EPSG:4326", mask=mask) as terrain:
-        pyramid = TilePyramid(terrain, void_height=-50, cells=32)
+    with open_terrain(tmp_path, heights, ONE_TILE, "EPSG:4326", mask=VOID) as terrain:
+        pyramid = TilePyramid(terrain, void_height=-50, fill_voids=True, cells=32)
         # The tile that the raster fills.
         tile = pyramid.tile(9, 512, 256)
         points, triangles, _ = surface(tile)
-        at = np.array([4.5, 12.0]) / 24 * size
+        at = np.array([4.5, 12.0]) / 24 * SIZE
         found = heights_at(points, triangles, at, at)
         assert found.tolist() == pytest.approx([1000, -50], abs=pyramid.tolerance(9))
         assert tile.surface_error <= pyramid.tolerance(9)
@@ -451,7 +511,7 @@ def test_finest_tiles_cover_their_square_once_and_agree_on_edges(tmp_path):
     ):
         # Degrees whose samples lie on the cells' own lines, too.
         with open_terrain(tmp_path, heights, matrix, crs, max_error=0, mask=mask) as terrain:
-            pyramid = TilePyramid(terrain, cells=CELLS)
+            pyramid = TilePyramid(terrain, fill_voids=True, cells=CELLS)
             zoom = pyramid.max_zoom
             (found,) = pyramid.available(zoom)
             for x, y in found.tiles():

@@ -160,14 +160,14 @@ def _early(new: Path) -> str:
     Browsers then ask for all modules at once, not for each when another one names it, and the
     worker begins while MapLibre is on its way.
     """
-    modules = [*_modules(new / "static" / "published.mjs"), *_modules(new / "static" / "page.mjs")]
+    modules = [*_modules(new / "static" / "published.js"), *_modules(new / "static" / "page.js")]
     lines = [
         f'<link rel="preload" as="fetch" crossorigin href="{LIST}" />',
         *(
             f'<link rel="modulepreload" href="{module.relative_to(new).as_posix()}" />'
             for module in dict.fromkeys(modules)
         ),
-        '<script type="module" src="static/published.mjs"></script>',
+        '<script type="module" src="static/published.js"></script>',
     ]
     return "".join(f"  {line}\n  " for line in lines) + _END_OF_HEAD
 

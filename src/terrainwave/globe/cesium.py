@@ -45,7 +45,9 @@ class TilePyramid(TileScheme):
     terrain : TerrainFile or Globe
         Stays open and belongs to the caller.
     void_height : float
-        Height in metres above the ellipsoid of voids and of what the raster does not cover.
+        Height in metres above the ellipsoid of what the raster does not cover.
+    fill_voids : bool
+        Give voids in the raster the same height. By default they are holes.
     cells : int
         Cells along a tile's side: a power of two.
     radius : float, optional
@@ -76,6 +78,7 @@ class TilePyramid(TileScheme):
         terrain: "TerrainFile | Globe",
         *,
         void_height: float = 0.0,
+        fill_voids: bool = False,
         cells: int = CELLS,
         radius: float | None = None,
         max_zoom: int | None = None,
@@ -84,7 +87,7 @@ class TilePyramid(TileScheme):
     ) -> None:
         globe = terrain if isinstance(terrain, Globe) else Globe(terrain, radius=radius)
         super().__init__(globe, cells, max_zoom, min_zoom)
-        self._heights = TileHeights(self, void_height, vertical)
+        self._heights = TileHeights(self, void_height, vertical, fill_voids=fill_voids)
         self._mesher = TileMesher(self, self._heights)
 
     def tolerance(self, zoom: int) -> float:
@@ -153,7 +156,7 @@ def terrain_tile(
     zoom, x, y : int
         TMS: x from longitude -180 eastwards, y from latitude -90 northwards.
     void_height : float
-        Height in metres above the ellipsoid of voids and of what the raster does not cover.
+        Height in metres above the ellipsoid of what the raster does not cover; voids are holes.
 
     Raises
     ------
@@ -209,6 +212,7 @@ def write_tiles(
     min_zoom: int = 0,
     max_zoom: int | None = None,
     void_height: float = 0.0,
+    fill_voids: bool = False,
     cells: int = CELLS,
     radius: float | None = None,
     vertical: str = AS_IS,
@@ -224,7 +228,7 @@ def write_tiles(
     terrain : TerrainFile
     directory : path
         ``{z}/{x}/{y}.terrain`` and ``layer.json``; it appears complete or not at all.
-    min_zoom, max_zoom, void_height, cells, radius, vertical
+    min_zoom, max_zoom, void_height, fill_voids, cells, radius, vertical
         As in `TilePyramid`.
     attribution : str
         For ``layer.json``: whose data these are.
@@ -248,6 +252,7 @@ def write_tiles(
     pyramid = TilePyramid(
         terrain,
         void_height=void_height,
+        fill_voids=fill_voids,
         cells=cells,
         radius=radius,
         max_zoom=max_zoom,

@@ -102,7 +102,9 @@ class Globe:
         place = place_of(raster.crs, terrain.bounds, is_placed=is_placed, radius=radius)
         if not place.has_globe:
             raise InvalidHeightsError(
-                "the raster has no coordinate reference system: it has no place on a globe"
+                "the raster has no coordinate reference system, and no coordinates that fit"
+                " degrees: it has no place on a globe. Name its CRS, for example by"
+                " gdal_edit -a_srs, and compress it again"
             )
         if determinant(raster.transform) == 0:
             raise InvalidHeightsError("the affine transform cannot be inverted")

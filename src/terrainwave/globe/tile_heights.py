@@ -30,20 +30,24 @@ _N_AT_POLE = 64
 class TileSamples(NamedTuple):
     """A tile's heights in whole units at (N + 3) x (N + 3) places: the tile's and one around.
 
-    `exact` are the heights in metres before they were rounded; NaN where void.
+    `exact` are the heights in metres before they were rounded; NaN where void. `holes` are the
+    places in the raster that are void, unless voids are filled.
     """
 
     heights: NDArray[np.int32]
     exact: NDArray[np.float64]
     valid: NDArray[np.bool_]
     exists: NDArray[np.bool_]
+    holes: NDArray[np.bool_]
     window: Window | None
 
 
 class TileHeights:
-    """Heights of the tiles of a scheme; `void_height` and `vertical` as in `TilePyramid`."""
+    """Heights of the tiles of a scheme; the other arguments are those of `TilePyramid`."""
 
-    def __init__(self, scheme: TileScheme, void_height: float, vertical: str) -> None:
+    def __init__(
+        self, scheme: TileScheme, void_height: float, vertical: str, *, fill_voids: bool
+    ) -> None:
         void_height = checked_number("void_height", void_height)
         self._scheme, self._globe = scheme, scheme.globe
         self._ellipsoidal = self._globe.onto_ellipsoid() if check_vertical(vertical) else None
@@ -57,6 +61,7 @@ class TileHeights:
                 f"found heights of {low:g} to {high:g} m, expected at most 4,000 km"
             )
         self._void = round(void_height / UNIT)
+        self._fill_voids = fill_voids
 
     @property
     def vertical(self) -> dict[str, Any]:
@@ -103,12 +108,13 @@ class TileHeights:
             exact[row] = self._pole(float(lat[row]), level)
         exact[~exists] = np.nan
         valid = np.isfinite(exact)
+        holes = np.isfinite(rows).reshape(shape) & ~valid & (not self._fill_voids)
         whole = np.where(valid, np.rint(np.where(valid, exact, 0.0) / UNIT), self._void)
         heights = np.clip(whole, self._low, self._high).astype(np.int32)
         step = self.edge_step(zoom)
         for edge in (heights[1], heights[-2], heights[:, 1], heights[:, -2]):
             edge[:] = (edge.astype(np.int64) + step // 2) // step * step
-        return TileSamples(heights, exact, valid, exists, window)
+        return TileSamples(heights, exact, valid, exists, holes, window)
 
     def _heights_at(
         self, rows: NDArray[np.float64], cols: NDArray[np.float64], level: int

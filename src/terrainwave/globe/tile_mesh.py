@@ -70,6 +70,12 @@ class TileMesher:
         )
         spacing = self._scheme.lattice(zoom, self._heights.curvature_tolerance(zoom))
         locked[::spacing, ::spacing] = True
+        if samples.holes.any():  # no triangle reaches from a hole to what lies beyond the raster
+            locked |= np.where(
+                samples.holes[inner, inner],
+                beside_void(samples.holes | ~samples.exists),
+                beside_void(~samples.holes | ~samples.exists),
+            )
         tolerance = math.floor(self._heights.tolerance(zoom) / UNIT * (1 << FRACTION_BITS))
         # Nothing is put into edges later.
         at_edges = math.floor(self._heights.edge_tolerance(zoom) / UNIT * (1 << FRACTION_BITS))
@@ -90,8 +96,10 @@ class TileMesher:
         samples = self._heights.samples(zoom, x, y)
         mesh = self._mesh(samples, zoom)
         # A vertex of a merged cell stands for valid heights only, or for voids only.
-        places = (np.rint(values).astype(np.int64) >> 1 for values in (mesh.rows, mesh.cols))
-        is_valid = samples.valid[1:-1, 1:-1][*places]
+        at = tuple(np.rint(values).astype(np.int64) >> 1 for values in (mesh.rows, mesh.cols))
+        is_valid, is_hole = samples.valid[1:-1, 1:-1][at], samples.holes[1:-1, 1:-1][at]
+        if is_hole.any():
+            mesh = _without(mesh, is_hole)
         if self._scheme.is_finest(zoom) and samples.window is not None:
             found = self._heights.samples_in_tile(samples.window, zoom, x, y)
             mesh = self._with_exact_heights(mesh, samples)
@@ -256,6 +264,12 @@ def _all_of(is_so: NDArray[np.bool_], triangles: NDArray[np.int32]) -> NDArray[n
     a, b, c = (is_so[triangles[:, corner]] for corner in range(3))
     found: NDArray[np.bool_] = a & b & c
     return found
+
+
+def _without(mesh: BlockMesh, is_hole: NDArray[np.bool_]) -> BlockMesh:
+    """Return a mesh without the triangles of holes; if none is left, with one of no size."""
+    kept = mesh.triangles[_all_of(~is_hole, mesh.triangles)]
+    return mesh._replace(triangles=kept if len(kept) else np.zeros((1, 3), dtype=np.int32))
 
 
 def _in_order_of_use(mesh: BlockMesh) -> tuple[BlockMesh, NDArray[np.int32]]:

@@ -56,7 +56,8 @@ from terrainwave.names import TILE_ENCODINGS
     "--void-height",
     type=Finite(),
     help="Height of voids and of places that the raster does not cover, in metres above the"
-    " ellipsoid. Default: 0; for .pmtiles 1 m below the lowest height.",
+    " ellipsoid. Default: voids are holes, and other places lie at 0; for .pmtiles all lie 1 m"
+    " below the lowest height.",
 )
 @click.option(
     "--encoding",
@@ -146,7 +147,8 @@ def _write_directory(
                 f"found `{name}` for a directory, expected none: it is for an archive, whose name"
                 f" ends in {ARCHIVE_ENDING}"
             )
-    return write_tiles(terrain, target, void_height=void_height or 0.0, **options)
+    fill = void_height is not None
+    return write_tiles(terrain, target, void_height=void_height or 0.0, fill_voids=fill, **options)
 
 
 def _print_archived(target: str, summaries: Any, units: str | None) -> None:

@@ -8,9 +8,9 @@ from pathlib import Path
 from terrainwave.ext.publish import reader_directory
 
 # In the page's folder another module says what it shows: the notebook's.
-_HOST = "static/host.mjs"
+_HOST = "static/host.js"
 _STATIC = Path(__file__).parents[1] / "serve" / "static"
-_ENDINGS = (".html", ".css", ".js", ".mjs")
+_ENDINGS = (".html", ".css", ".js")
 
 
 def widget_module() -> str:

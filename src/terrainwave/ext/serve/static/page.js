@@ -1,13 +1,16 @@
 // The page of `terrainwave serve` and `publish`: MapLibre over the tiles of one file at a time.
 //
-// Tiles and heights come from a server (`served.mjs`) or are made here (`published.mjs`), as `host.mjs`
+// Tiles and heights come from a server (`served.js`) or are made here (`published.js`), as `host.js`
 // says.
 // `state` is what the page shows. Each terrain that is shown is a new generation: what was asked
 // for an earlier one (styles, heights) is dropped when it comes.
-import { Map, NavigationControl, ScaleControl, addProtocol } from "./maplibre/maplibre-gl.mjs";
-import { gradientOf, reliefOf, ticksOf, withUnit, written } from "./colours.mjs";
-import { copyable } from "./copying.mjs";
-import * as host from "./host.mjs";
+import { Map, NavigationControl, ScaleControl, addProtocol, setWorkerUrl } from "./maplibre/maplibre-gl.js";
+import { gradientOf, reliefOf, ticksOf, withUnit, written } from "./colours.js";
+import { copyable } from "./copying.js";
+import * as host from "./host.js";
+
+// It would look for npm's name, which ends in .mjs: many hosts do not know that ending.
+setWorkerUrl(String(new URL("./maplibre/maplibre-gl-worker.js", import.meta.url)));
 
 const ASKING = "Point at the terrain or tap it for a height.";
 const PITCH = 62;

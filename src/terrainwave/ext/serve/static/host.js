@@ -1,13 +1,13 @@
 // What the page is told by where it is: on a web server by terrains.json and the address. In
 // notebooks another module has this place (js/notebook/host.js).
-import * as permalink from "./permalink.mjs";
-import { terrains as asked } from "./terrains.mjs";
+import * as permalink from "./permalink.js";
+import { terrains as asked } from "./terrains.js";
 
 /** Return { terrains, source }: what can be shown, and where its tiles and heights come from. */
 export async function listed(maplibre) {
   const terrains = await asked;
   const isPublished = terrains.some(({ file }) => file);
-  const { open } = await import(isPublished ? "./published.mjs" : "./served.mjs");
+  const { open } = await import(isPublished ? "./published.js" : "./served.js");
   return { terrains, source: open(maplibre) };
 }
 

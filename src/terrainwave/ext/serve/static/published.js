@@ -1,9 +1,9 @@
 // Tiles and heights made in the browser, of files that `terrainwave publish` put on a web server.
 //
 // The page of a published folder runs this before MapLibre has come: meanwhile the worker opens the file.
-import * as making from "./making.mjs";
-import * as permalink from "./permalink.mjs";
-import { terrains as listed } from "./terrains.mjs";
+import * as making from "./making.js";
+import * as permalink from "./permalink.js";
+import { terrains as listed } from "./terrains.js";
 import { TileMaker } from "../terrainwave/map/maplibre.js";
 
 const maker = new TileMaker();
