@@ -8,7 +8,7 @@ import click
 from terrainwave.arguments import count_of, crs_name
 from terrainwave.cli.options import THREADS_OPTION, Input
 from terrainwave.cli.output import (
-    Command,
+    CommandWithoutTarget,
     plain,
     print_grid,
     print_json,
@@ -19,7 +19,7 @@ from terrainwave.cli.output import (
 from terrainwave.names import UNBOUNDED_MESHES
 
 
-@click.command(cls=Command)
+@click.command(cls=CommandWithoutTarget)
 @click.argument("file", type=Input())
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @click.option(

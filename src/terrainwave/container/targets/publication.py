@@ -14,6 +14,7 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
+from terrainwave import interrupts
 from terrainwave.arguments import check_flags, check_local
 from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.unfinished import (
@@ -91,8 +92,9 @@ def publish(
         _check_target(final, overwrite)
         if not can_rename_open_files():
             part.file.close()
-        _replace(part.path, final)
-        is_published = True
+        with interrupts.publishing(os.fspath(target)):
+            _replace(part.path, final)
+            is_published = True
         _log.debug("wrote %s", final)
         if not is_update:
             remove_of_gdal(target, *OF_GDAL)
@@ -251,7 +253,7 @@ def publish_directory(
             new.mkdir()
         yield new
         _check_directory(final, marker, overwrite)
-        with storage_errors(f"cannot write {target}"):
+        with interrupts.publishing(os.fspath(target)), storage_errors(f"cannot write {target}"):
             if final.exists():
                 os.replace(final, old)
             try:
