@@ -186,6 +186,7 @@ class Run:
         log: str = "log",
     ) -> None:
         self._log = folder.parent / log
+        self._log.write_bytes(b"")
         self.start = time.monotonic()
         self.pid = os.fork()
         if self.pid == 0:

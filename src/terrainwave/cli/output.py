@@ -44,14 +44,14 @@ def print_error(message: object, error: BaseException | None = None) -> None:
     print_notes(getattr(error, "__notes__", ()))
 
 
-_printed_notes: set[str] = set()
+_printed_notes: dict[str, None] = {}  # in order
 
 
 def print_note(message: object) -> None:
     """Print a note on stderr, unless this command has printed it already."""
     text = plain(message)
     if text not in _printed_notes:
-        _printed_notes.add(text)
+        _printed_notes[text] = None
         click.echo(f"note: {text}", err=True)
 
 
@@ -418,8 +418,12 @@ def print_grid(header: list[str], rows: list[list[str]]) -> None:
     Console(highlight=False).print(table)
 
 
-def print_json(fields: dict[str, Any]) -> None:
-    """Print a result as JSON."""
+def print_json(fields: dict[str, Any], *, with_notes: bool = True) -> None:
+    """Print a result as JSON, with the notes that were printed: they say what was left out."""
+    if with_notes:
+        own = fields.get("notes", [])
+        known = {message_of(TerrainwaveWarning(note)) for note in own}
+        fields = fields | {"notes": [*own, *(note for note in _printed_notes if note not in known)]}
     click.echo(json.dumps(plain_json(fields), indent=2, allow_nan=False))
 
 

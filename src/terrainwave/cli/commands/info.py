@@ -54,7 +54,7 @@ def info(file: str, as_json: bool, stac: bool, threads: int | None, **more: Any)
         if stac:
             from terrainwave.globe.stac import stac_item
 
-            print_json(stac_item(terrain))
+            print_json(stac_item(terrain), with_notes=False)
             return
         summary = terrain.info()
         found = _Found.of(terrain, **more | {"parts": more["parts"] or "://" not in file})

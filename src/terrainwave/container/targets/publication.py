@@ -16,7 +16,7 @@ from typing import BinaryIO
 
 from terrainwave import interrupts
 from terrainwave.arguments import check_flags, check_local
-from terrainwave.container.spool import storage_errors
+from terrainwave.container.spool import naming_full_disk, storage_errors
 from terrainwave.container.targets.unfinished import (
     RETRIES,
     Part,
@@ -84,7 +84,8 @@ def publish(
     is_published = False
     try:
         part = _create_part(final, created)
-        yield part
+        with naming_full_disk(f"cannot write {target}"):
+            yield part
         with storage_errors(f"cannot write {target}"):
             part.file.flush()
             os.fsync(part.file.fileno())
@@ -251,7 +252,8 @@ def publish_directory(
         new, old = scratch / "new", scratch / "old"
         with storage_errors(f"cannot write {target}"):
             new.mkdir()
-        yield new
+        with naming_full_disk(f"cannot write {target}"):
+            yield new
         _check_directory(final, marker, overwrite)
         with interrupts.publishing(os.fspath(target)), storage_errors(f"cannot write {target}"):
             if final.exists():
