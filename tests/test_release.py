@@ -34,7 +34,10 @@ def stated_versions(root):
     project = re.search(
         r"^project\(terrainwave VERSION (\S+) ", (root / "native/CMakeLists.txt").read_text(), re.M
     )
+    project_file = tomllib.loads((root / "pyproject.toml").read_text())
+    extras = project_file["project"]["optional-dependencies"]
     stated = {
+        "pyproject.toml": "".join(extras["native"]).removeprefix("terrainwave-native=="),
         "js/package.json": json.loads((root / "js/package.json").read_text())["version"],
         "qgis/terrainwave_plugin/metadata.txt": plugin["general"]["version"],
         "CITATION.cff": yaml.safe_load((root / "CITATION.cff").read_text())["version"],
