@@ -24,8 +24,8 @@ _PATIENCE = 2.0
 # Seconds until another look if the program is where nothing may be raised.
 _AGAIN = 0.1
 # Packages that take locks without a block which gives them back, or that leave what they make in
-# an undefined state.
-_NEVER_IN = ("numba", "llvmlite", "importlib")
+# an undefined state. The viewer's window: each frame checks for requests.
+_NEVER_IN = ("numba", "llvmlite", "importlib", "ctypes", "pyglet", "moderngl", "moderngl_window")
 
 
 class Terminated(KeyboardInterrupt):
