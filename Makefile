@@ -33,7 +33,7 @@ help:
 	@echo "make bench DATA=DIR  compare with other codecs on the rasters in DIR: what is not measured yet;"
 	@echo "                     AGAIN='predictive speeds' anew, ONLY='cdf97' that alone"
 	@echo "make long DATA=DIR   pictures of the rasters in DIR in all modes, measured: is each within its caption?"
-	@echo "                     hours; goes on where it stopped; SIZE=1280x720"
+	@echo "                     SIZE=1280x720; then 2,000 interruptions of commands; hours; goes on where it stopped"
 	@echo "make fuzz SECONDS=60 fuzz each target that long, ONLY='rapid opening' these alone: docs/reliability.md"
 	@echo "make native          the native library, its command \`twz\` and GDAL's driver, built and tested with gcc"
 	@echo "                     and clang, installed to PREFIX (build/native/prefix)"
@@ -144,11 +144,12 @@ coverage: $(VENV)/.installed-dev
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report
 
-# Outside CI. Exits with 1 if a caption says less than is measured.
-long: $(VENV)/.installed-bench system
+# Outside CI. Exits with 1 if a caption says less than is measured, or an interruption finds a fault.
+long: $(VENV)/.installed-bench $(VENV)/.installed-dev system
 	@test -n "$(DATA)" || { echo "make long DATA=a-directory-with-GeoTIFFs" >&2; exit 2; }
 	@$(MAKE) --no-print-directory native-gdals
 	$(BIN)/python -m benchmarks.captions "$(DATA)" --size $(SIZE)
+	$(BIN)/python -m faults.run --only signals --signals 223
 
 bench: $(VENV)/.installed-bench
 	@test -n "$(DATA)" || { echo "make bench DATA=a-directory-with-GeoTIFFs" >&2; exit 2; }

@@ -1,4 +1,4 @@
-"""The commands that write, on small inputs, run in forks of this process: no start-up to wait for.
+"""Commands on small inputs, run in forks of this process: no start-up to wait for.
 
 All temporary data go to files, as those of large rasters do.
 """
@@ -6,6 +6,7 @@ All temporary data go to files, as those of large rasters do.
 import os
 import random
 import signal
+import socket
 import sys
 import tempfile
 import time
@@ -29,7 +30,11 @@ _POLL = 0.001
 
 @dataclass(frozen=True)
 class Command:
-    """A command that writes `target`; `before` are the bytes that it changes, if it needs some."""
+    """A command that writes `target`; `before` are the bytes that it changes, if it needs some.
+
+    One without a target writes nothing. The viewer and the server, which answers at `address`, are
+    `is_endless`: a signal ends them.
+    """
 
     name: str
     target: str
@@ -38,10 +43,15 @@ class Command:
     expected: bytes = b""  # what an undisturbed run writes
     seconds: float = 0.0  # that it takes
     last: float = 0.0  # of these, the seconds from its fsync on
+    is_endless: bool = False
+    address: str = ""
+    ctrl_c: int = 128 + signal.SIGINT  # the status that Ctrl-C ends it with
 
     @property
     def starts(self) -> tuple[bytes, ...]:
         """What may lie at the target when it begins; nothing is b""."""
+        if not self.target:
+            return (b"",)
         return (self.before,) if self.before else (b"", OLD)
 
 
@@ -107,12 +117,30 @@ def writing_commands(inputs: Path) -> list[Command]:
     ]
 
 
+def reading_commands(inputs: Path) -> list[Command]:
+    """Return commands that write nothing: verify, the viewer, and a server on a free port."""
+    dem, plain, meshed = (str(inputs / name) for name in ("dem.tif", "plain.twz", "meshed.twz"))
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    served = ("serve", plain, "--port", str(port), "--threads", "2", "-q")
+    return [
+        Command("verify", "", ("verify", plain, dem, "--threads", "2", "-q")),
+        Command("serve", "", served, seconds=4.0, is_endless=True, ctrl_c=0,
+                address=f"http://127.0.0.1:{port}/plain.tif"),
+        Command("view", "", ("view", meshed, "--size", "320x240", "-q"), seconds=8.0,
+                is_endless=True),
+    ]  # fmt: skip
+
+
 def warm_up(commands: list[Command], folder: Path) -> None:
     """Run the commands in this process, so that forks find all loaded and compiled."""
     here = Path.cwd()
     os.chdir(folder)
     try:
         for command in commands:
+            if command.is_endless:
+                continue
             if command.before:
                 Path(command.target).write_bytes(command.before)
             words = list(command.arguments)
@@ -158,6 +186,7 @@ class Run:
         log: str = "log",
     ) -> None:
         self._log = folder.parent / log
+        self._log.write_bytes(b"")
         self.start = time.monotonic()
         self.pid = os.fork()
         if self.pid == 0:

@@ -1,9 +1,10 @@
 """Kill, starve, cut off and crowd the package, and count what comes of it.
 
-`kills`: commands killed with signal 9 while they write; `signals`: commands interrupted; `disk`:
-full disks; `network`: a server that fails, stalls or lies; `writers`: two of one target; `readers`:
-forks and threads; `opens`: 10,000 of them. Each writes a CSV, ``faults_NAME.csv``; the exit status
-is 1 if one of them found a fault.
+`kills`: commands killed with signal 9 while they write; `signals`: commands interrupted, those that
+write nothing, too; `disk`: full disks; `network`: a server that fails, stalls or lies; `writers`:
+two of one target; `readers`: forks and threads; `opens`: 10,000 of them. Each writes a CSV,
+``faults_NAME.csv``; that of `signals` is gone on with. The exit status is 1 if one of them found a
+fault.
 """
 
 from collections.abc import Iterable
@@ -13,11 +14,21 @@ from typing import Any
 
 import click
 
-from benchmarks.common import COUNT, EXISTING, ListOption, command, option, write_rows
+from benchmarks.common import (
+    COUNT,
+    EXISTING,
+    ListOption,
+    command,
+    option,
+    read_rows,
+    write_rows,
+)
 from faults import disk, kills, network, sharing, signals
 from faults.commands import (
+    Command,
     everything_on_disk,
     make_inputs,
+    reading_commands,
     warm_up,
     writing_commands,
 )
@@ -52,18 +63,26 @@ def main(
     inputs = folder / "inputs"
     inputs.mkdir(exist_ok=True)
     make_inputs(inputs, dem, side)
-    chosen = [one for one in writing_commands(inputs) if one.name in (commands or (one.name,))]
+
+    def selected(those: list[Command]) -> list[Command]:
+        return [one for one in those if one.name in (commands or (one.name,))]
+
+    chosen = selected(writing_commands(inputs))
     warm_up(chosen, inputs)
+    reading = selected(reading_commands(inputs)) if "signals" in only else []
+    warm_up(reading, inputs)
     exact, other = inputs / "exact.twz", inputs / "other.twz"
     written: list[Any] = []
 
-    def write(name: str, rows: Iterable[Any]) -> None:
-        written.extend(write_rows(out / f"faults_{name}.csv", rows))
+    def write(name: str, rows: Iterable[Any], *, append: bool = False) -> None:
+        written.extend(write_rows(out / f"faults_{name}.csv", rows, append=append))
 
     if "kills" in only:
         write("kills", kills.rows(chosen, folder, n_kills, seed))
     if "signals" in only:
-        write("signals", signals.rows(chosen, folder, n_signals, seed))
+        known = {row["command"] for row in read_rows(out / "faults_signals.csv")}
+        left = [one for one in chosen + reading if one.name not in known]
+        write("signals", signals.rows(left, folder, n_signals, seed), append=True)
     if "disk" in only:
         write("disk", disk.rows(chosen, folder, n_disks, seed))
     if "writers" in only:

@@ -54,7 +54,7 @@ WRONG = {
     | {"heights_are": WORD},
     "decompress": OF_WINDOWS | OF_FILES | {
         "src": [5, None, ""], "dst": PATH, "bounds": FOUR, "cog": FLAG, "voids": WORD,
-        "quality": NUMBER, "vertical": WORD, "on_error": WORD,
+        "quality": NUMBER, "vertical": WORD, "on_error": WORD, "on_lost": CALLABLE,
         "size": ["1025", 5.5, True, "all", [5], 4],
     },
     "patch": {name: OF_RASTERS[name] for name in ("src", "band", "nodata")} | {

@@ -38,6 +38,7 @@ def number(index: int) -> Callable[[str], str]:
 # What stands before the version in a file and after it, and how it is spelled there.
 PLACES = [
     ("src/terrainwave/_version.py", '__version__ = "', '"', whole),
+    ("pyproject.toml", '\nnative = ["terrainwave-native==', '"', whole),
     ("js/package.json", '"version": "', '"', of_npm),
     ("qgis/terrainwave_plugin/metadata.txt", "\nversion=", "\n", whole),
     ("conda/recipe.yaml", 'version: "', '"', whole),

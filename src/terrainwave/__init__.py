@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from terrainwave.file.info import Info
     from terrainwave.lods import save_lods
     from terrainwave.progress import Progress, TaskReport
+    from terrainwave.read.lost import Losses
     from terrainwave.terrain import Terrain
     from terrainwave.tri.rqt import Rqt
     from terrainwave.tri.zerotree import Zerotree
@@ -59,6 +60,7 @@ __all__ = [
     "InvalidArgumentError",
     "InvalidHeightsError",
     "LimitExceededError",
+    "Losses",
     "Mesh",
     "PatchResult",
     "Predictive",
@@ -108,6 +110,7 @@ _LAZY = {
     "Progress": "progress",
     "TaskReport": "progress",
     "Info": "file.info",
+    "Losses": "read.lost",
     "Terrain": "terrain",
     "Mesh": "export.mesh",
     "SavedMesh": "export.mesh_formats",

@@ -1,5 +1,6 @@
 """Commands, their output, and the exit status."""
 
+import contextlib
 import json
 import os
 import re
@@ -816,6 +817,14 @@ def usual_signals():
         signal.signal(number, handler)
 
 
+def ended_twice():
+    try:
+        interrupts.check()
+    finally:
+        signal.raise_signal(signal.SIGTERM)
+        interrupts.check()
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="no such signals")
 def test_signals_that_are_ignored_stay_so_and_a_second_one_does_not_stop_the_clearing_up(
     usual_signals,
@@ -826,10 +835,8 @@ def test_signals_that_are_ignored_stay_so_and_a_second_one_does_not_stop_the_cle
             assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
             signal.raise_signal(signal.SIGTERM)
             with pytest.raises(Terminated) as ended:
-                interrupts.check()
+                ended_twice()
             assert ended.value.status == 143
-            signal.raise_signal(signal.SIGTERM)
-            interrupts.check()
         assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     finally:
         signal.signal(signal.SIGHUP, before)
@@ -874,6 +881,114 @@ def test_a_signal_never_ends_what_numba_is_at(usual_signals, monkeypatch):
         assert namespace["acquire"]()
         with pytest.raises(Terminated):
             interrupts.check()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
+def test_a_signal_that_other_code_drops_is_raised_again(usual_signals, monkeypatch):
+    """Toolkits have bare excepts, and calls from C where nothing can be raised."""
+    monkeypatch.setattr(signals, "_PATIENCE", 0.05)
+
+    def dropping():
+        with contextlib.suppress(BaseException):
+            time.sleep(60)
+
+    with ending_by_signals():
+        os.kill(os.getpid(), signal.SIGTERM)
+        dropping()
+        with pytest.raises(Terminated):
+            time.sleep(60)
+        with pytest.raises(Terminated):
+            interrupts.check()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
+def test_the_handler_of_a_signal_starts_no_thread(usual_signals):
+    """The main thread may hold a lock that every new thread takes."""
+    with ending_by_signals():
+        before = threading.enumerate()
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert interrupts.is_requested()
+        assert threading.enumerate() == before
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
+def test_no_signal_comes_between_a_file_and_its_name(usual_signals, monkeypatch):
+    monkeypatch.setattr(signals, "_PATIENCE", 0.01)
+    with ending_by_signals():
+        with interrupts.publishing("a.twz"):
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(0.3)
+        assert interrupts.complete() == ["a.twz"]
+        with pytest.raises(Terminated):
+            interrupts.check()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_after_the_end_of_a_command_changes_nothing(tmp_path, dem, name):
+    program = f"""
+import atexit, os, signal
+from terrainwave.cli import main
+atexit.register(lambda: os.kill(os.getpid(), signal.{name}))
+main(["compress", {str(dem)!r}, "a.twz", "--quiet"])
+"""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr.replace("compiling", "")) == (0, "")
+    assert run("verify", tmp_path / "a.twz", dem).exit_code == 0
+
+
+def ended_by_sigterm(*_, **__):
+    os.kill(os.getpid(), signal.SIGTERM)
+    interrupts.check()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
+def test_an_interruption_names_the_file_that_is_complete(usual_signals, monkeypatch, tmp_path, dem):
+    with monkeypatch.context() as patched:
+        patched.setattr(
+            "terrainwave.container.targets.publication._sync_directory", ended_by_sigterm
+        )
+        done = run("compress", dem, tmp_path / "a.twz", "-q")
+    assert (done.exit_code, done.stderr.strip()) == (
+        143, f"terrainwave: terminated; {tmp_path / 'a.twz'} is complete",
+    )  # fmt: skip
+    assert run("verify", tmp_path / "a.twz", dem).exit_code == 0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
+def test_a_signal_before_the_naming_of_a_file_leaves_the_target(
+    usual_signals, monkeypatch, tmp_path, dem
+):
+    monkeypatch.setattr(
+        "terrainwave.container.targets.publication._copy_permissions",
+        lambda *_: os.kill(os.getpid(), signal.SIGTERM),
+    )
+    done = run("compress", dem, tmp_path / "a.twz", "-q")
+    assert done.exit_code == 143
+    assert done.stderr.strip() == "terrainwave: terminated; the target is untouched"
+    assert not (tmp_path / "a.twz").exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
+@pytest.mark.parametrize(
+    ("command", "function"),
+    [
+        ("view", "terrainwave.render.window.viewer.run"),
+        ("verify", "terrainwave.verify"),
+        ("info", "terrainwave.open"),
+    ],
+)
+def test_an_interruption_of_a_command_without_a_target_names_none(
+    usual_signals, monkeypatch, tmp_path, dem, command, function
+):
+    terrainwave.compress(dem, tmp_path / "a.twz")
+    monkeypatch.setattr(function, ended_by_sigterm, raising=False)
+    done = run(command, tmp_path / "a.twz", *(["-q"] * (command != "info")))
+    assert (done.exit_code, done.stderr.strip()) == (143, "terrainwave: terminated")
 
 
 def test_lack_of_memory_is_one_line(tmp_path, dem, monkeypatch):

@@ -10,7 +10,9 @@ import stat
 import subprocess
 import sys
 from collections import namedtuple
+from fnmatch import fnmatch
 
+import numpy as np
 import pytest
 from affine import Affine
 from cases import some
@@ -212,6 +214,100 @@ def test_a_full_stdout_is_named(dem, twz, command, unbuffered):
     assert done.returncode == 1
     lines = [line for line in done.stderr.splitlines() if line.startswith("terrainwave")]
     assert lines == ["terrainwave: cannot write stdout: the disk is full"]
+
+
+# A program that may write files of few bytes only, as on a disk that is nearly full.
+LITTLE_ROOM = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv.pop(1)), resource.RLIM_INFINITY))
+from terrainwave.cli import main
+main(prog_name="terrainwave")
+"""
+
+
+@needs_shell
+@pytest.mark.full
+@pytest.mark.parametrize(
+    ("command", "name"),
+    [
+        ("compress big.tif new.twz --method store", "temporary files in *.new.twz.*"),
+        ("compress big.tif new.twz --method store --temp-dir TEMPORARY", "temporary files in *"),
+        ("patch big.twz part.tif", "*"),
+        ("mesh big.twz new.twz --store", "temporary files in *.new.twz.*"),
+        ("mesh big.twz new.ply", "new.ply"),
+        ("decompress big.twz new.tif --threads 1", "new.tif"),
+        ("decompress big.twz new.tif --threads 2", "new.tif"),
+        ("decompress big.twz new.tif --cog", "new.tif"),
+        ("decompress big.twz new.r16", "new.r16"),
+        ("decompress big.twz new.png", "new.png"),
+        pytest.param("render big.twz new.png --size 900x900", "new.png", marks=pytest.mark.gl),
+    ],
+)
+def test_lack_of_room_is_one_line_with_a_name(tmp_path, command, name):
+    heights = np.random.default_rng(0).integers(0, 30_000, (600, 600)).astype("int16")
+    place = {"crs": "EPSG:32633", "transform": Affine(30, 0, 500_000, 0, -30, 5_000_000)}
+    write_geotiff(tmp_path / "big.tif", heights, **place)
+    write_geotiff(tmp_path / "part.tif", heights[:300][::-1], **place)
+    terrainwave.compress(tmp_path / "big.tif", tmp_path / "big.twz", max_error=1)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    words = command.replace("TEMPORARY", str(tmp_path)).split()
+    done = subprocess.run(
+        [sys.executable, "-c", LITTLE_ROOM, "20000", *words, "-q"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=300,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+    )  # fmt: skip
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert fnmatch(line, f"terrainwave: cannot write {name}: File too large")
+    assert not re.search(r"cannot write \d+:", line)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize("error", [errno.ENOSPC, errno.EFBIG])
+def test_a_full_disk_is_that_of_the_file_that_is_written(tmp_path, error):
+    """Whatever writes: Python's own errors of a write name no file."""
+    from terrainwave.container.targets.publication import publish, publish_directory
+    from terrainwave.container.targets.unfinished import only_writer
+
+    target = tmp_path / "a.twz"
+    with pytest.raises(terrainwave.StorageError, match=f"cannot write {target}: "), publish(target):
+        raise OSError(error, os.strerror(error))
+    with (
+        pytest.raises(terrainwave.StorageError, match=f"cannot write {tmp_path / 'a'}: "),
+        publish_directory(tmp_path / "a", "index.html"),
+    ):
+        raise OSError(error, os.strerror(error))
+    with pytest.raises(OSError, match="other"), publish(target):
+        raise OSError(error, os.strerror(error), "other")
+    with publish(target) as part:
+        assert part.file.name == str(target)  # what errors of assembling a file name
+    with only_writer(target, tmp_path, "a.twz"):
+        pass
+
+
+@needs_shell
+def test_lines_of_libtiff_are_dropped_and_those_of_others_kept():
+    program = """
+import os, sys
+from terrainwave.cli.descriptors import without_lines_of_libtiff
+with without_lines_of_libtiff():
+    os.write(2, b"_tiffWriteProc: No space left on device.\\nTIFFAppend: full\\nother: words\\n")
+    print("ours", file=sys.stderr)
+print("after", file=sys.stderr)
+"""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    for more, words in (
+        ({}, "ours other:words after"),
+        (
+            {"TERRAINWAVE_TRACEBACK": "1"},
+            "_tiffWriteProc:Nospaceleftondevice. TIFFAppend:full other:words ours after",
+        ),
+    ):
+        done = subprocess.run(
+            [sys.executable, "-c", program],
+            capture_output=True, text=True, timeout=300, env=environment | more,
+        )  # fmt: skip
+        assert done.stderr.replace(" ", "").split() == words.split()
 
 
 # --- sizes

@@ -7,6 +7,7 @@ import time
 
 import pytest
 
+from terrainwave import interrupts
 from terrainwave.grid.crew import Crew
 
 CREWS = pytest.mark.parametrize("n_threads", [1, 2, 5])
@@ -67,6 +68,48 @@ def test_the_first_error_in_order_is_raised_and_ends_the_work(n_threads):
         with pytest.raises(KeyError, match="3"):
             next(found)
     assert len(done) < 1000
+
+
+def test_what_nobody_takes_after_an_error_is_not_done():
+    """The traceback keeps the iterator: it is not closed before the crew is."""
+    done = []
+
+    def work(number):
+        time.sleep(0)
+        done.append(number)
+
+    def failing():
+        with Crew(2) as crew:
+            found = crew.map(work, range(10**6))
+            next(found)
+            raise KeyError("the one that takes has failed")
+
+    with pytest.raises(KeyError):
+        failing()
+    assert len(done) < 10**6
+
+
+def test_a_request_that_was_raised_stops_the_other_threads():
+    found = []
+
+    def check():
+        try:
+            interrupts.check()
+        except KeyboardInterrupt as stopped:
+            found.append(stopped)
+
+    request = KeyboardInterrupt()
+    interrupts.request(request)
+    try:
+        with Crew(2) as crew:
+            crew.submit(check).result()
+            assert found == []  # the main thread comes first
+            with pytest.raises(KeyboardInterrupt):
+                interrupts.check()
+            crew.submit(check).result()
+    finally:
+        interrupts.reset()
+    assert len(found) == 1
 
 
 def test_tasks_may_ask_for_more():

@@ -436,3 +436,15 @@ def test_without_the_package_nothing_is_said(tmp_path):
 def test_interfaces_of_versions_agree():
     shim = (PROJECT / "shim.c").read_text()
     assert int(re.search(r"PYTHON_ABI = (\d+)", shim)[1]) == native.ABI
+
+
+def test_is_native_says_whether_the_library_reads(monkeypatch, tmp_path):
+    terrainwave.compress(np.zeros((9, 9)), tmp_path / "a.twz")
+    found = {}
+    for library in (None, object()):
+        monkeypatch.setattr(native, "installed", lambda library=library: library)
+        for switch, asked in (("1", True), ("1", False), ("0", True)):
+            monkeypatch.setenv(native.SWITCH, switch)
+            with terrainwave.open(tmp_path / "a.twz", native=asked) as terrain:
+                found[library is not None, switch, asked] = terrain.is_native
+    assert {key for key, is_native in found.items() if is_native} == {(True, "1", True)}

@@ -1,6 +1,7 @@
 """Clicks, measurements, captures and the ground under the camera."""
 
 import json
+import threading
 
 import numpy as np
 import pytest
@@ -215,3 +216,22 @@ def test_a_line_has_gaps_where_it_is_behind_the_eye_and_dots_at_its_ends():
     corners = line_triangles(pixels, VIEWPORT)
     assert corners.shape == (3 * (2 + 2 * 2), 2)
     assert line_triangles(np.full((2, 2), np.nan), VIEWPORT).shape == (0, 2)
+
+
+def test_background_work_has_ended_when_it_is_closed():
+    """What it reads is closed next."""
+    background = Background(1)
+    has_begun, may_end, ended = threading.Event(), threading.Event(), []
+
+    def work():
+        has_begun.set()
+        may_end.wait(20)
+        ended.append(True)
+
+    background.start(work, lambda _: None)
+    assert has_begun.wait(20)
+    background.close(0.0)  # a silent server's is not waited for
+    assert ended == []
+    may_end.set()
+    background.close()
+    assert ended == [True]

@@ -2,10 +2,13 @@
 
 import io
 import os
+import re
 import sys
+import tempfile
 import traceback
-from contextlib import suppress
-from typing import TextIO
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import BinaryIO, TextIO
 
 import click
 
@@ -19,6 +22,10 @@ _PRINTING = {
     ("rich.console", "_write_buffer"),
     ("terrainwave.cli.streams", "_write"),
 }
+
+
+# A line of libtiff's own, which names no file: one for each tile that it cannot write.
+_OF_LIBTIFF = re.compile(rb"_?tiff\w+: ", re.IGNORECASE)
 
 
 class StdoutError(OSError):
@@ -106,3 +113,47 @@ def discard_stdout() -> None:
         handle = os.open(os.devnull, os.O_WRONLY)
         os.dup2(handle, sys.stdout.fileno())
         os.close(handle)
+
+
+@contextmanager
+def without_lines_of_libtiff() -> Iterator[None]:
+    """Drop what libtiff prints on stderr in the block; what other libraries print comes after it.
+
+    Python's own stderr is as it was. ``TERRAINWAVE_TRACEBACK=1`` shows all lines.
+    """
+    ours = sys.stderr
+    try:
+        is_real = ours.fileno() == 2
+    except (OSError, ValueError):
+        is_real = False
+    if os.environ.get("TERRAINWAVE_TRACEBACK") == "1":
+        yield
+        return
+    ours.flush()
+    real = os.dup(2)
+    try:
+        with _in_memory() as printed:
+            if is_real:
+                sys.stderr = open(
+                    real, "w", buffering=1, encoding=ours.encoding, errors=ours.errors,
+                    closefd=False,
+                )  # fmt: skip
+            os.dup2(printed.fileno(), 2)
+            try:
+                yield
+            finally:
+                os.dup2(real, 2)
+                sys.stderr = ours
+                printed.seek(0)
+                for line in printed:
+                    if not _OF_LIBTIFF.match(line):
+                        os.write(2, line)
+    finally:
+        os.close(real)
+
+
+def _in_memory() -> BinaryIO:
+    """Return a file that takes no room on a disk, where the system has such files."""
+    if hasattr(os, "memfd_create"):
+        return os.fdopen(os.memfd_create("stderr"), "w+b")
+    return tempfile.TemporaryFile()

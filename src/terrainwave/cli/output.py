@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import click
 
+from terrainwave import interrupts
 from terrainwave.arguments import AS_IS, in_one_line
 from terrainwave.cli.descriptors import discard_stdout, is_of_stdout, prepare_streams
 from terrainwave.cli.signals import Terminated, ending_by_signals
@@ -43,14 +44,14 @@ def print_error(message: object, error: BaseException | None = None) -> None:
     print_notes(getattr(error, "__notes__", ()))
 
 
-_printed_notes: set[str] = set()
+_printed_notes: dict[str, None] = {}  # in order
 
 
 def print_note(message: object) -> None:
     """Print a note on stderr, unless this command has printed it already."""
     text = plain(message)
     if text not in _printed_notes:
-        _printed_notes.add(text)
+        _printed_notes[text] = None
         click.echo(f"note: {text}", err=True)
 
 
@@ -122,6 +123,8 @@ def message_of(error: TerrainwaveError | TerrainwaveWarning) -> str:
 class Command(click.Command):
     """A command: an argument that cannot be is wrong usage, wherever that is found out."""
 
+    has_target = True
+
     def get_short_help_str(self, limit: int = 0) -> str:  # noqa: ARG002  lines are wrapped
         """Return the first sentence of the help, as the list of commands has it."""
         sentence = (self.help or "").split("\n\n")[0].partition(". ")[0]
@@ -147,6 +150,24 @@ class Command(click.Command):
             if is_of_stdout(error):
                 raise
             raise StorageError(line_of(error)) from error
+        except KeyboardInterrupt as ended:
+            vars(ended)["left"] = self._left()
+            raise
+
+    def _left(self) -> str:
+        """Return what an interruption leaves, for its message."""
+        names = [name for name in interrupts.complete() if "://" in name or os.path.lexists(name)]
+        if len(names) > 1:
+            return f"; {len(names):,} files are complete, {names[0]} the first"
+        if names:
+            return f"; {names[0]} is complete"
+        return "; the target is untouched" if self.has_target else ""
+
+
+class CommandWithoutTarget(Command):
+    """A command that changes no file that it is told to."""
+
+    has_target = False
 
 
 @contextmanager
@@ -162,14 +183,23 @@ def _of_command(ctx: click.Context) -> Iterator[None]:
 class Commands(click.Group):
     """A click group whose errors are one line each and which sets the exit status."""
 
-    def main(self, *args: Any, standalone_mode: bool = True, **kwargs: Any) -> Any:
-        """Run a command; never returns in standalone mode."""
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Run a command as all that this process does, by `main`."""
+        return self.main(*args, is_process=True, **kwargs)
+
+    def main(
+        self, *args: Any, standalone_mode: bool = True, is_process: bool = False, **kwargs: Any
+    ) -> Any:
+        """Run a command; never returns in standalone mode.
+
+        With `is_process`, signals that come after its end change nothing: the process ends.
+        """
         run: Any = super().main
         if not standalone_mode:
             return run(*args, standalone_mode=False, **kwargs)
         prepare_streams()
         try:
-            with ending_by_signals(), warnings_as_notes():
+            with ending_by_signals(is_process=is_process), warnings_as_notes():
                 status = run(*args, standalone_mode=False, **kwargs)
             sys.exit(status if isinstance(status, int) else 0)
         except click.exceptions.NoArgsIsHelpError as error:
@@ -191,7 +221,7 @@ class Commands(click.Group):
             ended = error.__cause__
             number = ended.number if isinstance(ended, Terminated) else signal.SIGINT
             word = "interrupted" if number == signal.SIGINT else "terminated"
-            print_error(f"{word}; the target is untouched", ended)
+            print_error(f"{word}{getattr(ended, 'left', '')}", ended)
             sys.exit(128 + number)
         except Exception as error:  # noqa: BLE001  whatever comes from below is one line, too
             if not is_of_stdout(error):
@@ -388,8 +418,12 @@ def print_grid(header: list[str], rows: list[list[str]]) -> None:
     Console(highlight=False).print(table)
 
 
-def print_json(fields: dict[str, Any]) -> None:
-    """Print a result as JSON."""
+def print_json(fields: dict[str, Any], *, with_notes: bool = True) -> None:
+    """Print a result as JSON, with the notes that were printed: they say what was left out."""
+    if with_notes:
+        own = fields.get("notes", [])
+        known = {message_of(TerrainwaveWarning(note)) for note in own}
+        fields = fields | {"notes": [*own, *(note for note in _printed_notes if note not in known)]}
     click.echo(json.dumps(plain_json(fields), indent=2, allow_nan=False))
 
 

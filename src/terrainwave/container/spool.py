@@ -31,6 +31,18 @@ def storage_errors(action: str, *, advice: str = "") -> Iterator[None]:
         raise _storage_error(action, error, advice) from error
 
 
+@contextmanager
+def naming_full_disk(action: str) -> Iterator[None]:
+    """Turn an error of a disk that takes no more, which names no file, into a `StorageError`."""
+    try:
+        yield
+    except OSError as error:
+        is_named = isinstance(error, TerrainwaveError) or error.filename is not None
+        if is_named or error.errno not in (*_DISK_FULL, errno.EFBIG):
+            raise
+        raise _storage_error(action, error, "") from error
+
+
 def cannot_write(
     path: str | os.PathLike[str], error: BaseException | str, *, advice: str = ""
 ) -> StorageError:
@@ -90,11 +102,14 @@ class SegmentSpool:
     Payloads stay in memory up to 64 KiB (4 KiB after `finish`), the rest goes to a temporary
     file in `directory`. No file stays open between calls, so thousands of spools can wait, and a
     spool can be pickled to a process that sees the same directory. Methods may be called from
-    several threads.
+    several threads. `advice` is what errors of a full disk end with.
     """
 
-    def __init__(self, directory: str | os.PathLike[str]) -> None:
+    def __init__(
+        self, directory: str | os.PathLike[str], *, advice: str = TEMPORARY_ADVICE
+    ) -> None:
         self._directory = os.fspath(directory)
+        self._advice = advice
         self._path: str | None = None
         self._spilled = 0
         self._buffer = bytearray()
@@ -220,7 +235,7 @@ class SegmentSpool:
 
     def _spill(self) -> None:
         action = f"cannot write temporary files in {self._directory}"
-        with storage_errors(action, advice=TEMPORARY_ADVICE):
+        with storage_errors(action, advice=self._advice):
             if self._path is None:
                 handle, self._path = tempfile.mkstemp(".twz-spool", "segment-", self._directory)
                 os.close(handle)

@@ -18,6 +18,7 @@ from terrainwave.arguments import (
     MASK,
     RAISE,
     VOIDS,
+    check_callback,
     check_ending,
     check_flags,
     checked_number,
@@ -35,6 +36,7 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.place.vertical import check_vertical
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.geotiff.sink import RasterSink
+from terrainwave.read.lost import Losses
 
 # Samples of one window: whole rows of groups where they fit, 32 MiB of float64.
 _WINDOW_SAMPLES = 4 << 20
@@ -58,6 +60,7 @@ def decompress(
     quality: float | None = None,
     vertical: str = AS_IS,
     on_error: str = RAISE,
+    on_lost: Callable[[Losses], None] | None = None,
     threads: int | None = None,
     overwrite: bool = False,
     progress: ProgressCallback | None = None,
@@ -95,6 +98,8 @@ def decompress(
     on_error : {"raise", "mask"}
         ``"mask"``: damaged blocks become void, and a warning names each of them; a file that ends
         too early gives what is there. A raster that has no mark for voids gets a mask.
+    on_lost : callable, optional
+        With `on_error` ``"mask"``: called once with the `Losses`, at the end, if there are any.
     threads : int, optional
         Threads that decode; the number of processors by default.
     overwrite : bool
@@ -112,6 +117,7 @@ def decompress(
         If `dst` cannot be written or is `src`; it is untouched.
     """
     check_flags(cog=cog, overwrite=overwrite)
+    check_callback(on_lost, "on_lost", "Losses")
     reporter = Reporter(progress)
     n_threads = 1 if threads is None else checked_threads(threads)
     check_ending(dst, (*GEOTIFF_ENDINGS, *HEIGHT_TILE_ENDINGS))
@@ -140,7 +146,7 @@ def decompress(
                 overwrite=overwrite,
                 reporter=reporter,
             )
-            _warn_of_lost(terrain, level, region)
+            _tell_lost(terrain, level, region, on_lost)
             return path
         info = info_to_write(terrain)
         if on_error == MASK and info.mask_kind == "none":
@@ -171,39 +177,37 @@ def decompress(
             )
             _write(sink, read, region, 2 * terrain.grid.block, reporter, has_heights)
         keep_place(dst, info)
-        _warn_of_lost(terrain, level, region)
+        _tell_lost(terrain, level, region, on_lost)
     return os.fspath(dst)
 
 
-def _warn_of_lost(terrain: TerrainFile, level: int, region: Region) -> None:
-    """Name the damaged blocks that became void, the first of many."""
-    if terrain.container.n_missing:
-        n_bytes = terrain.container.extents.file_size
-        warnings.warn(
-            f"{terrain.name} has {n_bytes - terrain.container.n_missing:,} of its {n_bytes:,} bytes"
-            " and was read as far as it goes",
-            TerrainwaveWarning,
-            stacklevel=3,
-        )
+def _tell_lost(
+    terrain: TerrainFile, level: int, region: Region, on_lost: Callable[[Losses], None] | None
+) -> None:
+    """Warn of the damaged blocks that became void, and name the first of many."""
+    lost, missing = terrain.lost, terrain.container.n_missing
+    if not lost and not missing:
+        return
     index = terrain.level_index(level)
-    lost = terrain.lost
-    for one in lost[:_MOST_NAMED]:
-        warnings.warn(f"lost: {one}", TerrainwaveWarning, stacklevel=3)
-    if len(lost) > _MOST_NAMED:
-        warnings.warn(
-            f"lost: {len(lost) - _MOST_NAMED} more parts, which verify lists",
-            TerrainwaveWarning,
-            stacklevel=3,
-        )
     windows = [Region(*one.window) for one in lost if one.level == index]
-    if windows:
-        n_lost = sum(_n_samples(window.intersect(region)) for window in windows)
-        share = 100 * min(n_lost / _n_samples(region), 1)
-        warnings.warn(
-            f"lost: {share:.3g} % of the samples, which are void now",
-            TerrainwaveWarning,
-            stacklevel=3,
+    n_lost = sum(_n_samples(window.intersect(region)) for window in windows)
+    share = min(n_lost / _n_samples(region), 1)
+    lines = [f"lost: {one}" for one in lost[:_MOST_NAMED]]
+    if missing:
+        n_bytes = terrain.container.extents.file_size
+        lines.insert(
+            0,
+            f"{terrain.name} has {n_bytes - missing:,} of its {n_bytes:,} bytes and was read as far"
+            " as it goes",
         )
+    if len(lost) > _MOST_NAMED:
+        lines.append(f"lost: {len(lost) - _MOST_NAMED} more parts, which verify lists")
+    if windows:
+        lines.append(f"lost: {100 * share:.3g} % of the samples, which are void now")
+    for line in lines:
+        warnings.warn(line, TerrainwaveWarning, stacklevel=3)
+    if on_lost is not None:
+        on_lost(Losses(share, missing, tuple(lost)))
 
 
 def _n_samples(region: Region) -> int:

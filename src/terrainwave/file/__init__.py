@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from terrainwave.read.coded import EvenBlocks
     from terrainwave.read.decoder import TreeDecoder
     from terrainwave.read.levels import LevelReader
-    from terrainwave.read.native import NativeFile
+    from terrainwave.read.native import Library, NativeFile
 
 DEFAULT_MAX_BYTES = 4 << 30
 # Heights in the dtype of the raster.
@@ -107,12 +107,28 @@ class TerrainFile(DescribedFile):
             may_have_voids=self._raster.mask_kind != "none",
         )
 
+    @property
+    def is_native(self) -> bool:
+        """True if the native library reads heights: it is installed, fits, and is not turned off.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If ``TERRAINWAVE_NATIVE`` is neither 0 nor 1.
+        """
+        return self._library() is not None
+
+    def _library(self) -> "Library | None":
+        from terrainwave.read import native
+
+        is_fit = self._may_be_native and not self.container.n_missing
+        return native.installed() if is_fit and native.is_wanted() else None
+
     def _native(self) -> "NativeFile | None":
         """Return what reads the file by the native library; None where that is not to be used."""
         from terrainwave.read import native
 
-        is_fit = self.is_native and not self.container.n_missing
-        library = native.installed() if is_fit and native.is_wanted() else None
+        library = self._library()
         if library is None:
             return None
         return native.NativeFile(

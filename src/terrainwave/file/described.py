@@ -57,7 +57,7 @@ class DescribedFile:
         self.n_threads = checked_threads(threads)
         cache_bytes = checked_whole("cache_bytes", cache_bytes, least=0)
         self._arguments = (source, cache_bytes, threads, native, on_error)
-        self.is_native = native
+        self._may_be_native = native
         self.on_error = on_error
         self._source = open_source(source)
         try:

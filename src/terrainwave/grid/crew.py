@@ -27,14 +27,25 @@ class Crew(ThreadPoolExecutor):
     def __init__(self, n_threads: int) -> None:
         super().__init__(max(n_threads - 1, 1), thread_name_prefix="terrainwave")
         self.n_threads = n_threads
-        self._begun: set[Future[Any]] = set()
+        self._begun: dict[Future[Any], Callable[..., Any]] = {}
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Do as `Executor.submit`."""
         future = super().submit(fn, *args, **kwargs)
-        self._begun.add(future)
-        future.add_done_callback(self._begun.discard)
+        self._begun[future] = fn
+        future.add_done_callback(lambda ended: self._begun.pop(ended, None))
         return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Do as `Executor.shutdown`; what this thread has not taken of `map` is not done.
+
+        After an error nobody takes it, but the traceback keeps the iterator, with tasks for hours.
+        """
+        for work in list(self._begun.values()):
+            turns = getattr(work, "__self__", None)
+            if isinstance(turns, _Turns) and turns.asking is threading.current_thread():
+                turns.stop()
+        super().shutdown(wait, cancel_futures=cancel_futures)
 
     def __exit__(
         self,
@@ -101,6 +112,7 @@ class _Turns(Generic[Result]):
     def __init__(self, function: Callable[..., Result], tasks: list[tuple[Any, ...]]) -> None:
         self._function = function
         self.tasks = tasks
+        self.asking = threading.current_thread()
         self._next = 0
         self._found: dict[int, tuple[Result | None, BaseException | None]] = {}
         self._changed = threading.Condition()
@@ -124,7 +136,7 @@ class _Turns(Generic[Result]):
                     raise error
                 yield cast(Result, result)
         finally:
-            self._stop()
+            self.stop()
 
     def _take_one(self) -> bool:
         """Do the next task; False if all are taken."""
@@ -139,13 +151,14 @@ class _Turns(Generic[Result]):
             result = self._function(*self.tasks[index])
         except BaseException as raised:  # noqa: BLE001  raised where its result is awaited
             error = raised
-            self._stop()  # of those before it, each is taken
+            self.stop()  # of those before it, each is taken
         with self._changed:
             self._found[index] = result, error
             self._changed.notify_all()
         return True
 
-    def _stop(self) -> None:
+    def stop(self) -> None:
+        """Let threads end after what they are at."""
         with self._changed:
             self._next = len(self.tasks)
 

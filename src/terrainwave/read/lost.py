@@ -1,7 +1,8 @@
 """What of a damaged file could not be read."""
 
 import threading
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 from terrainwave.errors import CorruptStreamError
 from terrainwave.forks import renew_after_fork
@@ -24,6 +25,34 @@ class Lost(NamedTuple):
             f"level {self.level}, rows {row} to {row + n_rows - 1}, columns {col} to"
             f" {col + n_cols - 1}: {self.problem}"
         )
+
+
+@dataclass(frozen=True)
+class Losses:
+    """Damage of a file that was read all the same.
+
+    Attributes
+    ----------
+    share : float
+        Samples of the window that lie in damaged parts, of 1. Those on the border to a whole part
+        are still there.
+    missing_bytes : int
+        Bytes that the file lacks at its end.
+    parts : tuple of Lost
+        What is damaged, coarse levels first.
+    """
+
+    share: float
+    missing_bytes: int
+    parts: tuple[Lost, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields, as JSON has them."""
+        return {
+            "share": self.share,
+            "missing_bytes": self.missing_bytes,
+            "parts": [part._asdict() for part in self.parts],
+        }
 
 
 class LostUnits:

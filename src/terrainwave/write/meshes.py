@@ -180,7 +180,7 @@ def _copied(
     container, grid = terrain.container, terrain.grid
     spools: dict[Block | None, SegmentSpool] = {}
     for head in grid.segment_heads():
-        spool = spools[head] = SegmentSpool(directory)
+        spool = spools[head] = SegmentSpool(directory, advice="; free space there")
         segment = container.segment(head)
         for key in segment.layout.keys:
             codes = bytearray()

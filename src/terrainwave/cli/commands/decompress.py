@@ -1,7 +1,7 @@
 """The command decompress: .twz files become GeoTIFFs and height tiles."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -23,6 +23,7 @@ from terrainwave.cli.batch import (
     refuse_unknown_raster,
     run_to,
 )
+from terrainwave.cli.descriptors import without_lines_of_libtiff
 from terrainwave.cli.manifest import UNKNOWN, Manifest
 from terrainwave.cli.options import (
     CUTTABLE,
@@ -49,6 +50,9 @@ from terrainwave.cli.output import (
 )
 from terrainwave.cli.streams import STREAM, printing_beside, written
 from terrainwave.progress import ProgressCallback
+
+if TYPE_CHECKING:
+    from terrainwave.read.lost import Losses
 
 
 @click.command(cls=Command)
@@ -103,10 +107,11 @@ def decompress(paths: tuple[str, ...], to: str | None, skip_existing: bool, **op
     """
     refuse_options_of_batches(to, skip_existing=skip_existing, overwrite=options["overwrite"])
     check_one_area(options)
-    if to is None:
-        _decompress(*_source_and_target(paths), **options)
-    else:
-        _decompress_each(paths, to, skips=skip_existing, **options)
+    with without_lines_of_libtiff():
+        if to is None:
+            _decompress(*_source_and_target(paths), **options)
+        else:
+            _decompress_each(paths, to, skips=skip_existing, **options)
 
 
 def _decompress(source: str, target: str, *, as_json: bool, quiet: bool, **options: Any) -> None:
@@ -117,13 +122,14 @@ def _decompress(source: str, target: str, *, as_json: bool, quiet: bool, **optio
     (_check_options_of_tile if is_tile else _check_options_of_geotiff)(target, options)
     announce_compiling(quiet=quiet)
     with reading(source), Bar(quiet=quiet) as bar, written(target, ".tif") as path:
-        terrainwave.decompress(source, path, progress=bar, **options)
+        lost: list[Losses] = []
+        terrainwave.decompress(source, path, progress=bar, on_lost=lost.append, **options)
         n_bytes = Path(path).stat().st_size
         if target == STREAM and Path(f"{path}.aux.xml").exists():
             print_note("the GeoTIFF alone cannot hold the CRS: write to a file instead of stdout")
     with printing_beside(target):
         if as_json:
-            print_json({"path": target, "n_bytes": n_bytes})
+            print_json({"path": target, "n_bytes": n_bytes} | _in_json(lost, options))
         elif not quiet:
             click.echo(f"{plain(target)}: {n_bytes:,} bytes")
 
@@ -144,18 +150,28 @@ def _decompress_each(
         options["overwrite"] = True
 
     def decompress_one(job: FileJob, threads: int, progress: ProgressCallback) -> Done:
+        lost: list[Losses] = []
         with reading(job.source):
             path = terrainwave.decompress(
-                job.source, str(job.target), progress=progress, **options | {"threads": threads}
-            )
+                job.source, str(job.target), progress=progress, on_lost=lost.append,
+                **options | {"threads": threads},
+            )  # fmt: skip
         n_bytes = Path(path).stat().st_size
-        return Done(f"{plain(path)}: {n_bytes:,} bytes", {"path": path, "n_bytes": n_bytes})
+        fields = {"path": path, "n_bytes": n_bytes} | _in_json(lost, options)
+        return Done(f"{plain(path)}: {n_bytes:,} bytes", fields)
 
     run_to(
         sources, directory, ".tif", decompress_one, "decompressed", endings=TWZ_ENDINGS,
         manifest=_manifest(directory, options, skips=skips),
         threads=options["threads"], as_json=as_json, quiet=quiet,
     )  # fmt: skip
+
+
+def _in_json(lost: list["Losses"], options: dict[str, Any]) -> dict[str, Any]:
+    """Return what was lost, where damage is not an error."""
+    if options["on_error"] == RAISE:
+        return {}
+    return {"lost": lost[0].to_dict() if lost else None}
 
 
 def _source_and_target(paths: tuple[str, ...]) -> tuple[str, str]:

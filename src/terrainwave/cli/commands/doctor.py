@@ -4,10 +4,10 @@ from dataclasses import asdict
 
 import click
 
-from terrainwave.cli.output import Command, plain, print_json
+from terrainwave.cli.output import CommandWithoutTarget, plain, print_json
 
 
-@click.command(cls=Command)
+@click.command(cls=CommandWithoutTarget)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def doctor(as_json: bool) -> int:
     """Check whether this system's GDAL, and with it QGIS, reads .twz files, and print what to do.

@@ -8,7 +8,7 @@ import click
 from terrainwave.arguments import count_of, crs_name
 from terrainwave.cli.options import THREADS_OPTION, Input
 from terrainwave.cli.output import (
-    Command,
+    CommandWithoutTarget,
     plain,
     print_grid,
     print_json,
@@ -19,7 +19,7 @@ from terrainwave.cli.output import (
 from terrainwave.names import UNBOUNDED_MESHES
 
 
-@click.command(cls=Command)
+@click.command(cls=CommandWithoutTarget)
 @click.argument("file", type=Input())
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @click.option(
@@ -54,7 +54,7 @@ def info(file: str, as_json: bool, stac: bool, threads: int | None, **more: Any)
         if stac:
             from terrainwave.globe.stac import stac_item
 
-            print_json(stac_item(terrain))
+            print_json(stac_item(terrain), with_notes=False)
             return
         summary = terrain.info()
         found = _Found.of(terrain, **more | {"parts": more["parts"] or "://" not in file})

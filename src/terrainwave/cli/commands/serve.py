@@ -20,7 +20,13 @@ from terrainwave.cli.options import (
     NamedInput,
     vertical_option,
 )
-from terrainwave.cli.output import Command, announce_compiling, message_of, plain_json, print_note
+from terrainwave.cli.output import (
+    CommandWithoutTarget,
+    announce_compiling,
+    message_of,
+    plain_json,
+    print_note,
+)
 from terrainwave.cli.signals import Terminated
 from terrainwave.errors import StorageError, TerrainwaveError
 from terrainwave.extras import need, with_extra
@@ -41,7 +47,7 @@ def _host_names(_: Any, __: Any, names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
-@click.command(cls=Command)
+@click.command(cls=CommandWithoutTarget)
 @click.argument("files", nargs=-1, type=NamedInput())
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
 @click.option("--port", type=click.IntRange(0, 65535), default=8765, show_default=True,
@@ -154,6 +160,7 @@ def _saying_that_it_stopped(*, quiet: bool) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt as ended:
+        interrupts.reset()
         if not quiet:
             click.echo("\nstopped")
         if isinstance(ended, Terminated) and ended.number != signal.SIGINT:

@@ -12,7 +12,7 @@ from terrainwave.cli.commands.info import files_before
 from terrainwave.cli.options import THREADS_OPTION, Bound, Input, Nodata, complete_files
 from terrainwave.cli.output import (
     Bar,
-    Command,
+    CommandWithoutTarget,
     announce_compiling,
     plain,
     print_grid,
@@ -25,7 +25,7 @@ from terrainwave.place.meaning import KINDS
 from terrainwave.progress import ProgressCallback
 
 
-@click.command(cls=Command)
+@click.command(cls=CommandWithoutTarget)
 @click.argument("paths", nargs=-1, metavar="FILE [ORIGINAL]", shell_complete=complete_files)
 @click.option(
     "--originals",

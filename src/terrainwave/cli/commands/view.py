@@ -12,11 +12,11 @@ from terrainwave.cli.drawing import (
     suggest_exaggeration,
 )
 from terrainwave.cli.options import Input
-from terrainwave.cli.output import Command, announce_compiling, reading
+from terrainwave.cli.output import CommandWithoutTarget, announce_compiling, reading
 from terrainwave.extras import with_extra
 
 
-@click.command(cls=Command)
+@click.command(cls=CommandWithoutTarget)
 @click.argument("file", type=Input())
 @drawing
 @click.option(

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from terrainwave.cli.options import Directory
-from terrainwave.cli.output import Command, announce_compiling, plain, print_note
+from terrainwave.cli.output import CommandWithoutTarget, announce_compiling, plain, print_note
 from terrainwave.names import WARMUP_TASKS
 
 
@@ -27,7 +27,7 @@ class Tasks(click.ParamType):
         return names
 
 
-@click.command(cls=Command)
+@click.command(cls=CommandWithoutTarget)
 @click.option(
     "--for",
     "tasks",

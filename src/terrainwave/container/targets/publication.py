@@ -14,8 +14,9 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
+from terrainwave import interrupts
 from terrainwave.arguments import check_flags, check_local
-from terrainwave.container.spool import storage_errors
+from terrainwave.container.spool import naming_full_disk, storage_errors
 from terrainwave.container.targets.unfinished import (
     RETRIES,
     Part,
@@ -83,7 +84,8 @@ def publish(
     is_published = False
     try:
         part = _create_part(final, created)
-        yield part
+        with naming_full_disk(f"cannot write {target}"):
+            yield part
         with storage_errors(f"cannot write {target}"):
             part.file.flush()
             os.fsync(part.file.fileno())
@@ -91,8 +93,9 @@ def publish(
         _check_target(final, overwrite)
         if not can_rename_open_files():
             part.file.close()
-        _replace(part.path, final)
-        is_published = True
+        with interrupts.publishing(os.fspath(target)):
+            _replace(part.path, final)
+            is_published = True
         _log.debug("wrote %s", final)
         if not is_update:
             remove_of_gdal(target, *OF_GDAL)
@@ -249,9 +252,10 @@ def publish_directory(
         new, old = scratch / "new", scratch / "old"
         with storage_errors(f"cannot write {target}"):
             new.mkdir()
-        yield new
+        with naming_full_disk(f"cannot write {target}"):
+            yield new
         _check_directory(final, marker, overwrite)
-        with storage_errors(f"cannot write {target}"):
+        with interrupts.publishing(os.fspath(target)), storage_errors(f"cannot write {target}"):
             if final.exists():
                 os.replace(final, old)
             try:

@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, cast
 
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import StorageError
@@ -102,7 +102,7 @@ def create_locked(final: Path, suffix: str, created: list[Path], action: str) ->
         path = final.parent / f".{_short(final.name)}.{secrets.token_hex(8)}{suffix}"
         created.append(path)
         with storage_errors(action):
-            file = os.fdopen(os.open(path, flags, 0o666), "w+b")
+            file = _opened(path, flags, "w+b", final)
         try:
             # Another run may have taken it for a left-over before it was locked.
             if _try_lock(file) is not _Lock.HELD_BY_OTHER and _is_still_there(path, file):
@@ -114,6 +114,11 @@ def create_locked(final: Path, suffix: str, created: list[Path], action: str) ->
         with suppress(OSError):
             os.unlink(path)
     raise StorageError(f"{action}: its unfinished file cannot be locked")
+
+
+def _opened(path: Path, flags: int, mode: str, name: Path) -> BinaryIO:
+    """Open a file by flags of the system; errors name it by `name`, not by its descriptor."""
+    return cast(BinaryIO, open(name, mode, opener=lambda *_: os.open(path, flags, 0o666)))
 
 
 @contextmanager
@@ -129,7 +134,7 @@ def only_writer(target: Path, beside: Path, shown: str) -> Iterator[None]:
     file = None
     while file is None:
         with storage_errors(f"cannot write {shown}"):
-            file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | _PLAIN, 0o666), "r+b")
+            file = _opened(path, os.O_RDWR | os.O_CREAT | _PLAIN, "r+b", path)
         if _try_lock(file) is _Lock.HELD_BY_OTHER:
             number = file.read(_LONGEST_NAME).decode(errors="replace").strip()
             file.close()
@@ -141,9 +146,10 @@ def only_writer(target: Path, beside: Path, shown: str) -> Iterator[None]:
             file.close()
             file = None
     try:
-        file.truncate(0)
-        file.write(str(os.getpid()).encode())
-        file.flush()
+        with storage_errors(f"cannot write {shown}"):
+            file.truncate(0)
+            file.write(str(os.getpid()).encode())
+            file.flush()
         yield
     finally:
         dispose(Part(path, file), [path])

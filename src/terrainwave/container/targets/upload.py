@@ -10,6 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from terrainwave import interrupts
 from terrainwave.arguments import check_flags, in_one_line
 from terrainwave.container.sources.addresses import display_name, without_secrets
 from terrainwave.container.spool import storage_errors
@@ -63,6 +64,7 @@ def uploaded(
             file.flush()
         try:
             target.put(path)
+            interrupts.note_complete(target.name)
         except TerrainwaveError as error:
             kept = parent / f"{Path(target.path).stem}-{secrets.token_hex(4)}.twz"
             with storage_errors(f"cannot write {kept}"):

@@ -1,6 +1,7 @@
 """A GeoTIFF or COG, written window by window and renamed into place at the end."""
 
 import contextlib
+import errno
 import os
 import shutil
 import tempfile
@@ -336,10 +337,12 @@ class RasterSink:
         return True
 
     def _full_disk(self) -> StorageError:
-        return StorageError(f"cannot write {self._path}: the disk is full")
+        full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return cannot_write(self._path, _refusal(self._part.parent) or full)
 
     def _cannot_write(self, error: BaseException) -> StorageError:
-        return cannot_write(self._path, one_line(error))
+        # GDAL says where it has failed to write, and libtiff keeps the reason to itself.
+        return cannot_write(self._path, _refusal(self._part.parent) or one_line(error))
 
     def _remove_overviews(self) -> None:
         """Remove what GDAL makes beside a COG while it computes overviews."""
@@ -364,13 +367,19 @@ class RasterSink:
 
 def _is_full(folder: Path) -> bool:
     """Say whether a disk takes nothing any more: what looks free may not be, and the reverse."""
-    if shutil.disk_usage(folder).free >= _NEARLY_FULL:
-        return False
+    return shutil.disk_usage(folder).free < _NEARLY_FULL and _refusal(folder) is not None
+
+
+def _refusal(folder: Path) -> OSError | None:
+    """Return what the system says to some bytes in a directory; None if it takes them."""
     try:
         with tempfile.TemporaryFile(dir=folder, buffering=0) as file:
-            return file.write(bytes(_NEARLY_FULL)) < _NEARLY_FULL
-    except OSError:
-        return True
+            n_bytes = 0
+            while n_bytes < _NEARLY_FULL:
+                n_bytes += file.write(bytes(_NEARLY_FULL - n_bytes))
+    except OSError as error:
+        return error
+    return None
 
 
 def _holds_all_tiles(path: Path, *, may_be_sparse: bool) -> bool:

@@ -30,12 +30,16 @@ class Background:
     def __init__(self, n_threads: int = 2) -> None:
         self._tasks: SimpleQueue[tuple[Callable[[], Any], _Then] | None] = SimpleQueue()
         self._done: SimpleQueue[tuple[Any, Exception | None, _Then]] = SimpleQueue()
-        self._n_threads = n_threads
         self._is_closed = False
         self.n_running = 0  # results still to come
-        for number in range(n_threads):
-            name = f"terrainwave-background-{number}"
-            threading.Thread(target=self._work, name=name, daemon=True).start()
+        self._threads = [
+            threading.Thread(
+                target=self._work, name=f"terrainwave-background-{number}", daemon=True
+            )
+            for number in range(n_threads)
+        ]
+        for thread in self._threads:
+            thread.start()
 
     def start(self, work: Callable[[], Any], then: _Then) -> None:
         """Run `work` in a thread and `then`, with its outcome, in a later `poll`."""
@@ -60,16 +64,23 @@ class Background:
                 raise error
             then(Outcome(value, None if error is None else str(error)))
 
-    def close(self) -> None:
-        """Begin no more work; what runs is not waited for."""
+    def close(self, patience: float | None = None) -> None:
+        """Begin no more work, and wait for what runs: it uses what is closed next.
+
+        `patience` is for how many seconds each thread may go on; by default until its work is done.
+        """
         self._is_closed = True
-        for _ in range(self._n_threads):
+        for _ in self._threads:
             self._tasks.put(None)
+        for thread in self._threads:
+            thread.join(patience)
 
     def _work(self) -> None:
         while (task := self._tasks.get()) is not None and not self._is_closed:
             work, then = task
             try:
                 self._done.put((work(), None, then))
+            except KeyboardInterrupt:  # of `interrupts.check`
+                return
             except Exception as error:  # noqa: BLE001  `poll` decides what it means
                 self._done.put((None, error, then))

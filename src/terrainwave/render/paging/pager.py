@@ -143,7 +143,7 @@ class Pager:
     def _attempt(self, key: Hashable, running: _Running) -> Arrival | None:
         try:
             value = self._build(key, lambda: not running.is_wanted)
-        except Cancelled:
+        except (Cancelled, KeyboardInterrupt):  # of `interrupts.check`
             return None
         except Exception as error:  # noqa: BLE001  the thread that draws decides what it means
             return Arrival(key, None, error)

@@ -12,6 +12,8 @@ from terrainwave.errors import TerrainwaveError
 from terrainwave.render.look.png import encode_png
 from terrainwave.render.modes.mode import Frames
 from terrainwave.render.paging.background import Background, Outcome
+from terrainwave.render.paging.problems import replies_of
+from terrainwave.render.paging.read_ahead import PATIENCE
 from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import format_camera
 from terrainwave.render.scene.measure import (
@@ -67,11 +69,13 @@ class Session:
         self._notes: list[tuple[float, str]] = []
 
     def close(self) -> None:
-        """Save a flight that is being recorded; begin no more work."""
+        """Save a flight that is being recorded; begin no more work, and wait for what runs."""
         if self._recorder is not None:
             self._end_flight()
-        self.background.close()
-        self.slow.close()
+        # A server that is silent would hold them for long.
+        patience = None if replies_of(self._scene.terrain) is None else PATIENCE
+        self.background.close(patience)
+        self.slow.close(patience)
 
     @property
     def camera_line(self) -> str:

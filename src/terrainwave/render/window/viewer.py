@@ -5,6 +5,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Sequence
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -82,26 +83,29 @@ def run(
     except Exception as error:
         lines = str(error).strip().splitlines() or [type(error).__name__]
         raise TerrainwaveError(_NO_WINDOW.format(problem=_display_problem(lines[0]))) from error
-    with Canvas(
-        terrain,
-        config.wnd.buffer_size,
-        context=config.ctx,
-        max_bytes=max_bytes,
-        is_late=True,
-        retries=True,
-        **options,
-    ) as canvas:
+    with ExitStack() as stack:
+        # In this order, however it ends: threads read what the canvas and the terrain close.
+        stack.callback(config.wnd.destroy)
+        canvas = stack.enter_context(
+            Canvas(
+                terrain,
+                config.wnd.buffer_size,
+                context=config.ctx,
+                max_bytes=max_bytes,
+                is_late=True,
+                retries=True,
+                **options,
+            )
+        )
         style.check_body(canvas.scene.frame.body)
         first = choose_camera(canvas.scene.frame, canvas.viewport, camera, area)
         controls = Controls(canvas.scene, first, style, max_pixel_error)
         session = Session(canvas.scene, controls, _say, radius=options.get("radius"))
+        stack.callback(session.close)
         viewer = config.viewer = Viewer(config.wnd, canvas, session, max_bytes)
+        stack.callback(viewer.close)
         _loop(config, viewer)
-        line = session.camera_line
-        session.close()
-        viewer.close()
-    config.wnd.destroy()
-    return line
+        return session.camera_line
 
 
 def _say(line: str) -> None:

@@ -1,0 +1,8 @@
+"""Hook of PyInstaller, which finds it by the entry point ``hook-dirs``."""
+
+import os
+
+
+def hook_dirs() -> list[str]:
+    """Return the directory of the hooks."""
+    return [os.path.dirname(__file__)]
