@@ -83,6 +83,27 @@ int index_of_place(const place *places, int n, place p) {
   return -1;
 }
 
+found find_segment(const twz_file *f, place head, segment **s, page_place *page, place *missing) {
+  *s = (segment *)table_find(&f->segments, head);
+  if (*s) return FOUND;
+  place parent = parent_of_head(&f->grid, head);
+  found above = find_segment(f, parent, s, page, missing);
+  if (above != FOUND) return above;
+  const segment *p = *s;
+  int i = index_of_place(p->heads, p->n_heads, head);
+  if (i < 0 || p->children[i].length == 0) return ABSENT;
+  *missing = child_page(p, i, page);
+  return MISSING;
+}
+
+place child_page(const segment *s, int i, page_place *page) {
+  page->offset = s->children[i].offset;
+  page->length = s->children[i].page_length;
+  page->end = page->offset + s->children[i].length;
+  page->siblings_end = s->children_end;
+  return s->heads[i];
+}
+
 /* Append the children of a block, in Morton order; return how many there are now. */
 static int add_children(const grid *g, place block, place *to, int n) {
   uint32_t n_rows = n_blocks(g, g->n_rows, block.level + 1), n_cols = n_blocks(g, g->n_cols, block.level + 1);
@@ -168,8 +189,7 @@ static void split_columns(columns *c, const uint8_t *content, const layout *l) {
   c->mesh_crc = c->payload_crc + 4 * l->n_keys;
 }
 
-static twz_status place_payloads(segment *s, const layout *l, const columns *c, uint64_t *at,
-                                 twz_error *error) {
+static twz_status place_sections(segment *s, const layout *l, const columns *c, uint64_t *at, twz_error *error) {
   int order[MOST_KEYS], n = l->n_keys;
   file_order(l, order);
   for (int k = 0; k < n; k++) {
@@ -180,9 +200,9 @@ static twz_status place_payloads(segment *s, const layout *l, const columns *c, 
     REQUIRE(length || !crc, error, "an empty payload with a checksum");
     REQUIRE(mesh || !mesh_crc, error, "an empty mesh section with a checksum");
     REQUIRE_KNOWN(c->flags[i] == 0, error, "flags %d of a key, which a newer release may know", c->flags[i]);
-    s->payloads[i].offset = *at;
-    s->payloads[i].length = (uint32_t)length;
-    s->payloads[i].crc = (uint32_t)crc;
+    const section_place payload = {*at, (uint32_t)length, (uint32_t)crc}, mesh_section = {*at + length, (uint32_t)mesh, (uint32_t)mesh_crc};
+    s->payloads[i] = payload;
+    s->meshes[i] = mesh_section;
     *at += length + mesh;
   }
   return TWZ_OK;
@@ -214,13 +234,14 @@ static twz_status fill_segment(segment *s, const grid *g, const layout *l, const
   columns c;
   split_columns(&c, content, l);
   uint64_t first_child = load_u64(page + 4), at = where->offset + where->length;
-  TRY(place_payloads(s, l, &c, &at, error));
+  TRY(place_sections(s, l, &c, &at, error));
   int is_top = s->entry.at.level < 0, has_children = l->n_heads > 0;
   REQUIRE((first_child > 0) == has_children, error, "first_child %llu of a segment %s children",
           (unsigned long long)first_child, has_children ? "with" : "without");
   uint64_t end = is_top ? (has_children ? first_child : file_size) : where->end;
   REQUIRE(at == end && at <= file_size, error, "a segment's payloads end at byte %llu instead of %llu",
           (unsigned long long)at, (unsigned long long)end);
+  s->end = at;
   if (has_children) {
     REQUIRE(first_child >= where->siblings_end && first_child <= file_size, error,
             "first_child lies before the segment's siblings or beyond the file");
@@ -253,7 +274,7 @@ twz_status read_segment(segment **found, const grid *g, place head, const page_p
           (unsigned long long)size);
   /* One piece of memory: the segment, then what it points to. */
   size_t places = (size_t)(l.n_keys + l.n_blocks + l.n_heads) * sizeof(place);
-  size_t n_bytes = sizeof(segment) + (size_t)l.n_keys * sizeof(section_place) +
+  size_t n_bytes = sizeof(segment) + 2 * (size_t)l.n_keys * sizeof(section_place) +
                    (size_t)l.n_heads * sizeof(child_place) + places + (size_t)l.n_blocks * sizeof(block_codes);
   segment *s = twz_allocate_zeros(allocator, n_bytes);
   if (!s) return twz_no_memory(error, n_bytes);
@@ -262,7 +283,8 @@ twz_status read_segment(segment **found, const grid *g, place head, const page_p
   s->n_blocks = l.n_blocks;
   s->n_heads = l.n_heads;
   s->payloads = (section_place *)(s + 1);
-  s->children = (child_place *)(s->payloads + l.n_keys);
+  s->meshes = s->payloads + l.n_keys;
+  s->children = (child_place *)(s->meshes + l.n_keys);
   s->keys = (place *)(s->children + l.n_heads);
   s->blocks = s->keys + l.n_keys;
   s->heads = s->blocks + l.n_blocks;

@@ -242,7 +242,7 @@ static void threads_may_share_a_file(memory *m, twz_pool *pool) {
   options.locks.lock = lock_mutex;
   options.locks.unlock = unlock_mutex;
   options.cache_bytes = 40000; /* units come and go */
-  reading r = {open_memory(m, &options), m, &whole, {0, 0, {0}}, {0}};
+  reading r = {.file = open_memory(m, &options), .source = m, .whole = &whole};
   CHECK(twz_file_level(r.file, -1, &r.size, NULL) == TWZ_OK);
   const twz_workers *workers = twz_pool_workers(pool);
   workers->run(workers->context, 60, read_a_part, &r);
@@ -425,7 +425,7 @@ static void damage_is_noticed(memory *m) {
     memcpy(damaged.bytes, whole, n);
     if (i < n) damaged.bytes[i] ^= (uint8_t)(1 << (i % 8)); else damaged.n = i - n;
     twz_file *file;
-    twz_error error = {TWZ_OK, ""};
+    twz_error error = {0};
     twz_status status = twz_file_new(NULL, damaged.n, &file, &error);
     if (status == TWZ_OK) status = twz_file_load(file, fetch, &damaged, &error);
     for (int level = 0; status == TWZ_OK && level < twz_file_info(file)->n_levels; level++) {
@@ -458,10 +458,10 @@ static void checksums_are_those_of_the_format(void) {
 /* The number in a text as json.c reads it; NAN: refused. */
 static double number_of(const char *text) {
   char whole[2000];
-  twz_allocator plain = {0, 0, 0};
+  twz_allocator plain = {0};
   json_document d = {&plain, NULL, NULL};
   snprintf(whole, sizeof whole, "{\"x\":%s}", text);
-  double x = json_parse(&d, whole, strlen(whole), NULL) == TWZ_OK ? json_member(d.root, "x")->number : NAN;
+  double x = json_parse(&d, whole, strlen(whole), NULL) == TWZ_OK ? json_number(json_member(d.root, "x")) : NAN;
   json_free(&d);
   return x;
 }
@@ -507,7 +507,7 @@ static void numbers_are_the_nearest_ones(void) {
 
 static void escapes_are_the_characters_they_name(void) {
   static const char TEXT[] = "{\"a\": \"\\u0041\\u00e9\\u20AC\\ud83d\\uDE00\\u007f\\u0080\\u07ff\\u0800\\n\\\\\"}";
-  twz_allocator plain = {0, 0, 0};
+  twz_allocator plain = {0};
   json_document d = {&plain, NULL, NULL};
   CHECK(json_parse(&d, TEXT, strlen(TEXT), NULL) == TWZ_OK);
   CHECK(strcmp(json_member(d.root, "a")->string,
@@ -522,7 +522,7 @@ static void texts_are_checked(void) {
       {"{\"a\":\"\x01\"}", 0}, {"{\"a\":\"\\x\"}", 0}, {"{\"a\":\"\xff\"}", 0}, {"{\"a\":\"\xc0\x80\"}", 0}, {"{\"a\":\"\xed\xa0\x80\"}", 0},
       {"{\"a\":\"\xf4\x90\x80\x80\"}", 0}, {"{\"a\":\"\xf4\x8f\xbf\xbf\"}", 1}, {"{\"a\":truex}", 0}, {"{\"a\":tru}", 0}, {"{}{}", 0}, {"", 0},
       {"{\"a\":[[[[[[[[[[[[[[[1]]]]]]]]]]]]]]]}", 1}, {"{\"a\":[[[[[[[[[[[[[[[[1]]]]]]]]]]]]]]]]}", 0}, {"{\"a\":\"b", 0}, {"{\"a\":\"b\\", 0}};
-  twz_allocator plain = {0, 0, 0};
+  twz_allocator plain = {0};
   for (size_t i = 0; i < sizeof CASES / sizeof *CASES; i++) {
     json_document d = {&plain, NULL, NULL};
     int is_good = json_parse(&d, CASES[i].text, strlen(CASES[i].text), NULL) == TWZ_OK;
