@@ -3,7 +3,7 @@
 
 #include "internal.h"
 
-enum { DEPTH = 4, MOST_READ = 1 << 22 };
+enum { MOST_READ = 1 << 22 };
 
 typedef struct check {
   twz_file *file;
@@ -74,7 +74,7 @@ static int compare_sections(const void *a, const void *b) {
 
 /* Read the payloads and meshes of a segment, which follow each other, and compare their checksums. */
 static twz_status check_sections(check *c, const segment *s, twz_error *error) {
-  const section_place *order[2 * 85];
+  const section_place *order[2 * MOST_KEYS];
   size_t n = 0;
   for (int i = 0; i < s->n_keys; i++) {
     if (s->payloads[i].length) order[n++] = &s->payloads[i];

@@ -272,6 +272,16 @@ typedef struct segment {
   uint64_t end, children_end;
 } segment;
 
+enum { MOST_KEYS = 85, MOST_BLOCKS = 340, MOST_HEADS = 256 };
+
+/* What a segment lists, in the order of its page (§3.1). */
+typedef struct segment_layout {
+  int n_keys, n_blocks, n_heads;
+  place keys[MOST_KEYS], blocks[MOST_BLOCKS], heads[MOST_HEADS];
+} segment_layout;
+
+void lay_out_segment(segment_layout *l, const grid *g, place head);
+void order_of_file(const segment_layout *l, int *order); /* numbers of the keys in the order of their payloads (§3.2) */
 place head_of_key(const grid *g, place key);
 place parent_of_head(const grid *g, place head);
 int index_of_place(const place *places, int n, place p); /* -1: not there */

@@ -1,8 +1,7 @@
 /* Segments and their index pages (FORMAT §3). */
 #include "internal.h"
 
-enum { DEPTH = 4, MOST_KEYS = 85, MOST_BLOCKS = 340, MOST_HEADS = 256, MOST_PAGE = 1 << 15,
-       MOST_COLUMNS = 17 * MOST_KEYS + 4 * MOST_BLOCKS + 12 * MOST_HEADS };
+enum { DEPTH = 4, MOST_PAGE = 1 << 15, MOST_COLUMNS = 17 * MOST_KEYS + 4 * MOST_BLOCKS + 12 * MOST_HEADS };
 
 /* ---- Tables by place ---- */
 
@@ -114,12 +113,7 @@ static int add_children(const grid *g, place block, place *to, int n) {
   return n;
 }
 
-typedef struct layout {
-  int n_keys, n_blocks, n_heads;
-  place keys[MOST_KEYS], blocks[MOST_BLOCKS], heads[MOST_HEADS];
-} layout;
-
-static void lay_out(layout *l, const grid *g, place head) {
+void lay_out_segment(segment_layout *l, const grid *g, place head) {
   int is_top = head.level < 0, n_levels = is_top ? first_heads(g) : DEPTH;
   place root = {0, 0, 0}, row[MOST_HEADS];
   int n_row = 1;
@@ -146,8 +140,7 @@ static void lay_out(layout *l, const grid *g, place head) {
   }
 }
 
-/* Fill `order` with the indices of the keys in the order of their payloads (§3.2). */
-static void file_order(const layout *l, int *order) {
+void order_of_file(const segment_layout *l, int *order) {
   int first = l->keys[0].level, n = 0;
   for (int i = 0; i < l->n_keys; i++) {
     if (l->keys[i].level == first) order[n++] = i;
@@ -178,7 +171,7 @@ typedef struct columns {
   const uint8_t *payload_length, *mesh_length, *flags, *codes, *page_length, *child_length, *payload_crc, *mesh_crc;
 } columns;
 
-static void split_columns(columns *c, const uint8_t *content, const layout *l) {
+static void split_columns(columns *c, const uint8_t *content, const segment_layout *l) {
   c->payload_length = content;
   c->mesh_length = c->payload_length + 4 * l->n_keys;
   c->flags = c->mesh_length + 4 * l->n_keys;
@@ -189,9 +182,9 @@ static void split_columns(columns *c, const uint8_t *content, const layout *l) {
   c->mesh_crc = c->payload_crc + 4 * l->n_keys;
 }
 
-static twz_status place_sections(segment *s, const layout *l, const columns *c, uint64_t *at, twz_error *error) {
+static twz_status place_sections(segment *s, const segment_layout *l, const columns *c, uint64_t *at, twz_error *error) {
   int order[MOST_KEYS], n = l->n_keys;
-  file_order(l, order);
+  order_of_file(l, order);
   for (int k = 0; k < n; k++) {
     int i = order[k];
     uint64_t length = number_at(c->payload_length, n, 4, i), mesh = number_at(c->mesh_length, n, 4, i);
@@ -208,7 +201,7 @@ static twz_status place_sections(segment *s, const layout *l, const columns *c, 
   return TWZ_OK;
 }
 
-static twz_status place_children(segment *s, const layout *l, const columns *c, uint64_t first, uint64_t file_size,
+static twz_status place_children(segment *s, const segment_layout *l, const columns *c, uint64_t first, uint64_t file_size,
                                  twz_error *error) {
   uint64_t at = first;
   for (int i = 0; i < l->n_heads; i++) {
@@ -228,7 +221,7 @@ static twz_status place_children(segment *s, const layout *l, const columns *c, 
   return TWZ_OK;
 }
 
-static twz_status fill_segment(segment *s, const grid *g, const layout *l, const page_place *where,
+static twz_status fill_segment(segment *s, const grid *g, const segment_layout *l, const page_place *where,
                                const uint8_t *page, const uint8_t *content, uint64_t file_size,
                                twz_error *error) {
   columns c;
@@ -265,8 +258,8 @@ twz_status read_segment(segment **found, const grid *g, place head, const page_p
   REQUIRE(where->length >= 13, error, "an index page of %u bytes", where->length);
   REQUIRE(crc_matches(crc, page + 4, where->length - 4, load_u32(page)), error,
           "the checksum of an index page is wrong");
-  layout l;
-  lay_out(&l, g, head);
+  segment_layout l;
+  lay_out_segment(&l, g, head);
   uint8_t content[MOST_COLUMNS];
   size_t size = (size_t)(17 * l.n_keys + 4 * l.n_blocks + 12 * l.n_heads), n;
   TRY(inflate_zlib(page + 12, where->length - 12, content, size, &n, "an index page", error));
