@@ -59,7 +59,8 @@ int main(int n, char **arguments) {
   }
   uint32_t first = (uint32_t)atoi(arguments[3]), stop = first + (uint32_t)atoi(arguments[2]), n_files = (uint32_t)n - 4;
   for (uint32_t seed = first; seed < stop; seed++) {
-    state = seed;
+    state = seed * 2654435761u;
+    for (int i = 0; i < 3; i++) below(2);
     const char *path = arguments[4 + below(n_files)], *from = arguments[4 + below(n_files)];
     const char *name = strrchr(path, '/') ? strrchr(path, '/') + 1 : path;
     size_t n_bytes = read_file(path, bytes), n_other = read_file(from, other);

@@ -1,8 +1,9 @@
 """Compare the verdicts of `twz check` and `terrainwave verify`: python … BUILD [N [SEED]].
 
-BUILD is the folder of a build, which has `twz` and `mutants`. The files are those of the conformance
-set, valid and invalid, and N mutants of the valid ones. Meshes are not looked into. A file that one
-accepts and the other one refuses stays where the message says; docs/FORMAT.md decides who is right.
+BUILD is the folder of a build, which has `twz` and `mutants`. The files are those of the
+conformance set, valid and invalid, some of several segments, and N mutants of the valid ones.
+Meshes are not looked into. A file that one accepts and the other one refuses stays where the message says;
+docs/FORMAT.md decides which verdict is right.
 """
 
 import subprocess
@@ -11,9 +12,24 @@ import tempfile
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
+
 import terrainwave as tw
 
 GOLDEN = Path(__file__).parents[2] / "tests" / "golden" / "v1"
+
+
+def write_segments(folder):
+    """Write files whose segments have neighbours in all directions, most of them absent."""
+    row, col = np.mgrid[:1060, :1100]
+    heights = (row // 50 + col // 40).astype(np.int16)
+    heights[(row + col) // 90 % 5 > 0] = -1
+    for method in ("rapid", "cdf53", "store"):
+        path = folder / f"segments-{method}.twz"
+        tw.compress(
+            heights, path, method=method, block=32, max_error=0, nodata=-1, mesh="none", threads=1
+        )
+        yield str(path)
 
 
 def verdict_of_twz(twz, path):
@@ -37,12 +53,11 @@ def main():
     build, *numbers = sys.argv[1:]
     n_mutants, seed = (*map(int, numbers), *(1000, 1)[len(numbers) :])
     folder = Path(tempfile.mkdtemp(prefix="native-verdicts-"))
-    valid = sorted(map(str, GOLDEN.glob("*.twz")))
-    subprocess.run(
-        [f"{build}/mutants", folder, str(n_mutants), str(seed), *valid], check=True
-    )
+    valid = [*sorted(map(str, GOLDEN.glob("*.twz"))), *4 * [*write_segments(folder)]]
+    subprocess.run([f"{build}/mutants", folder, str(n_mutants), str(seed), *valid], check=True)
     counts, n_different = Counter(), 0
-    for path in (*valid, *sorted(GOLDEN.glob("invalid/*.twz")), *sorted(folder.iterdir())):
+    golden = sorted(GOLDEN.glob("**/*.twz"))
+    for path in (*golden, *sorted(folder.iterdir())):
         found = verdict_of_twz(f"{build}/twz", path), verdict_of_python(path)
         is_alike = bool(found[0]) == bool(found[1]) and not found[0].startswith("status")
         counts["refused" if found[1] else "accepted"] += is_alike

@@ -310,7 +310,79 @@ static void the_cache_counts_what_it_holds(memory *m) {
   CHECK(n_sized == 0);
 }
 
+/* The list of the cache has units that nobody uses: windows of many units take no time to look for one. */
+static void units_in_use_are_in_no_list(memory *m) {
+  twz_options options = TWZ_OPTIONS;
+  options.cache_bytes = 1000;
+  twz_file *file = open_memory(m, &options);
+  twz_window *window;
+  CHECK(twz_window_new(file, -1, NULL, &window, NULL) == TWZ_OK);
+  CHECK(twz_window_load(window, fetch, m, NULL) == TWZ_OK);
+  CHECK(twz_window_decode(window, NULL, NULL) == TWZ_OK);
+  CHECK(file->units.n > 0 && file->newest == NULL && file->oldest == NULL);
+  twz_window_free(window);
+  CHECK(file->cached_bytes <= file->cache_bytes);
+  twz_file_free(file);
+}
+
+/* Heights are written at any address and any distance of rows. */
+static void rows_may_lie_anywhere(memory *m) {
+  twz_file *file = open_memory(m, NULL);
+  raster r;
+  twz_window *window;
+  twz_level size;
+  CHECK(read_raster(file, m, -1, NULL, NULL, &r, NULL) == TWZ_OK);
+  CHECK(twz_file_level(file, -1, &size, NULL) == TWZ_OK);
+  CHECK(twz_window_new(file, -1, NULL, &window, NULL) == TWZ_OK && twz_window_load(window, fetch, m, NULL) == TWZ_OK);
+  CHECK(twz_window_decode(window, NULL, NULL) == TWZ_OK);
+  size_t width = size.n_cols * twz_file_info(file)->dtype_bytes, stride = width + 3;
+  uint8_t *rows = malloc(size.n_rows * stride + 1);
+  for (int is_up = 0; is_up < 2; is_up++) { /* from the last row on, too */
+    uint8_t *start = rows + 1 + (is_up ? (size.n_rows - 1) * stride : 0);
+    CHECK(twz_window_read(window, start, is_up ? -(ptrdiff_t)stride : (ptrdiff_t)stride, NULL, 0, NULL) == TWZ_OK);
+    for (size_t row = 0; row < size.n_rows; row++) {
+      size_t line = is_up ? size.n_rows - 1 - row : row;
+      CHECK(memcmp(rows + 1 + line * stride, r.heights + row * width, width) == 0);
+    }
+  }
+  free(rows);
+  free_raster(&r);
+  twz_window_free(window);
+  twz_file_free(file);
+}
+
 /* ---- What must fail ---- */
+
+/* A window that is refused is refused again, and holds no units. */
+static void a_refused_window_holds_nothing(memory *m) {
+  uint64_t step = 0;
+  for (uint64_t most = 400;; most += step) {
+    twz_options options = TWZ_OPTIONS;
+    options.max_bytes = most;
+    twz_file *file = open_memory(m, &options);
+    step = file->info.n_rows * (uint64_t)file->info.n_cols / 4 + 200;
+    raster r;
+    read_raster(file, m, 0, NULL, NULL, &r, NULL); /* the cache has some units */
+    free_raster(&r);
+    twz_window *window;
+    if (twz_window_new(file, -1, NULL, &window, NULL) == TWZ_OK) {
+      twz_status status = twz_window_load(window, fetch, m, NULL);
+      for (int i = 0; i < 3 && status != TWZ_OK; i++) {
+        CHECK(status == TWZ_LIMIT);
+        status = twz_window_load(window, fetch, m, NULL);
+        CHECK(status == TWZ_LIMIT);
+      }
+      twz_window_free(window);
+      for (size_t i = 0; i < file->units.n_slots; i++) {
+        for (entry *e = file->units.slots[i]; e; e = e->next) CHECK(((unit *)e)->n_users == 0);
+      }
+      twz_file_free(file);
+      if (status == TWZ_OK) return;
+    } else {
+      twz_file_free(file);
+    }
+  }
+}
 
 typedef struct counter {
   size_t n_left, n_held;
@@ -442,13 +514,86 @@ static void damage_is_noticed(memory *m) {
   }
 }
 
-/* ---- Parts that need no file ---- */
+/* ---- Files of other bytes ---- */
 
 static const crc_tables *tables(void) {
   static crc_tables t;
   crc_tables_fill(&t);
   return &t;
 }
+
+/* The status of opening a file with another number of `width` bytes in its header, whose checksum is made right. */
+static twz_status opened_with(const memory *m, size_t offset, uint64_t value, size_t width, int is_right) {
+  memory changed = {malloc(m->n), m->n, 0, 0, 0};
+  twz_file *file;
+  memcpy(changed.bytes, m->bytes, m->n);
+  for (size_t i = 0; i < width; i++) changed.bytes[offset + i] = (uint8_t)(value >> (8 * i));
+  uint32_t crc = crc32_of(tables(), changed.bytes, 124);
+  for (int i = 0; is_right && i < 4; i++) changed.bytes[124 + i] = (uint8_t)(crc >> (8 * i));
+  twz_status status = twz_file_new(NULL, changed.n, &file, NULL);
+  if (status == TWZ_OK) status = twz_file_load(file, fetch, &changed, NULL);
+  twz_file_free(file);
+  free(changed.bytes);
+  return status;
+}
+
+static twz_status check_file(memory *m) {
+  twz_file *file = open_memory(m, NULL);
+  twz_status status = twz_file_check(file, fetch, m, NULL, NULL);
+  twz_file_free(file);
+  return status;
+}
+
+static void ranges_of_heights_are_limited(const memory *m) {
+  static const struct { int64_t low, high; int is_good; } CASES[] = {
+      {-(1 << 29), (1 << 29) - 1, 1}, {-(1 << 29), 1 << 29, 0}, {-(1 << 30), 1 << 30, 0}, {-(1 << 30), -1, 1}, {0, (1 << 30) - 1, 1}, {0, 1 << 30, 0}};
+  for (size_t i = 0; i < sizeof CASES / sizeof *CASES; i++) {
+    uint64_t both = (uint32_t)(CASES[i].low & UINT32_MAX) | (uint64_t)(CASES[i].high & UINT32_MAX) << 32;
+    CHECK(opened_with(m, 68, both, 8, 1) == (CASES[i].is_good ? TWZ_OK : TWZ_CORRUPT));
+  }
+}
+
+/* A newer version has a checksum of its own; another number before the checksum of version 1 is damage. */
+static void a_damaged_version_is_no_newer_one(const memory *m) {
+  for (uint64_t version = 0; version < 256; version++) {
+    if (version == 1) continue;
+    CHECK(opened_with(m, 8, version, 1, 0) == TWZ_CORRUPT);
+    CHECK(opened_with(m, 8, version, 1, 1) == TWZ_UNSUPPORTED);
+  }
+}
+
+/* A root that is cut at once: what lies below the first rows is not decoded. */
+static void cut_streams_end_where_they_are_cut(memory *m) {
+  twz_file *file = open_memory(m, NULL);
+  const int method = file->header.method, is_cdf97 = method == TWZ_CDF97;
+  if (is_cdf97 || method == TWZ_PREDICTIVE) {
+    static const uint8_t PAYLOADS[3][4] = {{2, 0}, {4, 1, 0}, {0}}; /* residuals, raw heights; predictive */
+    static const size_t SIZES[3] = {2, 3, 1};
+    const place root = {-1, 0, 0};
+    layer l = {0};
+    unit_axes(&file->grid, root, 0, &l.rows, &l.cols);
+    size_t n = (size_t)l.rows.n * (size_t)l.cols.n;
+    l.heights = malloc(n * sizeof *l.heights);
+    const job j = {.file = file, .key = root, .out = &l};
+    scratch s = {.allocator = &file->allocator};
+    for (int i = is_cdf97 ? 0 : 2; i < (is_cdf97 ? 2 : 3); i++) {
+      const reader bytes = {PAYLOADS[i], SIZES[i], 0};
+      const int32_t untouched = INT32_MIN;
+      for (size_t k = 0; k < n; k++) l.heights[k] = untouched;
+      twz_status status = is_cdf97 ? decode_cdf97(&j, &bytes, &s, NULL) : decode_predictive(&j, &bytes, &s, NULL);
+      CHECK(status == TWZ_CORRUPT);
+      if (i == 1) continue; /* bits of raw heights are few: the stream ends by itself */
+      size_t n_left = 0;
+      for (size_t k = 0; k < n; k++) n_left += l.heights[k] == untouched;
+      CHECK(l.rows.n < 4 || n_left > n / 2);
+    }
+    free(l.heights);
+    scratch_free(&s);
+  }
+  twz_file_free(file);
+}
+
+/* ---- Parts that need no file ---- */
 
 static void checksums_are_those_of_the_format(void) {
   CHECK(crc32_of(tables(), (const uint8_t *)"123456789", 9) == 0xCBF43926u); /* FORMAT §1.3 */
@@ -495,6 +640,19 @@ static void numbers_are_the_nearest_ones(void) {
   CHECK(number_of(half) == 1);
   half[n_half + 999] = '1';
   CHECK(number_of(half) == 1 + DBL_EPSILON);
+  /* Half way from the greatest double to 2^1024: from here on numbers are not finite. */
+  static const char BEYOND[] =
+      "1797693134862315807937289714053034150799341327100378269361737789804449682927647509466490179775872070963"
+      "3028641669288791094655554785194040263065748867150582068190890200070838367627385484581771153176447573027"
+      "0069855571366959622842914819860834936475292719074168444365510704342711559699508093042880177904174497792";
+  char near[400];
+  memcpy(near, BEYOND, sizeof BEYOND);
+  CHECK(isnan(number_of(near)));
+  near[307] = '8'; /* instead of 9 */
+  CHECK(number_of(near) == DBL_MAX);
+  strcat(near, ".99999e0");
+  CHECK(number_of(near) == DBL_MAX);
+  CHECK(number_of("1.797693134862315807e308") == DBL_MAX && isnan(number_of("1.7976931348623158079373e308")));
   char long_one[1900] = "0.";
   memset(long_one + 2, '0', 1800);
   strcpy(long_one + 1802, "5e1800");
@@ -556,6 +714,13 @@ int main(int n, char **files) {
 #endif
     a_window_in_the_cache_needs_no_bytes(&m);
     the_cache_counts_what_it_holds(&m);
+    units_in_use_are_in_no_list(&m);
+    rows_may_lie_anywhere(&m);
+    a_refused_window_holds_nothing(&m);
+    a_damaged_version_is_no_newer_one(&m);
+    cut_streams_end_where_they_are_cut(&m);
+    if (strstr(path, "store-int16-segments")) ranges_of_heights_are_limited(&m);
+    CHECK(check_file(&m) == TWZ_OK);
     no_memory_is_an_error(&m);
     own_samples_of_parts_are_those_of_the_window(&m);
     calls_that_are_wrong_say_so(&m);
