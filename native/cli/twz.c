@@ -204,11 +204,35 @@ static twz_window *decoded(session *s, int level, const twz_box *box, int is_rea
 
 /* ---- info ---- */
 
-/* Text by anyone, without what would move the cursor. */
+/* Do terminals obey a character: control characters, also those of 8 bits, and what turns or hides text? */
+static int is_control(uint32_t code) {
+  return code < 0x20 || (code >= 0x7F && code < 0xA0) || code == 0x61C || (code >= 0x200B && code <= 0x200F) ||
+         (code >= 0x2028 && code <= 0x202E) || (code >= 0x2060 && code <= 0x206F) || code == 0xFEFF;
+}
+
+/* The bytes of a character of text, which is UTF-8, and its number. */
+static int next_character(const char *text, uint32_t *code) {
+  unsigned char first = (unsigned char)*text;
+  int n = first < 0x80 ? 1 : first < 0xE0 ? 2 : first < 0xF0 ? 3 : 4;
+  *code = n == 1 ? first : first & (0x7Fu >> n);
+  for (int i = 1; i < n; i++) *code = *code << 6 | ((unsigned char)text[i] & 63);
+  return n;
+}
+
+/* Text by anyone, filled up to `width` characters. */
+static void print_plain(const char *text, int width) {
+  for (uint32_t code; *text; width--) {
+    int n = next_character(text, &code);
+    printf("%.*s", is_control(code) ? 1 : n, is_control(code) ? " " : text);
+    text += n;
+  }
+  if (width > 0) printf("%*s", width, "");
+}
+
 static void print_text(const char *name, const char *text) {
   if (!text) return;
-  printf("%-16s", name);
-  for (; *text; text++) putchar((unsigned char)*text < 0x20 || *text == 0x7F ? ' ' : *text);
+  print_plain(name, 16);
+  print_plain(text, 0);
   putchar('\n');
 }
 
@@ -217,8 +241,18 @@ static int print_json(const twz_info *i) {
          i->n_cols, i->n_levels, i->dtype_name, i->method_name);
   printf("\"max_error\": %.17g, \"effective_bound\": %.17g, \"features\": %" PRIu32 ", \"metadata\": ", i->max_error,
          i->effective_bound, i->features);
-  /* Line breaks of the text, which lie between its tokens, would end the line. */
-  for (const char *c = i->metadata; *c; c++) putchar(*c == '\n' || *c == '\r' ? ' ' : *c);
+  /* White space lies between tokens, other control characters in strings. */
+  uint32_t code;
+  for (const char *c = i->metadata; *c; c += next_character(c, &code)) {
+    int n = next_character(c, &code);
+    if (!is_control(code)) {
+      printf("%.*s", n, c);
+    } else if (code < 0x20) {
+      putchar(' ');
+    } else {
+      printf("\\u%04" PRIx32, code);
+    }
+  }
   printf("}\n");
   return 0;
 }

@@ -136,7 +136,7 @@ static twz_status find_loaded(check *c, place head, segment **s, twz_error *erro
   for (;;) {
     page_place page;
     place missing;
-    found known = find_segment(f, head, s, &page, &missing);
+    segment_state known = find_segment(f, head, s, &page, &missing);
     if (known == ABSENT) *s = NULL;
     if (known != MISSING) return TWZ_OK;
     TRY(load_page(c, missing, &page, s, error));

@@ -295,8 +295,8 @@ typedef struct page_place {
 } page_place;
 
 /* What is known of a segment: itself, that it is absent, or whose page must be read first, and where that is. */
-typedef enum found { FOUND, ABSENT, MISSING } found;
-found find_segment(const twz_file *f, place head, segment **s, page_place *page, place *missing);
+typedef enum segment_state { FOUND, ABSENT, MISSING } segment_state;
+segment_state find_segment(const twz_file *f, place head, segment **s, page_place *page, place *missing);
 place child_page(const segment *s, int i, page_place *page); /* of child number i, which is present; returns its head */
 
 twz_status read_segment(segment **found, const grid *g, place head, const page_place *where,

@@ -82,11 +82,11 @@ int index_of_place(const place *places, int n, place p) {
   return -1;
 }
 
-found find_segment(const twz_file *f, place head, segment **s, page_place *page, place *missing) {
+segment_state find_segment(const twz_file *f, place head, segment **s, page_place *page, place *missing) {
   *s = (segment *)table_find(&f->segments, head);
   if (*s) return FOUND;
   place parent = parent_of_head(&f->grid, head);
-  found above = find_segment(f, parent, s, page, missing);
+  segment_state above = find_segment(f, parent, s, page, missing);
   if (above != FOUND) return above;
   const segment *p = *s;
   int i = index_of_place(p->heads, p->n_heads, head);

@@ -286,9 +286,9 @@ static int ask_page(asked *a, const page_place *page) {
   return 1;
 }
 
-static found lookup(twz_file *f, place key, segment **s, page_place *page, place *missing) {
+static segment_state lookup(twz_file *f, place key, segment **s, page_place *page, place *missing) {
   file_lock(f);
-  found known = find_segment(f, head_of_key(&f->grid, key), s, page, missing);
+  segment_state known = find_segment(f, head_of_key(&f->grid, key), s, page, missing);
   file_unlock(f);
   return known;
 }
@@ -302,7 +302,7 @@ static twz_status place_unit(twz_window *w, slot *one, place key, asked *a, twz_
     place missing, part = key_of(key, i);
     segment *s;
     page_place page;
-    found known = lookup(f, part, &s, &page, &missing);
+    segment_state known = lookup(f, part, &s, &page, &missing);
     if (known == MISSING) {
       is_known = 0;
       if (!ask_page(a, &page)) return TWZ_OK;
