@@ -39,6 +39,7 @@ help:
 	@echo "make native-arm      the same library for ARM of 64 and 32 bits, tested by an emulator: five minutes"
 	@echo "make native-deb      the driver as a .deb for this system's GDAL, into dist/"
 	@echo "make native-compared FILES=100  files of any kind, read by the native library and the package"
+	@echo "make native-verdicts  twz check and terrainwave verify, of the conformance set and 1,000 mutants"
 	@echo "make native-fuzz SECONDS=60  fuzz its files and its units, each half that long"
 	@echo "make docs            the site, as build/site; any warning is an error"
 	@echo "make release-check   sdist and wheel into dist/, built twice, installed without and with each extra"
