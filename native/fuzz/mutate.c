@@ -327,7 +327,7 @@ static size_t put_together(parts *p, uint8_t *to, size_t most) {
     piece *s = p->pieces[order[i]];
     uint64_t first = s->layout.n_heads ? (next < n ? p->pieces[order[next]]->offset : at) : 0;
     next += present_children(s);
-    if (i == faulty && p->fault == FIRST_CHILD) first += below(2) ? 1 : (uint64_t)0 - 1;
+    if (i == faulty && p->fault == FIRST_CHILD) first = below(2) || first == 0 ? first + 1 : first - 1;
     store(s->page.bytes + 4, first, 8);
     store(s->page.bytes, crc32_of(&crc, s->page.bytes + 4, s->page.n - 4), 4);
     if (i == faulty && p->fault == PAGE_BYTE) s->page.bytes[below((uint32_t)s->page.n)] ^= (uint8_t)(1 << below(8));
