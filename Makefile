@@ -22,7 +22,7 @@ COMPILED := $(PYTEST) --dist loadfile --no-loadscope-reorder
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo qgis conformance test test-all system system-full system-native system-arm system-nginx system-caddy native native-arm native-aarch64 native-arm32 native-gcc native-clang native-agrees native-compared native-sanitized native-fuzz native-driver native-gdal native-gdals native-deb lint test-compiled test-full test-bounds test-python coverage docs bench long fuzz release-check clean
+.PHONY: help demo qgis conformance test test-all system system-full system-native system-arm system-nginx system-caddy native native-arm native-aarch64 native-arm32 native-gcc native-clang native-installed native-agrees native-verdicts native-compared native-sanitized native-fuzz native-driver native-gdal native-gdals native-deb lint test-compiled test-full test-bounds test-python coverage docs bench long fuzz release-check clean
 
 help:
 	@echo "make demo            compress a real terrain, check and draw it, into demo/"
@@ -41,6 +41,7 @@ help:
 	@echo "make native-gdals    the driver with GDAL of other releases of Debian, RELEASES='trixie sid'; as root"
 	@echo "make native-deb      the driver as a .deb for this system's GDAL, into dist/"
 	@echo "make native-compared FILES=100  files of any kind, read by the native library and the package"
+	@echo "make native-verdicts  twz check and terrainwave verify, of the conformance set and 1,000 mutants"
 	@echo "make native-fuzz SECONDS=60  fuzz its files and its units, each half that long"
 	@echo "make docs            the site, as build/site; any warning is an error"
 	@echo "make release-check   sdist and wheel into dist/, built twice, installed without and with each extra"
@@ -112,7 +113,7 @@ test:
 	@$(MAKE) --no-print-directory -j2 lint test-compiled
 
 # What `make test` leaves out.
-test-all: test-full test-bounds test-python native native-sanitized native-agrees native-compared native-fuzz
+test-all: test-full test-bounds test-python native native-sanitized native-agrees native-verdicts native-compared native-fuzz
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .
@@ -170,10 +171,21 @@ built_natively = cmake -S native -B build/native/$(1) -DCMAKE_C_COMPILER=$(2) -D
 	cmake --build build/native/$(1) -j $(WORKERS) -- -s --no-print-directory
 tested_natively = ctest --test-dir build/native/$(1) --output-on-failure -j $(WORKERS)
 
-native: native-gcc native-clang native-driver
+# The driver is made where clang has built.
+native: native-gcc native-clang native-installed
+	@$(MAKE) --no-print-directory native-driver
+
+# clang's build has the driver, too.
+with_driver = -DTWZ_GDAL=ON -DCMAKE_CXX_COMPILER=clang++
 
 native-gcc native-clang: native-%: system-native
-	@$(call built_natively,$*,$*) && $(call tested_natively,$*)
+	@$(call built_natively,$*,$*,$(if $(filter clang,$*),$(with_driver))) && $(call tested_natively,$*)
+
+# What is installed is enough to build examples/c with: a static library, and a shared one.
+native-installed: native-gcc
+	@$(call built_natively,shared,gcc,-DBUILD_SHARED_LIBS=ON)
+	@sh native/tests/installed.sh build/native/gcc build/native/installed-static static
+	@sh native/tests/installed.sh build/native/shared build/native/installed-shared shared
 
 # ARM of 64 and of 32 bits. No part of test-all: emulators take their time.
 native-arm: native-aarch64 native-arm32
@@ -186,8 +198,8 @@ native-arm32: system-arm
 
 # By clang, whose kernels are faster. The tests are those of tests/gdal_driver.
 native-driver: system-native
-	@$(call built_natively,driver,clang,-DTWZ_GDAL=ON -DCMAKE_CXX_COMPILER=clang++ -DBUILD_TESTING=OFF)
-	@cmake --install build/native/driver --prefix "$(PREFIX)" >/dev/null
+	@$(call built_natively,clang,clang,$(with_driver))
+	@cmake --install build/native/clang --prefix "$(PREFIX)" >/dev/null
 	@folder=$$(dirname $$(find "$(PREFIX)" -name gdal_TWZ.so | head -1)) && \
 		GDAL_DRIVER_PATH=$$folder gdalinfo tests/golden/v1/one-sample.twz >/dev/null && \
 		echo "GDAL reads .twz files where GDAL_DRIVER_PATH is $$folder"
@@ -204,13 +216,17 @@ native-gdals: $(VENV)/.installed-dev system-native
 
 # One for each minor version of GDAL: that of this system.
 native-deb: system-native
-	@$(call built_natively,deb,clang,-DTWZ_GDAL=ON -DCMAKE_CXX_COMPILER=clang++ -DBUILD_TESTING=OFF -DCMAKE_INSTALL_PREFIX=/usr)
+	@$(call built_natively,deb,clang,$(with_driver) -DBUILD_TESTING=OFF -DCMAKE_INSTALL_PREFIX=/usr)
 	@mkdir -p dist && cd build/native/deb && cpack -G DEB >/dev/null && cp *.deb "$(CURDIR)/dist/" && \
 		echo "dist/$$(ls -t *.deb | head -1)"
 
 # What the package writes, read by both.
 native-agrees: native-gcc $(VENV)/.installed-dev
 	@NUMBA_CACHE_DIR="$(CURDIR)/.numba/seeds" $(BIN)/python native/tests/against_python.py build/native/gcc/twz
+
+# twz check and terrainwave verify, of the conformance set and of mutants of it.
+native-verdicts: native-sanitized $(VENV)/.installed-dev
+	@NUMBA_CACHE_DIR="$(CURDIR)/.numba/seeds" $(BIN)/python native/fuzz/verdicts.py build/native/sanitized
 
 native-sanitized: system-native
 	@$(call built_natively,sanitized,clang,-DTWZ_SANITIZE=ON) && $(call tested_natively,sanitized)

@@ -23,9 +23,9 @@ qgis)
     packages="$packages python3-qgis $gdal"
     ;;
 native)
-    packages="cmake make gcc libc6-dev clang libclang-rt-dev llvm clang-14 lld-14 $gdal"
+    packages="cmake make gcc libc6-dev pkg-config clang libclang-rt-dev llvm clang-14 lld-14 $gdal"
     needs="the native library needs compilers, its driver GDAL"
-    elsewhere="cmake, make, gcc, clang with sanitizers and libFuzzer, clang 14 and lld 14, GDAL with its headers and Python"
+    elsewhere="cmake, make, gcc, pkg-config, clang with sanitizers and libFuzzer, clang 14 and lld 14, GDAL with its headers and Python"
     ;;
 arm)
     packages="cmake make qemu-user gcc-aarch64-linux-gnu libc6-dev-arm64-cross gcc-arm-linux-gnueabihf libc6-dev-armhf-cross"
@@ -62,7 +62,7 @@ is_complete() {
 
 has_compilers() {
     command -v cmake >/dev/null && command -v make >/dev/null && command -v gcc >/dev/null &&
-        command -v clang >/dev/null && command -v clang-14 >/dev/null && command -v wasm-ld-14 >/dev/null &&
+        command -v pkg-config >/dev/null && command -v clang >/dev/null && command -v clang-14 >/dev/null && command -v wasm-ld-14 >/dev/null &&
         command -v llvm-symbolizer >/dev/null &&
         ls "$(clang -print-resource-dir)"/lib/*/libclang_rt.fuzzer*.a >/dev/null 2>&1
 }

@@ -34,7 +34,8 @@ static const char USAGE[] =
     "      --own          one byte for each sample: 1 if the original has one at this very place\n"
     "      --blocks       four int64 for each block of the level, in Morton order, in quanta: lowest and\n"
     "                     highest height, error of the block, error of its mesh\n"
-    "  twz check FILE     decode all levels; silent if the file is sound\n"
+    "  twz check FILE     read all bytes, decode all heights and compare those that blocks share; silent if the\n"
+    "                     file is sound. Of meshes only the checksums are compared, as a note then says\n"
     "\n"
     "  --threads N        decode on N threads; 0: as many as there are processors; 1 otherwise\n"
     "  --kernels NAME     auto, baseline, avx2 or avx512: which instructions to use; the heights are the same\n"
@@ -203,11 +204,35 @@ static twz_window *decoded(session *s, int level, const twz_box *box, int is_rea
 
 /* ---- info ---- */
 
-/* Text by anyone, without what would move the cursor. */
+/* Do terminals obey a character: control characters, also those of 8 bits, and what turns or hides text? */
+static int is_control(uint32_t code) {
+  return code < 0x20 || (code >= 0x7F && code < 0xA0) || code == 0x61C || (code >= 0x200B && code <= 0x200F) ||
+         (code >= 0x2028 && code <= 0x202E) || (code >= 0x2060 && code <= 0x206F) || code == 0xFEFF;
+}
+
+/* The bytes of a character of text, which is UTF-8, and its number. */
+static int next_character(const char *text, uint32_t *code) {
+  unsigned char first = (unsigned char)*text;
+  int n = first < 0x80 ? 1 : first < 0xE0 ? 2 : first < 0xF0 ? 3 : 4;
+  *code = n == 1 ? first : first & (0x7Fu >> n);
+  for (int i = 1; i < n; i++) *code = *code << 6 | ((unsigned char)text[i] & 63);
+  return n;
+}
+
+/* Text by anyone, filled up to `width` characters. */
+static void print_plain(const char *text, int width) {
+  for (uint32_t code; *text; width--) {
+    int n = next_character(text, &code);
+    printf("%.*s", is_control(code) ? 1 : n, is_control(code) ? " " : text);
+    text += n;
+  }
+  if (width > 0) printf("%*s", width, "");
+}
+
 static void print_text(const char *name, const char *text) {
   if (!text) return;
-  printf("%-16s", name);
-  for (; *text; text++) putchar((unsigned char)*text < 0x20 || *text == 0x7F ? ' ' : *text);
+  print_plain(name, 16);
+  print_plain(text, 0);
   putchar('\n');
 }
 
@@ -216,8 +241,18 @@ static int print_json(const twz_info *i) {
          i->n_cols, i->n_levels, i->dtype_name, i->method_name);
   printf("\"max_error\": %.17g, \"effective_bound\": %.17g, \"features\": %" PRIu32 ", \"metadata\": ", i->max_error,
          i->effective_bound, i->features);
-  /* Line breaks of the text, which lie between its tokens, would end the line. */
-  for (const char *c = i->metadata; *c; c++) putchar(*c == '\n' || *c == '\r' ? ' ' : *c);
+  /* White space lies between tokens, other control characters in strings. */
+  uint32_t code;
+  for (const char *c = i->metadata; *c; c += next_character(c, &code)) {
+    int n = next_character(c, &code);
+    if (!is_control(code)) {
+      printf("%.*s", n, c);
+    } else if (code < 0x20) {
+      putchar(' ');
+    } else {
+      printf("\\u%04" PRIx32, code);
+    }
+  }
   printf("}\n");
   return 0;
 }
@@ -303,14 +338,14 @@ static void cut(twz_box *box, const twz_level *level) {
           level->n_rows, level->n_cols, box->n_rows, box->n_cols, box->row, box->col);
 }
 
-/* Decode a level in strips of whole units; write them if is_dumped. */
-static int go_through(session *s, int number, int is_dumped) {
+/* Write a level, or a window of it, in strips of whole units. */
+static int dump_samples(session *s) {
   const options *o = s->options;
   const twz_info *i = twz_file_info(s->file);
   twz_level level;
-  if (twz_file_level(s->file, number, &level, &s->error) != TWZ_OK) return failed(s);
+  if (twz_file_level(s->file, o->level, &level, &s->error) != TWZ_OK) return failed(s);
   twz_box box = {0, 0, level.n_rows, level.n_cols};
-  if (o->has_window && is_dumped) {
+  if (o->has_window) {
     box = o->window;
     cut(&box, &level);
   }
@@ -324,7 +359,7 @@ static int go_through(session *s, int number, int is_dumped) {
     uint32_t next = (row / strip + 1) * strip;
     if (next > stop || next < row) next = stop;
     twz_box part = {row, box.col, box.n_rows ? next - row : 0, box.n_cols};
-    twz_window *w = decoded(s, number, &part, 1);
+    twz_window *w = decoded(s, o->level, &part, 1);
     size_t n = (size_t)part.n_rows * part.n_cols * width;
     if (w && n > n_buffer) {
       free(buffer);
@@ -341,7 +376,7 @@ static int go_through(session *s, int number, int is_dumped) {
                                                          o->what == MASK ? buffer : NULL, 0, &s->error);
       if (read != TWZ_OK) {
         status = failed(s);
-      } else if (is_dumped && fwrite(buffer, 1, n, stdout) != n) {
+      } else if (fwrite(buffer, 1, n, stdout) != n) {
         status = broken(s, "stdout cannot be written");
       }
     }
@@ -356,16 +391,21 @@ static int dump(session *s) {
 #if defined(_WIN32)
   _setmode(_fileno(stdout), _O_BINARY);
 #endif
-  int status = s->options->what == BLOCKS ? dump_blocks(s) : go_through(s, s->options->level, 1);
+  int status = s->options->what == BLOCKS ? dump_blocks(s) : dump_samples(s);
   errno = 0;
   if (status == 0 && fflush(stdout) != 0) status = broken(s, "stdout cannot be written");
   return status;
 }
 
 static int check(session *s) {
-  int status = 0;
-  for (int level = 0; status == 0 && level < twz_file_info(s->file)->n_levels; level++) status = go_through(s, level, 0);
-  return status;
+  const char *mesh = twz_file_info(s->file)->mesh_name;
+  const twz_workers *workers = s->pool ? twz_pool_workers(s->pool) : NULL;
+  if (twz_file_check(s->file, fetch, s->source, workers, &s->error) != TWZ_OK) return failed(s);
+  if (strcmp(mesh, "none") != 0) {
+    fprintf(stderr, "twz: note: %s: meshes (%s) were not checked, only their checksums; terrainwave verify --mesh does that\n",
+            s->options->path, mesh);
+  }
+  return 0;
 }
 
 int main(int n, char **arguments) {

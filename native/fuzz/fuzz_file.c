@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "mutate.h"
 #include "terrainwave.h"
 
 enum { SIDE = 90 };
@@ -92,7 +93,25 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t n) {
   return 0;
 }
 
-#if defined(TWZ_REPLAY)
+#if !defined(TWZ_REPLAY)
+size_t LLVMFuzzerMutate(uint8_t *bytes, size_t n, size_t most);
+
+/* Most inputs are made with the knowledge of what a file has; some without. */
+size_t LLVMFuzzerCustomMutator(uint8_t *bytes, size_t n, size_t most, unsigned seed);
+size_t LLVMFuzzerCustomMutator(uint8_t *bytes, size_t n, size_t most, unsigned seed) {
+  size_t n_new = seed % 4 ? mutate_file(bytes, n, most, NULL, 0, seed, LLVMFuzzerMutate) : 0;
+  return n_new ? n_new : LLVMFuzzerMutate(bytes, n, most);
+}
+
+size_t LLVMFuzzerCustomCrossOver(const uint8_t *bytes, size_t n, const uint8_t *other, size_t n_other, uint8_t *to, size_t most,
+                                 unsigned seed);
+size_t LLVMFuzzerCustomCrossOver(const uint8_t *bytes, size_t n, const uint8_t *other, size_t n_other, uint8_t *to, size_t most,
+                                 unsigned seed) {
+  if (n > most) return 0;
+  memcpy(to, bytes, n);
+  return mutate_file(to, n, most, other, n_other, seed, LLVMFuzzerMutate);
+}
+#else
 int main(int n, char **arguments) {
   for (int i = 1; i < n; i++) {
     FILE *file = fopen(arguments[i], "rb");

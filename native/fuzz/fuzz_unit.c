@@ -121,7 +121,7 @@ static found mix(const unit *u, twz_status status, int32_t n_first) {
 static int decode(const target *t, const uint8_t *payload, size_t n, twz_kernels kind, int n_times, const int32_t *n_ready,
                   int32_t n_first, found *results) {
   static scratch work[2];
-  twz_allocator plain = {0, 0, 0};
+  twz_allocator plain = {0};
   twz_file *f = t->file;
   const row_kernels *kernels = find_kernels(kind);
   if (!kernels) return 0;

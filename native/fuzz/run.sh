@@ -6,14 +6,14 @@ set -eu
 cd "$1"
 mkdir -p corpus/files corpus/units
 cp seeds/*.twz corpus/files/
-options="-entropic=0 -timeout=20 -rss_limit_mb=2048 -artifact_prefix=found- -print_final_stats=1"
+options="-entropic=0 -timeout=60 -rss_limit_mb=2048 -artifact_prefix=found- -print_final_stats=1"
 export TWZ_FUZZ_FILES=seeds/files.txt
 export TWZ_FUZZ_SEEDS=corpus/units
 for target in units files; do
     if [ $target = units ]; then
         program=fuzz_unit limits="-max_len=800"
     else
-        program=fuzz_file limits="-max_len=3000"
+        program=fuzz_file limits="-max_len=4000"
     fi
     limits="$limits ${RUNS:+-runs=$RUNS} ${SECONDS_EACH:+-max_total_time=$SECONDS_EACH}"
     # shellcheck disable=SC2086

@@ -4,6 +4,7 @@
 #include <cstring>
 #include <iterator>
 #include <limits>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -589,19 +590,35 @@ double Dataset::Bound() const {
   return (raw + (is_rounded ? 0.5 : 0)) * std::fabs(info.scale);
 }
 
+/* Names of metadata are the same in capitals and small letters. */
+struct IsLess {
+  bool operator()(const std::string &a, const std::string &b) const { return STRCASECMP(a.c_str(), b.c_str()) < 0; }
+};
+
 void Dataset::Describe() {
   const twz_info &info = Info();
   GDALRasterBand *band = GetRasterBand(1);
   for (int of_band = 0; of_band < 2; of_band++) {
     GDALMajorObject *object = of_band ? static_cast<GDALMajorObject *>(band) : this;
+    std::map<std::string, std::string, IsLess> tags; /* to set one by one looks through all that are there, for each */
+    for (CSLConstList known = object->GDALMajorObject::GetMetadata(); known && *known; known++) {
+      char *name = nullptr;
+      const char *kept = CPLParseNameValue(*known, &name);
+      if (name && kept) tags[name] = kept;
+      CPLFree(name);
+    }
     const char *key, *value;
     for (size_t i = 0; twz_file_tag(file_->Get(), of_band, i, &key, &value); i++) {
       const bool is_of_others =
           STARTS_WITH_CI(key, "STATISTICS_") ||
           std::any_of(std::begin(OF_OTHERS), std::end(OF_OTHERS), [&](const char *name) { return EQUAL(key, name); });
-      if (*key && !strchr(key, '=') && !is_of_others)
-        object->GDALMajorObject::SetMetadataItem(key, value);
+      if (!*key || strchr(key, '=') || is_of_others) continue;
+      tags.erase(key);
+      tags.emplace(key, value);
     }
+    CPLStringList items;
+    for (const auto &tag : tags) items.AddNameValue(tag.first.c_str(), tag.second.c_str());
+    object->GDALMajorObject::SetMetadata(items.List());
   }
   /* As the CF conventions say it; a tag of the same name tells what the source said. */
   CPLJSONDocument metadata;

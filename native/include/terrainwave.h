@@ -32,6 +32,9 @@
  * file at once, each with windows of its own. twz_window_decode can use threads of the caller's
  * (twz_workers); twz_pool has some for callers that have none.
  *
+ * Structures that callers allocate have fields named `reserved`, which later releases may use: the library
+ * sets those of its results to 0; set the others to 0, as `twz_workers workers = {0};` does.
+ *
  * Words. Level 0 is the coarsest, n_levels - 1 the full grid; negative numbers count from the finest,
  * which is -1. Rows and columns are those of a level. A raw height is what the source stored;
  * the physical height is raw * scale + offset.
@@ -83,6 +86,7 @@ typedef enum twz_status {
 typedef struct twz_error {
   twz_status status;
   char text[240]; /* UTF-8, one line, ends with a NUL */
+  uint64_t reserved[2];
 } twz_error;
 
 /* ---- Options ------------------------------------------------------------------------------- */
@@ -93,6 +97,7 @@ typedef struct twz_allocator {
   void *context;
   void *(*allocate)(void *context, size_t n_bytes);
   void (*release)(void *context, void *memory);
+  void *reserved[2];
 } twz_allocator;
 
 /* A lock that the caller made, held for short times (no decoding, no fetching inside). */
@@ -100,6 +105,7 @@ typedef struct twz_locks {
   void *context;
   void (*lock)(void *context);
   void (*unlock)(void *context);
+  void *reserved[2];
 } twz_locks;
 
 /* Instructions that kernels may use. Each decodes to the same heights. */
@@ -122,7 +128,7 @@ typedef struct twz_options {
 } twz_options;
 
 #define TWZ_OPTIONS \
-  { sizeof(twz_options), {0, 0, 0}, {0, 0, 0}, (uint64_t)256 << 20, (uint64_t)4 << 30, TWZ_KERNELS_AUTO }
+  { sizeof(twz_options), {0, 0, 0, {0, 0}}, {0, 0, 0, {0, 0}}, (uint64_t)256 << 20, (uint64_t)4 << 30, TWZ_KERNELS_AUTO }
 
 /* ---- Fetching ------------------------------------------------------------------------------ */
 
@@ -131,6 +137,7 @@ typedef struct twz_range {
   uint64_t offset;
   uint64_t length;
   uint64_t likely; /* so many bytes behind them will probably be needed next; may be ignored */
+  uint64_t reserved;
 } twz_range;
 
 /*
@@ -238,6 +245,7 @@ typedef struct twz_level {
   uint32_t n_rows, n_cols; /* samples */
   double transform[6];     /* as in twz_info, of this level's samples. Sample (r, c) lies on sample
                               (r 2^j, c 2^j) of the full grid: half a pixel off GDAL's overviews */
+  uint64_t reserved[2];
 } twz_level;
 
 TWZ_API twz_status twz_file_level(const twz_file *file, int level, twz_level *found, twz_error *error);
@@ -274,16 +282,26 @@ typedef struct twz_workers {
   void *context;
   size_t n_workers; /* at least 1 */
   void (*run)(void *context, size_t n, twz_task task, void *argument);
+  void *reserved[2];
 } twz_workers;
 
 /* Decode all units of the window; workers NULL: on this thread. */
 TWZ_API twz_status twz_window_decode(twz_window *window, const twz_workers *workers, twz_error *error);
 
 /*
+ * Check all of an open file, as a verifier does (docs/FORMAT.md, 13.1): each byte belongs to one section and has the
+ * right checksum, every unit decodes, and units agree on the samples that they share. Of meshes only the checksums
+ * are compared. The file has no windows meanwhile. workers NULL: on this thread.
+ */
+TWZ_API twz_status twz_file_check(twz_file *file, twz_fetch fetch, void *source, const twz_workers *workers,
+                                  twz_error *error);
+
+/*
  * Copy raw heights, in the file's dtype and this machine's byte order, row by row; void samples hold
  * nodata, else NaN, else 0. The distance of two rows in bytes is heights_stride, 0: rows follow
- * each other. `valid` gets one byte a sample, 1 valid, 0 void, rows valid_stride bytes apart. Either array may
- * be NULL. The caller owns both. Several threads may read one decoded window at once.
+ * each other. Any address and any distance will do; multiples of the dtype's size are faster. `valid` gets one byte
+ * a sample, 1 valid, 0 void, rows valid_stride bytes apart. Either array may be NULL. The caller owns both. Several
+ * threads may read one decoded window at once.
  */
 TWZ_API twz_status twz_window_read(const twz_window *window, void *heights, ptrdiff_t heights_stride,
                                    uint8_t *valid, ptrdiff_t valid_stride, twz_error *error);
@@ -309,6 +327,7 @@ typedef struct twz_block {
                             interpolation of the block's samples */
   uint64_t mesh_error;   /* quanta: likewise from the block's mesh; 0 if there is none */
   double raw_min, raw_max, raw_error; /* the same in raw units */
+  uint64_t reserved[2];
 } twz_block;
 
 /* Block (row, col) of the window's level, which has samples in the window. After twz_window_load. */

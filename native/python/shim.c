@@ -7,7 +7,7 @@
 #include "internal.h"
 
 /* Raised whenever what src/terrainwave/read/native.py calls changes its meaning or layout. */
-enum { PYTHON_ABI = 1 };
+enum { PYTHON_ABI = 2 };
 
 TWZ_API int twz_python_abi(void);
 TWZ_API uint32_t twz_python_features(void);
@@ -44,7 +44,7 @@ static void unlock(void *m) { pthread_mutex_unlock(m); }
 
 /* Locks for one file, which outlive it; NULL where there is no memory. */
 twz_locks *twz_python_locks_new(void) {
-  twz_locks *locks = malloc(sizeof *locks);
+  twz_locks *locks = calloc(1, sizeof *locks);
   mutex *m = malloc(sizeof *m);
   if (!locks || !m || begin(m) != 0) {
     free(locks);
@@ -139,6 +139,6 @@ static void release(void *context, void *memory) {
 
 /* For twz_options.allocator. */
 const twz_allocator *twz_python_allocator(void) {
-  static const twz_allocator allocator = {NULL, allocate, release};
+  static const twz_allocator allocator = {.allocate = allocate, .release = release};
   return &allocator;
 }

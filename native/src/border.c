@@ -100,7 +100,7 @@ static void decode_lines(border *b, const shared_lines *lines, int are_rows) {
   int32_t from = line_above(along->core_first, 0, first_along, n_along);
   size_t pitch = (size_t)out->cols.n, core = (size_t)along->core;
   for (int side = 0; side < lines->n_sides; side++) {
-    for (int32_t line = max_i32(lines->first[side], done + 1); line <= lines->last[side]; line++) {
+    for (int32_t line = max_i32(lines->first[side], done + 1); line <= lines->last[side] && !coder_is_cut(b->coder); line++) {
       uint32_t number = across->first + (uint32_t)line;
       int32_t before = line_above(number, 0, first_across, n_across), after = line_above(number, 1, first_across, n_across);
       for (int32_t k = 0; k < (along->n_core + 1) >> 1; k++) {

@@ -15,6 +15,7 @@ twz_status twz_fail(twz_error *error, twz_status status, const char *format, ...
     error->status = status;
     vsnprintf(error->text, sizeof error->text, format, arguments);
     va_end(arguments);
+    memset(error->reserved, 0, sizeof error->reserved);
   }
   return status;
 }

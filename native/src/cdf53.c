@@ -142,7 +142,7 @@ static int has_children(const tile *z, const spot *p) { return child_of(z, p, 0)
 
 /* A bit; 0 and is_stopped where a cut stream has no more. */
 static int stream_bit(tile *z, int number) {
-  if (z->coder.position > z->coder.n + (z->is_cut ? 0 : 3)) { /* a whole stream that is longer is corrupt: §6.2 */
+  if (z->is_cut ? z->coder.position > z->coder.n : coder_is_cut(&z->coder)) { /* a whole stream that is longer is corrupt: §6.2 */
     z->is_stopped = 1;
     return 0;
   }
@@ -320,7 +320,7 @@ static twz_status decode_borders(tile *z, const reader *section, const int32_t *
   coder c;
   coder_start(&c, section->bytes, section->n, rates);
   for (int side = TOP; side < N_SIDES; side++) {
-    for (int t = z->n_transforms - 1; t >= 0 && z->held[side]; t--) {
+    for (int t = z->n_transforms - 1; t >= 0 && z->held[side] && !coder_is_cut(&c); t--) {
       int is_row = side == TOP || side == BOTTOM;
       const int32_t *along = is_row ? z->cols : z->rows, *across = is_row ? z->rows : z->cols;
       int32_t line = side == TOP || side == LEFT ? 0 : across[t + 1] - 1;

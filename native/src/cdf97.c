@@ -112,7 +112,7 @@ static void predict_line(int64_t *sums, int32_t length, int64_t *predicted) {
 
 static void decode_raw(decoding *d, int n_bits, int64_t base) {
   int64_t most = ((int64_t)1 << 31) / d->n + 1;
-  for (int32_t r = 0; r < d->n_rows; r++) {
+  for (int32_t r = 0; r < d->n_rows && !coder_is_cut(&d->coder); r++) {
     for (int32_t c = 0; c < d->n_cols; c++) {
       size_t at = core_at(d->out, r, c);
       if (d->border.known[at]) continue;
@@ -257,7 +257,7 @@ static void decode_coefficients(decoding *d) {
     int32_t n_rows = size_at(d->n_rows, t), n_cols = size_at(d->n_cols, t);
     take_nodes(d, g, t & 1, size_at(d->n_rows, t + 1), size_at(d->n_cols, t + 1));
     const int64_t deltas[N_BANDS] = {delta_of(d, t, 1), delta_of(d, t, 1), delta_of(d, t, 2)};
-    for (int32_t i = 0; i < g->n_rows; i++) {
+    for (int32_t i = 0; i < g->n_rows && !coder_is_cut(&d->coder); i++) {
       for (int32_t j = 0; j < g->n_cols; j++) {
         int has_col = j < n_cols >> 1, has_row = i < n_rows >> 1;
         const int exists[N_BANDS] = {has_col, has_row, has_row && has_col};
@@ -389,7 +389,7 @@ static void decode_residuals(decoding *d, int set) {
   memset(d->errors, 0, n * sizeof *d->errors);
   memset(d->mu, 0, n * sizeof *d->mu);
   memset(d->signs, 0, n);
-  for (int32_t r = 0; r < d->n_rows; r++) {
+  for (int32_t r = 0; r < d->n_rows && !coder_is_cut(&d->coder); r++) {
     ptrdiff_t at = edged_at(d, r, 0);
     size_t place = core_at(d->out, r, 0);
     for (int32_t c = 0; c < d->n_cols; c++, at++, place++) {
@@ -472,6 +472,7 @@ static twz_status take_memory(decoding *d, scratch *s, twz_error *error) {
 }
 
 twz_status decode_cdf97(const job *j, const reader *bytes, scratch *s, twz_error *error) {
+  static const char NAME[] = "a payload of method cdf97";
   const twz_file *f = j->file;
   decoding d;
   memset(&d, 0, sizeof d);
@@ -497,10 +498,11 @@ twz_status decode_cdf97(const job *j, const reader *bytes, scratch *s, twz_error
   }
   if (given.flags == RAW) {
     decode_raw(&d, given.n_bits, given.base);
-    return coder_end(&d.coder, "a payload of method cdf97", error);
+    return coder_end(&d.coder, NAME, error);
   }
   if (given.flags & COEFFICIENTS) {
     decode_coefficients(&d);
+    if (coder_is_cut(&d.coder)) return coder_end(&d.coder, NAME, error);
     invert_transforms(&d);
   }
   fill_base(&d, given.flags & COEFFICIENTS);
@@ -514,5 +516,5 @@ twz_status decode_cdf97(const job *j, const reader *bytes, scratch *s, twz_error
       }
     }
   }
-  return coder_end(&d.coder, "a payload of method cdf97", error);
+  return coder_end(&d.coder, NAME, error);
 }

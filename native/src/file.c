@@ -74,6 +74,7 @@ void twz_file_free(twz_file *f) {
   free_table(f, &f->segments, free_segment);
   free_table(f, &f->units, free_unit);
   json_free(&f->json);
+  for (int i = 0; i < 2; i++) twz_release(&f->allocator, f->tags[i]);
   twz_release(&f->allocator, f->metadata);
   twz_release(&f->allocator, f->start);
   twz_release(&f->allocator, f->rapid);
@@ -134,9 +135,9 @@ twz_status twz_file_need(twz_file *f, twz_range *ranges, size_t capacity, size_t
   }
   if (capacity == 0) return twz_fail(error, TWZ_BAD_ARGUMENT, "no room for a range");
   *n = 1;
+  memset(&ranges[0], 0, sizeof ranges[0]);
   ranges[0].offset = f->n_start;
   ranges[0].length = start_needed(f) - f->n_start;
-  ranges[0].likely = 0;
   return TWZ_OK;
 }
 
@@ -232,6 +233,7 @@ twz_status twz_file_level(const twz_file *f, int level, twz_level *found, twz_er
   double size = 1, before;
   for (int j = f->grid.k_max - level; j > 0; j--) size *= 2;
   before = (1 - size) / 2; /* the level's first sample is the full grid's: its pixel begins so much earlier */
+  memset(found, 0, sizeof *found);
   found->n_rows = level_size(&f->grid, f->grid.n_rows, level);
   found->n_cols = level_size(&f->grid, f->grid.n_cols, level);
   found->transform[0] = t[0] * size;
@@ -243,7 +245,7 @@ twz_status twz_file_level(const twz_file *f, int level, twz_level *found, twz_er
   return TWZ_OK;
 }
 
-/* ---- The cache: units in order of use ---- */
+/* ---- The cache: units in order of use; those in use are in none ---- */
 
 static void unlink_unit(twz_file *f, unit *u) {
   if (u->newer) u->newer->older = u->older; else f->newest = u->older;
@@ -275,22 +277,19 @@ static void count_out(twz_file *f, unit *u) {
 }
 
 static void take_out(twz_file *f, unit *u) {
-  unlink_unit(f, u);
+  if (u->n_users == 0) unlink_unit(f, u);
   table_remove(&f->units, &u->entry);
   count_out(f, u);
 }
 
 /* Take the oldest units that nobody uses out, until what is kept fits; returns them, to be released without the lock. */
 static unit *trim(twz_file *f) {
-  unit *u = f->oldest, *out = NULL;
-  while (u && f->cached_bytes > f->cache_bytes) {
-    unit *next = u->newer;
-    if (u->n_users == 0) {
-      take_out(f, u);
-      u->older = out;
-      out = u;
-    }
-    u = next;
+  unit *out = NULL;
+  while (f->oldest && f->cached_bytes > f->cache_bytes) {
+    unit *u = f->oldest;
+    take_out(f, u);
+    u->older = out;
+    out = u;
   }
   return out;
 }
@@ -310,11 +309,7 @@ unit *cache_take(twz_file *f, place key, int32_t *n_rows) {
     *n_rows = ALL_ROWS;
     u = NULL;
   }
-  if (u) {
-    u->n_users++;
-    unlink_unit(f, u);
-    link_newest(f, u);
-  }
+  if (u && u->n_users++ == 0) unlink_unit(f, u);
   file_unlock(f);
   return u;
 }
@@ -330,10 +325,9 @@ unit *cache_give(twz_file *f, unit *u) {
     found = NULL;
   }
   if (found) {
-    found->n_users++;
+    if (found->n_users++ == 0) unlink_unit(f, found);
   } else if (table_insert(&f->units, &f->allocator, &u->entry)) {
     u->is_cached = 1;
-    link_newest(f, u);
     count_in(f, u);
     out = trim(f);
   }
@@ -347,7 +341,11 @@ unit *cache_give(twz_file *f, unit *u) {
 
 void cache_leave(twz_file *f, unit *u) {
   file_lock(f);
-  int is_last = --u->n_users == 0 && !u->is_cached;
+  int is_last = --u->n_users == 0;
+  if (is_last && u->is_cached) {
+    link_newest(f, u);
+    is_last = 0;
+  }
   unit *out = trim(f);
   file_unlock(f);
   free_units(f, out);

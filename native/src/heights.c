@@ -64,8 +64,7 @@ void heights_init(heights *h, const row_kernels *kernels, const header *of, int 
   h->has_nodata = has_nodata;
   h->nodata = has_nodata ? rounded_to(of->dtype, nodata) : h->is_float ? NAN : 0;
   h->integer_nodata = h->is_float ? 0 : (int64_t)h->nodata;
-  uint64_t size = (h->base < 0 ? 0 - (uint64_t)h->base : (uint64_t)h->base) + ((uint64_t)1 << 31);
-  h->is_exact = h->num <= ((uint64_t)1 << 53) / size; /* doubles hold every product */
+  h->is_exact = h->num <= ((uint64_t)1 << 53) / (magnitude_of(h->base) + ((uint64_t)1 << 31)); /* doubles hold every product */
   int64_t low, high;
   dtype_range(h->dtype, &low, &high);
   int is_small = h->base > -((int64_t)1 << 31) && h->base < (int64_t)1 << 31;
@@ -87,6 +86,10 @@ static int32_t quantum_of_steps(const heights *h, int32_t steps, int is_valid) {
   int64_t k = clamp_i64((int64_t)steps * h->step, h->z_min, h->z_max);
   if (is_valid && k >= h->first && k <= h->last) k = h->last >= h->z_max ? (int64_t)h->first - 1 : (int64_t)h->last + 1;
   return (int32_t)k;
+}
+
+int32_t quantum_at(const heights *h, const layer *l, size_t at) {
+  return h->is_cdf53 ? quantum_of_steps(h, l->heights[at], is_valid_at(l, at)) : height_at(l, at);
 }
 
 /* First the plain cases, which compilers make vectors of: integers of quantum 1, floats of exact products. */
@@ -137,12 +140,26 @@ static void void_bits(const heights *h, uint8_t *bits) {
   }
 }
 
+/* A loop for each size, without branches: compilers make vectors of it. */
+#define WRITE_VOID(type)                                                         \
+  do {                                                                           \
+    type value, *to = out;                                                       \
+    memcpy(&value, bits, sizeof value);                                          \
+    if (valid) {                                                                 \
+      for (size_t i = 0; i < n; i++) to[i] = valid[i] ? to[i] : value;           \
+    } else {                                                                     \
+      for (size_t i = 0; i < n; i++) to[i] = value;                              \
+    }                                                                            \
+  } while (0)
+
 static void write_void(const heights *h, void *out, const uint8_t *valid, size_t n) {
-  size_t size = dtype_size(h->dtype);
-  uint8_t bits[8], *to = out;
+  uint8_t bits[8];
   void_bits(h, bits);
-  for (size_t i = 0; i < n; i++) {
-    if (!valid || !valid[i]) memcpy(to + i * size, bits, size);
+  switch (dtype_size(h->dtype)) {
+    case 1: WRITE_VOID(uint8_t); break;
+    case 2: WRITE_VOID(uint16_t); break;
+    case 4: WRITE_VOID(uint32_t); break;
+    default: WRITE_VOID(uint64_t); break;
   }
 }
 
@@ -176,6 +193,16 @@ static twz_status add_remainders(const heights *h, void *out, const uint8_t *val
 twz_status write_raw(const heights *h, void *out, const layer *l, size_t at, size_t n, twz_error *error) {
   enum { PIECE = 1024 };
   int32_t piece[PIECE];
+  size_t size = dtype_size(h->dtype);
+  if ((uintptr_t)out % size) { /* loops write numbers: not where none may lie */
+    double aligned[PIECE];
+    for (size_t i = 0; i < n; i += PIECE) {
+      size_t stop = min_size(n - i, PIECE);
+      TRY(write_raw(h, aligned, l, at + i, stop, error));
+      memcpy((uint8_t *)out + i * size, aligned, stop * size);
+    }
+    return TWZ_OK;
+  }
   if (!l) {
     write_void(h, out, NULL, n);
     return TWZ_OK;
@@ -191,7 +218,7 @@ twz_status write_raw(const heights *h, void *out, const layer *l, size_t at, siz
     } else {
       for (size_t k = 0; k < stop; k++) piece[k] = quantum_of_steps(h, l->heights[at + i + k], !valid || valid[i + k]);
     }
-    write_plain(h, (uint8_t *)out + i * dtype_size(h->dtype), piece, stop);
+    write_plain(h, (uint8_t *)out + i * size, piece, stop);
   }
   if (l->remainders) TRY(add_remainders(h, out, valid, l->remainders + at, n, error));
   if (valid) write_void(h, out, valid, n);

@@ -30,8 +30,10 @@ static inline int64_t clamp_i64(int64_t x, int64_t low, int64_t high) {
   return min_i64(max_i64(x, low), high);
 }
 static inline int64_t abs_i64(int64_t a) { return a < 0 ? -a : a; }
+static inline uint64_t magnitude_of(int64_t a) { return a < 0 ? (uint64_t)-(a + 1) + 1 : (uint64_t)a; } /* of -2^63, too */
 static inline uint64_t min_u64(uint64_t a, uint64_t b) { return a < b ? a : b; }
 static inline uint32_t min_u32(uint32_t a, uint32_t b) { return a < b ? a : b; }
+static inline uint32_t max_u32(uint32_t a, uint32_t b) { return a > b ? a : b; }
 static inline size_t min_size(size_t a, size_t b) { return a < b ? a : b; }
 static inline size_t max_size(size_t a, size_t b) { return a > b ? a : b; }
 
@@ -147,10 +149,10 @@ typedef struct json_value {
   const char *key;                 /* of a member of an object */
   size_t key_length;
   const char *string;              /* decoded, ends with NUL */
-  double number;
+  const char *number;              /* its text; json_number converts it */
+  size_t n_number;
   json_kind kind;
-  int is_integer;       /* a number without fraction and exponent */
-  int is_beyond_u64;    /* of an integer: magnitude above 2^64 */
+  int is_beyond_u64;    /* of a number without fraction and exponent: magnitude above 2^64 */
 } json_value;
 
 typedef struct json_document {
@@ -161,6 +163,7 @@ typedef struct json_document {
 
 twz_status json_parse(json_document *document, const char *text, size_t n, twz_error *error);
 void json_free(json_document *document);
+double json_number(const json_value *value); /* the nearest one; ties to even */
 const json_value *json_member(const json_value *object, const char *key); /* NULL: none or null */
 
 /* ---- Header and grid (header.c) ------------------------------------------------------------- */
@@ -263,13 +266,22 @@ typedef struct segment {
   entry entry; /* the head */
   int n_keys, n_blocks, n_heads;
   place *keys, *blocks, *heads;
-  section_place *payloads; /* by key */
+  section_place *payloads, *meshes; /* by key */
   block_codes *codes;      /* by block */
   child_place *children;   /* by head */
-  uint64_t siblings_end;   /* where the last of its siblings ends */
-  uint64_t children_end;
+  uint64_t end, children_end;
 } segment;
 
+enum { MOST_KEYS = 85, MOST_BLOCKS = 340, MOST_HEADS = 256 };
+
+/* What a segment lists, in the order of its page (§3.1). */
+typedef struct segment_layout {
+  int n_keys, n_blocks, n_heads;
+  place keys[MOST_KEYS], blocks[MOST_BLOCKS], heads[MOST_HEADS];
+} segment_layout;
+
+void lay_out_segment(segment_layout *l, const grid *g, place head);
+void order_of_file(const segment_layout *l, int *order); /* numbers of the keys in the order of their payloads (§3.2) */
 place head_of_key(const grid *g, place key);
 place parent_of_head(const grid *g, place head);
 int index_of_place(const place *places, int n, place p); /* -1: not there */
@@ -281,6 +293,11 @@ typedef struct page_place {
   uint64_t siblings_end;
   uint32_t length;
 } page_place;
+
+/* What is known of a segment: itself, that it is absent, or whose page must be read first, and where that is. */
+typedef enum segment_state { FOUND, ABSENT, MISSING } segment_state;
+segment_state find_segment(const twz_file *f, place head, segment **s, page_place *page, place *missing);
+place child_page(const segment *s, int i, page_place *page); /* of child number i, which is present; returns its head */
 
 twz_status read_segment(segment **found, const grid *g, place head, const page_place *where,
                         const uint8_t *page, uint64_t file_size, const crc_tables *crc,
@@ -332,7 +349,7 @@ typedef struct heap {
 
 typedef struct unit {
   entry entry; /* the key */
-  struct unit *newer, *older; /* in the cache, by use */
+  struct unit *newer, *older; /* in the cache, by use, while nobody uses it */
   size_t n_users, n_bytes;
   int is_cached;
   int is_void; /* no valid sample: layers have no arrays, heights are 0 */
@@ -361,6 +378,8 @@ static inline size_t core_at(const layer *l, int32_t row, int32_t col) {
 static inline size_t cell_size(const heights *h) { return h->is_short ? sizeof(int16_t) : sizeof(int32_t); }
 /* Write n raw heights of a layer, from sample `at` on; l NULL: of a void unit. */
 twz_status write_raw(const heights *h, void *out, const layer *l, size_t at, size_t n, twz_error *error);
+/* The quantum number of a sample: heights of cdf53 are not final. */
+int32_t quantum_at(const heights *h, const layer *l, size_t at);
 
 struct rapid_tables;
 struct predictive_tables;
@@ -389,13 +408,15 @@ struct twz_file {
   heights heights;
   char *metadata;
   json_document json;
+  const json_value **tags[2]; /* of the file and of its band, by number */
+  size_t n_tags[2];
   twz_info info;
   struct rapid_tables *rapid;
   struct predictive_tables *predictive;
   struct cdf97_tables *cdf97;
 
   table segments, units;
-  unit *newest, *oldest;
+  unit *newest, *oldest; /* of the units that nobody uses */
   uint64_t cached_bytes;
   scratch idle[MOST_TOGETHER]; /* of the last window that was decoded, for the next one */
 };
@@ -466,6 +487,9 @@ typedef twz_status (*need_function)(void *self, twz_range *ranges, size_t capaci
 typedef twz_status (*feed_function)(void *self, uint64_t offset, const void *bytes, size_t n, twz_error *error);
 twz_status load_all(const twz_allocator *a, need_function need, feed_function feed, void *self, twz_fetch fetch,
                     void *source, twz_error *error);
+
+/* Do units of a decoded window's level hold the same of the samples that they share (§2.4), and finite heights (§5.3)? */
+twz_status check_window(const twz_window *w, twz_error *error);
 
 /* The cache: units that are taken or given stay until they are left. */
 unit *cache_take(twz_file *f, place key, int32_t *n_rows); /* NULL: it or some of so many rows are not there */

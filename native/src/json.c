@@ -1,5 +1,4 @@
 /* Strict JSON (FORMAT §4.2): keys once, finite numbers, whole characters, nesting of at most 16. */
-#include <float.h>
 #include <math.h>
 #include <stdlib.h>
 
@@ -124,62 +123,88 @@ static int is_digit(const parser *p) {
   return p->at < p->n && p->text[p->at] >= '0' && p->text[p->at] <= '9';
 }
 
-static twz_status read_number(parser *p, json_value *value) {
-  decimal d = {{0}, 0, 0};
+/* The digits of a number of JSON; its sign is left out. */
+static void read_decimal(const char *text, size_t n, decimal *d) {
   int64_t point = 0; /* d's, which exponents may take anywhere */
-  int is_cut = 0, is_negative = 0;
-  if (p->text[p->at] == '-') {
-    is_negative = 1;
-    p->at++;
-  }
-  if (!is_digit(p)) return BAD(p, "a number has no digit");
-  int starts_with_0 = p->text[p->at] == '0', n_whole = 0, is_fraction = 0;
-  value->is_integer = 1;
-  for (;; p->at++) {
-    if (!is_fraction && p->at < p->n && p->text[p->at] == '.') {
+  int is_cut = 0, is_fraction = 0;
+  size_t at = text[0] == '-';
+  d->n = 0;
+  for (; at < n && text[at] != 'e' && text[at] != 'E'; at++) {
+    if (text[at] == '.') {
       is_fraction = 1;
-      value->is_integer = 0;
-      p->at++;
-      if (!is_digit(p)) return BAD(p, "no digit after a point");
-    }
-    if (!is_digit(p)) break;
-    char digit = p->text[p->at];
-    n_whole += !is_fraction && n_whole < 2;
-    if (starts_with_0 && n_whole > 1) return BAD(p, "a number begins with 0");
-    if (d.n == 0 && digit == '0') { /* a leading 0 */
+    } else if (d->n == 0 && text[at] == '0') { /* a leading 0 */
       point -= is_fraction;
-      continue;
-    }
-    point += !is_fraction;
-    if (d.n < MOST_DIGITS) {
-      d.digit[d.n++] = (uint8_t)(digit - '0');
     } else {
-      is_cut |= digit != '0';
+      point += !is_fraction;
+      if (d->n < MOST_DIGITS) {
+        d->digit[d->n++] = (uint8_t)(text[at] - '0');
+      } else {
+        is_cut |= text[at] != '0';
+      }
     }
+  }
+  int is_down = at + 1 < n && text[at + 1] == '-';
+  int64_t exponent = 0;
+  for (at += 1; at < n; at++) {
+    if (text[at] >= '0' && exponent < 10000000) exponent = exponent * 10 + (text[at] - '0');
+  }
+  if (is_cut) d->digit[d->n++] = 1; /* more than nothing */
+  while (d->n > 0 && d->digit[d->n - 1] == 0) d->n--;
+  d->point = (int)clamp_i64(point + (is_down ? -exponent : exponent), -1000, 1000);
+}
+
+/* Is a number at least the one of these digits, the last of which is not 0? */
+static int reaches(const decimal *d, const char *digits, int point) {
+  int n = (int)strlen(digits);
+  if (d->n == 0 || d->point != point) return d->n > 0 && d->point > point;
+  for (int i = 0; i < min_i32(d->n, n); i++) {
+    if (d->digit[i] != digits[i] - '0') return d->digit[i] > digits[i] - '0';
+  }
+  return d->n >= n;
+}
+
+double json_number(const json_value *value) {
+  decimal d;
+  read_decimal(value->number, value->n_number, &d);
+  double x = nearest_double(&d);
+  return value->number[0] == '-' ? -x : x;
+}
+
+/* Check a number, whose value few ask for: to find it takes time. */
+static twz_status read_number(parser *p, json_value *value) {
+  static const char BEYOND_U64[] = "18446744073709551617", /* and from here on numbers become infinite: */
+      INFINITE[] =
+      "17976931348623158079372897140530341507993413271003782693617377898044496829276475094664901797758720709633028641"
+      "66928879109465555478519404026306574886715058206819089020007083836762738548458177115317644757302700698555713669"
+      "59622842914819860834936475292719074168444365510704342711559699508093042880177904174497792";
+  size_t start = p->at;
+  int is_integer = 1;
+  p->at += p->text[p->at] == '-';
+  if (!is_digit(p)) return BAD(p, "a number has no digit");
+  int starts_with_0 = p->text[p->at] == '0';
+  p->at++;
+  if (starts_with_0 && is_digit(p)) return BAD(p, "a number begins with 0");
+  while (is_digit(p)) p->at++;
+  if (p->at < p->n && p->text[p->at] == '.') {
+    is_integer = 0;
+    p->at++;
+    if (!is_digit(p)) return BAD(p, "no digit after a point");
+    while (is_digit(p)) p->at++;
   }
   if (p->at < p->n && (p->text[p->at] == 'e' || p->text[p->at] == 'E')) {
-    value->is_integer = 0;
+    is_integer = 0;
     p->at++;
-    int is_down = p->at < p->n && p->text[p->at] == '-';
-    if (is_down || (p->at < p->n && p->text[p->at] == '+')) p->at++;
+    p->at += p->at < p->n && (p->text[p->at] == '-' || p->text[p->at] == '+');
     if (!is_digit(p)) return BAD(p, "an exponent has no digit");
-    int64_t exponent = 0;
-    for (; is_digit(p); p->at++) {
-      if (exponent < 10000000) exponent = exponent * 10 + (p->text[p->at] - '0');
-    }
-    point += is_down ? -exponent : exponent;
+    while (is_digit(p)) p->at++;
   }
-  if (is_cut) d.digit[d.n++] = 1; /* more than nothing */
-  while (d.n > 0 && d.digit[d.n - 1] == 0) d.n--;
-  d.point = (int)clamp_i64(point, -1000, 1000);
-  /* 2^64, by digits, as the double of 2^64 + 1 is 2^64. */
-  static const uint8_t MOST[20] = {1, 8, 4, 4, 6, 7, 4, 4, 0, 7, 3, 7, 0, 9, 5, 5, 1, 6, 1, 6};
-  int order = memcmp(d.digit, MOST, sizeof MOST);
-  value->is_beyond_u64 = value->is_integer && (d.point > 20 || (d.point == 20 && (order > 0 || (order == 0 && d.n > 20))));
-  double x = nearest_double(&d);
-  if (x > DBL_MAX) return BAD(p, "a number without finite binary64 value");
   value->kind = JSON_NUMBER;
-  value->number = is_negative ? -x : x;
+  value->number = p->text + start;
+  value->n_number = p->at - start;
+  decimal d;
+  read_decimal(value->number, value->n_number, &d);
+  value->is_beyond_u64 = is_integer && reaches(&d, BEYOND_U64, 20);
+  if (reaches(&d, INFINITE, 309)) return BAD(p, "a number without finite binary64 value");
   return TWZ_OK;
 }
 

@@ -80,7 +80,7 @@ static twz_status decode_plain(const twz_file *f, const layer *out, field implie
   coder_start(&start, section->bytes, section->n, f->rates);
   c = start;
   ptrdiff_t s = (ptrdiff_t)valid.stride;
-  for (int32_t row = 0; row < out->rows.n; row++) {
+  for (int32_t row = 0; row < out->rows.n && !coder_is_cut(&c); row++) {
     uint8_t *v = valid.at + row * s;
     const uint8_t *m = implied.at + row * s;
     for (int32_t col = 0; col < out->cols.n; col++, v++, m++) {
@@ -181,7 +181,7 @@ static twz_status decode_map(const twz_file *f, const layer *out, field known, c
   coder_start(&start, section->bytes, section->n, f->rates);
   c = start;
   uint16_t contexts[MOST + 4] = {0};
-  for (int32_t row = 0; row < out->rows.n; row++) {
+  for (int32_t row = 0; row < out->rows.n && !(section->bytes && coder_is_cut(&c)); row++) {
     uint8_t *RESTRICT v = map.at + row * s;
     const uint8_t *RESTRICT above = v - s, *RESTRICT k = known.at + row * s;
     if (!section->bytes || !memchr(k, 0, (size_t)n)) {

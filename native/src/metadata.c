@@ -1,5 +1,4 @@
 /* Metadata (FORMAT §4.2) and what twz_info says. */
-#include <float.h>
 #include <math.h>
 
 #include "internal.h"
@@ -23,7 +22,7 @@ static twz_status take_number(const json_value *root, const char *key, double *o
   const json_value *v = json_member(root, key);
   if (v && !is_number(v)) return WRONG(error, key, "a number within 2^64");
   *has = v != NULL;
-  if (v) *out = v->number;
+  if (v) *out = json_number(v);
   return TWZ_OK;
 }
 
@@ -41,13 +40,18 @@ static twz_status take_word(const json_value *root, const char *key, const char 
   return WRONG(error, key, "one of the words the format has for it");
 }
 
-static twz_status check_texts(const json_value *root, const char *key, twz_error *error) {
-  const json_value *v = json_member(root, key);
+static twz_status take_tags(twz_file *f, int band, twz_error *error) {
+  const char *key = band ? "band_tags" : "tags";
+  const json_value *v = json_member(f->json.root, key);
   if (!v) return TWZ_OK;
   if (v->kind != JSON_OBJECT) return WRONG(error, key, "an object of strings");
-  for (const json_value *m = v->first; m; m = m->next) {
+  size_t n = 0;
+  for (const json_value *m = v->first; m; m = m->next, n++) {
     if (m->kind != JSON_STRING) return WRONG(error, key, "an object of strings");
   }
+  f->tags[band] = twz_allocate(&f->allocator, n * sizeof *f->tags[band]);
+  if (!f->tags[band]) return twz_no_memory(error, n * sizeof *f->tags[band]);
+  for (const json_value *m = v->first; m; m = m->next) f->tags[band][f->n_tags[band]++] = m;
   return TWZ_OK;
 }
 
@@ -66,17 +70,17 @@ static twz_status take_nodata(const json_value *root, int dtype, double *nodata,
     return TWZ_OK;
   }
   if (!is_number(v)) return WRONG(error, "nodata", "a number of the dtype");
-  *nodata = v->number;
+  *nodata = json_number(v);
   if (is_float) {
     /* Half way from the greatest float32 to 2^128: from here on it rounds to infinity. */
-    if (dtype == TWZ_FLOAT32 && fabs(v->number) >= 340282356779733661637539395458142568448.0) {
+    if (dtype == TWZ_FLOAT32 && fabs(*nodata) >= 340282356779733661637539395458142568448.0) {
       return WRONG(error, "nodata", "a finite number of float32");
     }
     return TWZ_OK;
   }
   int64_t low, high;
   dtype_range(dtype, &low, &high);
-  if (!(v->number >= (double)low && v->number <= (double)high) || v->number != (double)(int64_t)v->number) {
+  if (!(*nodata >= (double)low && *nodata <= (double)high) || *nodata != (double)(int64_t)*nodata) {
     return WRONG(error, "nodata", "a whole number within the range of the dtype");
   }
   return TWZ_OK;
@@ -92,7 +96,7 @@ static twz_status take_transform(const json_value *root, twz_info *info, twz_err
   if (v->kind != JSON_ARRAY) return WRONG(error, "transform", "six numbers");
   for (const json_value *m = v->first; m; m = m->next, n++) {
     if (n >= 6 || !is_number(m)) return WRONG(error, "transform", "six numbers");
-    info->transform[n] = m->number;
+    info->transform[n] = json_number(m);
   }
   return n == 6 ? TWZ_OK : WRONG(error, "transform", "six numbers");
 }
@@ -115,11 +119,10 @@ static twz_status take_all(twz_file *f, double *nodata, twz_error *error) {
   TRY(take_word(root, "mask_kind", MASKS, 4, 0, &mask, error));
   info->mask_kind = (twz_mask_kind)mask;
   TRY(take_word(root, "area_or_point", AREAS, 2, -1, &info->is_point, error));
-  TRY(check_texts(root, "tags", error));
-  TRY(check_texts(root, "band_tags", error));
+  for (int band = 0; band < 2; band++) TRY(take_tags(f, band, error));
   const json_value *moved = json_member(root, "moved");
-  if (moved && !(moved->kind == JSON_NUMBER && moved->number >= 0 && moved->number <= 2147483648.0 &&
-                 moved->number == (double)(int64_t)moved->number)) {
+  double n_moved = moved && moved->kind == JSON_NUMBER ? json_number(moved) : -1;
+  if (moved && !(n_moved >= 0 && n_moved <= 2147483648.0 && n_moved == (double)(int64_t)n_moved)) {
     return WRONG(error, "moved", "a whole number of quanta from 0 to 2^31");
   }
   return take_nodata(root, f->header.dtype, nodata, &info->has_nodata, error);
@@ -190,12 +193,9 @@ twz_status read_metadata(twz_file *f, const uint8_t *section, twz_error *error) 
 }
 
 int twz_file_tag(const twz_file *file, int band, size_t i, const char **key, const char **value) {
-  if (!file->is_open) return 0;
-  const json_value *tags = json_member(file->json.root, band ? "band_tags" : "tags");
-  const json_value *m = tags ? tags->first : NULL;
-  while (m && i--) m = m->next;
-  if (!m) return 0;
-  *key = m->key;
-  *value = m->string;
+  band = band != 0;
+  if (!file->is_open || i >= file->n_tags[band]) return 0;
+  *key = file->tags[band][i]->key;
+  *value = file->tags[band][i]->string;
   return 1;
 }

@@ -85,7 +85,7 @@ static twz_status decode_remainders(const twz_file *f, layer *l, size_t n, const
   for (size_t i = 0; status == TWZ_OK && i < n; i++) {
     uint64_t z = 0;
     for (size_t k = 0; k < n_planes; k++) z |= (uint64_t)planes[k * n + i] << (8 * k);
-    l->remainders[i] = (int64_t)((z >> 1) ^ (0 - (z & 1)));
+    l->remainders[i] = (int64_t)(z & 1 ? ~(z >> 1) : z >> 1);
   }
   twz_release(&f->allocator, planes);
   return status;
@@ -102,7 +102,7 @@ static twz_status decode_corrections(const job *j, const reader *section, int32_
   coder_start(&c, section->bytes, section->n, j->file->rates);
   int k = max_i32(bit_length((uint64_t)j->file->header.step) - 5, 0), has_any = 0;
   ptrdiff_t pitch = l->cols.n;
-  for (int32_t row = 0; row < l->rows.n; row++) {
+  for (int32_t row = 0; row < l->rows.n && !coder_is_cut(&c); row++) {
     int p = (int)((l->rows.first + (uint32_t)row) & 1), before = 0;
     for (int32_t first = 0, piece = 0; first < l->cols.n; first += PIECE, piece++) {
       before = adaptive_bit(&c, &models[8 * p + 4 * before + 2 * above[piece] + farther[piece]]);
@@ -124,8 +124,9 @@ static twz_status decode_corrections(const job *j, const reader *section, int32_
       }
     }
   }
+  TRY(coder_end(&c, "corrections", error));
   REQUIRE(has_any, error, "a section of corrections that are all 0");
-  return coder_end(&c, "corrections", error);
+  return TWZ_OK;
 }
 
 enum { MASK, EXCEPTIONS, REMAINDER_BYTES, OWN, CORRECTED, N_SECTIONS };

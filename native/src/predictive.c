@@ -441,7 +441,7 @@ static ALWAYS_INLINE void decode_rows(decoding *d, const plane *p, int which, in
   for (ptrdiff_t at = start; at <= end; at += 2) d->values[at - up] = (int32_t)core_mean(d, p, at);
   d->values[start - up - 2] = (int32_t)core_mean(d, p, start);
   d->values[end - up + 2] = (int32_t)core_mean(d, p, end);
-  for (int32_t i = 0; i < p->n_rows; i++) {
+  for (int32_t i = 0; i < p->n_rows && !coder_is_cut(&d->coder); i++) {
     ptrdiff_t first = start + i * up, last = first + 2 * (p->n_cols - 1);
     int32_t *own = d->own_errors + (i + 2) * n + 2;
     own[-1] = own[-2] = i > 0 ? own[-n] : 0;
@@ -538,7 +538,7 @@ twz_status decode_predictive(const job *j, const reader *bytes, scratch *s, twz_
   } else {
     stride = decode_root_corners(&d);
   }
-  for (stride /= 2; stride >= 1; stride /= 2) {
+  for (stride /= 2; stride >= 1 && !coder_is_cut(&d.coder); stride /= 2) {
     load_lattice(&d, stride);
     for (int which = HH; which <= LH; which++) {
       int down = which != HL, right = which != LH;

@@ -101,10 +101,13 @@ static inline int64_t magnitude(coder *c, model *unary, model *prefix, int k) {
   return ((int64_t)14 << k) + (((int64_t)1 << (e + k)) | r) - ((int64_t)1 << k);
 }
 
+/* Is more read than there is? Nothing that follows counts: loops over rows end here. */
+static inline int coder_is_cut(const coder *c) { return c->position > c->n + 3; }
+
 /* Has all been read that there is, and no more? */
 static inline twz_status coder_end(const coder *c, const char *name, twz_error *error) {
-  REQUIRE(c->position - 3 == c->n, error, "%s: %s", name,
-          c->position - 3 > c->n ? "the stream is cut" : "bytes are left over behind the stream");
+  REQUIRE(c->position == c->n + 3, error, "%s: %s", name,
+          coder_is_cut(c) ? "the stream is cut" : "bytes are left over behind the stream");
   return TWZ_OK;
 }
 

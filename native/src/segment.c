@@ -1,8 +1,7 @@
 /* Segments and their index pages (FORMAT §3). */
 #include "internal.h"
 
-enum { DEPTH = 4, MOST_KEYS = 85, MOST_BLOCKS = 340, MOST_HEADS = 256, MOST_PAGE = 1 << 15,
-       MOST_COLUMNS = 17 * MOST_KEYS + 4 * MOST_BLOCKS + 12 * MOST_HEADS };
+enum { DEPTH = 4, MOST_PAGE = 1 << 15, MOST_COLUMNS = 17 * MOST_KEYS + 4 * MOST_BLOCKS + 12 * MOST_HEADS };
 
 /* ---- Tables by place ---- */
 
@@ -83,6 +82,27 @@ int index_of_place(const place *places, int n, place p) {
   return -1;
 }
 
+segment_state find_segment(const twz_file *f, place head, segment **s, page_place *page, place *missing) {
+  *s = (segment *)table_find(&f->segments, head);
+  if (*s) return FOUND;
+  place parent = parent_of_head(&f->grid, head);
+  segment_state above = find_segment(f, parent, s, page, missing);
+  if (above != FOUND) return above;
+  const segment *p = *s;
+  int i = index_of_place(p->heads, p->n_heads, head);
+  if (i < 0 || p->children[i].length == 0) return ABSENT;
+  *missing = child_page(p, i, page);
+  return MISSING;
+}
+
+place child_page(const segment *s, int i, page_place *page) {
+  page->offset = s->children[i].offset;
+  page->length = s->children[i].page_length;
+  page->end = page->offset + s->children[i].length;
+  page->siblings_end = s->children_end;
+  return s->heads[i];
+}
+
 /* Append the children of a block, in Morton order; return how many there are now. */
 static int add_children(const grid *g, place block, place *to, int n) {
   uint32_t n_rows = n_blocks(g, g->n_rows, block.level + 1), n_cols = n_blocks(g, g->n_cols, block.level + 1);
@@ -93,12 +113,7 @@ static int add_children(const grid *g, place block, place *to, int n) {
   return n;
 }
 
-typedef struct layout {
-  int n_keys, n_blocks, n_heads;
-  place keys[MOST_KEYS], blocks[MOST_BLOCKS], heads[MOST_HEADS];
-} layout;
-
-static void lay_out(layout *l, const grid *g, place head) {
+void lay_out_segment(segment_layout *l, const grid *g, place head) {
   int is_top = head.level < 0, n_levels = is_top ? first_heads(g) : DEPTH;
   place root = {0, 0, 0}, row[MOST_HEADS];
   int n_row = 1;
@@ -125,8 +140,7 @@ static void lay_out(layout *l, const grid *g, place head) {
   }
 }
 
-/* Fill `order` with the indices of the keys in the order of their payloads (§3.2). */
-static void file_order(const layout *l, int *order) {
+void order_of_file(const segment_layout *l, int *order) {
   int first = l->keys[0].level, n = 0;
   for (int i = 0; i < l->n_keys; i++) {
     if (l->keys[i].level == first) order[n++] = i;
@@ -157,7 +171,7 @@ typedef struct columns {
   const uint8_t *payload_length, *mesh_length, *flags, *codes, *page_length, *child_length, *payload_crc, *mesh_crc;
 } columns;
 
-static void split_columns(columns *c, const uint8_t *content, const layout *l) {
+static void split_columns(columns *c, const uint8_t *content, const segment_layout *l) {
   c->payload_length = content;
   c->mesh_length = c->payload_length + 4 * l->n_keys;
   c->flags = c->mesh_length + 4 * l->n_keys;
@@ -168,10 +182,9 @@ static void split_columns(columns *c, const uint8_t *content, const layout *l) {
   c->mesh_crc = c->payload_crc + 4 * l->n_keys;
 }
 
-static twz_status place_payloads(segment *s, const layout *l, const columns *c, uint64_t *at,
-                                 twz_error *error) {
+static twz_status place_sections(segment *s, const segment_layout *l, const columns *c, uint64_t *at, twz_error *error) {
   int order[MOST_KEYS], n = l->n_keys;
-  file_order(l, order);
+  order_of_file(l, order);
   for (int k = 0; k < n; k++) {
     int i = order[k];
     uint64_t length = number_at(c->payload_length, n, 4, i), mesh = number_at(c->mesh_length, n, 4, i);
@@ -180,15 +193,15 @@ static twz_status place_payloads(segment *s, const layout *l, const columns *c, 
     REQUIRE(length || !crc, error, "an empty payload with a checksum");
     REQUIRE(mesh || !mesh_crc, error, "an empty mesh section with a checksum");
     REQUIRE_KNOWN(c->flags[i] == 0, error, "flags %d of a key, which a newer release may know", c->flags[i]);
-    s->payloads[i].offset = *at;
-    s->payloads[i].length = (uint32_t)length;
-    s->payloads[i].crc = (uint32_t)crc;
+    const section_place payload = {*at, (uint32_t)length, (uint32_t)crc}, mesh_section = {*at + length, (uint32_t)mesh, (uint32_t)mesh_crc};
+    s->payloads[i] = payload;
+    s->meshes[i] = mesh_section;
     *at += length + mesh;
   }
   return TWZ_OK;
 }
 
-static twz_status place_children(segment *s, const layout *l, const columns *c, uint64_t first, uint64_t file_size,
+static twz_status place_children(segment *s, const segment_layout *l, const columns *c, uint64_t first, uint64_t file_size,
                                  twz_error *error) {
   uint64_t at = first;
   for (int i = 0; i < l->n_heads; i++) {
@@ -208,19 +221,20 @@ static twz_status place_children(segment *s, const layout *l, const columns *c, 
   return TWZ_OK;
 }
 
-static twz_status fill_segment(segment *s, const grid *g, const layout *l, const page_place *where,
+static twz_status fill_segment(segment *s, const grid *g, const segment_layout *l, const page_place *where,
                                const uint8_t *page, const uint8_t *content, uint64_t file_size,
                                twz_error *error) {
   columns c;
   split_columns(&c, content, l);
   uint64_t first_child = load_u64(page + 4), at = where->offset + where->length;
-  TRY(place_payloads(s, l, &c, &at, error));
+  TRY(place_sections(s, l, &c, &at, error));
   int is_top = s->entry.at.level < 0, has_children = l->n_heads > 0;
   REQUIRE((first_child > 0) == has_children, error, "first_child %llu of a segment %s children",
           (unsigned long long)first_child, has_children ? "with" : "without");
   uint64_t end = is_top ? (has_children ? first_child : file_size) : where->end;
   REQUIRE(at == end && at <= file_size, error, "a segment's payloads end at byte %llu instead of %llu",
           (unsigned long long)at, (unsigned long long)end);
+  s->end = at;
   if (has_children) {
     REQUIRE(first_child >= where->siblings_end && first_child <= file_size, error,
             "first_child lies before the segment's siblings or beyond the file");
@@ -244,8 +258,8 @@ twz_status read_segment(segment **found, const grid *g, place head, const page_p
   REQUIRE(where->length >= 13, error, "an index page of %u bytes", where->length);
   REQUIRE(crc_matches(crc, page + 4, where->length - 4, load_u32(page)), error,
           "the checksum of an index page is wrong");
-  layout l;
-  lay_out(&l, g, head);
+  segment_layout l;
+  lay_out_segment(&l, g, head);
   uint8_t content[MOST_COLUMNS];
   size_t size = (size_t)(17 * l.n_keys + 4 * l.n_blocks + 12 * l.n_heads), n;
   TRY(inflate_zlib(page + 12, where->length - 12, content, size, &n, "an index page", error));
@@ -253,7 +267,7 @@ twz_status read_segment(segment **found, const grid *g, place head, const page_p
           (unsigned long long)size);
   /* One piece of memory: the segment, then what it points to. */
   size_t places = (size_t)(l.n_keys + l.n_blocks + l.n_heads) * sizeof(place);
-  size_t n_bytes = sizeof(segment) + (size_t)l.n_keys * sizeof(section_place) +
+  size_t n_bytes = sizeof(segment) + 2 * (size_t)l.n_keys * sizeof(section_place) +
                    (size_t)l.n_heads * sizeof(child_place) + places + (size_t)l.n_blocks * sizeof(block_codes);
   segment *s = twz_allocate_zeros(allocator, n_bytes);
   if (!s) return twz_no_memory(error, n_bytes);
@@ -262,7 +276,8 @@ twz_status read_segment(segment **found, const grid *g, place head, const page_p
   s->n_blocks = l.n_blocks;
   s->n_heads = l.n_heads;
   s->payloads = (section_place *)(s + 1);
-  s->children = (child_place *)(s->payloads + l.n_keys);
+  s->meshes = s->payloads + l.n_keys;
+  s->children = (child_place *)(s->meshes + l.n_keys);
   s->keys = (place *)(s->children + l.n_heads);
   s->blocks = s->keys + l.n_keys;
   s->heads = s->blocks + l.n_blocks;

@@ -118,17 +118,23 @@ twz_status twz_window_new(twz_file *file, int level, const twz_box *box, twz_win
   return TWZ_OK;
 }
 
-void twz_window_free(twz_window *w) {
-  if (!w) return;
-  twz_file *f = w->file;
+/* Leave all units and payloads. */
+static void empty_slots(twz_window *w) {
   for (int i = 0; i < w->n_stages; i++) {
     stage *s = &w->stages[i];
     for (size_t k = 0; s->slots && k < n_slots(s); k++) {
-      if (s->slots[k].unit) cache_leave(f, s->slots[k].unit);
-      twz_release(&f->allocator, s->slots[k].payload);
+      if (s->slots[k].unit) cache_leave(w->file, s->slots[k].unit);
+      twz_release(&w->file->allocator, s->slots[k].payload);
+      memset(&s->slots[k], 0, sizeof s->slots[k]);
     }
-    twz_release(&f->allocator, s->slots);
   }
+}
+
+void twz_window_free(twz_window *w) {
+  if (!w) return;
+  twz_file *f = w->file;
+  empty_slots(w);
+  for (int i = 0; i < w->n_stages; i++) twz_release(&f->allocator, w->stages[i].slots);
   twz_release(&f->allocator, w->waiting);
   twz_release(&f->allocator, w);
 }
@@ -160,10 +166,21 @@ static int can_end_early(const twz_window *w) {
   return rows_up_to(&f->grid, key, w->level, w->box.row + w->box.n_rows - 1) != ALL_ROWS;
 }
 
+/* Count bytes of the window; an error counts none, so that the next try ends alike. */
+static twz_status count_bytes(twz_window *w, uint64_t n, twz_error *error) {
+  if (n > w->file->max_bytes - min_u64(w->n_bytes, w->file->max_bytes)) {
+    return twz_fail(error, TWZ_LIMIT, "a window that takes more than %llu bytes of memory: read it in parts",
+                    (unsigned long long)w->file->max_bytes);
+  }
+  w->n_bytes += n;
+  return TWZ_OK;
+}
+
 /* Find which units must be decoded: those that the cache lacks, and what they follow from. */
 static twz_status plan_units(twz_window *w, twz_error *error) {
   twz_file *f = w->file;
   int is_partial = can_end_early(w);
+  uint64_t n_before = w->n_bytes;
   for (int i = 0; i < w->n_stages; i++) {
     stage *s = &w->stages[i];
     for (size_t k = 0; k < n_slots(s); k++) {
@@ -180,10 +197,10 @@ static twz_status plan_units(twz_window *w, twz_error *error) {
         one->state = DECODED;
         continue;
       }
-      w->n_bytes += unit_bytes(f, key);
-      if (w->n_bytes > f->max_bytes) {
-        return twz_fail(error, TWZ_LIMIT, "a window that takes more than %llu bytes of memory: read it in parts",
-                        (unsigned long long)f->max_bytes);
+      if (count_bytes(w, unit_bytes(f, key), error) != TWZ_OK) {
+        empty_slots(w);
+        w->n_bytes = n_before;
+        return TWZ_LIMIT;
       }
       if (i + 1 < w->n_stages) {
         place parent = parent_unit(&f->grid, key);
@@ -197,26 +214,6 @@ static twz_status plan_units(twz_window *w, twz_error *error) {
   return TWZ_OK;
 }
 
-/* What is known of a segment: itself, that it is absent, or whose page must be read first. */
-typedef enum found { FOUND, ABSENT, MISSING } found;
-
-static found find_segment(const twz_file *f, place head, segment **s, page_place *page, place *missing) {
-  *s = (segment *)table_find(&f->segments, head);
-  if (*s) return FOUND;
-  place parent = parent_of_head(&f->grid, head);
-  found above = find_segment(f, parent, s, page, missing);
-  if (above != FOUND) return above;
-  const segment *p = *s;
-  int i = index_of_place(p->heads, p->n_heads, head);
-  if (i < 0 || p->children[i].length == 0) return ABSENT;
-  page->offset = p->children[i].offset;
-  page->length = p->children[i].page_length;
-  page->end = page->offset + p->children[i].length;
-  page->siblings_end = p->children_end;
-  *missing = head;
-  return MISSING;
-}
-
 static int compare_slots(const void *a, const void *b) {
   const slot *x = *(const slot *const *)a, *y = *(const slot *const *)b;
   return x->place.offset < y->place.offset ? -1 : x->place.offset > y->place.offset;
@@ -227,6 +224,8 @@ static twz_status wait_for_payloads(twz_window *w, twz_error *error) {
   for (int i = 0; i < w->n_stages; i++) {
     for (size_t k = 0; k < n_slots(&w->stages[i]); k++) n += w->stages[i].slots[k].state == PLACED;
   }
+  twz_release(&w->file->allocator, w->waiting);
+  w->n_waiting = 0;
   w->waiting = twz_allocate(&w->file->allocator, n * sizeof *w->waiting);
   if (!w->waiting) return twz_no_memory(error, n * sizeof *w->waiting);
   for (int i = 0; i < w->n_stages; i++) {
@@ -236,6 +235,11 @@ static twz_status wait_for_payloads(twz_window *w, twz_error *error) {
     }
   }
   qsort(w->waiting, n, sizeof *w->waiting, compare_slots);
+  for (size_t i = 1; i < n; i++) {
+    const section_place *before = &w->waiting[i - 1]->place, *after = &w->waiting[i]->place;
+    REQUIRE(before->offset + before->length <= after->offset, error, "payloads of two units overlap at byte %llu",
+            (unsigned long long)after->offset);
+  }
   w->is_placed = 1;
   return TWZ_OK;
 }
@@ -271,9 +275,10 @@ typedef struct asked {
 /* Ask for a page; returns 0 where there is no room. */
 static int ask_page(asked *a, const page_place *page) {
   size_t m = 0;
-  while (m < a->n && a->ranges[m].offset != page->offset) m++;
+  while (m < a->n && (a->ranges[m].offset != page->offset || a->ranges[m].length != page->length)) m++;
   if (m < a->n) return 1;
   if (m == a->capacity) return 0;
+  memset(&a->ranges[m], 0, sizeof a->ranges[m]);
   a->ranges[m].offset = page->offset;
   a->ranges[m].length = page->length;
   a->ranges[m].likely = page->end - page->offset - page->length;
@@ -281,9 +286,9 @@ static int ask_page(asked *a, const page_place *page) {
   return 1;
 }
 
-static found lookup(twz_file *f, place key, segment **s, page_place *page, place *missing) {
+static segment_state lookup(twz_file *f, place key, segment **s, page_place *page, place *missing) {
   file_lock(f);
-  found known = find_segment(f, head_of_key(&f->grid, key), s, page, missing);
+  segment_state known = find_segment(f, head_of_key(&f->grid, key), s, page, missing);
   file_unlock(f);
   return known;
 }
@@ -297,7 +302,7 @@ static twz_status place_unit(twz_window *w, slot *one, place key, asked *a, twz_
     place missing, part = key_of(key, i);
     segment *s;
     page_place page;
-    found known = lookup(f, part, &s, &page, &missing);
+    segment_state known = lookup(f, part, &s, &page, &missing);
     if (known == MISSING) {
       is_known = 0;
       if (!ask_page(a, &page)) return TWZ_OK;
@@ -308,11 +313,9 @@ static twz_status place_unit(twz_window *w, slot *one, place key, asked *a, twz_
     REQUIRE(i == 0 || s->payloads[m].length == 0, error, "a payload at a key that heads no tile");
   }
   if (!is_known) return TWZ_OK;
+  TRY(count_bytes(w, one->place.length, error));
   one->state = one->place.length ? PLACED : FED;
-  w->n_bytes += one->place.length;
-  if (w->n_bytes <= f->max_bytes) return TWZ_OK;
-  return twz_fail(error, TWZ_LIMIT, "a window that takes more than %llu bytes of memory: read it in parts",
-                  (unsigned long long)f->max_bytes);
+  return TWZ_OK;
 }
 
 /* Find the places of payloads; where pages are missing, write their ranges. */
@@ -333,6 +336,10 @@ static twz_status place_units(twz_window *w, twz_range *ranges, size_t capacity,
     for (; k > 0 && ranges[k - 1].offset > moved.offset; k--) ranges[k] = ranges[k - 1];
     ranges[k] = moved;
   }
+  for (size_t i = 1; i < *n; i++) {
+    REQUIRE(ranges[i - 1].offset + ranges[i - 1].length <= ranges[i].offset, error,
+            "pages of two segments overlap at byte %llu", (unsigned long long)ranges[i].offset);
+  }
   return TWZ_OK;
 }
 
@@ -352,9 +359,9 @@ twz_status twz_window_need(twz_window *w, twz_range *ranges, size_t capacity, si
       continue;
     }
     if (*n == capacity) break;
+    memset(&ranges[*n], 0, sizeof ranges[*n]);
     ranges[*n].offset = one->place.offset;
     ranges[*n].length = one->place.length;
-    ranges[*n].likely = 0;
     ++*n;
   }
   return TWZ_OK;
@@ -667,6 +674,65 @@ twz_status twz_window_read_own_part(const twz_window *w, const twz_box *part, ui
 
 twz_status twz_window_read_own(const twz_window *w, uint8_t *own, ptrdiff_t own_stride, twz_error *error) {
   return twz_window_read_own_part(w, &w->box, own, own_stride, error);
+}
+
+/* ---- What units share ---- */
+
+/* What a unit holds of a sample of one of its layers. */
+typedef struct held {
+  int is_valid, is_own;
+  int32_t quantum;
+  int64_t remainder;
+} held;
+
+static held held_at(const heights *h, const unit *u, const layer *l, uint32_t row, uint32_t col) {
+  held found = {0, 0, 0, 0};
+  if (u->is_void) return found;
+  size_t at = (size_t)(row - l->rows.first) * (size_t)l->cols.n + (col - l->cols.first);
+  found.is_valid = is_valid_at(l, at);
+  found.is_own = l->own ? l->own[at] : found.is_valid;
+  if (found.is_valid) found.quantum = quantum_at(h, l, at);
+  if (found.is_valid && l->remainders) found.remainder = l->remainders[at];
+  return found;
+}
+
+static twz_status compare_units(const twz_file *f, const unit *a, const unit *b, twz_error *error) {
+  if (a->is_void && b->is_void) return TWZ_OK;
+  for (int i = 0; i < a->n_layers; i++) {
+    const layer *x = &a->layers[i], *y = &b->layers[i];
+    uint32_t top = max_u32(x->rows.first, y->rows.first), left = max_u32(x->cols.first, y->cols.first);
+    uint32_t bottom = min_u32(x->rows.first + (uint32_t)x->rows.n, y->rows.first + (uint32_t)y->rows.n);
+    uint32_t right = min_u32(x->cols.first + (uint32_t)x->cols.n, y->cols.first + (uint32_t)y->cols.n);
+    for (uint32_t row = top; row < bottom; row++) {
+      for (uint32_t col = left; col < right; col++) {
+        held p = held_at(&f->heights, a, x, row, col), q = held_at(&f->heights, b, y, row, col);
+        REQUIRE(p.is_valid == q.is_valid && p.is_own == q.is_own && p.quantum == q.quantum && p.remainder == q.remainder,
+                error, "two units of level %d differ in row %u, column %u, which they share", a->first_level + i, row, col);
+      }
+    }
+  }
+  return TWZ_OK;
+}
+
+/* Remainders can make heights that are not finite. */
+static twz_status check_remainders(const twz_file *f, const unit *u, twz_error *error) {
+  double row[2 * 1024 + 4];
+  const layer *l = &u->layers[0];
+  for (int32_t r = 0; l->remainders && r < l->rows.n; r++) {
+    TRY(write_raw(&f->heights, row, l, (size_t)r * (size_t)l->cols.n, (size_t)l->cols.n, error));
+  }
+  return TWZ_OK;
+}
+
+twz_status check_window(const twz_window *w, twz_error *error) {
+  const stage *s = &w->stages[0];
+  for (size_t i = 0; i < n_slots(s); i++) {
+    const unit *u = s->slots[i].unit;
+    TRY(check_remainders(w->file, u, error));
+    if (i % s->n_cols) TRY(compare_units(w->file, s->slots[i - 1].unit, u, error));
+    if (i >= s->n_cols) TRY(compare_units(w->file, s->slots[i - s->n_cols].unit, u, error));
+  }
+  return TWZ_OK;
 }
 
 /* ---- Codes of blocks (§4.4) ---- */

@@ -407,6 +407,9 @@ CASES = {
     "range-too-large": Case(
         "store", "§4.1", "z_max − z_min = 2^30", header(z_min=-(2**29), z_max=2**29)
     ),
+    "range-wraps": Case(
+        "store", "§4.1", "z_max − z_min = 2^31", header(z_min=-(2**30), z_max=2**30)
+    ),
     "range-empty": Case("store", "§4.1", "z_min 2, z_max 1", header(z_min=2, z_max=1)),
     "max-error-nan": Case("store", "§4.1", "max_error NaN", header(max_error=float("nan"))),
     "bound-above-max-error": Case(

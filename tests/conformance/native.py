@@ -16,7 +16,7 @@ PROFILE = {
     "own": True,
     "meshes": [],
     "blocks": True,
-    "verifier": False,
+    "verifier": True,
 }
 HAS_FILLS = 16
 

@@ -104,6 +104,14 @@ def test_every_changed_byte_of_the_header_is_noticed(byte_pos):
         unpack_header(bytes(data))
 
 
+def test_a_damaged_version_is_no_newer_one():
+    for version in set(range(256)) - {1}:
+        data = bytearray(packed())
+        data[8] = version
+        with pytest.raises(CorruptStreamError, match=f"byte 8 is damaged.* version {version},"):
+            unpack_header(bytes(data))
+
+
 UNSUPPORTED = [
     (8, "B", 0, "format version 0, which no release has written"),
     (8, "B", 2, "format version 2: "),

@@ -361,8 +361,14 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
         raise NotTwzError(f"found {_kind_of(data)}, expected a .twz file")
     if len(data) < HEADER_SIZE:
         raise TruncatedStreamError(f"the file ends in its header, at byte {len(data)}")
-    version = data[8]
+    version, (stored,) = data[8], _CRC.unpack_from(data, _LAYOUT.size)
     if version != FORMAT_VERSION:
+        first = data[:8] + bytes([FORMAT_VERSION]) + data[9 : _LAYOUT.size]
+        if stored == zlib.crc32(first):  # newer headers have checksums of their own version
+            raise CorruptStreamError(
+                f"byte 8 is damaged: it says format version {version}, and the checksum is that of"
+                f" version {FORMAT_VERSION}"
+            )
         advice = NEWER if version > FORMAT_VERSION else ", which no release has written"
         raise UnsupportedVersionError(
             f"format version {version}{advice}; this terrainwave reads version {FORMAT_VERSION}"
@@ -375,7 +381,6 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
     (metadata_crc, parameters_length, parameters_crc, top_page_length, mesh_tolerance) = fields[25:]
     if size != HEADER_SIZE:
         raise CorruptStreamError(f"header size {size} instead of {HEADER_SIZE} (byte 10)")
-    (stored,) = _CRC.unpack_from(data, _LAYOUT.size)
     if stored != zlib.crc32(body):
         raise CorruptStreamError("checksum of the header does not match")
     if reserved or padding != bytes(2):

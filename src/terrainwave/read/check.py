@@ -10,6 +10,7 @@ from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.read.coded import Content, EvenBlocks
 from terrainwave.read.decoder import TreeDecoder, unit_name
+from terrainwave.read.window_reader import exact_heights
 
 
 def check_units(container: Container, decoder: TreeDecoder) -> Iterator[str]:
@@ -56,18 +57,28 @@ def _check_below(
         if content in sound and _is_beside(even, key, sound):
             return
         if even.of_unit(key) is None:
-            decoder.unit(key)
+            _check_heights(container, decoder.unit(key))
     except CorruptStreamError as exc:
         lost.append(key)
         yield str(exc)
         return  # what lies below cannot be decoded either
     problems = list(seams.differences(key))
     for block in container.grid.key_blocks(key):
-        if block.level < container.grid.k_max and not _is_absent(container, block):
+        if block.level == container.grid.k_max:
+            continue
+        if _is_absent(container, decoder, block):
+            problems += seams.differences_of_absent(container, block)
+        else:
             problems += _check_below(container, decoder, seams, even, block, lost, sound)
     if content is not None and not problems:
         sound.add(content)
     yield from problems
+
+
+def _check_heights(container: Container, unit: Decoded) -> None:
+    """Raise if remainders make a height that is not finite (FORMAT.md §5.3)."""
+    if unit.remainders is not None:
+        exact_heights(container.header.quantizer, unit)
 
 
 def _is_beside(even: EvenBlocks, head: Block, sound: set[Content]) -> bool:
@@ -95,11 +106,36 @@ class _Seams:
         for row, col in ((-1, 0), (0, -1)):
             other = Block(key.level, key.row + row, key.col + col)
             if self._decoder.grid.contains(other) and not self._agree(other, key):
-                yield f"{unit_name(key)} and {unit_name(other)} differ in samples that they share"
+                yield _difference(key, other)
         for row, col in ((1, 0), (0, 1)):
             other = Block(key.level, key.row + row, key.col + col)
             if self._decoder.grid.contains(other):
                 self._lines[key, other] = self._shared(key, other)
+
+    def differences_of_absent(self, container: Container, head: Block) -> Iterator[str]:
+        """Compare the units of an absent segment, and all below it, with those before them.
+
+        All of them are void. Segments before it that are absent, too, hold no unit to compare.
+        """
+        grid = self._decoder.grid
+        for row, col in ((-1, 0), (0, -1)):
+            units = [head]
+            while units:
+                unit = units.pop()
+                before = Block(unit.level, unit.row + row, unit.col + col)
+                if not grid.contains(before):
+                    continue
+                head_before = grid.segment_head(before)
+                if head_before is None or _is_absent(container, self._decoder, head_before):
+                    continue
+                if not self._agree(before, unit):
+                    yield _difference(unit, before)
+                if unit.level + 1 < grid.k_max:
+                    units += [
+                        child
+                        for child in grid.children(unit)
+                        if (child.row == 2 * unit.row if row else child.col == 2 * unit.col)
+                    ]
 
     def _shared(self, key: Block, other: Block) -> Decoded:
         """Return what a unit holds of the samples that another one holds as well."""
@@ -124,14 +160,22 @@ class _Seams:
         return is_valid_alike and not bool(is_other[one.mask].any())
 
 
-def _is_absent(container: Container, block: Block) -> bool:
-    """Say whether `block` heads a segment that is left out: all below it is void.
+def _difference(key: Block, other: Block) -> str:
+    return f"{unit_name(key)} and {unit_name(other)} differ in samples that they share"
+
+
+def _is_absent(container: Container, decoder: TreeDecoder, block: Block) -> bool:
+    """Say whether `block` heads a segment that is left out, and all below it is void.
+
+    Units of a tile can be in such a segment: the tile holds their samples.
 
     A file of a few hundred bytes may claim 2^50 void samples.
     """
     if container.grid.segment_head(block) != block:
         return False
     try:
-        return container.segment(block).page.is_empty
+        if not container.segment(block).page.is_empty:
+            return False
+        return decoder.source.are_apart or not decoder.unit(block).mask.any()
     except CorruptStreamError:
         return False  # its units will say so

@@ -30,7 +30,9 @@ _log = logging.getLogger(__name__)
 
 PACKAGE = "terrainwave_native"
 SWITCH = "TERRAINWAVE_NATIVE"  # 0 in the environment: not used
-ABI = 1  # PYTHON_ABI of native/python/shim.c
+ABI = 2  # PYTHON_ABI of native/python/shim.c
+
+_N_POINTERS = 5  # of twz_allocator, and of twz_locks
 
 _OK, _CORRUPT, _UNSUPPORTED = 0, 1, 2
 _MAX_BYTES = 4 << 30
@@ -47,14 +49,18 @@ _MOST_RANGES = 256
 
 
 class _Error(ctypes.Structure):
-    _fields_ = [("status", ctypes.c_int), ("text", ctypes.c_char * 240)]
+    _fields_ = [
+        ("status", ctypes.c_int),
+        ("text", ctypes.c_char * 240),
+        ("reserved", ctypes.c_uint64 * 2),
+    ]
 
 
 class _Options(ctypes.Structure):
     _fields_ = [
         ("size", ctypes.c_size_t),
-        ("allocator", ctypes.c_void_p * 3),
-        ("locks", ctypes.c_void_p * 3),
+        ("allocator", ctypes.c_void_p * _N_POINTERS),
+        ("locks", ctypes.c_void_p * _N_POINTERS),
         ("cache_bytes", ctypes.c_uint64),
         ("max_bytes", ctypes.c_uint64),
         ("kernels", ctypes.c_int),
@@ -66,6 +72,7 @@ class _Range(ctypes.Structure):
         ("offset", ctypes.c_uint64),
         ("length", ctypes.c_uint64),
         ("likely", ctypes.c_uint64),
+        ("reserved", ctypes.c_uint64),
     ]
 
 
@@ -223,8 +230,9 @@ class _Handles:
             if self.locks is None:
                 raise MemoryError("no memory for locks")
             options = _Options(ctypes.sizeof(_Options))
-            options.allocator = (ctypes.c_void_p * 3).from_address(library.allocator)
-            options.locks = (ctypes.c_void_p * 3).from_address(self.locks)
+            pointers = ctypes.c_void_p * _N_POINTERS
+            options.allocator = pointers.from_address(library.allocator)
+            options.locks = pointers.from_address(self.locks)
             options.cache_bytes, options.max_bytes = self.cache_bytes, _MAX_BYTES
             self.file = library.make("twz_file_new", ctypes.byref(options), size)
             if n_threads > 1:

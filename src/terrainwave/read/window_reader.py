@@ -125,10 +125,7 @@ class WindowReader:
             self._quantizer.dequantize(unit.heights, out)
             return
         # Not in place: a thread with a unit beside this one fills the samples that both share.
-        heights = restored(self._quantizer.dequantize(unit.heights), unit.remainders)
-        if not np.isfinite(heights[unit.mask]).all():
-            raise CorruptStreamError("remainders make a height that is not finite")
-        out[...] = heights
+        out[...] = exact_heights(self._quantizer, unit)
 
     def _run(self, work: Callable[[Block], None], keys: list[Block]) -> None:
         """Call `work` for every unit, those above it first, in the threads."""
@@ -144,6 +141,21 @@ class WindowReader:
             if not self._is_closed:
                 raise
             raise StorageError(f"{self._name} is closed") from error
+
+
+def exact_heights(quantizer: Quantizer, unit: Decoded) -> NDArray[Any]:
+    """Return the raw heights of a unit that has remainders (FORMAT.md §5.3).
+
+    Raises
+    ------
+    CorruptStreamError
+        If one of its valid samples is not finite.
+    """
+    assert unit.remainders is not None
+    heights = restored(quantizer.dequantize(unit.heights), unit.remainders)
+    if not np.isfinite(heights[unit.mask]).all():
+        raise CorruptStreamError("remainders make a height that is not finite")
+    return heights
 
 
 def _by_parent(keys: list[Block]) -> tuple[list[Block], dict[Block, list[Block]]]:

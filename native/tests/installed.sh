@@ -1,0 +1,33 @@
+#!/bin/sh
+# Install a build, and build examples/c with what is installed: by pkg-config, and by find_package of CMake.
+#   sh native/tests/installed.sh BUILD PREFIX shared|static
+set -eu
+build=$1 prefix=$2 kind=$3
+root=$(cd "$(dirname "$0")/../.." && pwd)
+file=$root/tests/golden/v1/rapid-int16-halves.twz
+rm -rf "$prefix" "$prefix.moved"
+cmake --install "$build" --prefix "$prefix" >/dev/null
+mv "$prefix" "$prefix.moved" # a prefix need not stay where it was installed
+prefix=$prefix.moved
+PKG_CONFIG_PATH=$(dirname "$(find "$prefix" -name terrainwave.pc)")
+export PKG_CONFIG_PATH
+libraries=$(pkg-config --variable=libdir terrainwave)
+if [ "$kind" = shared ]; then
+    readelf -d "$libraries/libterrainwave.so" | grep -F "Library soname: [libterrainwave.so.0]" >/dev/null
+    [ -e "$libraries/libterrainwave.so.0" ]
+    # All names are those of the interface.
+    nm -D --defined-only "$libraries/libterrainwave.so" | grep -v " twz_" && exit 1
+else
+    [ -e "$libraries/libterrainwave.a" ]
+fi
+# shellcheck disable=SC2046
+cc -Wall -Wextra -Werror "$root/examples/c/window.c" $(pkg-config --cflags --libs terrainwave) \
+    -Wl,-rpath,"$libraries" -o "$prefix/window"
+cmake -S "$root/examples/c" -B "$prefix/cmake" -DCMAKE_PREFIX_PATH="$prefix" >/dev/null
+cmake --build "$prefix/cmake" >/dev/null
+"$prefix/window" "$file" 10 20 3 4 >"$prefix/by-pkg-config"
+"$prefix/cmake/window" "$file" 10 20 3 4 >"$prefix/by-cmake"
+"$prefix/bin/twz" check "$file" 2>/dev/null
+cmp "$prefix/by-pkg-config" "$prefix/by-cmake"
+[ "$(wc -w <"$prefix/by-cmake")" = 12 ]
+echo "$kind: examples/c is built with what is installed, and reads a window"
