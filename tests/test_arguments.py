@@ -58,12 +58,12 @@ WRONG = {
         "size": ["1025", 5.5, True, "all", [5], 4],
     },
     "patch": {name: OF_RASTERS[name] for name in ("src", "band", "nodata")} | {
-        "path": PATH, "original": [5, ""], "temp_dir": PATH, "fresh": FLAG, "threads": WHOLE,
-        "progress": CALLABLE,
+        "heights_are": WORD, "path": PATH, "original": [5, ""], "temp_dir": PATH,
+        "fresh": FLAG, "threads": WHOLE, "progress": CALLABLE,
     },
     "verify": {
         "twz": PATH, "original": PATH, "max_error": NUMBER, "band": WHOLE, "nodata": VALUE,
-        "mesh": FLAG, "threads": WHOLE, "progress": CALLABLE,
+        "heights_are": WORD, "mesh": FLAG, "threads": WHOLE, "progress": CALLABLE,
     },
     "store_meshes": OF_FILES | {
         "src": [5, None, ""], "dst": PATH, "mesh": WORD, "mesh_error": NUMBER, "original": [5, ""],

@@ -617,3 +617,19 @@ def test_own_samples_of_levels_are_those_of_the_new_raster(file, method, file_fo
     # So small a raster has no tables of its own; a unit whose fills alone would differ is copied.
     if method == "predictive" and has_less:
         assert path.read_bytes() == twz_bytes(new, **options, format=file_format)
+
+
+@pytest.mark.filterwarnings("ignore::terrainwave.TerrainwaveWarning")
+@pytest.mark.parametrize(("declared", "asked"), [(None, 0), (-9999, 0), (-9999, "none")])
+def test_an_original_has_the_voids_that_its_file_was_told(tmp_path, declared, asked):
+    heights = terrain_like(40, 40).astype(np.int16)
+    heights[:4], heights[4:8] = 0, -9999
+    place = {"crs": "EPSG:32632", "transform": (10.0, 0.0, 5e5, 0.0, -10.0, 5e6)}
+    whole = write_geotiff(tmp_path / "whole.tif", heights, nodata=declared, **place)
+    terrainwave.compress(whole, tmp_path / "a.twz", max_error=1, nodata=asked, mesh="none")
+    part = place | {"transform": (10.0, 0.0, 5e5 + 200, 0.0, -10.0, 5e6 - 200)}
+    new = write_geotiff(tmp_path / "new.tif", heights[12:16, 12:16], **part)
+    assert patch(tmp_path / "a.twz", new, original=whole).n_recoded > 0
+    heights[20:24, 20:24] = heights[12:16, 12:16]
+    whole = write_geotiff(tmp_path / "later.tif", heights, nodata=declared, **place)
+    terrainwave.store_meshes(tmp_path / "a.twz", tmp_path / "b.twz", original=whole)

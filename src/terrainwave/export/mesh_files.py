@@ -37,8 +37,9 @@ _log = logging.getLogger(__name__)
 _TRIES = 3
 _ROUNDING_SLACK = 1.25
 # Further tries on a globe, each with half of the share of the curvature: steep triangles can add
-# many times that share.
-_HALVINGS = 5
+# many times that share. They end where a half adds more than this part of what the whole did:
+# the rest is rounding, and each half doubles the triangles.
+_HALVINGS, _LESS = 5, 0.8
 
 Made = TypeVar("Made", bound=MeshData)
 
@@ -248,20 +249,24 @@ def mesh_for_file(
         share = max(max_error - first.error, 0.0)
     if is_on_globe and not share:
         _refuse_small_share(first, share, shape, max_error)
-    surface = first
-    for _ in range(_TRIES + _HALVINGS * is_on_globe):
+    surface, is_bent, before = first, is_on_globe, np.inf
+    for n_left in range(_TRIES + _HALVINGS, 0, -1):
         if is_on_globe:
             surface = _with_share(surface, share)
         rounding = file_rounding(surface, path, **options)
         if surface.error + rounding <= max_error:
             return surface, True
-        if is_on_globe:
+        is_bent &= rounding < _LESS * before
+        if not is_bent and n_left <= _HALVINGS + 1:
+            break
+        before = rounding
+        if is_bent:
             share, rounding = share / 2, rounding / 2
         try:
             # The next mesh is another one: its rounding may be somewhat more.
             surface = make(max_error - _ROUNDING_SLACK * rounding)
         except InvalidHeightsError:
-            if not is_on_globe:
+            if not is_bent:
                 break
     if is_on_globe:
         _refuse_small_share(surface, share, shape, max_error)

@@ -29,11 +29,10 @@ from terrainwave.mesh.sections import make_meshes
 from terrainwave.names import METHODS
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
-from terrainwave.raster_io.source import RasterSource
 from terrainwave.tri.mesh_options import MeshOptions, check_mesh, stored_mesh
 from terrainwave.write.compress_options import taking_former
 from terrainwave.write.job import default_mesh_error, scale_of
-from terrainwave.write.patching.merged import check_units
+from terrainwave.write.patching.merged import check_units, original_source
 
 _log = logging.getLogger(__name__)
 
@@ -145,7 +144,7 @@ def _originals(terrain: TerrainFile, original: Any) -> tuple[Originals, Fraction
     if original is None:
         decoder = terrain.decoder
         return lambda region: decoder.window(level, region), header.coded_error + rho
-    source, quantizer = RasterSource(original), terrain.quantizer
+    source, quantizer = original_source(terrain, original), terrain.quantizer
     if (source.info.n_rows, source.info.n_cols) != terrain.shape:
         raise InvalidHeightsError(
             f"found an original of {source.info.n_rows} x {source.info.n_cols} samples, expected"

@@ -51,7 +51,7 @@ from terrainwave.write.passes.proof import (
 )
 from terrainwave.write.passes.resuming import KeptUnits, run_directory, taken_up
 from terrainwave.write.patching.index import PatchedIndex
-from terrainwave.write.patching.merged import Merged
+from terrainwave.write.patching.merged import Merged, original_source
 from terrainwave.write.patching.patch_encoder import PatchEncoder
 from terrainwave.write.pyramid import Pyramid
 
@@ -159,7 +159,7 @@ def patch(
         only_writer(final, final.parent, os.fspath(path)),
         TerrainFile(final, threads=1, native=False) as terrain,
         RasterSource(src, band=band, nodata=nodata, heights_are=heights_are) as source,
-        nullcontext() if original is None else RasterSource(original) as whole,
+        nullcontext() if original is None else original_source(terrain, original) as whole,
         run_directory(
             temp_dir or final.parent, final, read, terrain.shape, depends_on, fresh=fresh
         ) as (directory, kept),

@@ -44,6 +44,12 @@ def check_units(terrain: TerrainFile, source: RasterSource) -> str:
     return met.note
 
 
+def original_source(terrain: TerrainFile, original: Any) -> RasterSource:
+    """Open the raster that a file was made of, with the value that marks voids in the file."""
+    info = terrain.raster_info
+    return RasterSource(original, nodata="none" if info.mask_kind == "none" else info.nodata)
+
+
 def place_of(info: RasterInfo, new: RasterInfo) -> Region:
     """Return the samples of a file that a raster covers.
 
