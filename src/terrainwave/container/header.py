@@ -361,18 +361,8 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
         raise NotTwzError(f"found {_kind_of(data)}, expected a .twz file")
     if len(data) < HEADER_SIZE:
         raise TruncatedStreamError(f"the file ends in its header, at byte {len(data)}")
-    version, (stored,) = data[8], _CRC.unpack_from(data, _LAYOUT.size)
-    if version != FORMAT_VERSION:
-        first = data[:8] + bytes([FORMAT_VERSION]) + data[9 : _LAYOUT.size]
-        if stored == zlib.crc32(first):  # newer headers have checksums of their own version
-            raise CorruptStreamError(
-                f"byte 8 is damaged: it says format version {version}, and the checksum is that of"
-                f" version {FORMAT_VERSION}"
-            )
-        advice = NEWER if version > FORMAT_VERSION else ", which no release has written"
-        raise UnsupportedVersionError(
-            f"format version {version}{advice}; this terrainwave reads version {FORMAT_VERSION}"
-        )
+    (stored,) = _CRC.unpack_from(data, _LAYOUT.size)
+    _check_version(data, stored)
     body = data[: _LAYOUT.size]
     fields = _LAYOUT.unpack(body)
     (_, _, reserved, size, features, file_size, n_rows, n_cols, block_log2, rings) = fields[:10]
@@ -424,6 +414,23 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
     for problem in _violations(header, extents):
         raise problem.error(problem.text)
     return header, extents
+
+
+def _check_version(data: bytes, stored: int) -> None:
+    """Raise if the format's version is not ours; `stored` is the checksum of the header."""
+    version = data[8]
+    if version == FORMAT_VERSION:
+        return
+    first = data[:8] + bytes([FORMAT_VERSION]) + data[9 : _LAYOUT.size]
+    if stored == zlib.crc32(first):  # newer headers have checksums of their own version
+        raise CorruptStreamError(
+            f"byte 8 is damaged: it says format version {version}, and the checksum is that of"
+            f" version {FORMAT_VERSION}"
+        )
+    advice = NEWER if version > FORMAT_VERSION else ", which no release has written"
+    raise UnsupportedVersionError(
+        f"format version {version}{advice}; this terrainwave reads version {FORMAT_VERSION}"
+    )
 
 
 @dataclass(frozen=True)
