@@ -507,8 +507,7 @@ static void ranges_do_not_overlap(memory *m) {
     for (int i = 0; i < top->n_heads && are_pages && !is_changed; i++) {
       if (child && top->children[i].length) {
         is_changed = 1;
-        top->children[i].offset = child->offset;
-        top->children[i].page_length = child->page_length + 1;
+        top->children[i].offset = child->offset + 1;
       }
       if (top->children[i].length) child = &top->children[i];
     }
