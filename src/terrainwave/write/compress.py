@@ -270,9 +270,8 @@ def compress(
         _refuse_tiles(options)
         is_remote = temp_dir is not None and "://" in os.fspath(temp_dir)
         raster = shared_raster(src, band, nodata, heights_are)
-        url = temp_dir if is_remote else None
+        url, temp_dir = (temp_dir, None) if is_remote else (None, temp_dir)
         cluster = _Cluster(Workers(client, on_task), raster, url, task_samples or TASK_SAMPLES)
-        temp_dir = None if is_remote else temp_dir
     else:
         _refuse_tasks(task_samples, on_task)
     check_ending(dst, TWZ_ENDINGS, or_url=True)
