@@ -46,6 +46,7 @@ OF_VOIDS = {"on_error": WORD, "voids": WORD}
 WRONG = {
     "compress": OF_RASTERS | OF_CODING | OF_FILES | {
         "dst": PATH, "heights_are": WORD, "mesh_error": NUMBER, "measure_meshes": FLAG,
+        "height_range": [5, "1,2", (1,), (2, 1), (0, float("nan"))],
         "keep_origin": FLAG, "temp_dir": PATH, "fresh": FLAG, "task_samples": WHOLE,
         "client": ANYTHING, "on_task": CALLABLE,
     },

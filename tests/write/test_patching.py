@@ -474,7 +474,11 @@ SMALL = HEIGHTS[:9, :8]
     ("new", "message"),
     [
         (SMALL.astype("int32"), "dtype is int32, expected int16"),
-        (np.full((9, 8), SMALL.max() + 5, "int16"), r"file can hold .* compress the whole raster"),
+        (
+            np.full((9, 8), SMALL.max() + 5, "int16"),
+            r"file can hold .* Compress the whole raster again, with height_range"
+            rf" {SMALL.min()},{SMALL.max() + 5} to leave room",
+        ),
         (terrain_like(10, 8), "reaches beyond the file: it begins at row 0"),
         (np.ma.masked_less(SMALL, SMALL.mean()), "has voids, and the file has no way"),
     ],
@@ -518,6 +522,36 @@ def test_other_methods_are_refused_with_advice(tmp_path, file, method):
 
 
 LOWEST, HIGHEST = int(SMALL.min()), int(SMALL.max())
+
+
+@pytest.mark.parametrize("method", ["predictive", "rapid"])
+@pytest.mark.parametrize("dtype", some(["int16", "float32"], 2))
+@pytest.mark.parametrize("max_error", some([0, 1, 0.5], 3))
+def test_a_file_with_room_takes_a_higher_summit(tmp_path, method, dtype, max_error):
+    place = {"crs": "EPSG:32633", "transform": (30, 0, 0, 0, -30, 0)}
+    old = HEIGHTS.astype(dtype)
+    new = old.copy()
+    new[3, 4], new[70, 60] = old.max() + 1, old.min() - 1
+    for name, heights in (("old", old), ("new", new)):
+        write_geotiff(tmp_path / f"{name}.tif", heights, **place)
+    path, options = tmp_path / "dem.twz", ["--max-error", str(max_error), "--method", method]
+    words = ["compress", str(tmp_path / "old.tif"), str(path), "-q", "--overwrite", *options]
+    patching = ["patch", str(path), str(tmp_path / "new.tif")]
+    assert CliRunner().invoke(main, words).exit_code == 0
+    refused = CliRunner().invoke(main, patching)
+    (given,) = re.findall(r"with --range (\S+) to leave room", refused.stderr)
+    assert refused.exit_code == 1
+    assert CliRunner().invoke(main, [*words, f"--range={given}"]).exit_code == 0
+    assert terrainwave.verify(path, tmp_path / "old.tif").ok
+    assert CliRunner().invoke(main, patching).exit_code == 0
+    assert terrainwave.verify(path, tmp_path / "new.tif").ok
+
+
+def test_a_range_that_the_type_lacks_is_refused(tmp_path):
+    with pytest.raises(
+        InvalidHeightsError, match=r"from -5 to 1e\+06 .* expected heights of int16"
+    ):
+        terrainwave.compress(SMALL, tmp_path / "a.twz", height_range=(-5, 1e6))
 
 
 @pytest.mark.parametrize("max_error", [0, 1])

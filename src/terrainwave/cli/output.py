@@ -112,6 +112,7 @@ def _option(argument: str) -> str:
     if argument in _own_options():
         return f"-o {argument}"
     names = {"src": "SOURCE", "dst": "TARGET", "client": "--scheduler"}
+    names |= {"height_range": "--range"}
     return names.get(argument, f"--{argument}".replace("_", "-"))
 
 

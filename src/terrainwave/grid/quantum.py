@@ -8,6 +8,7 @@ leaves no room for that is kept by remainders, which make every height exact (`g
 
 import math
 from bisect import bisect_left, bisect_right
+from copy import copy
 from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, Context, Decimal
 from fractions import Fraction
@@ -295,6 +296,32 @@ class HeightScan:
         self.steps = other.steps and self.steps
         self.has_negative_zeros |= other.has_negative_zeros
         self._candidates = [p for p in self._candidates if p in other._candidates]
+
+    def reaching(self, low: Fraction, high: Fraction) -> "HeightScan":
+        """Return a scan of the same raster whose range also holds two heights, in raw units.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If the type of the raster has no such heights.
+        """
+        wide = copy(self)
+        if not self.n_valid:
+            return wide
+        dtype = np.dtype(self.dtype)
+        limits: Any = np.iinfo(dtype) if dtype.kind in "iu" else np.finfo(dtype)
+        if low < Fraction(int(limits.min)) or high > Fraction(int(limits.max)):
+            raise InvalidHeightsError(
+                f"found `height_range` from {float(low):g} to {float(high):g} (stored units),"
+                f" expected heights of {self.dtype}"
+            )
+        if dtype.kind in "iu":
+            wide.minimum = min(self.minimum, math.floor(low))
+            wide.maximum = max(self.maximum, math.ceil(high))
+        else:
+            wide.minimum = min(self.minimum, float(low))
+            wide.maximum = max(self.maximum, float(high))
+        return wide
 
     def to_state(self) -> dict[str, Any]:
         """Return what has been seen, as plain values for JSON."""

@@ -104,6 +104,7 @@ def compress(
     mesh: str | MeshOptions = "auto",
     mesh_error: float | None = None,
     measure_meshes: bool = False,
+    height_range: tuple[float, float] | None = None,
     strict: bool = False,
     stable: bool = False,
     format: str = FORMATS[-1],
@@ -176,6 +177,10 @@ def compress(
         it, on average 1.7 times the true error. Measuring takes about as long as all the rest.
         The other kinds of meshes are always measured, as are files of ``Cdf97(faithful=True)``;
         `store_meshes` measures the meshes of a file later.
+    height_range : tuple of two floats, optional
+        Lowest and highest height that the file can hold, in physical units, besides its own: for
+        a later `patch`. By default a file holds the range of the raster, and `patch` refuses
+        heights outside it. A wider range costs few bytes, if any. Not for streams that are cut.
     strict : bool
         For floats on a decimal grid (0.1, 0.01 …), keep the bound for the stored floats:
         ``abs(decoded - original) <= max_error``, exactly and as numpy computes it in their type. By
@@ -245,6 +250,7 @@ def compress(
         mesh=mesh,
         mesh_error=mesh_error,
         measure_meshes=measure_meshes,
+        height_range=height_range,
         strict=strict,
         stable=stable,
         format=format,
@@ -264,9 +270,8 @@ def compress(
         _refuse_tiles(options)
         is_remote = temp_dir is not None and "://" in os.fspath(temp_dir)
         raster = shared_raster(src, band, nodata, heights_are)
-        url = temp_dir if is_remote else None
+        url, temp_dir = (temp_dir, None) if is_remote else (None, temp_dir)
         cluster = _Cluster(Workers(client, on_task), raster, url, task_samples or TASK_SAMPLES)
-        temp_dir = None if is_remote else temp_dir
     else:
         _refuse_tasks(task_samples, on_task)
     check_ending(dst, TWZ_ENDINGS, or_url=True)

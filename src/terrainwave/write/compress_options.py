@@ -11,8 +11,10 @@ from terrainwave.arguments import (
     check_choice,
     check_flags,
     checked_error,
+    checked_number,
     checked_threads,
     checked_whole,
+    shown,
 )
 from terrainwave.codec.method_options import (
     MethodChoice,
@@ -52,6 +54,7 @@ class Options:
     mesh: str | MeshOptions = "auto"
     mesh_error: float | None = None
     measure_meshes: bool = False
+    height_range: tuple[float, float] | None = None
     strict: bool = False
     stable: bool = False
     format: str = FORMATS[-1]
@@ -67,6 +70,8 @@ class Options:
             "mesh_error": checked_error("mesh_error", self.mesh_error),
             "block": checked_whole("block", self.block, expected=blocks),
         }
+        if self.height_range is not None:
+            settled["height_range"] = _checked_range(self.height_range)
         if settled["block"] not in BLOCKS:
             raise InvalidArgumentError(f"found `block` {settled['block']}, expected {blocks}")
         if self.threads is not None:
@@ -214,6 +219,26 @@ class Options:
 
 # What `to_metadata` states beside the fields of `Options`, of any method.
 _OF_METHODS = ("rate", "psnr", "border_rings", "faithful")
+
+
+def _checked_range(found: Any) -> tuple[float, float]:
+    """Return the lowest and the highest height that a file shall be able to hold.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If they are not two finite numbers in this order.
+    """
+    if not isinstance(found, tuple | list) or len(found) != 2:
+        raise InvalidArgumentError(
+            f"found `height_range` {shown(found)}, expected the lowest and the highest height"
+        )
+    low, high = (checked_number("height_range", end) for end in found)
+    if low > high:
+        raise InvalidArgumentError(
+            f"found `height_range` from {low:g} to {high:g}, expected the lower one first"
+        )
+    return low, high
 
 
 def _is_settled(mesh: str | MeshOptions) -> bool:

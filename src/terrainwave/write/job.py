@@ -311,7 +311,7 @@ def settled(
     else:
         bound, notes = _choose_bound(options, scan, info)
         # Tiles code whole levels at once: nothing of theirs could take remainders.
-        quantizer = scan.quantizer(
+        quantizer = _with_range(scan, options, info).quantizer(
             Fraction(0) if options.stable else _raw_bound(bound, info),
             may_have_remainders=not options.named_method.is_tiled,
             is_strict=options.strict,
@@ -347,6 +347,15 @@ def settled(
     if not above:
         return job.with_range_of_original(), notes + earlier_notes
     return settled(_with_smaller_bound(job, above, earlier), scan, info, earlier)
+
+
+def _with_range(scan: HeightScan, options: Options, info: RasterInfo) -> HeightScan:
+    """Return a scan whose range holds the heights that patches may bring, too."""
+    if options.height_range is None:
+        return scan
+    scale, offset = as_fraction(info.scale), as_fraction(info.offset)
+    low, high = sorted((as_fraction(end) - offset) / scale for end in options.height_range)
+    return scan.reaching(low, high)
 
 
 def _above_limit(job: Job, earlier: Earlier) -> Fraction:

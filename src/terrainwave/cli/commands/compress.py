@@ -18,6 +18,7 @@ from terrainwave.cli.options import (
     Bound,
     Input,
     Nodata,
+    Numbers,
     Target,
     batched,
     complete_files,
@@ -94,6 +95,13 @@ from terrainwave.progress import ProgressCallback
     is_flag=True,
     help="Make all meshes and store how far each is from the original. Default: whoever makes a"
     " mesh computes a bound for its error. Kinds other than halves are always measured.",
+)
+@click.option(
+    "--range",
+    "height_range",
+    type=Numbers("low,high", float),
+    help="Heights that the file can hold, besides the raster's own: patch refuses those outside."
+    " Default: the raster's lowest and highest.",
 )
 @click.option(
     "--strict",

@@ -5,5 +5,5 @@ from PyInstaller.utils.hooks import collect_data_files, collect_submodules
 hiddenimports = collect_submodules("terrainwave", filter=lambda name: ".ext." not in name)
 hiddenimports += collect_submodules("rasterio", filter=lambda name: ".rio" not in name)
 datas = collect_data_files("terrainwave") + collect_data_files("rasterio")
-# The cache of kernels knows them by their sources.
-module_collection_mode = "pyz+py"
+# As files: the cache of kernels knows them by their sources.
+module_collection_mode = "py"

@@ -193,10 +193,19 @@ class Merged:
         slack = quantizer.quantum / 2 if quantizer.rho else 0.0
         for name, (lowest, highest) in ranges.items():
             if lowest < low - slack or highest > high + slack:
+                wanted = self._range_text(min(lowest, low), max(highest, high))
                 raise InvalidHeightsError(
                     f"{name} has heights from {lowest:.10g} to {highest:.10g}, the file can hold"
-                    f" {low:.10g} to {high:.10g} (stored units): compress the whole raster again"
+                    f" {low:.10g} to {high:.10g} (stored units): units that stay are decoded with"
+                    " this range, so it cannot grow. Compress the whole raster again, with"
+                    f" `height_range` {wanted} to leave room for patches"
                 )
+
+    def _range_text(self, low: float, high: float) -> str:
+        """Return two stored heights as a range in physical units, the lower one first."""
+        info = self._terrain.raster_info
+        ends = sorted(info.scale * end + info.offset for end in (low, high))
+        return ",".join(f"{end:.10g}" for end in ends)
 
     def _checked_heights(
         self, name: str, raw: NDArray[Any], valid: NDArray[np.bool_], which: Mask
