@@ -100,11 +100,13 @@ WRONG = {
     "Mesh.save": {
         "path": PATH, "frame": WORD, "z_scale": NUMBER, "solid": NUMBER, "radius": NUMBER,
         "skirts": [*NUMBER, 0, -1], "up": WORD, "vertical": WORD, "overwrite": FLAG,
+        "drape": PATH,
     },
     "save_lods": OF_FILES | {
         "src": [5, None, ""], "dst": PATH, "n_lods": [*WHOLE, 0, 17], "max_error": [*NUMBER, 0],
         "window": FOUR, "bounds": FOUR, "optimise": WHOLE, "frame": WORD, "z_scale": NUMBER,
         "solid": NUMBER, "skirts": [*NUMBER, 0], "radius": NUMBER, "vertical": WORD, "up": WORD,
+        "drape": PATH,
     },
 }  # fmt: skip
 

@@ -17,11 +17,13 @@ from terrainwave.container.targets.publication import refuse_own_source
 from terrainwave.errors import BoundViolationError, InvalidArgumentError, TerrainwaveWarning
 from terrainwave.export.mesh_files import (
     Shape,
+    check_drape,
     check_extension,
     mesh_for_file,
     note_on_rounding,
     prepare,
     save_mesh,
+    with_texture,
 )
 from terrainwave.export.mesh_formats import SavedMesh
 from terrainwave.progress import ProgressCallback
@@ -47,6 +49,7 @@ def save_lods(
     radius: float | None = None,
     vertical: str = AS_IS,
     up: str | None = None,
+    drape: str | os.PathLike[str] | None = None,
     threads: int | None = None,
     overwrite: bool = False,
     progress: ProgressCallback | None = None,
@@ -70,7 +73,7 @@ def save_lods(
         default that of the stored meshes, as in `Terrain.mesh`.
     window, bounds, optimise
         As in `Terrain.mesh`.
-    frame, z_scale, solid, skirts, radius, vertical, up
+    frame, z_scale, solid, skirts, radius, vertical, up, drape
         As in `Mesh.save`.
     threads : int, optional
         All processors by default.
@@ -104,7 +107,7 @@ def save_lods(
     n_lods = checked_whole("n_lods", n_lods, least=1, most=MOST_LODS)
     max_error = checked_error("max_error", max_error)
     check_flags(overwrite=overwrite)
-    shape = Shape(frame, z_scale, solid, skirts, radius, vertical, up)
+    shape = Shape(frame, z_scale, solid, skirts, radius, vertical, up, drape)
     options = vars(shape)
     shape.check(check_extension(dst))
     _refuse_zero(max_error, n_lods)
@@ -113,6 +116,7 @@ def save_lods(
         refuse_own_source(src, path)
         prepare(path, overwrite=overwrite)
     with Terrain(src, threads=threads) as terrain:
+        check_drape(terrain, drape)
         region = terrain.checked_window(window, bounds=bounds, level=-1).region
 
         def made(error: float | None) -> Any:
@@ -141,6 +145,11 @@ def save_lods(
             _log.info("LOD %d: %d triangles within %g", number, mesh.n_triangles, mesh.error)
             about = {"lod": number, "n_lods": n_lods}
             meshes.append(replace(mesh, attributes=mesh.attributes | {"about": about}))
+    if drape is not None:
+        texture = with_texture(meshes[0], drape).attributes["texture"]
+        meshes = [
+            replace(mesh, attributes=mesh.attributes | {"texture": texture}) for mesh in meshes
+        ]
     saved: list[SavedMesh] = []
     for mesh, path in zip(meshes, paths, strict=True):
         if saved and frame == "ecef":

@@ -20,6 +20,9 @@ _KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3"}
 _WHITE_PIXEL = base64.b64decode(
     "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGP4DwABAQEAsTj2FAAAAABJRU5ErkJggg=="
 )
+# Of the ground without a picture: as glTF counts, in proportion to light, and as pictures do, sRGB.
+_COLOR = 0.75, 0.72, 0.66
+GROUND_COLOR = 225, 221, 212
 _MAGIC, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
 
 
@@ -90,32 +93,40 @@ def _document(mesh: MeshData, about: dict[str, Any]) -> tuple[dict[str, Any], by
         )
     }
     uv = mesh.attributes.get("uv")
-    # Without a material programs take polished metal.
-    color: dict[str, Any] = {
-        "baseColorFactor": [0.75, 0.72, 0.66, 1.0],
-        "metallicFactor": 0.0,
-        "roughnessFactor": 1.0,
-    }
+    texture: tuple[bytes, str] | None = mesh.attributes.get("texture")
+    solid = mesh.attributes.get("solid")
+    materials = [_material("ground", _COLOR if texture is None else (1.0, 1.0, 1.0))]
     document: dict[str, Any] = {}
-    if uv is not None:
+    # A body's edges are sharp.
+    if uv is not None and solid is None:
         normals = vertex_normals(mesh).astype("<f4")
         attributes["NORMAL"] = buffer.add_array(normals, _FLOAT, _VERTICES)
+    of_walls = dict(attributes)
+    if uv is not None:
         # glTF counts v from the top of a picture.
         places = np.column_stack([uv[:, 0], 1 - uv[:, 1]]).astype("<f4")
         attributes["TEXCOORD_0"] = buffer.add_array(places, _FLOAT, _VERTICES)
-        # To be replaced by a picture: the places belong to it.
-        picture = buffer.add(_WHITE_PIXEL)
-        document["images"] = [{"name": "ground", "mimeType": "image/png", "bufferView": picture}]
+        # Without a picture there is one to be replaced: the places belong to it.
+        data, kind = texture or (_WHITE_PIXEL, "image/png")
+        document["images"] = [{"name": "ground", "mimeType": kind, "bufferView": buffer.add(data)}]
         sampler = {"magFilter": _LINEAR, "minFilter": _LINEAR_MIPMAP}
         document["samplers"] = [sampler | {"wrapS": _TO_EDGE, "wrapT": _TO_EDGE}]
         document["textures"] = [{"sampler": 0, "source": 0}]
-        color["baseColorTexture"] = {"index": 0}
+        materials[0]["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
     corners = np.ascontiguousarray(mesh.triangles, dtype="<u4").reshape(-1)
-    primitive = {
-        "attributes": attributes,
-        "indices": buffer.add_array(corners, _UNSIGNED, _INDICES),
-        "material": 0,
-    }
+    parts = [corners]
+    if texture is not None and solid is not None:
+        # Walls and base have no place in a picture from above.
+        parts = np.split(corners, [3 * solid["n_triangles"]])
+        materials.append(_material("walls", _COLOR))
+    primitives = [
+        {
+            "attributes": attributes if number == 0 else of_walls,
+            "indices": buffer.add_array(part, _UNSIGNED, _INDICES),
+            "material": number,
+        }
+        for number, part in enumerate(parts)
+    ]
     lod = about.get("lod")
     name = "terrain" if lod is None else f"terrain_lod{lod}"
     data = buffer.data()
@@ -124,13 +135,19 @@ def _document(mesh: MeshData, about: dict[str, Any]) -> tuple[dict[str, Any], by
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"name": name, "mesh": 0}],
-        "meshes": [{"name": name, "primitives": [primitive], "extras": {"terrainwave": about}}],
-        "materials": [{"name": "ground", "pbrMetallicRoughness": color}],
+        "meshes": [{"name": name, "primitives": primitives, "extras": {"terrainwave": about}}],
+        "materials": materials,
         "accessors": buffer.accessors,
         "bufferViews": buffer.views,
         "buffers": [{"byteLength": len(data)}],
     }
     return document, data
+
+
+def _material(name: str, color: tuple[float, float, float]) -> dict[str, Any]:
+    # Without a material programs take polished metal.
+    rough = {"baseColorFactor": [*color, 1.0], "metallicFactor": 0.0, "roughnessFactor": 1.0}
+    return {"name": name, "pbrMetallicRoughness": rough}
 
 
 def _numbers(values: NDArray[np.float32]) -> list[float]:

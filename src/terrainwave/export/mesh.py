@@ -44,6 +44,7 @@ class Mesh(MeshData):
         radius: float | None = None,
         vertical: str = AS_IS,
         up: str | None = None,
+        drape: str | os.PathLike[str] | None = None,
         overwrite: bool = False,
     ) -> SavedMesh:
         """Write the mesh to a file; see `terrainwave.export.mesh_files.save_mesh`.
@@ -70,6 +71,10 @@ class Mesh(MeshData):
         up : {"y", "z"}, optional
             The axis that points upwards in the file; y means coordinates (x, z, -y). By default y
             in glTF, which has no other, and z in other formats.
+        drape : path, optional
+            Path or URL of a picture to put into a .glb or .gltf, as for `Terrain.view`: warped to
+            the mesh's CRS, at most 8192 pixels a side. One without any coordinates covers the
+            whole raster, or the mesh if it is of none.
         overwrite : bool
             Replace an existing file.
 
@@ -91,6 +96,7 @@ class Mesh(MeshData):
             radius=radius,
             vertical=vertical,
             up=up,
+            drape=drape,
             overwrite=overwrite,
         )
 

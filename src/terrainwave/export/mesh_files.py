@@ -11,12 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave._version import __version__
-from terrainwave.arguments import AS_IS, UPWARDS, check_choice, check_ending, check_flags
+from terrainwave.arguments import (
+    AS_IS,
+    UPWARDS,
+    check_choice,
+    check_ending,
+    check_flags,
+    checked_path,
+)
 from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import check_target, publish
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.export.curvature import GlobeWay, divided, least_share, mesh_unit, share_of_edge
 from terrainwave.export.frames import areas, globe_way, quiet_place, steepest, to_frame
+from terrainwave.export.gltf import GROUND_COLOR
 from terrainwave.export.mesh_formats import (
     EXTENSIONS,
     EXTRA,
@@ -28,6 +36,8 @@ from terrainwave.export.mesh_formats import (
 )
 from terrainwave.export.solid import add_skirts, solidify
 from terrainwave.extras import need
+from terrainwave.file import TerrainFile
+from terrainwave.grid.affine import Footprint
 from terrainwave.mesh.mesh_data import CURVATURE_SHARE, CurvatureShare, MeshData
 
 _log = logging.getLogger(__name__)
@@ -61,6 +71,7 @@ class Shape:
     radius: float | None = None
     vertical: str = AS_IS
     up: str | None = None
+    drape: str | os.PathLike[str] | None = None
 
     def check(self, extension: str) -> None:
         """Refuse what does not go together, or not with a format.
@@ -77,6 +88,13 @@ class Shape:
             )
         if self.up is not None:
             check_choice("up", self.up, UPWARDS)
+        if self.drape is not None:
+            checked_path(self.drape, "drape")
+            if extension == TILE or not WRITERS[extension].has_picture:
+                raise InvalidArgumentError(
+                    f"found `drape` for {extension}, expected a name that ends in .glb or .gltf:"
+                    " other formats hold no picture"
+                )
         if extension == TILE:
             if replace(self, radius=None, vertical=AS_IS) != Shape():
                 raise InvalidArgumentError(
@@ -115,6 +133,7 @@ def save_mesh(
     radius: float | None = None,
     vertical: str = AS_IS,
     up: str | None = None,
+    drape: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
 ) -> SavedMesh:
     """Write a mesh; the extension of `path` tells the format.
@@ -136,21 +155,25 @@ def save_mesh(
     up : {"y", "z"}, optional
         The axis that points upwards in the file: with ``y`` the coordinates are (x, z, -y) of the
         frame's. By default ``y`` in glTF, which has no other, and ``z`` in other formats.
+    drape : path, optional
+        A picture to put into a ``.glb`` or ``.gltf``, as of `raster_io.drape.texture_of`; a mesh
+        that has one (`with_texture`) keeps it.
     overwrite : bool
         Replace an existing file.
 
     Raises
     ------
     InvalidHeightsError
-        If the extension is none of the known ones or an option does not fit.
+        If the extension is none of the known ones, an option does not fit, or the picture is none
+        of the ground under the mesh.
     TerrainwaveError
         If the package that writes the format is missing.
     StorageError
-        If the file cannot be written.
+        If the file cannot be written, or the picture not read.
     """
     extension = check_extension(path)
     check_flags(overwrite=overwrite)
-    shape = Shape(frame, z_scale, solid, skirts, radius, vertical, up)
+    shape = Shape(frame, z_scale, solid, skirts, radius, vertical, up, drape)
     shape.check(extension)
     if extension == TILE:
         need("quantized_mesh_encoder", extra=EXTRA)
@@ -168,6 +191,8 @@ def save_mesh(
         about["up"] = "y"
     if "uv" in framed.attributes:
         about["texture_bounds"] = list(mesh.area)
+    if drape is not None:
+        framed_file = with_texture(framed_file, drape)
     # Libraries count on numpy's own settings, which callers may have changed.
     with np.errstate(all="ignore"):
         data = writer.write(framed_file, about, Path(path))
@@ -188,6 +213,48 @@ def save_mesh(
         curvature=framed.attributes.get("sag", 0.0),
         share=mesh.share,
     )
+
+
+def with_texture(mesh: MeshData, drape: str | os.PathLike[str]) -> MeshData:
+    """Return the mesh with a picture for its file, unless it has one.
+
+    Parameters
+    ----------
+    mesh : MeshData
+        Of any frame.
+    drape : path
+        As of `save_mesh`.
+
+    Raises
+    ------
+    InvalidHeightsError, StorageError
+        As `raster_io.drape.texture_of`.
+    """
+    if "texture" in mesh.attributes:
+        return mesh
+    from terrainwave.raster_io.drape import texture_of
+
+    texture = texture_of(
+        os.fspath(drape), crs=mesh.crs, area=mesh.area, color=GROUND_COLOR,
+        plain_on=mesh.attributes.get("footprint"),
+    )  # fmt: skip
+    return replace(mesh, attributes=mesh.attributes | {"texture": texture})
+
+
+def check_drape(terrain: TerrainFile, drape: str | os.PathLike[str] | None) -> None:
+    """Raise now what `save_mesh` would raise for most pictures: the mesh may take long to make.
+
+    Raises
+    ------
+    InvalidHeightsError, StorageError
+        If it is no picture, cannot be read, or lies beside the terrain.
+    """
+    if drape is None:
+        return
+    from terrainwave.raster_io.drape import check_photo
+
+    footprint = Footprint(terrain.raster_info.transform, terrain.shape)
+    check_photo(os.fspath(drape), crs=terrain.crs, footprint=footprint)
 
 
 def file_rounding(mesh: MeshData, path: str | os.PathLike[str], **options: Any) -> float:
@@ -335,8 +402,8 @@ def _to_write(
     elif shape.skirts is not None:
         whole = add_skirts(mesh, shape.skirts, is_downward=_is_downward(mesh, shape))
     writer = WRITERS[extension]
-    if writer.has_normals and shape.solid is None:
-        # A body's walls have no place in a picture from above, and its edges are sharp.
+    if writer.has_normals and (shape.solid is None or shape.drape is not None):
+        # A body's walls have no place in a picture from above.
         whole = replace(whole, attributes=whole.attributes | {"uv": _texture_places(whole)})
     framed = to_frame(
         whole, shape.frame, z_scale=shape.z_scale, radius=shape.radius, vertical=shape.vertical

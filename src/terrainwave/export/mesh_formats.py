@@ -199,14 +199,16 @@ def _written_by_path(mesh: MeshData, path: Path, name: str) -> bytes:
 class Writer:
     """How a format is written: by which package, and what it holds.
 
-    `has_normals` says that surfaces have normals and places in a picture; `up` is the axis that
-    points upwards unless another one is asked for.
+    `has_normals` says that surfaces have normals and places in a picture, `has_picture` that the
+    picture itself can be in the file; `up` is the axis that points upwards unless another one is
+    asked for.
     """
 
     package: str | None
     is_float32: bool
     write: Callable[[MeshData, dict[str, Any], Path], bytes]
     has_normals: bool = False
+    has_picture: bool = False
     up: str = "z"
 
 
@@ -214,8 +216,8 @@ WRITERS = {
     ".ply": Writer("meshio", False, _write_ply),
     ".obj": Writer(None, False, _write_obj, has_normals=True),
     ".stl": Writer("trimesh", True, _write_stl),
-    ".glb": Writer(None, True, _write_glb, has_normals=True, up="y"),
-    ".gltf": Writer(None, True, _write_gltf, has_normals=True, up="y"),
+    ".glb": Writer(None, True, _write_glb, has_normals=True, has_picture=True, up="y"),
+    ".gltf": Writer(None, True, _write_gltf, has_normals=True, has_picture=True, up="y"),
     ".vtu": Writer("meshio", False, _write_vtu),
     ".vtk": Writer("meshio", False, _write_vtk),
 }

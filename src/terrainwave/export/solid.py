@@ -33,8 +33,9 @@ def solidify(mesh: MeshData, base: float) -> MeshData:
     Returns
     -------
     mesh : MeshData
-        ``attributes["solid"]`` holds ``base`` and ``moved``: how far, in units of the CRS, a
-        doubled vertex was moved at most.
+        ``attributes["solid"]`` holds ``base``, ``n_triangles``, how many triangles are the surface,
+        which come first, and ``moved``: how far, in units of the CRS, a doubled vertex was moved at
+        most.
 
     Raises
     ------
@@ -56,11 +57,12 @@ def solidify(mesh: MeshData, base: float) -> MeshData:
     starts, ends = border_edges(triangles).T
     walls = _walls(starts, ends, starts + n_top, ends + n_top)
     bottom = triangles[:, ::-1] + n_top
+    about = {"base": float(base), "n_triangles": len(triangles), "moved": moved}
     return replace(
         mesh,
         vertices=np.concatenate([vertices, below]),
         triangles=np.concatenate([triangles, walls, bottom]).astype(np.int32),
-        attributes=mesh.attributes | {"solid": {"base": float(base), "moved": moved}},
+        attributes=mesh.attributes | {"solid": about},
     )
 
 

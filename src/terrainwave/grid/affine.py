@@ -19,6 +19,14 @@ from numpy.typing import NDArray
 Transform = tuple[float, ...]
 Numbers = TypeVar("Numbers", float, NDArray[np.float64])
 
+
+class Footprint(NamedTuple):
+    """Where a raster lies: its transform, and its rows and columns."""
+
+    affine: Transform
+    shape: tuple[int, int]
+
+
 # Of an array that nobody placed.
 IDENTITY: Transform = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 

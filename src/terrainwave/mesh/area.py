@@ -28,6 +28,7 @@ from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, Terrai
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import (
     IDENTITY,
+    Footprint,
     determinant,
     pixels_to_places,
     samples_to_places,
@@ -380,6 +381,7 @@ class _Extractor(Generic[Made]):
         corners = np.array([(r, c) for r in (first_row, last_row) for c in (first_col, last_col)])
         x, y = samples_to_places(raster.transform, *(corners.T / 2))
         attributes["area"] = (float(x.min()), float(y.min()), float(x.max()), float(y.max()))
+        attributes["footprint"] = Footprint(raster.transform, self._terrain.shape)
         return self._kind(
             points, triangles, origin, error, crs, self._terrain.units, attributes,
             raster.heights_are,

@@ -37,7 +37,7 @@ class MeshData:
 
     `attributes` are passed on with the mesh: ``is_placed`` tells whether its x and y are places,
     ``impossible`` why these are on no globe, ``area`` what `area` returns, ``share`` what `share`
-    does, ``curvature`` a `CurvatureShare`.
+    does, ``curvature`` a `CurvatureShare`, ``footprint`` the `Footprint` of the raster.
     """
 
     vertices: NDArray[np.float64]

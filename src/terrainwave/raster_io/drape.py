@@ -1,4 +1,4 @@
-"""An orthophoto, warped to the grid of a terrain, as one picture for a texture."""
+"""An orthophoto, warped to the grid of a terrain, as one picture for a texture or inside a file."""
 
 import math
 import threading
@@ -15,11 +15,24 @@ from numpy.typing import NDArray
 from rasterio.crs import CRS
 from rasterio.enums import ColorInterp, Resampling
 from rasterio.errors import CRSError, NotGeoreferencedWarning
+from rasterio.io import MemoryFile
+from rasterio.transform import array_bounds
 from rasterio.vrt import WarpedVRT
 from rasterio.warp import transform, transform_bounds
 
-from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveError
-from terrainwave.grid.affine import Transform, determinant, pixels_to_places, places_to_pixels
+from terrainwave.errors import (
+    InvalidHeightsError,
+    StorageError,
+    TerrainwaveError,
+    TerrainwaveWarning,
+)
+from terrainwave.grid.affine import (
+    Footprint,
+    Transform,
+    determinant,
+    pixels_to_places,
+    places_to_pixels,
+)
 from terrainwave.place.crs import parse_crs
 from terrainwave.raster_io.dataset import open_dataset
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
@@ -50,6 +63,14 @@ _TILES = (
     "<ZeroBlockHttpCodes>204,404</ZeroBlockHttpCodes></GDAL_WMS>"
 )
 _ANY_CRS = CRS.from_epsg(3857)
+# Pixels a side of a picture in a mesh's file: what WebGL, phones and game engines take.
+_MOST_IN_FILE = 8192
+# Cells a side of the grid by which a photo is compared with a mesh's area.
+_CELLS = 4096
+# Colours of a map, rather than of a photo: those of a palette, and the ground's.
+_FEW_COLORS = 257
+_JPEG_QUALITY = 90
+_ROWS_AT_ONCE = 256
 
 
 class Drape(NamedTuple):
@@ -88,6 +109,9 @@ class Photo:
         a, b, c, d, e, f of the grid: x = a col + b row + c.
     shape : tuple of int
         Rows and columns of the grid.
+    plain_on : Footprint, optional
+        In the grid's CRS: what a picture covers that does not say where it lies. Without it such a
+        picture is refused.
 
     Raises
     ------
@@ -98,10 +122,16 @@ class Photo:
     """
 
     def __init__(
-        self, path: str, *, crs: str | None, affine: Transform, shape: tuple[int, int]
+        self,
+        path: str,
+        *,
+        crs: str | None,
+        affine: Transform,
+        shape: tuple[int, int],
+        plain_on: Footprint | None = None,
     ) -> None:
         self.is_tiled = is_tile_url(path)
-        self._path, self._affine = path, affine
+        self._path, self._affine, self._shape = path, affine, shape
         self._lock = threading.Lock()
         self._file: Any = None
         self._levels: dict[int, Any] = {}
@@ -110,13 +140,26 @@ class Photo:
             raise InvalidHeightsError("the terrain's affine transform cannot be inverted")
         with self._reading():
             self._file = _open(path)
-            _check(path, self._file, grid_crs)
+            self._plain_on = plain_on if _is_plain(self._file) else None
+            _check(path, self._file, grid_crs, is_plain=self._plain_on is not None)
             # Where neither says what its coordinates are, any projected system does for both.
-            self._crs, self._grid_crs = self._file.crs or _ANY_CRS, grid_crs or _ANY_CRS
-            self.place = _overlap(path, self._file, self._crs, self._grid_crs, affine, shape)
+            self._grid_crs = grid_crs or _ANY_CRS
+            self._crs = self._grid_crs if self._plain_on else self._file.crs or _ANY_CRS
+            placed = self._placed(self._file)
+            bounds = array_bounds(self._file.height, self._file.width, placed)
+            self.place = _overlap(path, bounds, self._crs, self._grid_crs, affine, shape)
             col, row, n_cols, n_rows = self.place
             middle = col + n_cols / 2, row + n_rows / 2
-            self.finer = _texels_per_pixel(self._file, self._crs, self._grid_crs, affine, *middle)
+            self._finer = _texels_per_pixel(placed, self._crs, self._grid_crs, affine, *middle)
+            self.finer = math.sqrt(math.prod(self._finer))
+
+    def _placed(self, file: Any) -> Any:
+        """Return the transform of the photo, or of an overview of it."""
+        if self._plain_on is None:
+            return file.transform
+        (a, b, c, d, e, f), (n_rows, n_cols) = self._plain_on
+        along, down = n_cols / file.width, n_rows / file.height
+        return rasterio.Affine(a * along, b * down, c, d * along, e * down, f)
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
@@ -150,6 +193,21 @@ class Photo:
         """
         return self.part(self.place, self.size(max_side, max_bytes))
 
+    def over_grid(self, max_side: int) -> tuple[Drape, tuple[int, int]]:
+        """Return a picture of the whole grid, clear where the photo ends.
+
+        It has the photo's own resolution along rows and columns, in at most `max_side` texels a
+        side. The second result is the width and height that this would have without a limit.
+        """
+        n_rows, n_cols = self._shape
+        along, down = self._finer
+        # Rounding must not add a texel.
+        own = max(math.ceil(n_cols * along - 1e-6), 1), max(math.ceil(n_rows * down - 1e-6), 1)
+        if self.is_tiled:
+            own = _size(*own, _MOST_TILED, _MOST_TILED**2 * _TEXEL_BYTES)
+        size = _size(*own, max_side, max_side**2 * _TEXEL_BYTES)
+        return self.part((0.0, 0.0, n_cols, n_rows), size), own
+
     def part(self, place: tuple[float, float, float, float], size: tuple[int, int]) -> Drape:
         """Return a part of the grid.
 
@@ -168,8 +226,9 @@ class Photo:
         placed = rasterio.Affine(a * along, b * down, x, d * along, e * down, y)
         with self._reading():
             # GDAL warps from the full resolution, however coarse the result.
-            file = self._level(self.finer * min(along, down))
-            pixels = _warped(file, self._crs, self._grid_crs, placed, width, height)
+            file = self._level(min(self._finer[0] * along, self._finer[1] * down))
+            own = self._crs, self._placed(file)
+            pixels = _warped(file, own, self._grid_crs, placed, width, height)
         return Drape(pixels, col, row, n_cols, n_rows)
 
     def _level(self, coarser: float) -> Any:
@@ -207,6 +266,118 @@ def is_tile_url(path: str) -> bool:
     )
 
 
+def check_photo(path: str, *, crs: str | None, footprint: Footprint) -> None:
+    """Raise now what `texture_of` would raise for this photo of a terrain, without warping it.
+
+    Raises
+    ------
+    InvalidHeightsError, StorageError
+        As `Photo`.
+    """
+    Photo(path, crs=crs, affine=footprint.affine, shape=footprint.shape, plain_on=footprint).close()
+
+
+def texture_of(
+    path: str,
+    *,
+    crs: str | None,
+    area: tuple[float, float, float, float],
+    plain_on: Footprint | None,
+    color: tuple[int, int, int],
+) -> tuple[bytes, str]:
+    """Return a picture of an area for a mesh's file: the left, upper corner comes first.
+
+    Parameters
+    ----------
+    path : str
+        As of `Photo`. A warning tells of one that has more than 8192 pixels a side over the area.
+    crs : str, optional
+        Of the area.
+    area : tuple of float
+        Left, bottom, right, top.
+    plain_on : Footprint, optional
+        What a picture without a place covers; by default the area.
+    color : tuple of int
+        Red, green, blue where the photo is clear, void or ends.
+
+    Returns
+    -------
+    data : bytes
+        A PNG if it has at most 257 colours and is no larger as such, else a JPEG.
+    kind : str
+        ``image/png`` or ``image/jpeg``.
+
+    Raises
+    ------
+    InvalidHeightsError, StorageError
+        As `Photo`, and if nothing of it is over the area.
+    """
+    left, bottom, right, top = area
+    affine = ((right - left) / _CELLS, 0.0, left, 0.0, (bottom - top) / _CELLS, top)
+    grid = Footprint(affine, (_CELLS, _CELLS))
+    with Photo(path, crs=crs, affine=affine, shape=grid.shape, plain_on=plain_on or grid) as photo:
+        drape, own = photo.over_grid(_MOST_IN_FILE)
+    if not drape.pixels[..., 3].any():
+        raise InvalidHeightsError(
+            f"{path} is void or clear all over the mesh; expected a picture that shows some of it"
+        )
+    height, width = drape.pixels.shape[:2]
+    if max(own) > _MOST_IN_FILE:
+        warnings.warn(
+            f"{path} has {own[0]} x {own[1]} pixels over the mesh, more than many programs can"
+            f" show; the file has {width} x {height}",
+            TerrainwaveWarning,
+            stacklevel=2,
+        )
+    pixels = _opaque(drape.pixels, color)
+    try:
+        return _encoded(pixels)
+    except GDAL_ERRORS as error:
+        raise StorageError(f"cannot write {path} as a texture: {one_line(error)}") from error
+
+
+def _opaque(pixels: NDArray[np.uint8], color: tuple[int, int, int]) -> NDArray[np.uint8]:
+    """Return red, green and blue of a picture over a ground of one colour."""
+    ground = np.array(color, dtype=np.uint16)
+    made = np.empty((*pixels.shape[:2], 3), dtype=np.uint8)
+    for row in range(0, len(pixels), _ROWS_AT_ONCE):
+        part = pixels[row : row + _ROWS_AT_ONCE].astype(np.uint16)
+        alpha = part[..., 3:]
+        made[row : row + _ROWS_AT_ONCE] = (
+            part[..., :3] * alpha + ground * (255 - alpha) + 127
+        ) // 255
+    return made
+
+
+def _encoded(pixels: NDArray[np.uint8]) -> tuple[bytes, str]:
+    """Return a picture of red, green and blue in the kind of file that suits it, and the kind."""
+    photo = _as_file(pixels, driver="JPEG", quality=_JPEG_QUALITY), "image/jpeg"
+    if not _has_few_colors(pixels):
+        return photo
+    drawn = _as_file(pixels, driver="PNG"), "image/png"
+    return min(drawn, photo, key=lambda one: len(one[0]))
+
+
+def _has_few_colors(pixels: NDArray[np.uint8]) -> bool:
+    found = np.empty(0, dtype=np.uint32)
+    for row in range(0, len(pixels), _ROWS_AT_ONCE):
+        red, green, blue = np.moveaxis(pixels[row : row + _ROWS_AT_ONCE].astype(np.uint32), -1, 0)
+        found = np.union1d(found, red << 16 | green << 8 | blue)
+        if len(found) > _FEW_COLORS:
+            return False
+    return True
+
+
+def _as_file(pixels: NDArray[np.uint8], **profile: Any) -> bytes:
+    """Return a picture as GDAL writes it."""
+    height, width = pixels.shape[:2]
+    with bounded_env(), warnings.catch_warnings(), MemoryFile() as memory:
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with memory.open(width=width, height=height, count=3, dtype="uint8", **profile) as file:
+            file.write(np.moveaxis(pixels, -1, 0))
+        return bytes(memory.read())
+
+
 def _open(path: str, **options: Any) -> Any:
     if not is_tile_url(path):
         return rasterio.open(path, **options) if options else open_dataset(path)
@@ -216,7 +387,17 @@ def _open(path: str, **options: Any) -> Any:
         return rasterio.open(_TILES.format(url=url, edge=math.pi * 6378137.0), **options)
 
 
-def _check(path: str, photo: Any, grid_crs: Any) -> None:
+def _is_plain(photo: Any) -> bool:
+    """Say whether a picture has nothing that could tell where it lies."""
+    return (
+        photo.transform.is_identity
+        and photo.crs is None
+        and not photo.gcps[0]
+        and photo.rpcs is None
+    )
+
+
+def _check(path: str, photo: Any, grid_crs: Any, *, is_plain: bool) -> None:
     """Refuse what cannot be draped."""
     n_colors = photo.count - (ColorInterp.alpha in photo.colorinterp)
     if n_colors not in (1, 3, 4) or photo.dtypes[0] != "uint8":
@@ -224,6 +405,8 @@ def _check(path: str, photo: Any, grid_crs: Any) -> None:
             f"{path} has {photo.count} bands of {photo.dtypes[0]}; expected a picture of 1 or 3"
             " bands of 8 bits: gdal_translate -ot Byte -scale -b 1 -b 2 -b 3"
         )
+    if is_plain:
+        return
     if photo.transform.is_identity or photo.transform.determinant == 0:
         raise InvalidHeightsError(
             f"{path} does not say where it lies; expected a georeferenced picture:"
@@ -238,12 +421,15 @@ def _check(path: str, photo: Any, grid_crs: Any) -> None:
 
 
 def _overlap(
-    path: str, photo: Any, photo_crs: Any, grid_crs: Any, grid: Transform, shape: tuple[int, int]
+    path: str,
+    bounds: tuple[float, ...],
+    photo_crs: Any,
+    grid_crs: Any,
+    grid: Transform,
+    shape: tuple[int, int],
 ) -> tuple[float, float, float, float]:
     """Return column, row, columns and rows of the grid that the photo covers."""
-    left, bottom, right, top = transform_bounds(
-        photo_crs, grid_crs, *photo.bounds, densify_pts=_DENSITY
-    )
+    left, bottom, right, top = transform_bounds(photo_crs, grid_crs, *bounds, densify_pts=_DENSITY)
     corners = [places_to_pixels(grid, x, y) for x in (left, right) for y in (bottom, top)]
     rows, cols = zip(*corners, strict=True)
     col, row = max(math.floor(min(cols)), 0), max(math.floor(min(rows)), 0)
@@ -258,18 +444,20 @@ def _overlap(
 
 
 def _texels_per_pixel(
-    photo: Any, photo_crs: Any, grid_crs: Any, grid: Transform, col: float, row: float
-) -> float:
-    """Return how many pixels of the photo lie along one of the grid, near a place of it."""
+    placed: Any, photo_crs: Any, grid_crs: Any, grid: Transform, col: float, row: float
+) -> tuple[float, float]:
+    """Return how many pixels of the photo lie along one of the grid, near a place of it.
+
+    Along a row of the grid, and along a column.
+    """
     near = ((row, col), (row, col + 1), (row + 1, col))
     places = [pixels_to_places(grid, *pixel) for pixel in near]
     xs, ys = transform(grid_crs, photo_crs, *zip(*places, strict=True))
-    placed = tuple(photo.transform)[:6]
-    (row_0, col_0), (row_1, col_1), (row_2, col_2) = (
-        places_to_pixels(placed, x, y) for x, y in zip(xs, ys, strict=True)
+    first, along, down = (
+        places_to_pixels(tuple(placed)[:6], x, y) for x, y in zip(xs, ys, strict=True)
     )
-    area = abs((col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0))
-    return math.sqrt(area) if math.isfinite(area) and area > 0 else 1.0
+    finer = math.dist(first, along), math.dist(first, down)
+    return finer if all(math.isfinite(one) and one > 0 for one in finer) else (1.0, 1.0)
 
 
 def _size(width: float, height: float, max_side: int, max_bytes: int) -> tuple[int, int]:
@@ -283,14 +471,14 @@ def _size(width: float, height: float, max_side: int, max_bytes: int) -> tuple[i
 
 
 def _warped(
-    photo: Any, photo_crs: Any, grid_crs: Any, affine: Any, width: int, height: int
+    photo: Any, placed: tuple[Any, Any], grid_crs: Any, affine: Any, width: int, height: int
 ) -> NDArray[np.uint8]:
-    """Return the photo on a grid, (height, width, 4); its overviews are used."""
+    """Return the photo on a grid, (height, width, 4); `placed` is its CRS and transform."""
     has_palette = photo.colorinterp[0] == ColorInterp.palette
     has_alpha = ColorInterp.alpha in photo.colorinterp
     options = {
-        "src_crs": photo_crs, "crs": grid_crs, "transform": affine, "width": width,
-        "height": height, "add_alpha": not has_alpha,
+        "src_crs": placed[0], "src_transform": placed[1], "crs": grid_crs, "transform": affine,
+        "width": width, "height": height, "add_alpha": not has_alpha,
         "resampling": Resampling.nearest if has_palette else Resampling.bilinear,
     }  # fmt: skip
     with WarpedVRT(photo, **options) as warped:

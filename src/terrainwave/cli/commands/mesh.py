@@ -15,6 +15,7 @@ from terrainwave.cli.options import (
     Bound,
     Finite,
     Input,
+    Name,
     Numbers,
     Positive,
     check_one_area,
@@ -106,6 +107,14 @@ _OF_ONE_MESH = {"max_triangles", "level", "loose"}
     type=click.Choice(UPWARDS),
     help="Axis that points upwards. Default: y in .glb and .gltf, which allow no other, z in other"
     " formats.",
+)
+@click.option(
+    "--drape",
+    type=Name(),
+    metavar="IMAGE",
+    help="Put a picture on the mesh, in .glb and .gltf: an orthophoto, warped to the terrain's CRS"
+    " (a file, a URL or the URL of tiles, https://.../{z}/{x}/{y}.png), or a picture without"
+    " coordinates, which covers the whole terrain.",
 )
 @RADIUS_OPTION
 @VERTICAL_OPTION
@@ -222,6 +231,7 @@ def _export_mesh(
     radius: float | None,
     vertical: str,
     up: str | None,
+    drape: str | None,
     lods: int | None,
     optimise: bool,
     loose: bool,
@@ -233,7 +243,7 @@ def _export_mesh(
 ) -> None:
     shape = {
         "frame": frame, "z_scale": z_scale, "solid": solid, "skirts": skirts, "radius": radius,
-        "vertical": vertical, "up": up,
+        "vertical": vertical, "up": up, "drape": drape,
     }  # fmt: skip
     check_one_area(options)
     _check_shape(target, shape)
@@ -286,7 +296,12 @@ def _save_mesh(
 ) -> Any:
     import terrainwave
     from terrainwave.container.targets.publication import refuse_own_source
-    from terrainwave.export.mesh_files import mesh_for_file, note_on_rounding, prepare
+    from terrainwave.export.mesh_files import (
+        check_drape,
+        mesh_for_file,
+        note_on_rounding,
+        prepare,
+    )
 
     refuse_own_source(file, target)
     prepare(target, overwrite=overwrite)
@@ -296,6 +311,7 @@ def _save_mesh(
         terrainwave.open(file, threads=threads) as terrain,
         Bar(quiet=quiet) as bar,
     ):
+        check_drape(terrain, shape["drape"])
 
         def make(max_error: float | None) -> Any:
             return terrain.mesh(progress=bar, **options | {"max_error": max_error})
