@@ -7,8 +7,10 @@ import sys
 import meshio
 import numpy as np
 import pytest
+import rasterio
 import trimesh
 from click.testing import CliRunner
+from PIL import Image
 from rasterio.transform import Affine
 from strategies import terrain_like, write_geotiff
 from tri.meshes import grid_mesh
@@ -272,6 +274,44 @@ def test_a_missing_package_is_told_before_the_work(tmp_path, twz, asked, monkeyp
     assert asked == {}
 
 
+def test_a_picture_is_in_the_file_and_a_larger_one_is_noted(tmp_path, twz, asked, monkeypatch):
+    monkeypatch.setattr("terrainwave.raster_io.drape._MOST_IN_FILE", 16)
+    Image.new("RGB", (40, 66), (255, 0, 0)).save(tmp_path / "plain.png")
+    result = run("mesh", twz, tmp_path / "a.glb", "--drape", tmp_path / "plain.png")
+    assert result.exit_code == 0
+    assert re.search(r"note: .*plain\.png has \d+ x \d+ pixels over the mesh", result.stderr)
+    found = trimesh.load(tmp_path / "a.glb", force="mesh").visual.material.baseColorTexture
+    assert max(found.size) == 16
+    assert found.getpixel((0, 0)) == (255, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("target", "picture", "status", "words"),
+    [
+        ("a.ply", "dem.tif", 2, "found --drape for .ply, expected a name that ends in .glb"),
+        ("a.stl", "dem.tif", 2, "found --drape for .stl, expected a name that ends in .glb"),
+        ("a.terrain", "dem.tif", 2, "found --drape for .terrain, expected a name that ends"),
+        ("a.glb", "none.tif", 1, "none.tif: no such file"),
+        ("a.glb", "dem.tif", 1, "expected a picture of 1 or 3 bands of 8 bits"),
+        ("a.glb", "dem.twz", 1, "is already a terrainwave file"),
+        ("a.glb", "beside.tif", 1, "lies beside the terrain"),
+    ],
+)
+@pytest.mark.parametrize("lods", [(), ("--lods", "2")])
+def test_a_picture_that_does_not_fit_is_told_before_the_work(
+    tmp_path, twz, asked, target, picture, status, words, lods
+):
+    with rasterio.open(
+        tmp_path / "beside.tif", "w", driver="GTiff", count=1, height=4, width=4, dtype="uint8",
+        crs="EPSG:32611", transform=Affine(30, 0, 9e5, 0, -30, 4e6),
+    ) as file:  # fmt: skip
+        file.write(np.ones((1, 4, 4), np.uint8))
+    command = ["mesh", twz, tmp_path / target, "--drape", tmp_path / picture, *lods]
+    assert words in one_line(run(*command), status)
+    assert asked == {}
+    assert not [path for path in tmp_path.iterdir() if path.suffix in (".ply", ".stl", ".glb")]
+
+
 def test_a_base_above_the_ground_is_refused(tmp_path, twz, asked):
     line = one_line(run("mesh", twz, tmp_path / "a.stl", "--solid", "1000"), 2)
     assert "found --solid 1000, expected less than the mesh's lowest height" in line
@@ -419,6 +459,7 @@ def test_store_adds_meshes_to_a_copy(tmp_path):
             "--store --mesh rqt -o rate=1",
             "found -o rate=1, expected -o select (see terrainwave mesh",
         ),
+        ("--store --drape a.png", "found --drape with --store, expected none of them"),
         ("-o labels=coded", "found -o without --store"),
     ],
 )

@@ -4,8 +4,10 @@ import json
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 from ext.rasters import hills, write_twz
+from PIL import Image
 
 import terrainwave
 
@@ -39,8 +41,15 @@ def twz(tmp_path_factory):
 
 
 @pytest.mark.parametrize("ending", ["glb", "gltf"])
+@pytest.mark.parametrize("is_draped", [False, True])
 @pytest.mark.parametrize("options", [{}, {"skirts": 9.0}, {"solid": -99.0}, {"frame": "ecef"}])
-def test_a_set_of_levels_of_detail_is_valid_without_a_message(tmp_path, twz, ending, options):
+def test_a_set_of_levels_of_detail_is_valid_without_a_message(
+    tmp_path, twz, ending, options, is_draped
+):
+    if is_draped:
+        noise = np.random.default_rng(1).integers(0, 256, (31, 45, 3), dtype=np.uint8)
+        Image.fromarray(noise).save(tmp_path / "plain.png")
+        options = options | {"drape": tmp_path / "plain.png"}
     saved = terrainwave.save_lods(twz, tmp_path / f"a.{ending}", 4, max_error=2, **options)
     assert messages(*(one.path for one in saved)) == [[]] * 4
 

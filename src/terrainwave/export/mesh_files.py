@@ -192,7 +192,9 @@ def save_mesh(
     if "uv" in framed.attributes:
         about["texture_bounds"] = list(mesh.area)
     if drape is not None:
-        framed_file = with_texture(framed_file, drape)
+        texture = with_texture(mesh, drape).attributes["texture"]
+        attributes = framed_file.attributes | {"texture": texture}
+        framed_file = replace(framed_file, attributes=attributes)
     # Libraries count on numpy's own settings, which callers may have changed.
     with np.errstate(all="ignore"):
         data = writer.write(framed_file, about, Path(path))
@@ -221,7 +223,7 @@ def with_texture(mesh: MeshData, drape: str | os.PathLike[str]) -> MeshData:
     Parameters
     ----------
     mesh : MeshData
-        Of any frame.
+        In its CRS.
     drape : path
         As of `save_mesh`.
 

@@ -16,7 +16,6 @@ from rasterio.crs import CRS
 from rasterio.enums import ColorInterp, Resampling
 from rasterio.errors import CRSError, NotGeoreferencedWarning
 from rasterio.io import MemoryFile
-from rasterio.transform import array_bounds
 from rasterio.vrt import WarpedVRT
 from rasterio.warp import transform, transform_bounds
 
@@ -146,7 +145,7 @@ class Photo:
             self._grid_crs = grid_crs or _ANY_CRS
             self._crs = self._grid_crs if self._plain_on else self._file.crs or _ANY_CRS
             placed = self._placed(self._file)
-            bounds = array_bounds(self._file.height, self._file.width, placed)
+            bounds = _bounds(placed, self._file.width, self._file.height)
             self.place = _overlap(path, bounds, self._crs, self._grid_crs, affine, shape)
             col, row, n_cols, n_rows = self.place
             middle = col + n_cols / 2, row + n_rows / 2
@@ -418,6 +417,13 @@ def _check(path: str, photo: Any, grid_crs: Any, *, is_plain: bool) -> None:
             f"{without} has no coordinate reference system and {other} has one; expected both or"
             " neither: gdal_edit.py -a_srs gives a raster one"
         )
+
+
+def _bounds(placed: Any, width: int, height: int) -> tuple[float, float, float, float]:
+    """Return left, bottom, right, top of a raster, which may be turned."""
+    corners = [(row, col) for row in (0.0, height) for col in (0.0, width)]
+    xs, ys = zip(*(pixels_to_places(tuple(placed)[:6], *one) for one in corners), strict=True)
+    return min(xs), min(ys), max(xs), max(ys)
 
 
 def _overlap(
