@@ -62,7 +62,8 @@ _TILES = (
     "<ZeroBlockHttpCodes>204,404</ZeroBlockHttpCodes></GDAL_WMS>"
 )
 _ANY_CRS = CRS.from_epsg(3857)
-# Pixels a side of a picture in a mesh's file: what WebGL, phones and game engines take.
+# Pixels a side of a picture in a mesh's file: what WebGL, phones and game engines take. A power of
+# two, as its sides are.
 _MOST_IN_FILE = 8192
 # Cells a side of the grid by which a photo is compared with a mesh's area.
 _CELLS = 4096
@@ -195,8 +196,9 @@ class Photo:
     def over_grid(self, max_side: int) -> tuple[Drape, tuple[int, int]]:
         """Return a picture of the whole grid, clear where the photo ends.
 
-        It has the photo's own resolution along rows and columns, in at most `max_side` texels a
-        side. The second result is the width and height that this would have without a limit.
+        Its sides are powers of two, as engines want them for smaller copies of a texture: the next
+        ones after the photo's own resolution along rows and columns, up to `max_side`, which is
+        one. The second result is the width and height at the photo's own resolution.
         """
         n_rows, n_cols = self._shape
         along, down = self._finer
@@ -204,8 +206,8 @@ class Photo:
         own = max(math.ceil(n_cols * along - 1e-6), 1), max(math.ceil(n_rows * down - 1e-6), 1)
         if self.is_tiled:
             own = _size(*own, _MOST_TILED, _MOST_TILED**2 * _TEXEL_BYTES)
-        size = _size(*own, max_side, max_side**2 * _TEXEL_BYTES)
-        return self.part((0.0, 0.0, n_cols, n_rows), size), own
+        width, height = (min(1 << (side - 1).bit_length(), max_side) for side in own)
+        return self.part((0.0, 0.0, n_cols, n_rows), (width, height)), own
 
     def part(self, place: tuple[float, float, float, float], size: tuple[int, int]) -> Drape:
         """Return a part of the grid.
@@ -315,12 +317,12 @@ def texture_of(
     affine = ((right - left) / _CELLS, 0.0, left, 0.0, (bottom - top) / _CELLS, top)
     grid = Footprint(affine, (_CELLS, _CELLS))
     with Photo(path, crs=crs, affine=affine, shape=grid.shape, plain_on=plain_on or grid) as photo:
-        drape, own = photo.over_grid(_MOST_IN_FILE)
-    if not drape.pixels[..., 3].any():
+        (pixels, *_), own = photo.over_grid(_MOST_IN_FILE)
+    if not pixels[..., 3].any():
         raise InvalidHeightsError(
             f"{path} is void or clear all over the mesh; expected a picture that shows some of it"
         )
-    height, width = drape.pixels.shape[:2]
+    height, width = pixels.shape[:2]
     if max(own) > _MOST_IN_FILE:
         warnings.warn(
             f"{path} has {own[0]} x {own[1]} pixels over the mesh, more than many programs can"
@@ -328,7 +330,7 @@ def texture_of(
             TerrainwaveWarning,
             stacklevel=2,
         )
-    pixels = _opaque(drape.pixels, color)
+    pixels = _opaque(pixels, color)
     try:
         return _encoded(pixels)
     except GDAL_ERRORS as error:
@@ -373,7 +375,8 @@ def _as_file(pixels: NDArray[np.uint8], **profile: Any) -> bytes:
     with bounded_env(), warnings.catch_warnings(), MemoryFile() as memory:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         with memory.open(width=width, height=height, count=3, dtype="uint8", **profile) as file:
-            file.write(np.moveaxis(pixels, -1, 0))
+            for band in range(3):
+                file.write(pixels[..., band], band + 1)
         return bytes(memory.read())
 
 
