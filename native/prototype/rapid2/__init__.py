@@ -1,0 +1,1 @@
+"""The next default method: all details before any height (step 26)."""
