@@ -64,7 +64,8 @@ WRONG = {
     },
     "verify": {
         "twz": PATH, "original": PATH, "max_error": NUMBER, "band": WHOLE, "nodata": VALUE,
-        "heights_are": WORD, "mesh": FLAG, "threads": WHOLE, "progress": CALLABLE,
+        "heights_are": WORD, "part": FLAG, "mesh": FLAG, "threads": WHOLE,
+        "progress": CALLABLE,
     },
     "store_meshes": OF_FILES | {
         "src": [5, None, ""], "dst": PATH, "mesh": WORD, "mesh_error": NUMBER, "original": [5, ""],

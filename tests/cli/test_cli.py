@@ -17,6 +17,7 @@ import pytest
 import rasterio
 from commands import one_line, run, start
 from rasterio.transform import Affine
+from rasterio.windows import Window
 from reference import recursive_errors
 from strategies import read_geotiff, terrain_like, write_geotiff
 
@@ -486,6 +487,39 @@ def test_verify_says_how_many_heights_it_compared(dem, twz, with_original):
     said = "20,960 heights compared" if with_original else "no heights compared: give the ORIGINAL"
     assert done.stdout.startswith(said)
     assert done.stderr == ""
+
+
+def test_verify_compares_a_part_alone_and_says_which(tmp_path, dem, twz):
+    with rasterio.open(dem) as dataset:
+        window = Window(30, 20, 50, 40)
+        part = dataset.read(1, window=window)
+        profile = dataset.profile | {
+            "height": 40, "width": 50, "transform": dataset.transform @ Affine.translation(30, 20),
+        }  # fmt: skip
+    (tmp_path / "parts").mkdir()
+    path = tmp_path / "parts" / f"{twz.stem}.tif"
+    with rasterio.open(path, "w", **profile) as dataset:
+        dataset.write(part, 1)
+    done = run("verify", twz, path, "--part")
+    assert done.exit_code == 0, done.output
+    said = "heights compared in rows 20 to 59, columns 30 to 79"
+    assert f"{said} of the file: max error" in done.stdout
+    done = run("verify", twz, "--originals", path.parent, "--part")
+    assert done.exit_code == 0, done.output
+    assert said in done.stdout
+    assert json.loads(run("verify", twz, path, "--part", "--json").stdout)["window"] == [
+        20, 30, 40, 50
+    ]  # fmt: skip
+    assert run("verify", twz, path).exit_code == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"), [([], "found --part without ORIGINAL"), (["--mesh"], "--part and --mesh")]
+)
+def test_verify_refuses_a_part_without_an_original_and_its_meshes(dem, twz, words, problem):
+    done = run("verify", twz, *[dem] * bool(words), "--part", *words)
+    assert done.exit_code == 2
+    assert problem in done.stderr
 
 
 @pytest.mark.parametrize("is_strict", [False, True])

@@ -293,3 +293,19 @@ def test_array_that_is_no_raster_is_refused(tmp_path):
     array = xr.DataArray(np.zeros(5), dims="x")
     with pytest.raises(terrainwave.InvalidHeightsError, match="expected rows and columns"):
         array.terrainwave.to_twz(tmp_path / "a.twz", max_error=1)
+
+
+@pytest.mark.parametrize(
+    ("nodata", "masked", "as_stored", "attribute"),
+    [(None, "float32", "int16", -9999), ("none", "int16", "int16", None)],
+)
+def test_whole_numbers_keep_their_type_where_no_value_marks_voids(
+    tmp_path, nodata, masked, as_stored, attribute
+):
+    dem = write_geotiff(tmp_path / "a.tif", terrain_like(20, 17), nodata=-9999)
+    terrainwave.compress(dem, tmp_path / "a.twz", max_error=0, block=32, nodata=nodata)
+    with xr.open_dataset(tmp_path / "a.twz", engine="terrainwave") as dataset:
+        assert dataset.heights.dtype == masked
+    with xr.open_dataset(tmp_path / "a.twz", engine="terrainwave", mask_and_scale=False) as raw:
+        assert raw.heights.dtype == as_stored
+        assert raw.heights.attrs.get("_FillValue") == attribute

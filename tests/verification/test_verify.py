@@ -11,7 +11,12 @@ from rasterio.transform import Affine
 from strategies import terrain_like, write_geotiff
 
 import terrainwave
-from terrainwave.errors import CorruptStreamError, InvalidHeightsError, StorageError
+from terrainwave.errors import (
+    CorruptStreamError,
+    InvalidArgumentError,
+    InvalidHeightsError,
+    StorageError,
+)
 from terrainwave.place.meaning import Told
 from terrainwave.verification.heights import verify
 from terrainwave.verification.metrics import ErrorSum
@@ -372,3 +377,100 @@ def test_a_copy_in_another_order_of_rows_and_columns_is_turned(tmp_path, flips, 
     other = write_geotiff(tmp_path / "other.tif", heights + 9, transform=turned, **place)
     with pytest.warns(terrainwave.TerrainwaveWarning, match="turned to its order"):
         assert not verify(tmp_path / "a.twz", other).ok
+
+
+PLACE = Affine(30, 0, 5e5, 0, -30, 5e6)
+PART = PLACE @ Affine.translation(40, 30)
+
+
+@pytest.fixture
+def patched(tmp_path):
+    """Return a lossy file of 90 x 120 samples, and the heights of a part that it was patched with.
+
+    The part begins at row 30, column 40, has another nodata value, and a void.
+    """
+    heights = terrain_like(90, 120)
+    old = write_geotiff(
+        tmp_path / "old.tif", heights, transform=PLACE, crs="EPSG:32633", nodata=-32768
+    )
+    terrainwave.compress(old, tmp_path / "a.twz", max_error=2, block=32)
+    new = np.clip(heights[30:70, 40:90] + 9, heights.min(), heights.max()).astype(heights.dtype)
+    new[3, 4] = -9999
+    terrainwave.patch(tmp_path / "a.twz", part_raster(tmp_path, new))
+    return new
+
+
+def part_raster(folder, heights, transform=PART, **profile):
+    profile = {"crs": "EPSG:32633", "nodata": -9999, **profile}
+    return write_geotiff(folder / "new.tif", heights, transform=transform, **profile)
+
+
+def verified_part(folder, *args, **profile):
+    return verify(folder / "a.twz", part_raster(folder, *args, **profile), part=True)
+
+
+def test_a_part_is_compared_where_it_was_patched(patched, tmp_path):
+    report = verified_part(tmp_path, patched)
+    assert report.ok, report.problems
+    assert report.window == report.to_dict()["window"] == (30, 40, 40, 50)
+    assert report.errors.n_valid == patched.size - 1
+    assert verify(tmp_path / "a.twz", tmp_path / "old.tif").window is None
+
+
+def test_a_sample_beyond_the_bound_is_named_by_its_place_in_the_file(patched, tmp_path):
+    patched[7, 5] += 30
+    (problem,) = verified_part(tmp_path, patched).problems
+    assert "the worst, at row 37, column 45, by" in problem
+
+
+def test_a_void_of_a_part_that_the_file_has_not_is_a_problem(patched, tmp_path):
+    patched[9, 9] = -9999
+    assert "void in one of the two" in verified_part(tmp_path, patched).problems[0]
+
+
+@pytest.mark.parametrize("layout", [{}, {"tiled": True, "blockxsize": 16, "blockysize": 16}])
+@pytest.mark.filterwarnings("ignore:.*turned to its order")
+def test_a_part_in_another_order_of_rows_is_turned(patched, tmp_path, layout):
+    turned = PART @ Affine(1, 0, 0, 0, -1, 40)
+    report = verified_part(tmp_path, patched[::-1], turned, **layout)
+    assert report.ok, report.problems
+    assert report.window == (30, 40, 40, 50)
+    assert not verified_part(tmp_path, patched, turned, **layout).ok
+
+
+@pytest.mark.parametrize(
+    "transform",
+    [
+        PLACE @ Affine.translation(40.5, 30),
+        PLACE @ Affine.translation(80, 30),
+        PLACE @ Affine.translation(-1, 30),
+        PART @ Affine.scale(1.1),
+    ],
+)
+def test_a_part_off_the_grid_or_beyond_the_file_is_not_compared(patched, tmp_path, transform):
+    report = verified_part(tmp_path, patched, transform)
+    (problem,) = report.problems
+    assert "does not lie on the file's grid, or reaches beyond the file" in problem
+    assert report.errors is None
+    assert report.window is None
+
+
+@pytest.mark.parametrize(
+    ("profile", "problem"),
+    [({"crs": "EPSG:32632"}, "the CRS is"), ({"bands": {"scales": 0.1}}, "scale is 1.0")],
+)
+def test_a_part_of_another_kind_is_a_problem(patched, tmp_path, profile, problem):
+    assert problem in " ".join(verified_part(tmp_path, patched, **profile).problems)
+
+
+def test_a_smaller_original_is_a_problem_that_names_the_way_out(patched, tmp_path):
+    report = verify(tmp_path / "a.twz", part_raster(tmp_path, patched))
+    assert "`part`" in report.problems[0]
+    assert report.errors is None
+
+
+def test_a_part_needs_an_original_and_no_meshes(patched, tmp_path):
+    with pytest.raises(InvalidArgumentError, match="found part without original"):
+        verify(tmp_path / "a.twz", part=True)
+    with pytest.raises(InvalidArgumentError, match="found part with mesh"):
+        verify(tmp_path / "a.twz", tmp_path / "new.tif", part=True, mesh=True)

@@ -28,7 +28,7 @@ from terrainwave.arguments import (
     checked_whole,
     nodata_choice,
 )
-from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
+from terrainwave.errors import InvalidArgumentError, TerrainwaveError, TerrainwaveWarning
 from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS
 from terrainwave.place.meaning import check_kind
@@ -37,7 +37,11 @@ from terrainwave.raster_io.even import Even, even_parts
 from terrainwave.raster_io.vrt.warped import remark_on_windows
 from terrainwave.verification.metrics import ErrorReport, ErrorSum
 from terrainwave.verification.original import Original, open_original, place_text
-from terrainwave.verification.raster_metadata import metadata_problems, unit_problem
+from terrainwave.verification.raster_metadata import (
+    metadata_problems,
+    place_problem,
+    unit_problem,
+)
 
 if TYPE_CHECKING:
     from terrainwave.verification.mesh_walk import MeshReport
@@ -76,6 +80,9 @@ class VerifyReport:
         What was checked of the meshes, if that was asked for.
     earlier : tuple of dict
         The .twz files that the heights went through before, as `Info` has them.
+    window : tuple of int or None
+        (row, col, n_rows, n_cols): the part of the file that was compared, with `part`; None
+        without it.
     """
 
     path: str
@@ -88,6 +95,7 @@ class VerifyReport:
     is_strict: bool | None = None
     mesh: "MeshReport | None" = None
     earlier: tuple[dict[str, Any], ...] = ()
+    window: tuple[int, int, int, int] | None = None
 
     @property
     def ok(self) -> bool:
@@ -107,6 +115,7 @@ def verify(
     band: int = 1,
     nodata: float | str | None = None,
     heights_are: str | None = None,
+    part: bool = False,
     mesh: bool = False,
     threads: int | None = None,
     progress: ProgressCallback | None = None,
@@ -132,6 +141,10 @@ def verify(
         What was given at compression, where it differs from the raster's own value.
     heights_are : {"height", "depth", "radius"}, optional
         What the numbers of `original` are, whatever it says of them.
+    part : bool
+        `original` covers a part of the file, or all of it, on its grid: compare that part only,
+        for example after `patch` with the new raster. Size, description and nodata value may be
+        others than the file's, as in `patch`.
     mesh : bool
         Check all meshes too: each covers its area once, without gaps, folds and T-junctions;
         neighbours fit; and no sample is further from a mesh than the mesh states.
@@ -147,6 +160,8 @@ def verify(
 
     Raises
     ------
+    InvalidArgumentError
+        If `part` comes without `original`, or with `mesh`.
     TerrainwaveError
         If one of the files cannot be opened at all.
 
@@ -161,7 +176,12 @@ def verify(
     with `max_error` 0 has the bits of all valid floats, the sign of -0.0 too (but for method cdf53,
     which keeps numbers). Which NaN marked a void is not kept and not compared.
     """
-    check_flags(mesh=mesh)
+    check_flags(part=part, mesh=mesh)
+    if part and (original is None or mesh):
+        raise InvalidArgumentError(
+            f"found `part` {'with `mesh`' if mesh else 'without `original`'}, expected `part` with"
+            " the raster of a part of the file: only its heights are compared"
+        )
     check_callback(progress)
     max_error = checked_error("max_error", max_error)
     band = checked_whole("band", band, least=1)
@@ -182,7 +202,8 @@ def verify(
             return _with_meshes(report, terrain, None, progress) if mesh else report
         with open_original(original) as dataset:
             check_band(band, dataset.count, str(original))
-            raster = Original(dataset, band, nodata, terrain.transform, heights_are)
+            whole = terrain.shape if part else None
+            raster = Original(dataset, band, nodata, terrain.transform, heights_are, whole)
             remarks = [remark_on_windows(dataset)]
             if raster.flips != (False, False):
                 remarks.append(
@@ -191,7 +212,7 @@ def verify(
                 )
             for remark in filter(None, remarks):
                 warnings.warn(f"{original}: {remark}", TerrainwaveWarning, stacklevel=2)
-            report = _Comparison(terrain, raster, max_error).run(twz, original, progress)
+            report = _Comparison(terrain, raster, max_error, part).run(twz, original, progress)
             if not mesh or report.errors is None:  # of another size, type or unit
                 return report
             return _with_meshes(report, terrain, raster.read, progress)
@@ -254,9 +275,13 @@ def _report(
 class _Comparison:
     """A decoded file beside its original."""
 
-    def __init__(self, terrain: Any, original: Original, max_error: float | None) -> None:
-        self._terrain, self._original = terrain, original
+    def __init__(
+        self, terrain: Any, original: Original, max_error: float | None, part: bool
+    ) -> None:
+        self._terrain, self._original, self._part = terrain, original, part
         self._dtype, self._scale = original.dtype, original.scale
+        # The raster of a part may have another one.
+        self._nodata = terrain.nodata if part else original.nodata
         self._bound = _bound(terrain, max_error)
         self._strict_bound = float(terrain.max_error if max_error is None else max_error)
         self._even = terrain.even_blocks()
@@ -267,17 +292,25 @@ class _Comparison:
 
     def run(self, twz: Any, original: Any, progress: ProgressCallback | None) -> VerifyReport:
         terrain = self._terrain
-        problems = list(metadata_problems(terrain, self._original))
-        errors, is_strict = None, None
-        is_same = tuple(terrain.shape) == self._original.shape
+        problems = list(metadata_problems(terrain, self._original, part=self._part))
+        errors, is_strict, window = None, None, None
+        if self._part:
+            elsewhere = place_problem(terrain, self._original)
+            problems += [elsewhere] * bool(elsewhere)
+            is_same = not elsewhere
+        else:
+            is_same = tuple(terrain.shape) == self._original.shape
         is_same &= np.dtype(terrain.dtype) == self._dtype
         if is_same and not unit_problem(terrain, self._original):
+            window = self._original.place if self._part else None
             measured, height_problems = self._compare_heights(progress)
             problems += height_problems
             errors = measured.report()
             bound = self._strict_bound / abs(self._scale or 1.0)
             is_strict = measured.is_within(bound, self._dtype)
-        return _report(terrain, twz, original, self._bound, errors, tuple(problems), is_strict)
+        found = tuple(problems)
+        report = _report(terrain, twz, original, self._bound, errors, found, is_strict)
+        return replace(report, window=window)
 
     def _compare_heights(self, progress: ProgressCallback | None) -> tuple[ErrorSum, list[str]]:
         errors = ErrorSum(self._scale)
@@ -305,7 +338,7 @@ class _Comparison:
             differences = errors.add(row, col, original, heights, valid, decoded_valid, n_alike)
             beyond.add(row, col, differences, self._allowed(original, heights, both), n_alike)
             signs.add(row, col, original, heights, both, n_alike)
-            is_taken = self._original.is_nodata(heights) & decoded_valid
+            is_taken = self._original.equals(heights, self._nodata) & decoded_valid
             n_taken += n_alike * int(np.count_nonzero(is_taken))
             n_done += n_alike * n_rows * n_cols
             report(n_done + self._n_known)
@@ -369,7 +402,7 @@ class _Comparison:
                 " other"
             )
         if n_taken:
-            yield f"{n_taken} valid samples decode to the nodata value {self._original.nodata!r}"
+            yield f"{n_taken} valid samples decode to the nodata value {self._nodata!r}"
 
     def _allowed(self, original: np.ndarray, decoded: np.ndarray, both: np.ndarray) -> Any:
         """Return the largest allowed unscaled difference, a number or one per sample."""

@@ -19,6 +19,7 @@ from rasterio.windows import Window
 
 from terrainwave.arguments import nodata_choice
 from terrainwave.errors import StorageError
+from terrainwave.grid.affine import places_to_pixels
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
 from terrainwave.place.meaning import Told
@@ -36,6 +37,10 @@ _WINDOW_ROWS = 256
 
 # Part of a pixel by which places of one grid may differ.
 _SAME_PIXEL = 1e-6
+# The same for a raster that covers a part of a file, as `patch` takes it.
+_SAME_PLACE = 1e-3
+# Numbers of a transform that are the size and direction of pixels.
+_LINEAR = (0, 1, 3, 4)
 
 _GDAL_CACHE_BYTES = 64 * 2**20
 
@@ -65,6 +70,10 @@ class Original:
 
     Rows and columns are read in the order that `transform` has, a file's, where the dataset stores
     them the other way round, such as with the southernmost row first.
+
+    With `whole`, the shape of the file, the dataset may cover only a part of it: `place` is that
+    part, or None where the dataset does not lie on the file's grid or reaches beyond the file.
+    Regions to read are the file's.
     """
 
     def __init__(
@@ -74,14 +83,20 @@ class Original:
         nodata: float | str | None,
         transform: Any = None,
         heights_are: str | None = None,
+        whole: tuple[int, int] | None = None,
     ) -> None:
         self.dataset, self.band = dataset, band
         self._asked_kind = heights_are
         self.transform = tuple(dataset.transform)[:6]
-        self.flips = _flips(dataset, self.transform if transform is None else tuple(transform)[:6])
+        self.shape = dataset.height, dataset.width
+        self.place: Region | None = Region(0, 0, *self.shape)
+        self.flips = False, False
+        if whole is not None:
+            self.flips, self.place = _place(dataset, tuple(transform)[:6], whole)
+        elif transform is not None:
+            self.flips = _flips(dataset, tuple(transform)[:6])
         if self.flips != (False, False):
             self.transform = tuple(transform)[:6]
-        self.shape = dataset.height, dataset.width
         self.dtype = np.dtype(dataset.dtypes[band - 1])
         declared = dataset.nodatavals[band - 1]
         choice = nodata_choice(nodata)
@@ -117,7 +132,7 @@ class Original:
         return str(self.dataset.tags().get("AREA_OR_POINT", "Area"))
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return raw heights and validity of a window of the original."""
+        """Return raw heights and validity of a window of the file."""
         flip_rows, flip_cols = self.flips
         row, col = self._stored(Region(row, col, n_rows, n_cols))[:2]
         window = Window(col, row, n_cols, n_rows)
@@ -139,8 +154,10 @@ class Original:
         return heights[order], valid[order]
 
     def _stored(self, region: Region) -> Region:
-        """Return where a region lies in the dataset's own order of rows and columns."""
+        """Return where a region of the file lies in the dataset, in its order of rows, columns."""
         row, col, n_rows, n_cols = region
+        if self.place is not None:
+            row, col = row - self.place.row, col - self.place.col
         flip_rows, flip_cols = self.flips
         row = self.shape[0] - row - n_rows if flip_rows else row
         col = self.shape[1] - col - n_cols if flip_cols else col
@@ -148,14 +165,11 @@ class Original:
 
     def _is_void(self, heights: np.ndarray) -> np.ndarray:
         """Return which heights are a value that marks voids."""
-        found = (self._equals(heights, value) for value in self._voids)
+        found = (self.equals(heights, value) for value in self._voids)
         return np.logical_or.reduce(list(found))
 
-    def is_nodata(self, heights: np.ndarray) -> np.ndarray:
-        """Return which heights are the nodata value of the file."""
-        return self._equals(heights, self.nodata)
-
-    def _equals(self, heights: np.ndarray, value: Any) -> np.ndarray:
+    def equals(self, heights: np.ndarray, value: Any) -> np.ndarray:
+        """Return which heights equal a nodata value, if any, as the dataset's type stores it."""
         if value is None or math.isnan(value):
             return np.zeros(heights.shape, dtype=bool)
         if self.dtype.kind == "f":
@@ -170,8 +184,9 @@ class Original:
 
         Or larger ones whose samples are all the same by the index, and `holds` says so, too.
         """
-        n_rows, n_cols = self.shape
-        for part, even in even_parts(Region(0, 0, n_rows, n_cols), self.side, self._even):
+        if self.place is None:
+            return
+        for part, even in even_parts(self.place, self.side, self._even):
             if even is not None and self.holds(part, even):
                 yield part, even
             else:
@@ -210,21 +225,48 @@ class Original:
         return DatasetBackend(self.dataset, self.band, owned=True)
 
 
+def _turned(dataset: Any, flips: tuple[bool, bool]) -> tuple[float, ...]:
+    """Return the transform of a dataset whose rows, columns are read in the opposite order."""
+    a, b, c, d, e, f = tuple(dataset.transform)[:6]
+    if flips[0]:
+        b, e, c, f = -b, -e, c + dataset.height * b, f + dataset.height * e
+    if flips[1]:
+        a, d, c, f = -a, -d, c + dataset.width * a, f + dataset.width * d
+    return a, b, c, d, e, f
+
+
 def _flips(dataset: Any, wanted: tuple[float, ...]) -> tuple[bool, bool]:
     """Return if rows and if columns of a dataset lie in the opposite order of a transform's."""
     for flips in ((True, False), (False, True), (True, True)):
-        a, b, c, d, e, f = tuple(dataset.transform)[:6]
-        if flips[0]:
-            b, e, c, f = -b, -e, c + dataset.height * b, f + dataset.height * e
-        if flips[1]:
-            a, d, c, f = -a, -d, c + dataset.width * a, f + dataset.width * d
-        pixel = max(map(abs, (a, b, d, e)))
-        size = max(dataset.height, dataset.width)
-        off = [abs(one - other) for one, other in zip((a, b, c, d, e, f), wanted, strict=True)]
+        found = _turned(dataset, flips)
+        pixel = max(abs(found[i]) for i in _LINEAR)
         # Corners that were computed another way differ by rounding.
-        if max(off[2], off[5], size * max(off[0], off[1], off[3], off[4])) <= _SAME_PIXEL * pixel:
+        shift = max(abs(found[i] - wanted[i]) for i in (2, 5))
+        if max(shift, _drift(dataset, found, wanted)) <= _SAME_PIXEL * pixel:
             return flips
     return False, False
+
+
+def _drift(dataset: Any, found: tuple[float, ...], wanted: tuple[float, ...]) -> float:
+    """Return how far pixels of two sizes or directions are apart at a dataset's end."""
+    largest = max(abs(found[i] - wanted[i]) for i in _LINEAR)
+    return max(dataset.height, dataset.width) * largest
+
+
+def _place(
+    dataset: Any, wanted: tuple[float, ...], whole: tuple[int, int]
+) -> tuple[tuple[bool, bool], Region | None]:
+    """Return the flips of a dataset and the part of a file's grid that it covers, or None."""
+    for flips in ((False, False), (True, False), (False, True), (True, True)):
+        found = _turned(dataset, flips)
+        pixel = max(abs(found[i]) for i in _LINEAR)
+        row, col = places_to_pixels(wanted, found[2], found[5])
+        off = max(abs(row - round(row)), abs(col - round(col)))
+        if max(off, _drift(dataset, found, wanted) / pixel) <= _SAME_PLACE:
+            place = Region(round(row), round(col), dataset.height, dataset.width)
+            is_inside = place.intersect(Region(0, 0, *whole)) == place
+            return flips, place if is_inside else None
+    return (False, False), None
 
 
 def place_text(row: int, col: int, n_rows: int, n_cols: int) -> str:

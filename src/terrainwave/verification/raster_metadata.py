@@ -12,9 +12,15 @@ from terrainwave.place.units import height_unit, meeting
 from terrainwave.raster_io.dataset import is_placed
 from terrainwave.verification.original import Original, as_stored
 
+# What the raster of a part need not share with the file.
+_OF_WHOLE = ("size", "description", "AREA_OR_POINT")
 
-def metadata_problems(terrain: Any, original: Original) -> Iterator[str]:
-    """Yield what a file says of its raster that the original does not."""
+
+def metadata_problems(terrain: Any, original: Original, *, part: bool = False) -> Iterator[str]:
+    """Yield what a file says of its raster that the original does not.
+
+    Of the raster of a `part`, only what heights depend on, as `patch` does.
+    """
     dataset, index = original.dataset, original.band - 1
     info = terrain.info()
     if terrain.effective_error > terrain.max_error * (1 + 1e-12):
@@ -35,14 +41,19 @@ def metadata_problems(terrain: Any, original: Original) -> Iterator[str]:
     problem = unit_problem(terrain, original)
     if problem:
         yield problem
-    elif (own_unit is None) != (unit is None):
+    elif (own_unit is None) != (unit is None) and not part:
         yield f"units is {own_unit!r}, the original's is {unit!r}"
     for name, found, expected in pairs:
-        if found != expected:
-            yield f"{name} is {found!r}, the original's is {expected!r}"
+        if found != expected and not (part and name in _OF_WHOLE):
+            hint = " (with `part` only what it covers is compared)" if name == "size" else ""
+            hint = hint if np.less_equal(original.shape, terrain.shape).all() else ""
+            yield f"{name} is {found!r}, the original's is {expected!r}{hint}"
     other_kind = original.kind_problem(terrain.raster_info)
     if other_kind is not None:
         yield f"the original's numbers mean something else: {other_kind}"
+    if part:
+        yield from _compare_crs_of_part(terrain, dataset.crs)
+        return
     if not _same_nodata(terrain.nodata, original.nodata, original.dtype):
         yield f"nodata is {terrain.nodata!r}, the original's is {original.nodata!r}"
     found, expected = tuple(terrain.transform)[:6], original.transform
@@ -54,6 +65,19 @@ def metadata_problems(terrain: Any, original: Original) -> Iterator[str]:
         if epoch != expected_epoch:
             yield f"the coordinate epoch is {epoch}, the original's is {expected_epoch}"
         yield from _compare_crs(terrain.crs, dataset.crs)
+
+
+def place_problem(terrain: Any, original: Original) -> str:
+    """Return why the raster of a part cannot be compared: it lies elsewhere; empty if it can."""
+    if original.place is not None:
+        return ""
+    n_rows, n_cols = original.shape
+    return (
+        f"the original does not lie on the file's grid, or reaches beyond the file: found {n_rows}"
+        f" x {n_cols} samples with the transform {original.transform}, expected a part of"
+        f" {terrain.shape[0]} x {terrain.shape[1]} with {tuple(terrain.transform)[:6]}, moved by"
+        " whole pixels"
+    )
 
 
 def unit_problem(terrain: Any, original: Original) -> str:
@@ -75,6 +99,12 @@ def _same_nodata(nodata: Any, expected: Any, dtype: np.dtype[Any]) -> bool:
     if math.isnan(nodata) or math.isnan(expected):
         return math.isnan(nodata) and math.isnan(expected)
     return bool(as_stored(nodata, dtype) == as_stored(expected, dtype))
+
+
+def _compare_crs_of_part(terrain: Any, found: CRS | None) -> Iterator[str]:
+    expected = terrain.raster_info.rasterio_crs()
+    if (found or None) != expected:
+        yield f"the CRS is {terrain.crs or 'missing'}, the original's is {found or 'missing'}"
 
 
 def _compare_crs(crs: Any, expected: CRS | None) -> Iterator[str]:

@@ -40,6 +40,9 @@ from terrainwave.progress import ProgressCallback
 @click.option("--nodata", type=Nodata(), help="What was given to compress.")
 @click.option("--heights-are", type=click.Choice(KINDS),
               help="What the numbers of ORIGINAL are. Default: as it says.")  # fmt: skip
+@click.option("--part", is_flag=True,
+              help="ORIGINAL covers a part of FILE, such as the raster of a patch: compare that"
+              " part only.")  # fmt: skip
 @click.option("--mesh", is_flag=True, help="Check errors, borders and coverage of all meshes, too.")
 @THREADS_OPTION
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing; the exit status is the result.")
@@ -73,6 +76,7 @@ def _verify(
     import terrainwave
 
     ctx = click.get_current_context()
+    _refuse_meshes_of_a_part(**options)
     if original is None:
         _refuse_unfit_without_original(ctx)
     file = Input().convert(path, None, ctx)
@@ -89,12 +93,19 @@ def _verify(
 
 def _refuse_unfit_without_original(ctx: click.Context) -> None:
     """Refuse options that say how to read or compare the original."""
-    for name in ("band", "nodata", "heights_are", "max_error"):
+    for name in ("band", "nodata", "heights_are", "max_error", "part"):
         if ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE:
             option = f"--{name}".replace("_", "-")
             raise click.UsageError(
                 f"found {option} without ORIGINAL, expected both: nothing is compared otherwise"
             )
+
+
+def _refuse_meshes_of_a_part(*, part: bool, mesh: bool, **_: Any) -> None:
+    if part and mesh:
+        raise click.UsageError(
+            "found both --part and --mesh, expected one of them: meshes are checked as a whole"
+        )
 
 
 def _verify_all(
@@ -107,6 +118,7 @@ def _verify_all(
     **options: Any,
 ) -> None:
     import terrainwave
+    from terrainwave.verification.original import place_text
 
     def verify_one(job: FileJob, threads: int, progress: ProgressCallback) -> Done:
         folder = folders[job.source]
@@ -118,6 +130,8 @@ def _verify_all(
         found = "ok" if report.ok else f"not ok, {plain('; '.join(report.problems))}"
         if report.errors is not None:
             found += f", {count_of(report.errors.n_valid, 'height')} compared"
+            if report.window is not None:
+                found += f" in {place_text(*report.window)}"
             if not report.errors.n_valid:
                 print_note(
                     f"{display_name(job.source)}: no height was compared: none is valid in both"
@@ -126,6 +140,7 @@ def _verify_all(
             f"{plain(display_name(job.source))}: {found}", report.to_dict(), is_good=report.ok
         )
 
+    _refuse_meshes_of_a_part(**options)
     if originals is None:
         _refuse_unfit_without_original(click.get_current_context())
     announce_compiling(quiet=quiet)
@@ -139,6 +154,8 @@ def _verify_all(
 
 
 def _print_report(report: Any) -> None:
+    from terrainwave.verification.original import place_text
+
     for problem in report.problems:
         click.echo(f"problem: {plain(problem)}")
     if report.errors is not None:
@@ -146,8 +163,9 @@ def _print_report(report: Any) -> None:
         measured = (
             f": max error {errors.max_error:.6g} (bound {report.bound:.6g}), RMSE {errors.rmse:.6g}"
         )
+        where = "" if report.window is None else f" in {place_text(*report.window)} of the file"
         click.echo(
-            f"{count_of(errors.n_valid, 'height')} compared{measured * (errors.n_valid > 0)}"
+            f"{count_of(errors.n_valid, 'height')} compared{where}{measured * (errors.n_valid > 0)}"
         )
         if not report.problems and not report.is_strict:
             click.echo(
