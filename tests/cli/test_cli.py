@@ -182,7 +182,8 @@ def test_band_is_chosen_and_the_default_is_noted(tmp_path):
 def test_decompress_prints_json(tmp_path, twz):
     done = run("decompress", twz, tmp_path / "a.tif", "--json")
     n_bytes = (tmp_path / "a.tif").stat().st_size
-    assert json.loads(done.stdout) == {"path": str(tmp_path / "a.tif"), "n_bytes": n_bytes}
+    expected = {"path": str(tmp_path / "a.tif"), "n_bytes": n_bytes, "notes": []}
+    assert json.loads(done.stdout) == expected
     done = run("decompress", twz, "--to", tmp_path / "all", "--json")
     found = json.loads(done.stdout)
     target = tmp_path / "all" / "dem.tif"
