@@ -166,7 +166,7 @@ class Command(click.Command):
 
 
 class CommandWithoutTarget(Command):
-    """A command that changes no file that it is told to."""
+    """A command that leaves its files as they are."""
 
     has_target = False
 

@@ -21,7 +21,7 @@ Numbers = TypeVar("Numbers", float, NDArray[np.float64])
 
 
 class Footprint(NamedTuple):
-    """Where a raster lies: its transform, and its rows and columns."""
+    """Place of a raster: its transform, and its rows and columns."""
 
     affine: Transform
     shape: tuple[int, int]

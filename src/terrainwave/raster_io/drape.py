@@ -291,7 +291,7 @@ def texture_of(
     Parameters
     ----------
     path : str
-        As of `Photo`. A warning tells of one that has more than 8192 pixels a side over the area.
+        As of `Photo`. A warning names one with more than 8192 pixels a side over the area.
     crs : str, optional
         Of the area.
     area : tuple of float

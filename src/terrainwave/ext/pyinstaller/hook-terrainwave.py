@@ -1,4 +1,4 @@
-"""What PyInstaller cannot see: modules that are imported by name, and files beside them."""
+"""Modules that PyInstaller does not see, as they are imported by name, and files beside them."""
 
 from PyInstaller.utils.hooks import collect_data_files, collect_submodules
 
