@@ -2,7 +2,9 @@
 # Install a build, and build examples/c with what is installed: by pkg-config, and by find_package of CMake.
 #   sh native/tests/installed.sh BUILD PREFIX shared|static
 set -eu
-build=$1 prefix=$2 kind=$3
+build=$1 kind=$3
+# CMake looks for a relative prefix below its sources.
+case $2 in /*) prefix=$2 ;; *) prefix=$(pwd)/$2 ;; esac
 root=$(cd "$(dirname "$0")/../.." && pwd)
 file=$root/tests/golden/v1/rapid-int16-halves.twz
 rm -rf "$prefix" "$prefix.moved"
