@@ -261,6 +261,7 @@ def test_requests_by_the_host_of_the_public_url_are_accepted(hilly):
         "example.org/terrain", "ftp://example.org", "https://", "https://example.org/a?b=c",
         "https://example.org/#a", "https://user@example.org", "https://example.org/a/../b",
         "https://example.org/a b", "", "//example.org", "https://example.org:port/",
+        "https://[2001:db8::1/", "https://[example.org]/",
     ],
 )  # fmt: skip
 def test_a_public_url_that_is_none_is_refused(hilly, url):
