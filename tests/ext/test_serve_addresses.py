@@ -70,7 +70,7 @@ def told_by_the_server(client):
         for query in queries
     ]
     (terrain,) = client.get("/terrains.json").json()
-    asked = f"v={terrain['tag']}&rim=4"  # as served.mjs and page.mjs put them together
+    asked = f"v={terrain['tag']}&rim=4"  # as served.js and page.js put them together
     look = f"encoding={terrain['encoding']}&voids=height"
     found += [f"/hills/rgb/{TILE}?{asked}&{look}", f"/hills/voids/{TILE}?{asked}&color=ffffff"]
     layer = client.get("/hills/mesh/layer.json").json()

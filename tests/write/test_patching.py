@@ -570,8 +570,8 @@ def test_a_range_without_effect_is_a_note_or_refused(tmp_path):
     voids = np.ma.masked_all((9, 8), "int16")
     made = terrainwave.compress(voids, tmp_path / "a.twz", height_range=(0, 9))
     assert "`height_range` has no effect" in " ".join(made.notes)
+    cut = terrainwave.Cdf53(rate=1.0)
     with pytest.raises(InvalidArgumentError, match="found height_range and rate"):
-        cut = terrainwave.Cdf53(rate=1.0)
         terrainwave.compress(SMALL, tmp_path / "b.twz", method=cut, height_range=(0, 5000))
 
 

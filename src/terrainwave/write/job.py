@@ -318,7 +318,8 @@ def settled(
         )
     if options.height_range is not None and not scan.n_valid:
         notes.append(
-            "the raster has voids alone: `height_range` has no effect, and patch can bring no heights"
+            "the raster has voids alone: `height_range` has no effect, and patch can bring no"
+            " heights"
         )
     is_exact = quantizer.rho == 0 or quantizer.remainder_bytes > 0
     if is_exact and scan.n_valid and fixed_steps(options, info) is not None:
