@@ -276,3 +276,10 @@ def test_options_for_proxies_that_are_wrong_are_one_line_of_the_command(hilly):
     told = one_line(run("serve", hilly, "--proxy", "10.0.0.300"), 2)
     assert "--proxy" in told
     assert "an IP address such as 10.0.0.7" in told
+
+
+def test_a_public_url_needs_no_note_on_names(hilly, monkeypatch):
+    monkeypatch.setattr("terrainwave.cli.commands.serve._serve", lambda *_: None)
+    words = ["serve", hilly, "--host", "0.0.0.0", "--port", "0"]
+    assert "--allow-host" in run(*words).stderr
+    assert run(*words, "--public-url", "https://example.org/").stderr == ""
