@@ -570,6 +570,13 @@ def test_a_range_without_effect_is_a_note_or_refused(tmp_path):
     voids = np.ma.masked_all((9, 8), "int16")
     made = terrainwave.compress(voids, tmp_path / "a.twz", height_range=(0, 9))
     assert "`height_range` has no effect" in " ".join(made.notes)
+    heights = SMALL + np.float32(0.123)
+    for top, is_told in ((1_000, False), (1_000_000, True)):
+        made = terrainwave.compress(
+            heights, tmp_path / f"{top}.twz", max_error=0.005, method="rapid", height_range=(0, top)
+        )
+        assert ("`height_range` is so wide" in " ".join(made.notes)) == is_told
+        assert (made.effective_error == 0) == is_told
     cut = terrainwave.Cdf53(rate=1.0)
     with pytest.raises(InvalidArgumentError, match="found height_range and rate"):
         terrainwave.compress(SMALL, tmp_path / "b.twz", method=cut, height_range=(0, 5000))
