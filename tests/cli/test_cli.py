@@ -962,10 +962,11 @@ def test_no_signal_comes_between_a_file_and_its_name(usual_signals, monkeypatch)
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_signal_after_the_end_of_a_command_changes_nothing(tmp_path, dem, name):
     program = f"""
-import atexit, os, signal
+import atexit, os, signal, sys
 from terrainwave.cli import main
 atexit.register(lambda: os.kill(os.getpid(), signal.{name}))
-main(["compress", {str(dem)!r}, "a.twz", "--quiet"])
+sys.argv[1:] = ["compress", {str(dem)!r}, "a.twz", "--quiet"]
+main()
 """
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
     done = subprocess.run(
@@ -974,6 +975,14 @@ main(["compress", {str(dem)!r}, "a.twz", "--quiet"])
     )  # fmt: skip
     assert (done.returncode, done.stderr.replace("compiling", "")) == (0, "")
     assert run("verify", tmp_path / "a.twz", dem).exit_code == 0
+
+
+def test_a_program_that_calls_a_command_gets_signals_after_it(usual_signals, twz):
+    with pytest.raises(SystemExit) as ended:
+        main(["info", str(twz), "--json"])
+    assert ended.value.code == 0
+    assert signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
 
 def ended_by_sigterm(*_, **__):

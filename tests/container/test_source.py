@@ -146,3 +146,28 @@ class Unseekable(io.RawIOBase):
 def test_a_pipe_is_no_source():
     with pytest.raises(StorageError, match="cannot seek"):
         open_source(Unseekable())
+
+
+def version_of(path):
+    source = FileSource(path)
+    try:
+        return source.version
+    finally:
+        source.close()
+
+
+def test_a_file_in_the_place_of_another_has_another_version(tmp_path):
+    """Also of the same size and time, as tools that keep times leave it."""
+    path, other = tmp_path / "a.twz", tmp_path / "b.twz"
+    path.write_bytes(b"before")
+    other.write_bytes(b"behind")
+    times = (1_700_000_000, 1_700_000_000)
+    os.utime(path, times)
+    first = version_of(path)
+    assert first == version_of(path)
+    os.replace(other, path)
+    os.utime(path, times)
+    second = version_of(path)
+    path.write_bytes(b"anew..")  # in place
+    os.utime(path, times)
+    assert len({first, second, version_of(path)}) == 3

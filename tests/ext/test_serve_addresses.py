@@ -70,7 +70,7 @@ def told_by_the_server(client):
         for query in queries
     ]
     (terrain,) = client.get("/terrains.json").json()
-    asked = f"v={terrain['tag']}&rim=4"  # as served.mjs and page.mjs put them together
+    asked = f"v={terrain['tag']}&rim=4"  # as served.js and page.js put them together
     look = f"encoding={terrain['encoding']}&voids=height"
     found += [f"/hills/rgb/{TILE}?{asked}&{look}", f"/hills/voids/{TILE}?{asked}&color=ffffff"]
     layer = client.get("/hills/mesh/layer.json").json()
@@ -261,6 +261,7 @@ def test_requests_by_the_host_of_the_public_url_are_accepted(hilly):
         "example.org/terrain", "ftp://example.org", "https://", "https://example.org/a?b=c",
         "https://example.org/#a", "https://user@example.org", "https://example.org/a/../b",
         "https://example.org/a b", "", "//example.org", "https://example.org:port/",
+        "https://[2001:db8::1/", "https://[example.org]/",
     ],
 )  # fmt: skip
 def test_a_public_url_that_is_none_is_refused(hilly, url):
@@ -275,3 +276,10 @@ def test_options_for_proxies_that_are_wrong_are_one_line_of_the_command(hilly):
     told = one_line(run("serve", hilly, "--proxy", "10.0.0.300"), 2)
     assert "--proxy" in told
     assert "an IP address such as 10.0.0.7" in told
+
+
+def test_a_public_url_needs_no_note_on_names(hilly, monkeypatch):
+    monkeypatch.setattr("terrainwave.cli.commands.serve._serve", lambda *_: None)
+    words = ["serve", hilly, "--host", "0.0.0.0", "--port", "0"]
+    assert "--allow-host" in run(*words).stderr
+    assert run(*words, "--public-url", "https://example.org/").stderr == ""

@@ -445,6 +445,8 @@ def test_a_part_in_another_order_of_rows_is_turned(patched, tmp_path, layout):
         PLACE @ Affine.translation(80, 30),
         PLACE @ Affine.translation(-1, 30),
         PART @ Affine.scale(1.1),
+        Affine(0, 0, 5e5, 0, 0, 5e6),
+        Affine(30, 0, np.nan, 0, -30, 5e6),
     ],
 )
 def test_a_part_off_the_grid_or_beyond_the_file_is_not_compared(patched, tmp_path, transform):

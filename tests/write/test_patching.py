@@ -15,7 +15,12 @@ from twz import stated_bounds_problems, twz_bytes
 
 import terrainwave
 from terrainwave.cli import main
-from terrainwave.errors import BoundViolationError, InvalidHeightsError, StorageError
+from terrainwave.errors import (
+    BoundViolationError,
+    InvalidArgumentError,
+    InvalidHeightsError,
+    StorageError,
+)
 from terrainwave.terrain import Terrain
 from terrainwave.write.patch import patch
 from terrainwave.write.patching import index
@@ -545,6 +550,36 @@ def test_a_file_with_room_takes_a_higher_summit(tmp_path, method, dtype, max_err
     assert terrainwave.verify(path, tmp_path / "old.tif").ok
     assert CliRunner().invoke(main, patching).exit_code == 0
     assert terrainwave.verify(path, tmp_path / "new.tif").ok
+
+
+def test_the_range_that_patch_names_holds_heights_of_many_digits(tmp_path):
+    """Radii of a planet in micrometres; as doubles they have 16 digits."""
+    old = 1_737_400.0 + HEIGHTS[:64, :64] * 0.1234567
+    new = np.full((64, 64), 1_738_400.123456789)
+    path = tmp_path / "a.twz"
+    made = {"max_error": 1e-4, "method": "rapid", "heights_are": "height", "overwrite": True}
+    terrainwave.compress(old, path, **made)
+    with pytest.raises(InvalidHeightsError) as refused:
+        patch(path, new, heights_are="height")
+    ((low, high),) = re.findall(r"with height_range (\S+),(\S+) to", str(refused.value))
+    terrainwave.compress(old, path, height_range=(float(low), float(high)), **made)
+    assert patch(path, new, heights_are="height").measured_error <= 1e-4
+
+
+def test_a_range_without_effect_is_a_note_or_refused(tmp_path):
+    voids = np.ma.masked_all((9, 8), "int16")
+    made = terrainwave.compress(voids, tmp_path / "a.twz", height_range=(0, 9))
+    assert "`height_range` has no effect" in " ".join(made.notes)
+    heights = SMALL + np.float32(0.123)
+    for top, is_told in ((1_000, False), (1_000_000, True)):
+        made = terrainwave.compress(
+            heights, tmp_path / f"{top}.twz", max_error=0.005, method="rapid", height_range=(0, top)
+        )
+        assert ("`height_range` is so wide" in " ".join(made.notes)) == is_told
+        assert (made.effective_error == 0) == is_told
+    cut = terrainwave.Cdf53(rate=1.0)
+    with pytest.raises(InvalidArgumentError, match="found height_range and rate"):
+        terrainwave.compress(SMALL, tmp_path / "b.twz", method=cut, height_range=(0, 5000))
 
 
 def test_a_range_that_the_type_lacks_is_refused(tmp_path):

@@ -185,8 +185,12 @@ class Commands(click.Group):
     """A click group whose errors are one line each and which sets the exit status."""
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        """Run a command as all that this process does, by `main`."""
-        return self.main(*args, is_process=True, **kwargs)
+        """Run a command as all that this process does, by `main`, unless a program names its words.
+
+        Such a program may go on after the end, and wants its signals.
+        """
+        is_process = not args and kwargs.get("args") is None
+        return self.main(*args, is_process=is_process, **kwargs)
 
     def main(
         self, *args: Any, standalone_mode: bool = True, is_process: bool = False, **kwargs: Any

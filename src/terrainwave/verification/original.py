@@ -19,7 +19,7 @@ from rasterio.windows import Window
 
 from terrainwave.arguments import nodata_choice
 from terrainwave.errors import StorageError
-from terrainwave.grid.affine import places_to_pixels
+from terrainwave.grid.affine import determinant, places_to_pixels
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
 from terrainwave.place.meaning import Told
@@ -257,10 +257,14 @@ def _place(
     dataset: Any, wanted: tuple[float, ...], whole: tuple[int, int]
 ) -> tuple[tuple[bool, bool], Region | None]:
     """Return the flips of a dataset and the part of a file's grid that it covers, or None."""
+    if not determinant(wanted):
+        return (False, False), None
     for flips in ((False, False), (True, False), (False, True), (True, True)):
         found = _turned(dataset, flips)
         pixel = max(abs(found[i]) for i in _LINEAR)
         row, col = places_to_pixels(wanted, found[2], found[5])
+        if not pixel or not math.isfinite(row) or not math.isfinite(col):
+            continue
         off = max(abs(row - round(row)), abs(col - round(col)))
         if max(off, _drift(dataset, found, wanted) / pixel) <= _SAME_PLACE:
             place = Region(round(row), round(col), dataset.height, dataset.width)

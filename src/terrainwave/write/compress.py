@@ -180,7 +180,9 @@ def compress(
     height_range : tuple of two floats, optional
         Lowest and highest height that the file can hold, in physical units, besides its own: for
         a later `patch`. By default a file holds the range of the raster, and `patch` refuses
-        heights outside it. A wider range costs few bytes, if any. Not for streams that are cut.
+        heights outside it. A wider range costs few bytes, if any, unless it is so wide that floats
+        at its ends are too coarse for the bound: the file is then exact, and larger, which a note
+        says. Not for streams that are cut; a raster of voids alone has no range, as a note says.
     strict : bool
         For floats on a decimal grid (0.1, 0.01 …), keep the bound for the stored floats:
         ``abs(decoded - original) <= max_error``, exactly and as numpy computes it in their type. By

@@ -103,6 +103,11 @@ class Options:
                 f"found `strict` and `{cuts[0]}`, expected `max_error`: there is no other bound to"
                 " keep strictly"
             )
+        if cuts and self.height_range is not None:
+            raise InvalidArgumentError(
+                f"found `height_range` and `{cuts[0]}`, expected one of them: streams that are cut"
+                " cannot be patched"
+            )
         if not self.stable:
             return
         if self.max_error is None:

@@ -311,10 +311,25 @@ def settled(
     else:
         bound, notes = _choose_bound(options, scan, info)
         # Tiles code whole levels at once: nothing of theirs could take remainders.
-        quantizer = _with_range(scan, options, info).quantizer(
-            Fraction(0) if options.stable else _raw_bound(bound, info),
-            may_have_remainders=not options.named_method.is_tiled,
-            is_strict=options.strict,
+        raw_bound = Fraction(0) if options.stable else _raw_bound(bound, info)
+        limits = {
+            "may_have_remainders": not options.named_method.is_tiled,
+            "is_strict": options.strict,
+        }
+        quantizer = _with_range(scan, options, info).quantizer(raw_bound, **limits)
+        if (
+            options.height_range is not None
+            and quantizer.remainder_bytes
+            and not scan.quantizer(raw_bound, **limits).remainder_bytes
+        ):
+            notes.append(
+                "`height_range` is so wide that heights cannot be told within the bound at its"
+                " ends: the file keeps all heights exactly, and is larger; choose a narrower range"
+            )
+    if options.height_range is not None and not scan.n_valid:
+        notes.append(
+            "the raster has voids alone: `height_range` has no effect, and patch can bring no"
+            " heights"
         )
     is_exact = quantizer.rho == 0 or quantizer.remainder_bytes > 0
     if is_exact and scan.n_valid and fixed_steps(options, info) is not None:

@@ -121,7 +121,7 @@ def serve(
             if not quiet:
                 n_terrains = count_of(len(app.state.layers), "terrain")
                 click.echo(f"{n_terrains} at {address}  (Ctrl-C ends)")
-            if host in _ANY_HOST and not hosts:
+            if host in _ANY_HOST and not hosts and options["public_url"] is None:
                 print_note(
                     "the server refuses requests by other names than localhost; allow a name with"
                     " --allow-host"

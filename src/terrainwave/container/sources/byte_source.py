@@ -121,8 +121,11 @@ class FileSource(MergingSource):
 
     @property
     def version(self) -> str:
-        """Return when the file was changed."""
-        return "" if self._file is None else str(os.fstat(self._file.fileno()).st_mtime_ns)
+        """Return which file it is, and when it was changed: any program can set the first time."""
+        if self._file is None:
+            return ""
+        found = os.fstat(self._file.fileno())
+        return f"{found.st_dev}-{found.st_ino}-{found.st_mtime_ns}-{found.st_ctime_ns}"
 
     def renew(self) -> None:
         """Begin anew after a fork."""

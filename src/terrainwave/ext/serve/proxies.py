@@ -48,7 +48,10 @@ def public_url(text: str) -> PublicUrl:
     InvalidArgumentError
         If it is not http or https with a host and, at most, a path.
     """
-    parts = urlsplit(text)
+    try:
+        parts = urlsplit(text)
+    except ValueError:  # brackets that do not pair, or hold no address
+        parts = urlsplit("")
     host, path = _HOST.fullmatch(parts.netloc), parts.path.rstrip("/")
     is_whole = parts.scheme in ("http", "https") and not parts.query and not parts.fragment
     if not is_whole or host is None or not _PREFIX.fullmatch(path):

@@ -205,7 +205,7 @@ class Merged:
         """Return two stored heights as a range in physical units, the lower one first."""
         info = self._terrain.raster_info
         ends = sorted(info.scale * end + info.offset for end in (low, high))
-        return ",".join(f"{end:.10g}" for end in ends)
+        return ",".join(f"{end:.15g}" for end in ends)  # who repeats them has room for both
 
     def _checked_heights(
         self, name: str, raw: NDArray[Any], valid: NDArray[np.bool_], which: Mask
