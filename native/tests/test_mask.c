@@ -25,7 +25,7 @@ int main(void) {
   uint32_t random = 1;
   for (uint32_t high = 256; high < 65536; high += high < 400 || high > 65400 || high % 21845 < 9 ? 1 : 37) {
     for (int k = 0; k < 10; k++) {
-      random = random * 1664525u + 1013904223u;
+      random = (uint32_t)(((uint64_t)random * 1664525u + 1013904223u) & 0xffffffffu);
       uint32_t range = high << 16 | random >> 16, code = k < 5 ? 0 : (uint32_t)((uint64_t)range * (random >> 8) >> 24);
       ones found = settled_ones(range, code, COUNTS[k % 5]), expected = one_by_one(range, code, COUNTS[k % 5]);
       if (found.range != expected.range || found.n != expected.n) {
