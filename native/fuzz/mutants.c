@@ -59,7 +59,7 @@ int main(int n, char **arguments) {
   }
   uint32_t first = (uint32_t)atoi(arguments[3]), stop = first + (uint32_t)atoi(arguments[2]), n_files = (uint32_t)n - 4;
   for (uint32_t seed = first; seed < stop; seed++) {
-    state = seed * 2654435761u;
+    state = (uint32_t)(((uint64_t)seed * 2654435761u) & 0xffffffffu);
     for (int i = 0; i < 3; i++) below(2);
     const char *path = arguments[4 + below(n_files)], *from = arguments[4 + below(n_files)];
     const char *name = strrchr(path, '/') ? strrchr(path, '/') + 1 : path;
