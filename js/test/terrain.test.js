@@ -2,6 +2,7 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
+import { crc32 } from "node:zlib";
 
 import {
   ArgumentError, CorruptStreamError, LimitExceededError, SourceError, UnsupportedError, open,
@@ -165,7 +166,9 @@ test("a closed terrain is refused, and its memory serves the next one", async ()
 
 test("a newer version and features are unsupported, other bytes are corrupt", async () => {
   const bytes = Uint8Array.from(await golden("rapid-uint8"));
-  bytes[8] = 2;
+  bytes[8] = 2; // alone, damage
+  await assert.rejects(open(bytes), CorruptStreamError);
+  new DataView(bytes.buffer).setUint32(124, crc32(bytes.subarray(0, 124)), true);
   await assert.rejects(open(bytes), UnsupportedError);
   bytes[0] = 0;
   await assert.rejects(open(bytes), CorruptStreamError);

@@ -257,6 +257,7 @@ def test_lack_of_room_is_one_line_with_a_name(tmp_path, command, name):
         env=os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
     )  # fmt: skip
     assert done.returncode == 1
+    assert done.stderr.count("\n") == 1, done.stderr
     (line,) = done.stderr.splitlines()
     assert fnmatch(line, f"terrainwave: cannot write {name}: File too large")
     assert not re.search(r"cannot write \d+:", line)

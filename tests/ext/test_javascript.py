@@ -86,10 +86,10 @@ def test_it_opens_a_url_by_two_requests_at_most(server, twz):
     assert bounds == {"left": left, "bottom": bottom, "right": right, "top": top}
 
 
-def test_the_module_has_at_most_157_kb_compressed():
+def test_the_module_has_at_most_160_kb_compressed():
     """With all five methods: 67 kB are code, 50 tables of the annexes, 24 JavaScript."""
     modules = [path for path in (JS / "src").iterdir() if path.suffix == ".js"]
-    assert sum(len(gzip.compress(path.read_bytes())) for path in modules) <= 157_000
+    assert sum(len(gzip.compress(path.read_bytes())) for path in modules) <= 160_000
 
 
 def test_places_and_errors_are_those_of_python(server, twz):
