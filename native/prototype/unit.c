@@ -77,13 +77,12 @@ static void features(scratch *s, const unit *u, int i) {   // range of cells (i,
     V p = _mm256_abs_epi16(_mm256_subs_epi16(_mm256_adds_epi16(LD(a + j - 1), y), m)), q = _mm256_abs_epi16(_mm256_subs_epi16(_mm256_adds_epi16(LD(t + j), z), m));
     ST(b + j, _mm256_min_epu16(_mm256_adds_epu16(p, q), lim));
   }
-  // the model repeats ranges and bends at the nearest place outside
 }
 
 // --- prediction: P in quarters, side as a mask ---
 typedef struct { const int16_t *p; int16_t a, b; } tap;
 static inline __attribute__((always_inline)) void predict(scratch *s, int n, const tap *t, const int nt, const int16_t *c1, const int16_t *c2, const int16_t *c3, const int16_t *c4, int fine) {
-  V W[12]; for (int k = 0; k < nt; k++) W[k] = _mm256_set1_epi32((uint16_t)t[k].a | (uint32_t)(uint16_t)t[k].b << 16);
+  V W[14]; for (int k = 0; k < nt; k++) W[k] = _mm256_set1_epi32((uint16_t)t[k].a | (uint32_t)(uint16_t)t[k].b << 16);
   for (int o = 0; o < n; o += 16) {
     V e = _mm256_setzero_si256(), d = e;
     for (int k = 0; k < nt; k++) { e = _mm256_add_epi32(e, _mm256_madd_epi16(LD(t[k].p + o), W[k])); d = _mm256_add_epi32(d, _mm256_madd_epi16(LD(t[k].p + o + 1), W[k])); }
@@ -112,24 +111,9 @@ static void predict_row(scratch *s, const unit *u, const cls *k, int p, int i) {
   } else {
     // A (-1,0)(0,0)(1,0)(2,0)(0,-1)(0,1)(1,-1)(1,1) HH (0,-2)(0,-1)(0,0)(0,1)(-1,-1)(-1,0)(1,-1)(1,0) HL (0,-1)(0,0)(1,-1)(1,0) A (-1,-1)(2,-1)(-1,1)(2,1)
     const int16_t *l = H_(s, u, HL, i), *ld = H_(s, u, HL, i + 1);
-    const tap t[12] = {{up - 1, v[20], v[0]}, {up + 1, v[22], 0}, {at - 1, v[4], v[1]}, {at + 1, v[5], 0}, {dn - 1, v[6], v[2]}, {dn + 1, v[7], 0}, {lw - 1, v[21], v[3]},
-      {h - 2, v[8], v[9]}, {h, v[10], v[11]}, {h1 - 1, v[12], v[13]}, {hd - 1, v[14], v[15]}, {l - 1, v[16], v[17]}};
-    // the last two pairs: (lw + 1) and HL below, in a second call's place
-    V w0 = _mm256_set1_epi32((uint16_t)v[23]), w1 = _mm256_set1_epi32((uint16_t)v[18] | (uint32_t)(uint16_t)v[19] << 16);
-    V W[12]; for (int q = 0; q < 12; q++) W[q] = _mm256_set1_epi32((uint16_t)t[q].a | (uint32_t)(uint16_t)t[q].b << 16);
-    const int16_t *c1 = at, *c2 = dn, *c3 = h - 1, *c4 = h;
-    for (int o = 0; o < n; o += 16) {
-      V e = _mm256_add_epi32(_mm256_madd_epi16(LD(lw + 1 + o), w0), _mm256_madd_epi16(LD(ld - 1 + o), w1)), d = _mm256_add_epi32(_mm256_madd_epi16(LD(lw + 2 + o), w0), _mm256_madd_epi16(LD(ld + o), w1));
-      for (int q = 0; q < 12; q++) { e = _mm256_add_epi32(e, _mm256_madd_epi16(LD(t[q].p + o), W[q])); d = _mm256_add_epi32(d, _mm256_madd_epi16(LD(t[q].p + o + 1), W[q])); }
-      V P = _mm256_blend_epi16(_mm256_srli_epi32(_mm256_slli_epi32(e, 6), 16), _mm256_slli_epi32(_mm256_srai_epi32(d, 10), 16), 0xAA);
-      V x1 = LD(c1 + o), x2 = LD(c2 + o), x3 = LD(c3 + o), x4 = LD(c4 + o);
-      V lo = _mm256_min_epi16(_mm256_min_epi16(x1, x2), _mm256_min_epi16(x3, x4)), hi = _mm256_max_epi16(_mm256_max_epi16(x1, x2), _mm256_max_epi16(x3, x4));
-      P = _mm256_min_epi16(_mm256_max_epi16(P, _mm256_slli_epi16(lo, 2)), _mm256_slli_epi16(hi, 2));
-      V w = _mm256_srai_epi16(_mm256_add_epi16(P, _mm256_set1_epi16(2)), 2), S;
-      if (fine) S = _mm256_cmpgt_epi16(_mm256_slli_epi16(w, 2), P);
-      else S = _mm256_cmpgt_epi16(P, _mm256_add_epi16(_mm256_add_epi16(x1, x2), _mm256_add_epi16(x3, x4)));
-      ST(s->P + o, P); ST(s->S + o, S);
-    }
+    const tap t[14] = {{up - 1, v[20], v[0]}, {up + 1, v[22], 0}, {at - 1, v[4], v[1]}, {at + 1, v[5], 0}, {dn - 1, v[6], v[2]}, {dn + 1, v[7], 0}, {lw - 1, v[21], v[3]},
+      {lw + 1, v[23], 0}, {h - 2, v[8], v[9]}, {h, v[10], v[11]}, {h1 - 1, v[12], v[13]}, {hd - 1, v[14], v[15]}, {l - 1, v[16], v[17]}, {ld - 1, v[18], v[19]}};
+    if (fine) predict(s, n, t, 14, at, dn, h - 1, h, 1); else predict(s, n, t, 14, at, dn, h - 1, h, 0);
   }
 }
 
@@ -169,7 +153,6 @@ static inline V class_of(V E) {
 static void class_row(scratch *s, const unit *u, const cls *k, int p, int i, int c0, int n, uint8_t *pc, uint8_t *sc) {
   const int16_t *r0 = s->rng[i & 31] + PAD + c0, *r1 = s->rng[(i - 1) & 31] + PAD + c0, *b0 = s->bend[i & 31] + PAD + c0, *b1 = s->bend[(i + 1) & 31] + PAD + c0;
   const int16_t *nh = s->absq[HH][i & 15] + PAD + c0, *nu = s->absq[HH][(i - 1) & 15] + PAD + c0, *nl = s->absq[HL][i & 15] + PAD + c0, *nd = s->absq[HL][(i + 1) & 15] + PAD + c0;
-  if (i == 0) nu = s->absq[0][0] + PAD; 
   static const int16_t none[STR]; if (i == 0) nu = none + PAD; if (i + 1 >= rows_of(u, HL)) nd = none + PAD;
   const V vb = _mm256_set1_epi32((uint16_t)k->v1[p] | (uint32_t)k->v2[p] << 16), vn = _mm256_set1_epi32((uint16_t)k->v3[p]), v0 = _mm256_set1_epi32(k->v0[p]), z = _mm256_setzero_si256();
   const __m128i g = _mm_cvtsi32_si128(k->g);
@@ -299,7 +282,6 @@ static void store(scratch *s, const unit *u, int r, const int16_t *ev, const int
 static void decode(scratch *s, const unit *u, const cls *k, const tables *t, stream *r) {
   int ra = (u->R + 1) / 2, ca = (u->C + 1) / 2, rows[3], cols[3], a_ready = -4, f_ready = -1;
   for (int p = 0; p < 3; p++) { rows[p] = rows_of(u, p); cols[p] = cols_of(u, p); }
-  int last = -1; (void)last;
   static int32_t wide_rows[3][16][STR];
   int hl0 = u->line[0] ? 1 : 0, hl1 = u->line[1] ? ra - 1 : ra, lc0 = u->line[2] ? 1 : 0, lc1 = u->line[3] ? ca - 1 : ca;
   int done[3] = {0, 0, 0};
