@@ -1,13 +1,12 @@
-"""Train the start values of the mask coder from a directory of rasters.
+"""Train the frequencies of the coder of masks: src/terrainwave/codec/masks.bin, an annex.
 
     python tools/train_masks.py DIR [--leave-out NAME]
 
-Prints what stands in `terrainwave.codec.masks` and, for each raster, the bytes that its masks
-take with these start values. Start values in use are never edited: an annex of the format.
+Learns from the masks of the rasters in a directory and from drawn ones; prints the bytes that the
+masks of each take. With --leave-out, does without one raster and writes nothing.
 """
 
 import argparse
-import base64
 import tempfile
 from pathlib import Path
 from unittest.mock import patch
@@ -15,77 +14,116 @@ from unittest.mock import patch
 import numpy as np
 
 import terrainwave
-from terrainwave.codec import masks as maskcoder
-from terrainwave.codec.masks import encode_mask, pad_implied, row_contexts
+from terrainwave.codec import masks
 
-WIDTH = 88
+OUT = Path(masks.__file__).with_name("masks.bin")
 # A bound so large that coding heights takes no time.
 MAX_ERROR = 1000
+SIDE = 513
+TURNS = 30
 
 
-def masks_of(path):
-    """Return (mask, implied) of all units of a raster that have a mask section."""
+def drawn():
+    """Yield names and masks of kinds that rasters have."""
+    rng = np.random.default_rng(0)
+    row, col = np.indices((SIDE, SIDE))
+    for share in (0.0001, 0.001, 0.01, 0.1, 0.3, 0.5):
+        specks = rng.random((SIDE, SIDE)) < share
+        yield f"void specks {share}", ~specks
+        yield f"valid specks {share}", specks
+    for n in range(1, 9):
+        field = sum(
+            rng.normal() * np.cos(rng.normal(0, n, 2) @ (row.ravel(), col.ravel()) / 60 + k)
+            for k in range(40)
+        ).reshape(row.shape)
+        yield f"coast {n}", field > rng.normal()
+    for n in range(6):
+        angle = rng.random() * np.pi
+        across = (np.cos(angle) * row + np.sin(angle) * col) / SIDE
+        yield f"swath {n}", (across > rng.random() / 2) & (across < 1.3)
+    for n in range(4):
+        valid = np.ones((SIDE, SIDE), dtype=bool)
+        for top, left, height, width in rng.integers(1, 100, (12, 4)):
+            valid[5 * top : 5 * top + height, 5 * left : 5 * left + width] = n % 2
+        yield f"rectangles {n}", valid
+
+
+def counts_of(source):
+    """Return how often each model saw a 0 and a 1, of each unit of a raster."""
     found = []
 
-    def record(mask, implied):
-        found.append((mask.copy(), implied.copy()))
-        return encode_mask(mask, implied)
+    def count(models, bits):
+        counts = np.bincount(2 * models.astype(int) + bits, minlength=2 * masks.N_MODELS)
+        found.append(counts.reshape(-1, 2))
+        return b"\0"
 
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        patch("terrainwave.codec.group.encode_mask", record),
-    ):
+    with tempfile.TemporaryDirectory() as folder, patch.object(masks, "_packed", count):
         target = Path(folder) / "masks.twz"
-        terrainwave.compress(path, target, max_error=MAX_ERROR, mesh="none", verify=False)
+        terrainwave.compress(
+            source, target, max_error=MAX_ERROR, mesh="none", method="store", verify=False
+        )
     return found
 
 
-def count(masks):
-    """Return how often each model saw a 0 and a 1."""
-    counts = np.zeros((maskcoder.N_MASK_MODELS, 2))
-    for mask, implied in masks:
-        n_rows, n_cols = mask.shape
-        padded = np.zeros((n_rows + 2, n_cols + 3), dtype=np.bool_)
-        padded[2:, 2:-1] = mask
-        ahead = pad_implied(implied)
-        contexts = np.zeros(n_cols, dtype=np.int64)
-        for row in range(n_rows):
-            row_contexts(padded, ahead, row, contexts)
-            west = 32 * padded[row + 2, 1:-2].astype(int) + 2 * padded[row + 2, :-3].astype(int)
-            models = contexts + west * (maskcoder.N_MASK_MODELS // 64)
-            coded = ~implied[row]
-            np.add.at(counts, (models[coded], mask[row, coded].astype(int)), 1)
-    return counts
+def bits_of(counts, freqs):
+    """Return the bits that units take by each set: shape (units, sets)."""
+    return counts[..., 1] @ -np.log2(freqs / masks.N_SLOTS).T + (
+        counts[..., 0] @ -np.log2(1 - freqs / masks.N_SLOTS).T
+    )
 
 
-def start_values(counts):
-    """Return probabilities in 1/256 from counts by raster, each raster with the same weight.
+def trained(counts, weights, n_sets):
+    """Return frequencies by set: each unit takes the set that suits it, each set its units' shares.
 
-    Contexts hardly seen lean on those with the same neighbours.
+    All units of a raster have the same weight together. What a set has hardly seen leans on all.
     """
-    total = sum(part / part.sum() * 1e5 for part in counts).reshape(64, -1, 2)
-    total += 0.05 * total.mean(1, keepdims=True) + 0.4
-    return np.clip(np.rint(256 * total[..., 1] / total.sum(2)), 1, 255).astype(np.uint8).ravel()
+    bits = counts.sum((1, 2))
+    of_all = np.einsum("u,umb->mb", weights / np.maximum(bits, 1), counts)
+    prior = of_all / of_all.sum(1, keepdims=True).clip(1e-9)
+    prior = 0.9 * prior + 0.05
+    # Begin with units that lie far apart: by how well the mean suits them.
+    order = np.argsort(bits_of(counts, _rounded(prior[None, :, 1]))[:, 0] / np.maximum(bits, 1))
+    chosen = np.empty(len(order), dtype=int)
+    chosen[order] = np.arange(len(order)) * n_sets // len(order)
+    for _ in range(TURNS):
+        freqs = []
+        for k in range(n_sets):
+            mine = chosen == k
+            seen = np.einsum("u,umb->mb", weights[mine] / np.maximum(bits[mine], 1), counts[mine])
+            seen = seen / max(seen.sum(), 1e-9) * 1e6 + 2 * prior
+            freqs.append(_rounded(seen[:, 1] / seen.sum(1)))
+        freqs = np.array(freqs)
+        chosen = bits_of(counts, freqs).argmin(1)
+    return freqs
+
+
+def _rounded(shares):
+    return np.clip(np.rint(shares * masks.N_SLOTS), 1, masks.N_SLOTS - 1).astype(np.uint32)
 
 
 def main():
-    """Train, print the table and the sizes."""
+    """Train, write the annex, print sizes."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("directory", type=Path)
     parser.add_argument("--leave-out", help="name of a raster not to train with")
     arguments = parser.parse_args()
-    masks = {path.stem: masks_of(path) for path in sorted(arguments.directory.glob("*.tif"))}
-    masks = {name: found for name, found in masks.items() if found}
-    starts = start_values(
-        [count(found) for name, found in masks.items() if name != arguments.leave_out]
-    )
-    text = base64.b85encode(starts.tobytes()).decode()
-    for first in range(0, len(text), WIDTH):
-        print(f'    "{text[first : first + WIDTH]}"')
-    models = starts.astype(np.uint32) << 24 | maskcoder.START_COUNT
-    with patch.object(maskcoder, "start_models", lambda: models.copy()):
-        for name, found in masks.items():
-            print(name, sum(len(encode_mask(*unit)) for unit in found), "bytes")
+    found = {path.stem: counts_of(path) for path in sorted(arguments.directory.glob("*.tif"))}
+    for name, valid in drawn():
+        found[name] = counts_of(np.where(valid, np.float32(1), np.float32(np.nan)))
+    found = {name: np.array(counts) for name, counts in found.items() if counts}
+    used = [counts for name, counts in found.items() if name != arguments.leave_out]
+    counts = np.concatenate(used)
+    weights = np.concatenate([np.full(len(part), 1 / len(part)) for part in used])
+    parts = (np.s_[:, : masks.FIRST_OF_GROUPS], np.s_[:, masks.FIRST_OF_GROUPS :])
+    sets = [
+        trained(counts[part], weights, n)
+        for part, n in zip(parts, (masks.N_SETS, masks.N_GROUP_SETS), strict=True)
+    ]
+    if arguments.leave_out is None:
+        OUT.write_bytes(b"".join(freqs.astype("<u2").tobytes() for freqs in sets))
+    for name, counts in found.items():
+        bits = sum(bits_of(counts[part], freqs).min(1) for part, freqs in zip(parts, sets))
+        print(f"{name}: {bits.sum() / 8:.0f} bytes in {len(counts)} units")
 
 
 if __name__ == "__main__":

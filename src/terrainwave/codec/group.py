@@ -1,8 +1,8 @@
 """Code one unit: its mask, its heights by a refiner, its exceptions (FORMAT.md §5).
 
-Payload: one byte of flags, then the sections of mask, exceptions, remainders, own samples and
-corrections where the flags say so (each a varint length and its bytes), then the refiner's bytes to
-the end. An empty payload is a unit without a valid sample.
+Payload: one byte of flags, then the sections of mask, exceptions, remainders and corrections where
+the flags say so (each a varint length and its bytes), then the refiner's bytes to the end. An empty
+payload is a unit without a valid sample.
 """
 
 from collections.abc import Callable
@@ -12,12 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.corrections import decode_corrections, encode_corrections
-from terrainwave.codec.masks import decode_mask, encode_mask
+from terrainwave.codec.masks import Above, decode_validity, encode_validity
 from terrainwave.codec.memory import new_heights
-from terrainwave.codec.own_masks import Above, Sections, decode_validity, encode_validity
 from terrainwave.codec.refiner import (
     ALL_ROWS,
-    ALL_VALID,
     FREE,
     NO_CORRECTIONS,
     CorrectingRefiner,
@@ -29,19 +27,15 @@ from terrainwave.codec.refiner import (
     Refiner,
     Validity,
     all_void,
-    as_array,
     as_direct,
 )
 from terrainwave.codec.remainder_planes import decode_remainders, encode_remainders
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
-from terrainwave.grid.quadtree import Region
 from terrainwave.grid.remainders import Remainders
 
 MASK_ALL_VALID, MASK_CODED = 0, 1
-_HAS_EXCEPTIONS, _HAS_REMAINDERS, _HAS_OWN = 0b10, 0b100, 0b1000
-HAS_CORRECTIONS = 0b10000
-_BOTH_BYTES = np.uint16(0x0101)
+_HAS_EXCEPTIONS, _HAS_REMAINDERS, HAS_CORRECTIONS = 0b10, 0b100, 0b1000
 
 
 def encode_unit(
@@ -65,7 +59,7 @@ def encode_unit(
     remainders : callable, optional
         Returns what decoded heights leave of the originals; with ``spec.remainder_bytes`` only.
     own : ndarray of bool, optional
-        With ``spec.has_fills`` only: which samples are valid by themselves; all valid ones by
+        Which samples are valid by themselves; all valid ones by
         default, as on the finest level.
     kept : ndarray of int32, optional
         With ``spec.has_corrections`` only: heights that must come back as they are, `FREE` where
@@ -73,15 +67,14 @@ def encode_unit(
     """
     flags, sections = MASK_ALL_VALID, b""
     validity = Validity.of(mask, own)
-    own_section = b""
     if validity.own_mask is not None:  # else the parent implies no void
         if not mask.any():
             return b"", _all_void(spec)
-        coded = _encode_validity(spec, parent, validity)
-        if coded.mask:
+        above = _above(spec, parent)
+        coded = encode_validity(validity, spec.region, above, is_finest=spec.is_finest)
+        if coded:
             flags |= MASK_CODED
-            sections += encode_varint(len(coded.mask)) + coded.mask
-        own_section = coded.own
+            sections += encode_varint(len(coded)) + coded
     parent_heights = None if parent is None else parent.heights
     corrections = NO_CORRECTIONS
     if kept is None:
@@ -112,9 +105,6 @@ def encode_unit(
             flags |= _HAS_REMAINDERS
             sections += encode_varint(len(coded_rest)) + coded_rest
             decoded = decoded._replace(remainders=rest)
-    if own_section:
-        flags |= _HAS_OWN
-        sections += encode_varint(len(own_section)) + own_section
     coded_corrections = encode_corrections(corrections.added, spec)
     if coded_corrections:
         flags |= HAS_CORRECTIONS
@@ -199,19 +189,18 @@ def read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Head:
     """
     flags = payload[0]
     known = MASK_CODED | _HAS_EXCEPTIONS | (_HAS_REMAINDERS if spec.remainder_bytes else 0)
-    if spec.has_fills and not spec.is_finest:
-        known |= _HAS_OWN
     if spec.has_corrections:
         known |= HAS_CORRECTIONS
     if flags & ~known:
         raise CorruptStreamError(f"a unit's flags are {flags:#04x}; reserved bits must be 0")
     byte_pos = 1
     sections = {}
-    for flag in (MASK_CODED, _HAS_EXCEPTIONS, _HAS_REMAINDERS, _HAS_OWN, HAS_CORRECTIONS):
+    for flag in (MASK_CODED, _HAS_EXCEPTIONS, _HAS_REMAINDERS, HAS_CORRECTIONS):
         sections[flag] = b""
         if flags & flag:
             sections[flag], byte_pos = _read_section(payload, byte_pos)
-    validity = _decode_validity(spec, parent, Sections(sections[MASK_CODED], sections[_HAS_OWN]))
+    above = _above(spec, parent)
+    validity = decode_validity(sections[MASK_CODED], spec.region, above, is_finest=spec.is_finest)
     if validity.mask is not None and not validity.mask.any():
         raise CorruptStreamError("a unit without a valid sample has a payload")
     return Head(
@@ -223,76 +212,10 @@ def read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Head:
     )
 
 
-def _encode_validity(spec: GroupSpec, parent: Decoded | None, validity: Validity) -> Sections:
-    implied = implied_voids(spec, parent)
-    if spec.has_fills:
-        above = _above(spec, parent)
-        return encode_validity(validity, implied, spec.region, above, is_finest=spec.is_finest)
-    mask = as_array(validity.mask, spec.region.shape)
-    return Sections(b"" if np.array_equal(mask, ~implied) else encode_mask(mask, implied), b"")
-
-
-def _decode_validity(spec: GroupSpec, parent: Decoded | None, sections: Sections) -> Validity:
-    if not any(sections) and (parent is None or parent.validity.own_mask is None):
-        return ALL_VALID
-    implied = implied_voids(spec, parent)
-    if spec.has_fills:
-        above = _above(spec, parent)
-        return decode_validity(sections, implied, spec.region, above, is_finest=spec.is_finest)
-    return Validity.of(decode_mask(sections.mask, implied) if sections.mask else ~implied)
-
-
 def _above(spec: GroupSpec, parent: Decoded | None) -> Above | None:
     if parent is None or spec.parent_region is None:
         return None
-    return Above(spec.parent_region, parent.validity.own_mask)
-
-
-def implied_voids(spec: GroupSpec, parent: Decoded | None) -> Mask:
-    """Return which samples of the unit are void because a parent sample touching them is."""
-    if parent is None or spec.parent_region is None:
-        return np.zeros(spec.region.shape, dtype=np.bool_)
-    return voids_below(spec.region, spec.parent_region, parent.validity.mask)
-
-
-def voids_below(region: Region, outer: Region, outer_mask: Mask | None) -> Mask:
-    """Return which samples of `region` are void because of voids of `outer`, one level above.
-
-    `outer_mask` is None where it has none.
-    A coarse sample is valid iff any full-grid sample of the cells touching it is, so below a void
-    sample everything within one sample of this level is void as well.
-    """
-    if outer_mask is None:
-        return np.zeros(region.shape, dtype=np.bool_)
-    # By columns while there are half as many rows.
-    n_pairs = (region.col + region.n_cols + 1 >> 1) - (region.col >> 1)
-    touched = _columns(outer_mask, (region.col >> 1) - outer.col, n_pairs + 1)
-    # A sample at an even place and the one after it at a time, as the bytes of a number: the first
-    # touches one coarse sample, the second that and the next.
-    void = np.logical_not(touched, out=touched).view(np.uint8)
-    pairs = void[:, :-1].astype("<u2")
-    pairs *= _BOTH_BYTES
-    pairs |= void[:, 1:].astype("<u2") << np.uint16(8)
-    by_cols = pairs.view(np.bool_)[:, region.col & 1 :][:, : region.n_cols]
-    n_pairs = (region.row + region.n_rows + 1 >> 1) - (region.row >> 1)
-    places = np.arange(n_pairs + 1) + (region.row >> 1) - outer.row
-    near = by_cols[np.clip(places, 0, by_cols.shape[0] - 1)]
-    spread = np.empty((2 * n_pairs, region.n_cols), dtype=np.bool_)
-    spread[::2] = near[:-1]
-    np.logical_or(near[:-1], near[1:], out=spread[1::2])
-    return spread[region.row & 1 :][: region.n_rows]
-
-
-def _columns(mask: Mask, first: int, n: int) -> Mask:
-    """Return a copy of `n` columns from `first` on; outside a mask it goes on as at its edge."""
-    inner = mask[:, max(first, 0) : max(first + n, 0)]
-    left = min(max(-first, 0), n)
-    right = left + inner.shape[1]
-    found = np.empty((mask.shape[0], n), dtype=np.bool_)
-    found[:, :left] = mask[:, :1]
-    found[:, left:right] = inner
-    found[:, right:] = mask[:, -1:]
-    return found
+    return Above(spec.parent_region, parent.validity)
 
 
 def _all_void(spec: GroupSpec) -> Decoded:

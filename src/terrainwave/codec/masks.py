@@ -1,190 +1,568 @@
-"""Lossless coding of a unit's validity mask (FORMAT.md §5.2).
+"""Which samples of a unit are valid, and which by themselves (FORMAT.md §5.2).
 
-One adaptive bit per sample that the parent does not already imply to be void, in raster order. The
-context is six causal neighbours, and how many of two near and of four farther samples to come are
-already known to be void: along an outline these say where it goes.
+A sample of a coarse level is valid where any full-grid sample near it is. It is valid by itself,
+*own*, where the full-grid sample at its place is; the other valid ones are *fills*. On the finest
+level all valid samples are own.
+
+Own samples are coded from level to level, each once: those on even rows and columns are the
+parent's. The others lie between them in planes HH, HL, LH, and each has four neighbours that are
+known before: its context. So all contexts of a plane are made at once, and static rANS reads them
+without waiting. Where the four agree, 32 samples share one bit that says whether any is unlike
+them. Of fills only those are coded that lie beside no own sample: few.
 """
 
-import base64
+from functools import cache
+from importlib import resources
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.refiner import Mask
-from terrainwave.coding.borrowed import borrowed
-from terrainwave.coding.jit import kernel
-from terrainwave.coding.rangecoder import (
-    code_ones,
-    code_step,
-    finish_decoder,
-    finish_encoder,
-    new_decoder,
-    new_encoder,
-    put_back,
-    take_out,
-)
-from terrainwave.coding.status import raise_for_status
+from terrainwave.codec.refiner import ALL_VALID, Mask, Validity, as_array
+from terrainwave.coding.jit import kernel, kernel_part
+from terrainwave.coding.status import Status, raise_for_status
+from terrainwave.errors import CorruptStreamError
+from terrainwave.grid.quadtree import Region
 
-# Contexts of what lies ahead: 0 … 2 of the near ones times 0, 1, 2 or more of the farther ones.
-_N_AHEAD = 9
-_FARTHEST = 2
-N_MASK_MODELS = 64 * _N_AHEAD
-# Where all six neighbours are valid and no void is ahead: what `row_contexts` says, and the model.
-_INSIDE = 29 * _N_AHEAD
-_ALL_VALID = 63 * _N_AHEAD
-_FOUR = np.uint64(_INSIDE * 0x0001_0001_0001_0001)  # four times
-_IMPLIED = -1
-# Start probabilities in 1/256, from tools/train_masks.py; an annex of the format, never edited.
-_STARTS = (
-    "5d#Sn1_Bfm1`Y-dA|U}HA|Mk4D=7#9DJdxv8&p(J9aL0QZ5AbEWfEm&WiAB^Jv{|IJw0G)cXxMWcXxL>O>AszQfz"
-    "E&BqcU!HV<iODGm$_M>qsWM-~nd6Idw*SXdzn2oFg@2T4gCUTJ=Qer<k!el0j~aBwnkaBx<Betv#_etv!~N^x;<V"
-    "{vhDfm3^be^Y;de`GRVd3h>%d3k$ufPjE>fPjE*dw+j_e}8{}$bO!lo=%>gp4wcB$;m^>$;q*2goK2EgoK2TT7-m"
-    "zafF0~T}MTGdpCP~dm<JXR89s|R3bA!ZhU-Ye0+Qp3LaQk4_H_!h%tVCenEbIet}AvcXugwcXwGye0+Rve0+RY9b"
-    ";Zz7+zjp(~F^{f_kN;rN5nsh=_=Yh=|^E%+iBe($dnZd4`meX_S<d_oAkzrlzK*rr?u|jEszojEwB9!NI}7!NI}I"
-    "mY<)Wo1dSbv~qcba%qHwgpgl_fq`;?fq}bedZC3Mp`nn59z}eF8+?3KyLy3vfq{X6fs}QCfPjF2fPmAeqN1XrqN1"
-    "XicZi6HZitA8<&1=cgoK2Igur@&f`WpAf`a3QjEszojEs!Ke}sgDgoK2I{j;*Nva+(Wvi!-uzP`S`zP|j(%gf8l%"
-    "gf8}vc|^7#>U3R=cb5>iHV7ciOPVDjEsbgjEwcw(bePP)z#JMqo3X1tlizO_{N`~pP!$fpZ@gq_4WDn_4WVn_xJb"
-    "r_xJbz{r~^}|NsC0"
-)
-START_COUNT = 2
-_PROBABILITIES = np.frombuffer(base64.b85decode("".join(_STARTS)), dtype=np.uint8).astype(np.uint32)
-_START_MODELS = (_PROBABILITIES << 24 | START_COUNT).astype(np.uint32)
-# An adaptive bit costs at most 16 bits, so this is room for any mask.
-_BYTES_PER_SAMPLE = 2
+# Planes of a lattice: the parent's samples; odd rows and columns; odd columns; odd rows.
+_A, _HH, _HL, _LH = 0, 1, 2, 3
+# Of a sample: whether it is own, and whether voids of the parent imply that it is void. A context
+# has the own bits of four neighbours; more where the sample is implied to be void.
+_OWN, _VALID, _UNKNOWN_BIT, _IMPLIED = 1, 2, 2, 16
+_UNKNOWN = 1 << _UNKNOWN_BIT
+_NONE, _ALL = 0, 15
+# Samples of a row that share a bit, as words of 8.
+GROUP = 32
+_WORDS = GROUP // 8
+# Models: of samples by plane and context; of a lattice's first sample; of fills; of groups by
+# plane and kind.
+_CORNER = 48
+_FILL = FIRST_OF_GROUPS = 49
+_GROUPS = 50
+_ALL_OWN, _UNIFORM, _FEW, _MANY = 0, 1, 2, 3
+N_MODELS = _GROUPS + 12
+# Sets of frequencies: of samples, and of groups and fills.
+N_SETS, N_GROUP_SETS = 16, 8
+SLOT_BITS = 12
+N_SLOTS = 1 << SLOT_BITS
+_STATE_START = 1 << 16
+# Long sections have states that take turns, so that a processor works on several at a time.
+_N_STATES = 4
+_LONG = 1600  # bits
+_HAS_STATES = 0x80
+# Columns of memory before a plane's first one, for the neighbour outside.
+_LEFT = 8
+# Words past the end that may be read before anyone looks how many there are.
+_AHEAD = 32
+# Of costs.
+_UNIT = 1 << 10
 
 
-def encode_mask(mask: Mask, implied: Mask) -> bytes:
-    """Return the bytes of `mask`, which must be False wherever `implied` is True.
+class Above(NamedTuple):
+    """Validity of the level above, around a unit."""
+
+    region: Region
+    validity: Validity
+
+
+class _Log(NamedTuple):
+    """What is coded, in order: models and bits; places of what is being coded."""
+
+    models: NDArray[np.uint8]
+    bits: NDArray[np.uint8]
+    places: NDArray[np.uint32]
+
+
+class _Coder(NamedTuple):
+    """What bits are read with; `places`: the next word, whether there are too few."""
+
+    freqs: NDArray[np.uint32]
+    words: NDArray[np.uint16]
+    states: NDArray[np.uint32]
+    places: NDArray[np.int64]
+
+
+# What a kernel does with bits: reads them, notes those of a mask, or takes all to be 1.
+_READS, _NOTES, _SKIPS = 0, 1, 2
+_NO_CODER = _Coder(*(np.zeros(n, kind) for n, kind in ((1, "u4"), (1, "u2"), (1, "u4"), (2, "i8"))))
+
+
+@cache
+def frequencies() -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    """Return the frequencies of a 1 by set and model: of samples, and of groups and fills.
+
+    The file has those of 49 samples' models for each of 16 sets, then those of 13 others for each
+    of 8 sets, as uint16, little-endian; each is one of 1 … 4095 of 4096.
+    """
+    data = resources.files("terrainwave.codec").joinpath("masks.bin").read_bytes()
+    numbers = np.frombuffer(data, dtype="<u2").astype(np.uint32)
+    n_samples = N_SETS * _FILL
+    return numbers[:n_samples].reshape(N_SETS, -1), numbers[n_samples:].reshape(N_GROUP_SETS, -1)
+
+
+def encode_validity(
+    validity: Validity, region: Region, above: Above | None, *, is_finest: bool
+) -> bytes:
+    """Return the section of a unit's validity (FORMAT.md §5.2); empty if it follows from `above`.
 
     Parameters
     ----------
-    mask, implied : ndarray of bool, shape (n_rows, n_cols)
-        Valid samples, and samples known to be void without a bit.
+    validity : Validity
+        Void where voids of the parent imply it. All valid samples are own on the finest level; those
+        at the parent's samples where these are.
+    above : Above or None
+        None for a root block.
     """
-    out = np.empty(_BYTES_PER_SAMPLE * mask.size + 8, dtype=np.uint8)
-    coder = new_encoder(out, start_models())
-    mask = np.ascontiguousarray(mask)
-    _code_mask(mask, coder, *_surroundings(implied))
-    n_bytes = finish_encoder(coder.state, out)
-    return out[:n_bytes].tobytes()
+    shape = region.shape
+    mask, own = as_array(validity.mask, shape), as_array(validity.own_mask, shape)
+    simplest = decode_validity(b"", region, above, is_finest=is_finest)
+    if np.array_equal(as_array(simplest.mask, shape), mask) and (
+        is_finest or np.array_equal(as_array(simplest.own_mask, shape), own)
+    ):
+        return b""
+    log = _new_log(region)
+    _, n = _code(_NOTES, own, mask, region, above, is_finest, log, _NO_CODER)
+    return _packed(log.models[:n], log.bits[:n])
 
 
-def decode_mask(data: bytes, implied: Mask) -> Mask:
-    """Undo `encode_mask`.
+def decode_validity(
+    section: bytes, region: Region, above: Above | None, *, is_finest: bool
+) -> Validity:
+    """Undo `encode_validity`; whatever the bytes, all own samples are valid.
 
     Raises
     ------
     CorruptStreamError
-        If the bytes are not exactly one mask.
+        If a section is not exactly what it should be.
     """
-    coder = new_decoder(data, start_models())
-    surroundings = _surroundings(implied)
-    _code_mask(None, coder, *surroundings)
-    raise_for_status(*finish_decoder(coder.state, coder.stream))
-    return surroundings.padded[2:, 2:-1].copy()
+    if not section and (above is None or above.validity.own_mask is None):
+        return ALL_VALID
+    nothing = np.zeros((1, 1), dtype=np.bool_)
+    coder = _unpacked(section) if section else _NO_CODER
+    task = _READS if section else _SKIPS
+    cells, _ = _code(task, nothing, nothing, region, above, is_finest, _new_log(region), coder)
+    if section:
+        n_read, is_short = coder.places.tolist()
+        n_words = coder.words.shape[0] - _AHEAD
+        if is_short or n_read > n_words:
+            raise_for_status(Status.TRUNCATED, len(section))
+        if n_read < n_words or (coder.states != _STATE_START).any():
+            raise_for_status(Status.TRAILING, len(section) - 2 * (n_words - n_read))
+    own = (cells & _OWN).view(np.bool_)
+    if is_finest:
+        return Validity.of(own)
+    return Validity.of((cells >> 1 & 1).view(np.bool_), own)
 
 
-def start_models() -> NDArray[np.uint32]:
-    """Return fresh models with the trained start values."""
-    return _START_MODELS.copy()
+def _new_log(region: Region) -> _Log:
+    """Return room for all that a unit may code."""
+    # A bit and one of its group, a third more of coarser lattices of a root block, fills.
+    n = 4 * region.n_rows * region.n_cols + 64
+    return _Log(np.empty(n, np.uint8), np.empty(n, np.uint8), np.empty(n, np.uint32))
 
 
-class _Surroundings(NamedTuple):
-    """What `row_contexts` takes and fills, before a sample is coded."""
+def _code(
+    task: int, own: Mask, mask: Mask, region: Region, above: Above | None, is_finest: bool,
+    log: _Log, coder: _Coder,
+) -> tuple[NDArray[np.uint8], int]:  # fmt: skip
+    """Code a unit's validity; return it, own + 2 · valid, and how many bits were coded.
 
-    ahead: NDArray[np.uint8]
-    contexts: NDArray[np.int16]
-    padded: NDArray[np.bool_]
+    A root block is coded in lattices of more and more samples, as if each were a unit below the one
+    before.
+    """
+    n, steps = 0, [(region, own)]
+    if above is None:
+        log.models[0], log.bits[0] = _CORNER, own[0, 0]
+        n = 1
+        corner = np.ones((1, 1), dtype=np.bool_)
+        if task == _READS:
+            _read(0, 1, log, coder)
+        if task != _SKIPS:
+            corner[0, 0] = log.bits[0]
+        above = Above(Region(0, 0, 1, 1), Validity(None, corner))
+        while max(steps[0][0].shape) > 2:
+            (_, _, n_rows, n_cols), finer = steps[0]
+            steps.insert(0, (Region(0, 0, n_rows + 1 >> 1, n_cols + 1 >> 1), finer[::2, ::2]))
+    outer, validity = above
+    cells = np.empty((0, 0), np.uint8)
+    for at, truth in steps:
+        parent = (as_array(part, outer.shape) for part in (validity.mask, validity.own_mask))
+        cells, n = _code_lattice(task, truth, at, outer, *parent, n, log, coder)
+        outer, validity = at, Validity(None, (cells & _OWN).view(np.bool_))
+    if not is_finest:
+        beside = np.zeros(cells.shape[1] + 2, dtype=np.uint8)
+        n = _code_fills(task, np.ascontiguousarray(mask), cells, beside, n, log, coder)
+    return cells, n
 
 
-def _surroundings(implied: Mask) -> _Surroundings:
-    n_rows, n_cols = implied.shape
-    padded = np.zeros((n_rows + 2, n_cols + 3), dtype=np.bool_)
-    contexts = np.empty(-(-n_cols // 4) * 4, dtype=np.int16)
-    return _Surroundings(pad_implied(implied), contexts, padded)
-
-
-def pad_implied(implied: Mask) -> NDArray[np.uint8]:
-    """Return the `ahead` of `row_contexts`."""
-    ahead = np.zeros((implied.shape[0] + 2, implied.shape[1] + 3), dtype=np.uint8)
-    ahead[:-2, 1:-2] = implied
-    return ahead
+def _code_lattice(
+    task: int, own: Mask, region: Region, outer: Region, valid_above: Mask, own_above: Mask,
+    n: int, log: _Log, coder: _Coder,
+) -> tuple[NDArray[np.uint8], int]:  # fmt: skip
+    n_rows, n_cols = region.n_rows // 2 + 1, region.n_cols // 2 + 1
+    pitch = _LEFT + (n_cols // GROUP + 1) * GROUP
+    planes = np.empty(4 * (n_rows + 2) * pitch, dtype=np.uint8)
+    truth = np.empty(planes.size if task == _NOTES else 1, dtype=np.uint8)
+    cells = np.empty(region.shape, dtype=np.uint8)
+    place = np.array([*region, *outer], dtype=np.int64)
+    above = np.ascontiguousarray(own_above), np.ascontiguousarray(valid_above)
+    own = np.ascontiguousarray(own)
+    groups = np.empty(n_rows * (pitch // GROUP) + 1, dtype=np.uint8)
+    n = _code_planes(
+        task, own, place, *above, planes, planes.view(np.uint64), pitch, truth, groups, n, log,
+        coder, cells,
+    )  # fmt: skip
+    return cells, n
 
 
 @kernel
-def row_contexts(padded, ahead, row, contexts):
-    """Fill `contexts` with the part of each sample's model that its own row does not decide.
-
-    That is _IMPLIED where the sample is implied to be void, and not coded.
-
-    `contexts` has room for a row. `padded` holds the mask behind two rows and columns of voids:
-    samples outside the unit count as void. `ahead` is what is implied, with one column before, two
-    behind and two rows below that are not.
-    """
-    above, above2 = padded[row + 1], padded[row]
-    here, below, below2 = ahead[row], ahead[row + 1], ahead[row + 2]
-    # All in 16 bits, so that vectors hold many.
-    for col in range(np.uint64(padded.shape[1] - 3)):
-        east, east2 = col + np.uint64(1), col + np.uint64(2)
-        causal = np.int16(
-            np.int16(16 * np.int16(above[east2]))
-            + np.int16(8 * np.int16(above[east]))
-            + np.int16(4 * np.int16(above[col + np.uint64(3)]))
-            + np.int16(above2[east2])
-        )
-        near = np.int16(np.int16(here[east2]) + np.int16(below[east]))
-        far = np.int16(
-            np.int16(np.int16(here[col + np.uint64(3)]) + np.int16(below[col]))
-            + np.int16(np.int16(below[east2]) + np.int16(below2[east]))
-        )
-        far = min(far, np.int16(_FARTHEST))
-        context = np.int16(np.int16(np.int16(causal * _N_AHEAD) + np.int16(3 * near)) + far)
-        contexts[col] = np.int16(_IMPLIED) if here[east] != 0 else context
+def _read(first, last, log, coder):
+    """Read bits `first` … `last` − 1; bit i by state i mod their number."""
+    freqs, words, states, places = coder.freqs, coder.words, coder.states, coder.places
+    models, bits = log.models, log.bits
+    mask, at = np.uint64(states.shape[0] - 1), np.uint64(places[0])
+    most, slots = np.uint64(words.shape[0] - _AHEAD), np.uint32(N_SLOTS)
+    start, end = np.uint64(first), np.uint64(last)
+    while start < end:
+        stop = min(start + np.uint64(_AHEAD), end)
+        if at > most:
+            places[1] = 1
+            at = most
+        for i in range(start, stop):
+            state = states[i & mask]
+            freq = freqs[np.uint64(models[i])]
+            slot, whole = state & np.uint32(N_SLOTS - 1), state >> np.uint32(SLOT_BITS)
+            is_one = slot < freq
+            own = freq if is_one else slots - freq
+            before = np.uint32(0) if is_one else freq
+            state = np.uint32(np.uint32(own * whole) + np.uint32(slot - before))
+            bits[i] = np.uint8(is_one)
+            is_low = np.uint32(state < np.uint32(_STATE_START))
+            filled = np.uint32(np.uint32(state << np.uint32(16)) | np.uint32(words[at]))
+            states[i & mask] = filled if is_low else state
+            at += np.uint64(is_low)
+        start = stop
+    places[0] = np.int64(at)
 
 
 @kernel
-def _code_mask(mask, coder, ahead, contexts, padded):
-    """Encode `mask` in raster order, or decode where it is None; either way into `padded`."""
-    coder, ahead, contexts, padded = borrowed((coder, ahead, contexts, padded))
-    n_rows, n_cols = padded.shape[0] - 2, padded.shape[1] - 3
-    fours = contexts.view(np.uint64)
-    state, stream, models, is_encoder = coder
-    at = take_out(state)
+def _contexts(planes, to, n, first, second, third, fourth, kept):
+    """Fill the contexts of a row of `n` samples from their four neighbours, each a row, too.
+
+    What is implied of the third and fourth ones counts if `kept`, which is 255, else 1, leaves it.
+    """
+    for k in range(np.uint64(n)):
+        near = np.uint8(planes[first + k] | np.uint8(planes[second + k] << np.uint8(1)))
+        far = np.uint8(planes[third + k] & kept) << np.uint8(2)
+        far = np.uint8(far) | np.uint8(np.uint8(planes[fourth + k] & kept) << np.uint8(3))
+        planes[to + k] = np.uint8(near | np.uint8(far))
+
+
+@kernel_part
+def _take_above(place, own, valid, planes, pitch, n_rows, n_cols):
+    """Take the parent's samples, with one more on each side; outside of the parent its border."""
+    row0 = ((place[0] + 1) >> 1) - place[4]
+    col0 = ((place[1] + 1) >> 1) - place[5]
+    most_row, most_col = own.shape[0] - 1, own.shape[1] - 1
+    for i in range(-1, n_rows + 1):
+        row = min(max(row0 + i, 0), most_row)
+        to = (i + 1) * pitch + _LEFT
+        for j in range(n_cols):
+            planes[to + j] = np.uint8(own[row, col0 + j]) | np.uint8(
+                np.uint8(not valid[row, col0 + j]) << np.uint8(4)
+            )
+        for j in (-1, n_cols):
+            col = min(max(col0 + j, 0), most_col)
+            planes[to + j] = np.uint8(own[row, col]) | np.uint8(
+                np.uint8(not valid[row, col]) << np.uint8(4)
+            )
+
+
+@kernel_part
+def _frame(planes, start, pitch, n_rows, n_cols):
+    """Repeat the border of a plane outside."""
+    for i in range(n_rows):
+        at = start + i * pitch
+        planes[at - 1] = planes[at]
+        planes[at + n_cols] = planes[at + n_cols - 1]
+    for j in range(-1, n_cols + 1):
+        planes[start - pitch + j] = planes[start + j]
+        planes[start + n_rows * pitch + j] = planes[start + (n_rows - 1) * pitch + j]
+
+
+@kernel
+def _kind_of_group(planes, at):
+    """Return the kind of a group's bit, −1 without one, and whether samples are mixed."""
+    n_none, n_all, n_implied = np.uint8(0), np.uint8(0), np.uint8(0)
+    for k in range(np.uint64(GROUP)):
+        context = planes[at + k]
+        n_none = np.uint8(n_none + np.uint8(context == np.uint8(_NONE)))
+        n_all = np.uint8(n_all + np.uint8(context == np.uint8(_ALL)))
+        n_implied = np.uint8(n_implied + np.uint8(context >= np.uint8(_IMPLIED)))
+    n = np.int64(n_none) + np.int64(n_all)
+    is_mixed = n + np.int64(n_implied) < GROUP
+    if n == 0:
+        return -1, is_mixed
+    if not is_mixed:
+        return (_ALL_OWN if n == GROUP and n_none == 0 else _UNIFORM), is_mixed
+    return (_FEW if n < GROUP // 2 else _MANY), is_mixed
+
+
+@kernel
+def _is_unlike(planes, truth, at):
+    """Return whether a sample of a group is unlike its four neighbours, which agree."""
+    n = np.uint8(0)
+    for k in range(np.uint64(GROUP)):
+        context = planes[at + k]
+        is_none = np.uint8(context == np.uint8(_NONE)) & truth[at + k]
+        is_all = np.uint8(context == np.uint8(_ALL)) & np.uint8(truth[at + k] ^ np.uint8(1))
+        n = np.uint8(n | is_none | is_all)
+    return n
+
+
+@kernel_part
+def _list_samples(planes, words, at, is_open, base, n, models, places, n_places):
+    """List the samples of a group that are coded: all that are not implied, or the mixed ones."""
+    low, high = (_NONE, _ALL) if is_open else (_NONE + 1, _ALL - 1)
+    low, high = np.uint8(low), np.uint8(high)
+    for word in range(_WORDS):
+        first = np.uint64(at + 8 * word)
+        contexts = words[first >> np.uint64(3)]
+        if not is_open and (contexts == np.uint64(0x0F0F0F0F0F0F0F0F) or contexts == np.uint64(0)):
+            continue
+        for k in range(np.uint64(8)):
+            context = planes[first + k]
+            models[n] = np.uint8(base + context)
+            places[n_places] = np.uint32(first + k)
+            is_coded = np.int64((context >= low) & (context <= high))
+            n += is_coded
+            n_places += is_coded
+    return n, n_places
+
+
+@kernel
+def _code_planes(
+    task, own, place, own_above, valid_above, planes, words, pitch, truth, groups, n, log, coder,
+    cells,
+):  # fmt: skip
+    """Code a lattice, of which the parent's samples are known; return how many bits there are."""
+    models, bits, places = log.models, log.bits, log.places
+    n_rows, n_cols = cells.shape
+    p, q = place[0] & 1, place[1] & 1
+    even_rows, even_cols = (n_rows + 1 - p) >> 1, (n_cols + 1 - q) >> 1
+    odd_rows, odd_cols = n_rows - even_rows, n_cols - even_cols
+    size = planes.shape[0] // 4
+    _take_above(place, own_above, valid_above, planes, pitch, even_rows, even_cols)
+    above, corners = pitch + _LEFT, size + pitch + _LEFT
+    for plane in (_HH, _HL, _LH):
+        rows = even_rows if plane == _HL else odd_rows
+        cols = even_cols if plane == _LH else odd_cols
+        if rows == 0 or cols == 0:
+            continue
+        start = plane * size + pitch + _LEFT
+        n_groups = (cols + GROUP - 1) // GROUP
+        if task == _NOTES:
+            for i in range(rows):
+                row = 2 * i + (p if plane == _HL else 1 - p)
+                col = q if plane == _LH else 1 - q
+                for j in range(cols):
+                    truth[start + i * pitch + j] = own[row, col + 2 * j]
+                for j in range(cols, n_groups * GROUP):
+                    truth[start + i * pitch + j] = 0
+        # Contexts, and of which groups there is a bit.
+        first_bit, group = n, 0
+        for i in range(rows):
+            to = start + i * pitch
+            if plane == _HH:
+                north = above + (i - p) * pitch - q
+                south = north + pitch
+                _contexts(
+                    planes, np.uint64(to), cols, np.uint64(north), np.uint64(north + 1),
+                    np.uint64(south), np.uint64(south + 1), np.uint8(255),
+                )  # fmt: skip
+            elif plane == _HL:
+                west = above + i * pitch - q
+                north = corners + (i - 1 + p) * pitch
+                south = north + pitch
+                if odd_rows == 0:
+                    north, south = west, west + 1
+                _contexts(
+                    planes, np.uint64(to), cols, np.uint64(west), np.uint64(west + 1),
+                    np.uint64(north), np.uint64(south), np.uint8(1),
+                )  # fmt: skip
+            else:
+                north = above + (i - p) * pitch
+                west = corners + i * pitch - 1 + q
+                east = west + 1
+                if odd_cols == 0:
+                    west, east = north, north + pitch
+                _contexts(
+                    planes, np.uint64(to), cols, np.uint64(north), np.uint64(north + pitch),
+                    np.uint64(west), np.uint64(east), np.uint8(1),
+                )  # fmt: skip
+            for j in range(cols, n_groups * GROUP):
+                planes[to + j] = _IMPLIED
+            if task == _SKIPS:
+                continue
+            for k in range(n_groups):
+                at = np.uint64(to + k * GROUP)
+                kind, is_mixed = _kind_of_group(planes, at)
+                groups[group] = is_mixed
+                if kind >= 0:
+                    models[n] = _GROUPS + 4 * (plane - 1) + kind
+                    groups[group] |= 2
+                    if task == _NOTES:
+                        bits[n] = _is_unlike(planes, truth, at)
+                    n += 1
+                group += 1
+        if task == _READS:
+            _read(first_bit, n, log, coder)
+        # Samples.
+        group, bit, first_sample, n_places = 0, first_bit, n, 0
+        for i in range(rows if task != _SKIPS else 0):
+            to = start + i * pitch
+            for k in range(n_groups):
+                is_open = False
+                if groups[group] & 2:
+                    is_open = bits[bit] == 1
+                    bit += 1
+                if is_open or groups[group] & 1:
+                    n, n_places = _list_samples(
+                        planes, words, to + k * GROUP, is_open, 16 * (plane - 1), n, models,
+                        places, n_places,
+                    )  # fmt: skip
+                group += 1
+        if task == _READS:
+            _read(first_sample, n, log, coder)
+        elif task == _NOTES:
+            for k in range(n_places):
+                bits[first_sample + k] = truth[places[k]]
+        # What agrees is as its neighbours are; without a section, all that is not implied is own.
+        least = np.uint8(0) if task == _SKIPS else np.uint8(_ALL)
+        for i in range(rows):
+            to = np.uint64(start + i * pitch)
+            for j in range(np.uint64(cols)):
+                context = planes[to + j]
+                is_own = np.uint8((context >= least) & (context <= np.uint8(_ALL)))
+                is_void = np.uint8(context >= np.uint8(_IMPLIED)) << np.uint8(4)
+                planes[to + j] = np.uint8(is_own | np.uint8(is_void))
+        for k in range(n_places):
+            planes[places[k]] = bits[first_sample + k]
+        if plane == _HH:
+            _frame(planes, start, pitch, rows, cols)
     for row in range(n_rows):
-        row_contexts(padded, ahead, row, contexts)
-        west = west2 = np.int64(0)
-        col = end = 0
-        while col < n_cols:
-            if west & west2 and contexts[col] == _INSIDE:
-                end = max(end, col)
-                while end < n_cols and contexts[np.uint64(end)] == _INSIDE:
-                    end += 1
-                    while end & 3 == 0 and end < n_cols and fours[np.uint64(end >> 2)] == _FOUR:
-                        end += 4
-                end = min(end, n_cols)
-                last = end
-                if mask is not None:
-                    last = col
-                    while last < end and mask[row, last]:
-                        last += 1
-                n_ones, at = code_ones(
-                    at, state, stream, models, is_encoder, _ALL_VALID, last - col
-                )
-                for k in range(np.uint64(col + 2), np.uint64(col + 2 + n_ones)):
-                    padded[np.uint64(row + 2), k] = True
-                col += n_ones
-                if col == n_cols:
-                    break
-            bit = np.int64(0)
-            if contexts[col] != _IMPLIED:
-                if mask is not None:
-                    bit = np.int64(mask[row, col])
-                model = contexts[col] + (32 * west + 2 * west2) * _N_AHEAD
-                bit, at = code_step(at, state, stream, models, is_encoder, model, bit)
-            padded[row + 2, col + 2] = bit == 1
-            west2, west = west, bit
-            col += 1
-        if mask is None and at[2] > stream.shape[0] + 4:
-            break  # `finish_decoder` says so
-    put_back(at, state)
+        odd = (row + p) & 1
+        i = (row - (1 - p if odd else p)) >> 1
+        evens = (_LH if odd else _A) * size + (i + 1) * pitch + _LEFT
+        odds = (_HH if odd else _HL) * size + (i + 1) * pitch + _LEFT
+        first, second = (odds, evens) if q else (evens, odds)
+        for j in range(np.uint64(n_cols >> 1)):
+            cells[row, 2 * j] = planes[np.uint64(first) + j]
+            cells[row, 2 * j + np.uint64(1)] = planes[np.uint64(second) + j]
+        if n_cols & 1:
+            cells[row, n_cols - 1] = planes[first + (n_cols >> 1)]
+    return n
+
+
+@kernel
+def _code_fills(task, mask, cells, beside, n, log, coder):
+    """Code which samples are valid, own ones known; add 2 to those that are. Return how many bits.
+
+    Valid are, unless implied to be void, all samples beside own ones.
+    """
+    models, bits, places = log.models, log.bits, log.places
+    n_rows, n_cols = cells.shape
+    first, n_places = n, 0
+    for row in range(n_rows):
+        here, north, south = cells[row], cells[max(row - 1, 0)], cells[min(row + 1, n_rows - 1)]
+        for col in range(np.uint64(n_cols)):
+            beside[col + np.uint64(1)] = (here[col] | north[col] | south[col]) & np.uint8(_OWN)
+        for col in range(np.uint64(n_cols)):
+            near = beside[col] | beside[col + np.uint64(1)] | beside[col + np.uint64(2)]
+            known = np.uint8(_VALID) if near else np.uint8(_UNKNOWN)
+            here[col] |= np.uint8(0) if here[col] & np.uint8(_IMPLIED) else known
+        for start in range(0, n_cols, GROUP):
+            stop = min(start + GROUP, n_cols)
+            any_of = np.uint8(0)
+            for col in range(np.uint64(start), np.uint64(stop)):
+                any_of |= here[col]
+            if any_of & np.uint8(_UNKNOWN):
+                for col in range(np.uint64(start), np.uint64(stop)):
+                    places[n_places] = np.uint32(np.uint64(row * n_cols) + col)
+                    n_places += np.int64(here[col] >> np.uint8(_UNKNOWN_BIT)) & 1
+    for k in range(n_places):
+        models[n] = _FILL
+        bits[n] = 1
+        if task == _NOTES:
+            bits[n] = mask[places[k] // n_cols, places[k] % n_cols]
+        n += 1
+    if task == _READS:
+        _read(first, n, log, coder)
+    for k in range(n_places):
+        cells[places[k] // n_cols, places[k] % n_cols] |= bits[first + k] << np.uint8(1)
+    return n
+
+
+# Sections
+
+
+def _unpacked(section: bytes) -> _Coder:
+    """Return what the bits of a section are read with."""
+    n_states = _N_STATES if section[0] & _HAS_STATES else 1
+    n_head = 1 + 4 * n_states
+    if len(section) < n_head:
+        raise_for_status(Status.TRUNCATED, len(section))
+    if (len(section) - n_head) & 1:
+        raise CorruptStreamError(f"a mask section has {len(section)} bytes, half a word too many")
+    coded = np.frombuffer(section, "<u2", offset=n_head)
+    words = np.zeros(coded.size + _AHEAD, dtype=np.uint16)
+    words[: coded.size] = coded
+    states = np.frombuffer(section, "<u4", n_states, 1).astype(np.uint32)
+    return _Coder(_freqs(section[0]), words, states, np.zeros(2, dtype=np.int64))
+
+
+def _freqs(sets: int) -> NDArray[np.uint32]:
+    """Return the frequencies of a 1 by model, of the sets that a section's first byte names."""
+    samples, groups = frequencies()
+    return np.concatenate([samples[sets % N_SETS], groups[sets // N_SETS % N_GROUP_SETS]])
+
+
+def _packed(models: NDArray[np.uint8], bits: NDArray[np.uint8]) -> bytes:
+    """Return the section of coded bits, with the sets that make it shortest."""
+    counts = np.bincount(2 * models.astype(np.int64) + bits, minlength=2 * N_MODELS)
+    zeros, ones = counts[::2], counts[1::2]
+    sets, cost = 0, 0
+    for freqs, part, size in zip(
+        frequencies(), (np.s_[:_FILL], np.s_[_FILL:]), (1, N_SETS), strict=True
+    ):
+        costs = _costs(freqs) @ ones[part] + _costs(N_SLOTS - freqs) @ zeros[part]
+        sets += size * int(costs.argmin())
+        cost += int(costs.min())
+    n_states = 1
+    if cost > _LONG * _UNIT:
+        sets, n_states = sets | _HAS_STATES, _N_STATES
+    words = np.empty(models.size, dtype=np.uint16)
+    states = np.full(n_states, _STATE_START, dtype=np.uint32)
+    at = _write(models, bits, _freqs(sets), words, states)
+    return bytes([sets]) + states.astype("<u4").tobytes() + words[at:].astype("<u2").tobytes()
+
+
+def _costs(freqs: NDArray[np.uint32]) -> NDArray[np.int64]:
+    """Return what bits of frequencies cost."""
+    return np.rint(_UNIT * (SLOT_BITS - np.log2(freqs))).astype(np.int64)
+
+
+@kernel
+def _write(models, bits, freqs, words, states):
+    """Code bits, the last one first; return where in `words` the first word is."""
+    at, mask = words.shape[0], states.shape[0] - 1
+    for i in range(models.shape[0] - 1, -1, -1):
+        freq = np.int64(freqs[models[i]])
+        own, before = (freq, np.int64(0)) if bits[i] else (N_SLOTS - freq, freq)
+        state = np.int64(states[i & mask])
+        if state >= own << (32 - SLOT_BITS):
+            at -= 1
+            words[at] = np.uint16(state & 0xFFFF)
+            state >>= 16
+        states[i & mask] = np.uint32((state // own << SLOT_BITS) + state % own + before)
+    return at

@@ -93,7 +93,7 @@ class Validity(NamedTuple):
     """Which samples of a region are valid, and which by themselves; not to be written to.
 
     `mask`: None where all are valid, as in most units. `own`: None where all valid samples are
-    valid by themselves, in the full grid, and not only beside valid ones (`codec.own_masks`).
+    valid by themselves, in the full grid, and not only beside valid ones (`codec.masks`).
     """
 
     mask: Mask | None

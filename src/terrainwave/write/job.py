@@ -144,7 +144,7 @@ class Job:
     def has_fills(self) -> bool:
         """Say whether the file tells which samples of coarse levels are fills."""
         is_mixed = 0 < self.n_valid and self.has_voids
-        return self.options.may_be_new and is_mixed and self.grid.k_max > 0
+        return is_mixed and self.grid.k_max > 0
 
     @property
     def may_repeat(self) -> bool:

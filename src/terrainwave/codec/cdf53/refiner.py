@@ -15,10 +15,8 @@ import numpy as np
 from terrainwave.codec.cdf53.spiht import MAX_PLANES, decode_field, encode_field
 from terrainwave.codec.cdf53.tile_border import decode_borders, encode_borders
 from terrainwave.codec.cdf53.tile_layout import TileSpec
-from terrainwave.codec.group import voids_below
-from terrainwave.codec.masks import decode_mask, encode_mask
-from terrainwave.codec.own_masks import Above, Sections, decode_validity, encode_validity
-from terrainwave.codec.refiner import Heights, Mask, Validity, all_void, as_array
+from terrainwave.codec.masks import Above, decode_validity, encode_validity
+from terrainwave.codec.refiner import Heights, Validity, all_void
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.coding.lifting53 import forward_transform, inverse_transform
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
@@ -59,7 +57,7 @@ class TileHead:
     length, of which `n_stream` bytes follow. `low` is the LL sample of the root tile.
     """
 
-    masks: tuple[Sections, ...]
+    masks: tuple[bytes, ...]
     borders: bytes
     low: int
     ends: tuple[int, ...]
@@ -130,24 +128,18 @@ def encode_tile(
     return CodedTile(spec, head, stream)
 
 
-def _encode_masks(spec: TileSpec, index: int, level: Validity, above: Validity | None) -> Sections:
-    """Return the sections of a level's validity; `above` is that of the level above."""
-    implied, outer = _implied(spec, index, above)
-    if spec.has_fills:
-        is_finest = not spec.tells_fills(index)
-        return encode_validity(level, implied, spec.regions[index], outer, is_finest=is_finest)
-    mask = as_array(level.mask, implied.shape)
-    return Sections(b"" if np.array_equal(mask, ~implied) else encode_mask(mask, implied), b"")
+def _encode_masks(spec: TileSpec, index: int, level: Validity, above: Validity | None) -> bytes:
+    """Return the section of a level's validity; `above` is that of the level above."""
+    is_finest = spec.is_finest(index)
+    return encode_validity(
+        level, spec.regions[index], _above(spec, index, above), is_finest=is_finest
+    )
 
 
-def _implied(spec: TileSpec, index: int, above: Validity | None) -> tuple[Mask, Above | None]:
-    """Return the voids of a level that the level above implies, and its samples."""
-    region = spec.regions[index]
-    if above is None:
-        return np.zeros(region.shape, dtype=np.bool_), None
+def _above(spec: TileSpec, index: int, above: Validity | None) -> Above | None:
+    """Return the validity of the level above one, with its region."""
     outer = spec.outer if index == 0 else spec.regions[index - 1]
-    assert outer is not None
-    return voids_below(region, outer, above.mask), Above(outer, above.own_mask)
+    return None if above is None or outer is None else Above(outer, above)
 
 
 def _is_void(level: Validity) -> bool:
@@ -159,12 +151,10 @@ def _is_void(level: Validity) -> bool:
 
 def pack_head(spec: TileSpec, head: TileHead) -> bytes:
     """Return the bytes of a head."""
-    has_masks = any(map(any, head.masks))
+    has_masks = any(head.masks)
     out = bytes([HAS_MASKS if has_masks else 0])
-    for index, level in enumerate(head.masks if has_masks else ()):
-        if spec.tells_fills(index):
-            out += encode_varint(len(level.own)) + level.own
-        out += encode_varint(len(level.mask)) + level.mask
+    for mask in head.masks if has_masks else ():
+        out += encode_varint(len(mask)) + mask
     out += encode_varint(len(head.borders)) + head.borders
     out += encode_varint(2 * head.low if head.low >= 0 else -2 * head.low - 1)
     out += encode_varint(head.n_planes)
@@ -193,13 +183,11 @@ def unpack_head(spec: TileSpec, payload: bytes) -> tuple[TileHead, int]:
         raise CorruptStreamError(f"a tile's flags are {flags:#04x}; reserved bits must be 0")
     pos = 1
     masks = []
-    for index in range(len(spec.regions)):
-        own = mask = b""
+    for _ in spec.regions:
+        mask = b""
         if flags & HAS_MASKS:
-            if spec.tells_fills(index):
-                own, pos = _take(payload, pos)
             mask, pos = _take(payload, pos)
-        masks.append(Sections(mask, own))
+        masks.append(mask)
     borders, pos = _take(payload, pos)
     if bool(borders) != bool(spec.held):
         raise CorruptStreamError(f"a tile has {len(borders)} bytes of borders")
@@ -332,18 +320,9 @@ def decode_masks(spec: TileSpec, head: TileHead, outer: Validity | None) -> list
     """Return which samples of each level of a tile are valid, the coarsest first."""
     levels: list[Validity] = []
     above = outer
-    for index, sections in enumerate(head.masks):
-        implied, around = _implied(spec, index, above)
-        if spec.has_fills:
-            above = decode_validity(
-                sections,
-                implied,
-                spec.regions[index],
-                around,
-                is_finest=not spec.tells_fills(index),
-            )
-        else:
-            above = Validity.of(decode_mask(sections.mask, implied) if sections.mask else ~implied)
+    for index, section in enumerate(head.masks):
+        around, is_finest = _above(spec, index, above), spec.is_finest(index)
+        above = decode_validity(section, spec.regions[index], around, is_finest=is_finest)
         levels.append(above)
     if _is_void(levels[0]):
         raise CorruptStreamError("a tile without a valid sample has a payload")

@@ -42,9 +42,9 @@ class TileSpec:
         """Return the samples of the finest level."""
         return self.regions[-1]
 
-    def tells_fills(self, index: int) -> bool:
-        """Say whether the payload tells the fills of a level, counted from the coarsest."""
-        return self.has_fills and self.n_below + len(self.regions) - 1 - index > 0
+    def is_finest(self, index: int) -> bool:
+        """Say whether a level, counted from the coarsest, is the full grid."""
+        return self.n_below + len(self.regions) - 1 == index
 
     @property
     def is_root(self) -> bool:
