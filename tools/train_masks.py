@@ -21,6 +21,8 @@ OUT = Path(masks.__file__).with_name("masks.bin")
 MAX_ERROR = 1000
 SIDE = 513
 TURNS = 30
+# What a drawn mask weighs against a raster.
+DRAWN = 0.1
 
 
 def drawn():
@@ -42,7 +44,7 @@ def drawn():
         across = (np.cos(angle) * row + np.sin(angle) * col) / SIDE
         yield f"swath {n}", (across > rng.random() / 2) & (across < 1.3)
     for n in range(4):
-        valid = np.ones((SIDE, SIDE), dtype=bool)
+        valid = np.full((SIDE, SIDE), n % 2 == 0)
         for top, left, height, width in rng.integers(1, 100, (12, 4)):
             valid[5 * top : 5 * top + height, 5 * left : 5 * left + width] = n % 2
         yield f"rectangles {n}", valid
@@ -108,12 +110,20 @@ def main():
     parser.add_argument("--leave-out", help="name of a raster not to train with")
     arguments = parser.parse_args()
     found = {path.stem: counts_of(path) for path in sorted(arguments.directory.glob("*.tif"))}
+    real = set(found)
     for name, valid in drawn():
         found[name] = counts_of(np.where(valid, np.float32(1), np.float32(np.nan)))
     found = {name: np.array(counts) for name, counts in found.items() if counts}
     used = [counts for name, counts in found.items() if name != arguments.leave_out]
     counts = np.concatenate(used)
-    weights = np.concatenate([np.full(len(part), 1 / len(part)) for part in used])
+    # Those of real rasters count more.
+    weights = np.concatenate(
+        [
+            np.full(len(part), (1 if name in real else DRAWN) / len(part))
+            for name, part in found.items()
+            if name != arguments.leave_out
+        ]
+    )
     parts = (np.s_[:, : masks.FIRST_OF_GROUPS], np.s_[:, masks.FIRST_OF_GROUPS :])
     sets = [
         trained(counts[part], weights, n)

@@ -1,311 +1,227 @@
-/* Which samples are valid, and which are the raster's own (FORMAT §5.1, §5.2, §5.4). */
-#include "range.h"
+/* Which samples are valid, and which are the raster's own (FORMAT §5.1, §5.2). */
+#include "internal.h"
 #include "tables.h"
 
-/* Bytes of the region with a margin of zeros, so that neighbours can be read without asking. */
-typedef struct field {
-  uint8_t *at; /* sample (0, 0) */
-  size_t stride;
-} field;
+/*
+ * Planes: the parent's samples (A), then odd rows and columns (HH), odd columns (HL), odd rows (LH). Before a sample is
+ * read, its byte is its context: its four neighbours, and more if it is implied void.
+ */
+enum { A, HH, HL, LH, N_PLANES };
+enum { OWN = 1, VALID = 2, UNKNOWN = 4, IMPLIED = 16, NONE = 0, ALL = 15 };
+enum { GROUP = 32, LEFT = 8, N_AT_ONCE = 4096, N_AHEAD = 32 };
+/* Models (§5.2). */
+enum { CORNER = 48, FILL = 49, GROUPS = 50, N_MODELS = 62 };
+enum { SLOT_BITS = 12, N_SLOTS = 1 << SLOT_BITS, STATE_START = 1 << 16, MOST_STATES = 4 };
 
-enum { MOST = 2 * 1024 + 4 }; /* samples of a region along an axis, or more (§2.4) */
-enum { EDGE = 2, N_MASK_MODELS = 576, N_FILL_MODELS = 1296 };
+typedef struct bits {
+  const uint8_t *words; /* some more than there are may be read: PAYLOAD_SLACK */
+  size_t n_words, at;
+  uint32_t states[MOST_STATES], n_read, mask; /* mask: one less than there are states */
+  uint16_t ones[N_MODELS];
+  int is_short;
+} bits;
 
-static size_t field_bytes(const layer *out) {
-  return (size_t)(out->rows.n + 2 * EDGE) * (size_t)(out->cols.n + 2 * EDGE);
-}
-
-/* A field; of one that will be filled the margin alone is made 0. */
-static field take_field(scratch *s, const layer *out, int is_filled) {
-  field f;
-  size_t n = field_bytes(out);
-  uint8_t *memory = scratch_take(s, n);
-  f.stride = (size_t)(out->cols.n + 2 * EDGE);
-  f.at = memory + EDGE * f.stride + EDGE;
-  if (!is_filled) memset(memory, 0, n);
-  for (int32_t r = -1; is_filled && r < out->rows.n; r++) memset(f.at + r * (ptrdiff_t)f.stride + out->cols.n, 0, 2 * EDGE);
-  memset(memory, 0, f.stride * EDGE);
-  memset(memory + n - f.stride * EDGE, 0, f.stride * EDGE);
-  return f;
-}
-
-/* m samples of a parent's line of n, from number `from` on: outside of it the first or the last one. */
-static void take_line(const uint8_t *line, int32_t n, int32_t from, int32_t m, uint8_t *to) {
-  int32_t before = min_i32(max_i32(-from, 0), m), inside = min_i32(max_i32(n - from - before, 0), m - before);
-  memset(to, line[0], (size_t)before);
-  if (inside) memcpy(to + before, line + from + before, (size_t)inside);
-  memset(to + before + inside, line[n - 1], (size_t)(m - before - inside));
-}
-
-/* The parent's column of the first even column of the region. */
-static int32_t first_above(const layer *out, const parent *p) {
-  return (int32_t)((int64_t)(((uint64_t)out->cols.first + 1) / 2) - p->first_col);
-}
-
-static void imply_voids(const layer *out, const parent *p, field implied) {
-  if (!p->layer || (!p->is_void && !p->layer->valid)) return;
-  uint8_t above[MOST], below[MOST];
-  int32_t n = out->cols.n, odd = (int32_t)(out->cols.first & 1); /* 1: the first column lies between two of the parent's */
-  int32_t n_pairs = (n - odd) / 2;
-  for (int32_t r = 0; r < out->rows.n; r++) {
-    uint8_t *RESTRICT row = implied.at + (size_t)r * implied.stride;
-    if (p->is_void) {
-      memset(row, 1, (size_t)n);
-      continue;
-    }
-    uint32_t line = out->rows.first + (uint32_t)r;
-    const uint8_t *valid = p->layer->valid + p->col;
-    size_t pitch = (size_t)p->layer->cols.n;
-    int32_t m = n_pairs + 2, from = first_above(out, p) - 1; /* from one before the first even column on */
-    take_line(valid + pitch * (size_t)(p->row + line_above(line, 0, p->first_row, p->n_rows)), p->n_cols, from, m + 1, above);
-    take_line(valid + pitch * (size_t)(p->row + line_above(line, 1, p->first_row, p->n_rows)), p->n_cols, from, m + 1, below);
-    for (int32_t k = 0; k <= m; k++) above[k] &= below[k];
-    const uint8_t *both = above + 1;
-    if (odd) row[0] = !(both[-1] & both[0]);
-    uint8_t *RESTRICT to = row + odd;
-    for (int32_t k = 0; k < n_pairs; k++) { /* 0 and 1, without a branch: compilers make vectors */
-      to[2 * k] = both[k] ^ 1;
-      to[2 * k + 1] = (both[k] & both[k + 1]) ^ 1;
-    }
-    if (odd + 2 * n_pairs < n) row[n - 1] = !both[n_pairs];
-  }
-}
-
-/* §5.2: valid from the samples that are not implied void. */
-static twz_status decode_plain(const twz_file *f, const layer *out, field implied, const reader *section, field valid,
-                               twz_error *error) {
-  model models[N_MASK_MODELS];
-  for (int i = 0; i < N_MASK_MODELS; i++) models[i] = MODEL((uint32_t)twz_mask_starts[i] << 14, 2);
-  coder start, c; /* c is in registers, as no function is given its place */
-  coder_start(&start, section->bytes, section->n, f->rates);
-  c = start;
-  ptrdiff_t s = (ptrdiff_t)valid.stride;
-  for (int32_t row = 0; row < out->rows.n && !coder_is_cut(&c); row++) {
-    uint8_t *v = valid.at + row * s;
-    const uint8_t *m = implied.at + row * s;
-    for (int32_t col = 0; col < out->cols.n; col++, v++, m++) {
-      if (*m) continue;
-      int near = 32 * v[-1] + 16 * v[-s] + 8 * v[-s - 1] + 4 * v[1 - s] + 2 * v[-2] + v[-2 * s];
-      int far = m[2 * s] + m[2] + m[s - 1] + m[s + 1];
-      *v = (uint8_t)foreseen_bit(&c, &models[(near * 3 + m[s] + m[1]) * 3 + min_i32(far, 2)]);
-    }
-  }
-  start = c;
-  return coder_end(&start, "a mask", error);
-}
-
-/* A range after n bits. By value, so that the coder stays in registers. */
-typedef struct ones {
-  uint32_t range;
+/* Samples that wait until many are read at once. */
+typedef struct list {
+  uint8_t models[N_AT_ONCE + GROUP], bits[N_AT_ONCE + GROUP];
+  uint8_t *places[N_AT_ONCE + GROUP];
   int32_t n;
-} ones;
+} list;
 
-/*
- * Ones of models that have seen so many that they change no more: their p is 65533, and each takes 1, 2 or 3 of the
- * highest 16 bits of the range. Of n, those before a zero or before the range must be renormalised.
- */
-static ones settled_ones(uint32_t range, uint32_t code, int32_t n) {
-  enum { P = 65533, THIRD = 21845, MOST_SMALL = 256 }; /* MOST_SMALL times P is below 2^24 */
-  uint32_t high = range >> 16, stop = code / P, left = (uint32_t)n;
-  if (stop < MOST_SMALL) stop = MOST_SMALL;
-  while (left && high > stop) {
-    uint32_t each = (3 * high + 65535) >> 16, until = (each - 1) * THIRD;
-    if (until < stop) until = stop;
-    uint32_t taken = min_u32((high - until + each - 1) / each, left);
-    high -= taken * each;
-    left -= taken;
-    range = (high + each) * P;
-  }
-  ones found = {range, n - (int32_t)left};
-  return found;
-}
+/* The parent's samples, the first of them at (row, col) of the region's first even row and column. */
+typedef struct above {
+  const uint8_t *own, *valid; /* NULL: all */
+  size_t pitch;
+  int32_t n_rows, n_cols, row, col;
+  int is_void;
+} above;
 
-/* Pairs of ones of models a and b, which may be the same one: as settled_ones. */
-static ALWAYS_INLINE ones unsettled_ones(uint32_t range, uint32_t code, model *a, model *b, int is_same, int32_t n, const coder *c) {
-  model x = *a, y = *b;
-  int32_t i = 0;
-  for (; i + 2 <= n; i += 2) {
-    model after = learned(c, x, 1);
-    if (is_same) y = after;
-    uint32_t bound = (range >> 16) * ((x >> 14) | 1);
-    bound = (bound >> 16) * ((y >> 14) | 1);
-    if (code >= bound || bound < 1u << 24) break;
-    range = bound;
-    y = learned(c, y, 1);
-    x = is_same ? y : after;
-  }
-  *a = x;
-  if (!is_same) *b = y;
-  ones found = {range, i};
-  return found;
-}
+typedef struct lattice {
+  int32_t n_rows, n_cols, p, q; /* p, q: 1 if the first row, column is odd */
+  int32_t rows[N_PLANES], cols[N_PLANES];
+  size_t pitch, size;
+  uint8_t *planes, *groups, *kinds, *opened, *cells;
+  list *list;
+} lattice;
 
-static ones ones_in_turns(uint32_t range, uint32_t code, model *a, model *b, int32_t n, const coder *c) {
-  const model settled = MODEL((1 << 22) - 255, 254);
-  if (*a == settled && *b == settled) return settled_ones(range, code, n);
-  return a == b ? unsettled_ones(range, code, a, a, 1, n, c) : unsettled_ones(range, code, a, b, 0, n, c);
-}
-
-/*
- * Ones from column `first` on, behind a one, where contexts and K repeat each other two by two: mostly none is a zero.
- * Returns the column where they end, or that is to be read for itself.
- */
-static ALWAYS_INLINE int32_t read_ones(coder *c, model *models, const uint16_t *contexts, const uint8_t *k, int32_t first,
-                                       int32_t n) {
-  uint64_t pattern, other;
-  memcpy(&pattern, contexts + first, sizeof pattern);
-  if (pattern >> 32 != (pattern & 0xFFFFFFFFu) || k[first] == 1 || k[first + 1] == 1 || k[first] != k[first + 2]) return first;
-  int32_t stop = first + 4;
-  for (; stop + 4 <= n; stop += 4) {
-    memcpy(&other, contexts + stop, sizeof other);
-    if (other != pattern) break;
-  }
-  if (stop > n) return first;
-  int skipped = k[first] != 0, step = 1 + (skipped || k[first + 1]);
-  if (skipped && k[first + 1]) return stop;
-  model *a = &models[contexts[first + skipped]], *b = step == 2 ? a : &models[contexts[first + 1]];
-  int32_t n_coded = (stop - first) / step;
-  ones read = ones_in_turns(c->range, c->code, a, b, n_coded, c);
-  c->range = read.range;
-  return read.n == n_coded ? stop : first + skipped + step * read.n;
-}
-
-/* §5.4: a map, where K is 0; without a section these bits are 1. */
-static twz_status decode_map(const twz_file *f, const layer *out, field known, const reader *section, field map,
-                             twz_error *error) {
-  model models[N_FILL_MODELS];
-  for (int i = 0; i < N_FILL_MODELS; i++) models[i] = FRESH_MODEL;
-  ptrdiff_t s = (ptrdiff_t)map.stride;
-  const int32_t n = out->cols.n;
-  coder start, c; /* c is in registers, as no function is given its place */
-  coder_start(&start, section->bytes, section->n, f->rates);
-  c = start;
-  uint16_t contexts[MOST + 4] = {0};
-  for (int32_t row = 0; row < out->rows.n && !(section->bytes && coder_is_cut(&c)); row++) {
-    uint8_t *RESTRICT v = map.at + row * s;
-    const uint8_t *RESTRICT above = v - s, *RESTRICT k = known.at + row * s;
-    if (!section->bytes || !memchr(k, 0, (size_t)n)) {
-      for (int32_t col = 0; col < n; col++) v[col] = k[col] != 1;
-      continue;
-    }
-    for (int32_t col = 0; col < n; col++) { /* all but the bit to the left */
-      int bits = 4 * above[col] + 2 * above[col - 1] + above[col + 1];
-      contexts[col] = (uint16_t)(81 * bits + 27 * k[col + 1] + 9 * k[col + s] + 3 * k[col + s + 1] + k[col + s - 1]);
-    }
-    int west = 0;
-    for (int32_t col = 0; col < n; col++) {
-      int32_t next = west ? read_ones(&c, models + 81 * 8, contexts, k, col, n) : col;
-      for (; col < next; col++) v[col] = 1;
-      if (col == n) break;
-      west = k[col] ? k[col] != 1 : foreseen_bit(&c, &models[81 * 8 * west + contexts[col]]);
-      v[col] = (uint8_t)west;
-    }
-  }
-  if (!section->bytes) return TWZ_OK;
-  start = c;
-  return coder_end(&start, "a map of own samples", error);
-}
-
-/* K of own samples: inherited ones are as the parent's, others void where that is implied. */
-static void know_own(const layer *out, const parent *p, field implied, field known) {
-  const int32_t n = out->cols.n, odd = (int32_t)(out->cols.first & 1), n_pairs = (n - odd) / 2;
-  uint8_t own[MOST]; /* of the parent's columns */
-  const uint8_t *all = !p->layer || p->is_void ? NULL : p->layer->own ? p->layer->own : p->layer->valid;
-  memset(own, !p->is_void, sizeof own);
-  for (int32_t r = 0; r < out->rows.n; r++) {
-    uint8_t *k = known.at + (size_t)r * known.stride;
-    const uint8_t *is_implied = implied.at + (size_t)r * implied.stride;
-    memcpy(k, is_implied, (size_t)n);
-    uint32_t row = out->rows.first + (uint32_t)r;
-    if (!p->layer || row % 2) continue;
-    size_t above = (size_t)(p->row + line_above(row, 0, p->first_row, p->n_rows)) * (size_t)p->layer->cols.n;
-    if (all) take_line(all + above + p->col, p->n_cols, first_above(out, p), n_pairs + 1, own);
-    uint8_t *RESTRICT to = k + odd;
-    const uint8_t *RESTRICT from = is_implied + odd;
-    for (int32_t j = 0; j < n_pairs; j++) {
-      to[2 * j] = (uint8_t)(1 + own[j]);
-      to[2 * j + 1] = from[2 * j + 1];
-    }
-    if (odd + 2 * n_pairs < n) to[2 * n_pairs] = (uint8_t)(1 + own[n_pairs]);
-  }
-}
-
-/* K of masks of coarse levels: samples beside own ones are valid. */
-static void know_valid(const layer *out, field implied, field own, field known) {
-  ptrdiff_t s = (ptrdiff_t)own.stride;
-  const int32_t n = out->cols.n;
-  for (int32_t r = 0; r < out->rows.n; r++) {
-    const uint8_t *RESTRICT void_row = implied.at + r * s, *RESTRICT own_row = own.at + r * s;
-    uint8_t *RESTRICT to = known.at + r * s;
-    for (int32_t c = 0; c < n; c++) {
-      const uint8_t *o = own_row + c;
-      uint8_t beside = o[0] | o[-1] | o[1] | o[-s] | o[s] | o[-s - 1] | o[1 - s] | o[s - 1] | o[s + 1];
-      to[c] = (uint8_t)(void_row[c] + 2 * (beside & (void_row[c] ^ 1)));
-    }
-  }
-}
-
-/* Keep a field as bytes of the region; NULL where all are 1. */
-static twz_status keep_field(const twz_file *f, const layer *out, field from, uint8_t **to, int *n_set, twz_error *error) {
-  size_t n_rows = (size_t)out->rows.n, n_cols = (size_t)out->cols.n;
-  int has_0 = 0, has_1 = 0;
-  for (size_t r = 0; r < n_rows && !(has_0 && has_1); r++) {
-    has_0 |= memchr(from.at + r * from.stride, 0, n_cols) != NULL;
-    has_1 |= memchr(from.at + r * from.stride, 1, n_cols) != NULL;
-  }
-  *n_set = !has_1 ? 0 : has_0 ? 1 : 2;
-  if (*n_set == 2) return TWZ_OK;
-  *to = twz_allocate(&f->allocator, n_rows * n_cols);
-  if (!*to) return twz_no_memory(error, n_rows * n_cols);
-  for (size_t r = 0; r < n_rows; r++) memcpy(*to + r * n_cols, from.at + r * from.stride, n_cols);
+static twz_status start_bits(bits *b, const reader *section, twz_error *error) {
+  int sets = section->bytes[0], n_states = sets & 128 ? MOST_STATES : 1;
+  size_t n_head = 1 + 4 * (size_t)n_states;
+  REQUIRE(section->n >= n_head && (section->n - n_head) % 2 == 0, error, "a mask of %llu bytes", (unsigned long long)section->n);
+  memset(b, 0, sizeof *b);
+  for (int i = 0; i < n_states; i++) b->states[i] = load_u32(section->bytes + 1 + 4 * i);
+  b->mask = (uint32_t)n_states - 1;
+  b->words = section->bytes + n_head;
+  b->n_words = (section->n - n_head) / 2;
+  memcpy(b->ones, twz_mask_samples[sets & 15], sizeof twz_mask_samples[0]);
+  memcpy(b->ones + FILL, twz_mask_groups[sets >> 4 & 7], sizeof twz_mask_groups[0]);
   return TWZ_OK;
 }
 
-/* Is one of the parent heights 0 in such a field of the parent's layer? */
-static int has_zero(const parent *p, const uint8_t *bytes) {
-  if (!bytes) return 0;
-  bytes += (size_t)p->row * (size_t)p->layer->cols.n + (size_t)p->col;
-  for (int32_t r = 0; r < p->n_rows; r++) {
-    if (memchr(bytes + (size_t)r * (size_t)p->layer->cols.n, 0, (size_t)p->n_cols)) return 1;
+static void read_bits(bits *from, const uint8_t *RESTRICT models, uint8_t *RESTRICT to, int32_t n) {
+  bits b = *from; /* in registers */
+  for (int32_t start = 0; start < n; start += N_AHEAD) {
+    if (b.at > b.n_words) {
+      b.is_short = 1;
+      b.at = b.n_words;
+    }
+    const uint8_t *word = b.words + 2 * b.at;
+    int32_t stop = min_i32(start + N_AHEAD, n);
+    for (int32_t i = start; i < stop; i++) {
+      uint32_t *state = &b.states[(b.n_read + (uint32_t)i) & b.mask];
+      uint32_t ones = b.ones[models[i]], slot = *state & (N_SLOTS - 1), whole = *state >> SLOT_BITS, is_one = slot < ones;
+      uint32_t x = is_one ? ones * whole + slot : (N_SLOTS - ones) * whole + slot - ones;
+      to[i] = (uint8_t)is_one;
+      uint32_t is_low = x < STATE_START, filled = (x & 0xFFFFu) << 16 | load_u16(word);
+      *state = is_low ? filled : x;
+      word += 2 * is_low;
+    }
+    b.at = (size_t)(word - b.words) / 2;
   }
-  return 0;
+  b.n_read += (uint32_t)n;
+  *from = b;
 }
 
-twz_status decode_validity(const twz_file *f, layer *out, const parent *p, int is_finest, const reader *mask,
-                           const reader *own, int *has_valid, scratch *s, twz_error *error) {
-  *has_valid = 1;
-  int has_fills = (f->header.features & FILLS) != 0;
-  if (!mask->bytes && !own->bytes && !(p->layer && (p->is_void || has_zero(p, p->layer->valid) || has_zero(p, p->layer->own)))) {
-    return TWZ_OK; /* all valid, all own */
-  }
-  TRY(scratch_reserve(s, 4 * (field_bytes(out) + SCRATCH_ALIGN), error));
-  field implied = take_field(s, out, 0), valid = take_field(s, out, has_fills);
-  imply_voids(out, p, implied);
-  int n_valid, n_own;
-  if (!has_fills) {
-    if (mask->bytes) {
-      TRY(decode_plain(f, out, implied, mask, valid, error));
+static twz_status end_bits(const bits *b, twz_error *error) {
+  int is_end = !b->is_short && b->at == b->n_words;
+  for (uint32_t i = 0; i <= b->mask; i++) is_end &= b->states[i] == STATE_START;
+  REQUIRE(is_end, error, "a mask does not end where its section does");
+  return TWZ_OK;
+}
+
+static uint8_t *plane_row(const lattice *l, int plane, int32_t row) {
+  return l->planes + (size_t)plane * l->size + (size_t)(row + 1) * l->pitch + LEFT;
+}
+
+/* A, with one sample more on each side; outside of the parent its border. */
+static void take_above(const lattice *l, const above *a) {
+  for (int32_t i = -1; i <= l->rows[A]; i++) {
+    size_t start = (size_t)min_i32(max_i32(a->row + i, 0), a->n_rows - 1) * a->pitch;
+    uint8_t *RESTRICT to = plane_row(l, A, i);
+    const uint8_t *RESTRICT own = a->own ? a->own + start : NULL, *RESTRICT valid = a->valid ? a->valid + start : NULL;
+    int32_t before = min_i32(a->col, 1), after = min_i32(a->n_cols - a->col - l->cols[A], 1); /* are there such columns? */
+    int32_t first = -before, n = l->cols[A] + before + after;
+    if (a->is_void) {
+      memset(to + first, IMPLIED, (size_t)n);
+    } else if (!own) {
+      memset(to + first, OWN, (size_t)n);
     } else {
-      for (int32_t r = 0; r < out->rows.n; r++) {
-        for (int32_t c = 0; c < out->cols.n; c++) {
-          size_t at = (size_t)r * valid.stride + (size_t)c;
-          valid.at[at] = !implied.at[at];
-        }
+      const uint8_t *from = own + a->col + first;
+      memcpy(to + first, from, (size_t)n);
+      if (valid) {
+        from = valid + a->col + first;
+        for (int32_t j = 0; j < n; j++) to[first + j] = (uint8_t)(to[first + j] | (from[j] ^ 1) * IMPLIED);
       }
     }
+    if (!before) to[-1] = to[0];
+    if (!after) to[l->cols[A]] = to[l->cols[A] - 1];
+  }
+}
+
+/* Repeat the border of HH outside. */
+static void frame(const lattice *l) {
+  int32_t n_rows = l->rows[HH], n_cols = l->cols[HH];
+  for (int32_t i = 0; i < n_rows; i++) {
+    uint8_t *row = plane_row(l, HH, i);
+    row[-1] = row[0];
+    row[n_cols] = row[n_cols - 1];
+  }
+  memcpy(plane_row(l, HH, -1) - 1, plane_row(l, HH, 0) - 1, (size_t)n_cols + 2);
+  memcpy(plane_row(l, HH, n_rows) - 1, plane_row(l, HH, n_rows - 1) - 1, (size_t)n_cols + 2);
+}
+
+/* `kept`: 255, or 1 of neighbours whose voids imply nothing. */
+static ALWAYS_INLINE void fill_contexts(uint8_t *RESTRICT to, int32_t n, const uint8_t *a, const uint8_t *b, const uint8_t *c,
+                                        const uint8_t *d, uint8_t kept) {
+  for (int32_t k = 0; k < n; k++) {
+    to[k] = (uint8_t)(a[k] | b[k] << 1 | (c[k] & kept) << 2 | (d[k] & kept) << 3);
+  }
+}
+
+static void row_contexts(const lattice *l, int plane, int32_t i, uint8_t *to) {
+  int32_t n = l->cols[plane];
+  const uint8_t *north, *west, *south, *east;
+  if (plane == HH) {
+    north = plane_row(l, A, i - l->p) - l->q;
+    south = plane_row(l, A, i - l->p + 1) - l->q;
+    fill_contexts(to, n, north, north + 1, south, south + 1, 255);
+  } else if (plane == HL) {
+    west = plane_row(l, A, i) - l->q;
+    north = l->rows[HH] ? plane_row(l, HH, i - 1 + l->p) : west;
+    south = l->rows[HH] ? plane_row(l, HH, i + l->p) : west + 1;
+    fill_contexts(to, n, west, west + 1, north, south, 1);
   } else {
-    field known = take_field(s, out, 1), own_map = take_field(s, out, 1);
-    know_own(out, p, implied, known);
-    if (is_finest) {
-      TRY(decode_map(f, out, known, mask, valid, error));
-    } else {
-      TRY(decode_map(f, out, known, own, own_map, error));
-      know_valid(out, implied, own_map, known);
-      TRY(decode_map(f, out, known, mask, valid, error));
-      TRY(keep_field(f, out, own_map, &out->own, &n_own, error));
+    north = plane_row(l, A, i - l->p);
+    south = plane_row(l, A, i - l->p + 1);
+    west = l->cols[HH] ? plane_row(l, HH, i) - 1 + l->q : north;
+    east = l->cols[HH] ? west + 1 : south;
+    fill_contexts(to, n, north, south, west, east, 1);
+  }
+}
+
+/* The kind of a group's bit, or -1; *is_mixed: some samples have neighbours that do not agree. */
+static ALWAYS_INLINE int kind_of(const uint8_t *contexts, uint8_t *is_mixed) {
+  uint8_t n_none = 0, n_all = 0, n_implied = 0;
+  for (int k = 0; k < GROUP; k++) {
+    n_none = (uint8_t)(n_none + (contexts[k] == NONE));
+    n_all = (uint8_t)(n_all + (contexts[k] == ALL));
+    n_implied = (uint8_t)(n_implied + (contexts[k] >= IMPLIED));
+  }
+  int n = n_none + n_all;
+  *is_mixed = n + n_implied < GROUP;
+  if (n == 0) return -1;
+  if (*is_mixed) return n < GROUP / 2 ? 2 : 3;
+  return n_all == GROUP ? 0 : 1;
+}
+
+static void read_list(list *s, bits *b) {
+  read_bits(b, s->models, s->bits, s->n);
+  for (int32_t k = 0; k < s->n; k++) *s->places[k] = s->bits[k];
+  s->n = 0;
+}
+
+/* Note the samples of a group that are read: all that are not implied, or those whose neighbours do not agree. */
+static void list_group(list *s, uint8_t *contexts, int is_open, int base) {
+  uint8_t low = is_open ? NONE : NONE + 1, width = is_open ? 16 : 14;
+  int32_t n = s->n;
+  for (int word = 0; word < GROUP; word += 8, contexts += 8) {
+    uint64_t all;
+    memcpy(&all, contexts, sizeof all);
+    if (!is_open && (all == 0 || all == 0x0F0F0F0F0F0F0F0Fu)) continue;
+    for (int k = 0; k < 8; k++) {
+      s->models[n] = (uint8_t)(base + contexts[k]);
+      s->places[n] = contexts + k;
+      n += contexts[k] >= low && contexts[k] < low + width;
     }
   }
-  TRY(keep_field(f, out, valid, &out->valid, &n_valid, error));
-  *has_valid = n_valid > 0;
-  return TWZ_OK;
+  s->n = n;
+}
+
+static void decode_plane(const lattice *l, int plane, bits *b) {
+  int32_t n_rows = l->rows[plane], n_cols = l->cols[plane], n_groups = (n_cols + GROUP - 1) / GROUP, n_kinds = 0;
+  for (int32_t i = 0; i < n_rows; i++) {
+    uint8_t *row = plane_row(l, plane, i);
+    row_contexts(l, plane, i, row);
+    memset(row + n_cols, IMPLIED, (size_t)(n_groups * GROUP - n_cols));
+    for (int32_t k = 0; b && k < n_groups; k++) {
+      uint8_t is_mixed;
+      int kind = kind_of(row + k * GROUP, &is_mixed);
+      l->groups[i * n_groups + k] = (uint8_t)(is_mixed | (kind >= 0) << 1);
+      l->kinds[n_kinds] = (uint8_t)(GROUPS + 4 * (plane - 1) + kind);
+      n_kinds += kind >= 0;
+    }
+  }
+  if (b) read_bits(b, l->kinds, l->opened, n_kinds);
+  const uint8_t *opened = l->opened;
+  l->list->n = 0;
+  for (int32_t i = 0; i < n_rows; i++) {
+    uint8_t *RESTRICT row = plane_row(l, plane, i);
+    for (int32_t k = 0; b && k < n_groups; k++) {
+      int is_mixed = l->groups[i * n_groups + k] & 1, has_bit = l->groups[i * n_groups + k] >> 1;
+      int is_open = has_bit && *opened;
+      opened += has_bit;
+      if (is_open || is_mixed) list_group(l->list, row + k * GROUP, is_open, 16 * (plane - 1));
+      if (l->list->n >= N_AT_ONCE && k + 1 < n_groups) read_ahead(l->list, b);
+    }
+  }
 }

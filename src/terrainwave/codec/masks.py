@@ -205,7 +205,7 @@ def _code_lattice(
     truth = np.empty(planes.size if task == _NOTES else 1, dtype=np.uint8)
     cells = np.empty(region.shape, dtype=np.uint8)
     place = np.array([*region, *outer], dtype=np.int64)
-    above = np.ascontiguousarray(own_above), np.ascontiguousarray(valid_above)
+    above = (np.ascontiguousarray(part).view(np.uint8) for part in (own_above, valid_above))
     own = np.ascontiguousarray(own)
     groups = np.empty(n_rows * (pitch // GROUP) + 1, dtype=np.uint8)
     n = _code_planes(
@@ -261,21 +261,19 @@ def _contexts(planes, to, n, first, second, third, fourth, kept):
 @kernel_part
 def _take_above(place, own, valid, planes, pitch, n_rows, n_cols):
     """Take the parent's samples, with one more on each side; outside of the parent its border."""
-    row0 = ((place[0] + 1) >> 1) - place[4]
-    col0 = ((place[1] + 1) >> 1) - place[5]
-    most_row, most_col = own.shape[0] - 1, own.shape[1] - 1
+    row0, col0 = ((place[0] + 1) >> 1) - place[4], ((place[1] + 1) >> 1) - place[5]
+    void, one = np.uint8(4), np.uint8(1)
     for i in range(-1, n_rows + 1):
-        row = min(max(row0 + i, 0), most_row)
-        to = (i + 1) * pitch + _LEFT
-        for j in range(n_cols):
-            planes[to + j] = np.uint8(own[row, col0 + j]) | np.uint8(
-                np.uint8(not valid[row, col0 + j]) << np.uint8(4)
-            )
+        row = min(max(row0 + i, 0), own.shape[0] - 1)
+        own_row, valid_row = own[row], valid[row]
+        to, first = np.uint64((i + 1) * pitch + _LEFT), np.uint64(col0)
+        for j in range(np.uint64(n_cols)):
+            is_void = np.uint8((valid_row[first + j] ^ one) << void)
+            planes[to + j] = np.uint8(own_row[first + j] | is_void)
         for j in (-1, n_cols):
-            col = min(max(col0 + j, 0), most_col)
-            planes[to + j] = np.uint8(own[row, col]) | np.uint8(
-                np.uint8(not valid[row, col]) << np.uint8(4)
-            )
+            col = min(max(col0 + j, 0), own.shape[1] - 1)
+            is_void = np.uint8((valid_row[col] ^ one) << void)
+            planes[(i + 1) * pitch + _LEFT + j] = np.uint8(own_row[col] | is_void)
 
 
 @kernel_part
