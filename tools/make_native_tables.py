@@ -2,7 +2,7 @@
 
 python tools/make_native_tables.py
 
-The dictionary, the models of masks and the mixer's functions come from the text of the format.
+The dictionary and the mixer's functions come from the text of the format.
 """
 
 import base64
@@ -11,6 +11,7 @@ import zlib
 from decimal import Decimal, localcontext
 from pathlib import Path
 
+from terrainwave.codec import masks
 from terrainwave.codec.cdf97 import trained as tables97
 from terrainwave.codec.predictive import trained as tables
 from terrainwave.codec.rapid import trained as rapid_tables
@@ -126,12 +127,13 @@ def check_features():
 
 def main():
     """Write the file."""
-    starts = [int(word) for line in block_of("starts") for word in line.split()]
+    samples, groups = masks.frequencies()
     starts97 = base64.b85decode(tables97._STARTS)
     parts = [
         HEAD + '#include "tables.h"\n',
         text_of("twz_dictionary", block_of("dictionary")),
-        array("uint8_t twz_mask_starts[576]", starts),
+        array("uint16_t twz_mask_samples[16][49]", samples.tolist(), 2),
+        array("uint16_t twz_mask_groups[8][13]", groups.tolist(), 2),
         stencils("twz_rapid_stencils", rapid_tables.STENCILS),
         array(
             "int32_t twz_rapid_features[2][4][4][9]",

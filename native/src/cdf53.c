@@ -7,18 +7,15 @@ enum { TOP, LEFT, BOTTOM, RIGHT, N_SIDES };
 /* ---- Payload (C.4) ---- */
 
 typedef struct head {
-  reader own[MOST_LAYERS], masks[MOST_LAYERS], borders;
+  reader masks[MOST_LAYERS], borders;
   int64_t low;
   int n_planes;
   uint64_t n_whole, n_stream; /* bytes of the whole stream; of what is here */
 } head;
 
-static twz_status read_masks(const twz_file *f, const unit *u, reader *r, head *h, twz_error *error) {
+static twz_status read_masks(const unit *u, reader *r, head *h, twz_error *error) {
   for (int i = 0; i < u->n_layers; i++) {
-    int is_finest = u->first_level + i == f->grid.k_max;
-    if ((f->header.features & FILLS) && !is_finest) TRY(read_section(r, &h->own[i], "own samples", error));
     TRY(read_section(r, &h->masks[i], "a mask", error));
-    if (h->own[i].n == 0) h->own[i].bytes = NULL;
     if (h->masks[i].n == 0) h->masks[i].bytes = NULL;
   }
   return TWZ_OK;
@@ -28,7 +25,7 @@ static twz_status read_head(const twz_file *f, const unit *u, reader *r, head *h
   uint64_t z, n_planes;
   int flags = r->bytes[r->at++], is_root = u->entry.at.level < 0;
   REQUIRE(flags <= 1, error, "flags %d of method cdf53", flags);
-  if (flags & 1) TRY(read_masks(f, u, r, h, error));
+  if (flags & 1) TRY(read_masks(u, r, h, error));
   TRY(read_section(r, &h->borders, "borders", error));
   REQUIRE((h->borders.n > 0) == is_held, error, "borders of %llu bytes of a tile %s shared sides",
           (unsigned long long)h->borders.n, is_held ? "with" : "without");
@@ -425,7 +422,7 @@ static twz_status decode_masks(const twz_file *f, unit *u, const parent *above, 
   for (int i = 0; i < u->n_layers; i++) {
     int has_valid, is_finest = u->first_level + i == f->grid.k_max;
     parent p = i ? parent_in_tile(&u->layers[i - 1]) : *above;
-    TRY(decode_validity(f, &u->layers[i], &p, is_finest, &h->masks[i], &h->own[i], &has_valid, s, error));
+    TRY(decode_validity(f, &u->layers[i], &p, is_finest, &h->masks[i], &has_valid, s, error));
     has_any |= has_valid;
   }
   REQUIRE(has_any, error, "a payload of a tile without a valid sample");

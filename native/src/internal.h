@@ -454,11 +454,11 @@ twz_status decode_units(const twz_file *f, const order *orders, int n, scratch *
 uint64_t unit_bytes(const twz_file *f, place key);
 
 /*
- * Fill out->valid and out->own (mask.c) of a unit with a payload; NULL where all are 1. Sections with bytes
- * NULL are not there.
+ * Fill out->valid and out->own (mask.c) of a unit with a payload; NULL where all are 1. A section with bytes
+ * NULL is not there.
  */
-twz_status decode_validity(const twz_file *f, layer *out, const parent *p, int is_finest, const reader *mask,
-                           const reader *own, int *has_valid, scratch *s, twz_error *error);
+twz_status decode_validity(const twz_file *f, layer *out, const parent *p, int is_finest, const reader *section,
+                           int *has_valid, scratch *s, twz_error *error);
 
 /* Each fills the heights of the whole region from the bytes of the method. */
 twz_status decode_store(const job *j, const reader *bytes, twz_error *error);

@@ -9,6 +9,7 @@
 enum { A, HH, HL, LH, N_PLANES };
 enum { OWN = 1, VALID = 2, UNKNOWN = 4, IMPLIED = 16, NONE = 0, ALL = 15 };
 enum { GROUP = 32, LEFT = 8, N_AT_ONCE = 4096, N_AHEAD = 32 };
+enum { MOST = 2 * 1024 + 4 }; /* samples of a region along an axis, or more (§2.4) */
 /* Models (§5.2). */
 enum { CORNER = 48, FILL = 49, GROUPS = 50, N_MODELS = 62 };
 enum { SLOT_BITS = 12, N_SLOTS = 1 << SLOT_BITS, STATE_START = 1 << 16, MOST_STATES = 4 };
@@ -23,8 +24,8 @@ typedef struct bits {
 
 /* Samples that wait until many are read at once. */
 typedef struct list {
-  uint8_t models[N_AT_ONCE + GROUP], bits[N_AT_ONCE + GROUP];
-  uint8_t *places[N_AT_ONCE + GROUP];
+  uint8_t models[N_AT_ONCE + MOST], bits[N_AT_ONCE + MOST];
+  uint8_t *places[N_AT_ONCE + MOST];
   int32_t n;
 } list;
 
@@ -221,7 +222,162 @@ static void decode_plane(const lattice *l, int plane, bits *b) {
       int is_open = has_bit && *opened;
       opened += has_bit;
       if (is_open || is_mixed) list_group(l->list, row + k * GROUP, is_open, 16 * (plane - 1));
-      if (l->list->n >= N_AT_ONCE && k + 1 < n_groups) read_ahead(l->list, b);
     }
+    /* What agrees is as its neighbours are; without a section, all that is not implied is own. */
+    uint8_t least = b ? ALL : NONE;
+    for (int32_t j = 0; j < n_cols; j++) {
+      row[j] = (uint8_t)((row[j] >= least && row[j] <= ALL) | (row[j] >= IMPLIED) << 4);
+    }
+    if (l->list->n >= N_AT_ONCE) read_list(l->list, b);
   }
+  if (b) read_list(l->list, b);
+  if (plane == HH) frame(l);
+}
+
+/* Put the planes together: bytes of OWN and IMPLIED. */
+static void join_planes(const lattice *l) {
+  for (int32_t r = 0; r < l->n_rows; r++) {
+    int is_odd = (r + l->p) & 1;
+    int32_t i = (r - (is_odd ? 1 - l->p : l->p)) / 2, n = l->n_cols / 2;
+    const uint8_t *evens = plane_row(l, is_odd ? LH : A, i), *odds = plane_row(l, is_odd ? HH : HL, i);
+    const uint8_t *first = l->q ? odds : evens, *second = l->q ? evens : odds;
+    uint8_t *RESTRICT to = l->cells + (size_t)r * (size_t)l->n_cols;
+    for (int32_t j = 0; j < n; j++) {
+      to[2 * j] = first[j];
+      to[2 * j + 1] = second[j];
+    }
+    if (l->n_cols & 1) to[2 * n] = first[n];
+  }
+}
+
+/* Decode a lattice below known samples into its cells; b NULL: without a section. */
+static void decode_lattice(lattice *l, const above *a, bits *b) {
+  l->rows[A] = l->rows[HL] = (l->n_rows + 1 - l->p) / 2;
+  l->rows[HH] = l->rows[LH] = l->n_rows - l->rows[A];
+  l->cols[A] = l->cols[LH] = (l->n_cols + 1 - l->q) / 2;
+  l->cols[HH] = l->cols[HL] = l->n_cols - l->cols[A];
+  take_above(l, a);
+  for (int plane = HH; plane <= LH; plane++) {
+    if (l->rows[plane] && l->cols[plane]) decode_plane(l, plane, b);
+  }
+  join_planes(l);
+}
+
+/* A root block: lattices of more and more samples, each as if it were a unit below the one before. */
+static void decode_root(lattice *l, bits *b, uint8_t *coarser) {
+  int32_t n_rows = l->n_rows, n_cols = l->n_cols;
+  int shift = 0;
+  uint8_t corner = CORNER;
+  coarser[0] = 1;
+  if (b) read_bits(b, &corner, coarser, 1);
+  while ((n_rows - 1) >> shift || (n_cols - 1) >> shift) shift++;
+  above a = {coarser, NULL, 1, 1, 1, 0, 0, 0};
+  l->cells[0] = coarser[0];
+  while (shift-- > 0) {
+    l->n_rows = ((n_rows - 1) >> shift) + 1;
+    l->n_cols = ((n_cols - 1) >> shift) + 1;
+    decode_lattice(l, &a, b);
+    above below = {coarser, NULL, (size_t)l->n_cols, l->n_rows, l->n_cols, 0, 0, 0};
+    a = below;
+    if (shift) memcpy(coarser, l->cells, (size_t)l->n_rows * (size_t)l->n_cols);
+  }
+}
+
+/* Which samples of a coarse level are valid: all beside own ones, unless implied void, and those of which a bit says so. */
+static void decode_fills(const lattice *l, bits *b) {
+  size_t n_cols = (size_t)l->n_cols;
+  uint8_t beside[MOST + 2];
+  list *s = l->list;
+  s->n = 0;
+  for (int32_t r = 0; r < l->n_rows; r++) {
+    uint8_t *RESTRICT here = l->cells + (size_t)r * n_cols;
+    const uint8_t *north = r > 0 ? here - n_cols : here, *south = r + 1 < l->n_rows ? here + n_cols : here;
+    beside[0] = beside[n_cols + 1] = 0;
+    for (size_t c = 0; c < n_cols; c++) beside[c + 1] = (here[c] | north[c] | south[c]) & OWN;
+    uint8_t any = 0;
+    for (size_t c = 0; c < n_cols; c++) {
+      uint8_t known = (uint8_t)((beside[c] | beside[c + 1] | beside[c + 2]) ? VALID : UNKNOWN);
+      here[c] = (uint8_t)(here[c] | (here[c] & IMPLIED ? 0 : known));
+      any |= here[c];
+    }
+    if (!(any & UNKNOWN)) continue;
+    for (size_t c = 0; c < n_cols; c++) {
+      s->models[s->n] = FILL;
+      s->places[s->n] = here + c;
+      s->n += here[c] >> 2 & 1;
+    }
+    if (b) read_bits(b, s->models, s->bits, s->n);
+    for (int32_t k = 0; k < s->n; k++) *s->places[k] |= (uint8_t)(b && !s->bits[k] ? 0 : VALID);
+    s->n = 0;
+  }
+}
+
+/* Keep a bit of all cells as bytes of the region; NULL where all are 1. */
+static twz_status keep(const twz_file *f, const uint8_t *cells, size_t n, int shift, uint8_t **to, int *has_1, twz_error *error) {
+  uint8_t all = 1, any = 0;
+  for (size_t i = 0; i < n; i++) {
+    all &= (uint8_t)(cells[i] >> shift);
+    any |= (uint8_t)(cells[i] >> shift);
+  }
+  *has_1 = any & 1;
+  if (all) return TWZ_OK;
+  *to = twz_allocate(&f->allocator, n);
+  if (!*to) return twz_no_memory(error, n);
+  for (size_t i = 0; i < n; i++) (*to)[i] = cells[i] >> shift & 1;
+  return TWZ_OK;
+}
+
+/* Is one of the parent heights 0 in such a field of the parent's layer? */
+static int has_zero(const parent *p, const uint8_t *bytes) {
+  if (!bytes) return 0;
+  bytes += (size_t)p->row * (size_t)p->layer->cols.n + (size_t)p->col;
+  for (int32_t r = 0; r < p->n_rows; r++) {
+    if (memchr(bytes + (size_t)r * (size_t)p->layer->cols.n, 0, (size_t)p->n_cols)) return 1;
+  }
+  return 0;
+}
+
+twz_status decode_validity(const twz_file *f, layer *out, const parent *p, int is_finest, const reader *section,
+                           int *has_valid, scratch *s, twz_error *error) {
+  *has_valid = 1;
+  if (!section->bytes && !(p->layer && (p->is_void || has_zero(p, p->layer->valid) || has_zero(p, p->layer->own)))) {
+    return TWZ_OK; /* all valid, all own */
+  }
+  lattice l;
+  memset(&l, 0, sizeof l);
+  l.n_rows = out->rows.n;
+  l.n_cols = out->cols.n;
+  l.p = (int)(out->rows.first & 1);
+  l.q = (int)(out->cols.first & 1);
+  size_t n_cells = (size_t)l.n_rows * (size_t)l.n_cols, most_rows = (size_t)l.n_rows / 2 + 1, most_cols = (size_t)l.n_cols / 2 + 1;
+  size_t n_groups = most_rows * (most_cols / GROUP + 1), n_coarser = p->layer ? 0 : most_rows * most_cols;
+  l.pitch = LEFT + (most_cols / GROUP + 1) * GROUP;
+  l.size = (most_rows + 2) * l.pitch;
+  size_t n_bytes = N_PLANES * l.size + 3 * (n_groups + 1) + n_cells + n_coarser + 1 + sizeof(list);
+  TRY(scratch_reserve(s, n_bytes + 7 * SCRATCH_ALIGN, error));
+  l.planes = scratch_take(s, N_PLANES * l.size);
+  l.groups = scratch_take(s, n_groups);
+  l.kinds = scratch_take(s, n_groups + 1);
+  l.opened = scratch_take(s, n_groups + 1);
+  l.cells = scratch_take(s, n_cells);
+  l.list = scratch_take(s, sizeof(list));
+  bits memory, *b = section->bytes ? &memory : NULL;
+  if (b) TRY(start_bits(b, section, error));
+  if (p->layer) {
+    size_t pitch = (size_t)p->layer->cols.n, first = (size_t)p->row * pitch + (size_t)p->col;
+    const uint8_t *valid = p->layer->valid, *own = p->layer->own ? p->layer->own : valid;
+    above a = {own ? own + first : NULL, valid ? valid + first : NULL, pitch, p->n_rows, p->n_cols, 0, 0, p->is_void};
+    a.row = (int32_t)((int64_t)(((uint64_t)out->rows.first + 1) / 2) - p->first_row);
+    a.col = (int32_t)((int64_t)(((uint64_t)out->cols.first + 1) / 2) - p->first_col);
+    decode_lattice(&l, &a, b);
+  } else {
+    decode_root(&l, b, scratch_take(s, n_coarser + 1));
+  }
+  int has_own;
+  if (!is_finest) {
+    decode_fills(&l, b);
+    TRY(keep(f, l.cells, n_cells, 0, &out->own, &has_own, error));
+  }
+  if (b) TRY(end_bits(b, error));
+  return keep(f, l.cells, n_cells, is_finest ? 0 : 1, &out->valid, has_valid, error);
 }

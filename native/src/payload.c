@@ -129,13 +129,12 @@ static twz_status decode_corrections(const job *j, const reader *section, int32_
   return TWZ_OK;
 }
 
-enum { MASK, EXCEPTIONS, REMAINDER_BYTES, OWN, CORRECTED, N_SECTIONS };
+enum { MASK, EXCEPTIONS, REMAINDER_BYTES, CORRECTED, N_SECTIONS };
 
 static twz_status read_sections(const twz_file *f, reader *r, int is_finest, reader *sections, twz_error *error) {
-  static const char *const NAMES[N_SECTIONS] = {"a mask", "exceptions", "remainders", "own samples", "corrections"};
+  static const char *const NAMES[N_SECTIONS] = {"a mask", "exceptions", "remainders", "corrections"};
   int flags = r->bytes[r->at++], known = 1 << MASK | 1 << EXCEPTIONS;
   if ((f->header.features & REMAINDERS) && is_finest) known |= 1 << REMAINDER_BYTES;
-  if ((f->header.features & FILLS) && !is_finest) known |= 1 << OWN;
   if (f->header.features & CORRECTIONS) known |= 1 << CORRECTED;
   REQUIRE((flags & ~known) == 0, error, "flags %d of a payload", flags);
   for (int i = 0; i < N_SECTIONS; i++) {
@@ -226,7 +225,7 @@ static twz_status begin_unit(const twz_file *f, const order *o, begun *b, scratc
   TRY(read_sections(f, &rest, is_finest, b->sections, error));
   const job j = {f, key, u->first_level, l, parent_of(f, key, o->above), NULL};
   b->job = j;
-  TRY(decode_validity(f, l, &b->job.parent, is_finest, &b->sections[MASK], &b->sections[OWN], &has_valid, s, error));
+  TRY(decode_validity(f, l, &b->job.parent, is_finest, &b->sections[MASK], &has_valid, s, error));
   REQUIRE(has_valid, error, "a payload of a unit without a valid sample");
   if (!u->heap) {
     void *memory = twz_allocate(&f->allocator, n * cell_size(&f->heights));

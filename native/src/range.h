@@ -61,23 +61,6 @@ static ALWAYS_INLINE int adaptive_bit(coder *c, model *m) {
   return bit;
 }
 
-/* The same of a bit that is mostly as the one before, of masks: processors foresee it, and need not wait for it. */
-static ALWAYS_INLINE int foreseen_bit(coder *c, model *m) {
-  model before = *m;
-  uint32_t bound = (c->range >> 16) * ((before >> 14) | 1);
-  if (c->code < bound) {
-    c->range = bound;
-    *m = learned(c, before, 1);
-    renormalise(c);
-    return 1;
-  }
-  c->code -= bound;
-  c->range -= bound;
-  *m = learned(c, before, 0);
-  renormalise(c);
-  return 0;
-}
-
 static inline uint64_t raw_bits(coder *c, int k) {
   uint64_t value = 0;
   for (; k > 0; k--) {
