@@ -4,6 +4,8 @@ from fractions import Fraction
 
 import numpy as np
 
+from terrainwave.grid.quadtree import Region
+
 # CDF 9/7 analysis low-pass, DC gain 1, centre first: Cohen, Daubechies, Feauveau 1992, table 6.2
 # (there times sqrt 2), as printed in JPEG 2000 part 1, table F.2.
 CDF97_LOWPASS = (
@@ -78,6 +80,42 @@ def recursive_errors(levels, side, bound):
                 )
                 errors[row, col] = children + apart + bound
         found.insert(0, errors)
+    return found
+
+
+def outer_region(corner, shape, aprons):
+    """Return a region of the level above one, with room for aprons of 0 or 1 on each side."""
+    return Region(
+        max((corner[0] >> 1) - aprons[0], 0), max((corner[1] >> 1) - aprons[1], 0),
+        (shape[0] >> 1) + 2 + aprons[2], (shape[1] >> 1) + 2 + aprons[3],
+    )  # fmt: skip
+
+
+def implied_voids(region, outer, valid):
+    """Return which samples of a region are void, as samples above that touch them are (§5.1)."""
+
+    def touched(first, n, outer_first, outer_n):
+        places = np.arange(first, first + n)
+        return [np.clip(places + after - 2 * outer_first >> 1, 0, outer_n - 1) for after in (0, 1)]
+
+    found = np.zeros(region.shape, dtype=bool)
+    for rows in touched(region.row, region.n_rows, outer.row, outer.n_rows):
+        for cols in touched(region.col, region.n_cols, outer.col, outer.n_cols):
+            found |= ~valid[np.ix_(rows, cols)]
+    return found
+
+
+def mask_below(mask, spec, parent):
+    """Return a mask as a unit below `parent` may have it, which is None for a root block."""
+    if parent is None:
+        return mask
+    region, outer = spec.region, spec.parent_region
+    found = mask & ~implied_voids(region, outer, parent.mask)
+    row, col = region.row & 1, region.col & 1
+    inherited = found[row::2, col::2]
+    first, left = (region.row + row) // 2 - outer.row, (region.col + col) // 2 - outer.col
+    own = parent.own_mask[first:, left:]
+    inherited[...] = own[: inherited.shape[0], : inherited.shape[1]]
     return found
 
 

@@ -133,7 +133,7 @@ def main():
         HEAD + '#include "tables.h"\n',
         text_of("twz_dictionary", block_of("dictionary")),
         array("uint16_t twz_mask_samples[16][49]", samples.tolist(), 2),
-        array("uint16_t twz_mask_groups[8][13]", groups.tolist(), 2),
+        array("uint16_t twz_mask_groups[7][13]", groups.tolist(), 2),
         stencils("twz_rapid_stencils", rapid_tables.STENCILS),
         array(
             "int32_t twz_rapid_features[2][4][4][9]",

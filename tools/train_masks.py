@@ -29,7 +29,7 @@ def drawn():
     """Yield names and masks of kinds that rasters have."""
     rng = np.random.default_rng(0)
     row, col = np.indices((SIDE, SIDE))
-    for share in (0.0001, 0.001, 0.01, 0.1, 0.3, 0.5):
+    for share in (0.0001, 0.001, 0.01, 0.03, 0.06, 0.1, 0.2, 0.3, 0.5):
         specks = rng.random((SIDE, SIDE)) < share
         yield f"void specks {share}", ~specks
         yield f"valid specks {share}", specks

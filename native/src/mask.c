@@ -11,7 +11,7 @@ enum { OWN = 1, VALID = 2, UNKNOWN = 4, IMPLIED = 16, NONE = 0, ALL = 15 };
 enum { GROUP = 32, LEFT = 8, N_AT_ONCE = 4096, N_AHEAD = 32 };
 enum { MOST = 2 * 1024 + 4 }; /* samples of a region along an axis, or more (§2.4) */
 /* Models (§5.2). */
-enum { CORNER = 48, FILL = 49, GROUPS = 50, N_MODELS = 62 };
+enum { CORNER = 48, FILL = 49, GROUPS = 50, N_MODELS = 62, N_GROUP_SETS = 7 };
 enum { SLOT_BITS = 12, N_SLOTS = 1 << SLOT_BITS, STATE_START = 1 << 16, MOST_STATES = 4 };
 
 typedef struct bits {
@@ -46,16 +46,22 @@ typedef struct lattice {
 } lattice;
 
 static twz_status start_bits(bits *b, const reader *section, twz_error *error) {
-  int sets = section->bytes[0], n_states = sets & 128 ? MOST_STATES : 1;
-  size_t n_head = 1 + 4 * (size_t)n_states;
+  const uint8_t *at = section->bytes + 1;
+  int sets = section->bytes[0], n_states = sets & 128 ? MOST_STATES : 1, group_set = sets >> 4 & 7;
+  size_t n_freqs = group_set == N_GROUP_SETS ? N_MODELS : 0, n_head = 1 + n_freqs + 4 * (size_t)n_states;
   REQUIRE(section->n >= n_head && (section->n - n_head) % 2 == 0, error, "a mask of %llu bytes", (unsigned long long)section->n);
+  REQUIRE(!n_freqs || sets % 16 == 0, error, "a mask with frequencies of its own and set %d", sets % 16);
   memset(b, 0, sizeof *b);
-  for (int i = 0; i < n_states; i++) b->states[i] = load_u32(section->bytes + 1 + 4 * i);
+  for (int i = 0; i < n_states; i++) b->states[i] = load_u32(at + n_freqs + 4 * i);
   b->mask = (uint32_t)n_states - 1;
   b->words = section->bytes + n_head;
   b->n_words = (section->n - n_head) / 2;
-  memcpy(b->ones, twz_mask_samples[sets & 15], sizeof twz_mask_samples[0]);
-  memcpy(b->ones + FILL, twz_mask_groups[sets >> 4 & 7], sizeof twz_mask_groups[0]);
+  if (n_freqs) {
+    for (int i = 0; i < N_MODELS; i++) b->ones[i] = (uint16_t)(16 * at[i] + 8);
+  } else {
+    memcpy(b->ones, twz_mask_samples[sets & 15], sizeof twz_mask_samples[0]);
+    memcpy(b->ones + FILL, twz_mask_groups[group_set], sizeof twz_mask_groups[0]);
+  }
   return TWZ_OK;
 }
 

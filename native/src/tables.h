@@ -8,7 +8,7 @@
 extern const char twz_dictionary[]; /* FORMAT §4.6 */
 extern const size_t twz_dictionary_size;
 extern const uint16_t twz_mask_samples[16][49]; /* §5.2 */
-extern const uint16_t twz_mask_groups[8][13];
+extern const uint16_t twz_mask_groups[7][13];
 
 /* By plane HH, HL, LH, set and tap; taps that a plane lacks are 0. */
 enum { RAPID_SETS = 12, PREDICTIVE_SETS = 8, MOST_TAPS = 24 };

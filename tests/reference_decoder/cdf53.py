@@ -110,18 +110,16 @@ def read_stream(pieces, n_stream):
     return stream
 
 
-def parse_payload(file, payload, tile):
-    """Return masks and own samples by level (None: no section), borders, low, planes and stream."""
+def parse_payload(payload, tile):
+    """Return masks by level (None: no section), borders, low, planes and stream."""
     flags, at = payload[0], 1
     require(flags < 2, "flags of a tile")
     masks = []
-    for part in tile.parts:
-        mask = own = b""
+    for _ in tile.parts:
+        mask = b""
         if flags & 1:
-            if file.header.features & 16 and part.level < file.grid.k_max:
-                own, at = section(payload, at)
             mask, at = section(payload, at)
-        masks.append((mask or None, own or None))
+        masks.append(mask or None)
     borders, at = section(payload, at)
     require(bool(borders) == any(tile.held), "borders of a tile")
     low, at = read_varint(payload, at)
@@ -192,10 +190,10 @@ def decode_tile(file, payload, tile, above, above_valid):
         for part in tile.parts:
             part.own = zeros(part.rows.n, part.cols.n)
         return [(zeros(p.rows.n, p.cols.n), zeros(p.rows.n, p.cols.n)) for p in tile.parts]
-    head = parse_payload(file, payload, tile)
+    head = parse_payload(payload, tile)
     masks, outer, outer_valid = [], tile.head, above_valid
-    for part, sections in zip(tile.parts, head.masks, strict=True):
-        valid = decode_valid(file, part, *sections, outer, outer_valid)
+    for part, mask in zip(tile.parts, head.masks, strict=True):
+        valid = decode_valid(file, part, mask, outer, outer_valid)
         masks.append(valid)
         outer, outer_valid = part, valid
     require(any(map(any, masks[0])), "payload of a tile without valid samples")

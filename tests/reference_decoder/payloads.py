@@ -1,12 +1,13 @@
 """Masks and the payload wrapper (docs/FORMAT.md §2.3, §5)."""
 
+from pathlib import Path
+
 import numpy as np
 
 from reference_decoder import range_coder
 from reference_decoder.basics import (
     ceil_div,
     clamp,
-    fenced,
     inflate,
     read_varint,
     require,
@@ -19,7 +20,11 @@ from reference_decoder.range_coder import Models
 from reference_decoder.rapid import decode_rapid
 from reference_decoder.store import decode_store
 
-MASK_STARTS = [int(number) for number in fenced("starts").split()]  # §5.2
+# §5.2
+ANNEX = Path(__file__).parents[2] / "src" / "terrainwave" / "codec" / "masks.bin"
+MASK_ONES = np.frombuffer(ANNEX.read_bytes(), "<u2").tolist()
+MASK_SAMPLES = [MASK_ONES[49 * k : 49 * k + 49] for k in range(16)]
+MASK_GROUPS = [MASK_ONES[784 + 13 * k : 797 + 13 * k] for k in range(7)]
 DECODERS = {
     "store": decode_store,
     "cdf97": decode_cdf97,
@@ -54,102 +59,167 @@ def implied_void(unit, parent_unit, parent_valid):
     ]
 
 
-def decode_mask(section, implied):
-    """§5.2."""
-    n_rows, n_cols = len(implied), len(implied[0])
-    valid = [[0] * n_cols for _ in range(n_rows)]
+class Bits:
+    """The bits of a mask section (§5.2)."""
 
-    def at(grid, i, j):
-        return int(0 <= i < n_rows and 0 <= j < n_cols and bool(grid[i][j]))
-
-    decoder, models = range_coder.RangeDecoder(section), Models(576)
-    for i in range(576):
-        models.probability[i], models.count[i] = MASK_STARTS[i] << 14, 2
-    for i in range(n_rows):
-        for j in range(n_cols):
-            if implied[i][j]:
-                continue
-            c = 0
-            for di, dj in ((0, -1), (-1, 0), (-1, -1), (-1, 1), (0, -2), (-2, 0)):
-                c = 2 * c + at(valid, i + di, j + dj)
-            a = at(implied, i + 1, j) + at(implied, i, j + 1)
-            far = ((0, 2), (1, -1), (1, 1), (2, 0))
-            b = min(sum(at(implied, i + di, j + dj) for di, dj in far), 2)
-            valid[i][j] = decoder.bit(models, (c * 3 + a) * 3 + b)
-    decoder.end()
-    return valid
-
-
-def known_of_own(unit, parent_unit, implied):
-    """Return K of own samples (§5.4): 0 nothing is known, 1 the bit is 0, 2 it is 1."""
-    known = [[int(is_void) for is_void in row] for row in implied]
-    for r in range(unit.rows.n):
-        for c in range(unit.cols.n):
-            row, col = unit.rows.first + r, unit.cols.first + c
-            if parent_unit is not None and row % 2 == 0 and col % 2 == 0:
-                i, j = row // 2 - parent_unit.rows.first, col // 2 - parent_unit.cols.first
-                known[r][c] = 2 if parent_unit.own[i][j] else 1
-    return known
-
-
-def known_of_mask(implied, own):
-    """Return K of the mask of a level that is not the finest (§5.4)."""
-    n_rows, n_cols = len(own), len(own[0])
-
-    def is_beside(r, c):
-        return any(
-            own[i][j]
-            for i in range(max(r - 1, 0), min(r + 2, n_rows))
-            for j in range(max(c - 1, 0), min(c + 2, n_cols))
-        )
-
-    return [
-        [1 if implied[r][c] else 2 * is_beside(r, c) for c in range(n_cols)] for r in range(n_rows)
-    ]
-
-
-def decode_map(section, known):
-    """§5.4."""
-    n_rows, n_cols = len(known), len(known[0])
-    bits = [[0] * n_cols for _ in range(n_rows)]
-
-    def at(grid, i, j):
-        return grid[i][j] if 0 <= i < n_rows and 0 <= j < n_cols else 0
-
-    decoder = None if section is None else range_coder.RangeDecoder(section)
-    models = Models(1296)
-    for i in range(n_rows):
-        for j in range(n_cols):
-            if known[i][j]:
-                bits[i][j] = known[i][j] - 1
-            elif decoder is None:
-                bits[i][j] = 1
-            else:
-                model = 0
-                for di, dj in ((0, -1), (-1, 0), (-1, -1), (-1, 1)):
-                    model = 2 * model + at(bits, i + di, j + dj)
-                for di, dj in ((0, 1), (1, 0), (1, 1), (1, -1)):
-                    model = 3 * model + at(known, i + di, j + dj)
-                bits[i][j] = decoder.bit(models, model)
-    if decoder is not None:
-        decoder.end()
-    return bits
-
-
-def decode_valid(file, unit, mask, own, parent_unit, parent_valid):
-    """Return the mask of a unit, of its sections or None; sets its own samples (§5.2, §5.4)."""
-    implied = implied_void(unit, parent_unit, parent_valid)
-    if not file.header.features & 16:
-        if mask:
-            valid = decode_mask(mask, implied)
+    def __init__(self, section):
+        n_states = 4 if section[0] & 128 else 1
+        first = 1
+        if section[0] // 16 % 8 == 7:
+            first += 62
+            require(section[0] % 16 == 0, "sets of a mask")
+            self.ones = [16 * byte + 8 for byte in section[1:first]]
         else:
-            valid = [[int(not is_void) for is_void in row] for row in implied]
-        unit.own = valid
-    elif unit.level == file.grid.k_max:
-        valid = unit.own = decode_map(mask, known_of_own(unit, parent_unit, implied))
+            self.ones = MASK_SAMPLES[section[0] % 16] + MASK_GROUPS[section[0] // 16 % 8]
+        rest = section[first + 4 * n_states :]
+        is_whole = len(section) >= first + 4 * n_states and len(rest) % 2 == 0
+        require(is_whole, "length of a mask")
+        at = [first + 4 * k for k in range(n_states)]
+        self.states = [int.from_bytes(section[k : k + 4], "little") for k in at]
+        self.words = [int.from_bytes(rest[k : k + 2], "little") for k in range(0, len(rest), 2)]
+        self.n_read = self.at = 0
+
+    def read(self, model):
+        """Return the next bit."""
+        k = self.n_read % len(self.states)
+        ones, state = self.ones[model], self.states[k]
+        bit = int(state % 4096 < ones)
+        own, first = (ones, 0) if bit else (4096 - ones, ones)
+        state = own * (state // 4096) + state % 4096 - first
+        if state < 65536:
+            require(self.at < len(self.words), "end of a mask")
+            state = state * 65536 + self.words[self.at]
+            self.at += 1
+        self.states[k] = state
+        self.n_read += 1
+        return bit
+
+    def end(self):
+        """Raise unless this is the end."""
+        is_end = self.at == len(self.words) and set(self.states) == {65536}
+        require(is_end, "end of a mask")
+
+
+def decode_plane(bits, plane, own, implied, rows, cols, near):
+    """Read the samples of a plane of a lattice into `own` (§5.2); `near`: own bits of a place."""
+    contexts = {}
+    for r in rows:
+        for c in cols:
+            if not implied[r][c]:
+                contexts[r, c] = sum(bit << k for k, bit in enumerate(near(r, c)))
+    groups = [
+        [(r, c) for c in cols[k : k + 32] if (r, c) in contexts]
+        for r in rows
+        for k in range(0, len(cols), 32)
+    ]
+    sizes = [len(cols[k : k + 32]) for _ in rows for k in range(0, len(cols), 32)]
+    coded = []
+    for group, size in zip(groups, sizes, strict=True):
+        alike = [at for at in group if contexts[at] in (0, 15)]
+        is_mixed = len(alike) < len(group)
+        is_open = 0
+        if alike:
+            kind = 3 if len(alike) >= 16 else 2
+            if not is_mixed:
+                kind = (
+                    0 if all(contexts[at] == 15 for at in alike) and size == 32 == len(alike) else 1
+                )
+            is_open = bits.read(50 + 4 * plane + kind)
+        coded += [at for at in group if is_open or at not in alike]
+        for r, c in alike:
+            own[r][c] = contexts[r, c] // 15
+    for r, c in coded:
+        own[r][c] = bits.read(16 * plane + contexts[r, c])
+
+
+def decode_lattice(bits, rows, cols, own, implied, above):
+    """Read the samples of a lattice between those of the level above (§5.2).
+
+    `rows` and `cols` are the numbers of its first ones and how many there are; ``above(i, j)`` says
+    whether sample (i, j) of the level above is own.
+    """
+    (row0, n_rows), (col0, n_cols) = rows, cols
+    odd_rows = [r for r in range(n_rows) if (row0 + r) % 2]
+    odd_cols = [c for c in range(n_cols) if (col0 + c) % 2]
+    even_rows = [r for r in range(n_rows) if (row0 + r) % 2 == 0]
+    even_cols = [c for c in range(n_cols) if (col0 + c) % 2 == 0]
+    for r in even_rows:
+        for c in even_cols:
+            own[r][c] = above((row0 + r) // 2, (col0 + c) // 2)
+
+    def near_hh(r, c):
+        i, j = (row0 + r) // 2, (col0 + c) // 2
+        return [above(i, j), above(i, j + 1), above(i + 1, j), above(i + 1, j + 1)]
+
+    def near_hl(r, c):
+        i, j = (row0 + r) // 2, (col0 + c) // 2
+        sides = [above(i, j), above(i, j + 1)]
+        if not odd_rows:
+            return sides + sides
+        up = [k if 0 <= k < n_rows else 2 * r - k for k in (r - 1, r + 1)]
+        return sides + [own[k][c] for k in up]
+
+    def near_lh(r, c):
+        i, j = (row0 + r) // 2, (col0 + c) // 2
+        sides = [above(i, j), above(i + 1, j)]
+        if not odd_cols:
+            return sides + sides
+        beside = [k if 0 <= k < n_cols else 2 * c - k for k in (c - 1, c + 1)]
+        return sides + [own[r][k] for k in beside]
+
+    decode_plane(bits, 0, own, implied, odd_rows, odd_cols, near_hh)
+    decode_plane(bits, 1, own, implied, even_rows, odd_cols, near_hl)
+    decode_plane(bits, 2, own, implied, odd_rows, even_cols, near_lh)
+
+
+def decode_root(bits, n_rows, n_cols):
+    """Return the own samples of a root block (§5.2)."""
+    own = [[bits.read(48)]]
+    shift = max(n_rows - 1, n_cols - 1).bit_length()
+    for k in reversed(range(shift)):
+        coarse, rows, cols = own, ((n_rows - 1) >> k) + 1, ((n_cols - 1) >> k) + 1
+        own = zeros(rows, cols)
+
+        def above(i, j, coarse=coarse):
+            return coarse[min(i, len(coarse) - 1)][min(j, len(coarse[0]) - 1)]
+
+        decode_lattice(bits, (0, rows), (0, cols), own, zeros(rows, cols), above)
+    return own
+
+
+def decode_valid(file, unit, section, parent_unit, parent_valid):
+    """Return the mask of a unit, of its section or None; sets its own samples (§5.2)."""
+    n_rows, n_cols = unit.rows.n, unit.cols.n
+    implied = implied_void(unit, parent_unit, parent_valid)
+    places = [(r, c) for r in range(n_rows) for c in range(n_cols)]
+    own = [[int(not is_void) for is_void in row] for row in implied]
+    bits = section and Bits(section)
+
+    def above(i, j):
+        rows, cols = parent_unit.rows, parent_unit.cols
+        i, j = clamp(i, rows.first, rows.last), clamp(j, cols.first, cols.last)
+        return int(parent_unit.own[i - rows.first][j - cols.first])
+
+    if parent_unit is None:
+        own = decode_root(bits, n_rows, n_cols) if section else own
+    elif section:
+        own = zeros(n_rows, n_cols)
+        ends = (unit.rows.first, n_rows), (unit.cols.first, n_cols)
+        decode_lattice(bits, *ends, own, implied, above)
     else:
-        unit.own = decode_map(own, known_of_own(unit, parent_unit, implied))
-        valid = decode_map(mask, known_of_mask(implied, unit.own))
+        for r, c in places:
+            row, col = unit.rows.first + r, unit.cols.first + c
+            if row % 2 == 0 and col % 2 == 0:
+                own[r][c] = above(row // 2, col // 2)
+    unit.own = valid = own
+    if unit.level < file.grid.k_max:
+        valid = zeros(n_rows, n_cols)
+        for r, c in places:
+            near = [row[max(c - 1, 0) : c + 2] for row in own[max(r - 1, 0) : r + 2]]
+            if not implied[r][c]:
+                valid[r][c] = 1 if any(map(any, near)) or not section else bits.read(49)
+    if section:
+        bits.end()
     return valid
 
 
@@ -162,19 +232,17 @@ def decode_payload(file, unit, payload, parent_unit, parent_heights, parent_vali
         return zeros(n_rows, n_cols), zeros(n_rows, n_cols), None
     flags, at = payload[0], 1
     may_have_remainders = h.features & 1 and unit.level == file.grid.k_max
-    may_have_own = h.features & 16 and unit.level < file.grid.k_max
-    known = 3 | (4 if may_have_remainders else 0) | (8 if may_have_own else 0)
-    known |= 16 if h.features & 64 else 0
+    known = 3 | (4 if may_have_remainders else 0) | (8 if h.features & 64 else 0)
     require(not flags & ~known, "flags of a payload")
-    sections = [None] * 5
-    for bit in range(5):
+    sections = [None] * 4
+    for bit in range(4):
         if flags >> bit & 1:
             n, at = read_varint(payload, at)
             require(1 <= n <= len(payload) - at, "length of a section")
             sections[bit] = payload[at : at + n]
             at += n
-    mask, exceptions, rest, own, corrections = sections
-    valid = decode_valid(file, unit, mask, own, parent_unit, parent_valid)
+    mask, exceptions, rest, corrections = sections
+    valid = decode_valid(file, unit, mask, parent_unit, parent_valid)
     require(any(map(any, valid)), "payload of a unit without valid samples")
     unit.corrections = corrections and decode_corrections(corrections, unit, h.step)
     decode_method = DECODERS[METHODS[h.method]]

@@ -42,7 +42,10 @@ _GROUPS = 50
 _ALL_OWN, _UNIFORM, _FEW, _MANY = 0, 1, 2, 3
 N_MODELS = _GROUPS + 12
 # Sets of frequencies: of samples, and of groups and fills.
-N_SETS, N_GROUP_SETS = 16, 8
+N_SETS, N_GROUP_SETS = 16, 7
+# Instead, a section may bring frequencies of its own: a byte for each model, in steps of 16.
+_OWN_FREQS = N_GROUP_SETS * N_SETS
+_FREQ_STEP = 16
 SLOT_BITS = 12
 N_SLOTS = 1 << SLOT_BITS
 _STATE_START = 1 << 16
@@ -92,7 +95,7 @@ def frequencies() -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
     """Return the frequencies of a 1 by set and model: of samples, and of groups and fills.
 
     The file has those of 49 samples' models for each of 16 sets, then those of 13 others for each
-    of 8 sets, as uint16, little-endian; each is one of 1 … 4095 of 4096.
+    of 7 sets, as uint16, little-endian; each is one of 1 … 4095 of 4096.
     """
     data = resources.files("terrainwave.codec").joinpath("masks.bin").read_bytes()
     numbers = np.frombuffer(data, dtype="<u2").astype(np.uint32)
@@ -506,48 +509,70 @@ def _code_fills(task, mask, cells, beside, n, log, coder):
 
 def _unpacked(section: bytes) -> _Coder:
     """Return what the bits of a section are read with."""
-    n_states = _N_STATES if section[0] & _HAS_STATES else 1
-    n_head = 1 + 4 * n_states
+    sets, n_states = section[0], _N_STATES if section[0] & _HAS_STATES else 1
+    has_own = sets & _OWN_FREQS == _OWN_FREQS
+    if has_own and sets % N_SETS:
+        raise CorruptStreamError("a mask section has frequencies of its own and names a set")
+    n_freqs = N_MODELS if has_own else 0
+    n_head = 1 + n_freqs + 4 * n_states
     if len(section) < n_head:
         raise_for_status(Status.TRUNCATED, len(section))
     if (len(section) - n_head) & 1:
         raise CorruptStreamError(f"a mask section has {len(section)} bytes, half a word too many")
+    freqs = _own_freqs(section[1 : 1 + n_freqs]) if has_own else _freqs_of(sets)
     coded = np.frombuffer(section, "<u2", offset=n_head)
     words = np.zeros(coded.size + _AHEAD, dtype=np.uint16)
     words[: coded.size] = coded
-    states = np.frombuffer(section, "<u4", n_states, 1).astype(np.uint32)
-    return _Coder(_freqs(section[0]), words, states, np.zeros(2, dtype=np.int64))
+    states = np.frombuffer(section, "<u4", n_states, 1 + n_freqs).astype(np.uint32)
+    return _Coder(freqs, words, states, np.zeros(2, dtype=np.int64))
 
 
-def _freqs(sets: int) -> NDArray[np.uint32]:
+def _freqs_of(sets: int) -> NDArray[np.uint32]:
     """Return the frequencies of a 1 by model, of the sets that a section's first byte names."""
     samples, groups = frequencies()
-    return np.concatenate([samples[sets % N_SETS], groups[sets // N_SETS % N_GROUP_SETS]])
+    return np.concatenate([samples[sets % N_SETS], groups[sets // N_SETS % 8]])
+
+
+def _own_freqs(coded: bytes) -> NDArray[np.uint32]:
+    """Return the frequencies that a section brings."""
+    return np.frombuffer(coded, np.uint8) * np.uint32(_FREQ_STEP) + np.uint32(_FREQ_STEP // 2)
 
 
 def _packed(models: NDArray[np.uint8], bits: NDArray[np.uint8]) -> bytes:
     """Return the section of coded bits, with the sets that make it shortest."""
     counts = np.bincount(2 * models.astype(np.int64) + bits, minlength=2 * N_MODELS)
     zeros, ones = counts[::2], counts[1::2]
-    sets, cost = 0, 0
-    for freqs, part, size in zip(
-        frequencies(), (np.s_[:_FILL], np.s_[_FILL:]), (1, N_SETS), strict=True
-    ):
-        costs = _costs(freqs) @ ones[part] + _costs(N_SLOTS - freqs) @ zeros[part]
-        sets += size * int(costs.argmin())
-        cost += int(costs.min())
+    parts = np.s_[:_FILL], np.s_[_FILL:]
+    costs = [
+        _costs(freqs, zeros[at], ones[at]) for freqs, at in zip(frequencies(), parts, strict=True)
+    ]
+    chosen = [int(cost.argmin()) for cost in costs]
+    n_bits, sets = int(sum(map(min, costs))), chosen[0] + N_SETS * chosen[1]
+    freqs, coded = _freqs_of(sets), b""
+    shares = N_SLOTS // _FREQ_STEP * ones // np.maximum(ones + zeros, 1)
+    own = np.minimum(shares, 255).astype(np.uint8).tobytes()
+    n_own = int(_costs(_own_freqs(own)[None], zeros, ones)[0]) + 8 * N_MODELS * _UNIT
+    if n_own < n_bits:
+        n_bits, sets, freqs, coded = n_own, _OWN_FREQS, _own_freqs(own), own
     n_states = 1
-    if cost > _LONG * _UNIT:
+    if n_bits > _LONG * _UNIT:
         sets, n_states = sets | _HAS_STATES, _N_STATES
     words = np.empty(models.size, dtype=np.uint16)
     states = np.full(n_states, _STATE_START, dtype=np.uint32)
-    at = _write(models, bits, _freqs(sets), words, states)
-    return bytes([sets]) + states.astype("<u4").tobytes() + words[at:].astype("<u2").tobytes()
+    at = _write(models, bits, freqs, words, states)
+    head = bytes([sets]) + coded + states.astype("<u4").tobytes()
+    return head + words[at:].astype("<u2").tobytes()
 
 
-def _costs(freqs: NDArray[np.uint32]) -> NDArray[np.int64]:
-    """Return what bits of frequencies cost."""
-    return np.rint(_UNIT * (SLOT_BITS - np.log2(freqs))).astype(np.int64)
+def _costs(
+    freqs: NDArray[np.uint32], zeros: NDArray[np.int64], ones: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Return what so many bits of each model cost with each set, in 1/_UNIT bits."""
+    of_one, of_zero = (
+        np.rint(_UNIT * (SLOT_BITS - np.log2(part))).astype(np.int64)
+        for part in (freqs, N_SLOTS - freqs)
+    )
+    return of_one @ ones + of_zero @ zeros
 
 
 @kernel
