@@ -18,17 +18,15 @@ from fuzz.targets import (
     GOLDEN,
     REFINERS,
     VIRTUAL,
-    _implied,
     _mesh_samples,
     call,
-    own_place,
+    place_of_mask,
 )
 from fuzz.units import N_PARENTS, SPECS, corrected_payload_of, payload_of
 from terrainwave.codec.cdf53.refiner import encode_tile
 from terrainwave.codec.cdf53.tile_layout import TileLayout
 from terrainwave.codec.corrections import encode_corrections
-from terrainwave.codec.masks import encode_mask
-from terrainwave.codec.own_masks import encode_validity
+from terrainwave.codec.masks import decode_validity, encode_validity
 from terrainwave.codec.refiner import ALL_VALID, Validity, as_array
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.remainder_planes import encode_remainders
@@ -103,12 +101,17 @@ def _of_parts() -> Iterator[tuple[str, bytes]]:
         yield "pages", bytes([2 * number]) + pack_page(pack_columns(empty_page(layout)), 0)
         yield "pages", bytes([2 * number + 1]) + bytes(40)
     rng = np.random.default_rng(2)
-    for kind in range(12):
-        implied = _implied(kind)
-        yield (
-            "masks",
-            bytes([kind]) + encode_mask(~implied & (rng.random(implied.shape) < 0.7), implied),
-        )
+    for kind in range(32):
+        region, above = place_of_mask(kind % 16)
+        place, is_finest = np.random.default_rng(kind), bool(kind & 16)
+        known = decode_validity(b"", region, above, is_finest=is_finest)
+        mask, own = (as_array(part, region.shape) for part in (known.mask, known.own_mask))
+        found = own & (place.random(region.shape) < 0.7)
+        row, col = region.row & 1, region.col & 1
+        if above is not None:
+            found[row::2, col::2] = own[row::2, col::2]
+        near = Validity.of(found if is_finest else mask, found)
+        yield "masks", bytes([kind]) + encode_validity(near, region, above, is_finest=is_finest)
     for n_bytes in (1, 3):
         yield "remainders", bytes([4, n_bytes]) + bytes(range(35 * n_bytes))
     for width in (4, 8):
@@ -117,21 +120,6 @@ def _of_parts() -> Iterator[tuple[str, bytes]]:
         yield "remainders", bytes([width >> 3 | 2, 1]) + bytes(range(35))
     for number in (0, 1):
         yield "cdf53", bytes([2 * number, 0]) + _tile(_TILES[number], rng)
-    for kind in range(16):
-        implied, region, above = own_place(kind % 8)
-        place = np.random.default_rng(kind)
-        found = ~implied & (place.random(region.shape) < 0.7)
-        if above is not None:
-            row, col = region.row & 1, region.col & 1
-            part = found[row::2, col::2]
-            first = (region.row + row) // 2 - above.region.row
-            left = (region.col + col) // 2 - above.region.col
-            by_itself = as_array(above.own, above.region.shape)
-            part[...] = by_itself[first:, left:][: part.shape[0], : part.shape[1]]
-        near = Validity.of(found if kind & 8 else ~implied, found)
-        coded = encode_validity(near, implied, region, above, is_finest=bool(kind & 8))
-        length = b"" if kind & 8 else coded.own
-        yield "own", bytes([kind, len(length)]) + length + coded.mask
     # By a generator of its own: the others' seeds stay.
     yield "cdf53", bytes([4, 0]) + _tile(_TILES[2], np.random.default_rng(3))
     for code, name in enumerate(("zerotree-plain", "rqt")):

@@ -22,9 +22,8 @@ from terrainwave.codec import registry
 from terrainwave.codec.cdf53 import refiner as cdf53
 from terrainwave.codec.cdf53.tile_layout import TileLayout
 from terrainwave.codec.corrections import decode_corrections
-from terrainwave.codec.group import decode_unit, voids_below
-from terrainwave.codec.masks import decode_mask
-from terrainwave.codec.own_masks import Above, Sections, decode_validity
+from terrainwave.codec.group import decode_unit
+from terrainwave.codec.masks import Above, decode_validity
 from terrainwave.codec.refiner import Validity, as_array
 from terrainwave.codec.remainder_planes import decode_remainders
 from terrainwave.coding.deflate import deflate
@@ -226,51 +225,27 @@ def tiles(data: bytes) -> None:
         assert level.heights.shape == region.shape
 
 
-@cache
-def _implied(kind: int):
-    rng = np.random.default_rng(kind)
-    shape = ((9, 11), (1, 40), (33, 31) if IS_COMPILED else (5, 6), (2, 2))[kind % 4]
-    return rng.random(shape) < (0.0, 0.3, 0.9, 1.0)[kind // 4]
-
-
 def masks(data: bytes) -> None:
-    """Decode a mask, with voids known beforehand or without."""
-    if not data:
-        return
-    implied = _implied(data[0] % 16)
-    found = decode_mask(data[1:], implied)
-    assert found.shape == implied.shape
-    assert not (found & implied).any()
-
-
-def own(data: bytes) -> None:
-    """Decode own samples and a mask of a unit below another, or of the root one."""
+    """Decode the validity of a unit below another, or of a root block."""
     if len(data) < 2:
         return
-    implied, region, above = own_place(data[0] % 8)
-    length = data[1]
-    sections = Sections(data[2 + length :], data[2 : 2 + length])
-    is_finest = bool(data[0] & 8)
-    if is_finest:
-        sections = Sections(data[2:], b"")
-    found = decode_validity(sections, implied, region, above, is_finest=is_finest)
-    mask, by_itself = (as_array(part, region.shape) for part in (found.mask, found.own_mask))
-    assert mask.shape == by_itself.shape == region.shape
-    assert not (by_itself & ~mask).any()
-    assert not (mask & implied).any()
+    region, above = place_of_mask(data[0] % 16)
+    found = decode_validity(data[1:], region, above, is_finest=bool(data[0] & 16))
+    mask, own = (as_array(part, region.shape) for part in (found.mask, found.own_mask))
+    assert mask.shape == own.shape == region.shape
+    assert not (own & ~mask).any()
 
 
 @cache
-def own_place(kind: int) -> tuple[np.ndarray, Region, Above | None]:
-    """Return implied voids, region and what is above of a unit."""
+def place_of_mask(kind: int) -> tuple[Region, Above | None]:
+    """Return the region of a unit, and what is above."""
     rng = np.random.default_rng(kind)
-    region = Region(1, 6, 9, 11) if kind & 1 else Region(0, 0, 5, 6)
-    if kind & 2:
-        return np.zeros(region.shape, dtype=np.bool_), region, None
-    outer = Region(0, 3, 7, 7) if kind & 1 else Region(0, 0, 4, 5)
-    mask = rng.random(outer.shape) < (0.8 if kind & 4 else 2)
-    parent = mask & (rng.random(outer.shape) < 0.7)
-    return voids_below(region, outer, mask), region, Above(outer, parent)
+    shape = ((9, 11), (1, 40), (33, 71) if IS_COMPILED else (5, 6), (2, 2))[kind % 4]
+    if kind & 4:
+        return Region(0, 0, *shape), None
+    region, outer = Region(1, 6, *shape), Region(0, 3, shape[0] // 2 + 3, shape[1] // 2 + 2)
+    mask = rng.random(outer.shape) < (0.8 if kind & 8 else 2)
+    return region, Above(outer, Validity.of(mask, mask & (rng.random(outer.shape) < 0.7)))
 
 
 def corrections(data: bytes) -> None:
@@ -456,7 +431,6 @@ TARGETS: dict[str, Target] = {
     "cdf53": tiles,
     "parameters": parameters,
     "masks": masks,
-    "own": own,
     "corrections": corrections,
     "remainders": remainders,
     "meshes": meshes,

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrainwave.codec.group import encode_unit, implied_voids
+from terrainwave.codec.group import encode_unit
+from terrainwave.codec.masks import Above, decode_validity
 from terrainwave.codec.refiner import (
     FREE,
     NOT_SHARED,
@@ -15,6 +16,7 @@ from terrainwave.codec.refiner import (
     Refiner,
     Sides,
     Validity,
+    as_array,
 )
 from terrainwave.codec.unit_specs import unit_spec
 from terrainwave.grid.parameters import CodecParameters
@@ -106,11 +108,23 @@ def parent_of(number: int, kind: int) -> Decoded | None:
     return Decoded(heights, Validity.of(mask))
 
 
+def _below(mask: np.ndarray, spec: GroupSpec, parent: Decoded | None) -> np.ndarray:
+    """Return a mask as a unit below a parent may have it: as without a section where that is so."""
+    if parent is None or spec.parent_region is None:
+        return mask
+    above = Above(spec.parent_region, parent.validity)
+    known = as_array(decode_validity(b"", spec.region, above, is_finest=True).mask, mask.shape)
+    row, col = spec.region.row & 1, spec.region.col & 1
+    mask = mask & known
+    mask[row::2, col::2] = known[row::2, col::2]
+    return mask
+
+
 def payload_of(refiner: Refiner, number: int, kind: int) -> bytes:
     """Return a payload that is right for a spec and a parent."""
     spec, parent = SPECS[number], parent_of(number, kind)
     target, mask = target_of(number)
-    mask = mask & ~implied_voids(spec, parent)
+    mask = _below(mask, spec, parent)
     return encode_unit(refiner, spec, parent, target.copy(), mask)[0]
 
 
@@ -123,7 +137,7 @@ def corrected_payload_of(refiner: Refiner, number: int, kind: int) -> bytes:
     """Return the same with corrections: some heights must come back a little off their targets."""
     spec, parent = corrected(SPECS[number]), parent_of(number, kind)
     target, mask = target_of(number)
-    mask = mask & ~implied_voids(spec, parent)
+    mask = _below(mask, spec, parent)
     rng = np.random.default_rng(number)
     apart = rng.integers(-spec.half, spec.half, target.shape, np.int32, endpoint=True)
     near = np.clip(target.astype(np.int64) + apart, spec.z_min, spec.z_max).astype(np.int32)

@@ -13,7 +13,7 @@ import pytest
 from cases import some
 from golden_files import GOLDEN
 from reference import bilinear_error
-from reference_decoder import cdf53, cdf97, predictive, range_coder, units
+from reference_decoder import cdf53, cdf97, payloads, predictive, range_coder, units
 from reference_decoder.basics import CorruptError
 from reference_decoder.files import (
     HEADER,
@@ -24,7 +24,12 @@ from reference_decoder.files import (
     read_file,
     segment_layout,
 )
-from reference_decoder.payloads import MASK_STARTS, decode_mask, decode_payload, implied_void
+from reference_decoder.payloads import (
+    MASK_GROUPS,
+    MASK_SAMPLES,
+    decode_payload,
+    decode_valid,
+)
 from reference_decoder.range_coder import THRESHOLDS, Models, RangeDecoder, RangeEncoder, bin_of
 from reference_decoder.spiht import Spiht
 from reference_decoder.units import decode, decode_units, decode_with_own
@@ -32,7 +37,6 @@ from twz import twz_bytes
 
 import terrainwave
 from terrainwave.codec.cdf97 import trained as tables97
-from terrainwave.codec.masks import encode_mask
 from terrainwave.codec.predictive import trained as tables
 from terrainwave.codec.predictive.file_tables import all_tables, parse_file_tables
 from terrainwave.coding.deflate import deflate
@@ -405,26 +409,6 @@ def test_the_range_coder_makes_the_bytes_of_format_6_4_and_reads_them():
         decoder.end()
 
 
-def test_masks_are_coded_with_the_models_of_the_figure_of_format_5_2():
-    text = re.search(r"^```neighbours\n(.*?)^```", section("5.2"), re.M | re.S)[1]
-    cells = np.array([line.split() for line in text.splitlines()])
-    assert cells.shape == (5, 5)
-    assert cells[2, 2] == "x"
-    rng = np.random.default_rng(9)
-    implied = rng.random((30, 40)) < 0.2
-    mask = (rng.random((30, 40)) < 0.6) & ~implied
-    encoder, models = RangeEncoder(), Models(576)
-    models.probability = [start << 14 for start in MASK_STARTS]
-    models.count = [2] * 576
-    valid, void = np.pad(mask, 2), np.pad(implied, 2)
-    for row, col in zip(*np.nonzero(~implied), strict=True):
-        around = np.s_[row : row + 5, col : col + 5]
-        c = sum(int(n) for n in cells[valid[around]] if n.isdigit())
-        a, b = (int((cells[void[around]] == name).sum()) for name in "ab")
-        encoder.bit(models, (c * 3 + a) * 3 + min(b, 2), int(mask[row, col]))
-    assert encoder.end() == encode_mask(mask, implied)
-
-
 def test_a_stream_of_no_symbols_is_the_byte_of_format_6_3():
     assert RangeEncoder().end() == b"\0"
     RangeDecoder(b"\0").end()
@@ -557,6 +541,49 @@ class RandomCoder(RangeEncoder):
     magnitude = RangeDecoder.magnitude
 
 
+class RandomBits:
+    """In the place of bits of a mask it answers at random, and encodes what it answered (§5.2)."""
+
+    def __init__(self, rng):
+        self.rng, self.share = rng, rng.choice([0.5, 0.97])
+        self.n_states, self.coded, self.section = int(rng.choice([1, 4])), [], None
+        sets = int(rng.integers(16)), int(rng.integers(8))
+        self.head = bytes([sets[0] + 16 * sets[1]])
+        if sets[1] == 7:
+            own = rng.integers(0, 256, 62).tolist()
+            self.head = bytes([16 * 7, *own])
+            self.ones = [16 * byte + 8 for byte in own]
+        else:
+            self.ones = MASK_SAMPLES[sets[0]] + MASK_GROUPS[sets[1]]
+
+    def read(self, model):
+        bit = int(self.rng.random() < self.share)
+        self.coded.append((model, bit))
+        return bit
+
+    def end(self):
+        states, words = [65536] * self.n_states, []
+        for k, (model, bit) in reversed([*enumerate(self.coded)]):
+            ones, state = self.ones[model], states[k % self.n_states]
+            own, first = (ones, 0) if bit else (4096 - ones, ones)
+            if state >= own * 2**20:
+                words.insert(0, state % 65536)
+                state //= 65536
+            states[k % self.n_states] = state // own * 4096 + state % own + first
+        first = self.head[0] + 128 * (self.n_states == 4)
+        coded = b"".join(state.to_bytes(4, "little") for state in states)
+        coded += b"".join(word.to_bytes(2, "little") for word in words)
+        self.section = bytes([first]) + self.head[1:] + coded
+
+
+def random_validity(rng, file, unit, parent_unit, parent_valid):
+    """Return which samples of a unit are valid, at random, and the section that says so."""
+    source = RandomBits(rng)
+    with patch.object(payloads, "Bits", lambda section: source):
+        valid = decode_valid(file, unit, b"any", parent_unit, parent_valid)
+    return valid, source.section
+
+
 def varint(value):
     out = bytearray()
     while value > 127:
@@ -567,14 +594,11 @@ def varint(value):
 
 def random_payload(rng, file, unit, parent_unit, parent_heights, parent_valid):
     """Return a payload that is legal and otherwise random."""
-    implied = implied_void(unit, parent_unit, parent_valid)
-    valid = [[int(not is_void) for is_void in row] for row in implied]
-    payload = b"\0"
     if rng.random() < 0.5:
-        source = RandomCoder(rng, rng.choice([0.5, 0.97]))
-        with patch.object(range_coder, "RangeDecoder", lambda data: source):
-            valid = decode_mask(b"", implied)
-        payload = b"\1" + varint(len(source.stream)) + source.stream
+        valid, mask = random_validity(rng, file, unit, parent_unit, parent_valid)
+        payload = b"\1" + varint(len(mask)) + mask
+    else:
+        valid, payload = decode_valid(file, unit, None, parent_unit, parent_valid), b"\0"
     if not any(map(any, valid)):
         return b""
     if METHODS[file.header.method] == "cdf97":
@@ -684,11 +708,8 @@ def random_tile_file(rng, shape, n_planes):
     outer = outer_valid = None
     sections = []
     for part in tile.parts:
-        implied = implied_void(part, outer, outer_valid)
-        source = RandomCoder(rng, rng.choice([0.5, 0.97]))
-        with patch.object(range_coder, "RangeDecoder", lambda data, source=source: source):
-            outer_valid = decode_mask(b"", implied)
-        sections.append(varint(len(source.stream)) + source.stream)
+        outer_valid, mask = random_validity(rng, file, part, outer, outer_valid)
+        sections.append(varint(len(mask)) + mask)
         outer = part
     shares = [None, None, 0.05, 0.3, 0.5, 0.8, 0.97]
     source, models = RandomCoder(rng, shares[rng.integers(len(shares))]), Models(1515)

@@ -8,13 +8,14 @@ import pytest
 from cases import some
 from hypothesis import given
 from hypothesis import strategies as st
+from reference import mask_below
 from reference_decoder import grid as reference_grid
 from reference_decoder.basics import DOCUMENT
 from reference_decoder.payloads import decode_corrections as decode_slowly
 
 from terrainwave.codec import registry
 from terrainwave.codec.corrections import decode_corrections, encode_corrections
-from terrainwave.codec.group import decode_unit, encode_unit, implied_voids
+from terrainwave.codec.group import decode_unit, encode_unit
 from terrainwave.codec.refiner import FREE
 from terrainwave.codec.shared_lines import plan_border, shared_samples
 from terrainwave.codec.unit_specs import block_of_unit, unit_spec
@@ -112,8 +113,7 @@ def test_kept_heights_come_back(method, rings, step, has_void):
         target = (target + rng.normal(0, 9, target.shape)).astype(np.int32)
         mask = np.ones(target.shape, bool)
         if has_void:
-            mask = rng.random(target.shape) < 0.9
-            mask &= ~implied_voids(spec, above)
+            mask = mask_below(rng.random(target.shape) < 0.9, spec, above)
         apart = rng.integers(-40 - step, 40 + step, target.shape, np.int32, endpoint=True)
         kept = np.where(rng.random(target.shape) < 0.3, target + apart, FREE)
         payload, coded = encode_unit(refiner, spec, above, target, mask, kept=kept)

@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from reference import level_mask
+from reference import implied_voids, level_mask
 from strategies import valid_masks
 
 from terrainwave.codec import group
-from terrainwave.codec.group import decode_unit, encode_unit, implied_voids, voids_below
+from terrainwave.codec.group import decode_unit, encode_unit
+from terrainwave.codec.masks import encode_validity
 from terrainwave.codec.refiner import Decoded, Validity
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.unit_specs import block_of_unit, unit_spec
+from terrainwave.codec.varint import encode_varint
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
@@ -31,10 +33,10 @@ def root_spec(n_rows, n_cols, **options):
     return unit_spec(Grid(n_rows, n_cols, 32), parameters(**options), Block(-1, 0, 0))
 
 
-def round_trip(spec, target, mask, parent=None, refiner=STORE):
+def round_trip(spec, target, mask, parent=None, refiner=STORE, own=None):
     """Encode and decode; return the payload and the decoded unit."""
     target = np.asarray(target, dtype=np.int32)
-    payload, encoded = encode_unit(refiner, spec, parent, target, mask)
+    payload, encoded = encode_unit(refiner, spec, parent, target, mask, own=own)
     decoded = decode_unit(refiner, spec, parent, payload)
     np.testing.assert_array_equal(decoded.heights, encoded.heights)
     np.testing.assert_array_equal(decoded.mask, encoded.mask)
@@ -83,8 +85,11 @@ def decode_all_masks(grid, valid, rings):
             above = Block(-1, *key[1:]) if key.level == 0 else key.parent
             above_spec, _, above_decoded = found[above]
             parent = block_of_unit(grid, above_spec, above_decoded, key)
-        mask = masks[spec.level][spec.region.slices_in(Region(0, 0, *masks[spec.level].shape))]
-        payload, decoded = round_trip(spec, np.zeros(mask.shape), mask, parent)
+        here = spec.region.slices_in(Region(0, 0, *masks[spec.level].shape))
+        stride = grid.stride(spec.level)
+        mask, own = masks[spec.level][here], valid[::stride, ::stride][here]
+        payload, decoded = round_trip(spec, np.zeros(mask.shape), mask, parent, own=own)
+        np.testing.assert_array_equal(decoded.own_mask, own)
         found[key] = spec, payload, decoded
         blocks = [Block(0, *key[1:])] if key.level < 0 else grid.children(key)
         keys += [block for block in blocks if block.level < grid.k_max]
@@ -103,63 +108,13 @@ def test_masks_of_all_levels_come_back_exactly(share, rings):
         np.testing.assert_array_equal(decoded.mask, masks[spec.level][spec.region.slices_in(whole)])
 
 
-@pytest.mark.parametrize("rings", [1, 3])
-@pytest.mark.parametrize("shape", [(130, 5), (141, 7), (2, 150)])
-def test_implied_voids_are_void(shape, rings):
-    # A coarse sample is void only if nothing valid lies in the cells touching it.
-    grid = Grid(*shape, 32)
-    valid = np.random.default_rng(2).random(shape) < 0.01
-    masks = pyramid_of_masks(valid, grid)
-    for key in (block for level in range(grid.k_max) for block in grid.blocks(level)):
-        spec = unit_spec(grid, parameters(rings=rings), key)
-        coarse, fine = masks[key.level], masks[key.level + 1]
-        above = coarse[spec.parent_region.slices_in(Region(0, 0, *coarse.shape))]
-        parent = Decoded(np.zeros(above.shape, dtype=np.int32), Validity.of(above))
-        implied = implied_voids(spec, parent)
-        mask = fine[spec.region.slices_in(Region(0, 0, *fine.shape))]
-        assert not (mask & implied).any()
-
-
-def test_below_a_void_sample_everything_it_touches_is_implied():
-    grid = Grid(2 * 32 + 1, 3, 32)  # one level above the full grid
-    spec = unit_spec(grid, parameters(), Block(0, 0, 0))
-    above = np.ones(spec.parent_region.shape, dtype=bool)
-    above[5, 0] = False
-    implied = implied_voids(
-        spec, Decoded(np.zeros(above.shape, dtype=np.int32), Validity.of(above))
-    )
-    assert np.argwhere(implied).tolist() == [[r, c] for r in (9, 10, 11) for c in (0, 1)]
-
-
-@given(
-    st.tuples(*[st.integers(0, 9)] * 2), st.tuples(*[st.integers(1, 24)] * 2),
-    st.tuples(*[st.integers(0, 1)] * 4), st.integers(0, 99),
-)  # fmt: skip
-def test_voids_below_are_what_touches_voids_above(corner, shape, aprons, seed):
-    rows, cols = (np.arange(first, first + n) for first, n in zip(corner, shape, strict=True))
-    outer = Region(
-        max((corner[0] >> 1) - aprons[0], 0), max((corner[1] >> 1) - aprons[1], 0),
-        (shape[0] >> 1) + 1 + aprons[2], (shape[1] >> 1) + 1 + aprons[3],
-    )  # fmt: skip
-    valid = np.random.default_rng(seed).random(outer[2:]) < 0.8
-
-    def touched(places, first, n):
-        return [np.clip(places + after - 2 * first >> 1, 0, n - 1) for after in (0, 1)]
-
-    expected = np.zeros(shape, dtype=bool)
-    for above in touched(rows, outer.row, outer.n_rows):
-        for left in touched(cols, outer.col, outer.n_cols):
-            expected |= ~valid[np.ix_(above, left)]
-    assert np.array_equal(voids_below(Region(*corner, *shape), outer, valid), expected)
-
-
 def test_implied_voids_cost_no_mask():
     grid = Grid(2 * 32 + 1, 3, 32)
     spec = unit_spec(grid, parameters(), Block(0, 0, 0))
     above = np.ones(spec.parent_region.shape, dtype=bool)
     above[5:9] = False
     parent = Decoded(np.zeros(above.shape, dtype=np.int32), Validity.of(above))
-    mask = ~implied_voids(spec, parent)
+    mask = ~implied_voids(spec.region, spec.parent_region, above)
     payload, _ = round_trip(spec, np.zeros(mask.shape), mask, parent)
     assert len(payload) == 1 + 5
 
@@ -309,7 +264,7 @@ def test_any_bytes_below_a_parent_with_voids_do_too(method, rest, flags):
         decoded = decode_unit(refiner_by_name(method), spec, parent, bytes([flags]) + rest)
     except CorruptStreamError:
         return
-    assert not (decoded.mask & implied_voids(spec, parent)).any()
+    assert not (decoded.mask & implied_voids(spec.region, spec.parent_region, parent.mask)).any()
 
 
 @pytest.mark.parametrize("flags", [4, 7, 8, 16, 0x80, 0xFF])
@@ -333,12 +288,9 @@ def test_exceptions_without_collisions_are_rejected():
 
 
 def test_a_payload_for_a_unit_without_valid_samples_is_corrupt():
-    from terrainwave.codec.masks import encode_mask
-    from terrainwave.codec.varint import encode_varint
-
     spec = root_spec(2, 2)
-    nothing = np.zeros((2, 2), dtype=bool)
-    section = encode_mask(nothing, nothing)
+    nothing = Validity.of(np.zeros((2, 2), dtype=bool))
+    section = encode_validity(nothing, spec.region, None, is_finest=True)
     payload = bytes([1]) + encode_varint(len(section)) + section
     with pytest.raises(CorruptStreamError, match="without a valid sample"):
         decode_unit(STORE, spec, None, payload)

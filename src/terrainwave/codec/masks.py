@@ -111,8 +111,8 @@ def encode_validity(
     Parameters
     ----------
     validity : Validity
-        Void where voids of the parent imply it. All valid samples are own on the finest level; those
-        at the parent's samples where these are.
+        Void where voids of the parent imply it. All valid samples are own on the finest level;
+        those at the parent's samples where these are.
     above : Above or None
         None for a root block.
     """
@@ -175,9 +175,8 @@ def _code(
     """
     n, steps = 0, [(region, own)]
     if above is None:
+        n, corner = 1, np.ones((1, 1), dtype=np.bool_)
         log.models[0], log.bits[0] = _CORNER, own[0, 0]
-        n = 1
-        corner = np.ones((1, 1), dtype=np.bool_)
         if task == _READS:
             _read(0, 1, log, coder)
         if task != _SKIPS:
@@ -186,12 +185,9 @@ def _code(
         while max(steps[0][0].shape) > 2:
             (_, _, n_rows, n_cols), finer = steps[0]
             steps.insert(0, (Region(0, 0, n_rows + 1 >> 1, n_cols + 1 >> 1), finer[::2, ::2]))
-    outer, validity = above
-    cells = np.empty((0, 0), np.uint8)
     for at, truth in steps:
-        parent = (as_array(part, outer.shape) for part in (validity.mask, validity.own_mask))
-        cells, n = _code_lattice(task, truth, at, outer, *parent, n, log, coder)
-        outer, validity = at, Validity(None, (cells & _OWN).view(np.bool_))
+        cells, n = _code_lattice(task, truth, at, above, n, log, coder)
+        above = Above(at, Validity(None, (cells & _OWN).view(np.bool_)))
     if not is_finest:
         beside = np.zeros(cells.shape[1] + 2, dtype=np.uint8)
         n = _code_fills(task, np.ascontiguousarray(mask), cells, beside, n, log, coder)
@@ -199,21 +195,23 @@ def _code(
 
 
 def _code_lattice(
-    task: int, own: Mask, region: Region, outer: Region, valid_above: Mask, own_above: Mask,
-    n: int, log: _Log, coder: _Coder,
-) -> tuple[NDArray[np.uint8], int]:  # fmt: skip
+    task: int, own: Mask, region: Region, above: Above, n: int, log: _Log, coder: _Coder
+) -> tuple[NDArray[np.uint8], int]:
+    """Code own samples between those above; return these and implied voids, and how many bits."""
     n_rows, n_cols = region.n_rows // 2 + 1, region.n_cols // 2 + 1
     pitch = _LEFT + (n_cols // GROUP + 1) * GROUP
     planes = np.empty(4 * (n_rows + 2) * pitch, dtype=np.uint8)
     truth = np.empty(planes.size if task == _NOTES else 1, dtype=np.uint8)
-    cells = np.empty(region.shape, dtype=np.uint8)
-    place = np.array([*region, *outer], dtype=np.int64)
-    above = (np.ascontiguousarray(part).view(np.uint8) for part in (own_above, valid_above))
-    own = np.ascontiguousarray(own)
     groups = np.empty(n_rows * (pitch // GROUP) + 1, dtype=np.uint8)
+    cells = np.empty(region.shape, dtype=np.uint8)
+    place = np.array([*region, *above.region], dtype=np.int64)
+    known = (above.validity.own_mask, above.validity.mask)
+    own_above, valid_above = (
+        np.ascontiguousarray(as_array(part, above.region.shape)).view(np.uint8) for part in known
+    )
     n = _code_planes(
-        task, own, place, *above, planes, planes.view(np.uint64), pitch, truth, groups, n, log,
-        coder, cells,
+        task, np.ascontiguousarray(own), place, own_above, valid_above, planes,
+        planes.view(np.uint64), pitch, truth, groups, n, log, coder, cells,
     )  # fmt: skip
     return cells, n
 

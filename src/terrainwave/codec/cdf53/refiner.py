@@ -81,7 +81,7 @@ class CodedTile:
         """Return the payload with the first `n_bytes` of the stream; all of it by default."""
         stream = self.stream if n_bytes is None else self.stream[:n_bytes]
         head = replace(self.head, n_stream=len(stream))
-        return pack_head(self.spec, head) + _pack_pieces(stream)
+        return pack_head(head) + _pack_pieces(stream)
 
 
 # Encoding
@@ -149,7 +149,7 @@ def _is_void(level: Validity) -> bool:
 # Bytes
 
 
-def pack_head(spec: TileSpec, head: TileHead) -> bytes:
+def pack_head(head: TileHead) -> bytes:
     """Return the bytes of a head."""
     has_masks = any(head.masks)
     out = bytes([HAS_MASKS if has_masks else 0])
