@@ -12,7 +12,7 @@ from reference_decoder import cdf97 as reference_cdf97
 from reference_decoder import predictive, range_coder, rapid
 from reference_decoder.basics import inflate
 from reference_decoder.files import DICTIONARY, NAMES, block_codes, read_file
-from reference_decoder.payloads import decode_mask
+from reference_decoder.payloads import Bits, decode_root
 from reference_decoder.units import decode, decode_units
 from twz import twz_bytes
 
@@ -127,24 +127,31 @@ def test_deflated_sections_inflate_to_the_stated_content():
     assert page_of(FILE) == (bytes(8), hexdump(section("9.4")))
 
 
-def test_the_range_coder_has_the_stated_states_in_the_mask():
-    states = []
+def test_bits_of_the_mask_have_the_stated_models_and_states():
+    found = []
 
-    class Recorder(range_coder.RangeDecoder):
-        def bit(self, models, i):
-            bit = super().bit(models, i)
-            states.append((i, bit, self.range, self.code, self.position))
+    class Recorder(Bits):
+        def read(self, model):
+            bit = super().read(model)
+            found.append((model, bit, self.states[0], self.at))
             return bit
 
     section_bytes = next(
         data for data, meaning in rows(section("9.2")) if meaning.startswith("mask section")
     )
-    with patch.object(range_coder, "RangeDecoder", Recorder):
-        decode_mask(section_bytes, [[False] * 5 for _ in range(5)])
-    table = re.findall(r"^\| (\d), (\d) \| (.*) \|$", section("9.5"), re.M)
-    assert len(table) == 5
-    for row, col, cells in table:
-        assert states[5 * int(row) + int(col)] == tuple(map(int, cells.split(" | ")))
+    bits = Recorder(section_bytes)
+    text = section("9.5")
+    stated = re.search(r"a = (\d+) and b = (\d+) and has one state, (\d+)", text)
+    assert stated.groups() == (
+        str(section_bytes[0] % 16), str(section_bytes[0] // 16), str(bits.states[0])
+    )  # fmt: skip
+    assert decode_root(bits, 5, 5) == grid("mask").tolist()
+    bits.end()
+    table = re.findall(r"^\| (\d+) \| .* \| (\d+) \| (\d) \| (\d+) \| (\d) \|$", text, re.M)
+    assert len(table) == 6
+    for number, *cells in table:
+        assert found[int(number)] == tuple(map(int, cells))
+    assert f"{len(found)} bits" in text
 
 
 def test_coefficients_details_and_residuals_are_the_stated_ones():
