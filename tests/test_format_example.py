@@ -9,7 +9,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from reference_decoder import cdf97 as reference_cdf97
-from reference_decoder import predictive, range_coder, rapid
+from reference_decoder import predictive, rapid
 from reference_decoder.basics import inflate
 from reference_decoder.files import DICTIONARY, NAMES, block_codes, read_file
 from reference_decoder.payloads import Bits, decode_root

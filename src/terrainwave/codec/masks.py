@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.refiner import ALL_VALID, Mask, Validity, as_array
+from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.jit import kernel, kernel_part
 from terrainwave.coding.status import Status, raise_for_status
 from terrainwave.errors import CorruptStreamError
@@ -83,6 +84,25 @@ class _Coder(NamedTuple):
     words: NDArray[np.uint16]
     states: NDArray[np.uint32]
     places: NDArray[np.int64]
+
+
+class _Lattice(NamedTuple):
+    """A lattice of samples between those of the level above.
+
+    `planes` hold contexts, then what becomes of them, each with a row and a column more on all
+    sides, `pitch` apart from row to row; `words` is the same memory. `truth`: own samples that are
+    noted, in the same places. `groups`: whether one is mixed, and 2 if it has a bit. `p` and `q`
+    are 1 if the first row and column are odd.
+    """
+
+    planes: NDArray[np.uint8]
+    words: NDArray[np.uint64]
+    truth: NDArray[np.uint8]
+    groups: NDArray[np.uint8]
+    cells: NDArray[np.uint8]
+    pitch: int
+    p: int
+    q: int
 
 
 # What a kernel does with bits: reads them, notes those of a mask, or takes all to be 1.
@@ -201,19 +221,21 @@ def _code_lattice(
     n_rows, n_cols = region.n_rows // 2 + 1, region.n_cols // 2 + 1
     pitch = _LEFT + (n_cols // GROUP + 1) * GROUP
     planes = np.empty(4 * (n_rows + 2) * pitch, dtype=np.uint8)
-    truth = np.empty(planes.size if task == _NOTES else 1, dtype=np.uint8)
-    groups = np.empty(n_rows * (pitch // GROUP) + 1, dtype=np.uint8)
-    cells = np.empty(region.shape, dtype=np.uint8)
-    place = np.array([*region, *above.region], dtype=np.int64)
+    lattice = _Lattice(
+        planes, planes.view(np.uint64),
+        np.empty(planes.size if task == _NOTES else 1, dtype=np.uint8),
+        np.empty(n_rows * (pitch // GROUP) + 1, dtype=np.uint8),
+        np.empty(region.shape, dtype=np.uint8), pitch, region.row & 1, region.col & 1,
+    )  # fmt: skip
     known = (above.validity.own_mask, above.validity.mask)
     own_above, valid_above = (
         np.ascontiguousarray(as_array(part, above.region.shape)).view(np.uint8) for part in known
     )
-    n = _code_planes(
-        task, np.ascontiguousarray(own), place, own_above, valid_above, planes,
-        planes.view(np.uint64), pitch, truth, groups, n, log, coder, cells,
-    )  # fmt: skip
-    return cells, n
+    # The parent's sample at the first even row and column.
+    row, col = (region.row + 1 >> 1) - above.region.row, (region.col + 1 >> 1) - above.region.col
+    own = np.ascontiguousarray(own)
+    n = _code_planes(task, own, own_above, valid_above, row, col, lattice, n, log, coder)
+    return lattice.cells, n
 
 
 @kernel
@@ -259,22 +281,32 @@ def _contexts(planes, to, n, first, second, third, fourth, kept):
         planes[to + k] = np.uint8(near | np.uint8(far))
 
 
+@kernel
+def _shape_of(lattice, plane):
+    """Return rows and columns of a plane, and the place of its first sample."""
+    n_rows, n_cols = lattice.cells.shape
+    rows, cols = (n_rows + 1 - lattice.p) >> 1, (n_cols + 1 - lattice.q) >> 1
+    rows = n_rows - rows if plane == _HH or plane == _LH else rows
+    cols = n_cols - cols if plane == _HH or plane == _HL else cols
+    return rows, cols, plane * (lattice.planes.shape[0] >> 2) + lattice.pitch + _LEFT
+
+
 @kernel_part
-def _take_above(place, own, valid, planes, pitch, n_rows, n_cols):
+def _take_above(own, valid, row0, col0, lattice):
     """Take the parent's samples, with one more on each side; outside of the parent its border."""
-    row0, col0 = ((place[0] + 1) >> 1) - place[4], ((place[1] + 1) >> 1) - place[5]
-    void, one = np.uint8(4), np.uint8(1)
+    planes, void, one = lattice.planes, np.uint8(4), np.uint8(1)
+    n_rows, n_cols, start = _shape_of(lattice, _A)
     for i in range(-1, n_rows + 1):
         row = min(max(row0 + i, 0), own.shape[0] - 1)
         own_row, valid_row = own[row], valid[row]
-        to, first = np.uint64((i + 1) * pitch + _LEFT), np.uint64(col0)
+        to, first = np.uint64(start + i * lattice.pitch), np.uint64(col0)
         for j in range(np.uint64(n_cols)):
             is_void = np.uint8((valid_row[first + j] ^ one) << void)
             planes[to + j] = np.uint8(own_row[first + j] | is_void)
         for j in (-1, n_cols):
             col = min(max(col0 + j, 0), own.shape[1] - 1)
             is_void = np.uint8((valid_row[col] ^ one) << void)
-            planes[(i + 1) * pitch + _LEFT + j] = np.uint8(own_row[col] | is_void)
+            planes[start + i * lattice.pitch + j] = np.uint8(own_row[col] | is_void)
 
 
 @kernel_part
@@ -320,146 +352,171 @@ def _is_unlike(planes, truth, at):
 
 
 @kernel_part
-def _list_samples(planes, words, at, is_open, base, n, models, places, n_places):
+def _list_samples(lattice, at, is_open, base, n, log, n_places):
     """List the samples of a group that are coded: all that are not implied, or the mixed ones."""
     low, high = (_NONE, _ALL) if is_open else (_NONE + 1, _ALL - 1)
     low, high = np.uint8(low), np.uint8(high)
     for word in range(_WORDS):
         first = np.uint64(at + 8 * word)
-        contexts = words[first >> np.uint64(3)]
+        contexts = lattice.words[first >> np.uint64(3)]
         if not is_open and (contexts == np.uint64(0x0F0F0F0F0F0F0F0F) or contexts == np.uint64(0)):
             continue
         for k in range(np.uint64(8)):
-            context = planes[first + k]
-            models[n] = np.uint8(base + context)
-            places[n_places] = np.uint32(first + k)
+            context = lattice.planes[first + k]
+            log.models[n] = np.uint8(base + context)
+            log.places[n_places] = np.uint32(first + k)
             is_coded = np.int64((context >= low) & (context <= high))
             n += is_coded
             n_places += is_coded
     return n, n_places
 
 
-@kernel
-def _code_planes(
-    task, own, place, own_above, valid_above, planes, words, pitch, truth, groups, n, log, coder,
-    cells,
-):  # fmt: skip
-    """Code a lattice, of which the parent's samples are known; return how many bits there are."""
-    models, bits, places = log.models, log.bits, log.places
-    n_rows, n_cols = cells.shape
-    p, q = place[0] & 1, place[1] & 1
-    even_rows, even_cols = (n_rows + 1 - p) >> 1, (n_cols + 1 - q) >> 1
-    odd_rows, odd_cols = n_rows - even_rows, n_cols - even_cols
-    size = planes.shape[0] // 4
-    _take_above(place, own_above, valid_above, planes, pitch, even_rows, even_cols)
-    above, corners = pitch + _LEFT, size + pitch + _LEFT
-    for plane in (_HH, _HL, _LH):
-        rows = even_rows if plane == _HL else odd_rows
-        cols = even_cols if plane == _LH else odd_cols
-        if rows == 0 or cols == 0:
-            continue
-        start = plane * size + pitch + _LEFT
-        n_groups = (cols + GROUP - 1) // GROUP
-        if task == _NOTES:
-            for i in range(rows):
-                row = 2 * i + (p if plane == _HL else 1 - p)
-                col = q if plane == _LH else 1 - q
-                for j in range(cols):
-                    truth[start + i * pitch + j] = own[row, col + 2 * j]
-                for j in range(cols, n_groups * GROUP):
-                    truth[start + i * pitch + j] = 0
-        # Contexts, and of which groups there is a bit.
-        first_bit, group = n, 0
-        for i in range(rows):
-            to = start + i * pitch
-            if plane == _HH:
-                north = above + (i - p) * pitch - q
-                south = north + pitch
-                _contexts(
-                    planes, np.uint64(to), cols, np.uint64(north), np.uint64(north + 1),
-                    np.uint64(south), np.uint64(south + 1), np.uint8(255),
-                )  # fmt: skip
-            elif plane == _HL:
-                west = above + i * pitch - q
-                north = corners + (i - 1 + p) * pitch
-                south = north + pitch
-                if odd_rows == 0:
-                    north, south = west, west + 1
-                _contexts(
-                    planes, np.uint64(to), cols, np.uint64(west), np.uint64(west + 1),
-                    np.uint64(north), np.uint64(south), np.uint8(1),
-                )  # fmt: skip
-            else:
-                north = above + (i - p) * pitch
-                west = corners + i * pitch - 1 + q
-                east = west + 1
-                if odd_cols == 0:
-                    west, east = north, north + pitch
-                _contexts(
-                    planes, np.uint64(to), cols, np.uint64(north), np.uint64(north + pitch),
-                    np.uint64(west), np.uint64(east), np.uint8(1),
-                )  # fmt: skip
-            for j in range(cols, n_groups * GROUP):
-                planes[to + j] = _IMPLIED
-            if task == _SKIPS:
-                continue
-            for k in range(n_groups):
-                at = np.uint64(to + k * GROUP)
-                kind, is_mixed = _kind_of_group(planes, at)
-                groups[group] = is_mixed
-                if kind >= 0:
-                    models[n] = _GROUPS + 4 * (plane - 1) + kind
-                    groups[group] |= 2
-                    if task == _NOTES:
-                        bits[n] = _is_unlike(planes, truth, at)
-                    n += 1
-                group += 1
-        if task == _READS:
-            _read(first_bit, n, log, coder)
-        # Samples.
-        group, bit, first_sample, n_places = 0, first_bit, n, 0
-        for i in range(rows if task != _SKIPS else 0):
-            to = start + i * pitch
-            for k in range(n_groups):
-                is_open = False
-                if groups[group] & 2:
-                    is_open = bits[bit] == 1
-                    bit += 1
-                if is_open or groups[group] & 1:
-                    n, n_places = _list_samples(
-                        planes, words, to + k * GROUP, is_open, 16 * (plane - 1), n, models,
-                        places, n_places,
-                    )  # fmt: skip
-                group += 1
-        if task == _READS:
-            _read(first_sample, n, log, coder)
-        elif task == _NOTES:
-            for k in range(n_places):
-                bits[first_sample + k] = truth[places[k]]
-        # What agrees is as its neighbours are; without a section, all that is not implied is own.
-        least = np.uint8(0) if task == _SKIPS else np.uint8(_ALL)
-        for i in range(rows):
-            to = np.uint64(start + i * pitch)
-            for j in range(np.uint64(cols)):
-                context = planes[to + j]
-                is_own = np.uint8((context >= least) & (context <= np.uint8(_ALL)))
-                is_void = np.uint8(context >= np.uint8(_IMPLIED)) << np.uint8(4)
-                planes[to + j] = np.uint8(is_own | np.uint8(is_void))
-        for k in range(n_places):
-            planes[places[k]] = bits[first_sample + k]
-        if plane == _HH:
-            _frame(planes, start, pitch, rows, cols)
-    for row in range(n_rows):
-        odd = (row + p) & 1
-        i = (row - (1 - p if odd else p)) >> 1
-        evens = (_LH if odd else _A) * size + (i + 1) * pitch + _LEFT
-        odds = (_HH if odd else _HL) * size + (i + 1) * pitch + _LEFT
-        first, second = (odds, evens) if q else (evens, odds)
-        for j in range(np.uint64(n_cols >> 1)):
+@kernel_part
+def _row_contexts(lattice, plane, i):
+    """Fill the contexts of row `i` of a plane."""
+    pitch, p, q = lattice.pitch, lattice.p, lattice.q
+    _, _, above = _shape_of(lattice, _A)
+    odd_rows, odd_cols, corners = _shape_of(lattice, _HH)
+    _, n, to = _shape_of(lattice, plane)
+    to, kept = to + i * pitch, np.uint8(1)
+    if plane == _HH:
+        a = above + (i - p) * pitch - q
+        b, c, d, kept = a + 1, a + pitch, a + pitch + 1, np.uint8(255)
+    elif plane == _HL:
+        a, c = above + i * pitch - q, corners + (i - 1 + p) * pitch
+        b, d = a + 1, c + pitch
+        if odd_rows == 0:
+            c, d = a, b
+    else:
+        a, c = above + (i - p) * pitch, corners + i * pitch - 1 + q
+        b, d = a + pitch, c + 1
+        if odd_cols == 0:
+            c, d = a, b
+    a, b, c, d = np.uint64(a), np.uint64(b), np.uint64(c), np.uint64(d)
+    _contexts(lattice.planes, np.uint64(to), n, a, b, c, d, kept)
+    for j in range(n, (n + GROUP - 1) // GROUP * GROUP):
+        lattice.planes[to + j] = _IMPLIED
+
+
+@kernel_part
+def _note_truth(own, lattice, plane):
+    """Note which samples of a plane are own."""
+    rows, cols, start = _shape_of(lattice, plane)
+    row0 = lattice.p if plane == _HL else 1 - lattice.p
+    col0 = lattice.q if plane == _LH else 1 - lattice.q
+    for i in range(rows):
+        to = start + i * lattice.pitch
+        lattice.truth[to : to + (cols + GROUP - 1) // GROUP * GROUP] = 0
+        for j in range(cols):
+            lattice.truth[to + j] = own[row0 + 2 * i, col0 + 2 * j]
+
+
+@kernel_part
+def _list_groups(task, lattice, plane, n, log):
+    """Make the contexts of a plane, and list its groups that have a bit; return how many bits."""
+    rows, cols, start = _shape_of(lattice, plane)
+    group = 0
+    for i in range(rows):
+        _row_contexts(lattice, plane, i)
+        for k in range((cols + GROUP - 1) // GROUP if task != _SKIPS else 0):
+            at = np.uint64(start + i * lattice.pitch + k * GROUP)
+            kind, is_mixed = _kind_of_group(lattice.planes, at)
+            lattice.groups[group] = is_mixed
+            if kind >= 0:
+                log.models[n] = _GROUPS + 4 * (plane - 1) + kind
+                lattice.groups[group] |= 2
+                if task == _NOTES:
+                    log.bits[n] = _is_unlike(lattice.planes, lattice.truth, at)
+                n += 1
+            group += 1
+    return n
+
+
+@kernel_part
+def _list_coded(lattice, plane, bit, n, log):
+    """List the samples of a plane that have bits; return how many bits there are, and of these."""
+    rows, cols, start = _shape_of(lattice, plane)
+    group, n_places = 0, 0
+    for i in range(rows):
+        for k in range((cols + GROUP - 1) // GROUP):
+            is_open = False
+            if lattice.groups[group] & 2:
+                is_open = log.bits[bit] == 1
+                bit += 1
+            if is_open or lattice.groups[group] & 1:
+                at = start + i * lattice.pitch + k * GROUP
+                n, n_places = _list_samples(
+                    lattice, at, is_open, 16 * (plane - 1), n, log, n_places
+                )
+            group += 1
+    return n, n_places
+
+
+@kernel_part
+def _settle(task, lattice, plane):
+    """Make own samples of contexts: what agrees is as its neighbours are.
+
+    Without a section, all that is not implied to be void is own.
+    """
+    rows, cols, start = _shape_of(lattice, plane)
+    planes, least = lattice.planes, np.uint8(_NONE if task == _SKIPS else _ALL)
+    for i in range(rows):
+        to = np.uint64(start + i * lattice.pitch)
+        for j in range(np.uint64(cols)):
+            context = planes[to + j]
+            is_own = np.uint8((context >= least) & (context <= np.uint8(_ALL)))
+            is_void = np.uint8(context >= np.uint8(_IMPLIED)) << np.uint8(4)
+            planes[to + j] = np.uint8(is_own | np.uint8(is_void))
+
+
+@kernel_part
+def _join(lattice):
+    """Put the planes together."""
+    planes, cells, pitch = lattice.planes, lattice.cells, lattice.pitch
+    size = planes.shape[0] >> 2
+    for row in range(cells.shape[0]):
+        is_odd = (row + lattice.p) & 1
+        i = (row - (1 - lattice.p if is_odd else lattice.p)) >> 1
+        evens, odds = (_LH, _HH) if is_odd else (_A, _HL)
+        if lattice.q:
+            evens, odds = odds, evens
+        first = evens * size + (i + 1) * pitch + _LEFT
+        second = odds * size + (i + 1) * pitch + _LEFT
+        for j in range(np.uint64(cells.shape[1] >> 1)):
             cells[row, 2 * j] = planes[np.uint64(first) + j]
             cells[row, 2 * j + np.uint64(1)] = planes[np.uint64(second) + j]
-        if n_cols & 1:
-            cells[row, n_cols - 1] = planes[first + (n_cols >> 1)]
+        if cells.shape[1] & 1:
+            cells[row, cells.shape[1] - 1] = planes[first + (cells.shape[1] >> 1)]
+
+
+@kernel
+def _code_planes(task, own, own_above, valid_above, row, col, lattice, n, log, coder):
+    """Code a lattice, of which the parent's samples are known; return how many bits there are."""
+    lattice, log, coder = borrowed((lattice, log, coder))
+    _take_above(own_above, valid_above, row, col, lattice)
+    for plane in (_HH, _HL, _LH):
+        rows, cols, start = _shape_of(lattice, plane)
+        if rows == 0 or cols == 0:
+            continue
+        if task == _NOTES:
+            _note_truth(own, lattice, plane)
+        first_bit, n_places = n, 0
+        n = _list_groups(task, lattice, plane, n, log)
+        if task == _READS:
+            _read(first_bit, n, log, coder)
+        first = n
+        if task != _SKIPS:
+            n, n_places = _list_coded(lattice, plane, first_bit, n, log)
+        if task == _READS:
+            _read(first, n, log, coder)
+        for k in range(n_places if task == _NOTES else 0):
+            log.bits[first + k] = lattice.truth[log.places[k]]
+        _settle(task, lattice, plane)
+        for k in range(n_places):
+            lattice.planes[log.places[k]] = log.bits[first + k]
+        if plane == _HH:
+            _frame(lattice.planes, start, lattice.pitch, rows, cols)
+    _join(lattice)
     return n
 
 
