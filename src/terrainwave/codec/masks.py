@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.codec.memory import new_heights
 from terrainwave.codec.refiner import ALL_VALID, Mask, Validity, as_array
 from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.jit import kernel, kernel_part
@@ -178,10 +179,14 @@ def decode_validity(
 
 
 def _new_log(region: Region) -> _Log:
-    """Return room for all that a unit may code."""
-    # A bit and one of its group, a third more of coarser lattices of a root block, fills.
-    n = 4 * region.n_rows * region.n_cols + 64
-    return _Log(np.empty(n, np.uint8), np.empty(n, np.uint8), np.empty(n, np.uint32))
+    """Return room for all that a unit may code: each sample and its group's bit, and fills."""
+    n = region.n_rows * region.n_cols + GROUP
+    return _Log(_memory(3 * n), _memory(3 * n), new_heights((1, n)).ravel().view(np.uint32))
+
+
+def _memory(n: int) -> NDArray[np.uint8]:
+    """Return bytes that have been used before."""
+    return new_heights((1, -(-n // 4))).ravel().view(np.uint8)
 
 
 def _code(
@@ -220,12 +225,13 @@ def _code_lattice(
     """Code own samples between those above; return these and implied voids, and how many bits."""
     n_rows, n_cols = region.n_rows // 2 + 1, region.n_cols // 2 + 1
     pitch = _LEFT + (n_cols // GROUP + 1) * GROUP
-    planes = np.empty(4 * (n_rows + 2) * pitch, dtype=np.uint8)
+    planes = _memory(4 * (n_rows + 2) * pitch)
+    n_cells = region.n_rows * region.n_cols
     lattice = _Lattice(
         planes, planes.view(np.uint64),
         np.empty(planes.size if task == _NOTES else 1, dtype=np.uint8),
         np.empty(n_rows * (pitch // GROUP) + 1, dtype=np.uint8),
-        np.empty(region.shape, dtype=np.uint8), pitch, region.row & 1, region.col & 1,
+        _memory(n_cells)[:n_cells].reshape(region.shape), pitch, region.row & 1, region.col & 1,
     )  # fmt: skip
     known = (above.validity.own_mask, above.validity.mask)
     own_above, valid_above = (
