@@ -168,6 +168,11 @@ static void row_contexts(const lattice *l, int plane, int32_t i, uint8_t *to) {
 
 /* The kind of a group's bit, or -1; *is_mixed: some samples have neighbours that do not agree. */
 static ALWAYS_INLINE int kind_of(const uint8_t *contexts, uint8_t *is_mixed) {
+  static const uint64_t FIFTEENS = 0x0F0F0F0F0F0F0F0Fu;
+  uint64_t words[GROUP / 8];
+  memcpy(words, contexts, sizeof words);
+  *is_mixed = 0;
+  if (!((words[0] ^ FIFTEENS) | (words[1] ^ FIFTEENS) | (words[2] ^ FIFTEENS) | (words[3] ^ FIFTEENS))) return 0;
   uint8_t n_none = 0, n_all = 0, n_implied = 0;
   for (int k = 0; k < GROUP; k++) {
     n_none = (uint8_t)(n_none + (contexts[k] == NONE));
@@ -178,7 +183,7 @@ static ALWAYS_INLINE int kind_of(const uint8_t *contexts, uint8_t *is_mixed) {
   *is_mixed = n + n_implied < GROUP;
   if (n == 0) return -1;
   if (*is_mixed) return n < GROUP / 2 ? 2 : 3;
-  return n_all == GROUP ? 0 : 1;
+  return 1;
 }
 
 static void read_list(list *s, bits *b) {
@@ -300,18 +305,23 @@ static void decode_fills(const lattice *l, bits *b) {
     const uint8_t *north = r > 0 ? here - n_cols : here, *south = r + 1 < l->n_rows ? here + n_cols : here;
     beside[0] = beside[n_cols + 1] = 0;
     for (size_t c = 0; c < n_cols; c++) beside[c + 1] = (here[c] | north[c] | south[c]) & OWN;
-    uint8_t any = 0;
     for (size_t c = 0; c < n_cols; c++) {
       uint8_t known = (uint8_t)((beside[c] | beside[c + 1] | beside[c + 2]) ? VALID : UNKNOWN);
       here[c] = (uint8_t)(here[c] | (here[c] & IMPLIED ? 0 : known));
-      any |= here[c];
     }
-    if (!(any & UNKNOWN)) continue;
-    for (size_t c = 0; c < n_cols; c++) {
-      s->models[s->n] = FILL;
-      s->places[s->n] = here + c;
-      s->n += here[c] >> 2 & 1;
+    int32_t n = 0;
+    for (size_t first = 0; first < n_cols; first += GROUP) {
+      size_t stop = min_size(first + GROUP, n_cols);
+      uint8_t any = 0;
+      for (size_t c = first; c < stop; c++) any |= here[c];
+      for (size_t c = first; any & UNKNOWN && c < stop; c++) {
+        s->places[n] = here + c;
+        n += here[c] >> 2 & 1;
+      }
     }
+    if (!n) continue;
+    memset(s->models, FILL, (size_t)n);
+    s->n = n;
     if (b) read_bits(b, s->models, s->bits, s->n);
     for (int32_t k = 0; k < s->n; k++) *s->places[k] |= (uint8_t)(b && !s->bits[k] ? 0 : VALID);
     s->n = 0;
@@ -319,17 +329,19 @@ static void decode_fills(const lattice *l, bits *b) {
 }
 
 /* Keep a bit of all cells as bytes of the region; NULL where all are 1. */
-static twz_status keep(const twz_file *f, const uint8_t *cells, size_t n, int shift, uint8_t **to, int *has_1, twz_error *error) {
-  uint8_t all = 1, any = 0;
+static twz_status keep(const twz_file *f, const uint8_t *RESTRICT cells, size_t n, uint8_t bit, uint8_t **to, int *has_1,
+                       twz_error *error) {
+  uint8_t all = bit, any = 0;
   for (size_t i = 0; i < n; i++) {
-    all &= (uint8_t)(cells[i] >> shift);
-    any |= (uint8_t)(cells[i] >> shift);
+    all &= cells[i];
+    any |= cells[i];
   }
-  *has_1 = any & 1;
+  *has_1 = (any & bit) != 0;
   if (all) return TWZ_OK;
-  *to = twz_allocate(&f->allocator, n);
-  if (!*to) return twz_no_memory(error, n);
-  for (size_t i = 0; i < n; i++) (*to)[i] = cells[i] >> shift & 1;
+  uint8_t *RESTRICT bytes = twz_allocate(&f->allocator, n);
+  if (!bytes) return twz_no_memory(error, n);
+  for (size_t i = 0; i < n; i++) bytes[i] = (cells[i] & bit) != 0;
+  *to = bytes;
   return TWZ_OK;
 }
 
@@ -382,8 +394,8 @@ twz_status decode_validity(const twz_file *f, layer *out, const parent *p, int i
   int has_own;
   if (!is_finest) {
     decode_fills(&l, b);
-    TRY(keep(f, l.cells, n_cells, 0, &out->own, &has_own, error));
+    TRY(keep(f, l.cells, n_cells, OWN, &out->own, &has_own, error));
   }
   if (b) TRY(end_bits(b, error));
-  return keep(f, l.cells, n_cells, is_finest ? 0 : 1, &out->valid, has_valid, error);
+  return keep(f, l.cells, n_cells, is_finest ? OWN : VALID, &out->valid, has_valid, error);
 }

@@ -32,7 +32,7 @@ HEIGHTS = np.array(
     ],
     dtype=np.int16,
 )
-START = 5  # of the method's bytes in a payload of it: flags, length and bytes of the mask
+START = 9  # of the method's bytes in a payload of it: flags, length and bytes of the mask
 
 
 @cache
@@ -168,18 +168,17 @@ def payload(change, key=ROOT):
     return edited(edit)
 
 
-def own_section(change):
-    """The own samples in the root's payload."""
+def mask(change, key=ROOT):
+    """The mask section of a payload, which has one."""
 
     def change_payload(data):
-        assert data[0] in (8, 9)
-        at = 1 + (1 + data[1] if data[0] & 1 else 0)  # behind the mask
-        assert data[at] < 128
-        end = at + 1 + data[at]
-        section = change(data[at + 1 : end])
-        return data[:at] + bytes([len(section)]) + section + data[end:]
+        assert data[0] == 1
+        n = data[1]
+        assert n < 128
+        section = change(data[2 : 2 + n])
+        return b"\1" + varint(len(section)) + section + data[2 + n :]
 
-    return payload(change_payload)
+    return payload(change_payload, key)
 
 
 def corrections(change):
@@ -187,9 +186,9 @@ def corrections(change):
 
     def edit(editor):
         payloads = editor.top.payloads
-        key = min(key for key, data in payloads.items() if data and data[0] & 16)
+        key = min(key for key, data in payloads.items() if data and data[0] & 8)
         data, at = payloads[key], 1
-        for bit in range(5):
+        for bit in range(4):
             if data[0] >> bit & 1:
                 n, start = read_varint(data, at)
                 begin, at = at, start + n
@@ -555,7 +554,7 @@ CASES = {
     ),
     # Payloads
     "payload-crc": Case("store", "§3.3", "payload_crc", column("payload_crc", 1)),
-    "payload-flags": Case("store", "§5.1", "flag bit 3", payload(flip(0, 8))),
+    "payload-flags": Case("store", "§5.1", "flag bit 4", payload(flip(0, 16))),
     "payload-remainders": Case(
         "store", "§5.1", "flag of remainders without feature bit 0", payload(flip(0, 4))
     ),
@@ -564,47 +563,44 @@ CASES = {
     ),
     "varint-long": Case(
         "store", "§1.4", "a varint that could be shorter",
-        payload(lambda data: data[:1] + b"\x83\0" + data[2:]),
+        payload(lambda data: data[:1] + b"\x87\0" + data[2:]),
     ),
     "varint-six-bytes": Case(
         "store", "§1.4", "a varint of six bytes",
-        payload(lambda data: data[:1] + b"\x83\x80\x80\x80\x80\x01" + data[2:]),
+        payload(lambda data: data[:1] + b"\x87\x80\x80\x80\x80\x01" + data[2:]),
     ),
     "mask-empty": Case(
-        "store", "§5.1", "a mask section of length 0",
-        payload(lambda data: b"\1\0" + data[5:]),
+        "store", "§5.1", "a mask section of length 0", mask(lambda section: b""),
     ),
     "mask-cut": Case(
-        "store", "§6.2", "a mask whose stream is a byte short",
-        payload(lambda data: b"\1\2" + data[2:4] + data[5:]),
+        "store", "§5.2", "a mask without its last word", mask(lambda section: section[:-2]),
+    ),
+    "mask-half-a-word": Case(
+        "store", "§5.2", "a mask of one byte too few", mask(lambda section: section[:-1]),
+    ),
+    "mask-without-state": Case(
+        "store", "§5.2", "a mask that ends within its state", mask(lambda section: section[:3]),
+    ),
+    "mask-state": Case(
+        "store", "§5.2", "a mask whose state does not become 2^16", mask(flip(1)),
     ),
     "mask-left-over": Case(
-        "store", "§6.2", "a mask whose stream has a byte too much",
-        payload(lambda data: b"\1\4" + data[2:5] + b"\0" + data[5:]),
+        "store", "§5.2", "a mask with a word too much", mask(lambda section: section + b"\0\0"),
+    ),
+    "mask-sets": Case(
+        "store", "§5.2", "a mask with frequencies of its own and a set of samples",
+        mask(lambda section: b"\x71" + bytes(62) + section[1:]),
     ),
     "mask-beyond": Case(
         "store", "§5.1", "a mask section longer than the payload", payload(put(1, 99))
     ),
-    "own-on-the-finest-level": Case(
-        FILLS, "§5.1", "flag of own samples on level k_max",
-        payload(lambda data: bytes([data[0] | 8]) + data[1:], key=(1, 0, 0)),
+    "mask-of-a-coarse-level-left-over": Case(
+        FILLS, "§5.2", "a mask of level 0 with a word too much",
+        mask(lambda section: section + b"\0\0"),
     ),
-    "own-empty": Case(
-        FILLS, "§5.1", "a section of own samples of length 0",
-        own_section(lambda section: b""),
-    ),
-    "own-cut": Case(
-        FILLS, "§6.2", "own samples whose stream is a byte short",
-        own_section(lambda section: section[:-1]),
-    ),
-    "own-left-over": Case(
-        FILLS, "§6.2", "own samples whose stream has a byte too much",
-        own_section(lambda section: section + b"\0"),
-    ),
-    "map-left-over": Case(
-        FILLS, "§6.2", "a mask of level k_max whose stream has a byte too much",
-        payload(lambda data: b"\1" + bytes([data[1] + 1]) + data[2 : 2 + data[1]] + b"\0"
-                + data[2 + data[1] :], key=(1, 0, 0)),
+    "mask-of-a-group-left-over": Case(
+        FILLS, "§5.2", "a mask of level k_max with a word too much",
+        mask(lambda section: section + b"\0\0", key=(1, 0, 0)),
     ),
     "corrections-of-step-1": Case(
         "predictive-int16-lossless", "§4.7", "feature bit 6 with step 1", header(features=64),
@@ -612,7 +608,7 @@ CASES = {
     ),
     "corrections-unasked": Case(
         "rapid", "§5.1", "a flag of corrections without feature bit 6",
-        payload(lambda data: bytes([data[0] | 16]) + data[1:]),
+        payload(lambda data: bytes([data[0] | 8]) + data[1:]),
     ),
     "corrections-empty": Case(
         PATCHED, "§5.1", "a section of corrections of length 0", corrections(lambda section: b""),
@@ -635,13 +631,13 @@ CASES = {
     ),
     "exceptions-unasked": Case(
         "store", "§5.1", "exceptions where no sample has any",
-        payload(lambda data: b"\3" + data[1:5] + b"\1\0" + data[5:]),
+        payload(lambda data: b"\3" + data[1:START] + b"\1\0" + data[START:]),
     ),
     "store-short": Case("store", "§8", "a byte short", payload(lambda data: data[:-1])),
     "store-long": Case("store", "§8", "a byte too many", payload(lambda data: data + b"\0")),
     "store-32-bits": Case(
         "store", "§8", "32 bits per sample",
-        payload(lambda data: data[:9] + b"\x20" + bytes(4 * 22)),
+        payload(lambda data: data[: START + 4] + b"\x20" + bytes(4 * 22)),
     ),
     "predictive-flags": Case("predictive", "P.1", "flag bit 2", method_bytes(flip(0, 4))),
     "predictive-empty": Case(
