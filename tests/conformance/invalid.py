@@ -172,11 +172,10 @@ def mask(change, key=ROOT):
     """The mask section of a payload, which has one."""
 
     def change_payload(data):
-        assert data[0] == 1
-        n = data[1]
-        assert n < 128
-        section = change(data[2 : 2 + n])
-        return b"\1" + varint(len(section)) + section + data[2 + n :]
+        assert data[0] & 1
+        n, start = read_varint(data, 1)
+        section = change(data[start : start + n])
+        return data[:1] + varint(len(section)) + section + data[start + n :]
 
     return payload(change_payload, key)
 
