@@ -598,8 +598,8 @@ CASES = {
         mask(lambda section: section + b"\0\0"),
     ),
     "mask-of-a-group-left-over": Case(
-        FILLS, "§5.2", "a mask of level k_max with a word too much",
-        mask(lambda section: section + b"\0\0", key=(1, 0, 0)),
+        FILLS, "§5.2", "a mask of a group with a word too much",
+        mask(lambda section: section + b"\0\0", key=(0, 0, 0)),
     ),
     "corrections-of-step-1": Case(
         "predictive-int16-lossless", "§4.7", "feature bit 6 with step 1", header(features=64),
