@@ -2,7 +2,7 @@
 
 python tools/make_native_tables.py
 
-The dictionary, the models of masks and the mixer's functions come from the text of the format.
+The dictionary and the mixer's functions come from the text of the format.
 """
 
 import base64
@@ -126,12 +126,10 @@ def check_features():
 
 def main():
     """Write the file."""
-    starts = [int(word) for line in block_of("starts") for word in line.split()]
     starts97 = base64.b85decode(tables97._STARTS)
     parts = [
         HEAD + '#include "tables.h"\n',
         text_of("twz_dictionary", block_of("dictionary")),
-        array("uint8_t twz_mask_starts[576]", starts),
         stencils("twz_rapid_stencils", rapid_tables.STENCILS),
         array(
             "int32_t twz_rapid_features[2][4][4][9]",

@@ -33,7 +33,7 @@ constexpr char HOW_TO_WRITE[] =
 constexpr const char *OF_OTHERS[] = {"TERRAINWAVE_MAX_ERROR", "TERRAINWAVE_METHOD", "TERRAINWAVE_OVERVIEWS"};
 /* Of the band, in DOMAIN: it goes into the .aux.xml and marks of which file statistics there are. */
 constexpr char FINGERPRINT[] = "FINGERPRINT";
-constexpr uint32_t HAS_REMAINDERS = 1; /* feature bit 0 */
+constexpr uint32_t HAS_REMAINDERS = 2; /* feature bit 1 */
 /* Samples a side that overviews stop at, as Terrain.geotiff has it. */
 constexpr uint32_t SMALLEST_OVERVIEW = 512;
 /* Blocks are as large as units of decoding, within these. Of 128 to 2048 samples a side, 512 took least, units being

@@ -18,7 +18,7 @@ from benchmarks.slow_server import SlowServer
 from terrainwave.write.job import metadata_of
 
 pytestmark = [pytest.mark.full, pytest.mark.gdal]
-GOLDEN = ROOT / "tests" / "golden" / "v1"
+GOLDEN = ROOT / "tests" / "golden" / "v2"
 
 
 @pytest.fixture(scope="module", autouse=True)

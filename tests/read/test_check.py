@@ -9,7 +9,7 @@ from twz import twz_bytes
 
 import terrainwave
 
-GOLDEN = Path(__file__).parents[1] / "golden" / "v1"
+GOLDEN = Path(__file__).parents[1] / "golden" / "v2"
 
 
 def problems(tmp_path, data):
