@@ -43,9 +43,9 @@ static twz_status read_start(const uint8_t *bytes, const crc_tables *crc, twz_er
     first[8] = FORMAT_VERSION;
     REQUIRE(crc32_of(crc, first, sizeof first) != load_u32(bytes + 124), error,
             "byte 8 is damaged: it says format version %d, and the checksum is that of version %d", bytes[8], FORMAT_VERSION);
-    return twz_fail(error, TWZ_UNSUPPORTED, "found format version %d, expected %d: %s", bytes[8], FORMAT_VERSION,
-                    bytes[8] < FORMAT_VERSION ? "made by a development build: compress the raster again"
-                                              : "install a newer terrainwave");
+    return twz_fail(error, TWZ_UNSUPPORTED, "found format version %d, expected %d%s", bytes[8], FORMAT_VERSION,
+                    bytes[8] < FORMAT_VERSION ? ": made by a development build: compress the raster again"
+                                              : ", which a newer release may know");
   }
   REQUIRE(load_u16(bytes + 10) >= HEADER_SIZE, error, "header_size %d, less than 128", load_u16(bytes + 10));
   REQUIRE(crc_matches(crc, bytes, 124, load_u32(bytes + 124)), error, "the header's checksum is wrong");

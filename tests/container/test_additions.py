@@ -1,4 +1,4 @@
-"""What a minor version may add (FORMAT.md §12.1): what must be known is refused, all else ignored."""
+"""What a minor version may add (FORMAT.md §12.1): what must be known is refused, else ignored."""
 
 import numpy as np
 import pytest
