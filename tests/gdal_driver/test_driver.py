@@ -186,8 +186,8 @@ def test_the_domain_of_the_format_tells_bound_method_and_levels(kinds, described
     assert json.loads(text)["crs"] == "EPSG:32632"
 
 
-def test_plain_tags_state_no_bound_of_the_raster_that_was_compressed(folder, monkeypatch):
-    tags = {"TERRAINWAVE_MAX_ERROR": "0.0", "STATISTICS_MEAN": "1", "licence": "kept"}
+def test_plain_tags_state_nothing_measured_of_the_raster_that_was_compressed(folder, monkeypatch):
+    tags = {"STATISTICS_MEAN": "1", "licence": "kept"}
     monkeypatch.setattr(
         "terrainwave.write.job.metadata_of", lambda info: metadata_of(info) | {"tags": tags}
     )
