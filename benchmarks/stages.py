@@ -26,7 +26,7 @@ STAGES = (
     ("quanta", "terrainwave.grid.quantum", "Quantizer.quantize Quantizer.dequantize"),
     ("pyramid", "terrainwave.write.pyramid", "Pyramid.build Pyramid.heights Pyramid.mask"),
     ("measure", "terrainwave.write.encoder", "TreeEncoder._measure"),
-    ("mask", "terrainwave.codec.group", "encode_mask decode_mask"),
+    ("mask", "terrainwave.codec.group", "_encode_validity _decode_validity"),
     ("borders", "terrainwave.codec.predictive.refiner", "code_border"),
     ("planes", "terrainwave.codec.predictive.refiner", "split merge fill_frame fill_bends"),
     ("choice", "terrainwave.codec.predictive.refiner", "_choose"),

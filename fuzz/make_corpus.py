@@ -18,7 +18,6 @@ from fuzz.targets import (
     GOLDEN,
     REFINERS,
     VIRTUAL,
-    _implied,
     _mesh_samples,
     call,
     own_place,
@@ -28,13 +27,12 @@ from terrainwave.annexes import read_annex
 from terrainwave.codec.cdf53.refiner import encode_tile
 from terrainwave.codec.cdf53.tile_layout import TileLayout
 from terrainwave.codec.corrections import encode_corrections
-from terrainwave.codec.masks import encode_mask
 from terrainwave.codec.own_masks import encode_validity
 from terrainwave.codec.refiner import ALL_VALID, Validity, as_array
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.remainder_planes import encode_remainders
 from terrainwave.coding.deflate import inflate
-from terrainwave.container.header import HEADER_SIZE, MAX_METADATA
+from terrainwave.container.header import MAX_METADATA
 from terrainwave.container.page import empty_page, pack_columns, pack_page
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.sections import pack_section
@@ -51,8 +49,8 @@ def _of_files() -> Iterator[tuple[str, bytes]]:
         with Terrain(data, threads=1) as terrain:
             container = terrain.container
             extents, found = container.extents, container.header
-        yield "header", data[:HEADER_SIZE]
-        packed = data[HEADER_SIZE : extents.parameters_start]
+        yield "header", data[: extents.header_size]
+        packed = data[extents.header_size : extents.parameters_start]
         yield "metadata", b"\1" + packed
         text = inflate(packed, MAX_METADATA, "metadata", read_annex("dictionary.txt"))
         yield "metadata", b"\0" + text
@@ -103,12 +101,6 @@ def _of_parts() -> Iterator[tuple[str, bytes]]:
         yield "pages", bytes([2 * number]) + pack_page(pack_columns(empty_page(layout)), 0)
         yield "pages", bytes([2 * number + 1]) + bytes(40)
     rng = np.random.default_rng(2)
-    for kind in range(12):
-        implied = _implied(kind)
-        yield (
-            "masks",
-            bytes([kind]) + encode_mask(~implied & (rng.random(implied.shape) < 0.7), implied),
-        )
     for n_bytes in (1, 3):
         yield "remainders", bytes([4, n_bytes]) + bytes(range(35 * n_bytes))
     for width in (4, 8):
@@ -131,7 +123,7 @@ def _of_parts() -> Iterator[tuple[str, bytes]]:
         near = Validity.of(found if kind & 8 else ~implied, found)
         coded = encode_validity(near, implied, region, above, is_finest=bool(kind & 8))
         length = b"" if kind & 8 else coded.own
-        yield "own", bytes([kind, len(length)]) + length + coded.mask
+        yield "masks", bytes([kind, len(length)]) + length + coded.mask
     # By a generator of its own: the others' seeds stay.
     yield "cdf53", bytes([4, 0]) + _tile(_TILES[2], np.random.default_rng(3))
     for code, name in enumerate(("zerotree-plain", "rqt")):

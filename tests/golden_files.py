@@ -1,4 +1,4 @@
-"""Golden files: what a file of each format version decodes to, now and for ever.
+"""Golden files: what a file of each format version decodes to.
 
 `tests/golden/vN/` holds files of format version N and `manifest.json`, as tests/golden/README.md
 says; `tools/make_golden.py` makes those of the current version.

@@ -103,8 +103,7 @@ CROWDED: dict[str, int] = {}
 # Names that several modules may have: the parts that packages of methods have in common.
 PARTS = {"refiner", "file_tables", "fit", "trained"}
 # Modules called what they are for, which a module elsewhere does: a command, a mode of the viewer.
-# `render.style` is where `Style` was before 1.1.
-CALLED_AFTER = ("cli/commands", "render/modes", "render/style")
+CALLED_AFTER = ("cli/commands", "render/modes")
 # Functions of more lines, without their docstrings: loops of kernels, which cost time when cut.
 MOST_LINES, MOST_ARGUMENTS = 70, 10
 # Files through which `max_error` reaches the kernel that codes by it.

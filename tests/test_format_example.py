@@ -12,7 +12,7 @@ from reference_decoder import cdf97 as reference_cdf97
 from reference_decoder import predictive, range_coder, rapid
 from reference_decoder.basics import inflate
 from reference_decoder.files import DICTIONARY, NAMES, block_codes, read_file
-from reference_decoder.payloads import decode_mask
+from reference_decoder.payloads import decode_map
 from reference_decoder.units import decode, decode_units
 from twz import twz_bytes
 
@@ -115,7 +115,7 @@ def test_rows_of_the_file_are_the_fields_of_the_header():
             )
             assert value == getattr(header, name), meaning
             n_fields += 1
-    assert n_fields == 27
+    assert n_fields == 28
 
 
 def test_deflated_sections_inflate_to_the_stated_content():
@@ -140,7 +140,7 @@ def test_the_range_coder_has_the_stated_states_in_the_mask():
         data for data, meaning in rows(section("9.2")) if meaning.startswith("mask section")
     )
     with patch.object(range_coder, "RangeDecoder", Recorder):
-        decode_mask(section_bytes, [[False] * 5 for _ in range(5)])
+        decode_map(section_bytes, [[0] * 5 for _ in range(5)])
     table = re.findall(r"^\| (\d), (\d) \| (.*) \|$", section("9.5"), re.M)
     assert len(table) == 5
     for row, col, cells in table:

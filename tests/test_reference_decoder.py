@@ -24,14 +24,13 @@ from reference_decoder.files import (
     read_file,
     segment_layout,
 )
-from reference_decoder.payloads import MASK_STARTS, decode_mask, decode_payload, implied_void
+from reference_decoder.payloads import decode_payload, decode_valid
 from reference_decoder.range_coder import THRESHOLDS, Models, RangeDecoder, RangeEncoder, bin_of
 from reference_decoder.spiht import Spiht
 from reference_decoder.units import decode, decode_units, decode_with_own
 from twz import twz_bytes
 
 import terrainwave
-from terrainwave.codec.masks import encode_mask
 from terrainwave.codec.predictive.file_tables import all_tables, parse_file_tables
 from terrainwave.coding.deflate import deflate
 from terrainwave.errors import CorruptStreamError
@@ -164,7 +163,7 @@ def check_same(data):
             heights, valid = terrain.read_with_mask(level=level, voids="any")
             expected, expected_valid, expected_own = decode_with_own(data, level)
             np.testing.assert_array_equal(valid, expected_valid)
-            if terrain.header.has_fills:
+            if terrain.header.has_voids:
                 own = terrain.read_with_mask(level=level, voids="exact")[1]
                 np.testing.assert_array_equal(own, expected_own)
             assert heights.dtype == expected.dtype
@@ -223,7 +222,7 @@ def test_faithful_files_decode_as_format_says(name, border_rings):
     options = options | {"method": "cdf97", "faithful": True, "border_rings": border_rings}
     data = twz_bytes(heights, **options)
     has_voids = "voids" in name or "NaN" in name
-    assert read_file(data).header.features == 2 + 16 * has_voids
+    assert read_file(data).header.features == 4 + has_voids
     check_same(data)
 
 
@@ -402,26 +401,6 @@ def test_the_range_coder_makes_the_bytes_of_format_6_4_and_reads_them():
         decoder.end()
 
 
-def test_masks_are_coded_with_the_models_of_the_figure_of_format_5_2():
-    text = re.search(r"^```neighbours\n(.*?)^```", section("5.2"), re.M | re.S)[1]
-    cells = np.array([line.split() for line in text.splitlines()])
-    assert cells.shape == (5, 5)
-    assert cells[2, 2] == "x"
-    rng = np.random.default_rng(9)
-    implied = rng.random((30, 40)) < 0.2
-    mask = (rng.random((30, 40)) < 0.6) & ~implied
-    encoder, models = RangeEncoder(), Models(576)
-    models.probability = [start << 14 for start in MASK_STARTS]
-    models.count = [2] * 576
-    valid, void = np.pad(mask, 2), np.pad(implied, 2)
-    for row, col in zip(*np.nonzero(~implied), strict=True):
-        around = np.s_[row : row + 5, col : col + 5]
-        c = sum(int(n) for n in cells[valid[around]] if n.isdigit())
-        a, b = (int((cells[void[around]] == name).sum()) for name in "ab")
-        encoder.bit(models, (c * 3 + a) * 3 + min(b, 2), int(mask[row, col]))
-    assert encoder.end() == encode_mask(mask, implied)
-
-
 def test_a_stream_of_no_symbols_is_the_byte_of_format_6_3():
     assert RangeEncoder().end() == b"\0"
     RangeDecoder(b"\0").end()
@@ -553,16 +532,25 @@ def varint(value):
     return bytes([*out, value])
 
 
+def random_sections(rng, file, unit, parent_unit, parent_valid):
+    """Return sections of mask and own samples (§5.2), None for one that is left out, and a mask."""
+    names = ["own", "mask"] if unit.level < file.grid.k_max else ["mask"]
+    asked = [name for name in names if rng.random() < 0.5]
+    sources = {name: RandomCoder(rng, rng.choice([0.5, 0.97])) for name in asked}
+    decoders = iter(sources.values())  # in the order in which sections are decoded
+    with patch.object(range_coder, "RangeDecoder", lambda data: next(decoders)):
+        sections = (b"" if name in sources else None for name in ("mask", "own"))
+        valid = decode_valid(file, unit, *sections, parent_unit, parent_valid)
+    streams = {name: source.stream for name, source in sources.items()}
+    return streams.get("mask"), streams.get("own"), valid
+
+
 def random_payload(rng, file, unit, parent_unit, parent_heights, parent_valid):
     """Return a payload that is legal and otherwise random."""
-    implied = implied_void(unit, parent_unit, parent_valid)
-    valid = [[int(not is_void) for is_void in row] for row in implied]
-    payload = b"\0"
-    if rng.random() < 0.5:
-        source = RandomCoder(rng, rng.choice([0.5, 0.97]))
-        with patch.object(range_coder, "RangeDecoder", lambda data: source):
-            valid = decode_mask(b"", implied)
-        payload = b"\1" + varint(len(source.stream)) + source.stream
+    mask, own, valid = random_sections(rng, file, unit, parent_unit, parent_valid)
+    payload = bytes([(mask is not None) + 8 * (own is not None)])
+    for stream in (mask, own):
+        payload += b"" if stream is None else varint(len(stream)) + stream
     if not any(map(any, valid)):
         return b""
     if METHODS[file.header.method] == "cdf97":
@@ -640,8 +628,9 @@ def random_header(rng, shape, method, border_rings):
         z_max=z_min + span,
         step=int(rng.integers(0, 2**30)) >> int(rng.integers(0, 31)) << 1 | 1,
     )
+    changes["features"] = 1
     if method == "cdf97":
-        changes["features"] = 2 * int(rng.integers(2))
+        changes["features"] += 4 * int(rng.integers(2))
     for name, value in changes.items():
         setattr(file.header, name, value)
     if rng.random() < 0.5:
@@ -672,11 +661,9 @@ def random_tile_file(rng, shape, n_planes):
     outer = outer_valid = None
     sections = []
     for part in tile.parts:
-        implied = implied_void(part, outer, outer_valid)
-        source = RandomCoder(rng, rng.choice([0.5, 0.97]))
-        with patch.object(range_coder, "RangeDecoder", lambda data, source=source: source):
-            outer_valid = decode_mask(b"", implied)
-        sections.append(varint(len(source.stream)) + source.stream)
+        mask, own, outer_valid = random_sections(rng, file, part, outer, outer_valid)
+        streams = [mask] if part.level == file.grid.k_max else [own, mask]
+        sections += [varint(len(stream or b"")) + (stream or b"") for stream in streams]
         outer = part
     shares = [None, None, 0.05, 0.3, 0.5, 0.8, 0.97]
     source, models = RandomCoder(rng, shares[rng.integers(len(shares))]), Models(1515)

@@ -2,8 +2,8 @@
 
 python tools/make_native_tables.py
 
-From the files of the annexes (FORMAT.md §15), those of rapid from its modules. The models of masks
-and the mixer's functions come from the text of the format.
+From the files of the annexes (FORMAT.md §15), those of rapid from its modules, and the mixer's
+functions from the text of the format.
 """
 
 import base64
@@ -129,11 +129,9 @@ def check_features():
 
 def main():
     """Write the file."""
-    starts = [int(word) for line in block_of("starts") for word in line.split()]
     parts = [
         HEAD + '#include "tables.h"\n',
         text_of("twz_dictionary", read_annex("dictionary.txt").decode("ascii")),
-        array("uint8_t twz_mask_starts[576]", starts),
         stencils("twz_rapid_stencils", rapid_tables.STENCILS),
         array(
             "int32_t twz_rapid_features[2][4][4][9]",

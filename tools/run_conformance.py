@@ -140,13 +140,13 @@ def print_table(profile, counts):
 def main():
     """Ask, print a table, and say by the status whether all is right."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--set", type=Path, help="folder of v1; by default the one beside")
+    parser.add_argument("--set", type=Path, help="folder of v2; by default the one beside")
     parser.add_argument("--only", default="", help="files whose name has this text")
     parser.add_argument("--timeout", type=float, default=300, help="seconds for an answer")
     parser.add_argument("--csv", type=Path, help="write file, part, outcome, remark")
     parser.add_argument("command", nargs="+", metavar="COMMAND")
     options = parser.parse_args()
-    folder = (options.set or next(path for path in SETS if (path / "v1").is_dir())) / "v1"
+    folder = (options.set or next(path for path in SETS if (path / "v2").is_dir())) / "v2"
     reader = Reader(options.command, options.timeout)
     rows = list(judge(reader, folder, options.only))
     profile = reader.ask(task="profile")

@@ -153,7 +153,7 @@ static int read_piece(parts *p, const grid *g, place head, const uint8_t *bytes,
 static int take_apart(parts *p, const uint8_t *bytes, size_t n) {
   memset(p, 0, sizeof *p);
   grid g;
-  if (n < HEADER_SIZE || !grid_of(bytes, &g)) return 0;
+  if (n < HEADER_SIZE || load_u16(bytes + 10) != HEADER_SIZE || !grid_of(bytes, &g)) return 0;
   memcpy(p->header, bytes, HEADER_SIZE);
   uint64_t n_metadata = load_u32(bytes + 76), n_parameters = load_u32(bytes + 108), n_page = load_u32(bytes + 116);
   uint64_t start = HEADER_SIZE + n_metadata + n_parameters;

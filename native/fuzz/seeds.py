@@ -32,8 +32,8 @@ def variants(method):
     """Yield (name, dtype, has_voids, options of compress); `main` knows some of the names."""
     own = getattr(tw, method.capitalize())
     yield "lossless", np.int16, False, {"max_error": 0}
-    yield "voids", np.int16, True, {"max_error": 2, "nodata": -9999, "format": "1.0"}
-    yield "fills", np.int32, True, {"max_error": 0, "nodata": -9999}
+    yield "voids", np.int16, True, {"max_error": 2, "nodata": -9999}
+    yield "exact-voids", np.int32, True, {"max_error": 0, "nodata": -9999}
     if method != "cdf53":
         yield (
             "coarse",

@@ -10,7 +10,7 @@
 namespace twz {
 namespace {
 
-constexpr uint32_t TELLS_FILLS = 16; /* feature bit 4 */
+constexpr uint32_t HAS_VOIDS = 1; /* feature bit 0 */
 
 /* Call something with a value of the type that heights have. */
 template <class Function>
@@ -132,7 +132,7 @@ bool Area::Decode(VSILFILE *handle, int n_threads) {
   }
   const twz_info &info = file_.Info();
   const size_t n = static_cast<size_t>(source_.n_rows) * source_.n_cols;
-  if (grid_.level != info.n_levels - 1 && (info.features & TELLS_FILLS)) {
+  if (grid_.level != info.n_levels - 1 && (info.features & HAS_VOIDS)) {
     own_.resize(n);
     if (twz_window_read_own(window, own_.data(), 0, &error) != TWZ_OK) return Fail(error);
   }

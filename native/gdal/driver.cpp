@@ -29,11 +29,9 @@ constexpr char PREFIX[] = "TWZ:";
 constexpr char DOMAIN[] = "TERRAINWAVE";
 constexpr char HOW_TO_WRITE[] =
     "the TWZ driver only reads; to make a .twz file: terrainwave compress dem.tif dem.twz --max-error 0.5";
-/* Tags that earlier versions wrote into GeoTIFFs; compressed, they are of other heights. */
-constexpr const char *OF_OTHERS[] = {"TERRAINWAVE_MAX_ERROR", "TERRAINWAVE_METHOD", "TERRAINWAVE_OVERVIEWS"};
 /* Of the band, in DOMAIN: it goes into the .aux.xml and marks of which file statistics there are. */
 constexpr char FINGERPRINT[] = "FINGERPRINT";
-constexpr uint32_t HAS_REMAINDERS = 1; /* feature bit 0 */
+constexpr uint32_t HAS_REMAINDERS = 2; /* feature bit 1 */
 /* Samples a side that overviews stop at, as Terrain.geotiff has it. */
 constexpr uint32_t SMALLEST_OVERVIEW = 512;
 /* Blocks are as large as units of decoding, within these. Of 128 to 2048 samples a side, 512 took least, units being
@@ -609,10 +607,7 @@ void Dataset::Describe() {
     }
     const char *key, *value;
     for (size_t i = 0; twz_file_tag(file_->Get(), of_band, i, &key, &value); i++) {
-      const bool is_of_others =
-          STARTS_WITH_CI(key, "STATISTICS_") ||
-          std::any_of(std::begin(OF_OTHERS), std::end(OF_OTHERS), [&](const char *name) { return EQUAL(key, name); });
-      if (!*key || strchr(key, '=') || is_of_others) continue;
+      if (!*key || strchr(key, '=') || STARTS_WITH_CI(key, "STATISTICS_")) continue;
       tags.erase(key);
       tags.emplace(key, value);
     }

@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstdlib>
+#include <cstring>
 #include <map>
 #include <tuple>
 #include <vector>
@@ -247,7 +248,8 @@ const twz_workers *WorkersOf(Pool &pool, int n_threads) {
 }  // namespace
 
 void SharedFile::Report(const std::string &name, const twz_error &error) {
-  if (error.status == TWZ_UNSUPPORTED) {
+  const bool is_of_a_build = std::strstr(error.text, "made by a development build") != nullptr;
+  if (error.status == TWZ_UNSUPPORTED && !is_of_a_build) {
     CPLError(CE_Failure, CPLE_NotSupported, "%s: %s; install a terrainwave driver for GDAL newer than %d.%d.%d",
              name.c_str(), error.text, TWZ_VERSION_MAJOR, TWZ_VERSION_MINOR, TWZ_VERSION_PATCH);
     return;

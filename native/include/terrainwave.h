@@ -62,9 +62,9 @@ extern "C" {
 #endif
 
 /* Between releases the next one's, with .dev0 behind the numbers. */
-#define TWZ_VERSION "1.1.0.dev0"
+#define TWZ_VERSION "1.0.0.dev0"
 #define TWZ_VERSION_MAJOR 1
-#define TWZ_VERSION_MINOR 1
+#define TWZ_VERSION_MINOR 0
 #define TWZ_VERSION_PATCH 0
 
 /* The version of the library that runs, as 10000 major + 100 minor + patch. */
@@ -311,8 +311,7 @@ TWZ_API twz_status twz_window_read_part(const twz_window *window, const twz_box 
                                         ptrdiff_t valid_stride, twz_error *error);
 /*
  * One byte a sample: 1 if the original has a valid sample at this very place, 0 if it is void or a
- * fill (a valid sample of a coarse level whose place is void in the full grid). TWZ_UNSUPPORTED if
- * the file does not say so (feature bit 4); the finest level always can be asked.
+ * fill (a valid sample of a coarse level whose place is void in the full grid).
  */
 TWZ_API twz_status twz_window_read_own(const twz_window *window, uint8_t *own, ptrdiff_t own_stride,
                                        twz_error *error);

@@ -16,7 +16,7 @@ typedef struct head {
 static twz_status read_masks(const twz_file *f, const unit *u, reader *r, head *h, twz_error *error) {
   for (int i = 0; i < u->n_layers; i++) {
     int is_finest = u->first_level + i == f->grid.k_max;
-    if ((f->header.features & FILLS) && !is_finest) TRY(read_section(r, &h->own[i], "own samples", error));
+    if (!is_finest) TRY(read_section(r, &h->own[i], "own samples", error));
     TRY(read_section(r, &h->masks[i], "a mask", error));
     if (h->own[i].n == 0) h->own[i].bytes = NULL;
     if (h->masks[i].n == 0) h->masks[i].bytes = NULL;
@@ -27,7 +27,7 @@ static twz_status read_masks(const twz_file *f, const unit *u, reader *r, head *
 static twz_status read_head(const twz_file *f, const unit *u, reader *r, head *h, int is_held, twz_error *error) {
   uint64_t z, n_planes;
   int flags = r->bytes[r->at++], is_root = u->entry.at.level < 0;
-  REQUIRE(flags <= 1, error, "flags %d of method cdf53", flags);
+  REQUIRE((flags & ~(f->header.features & VOIDS ? 1 : 0)) == 0, error, "flags %d of method cdf53", flags);
   if (flags & 1) TRY(read_masks(f, u, r, h, error));
   TRY(read_section(r, &h->borders, "borders", error));
   REQUIRE((h->borders.n > 0) == is_held, error, "borders of %llu bytes of a tile %s shared sides",

@@ -91,7 +91,7 @@ void twz_file_free(twz_file *f) {
 static uint64_t start_needed(const twz_file *f) {
   if (f->header.file_size == 0) return min_u64(f->file_size, FIRST_READ);
   const header *h = &f->header;
-  return (uint64_t)HEADER_SIZE + h->metadata_length + h->parameters_length + h->top_page_length;
+  return (uint64_t)h->header_size + h->metadata_length + h->parameters_length + h->top_page_length;
 }
 
 static twz_status read_parameters(twz_file *f, const uint8_t *bytes, twz_error *error) {
@@ -117,8 +117,9 @@ static twz_status read_top_page(twz_file *f, const uint8_t *page, twz_error *err
 }
 
 static twz_status open_start(twz_file *f, twz_error *error) {
-  TRY(read_metadata(f, f->start + HEADER_SIZE, error));
-  const uint8_t *parameters = f->start + HEADER_SIZE + f->header.metadata_length;
+  const uint8_t *metadata = f->start + f->header.header_size, *parameters = metadata + f->header.metadata_length;
+  TRY(check_optional_sections(&f->header, f->start, &f->crc, error));
+  TRY(read_metadata(f, metadata, error));
   TRY(read_parameters(f, parameters, error));
   TRY(read_top_page(f, parameters + f->header.parameters_length, error));
   twz_release(&f->allocator, f->start);

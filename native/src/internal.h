@@ -169,16 +169,15 @@ const json_value *json_member(const json_value *object, const char *key); /* NUL
 /* ---- Header and grid (header.c) ------------------------------------------------------------- */
 
 enum {
-  HEADER_SIZE = 128,
+  HEADER_SIZE = 128, /* without optional sections */
   FIRST_READ = 16384,
   N_METHODS = 5,
-  REMAINDERS = 1, /* feature bits */
-  FAITHFUL = 2,
-  REACH = 8,
-  FILLS = 16,
-  WEIGHTS = 32,
-  CORRECTIONS = 64,
-  KNOWN_FEATURES = REMAINDERS | FAITHFUL | REACH | FILLS | WEIGHTS | CORRECTIONS
+  FORMAT_VERSION = 2,
+  VOIDS = 1, /* feature bits */
+  REMAINDERS = 2,
+  FAITHFUL = 4,
+  CORRECTIONS = 8,
+  KNOWN_FEATURES = VOIDS | REMAINDERS | FAITHFUL | CORRECTIONS
 };
 
 typedef struct header {
@@ -191,11 +190,12 @@ typedef struct header {
   int32_t step; /* below 2^31 */
   int32_t z_min, z_max;
   double max_error, effective_bound, rho;
-  uint32_t metadata_length, metadata_crc, parameters_length, parameters_crc, top_page_length;
+  uint32_t header_size, metadata_length, metadata_crc, parameters_length, parameters_crc, top_page_length;
 } header;
 
 twz_status read_header(header *h, const uint8_t *bytes, uint64_t file_size, const crc_tables *crc,
                        twz_error *error);
+twz_status check_optional_sections(const header *h, const uint8_t *bytes, const crc_tables *crc, twz_error *error);
 size_t dtype_size(int dtype);
 int dtype_is_float(int dtype);
 void dtype_range(int dtype, int64_t *low, int64_t *high);
@@ -437,7 +437,7 @@ typedef struct job {
   int level;
   layer *out; /* axes and validity are there, heights are to be filled */
   parent parent;
-  const int32_t *corrections; /* of the region (§5.5); NULL: all are 0 */
+  const int32_t *corrections; /* of the region (§5.4); NULL: all are 0 */
 } job;
 
 /* A unit to be decoded: its key is in `unit`, the rest of which is filled. */
@@ -462,7 +462,7 @@ twz_status decode_validity(const twz_file *f, layer *out, const parent *p, int i
 
 /* Each fills the heights of the whole region from the bytes of the method. */
 twz_status decode_store(const job *j, const reader *bytes, twz_error *error);
-/* Methods rapid and predictive correct heights as they decode them (§5.5). */
+/* Methods rapid and predictive correct heights as they decode them (§5.4). */
 static inline int64_t corrected(const job *j, size_t at, int64_t height, int64_t low, int64_t high) {
   return j->corrections ? clamp_i64(height + j->corrections[at], low, high) : height;
 }

@@ -1,4 +1,4 @@
-/* Which samples are valid, and which are the raster's own (FORMAT §5.1, §5.2, §5.4). */
+/* Which samples are valid, and which are the raster's own (FORMAT §5.1, §5.2). */
 #include "range.h"
 #include "tables.h"
 
@@ -9,7 +9,7 @@ typedef struct field {
 } field;
 
 enum { MOST = 2 * 1024 + 4 }; /* samples of a region along an axis, or more (§2.4) */
-enum { EDGE = 2, N_MASK_MODELS = 576, N_FILL_MODELS = 1296 };
+enum { EDGE = 2, N_MODELS = 1296 };
 
 static size_t field_bytes(const layer *out) {
   return (size_t)(out->rows.n + 2 * EDGE) * (size_t)(out->cols.n + 2 * EDGE);
@@ -69,29 +69,6 @@ static void imply_voids(const layer *out, const parent *p, field implied) {
     }
     if (odd + 2 * n_pairs < n) row[n - 1] = !both[n_pairs];
   }
-}
-
-/* §5.2: valid from the samples that are not implied void. */
-static twz_status decode_plain(const twz_file *f, const layer *out, field implied, const reader *section, field valid,
-                               twz_error *error) {
-  model models[N_MASK_MODELS];
-  for (int i = 0; i < N_MASK_MODELS; i++) models[i] = MODEL((uint32_t)twz_mask_starts[i] << 14, 2);
-  coder start, c; /* c is in registers, as no function is given its place */
-  coder_start(&start, section->bytes, section->n, f->rates);
-  c = start;
-  ptrdiff_t s = (ptrdiff_t)valid.stride;
-  for (int32_t row = 0; row < out->rows.n && !coder_is_cut(&c); row++) {
-    uint8_t *v = valid.at + row * s;
-    const uint8_t *m = implied.at + row * s;
-    for (int32_t col = 0; col < out->cols.n; col++, v++, m++) {
-      if (*m) continue;
-      int near = 32 * v[-1] + 16 * v[-s] + 8 * v[-s - 1] + 4 * v[1 - s] + 2 * v[-2] + v[-2 * s];
-      int far = m[2 * s] + m[2] + m[s - 1] + m[s + 1];
-      *v = (uint8_t)foreseen_bit(&c, &models[(near * 3 + m[s] + m[1]) * 3 + min_i32(far, 2)]);
-    }
-  }
-  start = c;
-  return coder_end(&start, "a mask", error);
 }
 
 /* A range after n bits. By value, so that the coder stays in registers. */
@@ -170,11 +147,11 @@ static ALWAYS_INLINE int32_t read_ones(coder *c, model *models, const uint16_t *
   return read.n == n_coded ? stop : first + skipped + step * read.n;
 }
 
-/* §5.4: a map, where K is 0; without a section these bits are 1. */
+/* §5.2: a map, where K is 0; without a section these bits are 1. */
 static twz_status decode_map(const twz_file *f, const layer *out, field known, const reader *section, field map,
                              twz_error *error) {
-  model models[N_FILL_MODELS];
-  for (int i = 0; i < N_FILL_MODELS; i++) models[i] = FRESH_MODEL;
+  model models[N_MODELS];
+  for (int i = 0; i < N_MODELS; i++) models[i] = FRESH_MODEL;
   ptrdiff_t s = (ptrdiff_t)map.stride;
   const int32_t n = out->cols.n;
   coder start, c; /* c is in registers, as no function is given its place */
@@ -274,37 +251,21 @@ static int has_zero(const parent *p, const uint8_t *bytes) {
 twz_status decode_validity(const twz_file *f, layer *out, const parent *p, int is_finest, const reader *mask,
                            const reader *own, int *has_valid, scratch *s, twz_error *error) {
   *has_valid = 1;
-  int has_fills = (f->header.features & FILLS) != 0;
   if (!mask->bytes && !own->bytes && !(p->layer && (p->is_void || has_zero(p, p->layer->valid) || has_zero(p, p->layer->own)))) {
     return TWZ_OK; /* all valid, all own */
   }
   TRY(scratch_reserve(s, 4 * (field_bytes(out) + SCRATCH_ALIGN), error));
-  field implied = take_field(s, out, 0), valid = take_field(s, out, has_fills);
+  field implied = take_field(s, out, 0), valid = take_field(s, out, 1);
+  field known = take_field(s, out, 1), own_map = take_field(s, out, 1);
   imply_voids(out, p, implied);
   int n_valid, n_own;
-  if (!has_fills) {
-    if (mask->bytes) {
-      TRY(decode_plain(f, out, implied, mask, valid, error));
-    } else {
-      for (int32_t r = 0; r < out->rows.n; r++) {
-        for (int32_t c = 0; c < out->cols.n; c++) {
-          size_t at = (size_t)r * valid.stride + (size_t)c;
-          valid.at[at] = !implied.at[at];
-        }
-      }
-    }
-  } else {
-    field known = take_field(s, out, 1), own_map = take_field(s, out, 1);
-    know_own(out, p, implied, known);
-    if (is_finest) {
-      TRY(decode_map(f, out, known, mask, valid, error));
-    } else {
-      TRY(decode_map(f, out, known, own, own_map, error));
-      know_valid(out, implied, own_map, known);
-      TRY(decode_map(f, out, known, mask, valid, error));
-      TRY(keep_field(f, out, own_map, &out->own, &n_own, error));
-    }
+  know_own(out, p, implied, known);
+  if (!is_finest) {
+    TRY(decode_map(f, out, known, own, own_map, error));
+    know_valid(out, implied, own_map, known);
+    TRY(keep_field(f, out, own_map, &out->own, &n_own, error));
   }
+  TRY(decode_map(f, out, known, mask, valid, error));
   TRY(keep_field(f, out, valid, &out->valid, &n_valid, error));
   *has_valid = n_valid > 0;
   return TWZ_OK;

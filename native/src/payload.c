@@ -3,7 +3,7 @@
 
 uint64_t unit_bytes(const twz_file *f, place key) {
   uint64_t n = sizeof(unit), a_sample = cell_size(&f->heights) + 1;
-  if (f->header.features & FILLS) a_sample += 1;
+  if (f->header.features & VOIDS) a_sample += 1;
   if (f->header.features & REMAINDERS) a_sample += 8;
   for (int level = first_level_of(key); level <= last_level_of(&f->grid, key); level++) {
     axis rows, cols;
@@ -91,7 +91,7 @@ static twz_status decode_remainders(const twz_file *f, layer *l, size_t n, const
   return status;
 }
 
-/* §5.5. */
+/* §5.4. */
 static twz_status decode_corrections(const job *j, const reader *section, int32_t *corrections, twz_error *error) {
   enum { PIECE = 32, N_MODELS = 170, FIRST_SAMPLE = 16, UNARY = 124, PREFIX = 138, MOST_PIECES = 2051 / PIECE + 1 };
   const layer *l = j->out;
@@ -133,9 +133,9 @@ enum { MASK, EXCEPTIONS, REMAINDER_BYTES, OWN, CORRECTED, N_SECTIONS };
 
 static twz_status read_sections(const twz_file *f, reader *r, int is_finest, reader *sections, twz_error *error) {
   static const char *const NAMES[N_SECTIONS] = {"a mask", "exceptions", "remainders", "own samples", "corrections"};
-  int flags = r->bytes[r->at++], known = 1 << MASK | 1 << EXCEPTIONS;
+  int flags = r->bytes[r->at++], known = 1 << EXCEPTIONS;
+  if (f->header.features & VOIDS) known |= is_finest ? 1 << MASK : 1 << MASK | 1 << OWN;
   if ((f->header.features & REMAINDERS) && is_finest) known |= 1 << REMAINDER_BYTES;
-  if ((f->header.features & FILLS) && !is_finest) known |= 1 << OWN;
   if (f->header.features & CORRECTIONS) known |= 1 << CORRECTED;
   REQUIRE((flags & ~known) == 0, error, "flags %d of a payload", flags);
   for (int i = 0; i < N_SECTIONS; i++) {
@@ -216,6 +216,7 @@ static twz_status begin_unit(const twz_file *f, const order *o, begun *b, scratc
   u->n_bytes = sizeof *u;
   u->is_void = o->n == 0;
   b->is_done = u->is_void || f->header.method == TWZ_CDF53;
+  REQUIRE(!u->is_void || (f->header.features & VOIDS), error, "a unit without a payload in a file without voids");
   if (u->is_void) return TWZ_OK;
   if (b->is_done) return decode_cdf53(f, u, o->above, o->payload, o->n, s, error);
 

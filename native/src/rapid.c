@@ -151,10 +151,6 @@ static twz_status read_tables(twz_file *f, rapid_tables *t, const uint8_t *param
   uint8_t trained[N_CODES], codes[N_CODES];
   int32_t step = f->header.step;
   int family = step == 1 ? 0 : step == 3 ? 1 : 2, layout = n ? parameters[0] : 1;
-  REQUIRE(!(f->header.features & REACH) || layout == REACH_LAYOUT, error,
-          "feature bit 3 with parameters of layout %d, not 3", layout);
-  REQUIRE((layout == WEIGHTS_LAYOUT) == ((f->header.features & WEIGHTS) != 0), error,
-          "parameters of layout %d %s feature bit 5", layout, f->header.features & WEIGHTS ? "with" : "without");
   REQUIRE_KNOWN(layout == 1 || layout == REACH_LAYOUT || layout == WEIGHTS_LAYOUT, error, "parameters of layout %d, which a newer release may know", layout);
   t->is_by_reach = layout == REACH_LAYOUT;
   for (int i = 0; i < N_CLASSES * 3; i++) {

@@ -110,7 +110,7 @@ static ALWAYS_INLINE int32_t NAMED(stored)(const NAMED(work) * w, size_t at) {
   return (int32_t)clamp_i64((int64_t)w->heights[at] - w->lift, c->low, c->high);
 }
 
-/* A height less the origin, corrected (FORMAT §5.5). */
+/* A height less the origin, corrected (FORMAT §5.4). */
 static ALWAYS_INLINE int32_t NAMED(correct)(const NAMED(work) * w, size_t at, int32_t height) {
   const rapid_scale *c = &w->unit->scale;
   return (int32_t)corrected(w->unit->job, at, height, c->low, c->high);

@@ -7,7 +7,6 @@
 
 extern const char twz_dictionary[]; /* FORMAT §4.6 */
 extern const size_t twz_dictionary_size;
-extern const uint8_t twz_mask_starts[576]; /* §5.2 */
 
 /* By plane HH, HL, LH, set and tap; taps that a plane lacks are 0. */
 enum { RAPID_SETS = 12, PREDICTIVE_SETS = 8, MOST_TAPS = 24 };

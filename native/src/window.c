@@ -664,10 +664,6 @@ twz_status twz_window_read(const twz_window *w, void *heights, ptrdiff_t heights
 
 twz_status twz_window_read_own_part(const twz_window *w, const twz_box *part, uint8_t *own, ptrdiff_t own_stride,
                                     twz_error *error) {
-  const twz_file *f = w->file;
-  if (!(f->header.features & FILLS) && w->level < f->grid.k_max) {
-    return twz_fail(error, TWZ_UNSUPPORTED, "this file does not tell fills of coarse levels: feature bit 4 is not set");
-  }
   output out = {NULL, NULL, own, 0, 0, own_stride ? own_stride : (ptrdiff_t)part->n_cols};
   return read_box(w, part, &out, error);
 }

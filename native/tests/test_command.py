@@ -11,7 +11,7 @@ import tempfile
 import zlib
 from pathlib import Path
 
-GOLDEN = Path(__file__).parents[2] / "tests" / "golden" / "v1"
+GOLDEN = Path(__file__).parents[2] / "tests" / "golden" / "v2"
 CONTROLS = "\x7f\x80\x9b31m\x9f\u061c\u200b\u200e\u2028\u202e\u2066\ufeff"
 
 

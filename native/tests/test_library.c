@@ -568,17 +568,26 @@ static const crc_tables *tables(void) {
   return &t;
 }
 
-/* The status of opening a file with another number of `width` bytes in its header, whose checksum is made right. */
-static twz_status opened_with(const memory *m, size_t offset, uint64_t value, size_t width, int is_right) {
-  memory changed = {malloc(m->n), m->n, 0, 0, 0};
+static void mend_header(memory *m) {
+  uint32_t crc = crc32_of(tables(), m->bytes, 124);
+  for (int i = 0; i < 4; i++) m->bytes[124 + i] = (uint8_t)(crc >> (8 * i));
+}
+
+static twz_status opened(memory *m, twz_error *error) {
   twz_file *file;
+  twz_status status = twz_file_new(NULL, m->n, &file, error);
+  if (status == TWZ_OK) status = twz_file_load(file, fetch, m, error);
+  twz_file_free(file);
+  return status;
+}
+
+/* The status of opening a file with another number of `width` bytes in its header, whose checksum is made right. */
+static twz_status opened_with(const memory *m, size_t offset, uint64_t value, size_t width, int is_right, twz_error *error) {
+  memory changed = {malloc(m->n), m->n, 0, 0, 0};
   memcpy(changed.bytes, m->bytes, m->n);
   for (size_t i = 0; i < width; i++) changed.bytes[offset + i] = (uint8_t)(value >> (8 * i));
-  uint32_t crc = crc32_of(tables(), changed.bytes, 124);
-  for (int i = 0; is_right && i < 4; i++) changed.bytes[124 + i] = (uint8_t)(crc >> (8 * i));
-  twz_status status = twz_file_new(NULL, changed.n, &file, NULL);
-  if (status == TWZ_OK) status = twz_file_load(file, fetch, &changed, NULL);
-  twz_file_free(file);
+  if (is_right) mend_header(&changed);
+  twz_status status = opened(&changed, error);
   free(changed.bytes);
   return status;
 }
@@ -595,17 +604,52 @@ static void ranges_of_heights_are_limited(const memory *m) {
       {-(1 << 29), (1 << 29) - 1, 1}, {-(1 << 29), 1 << 29, 0}, {-(1 << 30), 1 << 30, 0}, {-(1 << 30), -1, 1}, {0, (1 << 30) - 1, 1}, {0, 1 << 30, 0}};
   for (size_t i = 0; i < sizeof CASES / sizeof *CASES; i++) {
     uint64_t both = (uint32_t)(CASES[i].low & UINT32_MAX) | (uint64_t)(CASES[i].high & UINT32_MAX) << 32;
-    CHECK(opened_with(m, 68, both, 8, 1) == (CASES[i].is_good ? TWZ_OK : TWZ_CORRUPT));
+    CHECK(opened_with(m, 68, both, 8, 1, NULL) == (CASES[i].is_good ? TWZ_OK : TWZ_CORRUPT));
   }
 }
 
-/* A newer version has a checksum of its own; another number before the checksum of version 1 is damage. */
-static void a_damaged_version_is_no_newer_one(const memory *m) {
+/* Another version has a checksum of its own; another number before the checksum of ours is damage. */
+static void a_damaged_version_is_no_other_one(const memory *m) {
   for (uint64_t version = 0; version < 256; version++) {
-    if (version == 1) continue;
-    CHECK(opened_with(m, 8, version, 1, 0) == TWZ_CORRUPT);
-    CHECK(opened_with(m, 8, version, 1, 1) == TWZ_UNSUPPORTED);
+    if (version == FORMAT_VERSION) continue;
+    CHECK(opened_with(m, 8, version, 1, 0, NULL) == TWZ_CORRUPT);
+    CHECK(opened_with(m, 8, version, 1, 1, NULL) == TWZ_UNSUPPORTED);
   }
+  twz_error error;
+  opened_with(m, 8, 1, 1, 1, &error);
+  CHECK(strcmp(error.text, "found format version 1, expected 2: made by a development build: compress the raster again") == 0);
+}
+
+/* What a minor version may add (FORMAT §12.1): bits that are refused, and optional sections that are ignored. */
+static void additions_are_refused_or_ignored(memory *m) {
+  uint32_t features = load_u32(m->bytes + 12);
+  for (int bit = 4; bit < 32; bit++) CHECK(opened_with(m, 12, features | 1u << bit, 4, 1, NULL) == TWZ_UNSUPPORTED);
+
+  static const uint8_t SECTIONS[] = {'n', 'o', 'n', 'e', 3, 0, 0, 0, 0, 0, 0, 0, 'a', 'b', 'c', 'v', 'o', 'i', 'd', 0, 0, 0, 0, 0, 0, 0, 0};
+  const size_t n_more = sizeof SECTIONS, size = HEADER_SIZE + n_more, old_size = load_u16(m->bytes + 10);
+  const size_t page = old_size + load_u32(m->bytes + 76) + load_u32(m->bytes + 108);
+  if (load_u64(m->bytes + page + 4) != 0) return; /* pages of several segments say where others lie */
+  memory more = {malloc(m->n - old_size + size), m->n - old_size + size, 0, 0, 0};
+  memcpy(more.bytes, m->bytes, HEADER_SIZE);
+  memcpy(more.bytes + HEADER_SIZE, SECTIONS, n_more);
+  memcpy(more.bytes + size, m->bytes + old_size, m->n - old_size);
+  uint32_t crc = crc32_of(tables(), SECTIONS + 12, 3);
+  for (int i = 0; i < 4; i++) more.bytes[HEADER_SIZE + 8 + i] = (uint8_t)(crc >> (8 * i));
+  for (int i = 0; i < 8; i++) more.bytes[16 + i] = (uint8_t)((uint64_t)more.n >> (8 * i));
+  more.bytes[10] = (uint8_t)size;
+  more.bytes[11] = (uint8_t)(size >> 8);
+  mend_header(&more);
+  CHECK(opened(&more, NULL) == TWZ_OK && check_file(&more) == TWZ_OK);
+
+  static const size_t WRONG[] = {4, 8, 12, 19}; /* a length, a checksum, a content, the length of the last section */
+  for (size_t i = 0; i < sizeof WRONG / sizeof *WRONG; i++) {
+    more.bytes[HEADER_SIZE + WRONG[i]] ^= 1;
+    CHECK(opened(&more, NULL) == TWZ_CORRUPT);
+    more.bytes[HEADER_SIZE + WRONG[i]] ^= 1;
+  }
+  memcpy(more.bytes + HEADER_SIZE + 15, SECTIONS, 4); /* one name twice */
+  CHECK(opened(&more, NULL) == TWZ_CORRUPT);
+  free(more.bytes);
 }
 
 /* A root that is cut at once: what lies below the first rows is not decoded. */
@@ -763,7 +807,8 @@ int main(int n, char **files) {
     units_in_use_are_in_no_list(&m);
     rows_may_lie_anywhere(&m);
     a_refused_window_holds_nothing(&m);
-    a_damaged_version_is_no_newer_one(&m);
+    a_damaged_version_is_no_other_one(&m);
+    additions_are_refused_or_ignored(&m);
     cut_streams_end_where_they_are_cut(&m);
     if (strstr(path, "store-int16-segments")) ranges_of_heights_are_limited(&m);
     ranges_do_not_overlap(&m);

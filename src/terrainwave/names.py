@@ -6,8 +6,6 @@ A new method is a package in `codec` and a line in `METHODS`; no other module kn
 from collections.abc import Callable
 from dataclasses import dataclass
 
-# Versions of the format that files are of (FORMAT.md §4.7), in the order of their coming.
-FORMATS = ("1.0", "1.1")
 # In the order in which files number them.
 EFFORTS = ("fast", "default", "best")
 DEFAULT_EFFORT = EFFORTS[1]
@@ -55,9 +53,6 @@ class Method:
         takes corrections (`codec.corrections`).
     has_file_tables : bool
         The file's header may hold tables for all of its units.
-    has_reach : bool
-        Its tables may have contexts by reach or weights of features, which readers of format 1.0
-        don't know.
     has_layers : bool
         It codes difference layers, whose zero trees drive its meshes of the kind "zerotree".
     """
@@ -73,7 +68,6 @@ class Method:
     may_be_faithful: bool = False
     is_patchable: bool = False
     has_file_tables: bool = False
-    has_reach: bool = False
     has_layers: bool = False
 
     @property
@@ -82,15 +76,12 @@ class Method:
         return self.refiner is None
 
 
-# Layouts of tables: with contexts by reach, and with weights of features (format-rapid.md R.10).
-REACH_LAYOUT, WEIGHTS_LAYOUT = 3, 5
 # In the order in which they are named to users; the first is the default.
 METHODS = {
     method.name: method
     for method in (
         Method(name="rapid", number=4, options="rapid.Rapid",
-               refiner="rapid.refiner.RapidRefiner", has_file_tables=True,
-               has_reach=True, is_patchable=True),
+               refiner="rapid.refiner.RapidRefiner", has_file_tables=True, is_patchable=True),
         Method(name="predictive", number=2, options="predictive.Predictive",
                refiner="predictive.refiner.PredictiveRefiner",
                has_file_tables=True, is_patchable=True,

@@ -68,7 +68,7 @@ def test_corrections_come_back_here_and_by_the_slow_decoder(key, rings, seed, sh
 
 
 def test_the_example_of_the_format_holds():
-    """FORMAT.md §5.5: root block of 3 × 5 samples, n = 5."""
+    """FORMAT.md §5.4: root block of 3 × 5 samples, n = 5."""
     text = DOCUMENT[DOCUMENT.index("### 5.5 ") : DOCUMENT.index("## 6. ")]
     data = bytes.fromhex(re.search(r"are the bytes ((?:[0-9a-f]{2} ?)+)\.", text)[1])
     parameters = CodecParameters(5, -99, 99, (1, 0), 1, 1, has_corrections=True)

@@ -31,10 +31,10 @@ def root_spec(n_rows, n_cols, **options):
     return unit_spec(Grid(n_rows, n_cols, 32), parameters(**options), Block(-1, 0, 0))
 
 
-def round_trip(spec, target, mask, parent=None, refiner=STORE):
+def round_trip(spec, target, mask, parent=None, refiner=STORE, own=None):
     """Encode and decode; return the payload and the decoded unit."""
     target = np.asarray(target, dtype=np.int32)
-    payload, encoded = encode_unit(refiner, spec, parent, target, mask)
+    payload, encoded = encode_unit(refiner, spec, parent, target, mask, own=own)
     decoded = decode_unit(refiner, spec, parent, payload)
     np.testing.assert_array_equal(decoded.heights, encoded.heights)
     np.testing.assert_array_equal(decoded.mask, encoded.mask)
@@ -83,8 +83,12 @@ def decode_all_masks(grid, valid, rings):
             above = Block(-1, *key[1:]) if key.level == 0 else key.parent
             above_spec, _, above_decoded = found[above]
             parent = block_of_unit(grid, above_spec, above_decoded, key)
-        mask = masks[spec.level][spec.region.slices_in(Region(0, 0, *masks[spec.level].shape))]
-        payload, decoded = round_trip(spec, np.zeros(mask.shape), mask, parent)
+        stride, at = grid.stride(spec.level), Region(0, 0, *masks[spec.level].shape)
+        mask, own = (
+            array[spec.region.slices_in(at)]
+            for array in (masks[spec.level], valid[::stride, ::stride])
+        )
+        payload, decoded = round_trip(spec, np.zeros(mask.shape), mask, parent, own=own)
         found[key] = spec, payload, decoded
         blocks = [Block(0, *key[1:])] if key.level < 0 else grid.children(key)
         keys += [block for block in blocks if block.level < grid.k_max]
@@ -333,12 +337,12 @@ def test_exceptions_without_collisions_are_rejected():
 
 
 def test_a_payload_for_a_unit_without_valid_samples_is_corrupt():
-    from terrainwave.codec.masks import encode_mask
+    from terrainwave.codec.own_masks import encode_validity
     from terrainwave.codec.varint import encode_varint
 
     spec = root_spec(2, 2)
     nothing = np.zeros((2, 2), dtype=bool)
-    section = encode_mask(nothing, nothing)
+    section = encode_validity(Validity(nothing), nothing, spec.region, None, is_finest=True).mask
     payload = bytes([1]) + encode_varint(len(section)) + section
     with pytest.raises(CorruptStreamError, match="without a valid sample"):
         decode_unit(STORE, spec, None, payload)

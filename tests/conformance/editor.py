@@ -56,7 +56,7 @@ class Editor:
     ----------
     header : dict
         Fields that are to differ from the file's own; lengths and checksums too.
-    metadata, parameters : bytes
+    optional, metadata, parameters : bytes
     top : Segment
     """
 
@@ -64,7 +64,8 @@ class Editor:
         self.fields = dict(zip(NAMES, HEADER.unpack(data[:128]), strict=True))
         self.header = {}
         h = self.fields
-        at = 128
+        at = h["header_size"]
+        self.optional = data[128:at]
         self.metadata = data[at : at + h["metadata_length"]]
         at += h["metadata_length"]
         self.parameters = data[at : at + h["parameters_length"]]
@@ -142,14 +143,16 @@ class Editor:
             segments.append(below)
         page_length = len(levels[0][0][0])
         fields = dict(
+            header_size=128 + len(self.optional),
             metadata_length=len(self.metadata),
             metadata_crc=zlib.crc32(self.metadata),
             parameters_length=len(self.parameters),
             parameters_crc=zlib.crc32(self.parameters),
             top_page_length=page_length,
         )
-        start = 128 + len(self.metadata) + len(self.parameters)
-        body = bytearray(self.metadata + self.parameters)
+        before = self.optional + self.metadata + self.parameters
+        start = 128 + len(before)
+        body = bytearray(before)
         at = start
         starts = []
         for number, level in enumerate(levels):
@@ -178,6 +181,11 @@ class Editor:
         header = HEADER.pack(*(fields[name] for name in NAMES))[:124]
         header += zlib.crc32(header).to_bytes(4, "little")
         return self.change_header(header) + bytes(body)
+
+
+def optional_section(name, content):
+    """§4.8."""
+    return name + struct.pack("<II", len(content), zlib.crc32(content)) + content
 
 
 def varint(value):

@@ -18,7 +18,7 @@ from terrainwave.names import MESHES, METHODS
 PROFILE = {
     "name": "terrainwave, Python",
     "methods": list(METHODS),
-    "features": 123,
+    "features": 15,
     "own": True,
     "meshes": list(MESHES[1:]),
     "blocks": True,
@@ -62,9 +62,9 @@ def block_triangles(terrain, level):
 
 
 def heights_of(terrain, level):
-    """Return heights, with those that are fills, and which are no fills if the file tells."""
+    """Return heights, with those that are fills, and which are no fills if the file has voids."""
     own = None
-    if terrain.header.has_fills:
+    if terrain.header.has_voids:
         own = terrain.read_with_mask(level=level, voids="exact")[1]
     return protocol.heights_and_mask(*terrain.read_with_mask(level=level, voids="any"), own)
 

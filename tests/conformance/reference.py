@@ -15,7 +15,7 @@ from conformance import protocol
 PROFILE = {
     "name": "reference decoder",
     "methods": list(METHODS.values()),
-    "features": 123,
+    "features": 15,
     "own": True,
     "meshes": [],
     "blocks": True,
@@ -50,8 +50,8 @@ def answer(question):
             return describe(file)
         if task == "level":
             heights, mask, own = decode_with_own(data, question["level"])
-            has_fills = file.header.features & 16
-            return protocol.heights_and_mask(heights, mask, own if has_fills else None)
+            has_voids = file.header.features & 1
+            return protocol.heights_and_mask(heights, mask, own if has_voids else None)
         if task == "blocks":
             boxes, blocks = block_codes(data), file.grid.blocks(question["level"])
             return protocol.blocks(

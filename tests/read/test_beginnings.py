@@ -118,7 +118,7 @@ GRID = Grid(129, 129, 32)
 def lone_unit(target=None, **options):
     """Return a group with neighbours, its parent's block, its payload and what that decodes to."""
     spec = unit_spec(GRID, CodecParameters(5, -9000, 9000, (1, 0), 1, 0), Block(1, 1, 1))
-    spec = replace(spec, shared=Sides(True, True, True, True), has_fills=False, **options)
+    spec = replace(spec, shared=Sides(True, True, True, True), **options)
     target = heights_of(spec.region.shape, seed=4) if target is None else target
     parent = Decoded(np.ascontiguousarray(target[::2, ::2]), Validity(None))
     refiner = RapidRefiner()

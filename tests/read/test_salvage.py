@@ -212,26 +212,6 @@ def test_verify_lists_what_is_damaged(whole):
     assert told.output.rstrip().endswith("not ok")
 
 
-def test_masks_of_the_full_grid_that_are_lost_are_named(tmp_path):
-    """Files of format 1.0 tell voids of coarse levels by the finest masks alone."""
-    heights = HEIGHTS.astype("float32")
-    heights[200:, 300:] = np.nan
-    path = tmp_path / "dem.twz"
-    terrainwave.compress(
-        heights, path, max_error=1, method="store", block=32, mesh="none", format="1.0"
-    )
-    with terrainwave.open(damaged(path), on_error="mask") as terrain:
-        valid = terrain.read_with_mask(level=-2, voids="exact")[1]
-        assert {lost.level for lost in terrain.lost} == {terrain.n_levels - 1}
-        row, col, n_rows, _ = terrain.lost[0].window
-        assert not valid[(row + 1) // 2 : (row + n_rows) // 2, (col + 1) // 2].any()
-    done = CliRunner().invoke(
-        main, ["decompress", str(path.with_name("damaged.twz")), str(tmp_path / "a.tif"),
-               "--level", "-2", "--voids", "exact", "--on-error", "mask"],
-    )  # fmt: skip
-    assert "lost: level" in done.stderr
-
-
 def test_a_pickled_container_of_a_cut_file_knows_what_is_missing(whole):
     n_bytes = whole.stat().st_size
     with terrainwave.open(cut(whole, n_bytes - 5), on_error="mask") as terrain:

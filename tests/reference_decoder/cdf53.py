@@ -113,12 +113,12 @@ def read_stream(pieces, n_stream):
 def parse_payload(file, payload, tile):
     """Return masks and own samples by level (None: no section), borders, low, planes and stream."""
     flags, at = payload[0], 1
-    require(flags < 2, "flags of a tile")
+    require(flags <= (file.header.features & 1), "flags of a tile")
     masks = []
     for part in tile.parts:
         mask = own = b""
         if flags & 1:
-            if file.header.features & 16 and part.level < file.grid.k_max:
+            if part.level < file.grid.k_max:
                 own, at = section(payload, at)
             mask, at = section(payload, at)
         masks.append((mask or None, own or None))
@@ -189,6 +189,7 @@ def decode_stream(head, shape, n_transforms):
 def decode_tile(file, payload, tile, above, above_valid):
     """Return (heights in steps, mask) of each level of a tile, the coarsest first."""
     if not payload:
+        require(file.header.features & 1, "a tile without a payload in a file without voids")
         for part in tile.parts:
             part.own = zeros(part.rows.n, part.cols.n)
         return [(zeros(p.rows.n, p.cols.n), zeros(p.rows.n, p.cols.n)) for p in tile.parts]

@@ -505,7 +505,7 @@ def decode_cdf97(file, unit, payload, valid, parent_unit, parent_heights):
     core = SimpleNamespace(row=rows.core, col=cols.core)
     if with_residuals:
         weights = TERM_WEIGHTS_97[weight_set]
-        is_coarse = h.features & 2 and unit.level < file.grid.k_max and n > 1
+        is_coarse = h.features & 4 and unit.level < file.grid.k_max and n > 1
         decode_residuals(
             decoder, n, is_coarse, base, weights, core, heights, border.known, is_coded
         )

@@ -6,7 +6,6 @@ from reference_decoder import range_coder
 from reference_decoder.basics import (
     ceil_div,
     clamp,
-    fenced,
     inflate,
     read_varint,
     require,
@@ -19,7 +18,6 @@ from reference_decoder.range_coder import Models
 from reference_decoder.rapid import decode_rapid
 from reference_decoder.store import decode_store
 
-MASK_STARTS = [int(number) for number in fenced("starts").split()]  # §5.2
 DECODERS = {
     "store": decode_store,
     "cdf97": decode_cdf97,
@@ -54,34 +52,8 @@ def implied_void(unit, parent_unit, parent_valid):
     ]
 
 
-def decode_mask(section, implied):
-    """§5.2."""
-    n_rows, n_cols = len(implied), len(implied[0])
-    valid = [[0] * n_cols for _ in range(n_rows)]
-
-    def at(grid, i, j):
-        return int(0 <= i < n_rows and 0 <= j < n_cols and bool(grid[i][j]))
-
-    decoder, models = range_coder.RangeDecoder(section), Models(576)
-    for i in range(576):
-        models.probability[i], models.count[i] = MASK_STARTS[i] << 14, 2
-    for i in range(n_rows):
-        for j in range(n_cols):
-            if implied[i][j]:
-                continue
-            c = 0
-            for di, dj in ((0, -1), (-1, 0), (-1, -1), (-1, 1), (0, -2), (-2, 0)):
-                c = 2 * c + at(valid, i + di, j + dj)
-            a = at(implied, i + 1, j) + at(implied, i, j + 1)
-            far = ((0, 2), (1, -1), (1, 1), (2, 0))
-            b = min(sum(at(implied, i + di, j + dj) for di, dj in far), 2)
-            valid[i][j] = decoder.bit(models, (c * 3 + a) * 3 + b)
-    decoder.end()
-    return valid
-
-
 def known_of_own(unit, parent_unit, implied):
-    """Return K of own samples (§5.4): 0 nothing is known, 1 the bit is 0, 2 it is 1."""
+    """Return K of own samples (§5.2): 0 nothing is known, 1 the bit is 0, 2 it is 1."""
     known = [[int(is_void) for is_void in row] for row in implied]
     for r in range(unit.rows.n):
         for c in range(unit.cols.n):
@@ -93,7 +65,7 @@ def known_of_own(unit, parent_unit, implied):
 
 
 def known_of_mask(implied, own):
-    """Return K of the mask of a level that is not the finest (§5.4)."""
+    """Return K of the mask of a level that is not the finest (§5.2)."""
     n_rows, n_cols = len(own), len(own[0])
 
     def is_beside(r, c):
@@ -109,7 +81,7 @@ def known_of_mask(implied, own):
 
 
 def decode_map(section, known):
-    """§5.4."""
+    """§5.2."""
     n_rows, n_cols = len(known), len(known[0])
     bits = [[0] * n_cols for _ in range(n_rows)]
 
@@ -137,15 +109,9 @@ def decode_map(section, known):
 
 
 def decode_valid(file, unit, mask, own, parent_unit, parent_valid):
-    """Return the mask of a unit, of its sections or None; sets its own samples (§5.2, §5.4)."""
+    """Return the mask of a unit, of its sections or None; sets its own samples (§5.2)."""
     implied = implied_void(unit, parent_unit, parent_valid)
-    if not file.header.features & 16:
-        if mask:
-            valid = decode_mask(mask, implied)
-        else:
-            valid = [[int(not is_void) for is_void in row] for row in implied]
-        unit.own = valid
-    elif unit.level == file.grid.k_max:
+    if unit.level == file.grid.k_max:
         valid = unit.own = decode_map(mask, known_of_own(unit, parent_unit, implied))
     else:
         unit.own = decode_map(own, known_of_own(unit, parent_unit, implied))
@@ -158,13 +124,15 @@ def decode_payload(file, unit, payload, parent_unit, parent_heights, parent_vali
     h = file.header
     n_rows, n_cols = unit.rows.n, unit.cols.n
     if not payload:
+        require(h.features & 1, "a unit without a payload in a file without voids")
         unit.own = zeros(n_rows, n_cols)
         return zeros(n_rows, n_cols), zeros(n_rows, n_cols), None
     flags, at = payload[0], 1
-    may_have_remainders = h.features & 1 and unit.level == file.grid.k_max
-    may_have_own = h.features & 16 and unit.level < file.grid.k_max
-    known = 3 | (4 if may_have_remainders else 0) | (8 if may_have_own else 0)
-    known |= 16 if h.features & 64 else 0
+    may_have_remainders = h.features & 2 and unit.level == file.grid.k_max
+    known = 2 | (4 if may_have_remainders else 0)
+    if h.features & 1:
+        known |= 1 if unit.level == file.grid.k_max else 9
+    known |= 16 if h.features & 8 else 0
     require(not flags & ~known, "flags of a payload")
     sections = [None] * 5
     for bit in range(5):
@@ -216,7 +184,7 @@ def decode_remainders(section, n_rows, n_cols, h):
 
 
 def decode_corrections(section, unit, n):
-    """§5.5."""
+    """§5.4."""
     n_rows, n_cols = unit.rows.n, unit.cols.n
     decoder, models = range_coder.RangeDecoder(section), Models(170)
     k = max(n.bit_length() - 5, 0)

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.corrections import decode_corrections, encode_corrections
-from terrainwave.codec.masks import decode_mask, encode_mask
 from terrainwave.codec.memory import new_heights
 from terrainwave.codec.own_masks import Above, Sections, decode_validity, encode_validity
 from terrainwave.codec.refiner import (
@@ -29,7 +28,6 @@ from terrainwave.codec.refiner import (
     Refiner,
     Validity,
     all_void,
-    as_array,
     as_direct,
 )
 from terrainwave.codec.remainder_planes import decode_remainders, encode_remainders
@@ -65,8 +63,7 @@ def encode_unit(
     remainders : callable, optional
         Returns what decoded heights leave of the originals; with ``spec.remainder_bytes`` only.
     own : ndarray of bool, optional
-        With ``spec.has_fills`` only: which samples are valid by themselves; all valid ones by
-        default, as on the finest level.
+        Which samples are valid by themselves; all valid ones by default, as on the finest level.
     kept : ndarray of int32, optional
         With ``spec.has_corrections`` only: heights that must come back as they are, `FREE` where
         any height within the bound of `target` will do.
@@ -140,8 +137,10 @@ def decode_unit(
         If the payload contradicts the format; nothing is read outside of it.
     """
     if not payload:
+        if not spec.has_voids:
+            raise CorruptStreamError("a unit without a payload in a file without voids")
         return _all_void(spec)
-    head = read_head(spec, parent, payload)
+    head = _read_head(spec, parent, payload)
     mask = head.validity.mask
     remainders = None
     if head.remainders:
@@ -177,7 +176,7 @@ def decode_unit(
     return decoded
 
 
-class Head(NamedTuple):
+class _Head(NamedTuple):
     """What stands before a unit's heights: which samples are valid, other sections, its length."""
 
     validity: Validity
@@ -187,10 +186,8 @@ class Head(NamedTuple):
     n_bytes: int
 
 
-def read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Head:
+def _read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> _Head:
     """Read what stands before the heights of a payload, which is not empty.
-
-    Of the parent the validity is enough.
 
     Raises
     ------
@@ -198,9 +195,9 @@ def read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Head:
         If it contradicts the format.
     """
     flags = payload[0]
-    known = MASK_CODED | _HAS_EXCEPTIONS | (_HAS_REMAINDERS if spec.remainder_bytes else 0)
-    if spec.has_fills and not spec.is_finest:
-        known |= _HAS_OWN
+    known = _HAS_EXCEPTIONS | (_HAS_REMAINDERS if spec.remainder_bytes else 0)
+    if spec.has_voids:
+        known |= MASK_CODED if spec.is_finest else MASK_CODED | _HAS_OWN
     if spec.has_corrections:
         known |= HAS_CORRECTIONS
     if flags & ~known:
@@ -214,7 +211,7 @@ def read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Head:
     validity = _decode_validity(spec, parent, Sections(sections[MASK_CODED], sections[_HAS_OWN]))
     if validity.mask is not None and not validity.mask.any():
         raise CorruptStreamError("a unit without a valid sample has a payload")
-    return Head(
+    return _Head(
         validity,
         sections[_HAS_EXCEPTIONS],
         sections[_HAS_REMAINDERS],
@@ -225,21 +222,16 @@ def read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Head:
 
 def _encode_validity(spec: GroupSpec, parent: Decoded | None, validity: Validity) -> Sections:
     implied = implied_voids(spec, parent)
-    if spec.has_fills:
-        above = _above(spec, parent)
-        return encode_validity(validity, implied, spec.region, above, is_finest=spec.is_finest)
-    mask = as_array(validity.mask, spec.region.shape)
-    return Sections(b"" if np.array_equal(mask, ~implied) else encode_mask(mask, implied), b"")
+    above = _above(spec, parent)
+    return encode_validity(validity, implied, spec.region, above, is_finest=spec.is_finest)
 
 
 def _decode_validity(spec: GroupSpec, parent: Decoded | None, sections: Sections) -> Validity:
     if not any(sections) and (parent is None or parent.validity.own_mask is None):
         return ALL_VALID
     implied = implied_voids(spec, parent)
-    if spec.has_fills:
-        above = _above(spec, parent)
-        return decode_validity(sections, implied, spec.region, above, is_finest=spec.is_finest)
-    return Validity.of(decode_mask(sections.mask, implied) if sections.mask else ~implied)
+    above = _above(spec, parent)
+    return decode_validity(sections, implied, spec.region, above, is_finest=spec.is_finest)
 
 
 def _above(spec: GroupSpec, parent: Decoded | None) -> Above | None:

@@ -1,4 +1,4 @@
-"""Which samples of a unit are valid, in files that tell fills (FORMAT.md §5.4).
+"""Which samples of a unit are valid, and which by themselves (FORMAT.md §5.2).
 
 A sample of a coarse level is valid where any full-grid sample near it is. It is valid by itself,
 *own*, where the full-grid sample at its place is; the other valid ones are *fills*. On the finest
@@ -69,7 +69,7 @@ class Above(NamedTuple):
 def encode_validity(
     validity: Validity, implied: Mask, region: Region, above: Above | None, *, is_finest: bool
 ) -> Sections:
-    """Return the sections of a unit's validity (FORMAT.md §5.4).
+    """Return the sections of a unit's validity (FORMAT.md §5.2).
 
     Parameters
     ----------

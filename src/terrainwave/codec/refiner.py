@@ -158,10 +158,7 @@ class Decoded(NamedTuple):
 
     @property
     def own_mask(self) -> Mask:
-        """Return which samples are valid by themselves, or all valid ones if a file does not tell.
-
-        An array.
-        """
+        """Return which samples are valid by themselves, as an array."""
         return as_array(self.validity.own_mask, self.heights.shape)
 
     @property
@@ -273,13 +270,11 @@ class FittingRefiner(Refiner, Protocol):
         heights: HeightsOf,
         mask: MaskOf,
         *,
-        may_have_reach: bool = True,
         each: Each = map,
     ) -> "FittingRefiner":
         """Return a refiner with tables fitted to a raster, the same ones on every machine.
 
-        `heights` and `mask` return targets and validity of a region of a level; `may_have_reach`
-        says whether tables may be such that readers of format 1.0 don't know them. Work is shared
-        out by `each`, which changes nothing of the result.
+        `heights` and `mask` return targets and validity of a region of a level. Work is shared out
+        by `each`, which changes nothing of the result.
         """
         ...

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-from terrainwave.container.header import HEADER_SIZE
 from terrainwave.container.reader import Container
 
 
@@ -38,7 +37,7 @@ def parts_of(container: Container) -> Parts:
             # The key of a group is the block above it; that of a root lies on level -1.
             heights[key.level + 1] += length
     return Parts(
-        HEADER_SIZE + extents.metadata_length,
+        extents.parameters_start,
         extents.parameters_length,
         index,
         tuple(heights),

@@ -13,7 +13,13 @@ from functools import partial
 from typing import Any
 
 from terrainwave.cache import Cache
-from terrainwave.container.header import Extents, Header, unpack_header
+from terrainwave.container.header import (
+    HEADER_SIZE,
+    Extents,
+    Header,
+    check_optional_sections,
+    unpack_header,
+)
 from terrainwave.container.metadata import unpack_metadata
 from terrainwave.container.page import (
     describe_head,
@@ -90,6 +96,7 @@ class Container:
         end = extents.top_start + extents.top_page_length
         if end > len(start):
             start += source.read(len(start), end - len(start))
+        check_optional_sections(start[HEADER_SIZE : extents.header_size])
         self._start = start
         self.extents: Extents = extents
         self.header: Header = _with_sections(header, extents, start)

@@ -469,7 +469,7 @@ class NativeFile:
         else:
             library.call("twz_window_decode", window, None)
         # On the full grid, and where the file does not tell fills, what is valid is so by itself.
-        is_own &= self._header.has_fills and level < self._header.grid.k_max
+        is_own &= self._header.has_voids and level < self._header.grid.k_max
         valid = np.empty(heights.shape, dtype=np.bool_)
         to, stride = heights.ctypes.data, heights.strides[0]
         library.call(

@@ -55,7 +55,7 @@ class Tiles:
     ) -> None:
         self._grid = grid
         self._parameters = parameters
-        self._layout = TileLayout(grid, parameters.has_fills)
+        self._layout = TileLayout(grid, parameters.has_voids)
         self._fetched = FetchedPayloads(payloads)
         self._decode = decode
         self._tiles: Cache[Block, Tile] = Cache(cache_bytes, size_of=_n_bytes)

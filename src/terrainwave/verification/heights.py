@@ -458,7 +458,7 @@ class _Signs:
             yield (
                 f"{samples} 0.0 in one of the two and -0.0 in the other, the first at row"
                 f" {self._first[0]}, column {self._first[1]}, though `max_error` 0 keeps every bit:"
-                " files made before version 1.1 kept the number alone; compress the original again"
+                " compress the original again"
             )
 
 

@@ -346,7 +346,7 @@ class DistributedPasses:
             )
         sink.set_meshes(sections)
         self._store_top(site, TOP, sink)
-        rounds = self._agree(site) if job.options.mesh in STORED_KINDS else {}
+        rounds = self._agree(site) if job.options.mesh_kind in STORED_KINDS else {}
         tasks = {head: (site, head, rounds.get(head)) for head in grid.blocks(site.level)}
         segments: dict[Block | None, StoredSegment] = {}
         errors: dict[Block, int] = {}

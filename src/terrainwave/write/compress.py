@@ -41,7 +41,6 @@ from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.file.raster import raster_source
 from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Grid
-from terrainwave.names import FORMATS
 from terrainwave.place.units import height_unit
 from terrainwave.progress import ProgressCallback, Reporter, TaskCallback
 from terrainwave.raster_io.dataset import refuse_raster
@@ -54,7 +53,7 @@ from terrainwave.write.cluster import (
     shared_raster,
     task_level,
 )
-from terrainwave.write.compress_options import Options, taking_former
+from terrainwave.write.compress_options import Options
 from terrainwave.write.earlier import earlier_of, for_heights_of
 from terrainwave.write.job import Job, fixed_steps, settled
 from terrainwave.write.local import LocalPasses
@@ -88,7 +87,6 @@ class CompressResult:
     notes: list[str] = field(default_factory=list)
 
 
-@taking_former("rate", "psnr", "border_rings", "faithful")
 def compress(
     src: Any,
     dst: str | os.PathLike[str],
@@ -107,7 +105,6 @@ def compress(
     height_range: tuple[float, float] | None = None,
     strict: bool = False,
     stable: bool = False,
-    format: str = FORMATS[-1],
     keep_origin: bool = False,
     temp_dir: str | os.PathLike[str] | None = None,
     verify: bool = True,
@@ -195,10 +192,6 @@ def compress(
         whole or in parts, with the same bound, they do not change. The bound holds as with
         `strict`. Files become larger (docs/integrations.md). Not with method cdf53, nor with
         ``Cdf97(faithful=True)``.
-    format : str
-        ``"1.1"``, or ``"1.0"`` for files that version 1.0.0 can read. A file has format 1.1 only
-        if it uses its additions: in files with voids, marks of fills on coarse levels; in files of
-        rapid, other contexts and weights, which make them some per cent smaller.
     keep_origin : bool
         Store a digest of the heights and these options in the metadata, by which
         ``compress --skip-existing`` recognises the file. ``compress --to`` always does.
@@ -255,7 +248,6 @@ def compress(
         height_range=height_range,
         strict=strict,
         stable=stable,
-        format=format,
         keep_origin=keep_origin,
         verify=verify,
         threads=threads,
@@ -316,7 +308,6 @@ def compress(
     )
 
 
-@taking_former()
 def compress_to_bytes(
     src: Any,
     *,
@@ -330,7 +321,6 @@ def compress_to_bytes(
     mesh: str | MeshOptions = "none",
     strict: bool = False,
     stable: bool = False,
-    format: str = FORMATS[-1],
     verify: bool = True,
     threads: int | None = None,
 ) -> bytes:
@@ -347,7 +337,6 @@ def compress_to_bytes(
         mesh=mesh,
         strict=strict,
         stable=stable,
-        format=format,
         verify=verify,
         threads=threads,
     )

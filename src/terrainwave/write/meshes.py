@@ -30,14 +30,12 @@ from terrainwave.names import METHODS
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.tri.mesh_options import MeshOptions, check_mesh, stored_mesh
-from terrainwave.write.compress_options import taking_former
 from terrainwave.write.job import default_mesh_error, scale_of
 from terrainwave.write.patching.merged import check_units, original_source
 
 _log = logging.getLogger(__name__)
 
 
-@taking_former()
 def store_meshes(
     src: str | os.PathLike[str],
     dst: str | os.PathLike[str],
@@ -110,7 +108,7 @@ def store_meshes(
             terrain.decoder,
             lambda block: container.codes(block)[2],
             header.mesh_tolerance,
-            has_voids=terrain.raster_info.mask_kind != "none",
+            has_voids=header.has_voids,
             kind=header.mesh,
             executor=executor,
             on_samples=reporter.counter("making meshes", *size),

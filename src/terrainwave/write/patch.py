@@ -7,7 +7,7 @@ sample whose prediction is as it was gets its old height again, as only one mult
 within the bound. All other payloads are copied.
 
 Beyond the new raster the target is the original, if it is given, else the stored height, which must
-come back as it is: where predictions have changed, corrections put it back (FORMAT.md §5.5,
+come back as it is: where predictions have changed, corrections put it back (FORMAT.md §5.4,
 docs/decisions/0023).
 """
 
@@ -23,8 +23,7 @@ from typing import Any
 import numpy as np
 
 from terrainwave.arguments import check_flags, check_local, checked_path, checked_threads
-from terrainwave.container.header import HAS_CORRECTIONS as CORRECTIONS_FEATURE
-from terrainwave.container.header import Header
+from terrainwave.container.header import HAS_CORRECTIONS, HAS_VOIDS, Header
 from terrainwave.container.metadata import EARLIER, without_origin
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.targets.kept import Kept
@@ -33,7 +32,6 @@ from terrainwave.container.targets.unfinished import only_writer
 from terrainwave.container.writer import assemble
 from terrainwave.errors import BoundViolationError, InvalidHeightsError, TerrainwaveWarning
 from terrainwave.file import TerrainFile
-from terrainwave.file.info import format_of
 from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS, methods_that
@@ -64,10 +62,8 @@ class PatchResult:
 
     `effective_error` is the bound that the file now states. No height is further than
     `measured_error` from its original. It is measured where originals are known (the new raster,
-    and `original`); for other blocks it is the error that the file states. `moved_error`, how far
-    heights outside the new raster have moved, is always 0 (patches of version 1.0 moved them).
-    `format` is the first version of the format whose readers can read the file now. `notes` say
-    what a user should know.
+    and `original`); for other blocks it is the error that the file states. `notes` say what a user
+    should know.
     """
 
     path: str
@@ -76,9 +72,7 @@ class PatchResult:
     n_copied: int
     effective_error: float
     measured_error: float
-    moved_error: float
     units: str | None
-    format: str
     notes: list[str] = field(default_factory=list)
 
 
@@ -190,7 +184,6 @@ def patch(
         patcher.close()
         _log.info("%s: coded %d units, kept %d", path, n_recoded, n_copied)
         scale = abs(terrain.raster_info.scale)
-        before, after = (format_of(header) for header in (terrain.header, patcher.header))
     return PatchResult(
         path=os.fspath(path),
         n_bytes=os.path.getsize(final),
@@ -198,22 +191,8 @@ def patch(
         n_copied=n_copied,
         effective_error=patcher.header.effective_bound * scale,
         measured_error=max(error, patcher.stated_error) * scale,
-        moved_error=0.0,
         units=terrain.units,
-        format=after,
-        notes=[
-            *merged.notes,
-            *notes,
-            *([] if after == before else [_note_on_format(before, after)]),
-            *taken_up(kept),
-        ],
-    )
-
-
-def _note_on_format(before: str, after: str) -> str:
-    return (
-        f"the file is of format {after} now, and was of {before}, whose readers refuse it; patched"
-        " with the original it keeps its format (docs/patching.md)"
+        notes=[*merged.notes, *notes, *taken_up(kept)],
     )
 
 
@@ -246,7 +225,7 @@ class _Patcher:
             quantizer,
             self._grid,
             kind=terrain.pyramid,
-            has_voids=terrain.raster_info.mask_kind != "none",
+            has_voids=merged.has_voids,
             directory=directory,
             executor=executor,
         )
@@ -265,9 +244,9 @@ class _Patcher:
         )  # fmt: skip
         stats = encoder.run(self._executor)
         self.header = self._bounded_header()
-        features = self.header.features & ~CORRECTIONS_FEATURE
-        if encoder.has_corrections:
-            features |= CORRECTIONS_FEATURE
+        features = self.header.features & ~HAS_CORRECTIONS
+        features |= HAS_VOIDS if self._merged.has_voids else 0
+        features |= HAS_CORRECTIONS if encoder.has_corrections else 0
         self.header = replace(self.header, features=features)
         index = PatchedIndex(
             self._terrain, self.header, self._merged, self._pyramid, self.sink, self._executor,
@@ -284,7 +263,7 @@ class _Patcher:
         old = replace(old, metadata=without_origin(old.metadata))
         if not old.moved or not self._merged.covers(Region(0, 0, *self._terrain.shape)):
             return old
-        # What earlier patches have moved is known again.
+        # What was lost before is known again.
         metadata = {key: value for key, value in old.metadata.items() if key not in _OF_BEFORE}
         bound = old.quantizer.effective_error
         return replace(

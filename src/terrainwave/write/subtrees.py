@@ -405,7 +405,7 @@ def finish_subtree(site: Site, head: Block, last_round: int | None) -> FinishedS
         return parts_of_blocks(grid, section)
 
     with _bench(site.raster) as bench, _stored_mesher(site, parts) as (mesher, stored):
-        if site.job.options.mesh in STORED_KINDS:
+        if site.job.options.mesh_kind in STORED_KINDS:
             state = BorderState.from_arrays(
                 site.depot.load(_state_name(site, head, last_round or 0))
             )

@@ -122,8 +122,9 @@ def files_before(earlier: Any) -> str:
 def _voids_in_words(info: Any, n_voids: int | None) -> str:
     if info.minimum is None:
         return "all samples"
+    if not info.has_voids:
+        return "none"
     kind = {
-        "none": "none",
         "nodata": f"marked by the value {info.nodata}",
         "nan": "marked by NaN",
         "mask": "marked by a mask",
@@ -198,9 +199,7 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
         ),
         (
             "moved",
-            f"{info.moved_error:.6g}{unit} of it from patches or an earlier file"
-            if info.moved_error
-            else "",
+            f"{info.moved_error:.6g}{unit} of it from an earlier file" if info.moved_error else "",
         ),
         ("made from", files_before(info.earlier)),
         ("quantum", f"{info.quantum:.6g}{unit}"),
@@ -208,7 +207,6 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
         ("unit", _unit_in_words(info)),
         ("voids", _voids_in_words(info, n_voids)),
         ("method", f"{info.method}, {way}, border rings {info.border_rings}"),
-        ("format", info.format),
         ("block", f"{info.block} x {info.block} cells"),
         ("mesh", info.mesh if info.mesh == "none" else f"{info.mesh}, {tolerance}"),
         ("levels", f"{info.n_levels}: {levels}"),

@@ -16,9 +16,8 @@ from terrainwave.codec.cdf53.spiht import MAX_PLANES, decode_field, encode_field
 from terrainwave.codec.cdf53.tile_border import decode_borders, encode_borders
 from terrainwave.codec.cdf53.tile_layout import TileSpec
 from terrainwave.codec.group import voids_below
-from terrainwave.codec.masks import decode_mask, encode_mask
 from terrainwave.codec.own_masks import Above, Sections, decode_validity, encode_validity
-from terrainwave.codec.refiner import Heights, Mask, Validity, all_void, as_array
+from terrainwave.codec.refiner import Heights, Mask, Validity, all_void
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.coding.lifting53 import forward_transform, inverse_transform
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
@@ -133,11 +132,8 @@ def encode_tile(
 def _encode_masks(spec: TileSpec, index: int, level: Validity, above: Validity | None) -> Sections:
     """Return the sections of a level's validity; `above` is that of the level above."""
     implied, outer = _implied(spec, index, above)
-    if spec.has_fills:
-        is_finest = not spec.tells_fills(index)
-        return encode_validity(level, implied, spec.regions[index], outer, is_finest=is_finest)
-    mask = as_array(level.mask, implied.shape)
-    return Sections(b"" if np.array_equal(mask, ~implied) else encode_mask(mask, implied), b"")
+    region = spec.regions[index]
+    return encode_validity(level, implied, region, outer, is_finest=spec.is_finest(index))
 
 
 def _implied(spec: TileSpec, index: int, above: Validity | None) -> tuple[Mask, Above | None]:
@@ -162,7 +158,7 @@ def pack_head(spec: TileSpec, head: TileHead) -> bytes:
     has_masks = any(map(any, head.masks))
     out = bytes([HAS_MASKS if has_masks else 0])
     for index, level in enumerate(head.masks if has_masks else ()):
-        if spec.tells_fills(index):
+        if not spec.is_finest(index):
             out += encode_varint(len(level.own)) + level.own
         out += encode_varint(len(level.mask)) + level.mask
     out += encode_varint(len(head.borders)) + head.borders
@@ -189,14 +185,14 @@ def unpack_head(spec: TileSpec, payload: bytes) -> tuple[TileHead, int]:
     if not payload:
         raise TruncatedStreamError("a tile has no head")
     flags = payload[0]
-    if flags & ~HAS_MASKS:
+    if flags & ~(HAS_MASKS if spec.has_voids else 0):
         raise CorruptStreamError(f"a tile's flags are {flags:#04x}; reserved bits must be 0")
     pos = 1
     masks = []
     for index in range(len(spec.regions)):
         own = mask = b""
         if flags & HAS_MASKS:
-            if spec.tells_fills(index):
+            if not spec.is_finest(index):
                 own, pos = _take(payload, pos)
             mask, pos = _take(payload, pos)
         masks.append(Sections(mask, own))
@@ -296,6 +292,8 @@ def decode_tile(
         If the bytes contradict the format.
     """
     if not payload:
+        if not spec.has_voids:
+            raise CorruptStreamError("a tile without a payload in a file without voids")
         return [
             LevelHeights(region, np.zeros(region.shape, dtype=np.int32), all_void(region.shape))
             for region in spec.regions
@@ -334,16 +332,8 @@ def decode_masks(spec: TileSpec, head: TileHead, outer: Validity | None) -> list
     above = outer
     for index, sections in enumerate(head.masks):
         implied, around = _implied(spec, index, above)
-        if spec.has_fills:
-            above = decode_validity(
-                sections,
-                implied,
-                spec.regions[index],
-                around,
-                is_finest=not spec.tells_fills(index),
-            )
-        else:
-            above = Validity.of(decode_mask(sections.mask, implied) if sections.mask else ~implied)
+        region, is_finest = spec.regions[index], spec.is_finest(index)
+        above = decode_validity(sections, implied, region, around, is_finest=is_finest)
         levels.append(above)
     if _is_void(levels[0]):
         raise CorruptStreamError("a tile without a valid sample has a payload")

@@ -40,14 +40,13 @@ from terrainwave.coding.rangecoder import (
 from terrainwave.coding.rans import N_SLOTS, packed_freqs, slots_of
 from terrainwave.coding.status import raise_for_status
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
-from terrainwave.names import REACH_LAYOUT, WEIGHTS_LAYOUT
 
 N_CLASSES = 4  # levels: the finest, the next two, all coarser ones
 PLANES = (HH, HL, LH)
 SHIFTS = (0, 2, 3, 4, 5)
 # Families of contexts by the mean, then those of contexts by reach (R.7).
 N_FAMILIES = 2 * trained.N_FAMILIES
-_LAYOUTS = _BY_MEAN, _BY_REACH, _WITH_WEIGHTS = 1, REACH_LAYOUT, WEIGHTS_LAYOUT
+_LAYOUTS = _BY_MEAN, _BY_REACH, _WITH_WEIGHTS = 1, 3, 5
 _K_MAX_BITS, _FAMILY_BITS, _BASE_BITS, _SHIFT_BITS = 5, 3, 4, 3
 _N_WEIGHTED_BITS = 2
 # Of a stencil's numbers: the set, whether there are deltas, their shift; then the deltas.

@@ -31,7 +31,6 @@ class RapidRefiner(UnitCoder):
         heights: HeightsOf,
         mask: MaskOf,
         *,
-        may_have_reach: bool = True,
         each: Each = map,
     ) -> "RapidRefiner":
         """Return a refiner with tables fitted to a raster.
@@ -40,7 +39,7 @@ class RapidRefiner(UnitCoder):
         """
         from terrainwave.codec.rapid.fit import fit_tables
 
-        tables = fit_tables(grid, step, heights, mask, may_have_reach=may_have_reach, each=each)
+        tables = fit_tables(grid, step, heights, mask, each=each)
         return RapidRefiner(pack_file_tables(tables), tables)
 
 
