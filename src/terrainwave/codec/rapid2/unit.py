@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rapid2.details import Features, Space, code_details, n_strips, new_space
-from rapid2.heights import code_heights, load_parent, look_at_parent
-from rapid2.layout import (
+from terrainwave.codec.rapid2.details import Features, Space, code_details, n_strips, new_space
+from terrainwave.codec.rapid2.heights import code_heights, load_parent, look_at_parent
+from terrainwave.codec.rapid2.layout import (
     HH,
     HL,
     LH,
@@ -18,8 +18,8 @@ from rapid2.layout import (
     core_of,
     run_weights,
 )
-from rapid2.lines import code_lines
-from rapid2.symbols import (
+from terrainwave.codec.rapid2.lines import code_lines
+from terrainwave.codec.rapid2.symbols import (
     BIT,
     IS_BAD,
     MOST_STATES,
@@ -33,7 +33,7 @@ from rapid2.symbols import (
     count_log,
     encode_log,
 )
-from rapid2.tables import Tables, weights_of
+from terrainwave.codec.rapid2.tables import Tables, weights_of
 from terrainwave.codec.memory import Spares, new_heights
 from terrainwave.codec.refiner import NO_CORRECTIONS, Corrections, GroupSpec, Heights, Labels, Mask
 from terrainwave.codec.varint import decode_varint, encode_varint

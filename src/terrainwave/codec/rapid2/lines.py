@@ -5,9 +5,9 @@ So both units find the same heights, whatever lies beside the line.
 
 import numpy as np
 
-from rapid2.details import _class_row
-from rapid2.layout import LIMIT
-from rapid2.symbols import HIDDEN, log_strip, read_strip
+from terrainwave.codec.rapid2.details import _class_row
+from terrainwave.codec.rapid2.layout import LIMIT
+from terrainwave.codec.rapid2.symbols import HIDDEN, log_strip, read_strip
 from terrainwave.coding.jit import kernel, kernel_part
 
 

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rapid2.layout import HH, HL, LH
-from rapid2.symbols import (
+from terrainwave.codec.rapid2.layout import HH, HL, LH
+from terrainwave.codec.rapid2.symbols import (
     HIDDEN,
     MOST_NEAR,
     N_CLASSES,

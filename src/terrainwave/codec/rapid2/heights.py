@@ -6,7 +6,7 @@ Planes hold ``(height - origin) >> shift`` within ±LIMIT, whatever the heights 
 
 import numpy as np
 
-from rapid2.layout import HH, HL, LH, LIMIT, PAD, A
+from terrainwave.codec.rapid2.layout import HH, HL, LH, LIMIT, PAD, A
 from terrainwave.codec.corrections import corrected
 from terrainwave.coding.jit import kernel, kernel_part
 
