@@ -334,7 +334,7 @@ twz_status decode_rapid(const job *j, const reader *bytes, scratch *s, twz_error
   u.is_short = l->shorts != NULL;
   u.out = u.is_short ? (void *)l->shorts : (void *)l->heights;
   u.out_stride = l->cols.n;
-  u.add = u.is_short ? 0 - (uint32_t)l->origin : 0;
+  u.add = u.is_short ? (uint32_t)-l->origin : 0;
   TRY(j->file->kernels->decode_rapid(&u, error));
   return close_payload(&u, u.rows[0] > 0 || u.rows[1] < u.n_rows, error);
 }

@@ -378,8 +378,8 @@ static int ISA(read_symbols)(const ISA(work) * w, rapid_stream *z, int32_t n) {
       uint32_t found = slots[((uint32_t)entries[k] << SLOT_BITS) | (state & (SLOTS - 1))];
       state = (found >> 8 & (SLOTS - 1)) * top + top + (found >> 20);
       symbols[k] = (uint8_t)found;
-      unsigned takes = state < FIRST_STATE;
-      z->states[k & mask] = state << (takes << 4) | (load_u16(at) & (0 - takes));
+      uint32_t takes = state < FIRST_STATE;
+      z->states[k & mask] = state << (takes << 4) | (load_u16(at) * takes);
       at += 2 * takes;
     }
   }
@@ -518,18 +518,15 @@ static void ISA(read_raw)(const ISA(work) * w, rapid_stream *z, int32_t n) {
 /* What symbols do not say of the details of n pairs: from `small` to `large`. */
 static int ISA(read_more)(const ISA(work) * w, rapid_stream *z, int32_t n, int has) {
   enum { MORE = SINGLE_ESCAPE - NO_DETAIL };
-  const int8_t *RESTRICT small = w->small;
+  const int8_t *small = w->small;
   int32_t *RESTRICT large = w->large, *more = w->more, n_escaped = 0, n_more = 0;
   for (int32_t j = 0; j < 2 * n; j++) large[j] = small[j];
   /* Places of what goes on: single samples from the start on, pairs behind them. */
   int32_t *escaped = more + 2 * n;
-  for (int32_t j = 0; (has & HAS_ESCAPES) && j < 2 * n; j += 8) {
-    uint64_t eight = load_u64((const uint8_t *)small + j) ^ 0x2020202020202020u;
-    if (!((eight - 0x0101010101010101u) & ~eight & 0x8080808080808080u)) continue; /* none of eight is MORE */
-    for (int32_t i = j; i < min_i32(j + 8, 2 * n); i++) {
-      if (small[i] != MORE) continue;
-      if (w->is_two[i / 16] >> (i / 2 % 8) & 1) more[n_more++] = i; else escaped[n_escaped++] = i;
-    }
+  const int8_t *at = has & HAS_ESCAPES ? small : NULL, *end = small + 2 * n;
+  for (; at && (at = memchr(at, MORE, (size_t)(end - at))) != NULL; at++) {
+    int32_t i = (int32_t)(at - small);
+    if (w->is_two[i / 16] >> (i / 2 % 8) & 1) more[n_more++] = i; else escaped[n_escaped++] = i;
   }
   if (n_escaped) {
     int32_t n_entries = (2 * n_escaped + MOST_STATES - 1) & -MOST_STATES;
