@@ -150,12 +150,14 @@ class Decoded(NamedTuple):
     a group these are the samples of the parent block inside the raster, without apron. None where
     the method has no details (`store`, raw units) or nothing is valid: nothing is known then.
     `remainders`: what makes the heights exact (`grid.remainders`); None where all are 0.
+    `rows`: those that have heights; in others `heights` has anything, all else is known.
     """
 
     heights: Heights
     validity: Validity
     labels: Labels | None = None
     remainders: Remainders | None = None
+    rows: Rows = ALL_ROWS
 
     @property
     def mask(self) -> Mask:
@@ -173,10 +175,11 @@ class Decoded(NamedTuple):
     @property
     def nbytes(self) -> int:
         """Return the bytes of the arrays."""
-        return sum(part.nbytes for part in self if part is not None)
+        parts = self.heights, self.validity, self.labels, self.remainders
+        return sum(part.nbytes for part in parts if part is not None)
 
     def part(self, at: tuple[slice, slice]) -> "Decoded":
-        """Return some of the samples, without the zero trees; views."""
+        """Return some of the samples, those of `rows`, without the zero trees; views."""
         rest = None if self.remainders is None else self.remainders[at]
         return Decoded(self.heights[at], self.validity.part(at), None, rest)
 

@@ -16,15 +16,15 @@ _TO_CLASS, _CLASS_ZERO = np.int32(22), np.int32(2 * 127)
 _ONE, _TWO = np.int32(1), np.int32(2)
 
 
-@kernel
-def expect_row(work, plane, row, weights, n, expected):
+@kernel_part
+def _expect_row(work, plane, row, weights, n, expected):
     """Fill the expected magnitudes of the samples of a row.
 
     ``((v1 * range + v2 * bend) >> shift) + v3 * near + v0``, in 2**-14 steps, with `weights` (v0,
     v1, v2, v3, shift). Ranges are at most 2 * 16382, bends 4 * 8191, v1 and v2 2**13 - 1: their
     sum is below 2**29.1. `near` is at most 6 * 4095, v3 2**15 - 1, v0 2**29: all below 2**31.
     """
-    ranges, bends, near, expected = borrowed((work.ranges, work.bends, work.near, expected))
+    ranges, bends, near = work.ranges, work.bends, work.near
     v0, v1, v2, v3, shift = weights[0], weights[1], weights[2], weights[3], weights[4]
     # One row and column outside are there.
     here, above = ranges[row + 1, 1:], ranges[row, 1:]
@@ -64,11 +64,10 @@ def _classify(value):
     return np.float32(value & ~(value >> _TWO))
 
 
-@kernel
-def class_row(work, n, pairs, singles):
+@kernel_part
+def _class_row(work, n, pairs, singles):
     """Fill the classes of the samples of a row, and of its pairs; an odd one is a pair alone."""
-    pairs, singles = borrowed((pairs, singles))
-    expected, floats, bits = borrowed((work.expected, work.floats, work.bits))
+    expected, floats, bits = work.expected, work.floats, work.bits
     if n & 1:
         expected[n] = expected[n - 1]
     for k in range(n):
@@ -105,7 +104,8 @@ def code_details(
     Nothing is known of strips before the first one of a band. Rows of `weights` belong to HH, HL
     and LH.
     """
-    near, all_pairs, all_singles = borrowed((work.near, work.pairs, work.singles))
+    work = borrowed(work)
+    near, all_pairs, all_singles = work.near, work.pairs, work.singles
     n_rows = (lattice.n_rows // 2, (lattice.n_rows + 1) // 2, lattice.n_rows // 2)
     n_cols = (lattice.n_cols // 2, lattice.n_cols // 2, (lattice.n_cols + 1) // 2)
     near[:, STRIP_ROWS * strips[0]] = 0
@@ -124,8 +124,8 @@ def code_details(
             for row in range(first, last):
                 at = n_pairs * (row - first)
                 pairs, singles = all_pairs[at:], all_singles[2 * at :]
-                expect_row(work, plane, row, weights[plane - 1], n, work.expected)
-                class_row(work, n, pairs, singles)
+                _expect_row(work, plane, row, weights[plane - 1], n, work.expected)
+                _class_row(work, n, pairs, singles)
                 if lattice.has_void:
                     _hide_voids(valid, plane, row, n, pairs, singles)
             both = work.both[plane - 1, n_pairs * first : n_pairs * last]

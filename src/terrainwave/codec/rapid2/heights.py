@@ -56,7 +56,8 @@ def _level_with(height, lattice):
 @kernel
 def load_parent(parent, lattice, rows, work):
     """Fill `rows` of plane A, and the PAD rows and columns outside that mirror what is there."""
-    heights, planes = borrowed((parent.heights, work.planes))
+    heights, planes, spacing = borrowed(parent.heights), borrowed(work.planes), parent.spacing
+    low, high, origin, shift = lattice.low, lattice.high, lattice.origin, lattice.shift
     n_rows, n_cols = (lattice.n_rows + 1) // 2, (lattice.n_cols + 1) // 2
     for row in range(rows[0] - PAD, rows[1] + PAD):
         # Of an odd number of rows, the last one of A is the lattice's last; of an even one, not.
@@ -64,11 +65,11 @@ def load_parent(parent, lattice, rows, work):
         if not rows[0] <= inside < rows[1]:
             continue
         at = parent.first + inside * parent.pitch
-        source = heights[at : at + (n_cols - 1) * parent.spacing + 1 : parent.spacing]
         to = planes[A, row + PAD]
         for col in range(n_cols):
-            height = min(max(np.int64(source[col]), lattice.low), lattice.high)
-            to[PAD + col] = _level_with(height, lattice)
+            height = np.int64(heights[at + col * spacing])
+            height = min(max(height, low), high) - origin
+            to[PAD + col] = np.int16(min(max(height >> shift, -LIMIT), LIMIT))
         for col in range(1, PAD + 1):
             mirrored = min(_mirrored(-2 * col, lattice.n_cols) // 2, n_cols - 1)
             to[PAD - col] = to[PAD + mirrored]
@@ -100,50 +101,55 @@ def look_at_parent(lattice, rows, work):
             to_bend[j] = np.int16(min(across + along, _LIMIT))
 
 
-@kernel
+@kernel_part
+def _core_row(planes, core, k, first, n):
+    """Return the row of one of the four nearest known samples."""
+    at = PAD + core[k, 2]
+    return planes[core[k, 0], first + core[k, 1]][at : at + n]
+
+
+@kernel_part
 def predict_row(planes, stencil, row, n, is_fine, predicted, sides):
     """Predict a row of a plane, in quarters, and which sign its details tend to.
 
     `sides` are -1 where details change their sign, else 0. The absolute weights add up to 2**18 at
     most, samples are below 2**13: sums are below 2**31.
     """
-    planes, predicted, sides = borrowed((planes, predicted, sides))
     runs, weights, core = stencil
     first = PAD + row
     for k in range(0, weights.shape[0], 2):
-        near = planes[runs[0][k], first + runs[1][k], PAD + runs[2][k] :]
-        far = planes[runs[0][k + 1], first + runs[1][k + 1], PAD + runs[2][k + 1] :]
+        row_of, at = planes[runs[0][k], first + runs[1][k]], PAD + runs[2][k]
+        x, y = row_of[at : at + n], row_of[at + 1 : at + 1 + n]
+        row_of, at = planes[runs[0][k + 1], first + runs[1][k + 1]], PAD + runs[2][k + 1]
+        z, w = row_of[at : at + n], row_of[at + 1 : at + 1 + n]
         w0, w1 = np.int32(weights[k, 0]), np.int32(weights[k, 1])
         w2, w3 = np.int32(weights[k + 1, 0]), np.int32(weights[k + 1, 1])
         if k == 0:
             for j in range(n):
-                total = w0 * np.int32(near[j]) + w1 * np.int32(near[j + 1])
-                predicted[j] = total + w2 * np.int32(far[j]) + w3 * np.int32(far[j + 1])
+                total = w0 * np.int32(x[j]) + w1 * np.int32(y[j])
+                predicted[j] = total + w2 * np.int32(z[j]) + w3 * np.int32(w[j])
         else:
             for j in range(n):
-                total = w0 * np.int32(near[j]) + w1 * np.int32(near[j + 1])
-                predicted[j] += total + w2 * np.int32(far[j]) + w3 * np.int32(far[j + 1])
-    p0 = planes[core[0, 0], first + core[0, 1], PAD + core[0, 2] :]
-    p1 = planes[core[1, 0], first + core[1, 1], PAD + core[1, 2] :]
-    p2 = planes[core[2, 0], first + core[2, 1], PAD + core[2, 2] :]
-    p3 = planes[core[3, 0], first + core[3, 1], PAD + core[3, 2] :]
+                total = w0 * np.int32(x[j]) + w1 * np.int32(y[j])
+                predicted[j] += total + w2 * np.int32(z[j]) + w3 * np.int32(w[j])
+    p0, p1 = _core_row(planes, core, 0, first, n), _core_row(planes, core, 1, first, n)
+    p2, p3 = _core_row(planes, core, 2, first, n), _core_row(planes, core, 3, first, n)
     for j in range(n):
-        x, y, z, w = np.int32(p0[j]), np.int32(p1[j]), np.int32(p2[j]), np.int32(p3[j])
-        least, most = min(min(x, y), min(z, w)), max(max(x, y), max(z, w))
+        a, b, c, d = np.int32(p0[j]), np.int32(p1[j]), np.int32(p2[j]), np.int32(p3[j])
+        least, most = min(min(a, b), min(c, d)), max(max(a, b), max(c, d))
         quarters = min(max(predicted[j] >> _TO_QUARTERS, _FOUR * least), _FOUR * most)
         whole = ((quarters + _TWO) >> _TWO) * _FOUR
-        is_turned = whole > quarters if is_fine else quarters > x + y + z + w
+        is_turned = whole > quarters if is_fine else quarters > a + b + c + d
         predicted[j] = quarters
         sides[j] = -np.int32(is_turned)
 
 
-@kernel
-def settle_narrow(work, lattice, details, own, n):
+@kernel_part
+def settle_narrow(predicted, sides, lattice, details, own, n):
     """Add details to a predicted row.
 
     The step is at most LIMIT, a detail times it below 2**30 + 2**13 (`Lattice.most`, or 31 steps).
     """
-    predicted, sides, details, own = borrowed((work.predicted, work.sides, details, own))
     step = np.int32(lattice.step)
     low, high = np.int32(lattice.low - lattice.origin), np.int32(lattice.high - lattice.origin)
     own = own[PAD:]
@@ -153,11 +159,9 @@ def settle_narrow(work, lattice, details, own, n):
         own[j] = np.int16(min(max(height, low), high))
 
 
-@kernel
-def settle_wide(work, lattice, details, own, n):
-    """Add details to a predicted row of a unit that needs 32 bits; also as ``work.heights``."""
-    predicted, sides, heights = borrowed((work.predicted, work.sides, work.heights))
-    details, own = borrowed((details, own))
+@kernel_part
+def settle_wide(predicted, sides, lattice, details, own, heights, n):
+    """Add details to a predicted row of a unit that needs 32 bits, in `own` and in `heights`."""
     for j in range(n):
         side = np.int64(sides[j])
         detail = (np.int64(details[j]) ^ side) - side
@@ -243,7 +247,8 @@ def code_heights(is_encoding, goal, lattice, work, parent, known, stencils, rows
     `known` says which sides are shared: top, left, bottom, right. `rows` are those of HH, HL, LH
     that are wanted, and those of the lattice to be written. Plane A is in ``work.planes``.
     """
-    goal, parent, planes, out = borrowed((goal, parent, work.planes, out))
+    goal, parent, work, out = borrowed((goal, parent, work, out))
+    planes, predicted, sides, heights = work.planes, work.predicted, work.sides, work.heights
     n_rows = (lattice.n_rows // 2, (lattice.n_rows + 1) // 2, lattice.n_rows // 2)
     n_cols = (lattice.n_cols // 2, lattice.n_cols // 2, (lattice.n_cols + 1) // 2)
     n_a_rows, n_a_cols = (lattice.n_rows + 1) // 2, (lattice.n_cols + 1) // 2
@@ -259,15 +264,13 @@ def code_heights(is_encoding, goal, lattice, work, parent, known, stencils, rows
         for row in range(rows[plane - 1][0], rows[plane - 1][1]):
             own, of_row = planes[plane, PAD + row], 2 * row + down
             details = work.details[plane - 1, pitch * row : pitch * row + n]
-            predict_row(
-                planes, stencils[plane - 1], row, n, lattice.step <= 3, work.predicted, work.sides
-            )
+            predict_row(planes, stencils[plane - 1], row, n, lattice.step <= 3, predicted, sides)
             if is_encoding:
                 _quantise(goal.heights, goal.valid, (of_row, across), lattice, work, details, n)
             if lattice.is_narrow:
-                settle_narrow(work, lattice, details, own, n)
+                settle_narrow(predicted, sides, lattice, details, own, n)
             else:
-                settle_wide(work, lattice, details, own, n)
+                settle_wide(predicted, sides, lattice, details, own, heights, n)
             if plane == HL and ((row == 0 and known[0]) or (row == n_rows[1] - 1 and known[2])):
                 first = parent.first if row == 0 and known[0] else last_row
                 for j in range(n):
@@ -287,17 +290,17 @@ def code_heights(is_encoding, goal, lattice, work, parent, known, stencils, rows
                 for j in range(n):
                     height = np.int64(own[PAD + j]) + lattice.origin
                     if not lattice.is_narrow:
-                        height = np.int64(work.heights[j])
+                        height = np.int64(heights[j])
                     place = of_row * lattice.n_cols + across + 2 * j
                     limits = lattice.low, lattice.high
                     height = corrected(height, goal.kept, goal.added, place, limits, limits)
-                    work.heights[j] = np.int32(height)
+                    heights[j] = np.int32(height)
                     own[PAD + j] = _level_with(height, lattice)
             _repeat(planes, plane, row, n)
             if not lattice.is_narrow and rows[3][0] <= of_row < rows[3][1]:
                 to = out[of_row]
                 for j in range(n):
-                    to[across + 2 * j] = work.heights[j]
+                    to[across + 2 * j] = heights[j]
         for k in range(1, PAD + 1):
             planes[plane, PAD - k] = planes[plane, PAD]
             last = PAD + n_rows[plane - 1] - 1
@@ -312,10 +315,9 @@ def code_heights(is_encoding, goal, lattice, work, parent, known, stencils, rows
                 out[row, 2 * j] = np.int32(min(max(height, lattice.low), lattice.high))
 
 
-@kernel
+@kernel_part
 def write_row(planes, lattice, row, out):
     """Write a row of a narrow lattice from its planes."""
-    planes, out = borrowed((planes, out))
     origin, i, n = np.int32(lattice.origin), PAD + (row >> 1), lattice.n_cols // 2
     first = planes[LH if row & 1 else A, i, PAD:]
     second = planes[HH if row & 1 else HL, i, PAD:]

@@ -271,7 +271,7 @@ class UnitCoder:
         spec, head = unit.spec, unit.head
         low, high = head.limits(spec)
         lattice = Lattice(
-            *out.shape, spec.step, low, high, (spec.z_max - spec.z_min) // spec.step + 1,
+            out.shape[0], out.shape[1], spec.step, low, high, (spec.z_max - spec.z_min) // spec.step + 1,
             head.origin(spec), head.shift, head.is_narrow, unit.valid is not None,
         )  # fmt: skip
         goal = unit.goal(stride)
