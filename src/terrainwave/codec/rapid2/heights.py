@@ -6,8 +6,8 @@ Planes hold ``(height - origin) >> shift`` within ±LIMIT, whatever the heights 
 
 import numpy as np
 
-from terrainwave.codec.rapid2.layout import HH, HL, LH, LIMIT, PAD, A
 from terrainwave.codec.corrections import corrected
+from terrainwave.codec.rapid2.layout import HH, HL, LH, LIMIT, PAD, A
 from terrainwave.coding.jit import kernel, kernel_part
 
 _LIMIT = np.int32(LIMIT)

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.codec.memory import Spares, new_heights
 from terrainwave.codec.rapid2.details import Features, Space, code_details, n_strips, new_space
 from terrainwave.codec.rapid2.heights import code_heights, load_parent, look_at_parent
 from terrainwave.codec.rapid2.layout import (
@@ -34,7 +35,6 @@ from terrainwave.codec.rapid2.symbols import (
     encode_log,
 )
 from terrainwave.codec.rapid2.tables import Tables, weights_of
-from terrainwave.codec.memory import Spares, new_heights
 from terrainwave.codec.refiner import NO_CORRECTIONS, Corrections, GroupSpec, Heights, Labels, Mask
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
@@ -155,9 +155,9 @@ class UnitCoder:
         out = new_heights(spec.region.shape)
         head = self._new_head(spec, parent, target, mask, 1)
         self._code(spec, parent, np.ascontiguousarray(target), mask, head, out, NO_CORRECTIONS)
+        assert counts.shape == (N_TABLES, N_SYMBOLS)
         for streams in head.bands:
             count_log(streams.log, int(streams.places[N_LOGGED]), counts)
-        assert counts.shape == (N_TABLES, N_SYMBOLS)
         return out
 
     def decode(
@@ -361,6 +361,17 @@ class UnitCoder:
             )  # fmt: skip
             if is_encoding:
                 code_all_details()
+                self._see(which, head.shift, lattice, features, details)
+
+    def _see(
+        self,
+        which: int,
+        shift: int,
+        lattice: _Lattice,
+        features: Features,
+        details: NDArray[np.int32],
+    ) -> None:
+        """Look at a lattice of class `which` that has been coded: nothing to see here (`fit`)."""
 
     def _code_lines(
         self, spec: GroupSpec, lattice: _Lattice, streams: _Streams, memory: _Memory
