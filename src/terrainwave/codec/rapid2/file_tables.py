@@ -1,12 +1,12 @@
 """Tables that a file brings along, and their bytes (format-rapid.md, R.10 and R.11)."""
 
 from functools import cache, lru_cache
-from importlib import resources
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.annexes import read_tables
 from terrainwave.codec.planes import MAX_WEIGHT, FileStencil
 from terrainwave.codec.rapid2.layout import (
     CORES,
@@ -50,12 +50,12 @@ from terrainwave.errors import CorruptStreamError
 
 PLANES = (HH, HL, LH)
 N_SETS, MOST_TAPS = 16, 24
-# Rows of weights are of the planes, then of lines; a row weighs a constant, the range, the bend and
-# what is near.
-N_ROWS, N_FEATURES, NEAR = 4, 4, 3
+# What is weighed: a constant, the range, the bend and what is near, which HH has not.
+N_FEATURES, NEAR = 4, 3
+N_FAMILIES = 6
 MAX_CODE = 255
 N_PAIR_SYMBOLS, N_SINGLE_SYMBOLS = PAIR_ESCAPE + 1, SINGLE_ESCAPE + 1
-MOST_K, MOST_FAMILIES = 31, 8
+MOST_K = 31
 _K_BITS = 5
 _BASE_BITS, _SHIFT_BITS, _CUT_BITS = 4, 3, 6
 # Of a stencil's numbers: the set, whether there are deltas, their shift; then the deltas.
@@ -68,7 +68,6 @@ _OWN = 14 * MAGNITUDE_MODELS
 _N_MODELS = _OWN + 2
 _NONE = -1
 _FINE, _BAD_STENCIL, _BAD_WEIGHT, _BAD_CUT, _BAD_FREQUENCY = range(5)
-_ANNEX = "annex.bin"
 
 
 class FileTables(NamedTuple):
@@ -82,7 +81,7 @@ class FileTables(NamedTuple):
         Trained weights, cut and frequencies that the file's own differ from.
     stencils : tuple of tuple of FileStencil
         By class of levels and plane.
-    weights : ndarray of int64, shape (4, 4, 4)
+    weights : ndarray of int64, shape (4, 3, 4)
         Codes of `Tables.weights`.
     cut : int
         As in `Frequencies`.
@@ -104,10 +103,10 @@ class Annex(NamedTuple):
     Attributes
     ----------
     stencils : ndarray of int16, shape (3, N_SETS, MOST_TAPS)
-    cuts : ndarray of int64, shape (n_families,)
-    weights : ndarray of int64, shape (n_families, 4, 4, 4)
+    cuts : ndarray of int64, shape (N_FAMILIES,)
+    weights : ndarray of int64, shape (N_FAMILIES, 4, 3, 4)
         Codes.
-    codes : ndarray of int64, shape (n_families, N_TABLES, N_SYMBOLS)
+    codes : ndarray of int64, shape (N_FAMILIES, N_TABLES, N_SYMBOLS)
         Codes of frequencies.
     """
 
@@ -119,49 +118,53 @@ class Annex(NamedTuple):
 
 # The annex --------------------------------------------------------------------------------------
 
-
-@cache
-def annex() -> Annex:
-    """Return the trained tables that the package comes with."""
-    return parse_annex(resources.files(__package__).joinpath(_ANNEX).read_bytes())
-
-
-_OF_STENCILS = np.dtype(("<i2", (len(PLANES), N_SETS, MOST_TAPS)))
-_OF_FAMILY = np.dtype(
+ANNEX = "rapid.bin"
+LAYOUT = np.dtype(
     [
-        ("cut", np.uint8),
-        ("weights", np.uint8, (N_LEVEL_CLASSES, N_ROWS, N_FEATURES)),
-        ("pairs", np.uint8, (N_CLASSES, N_PAIR_SYMBOLS)),
-        ("singles", np.uint8, (N_CLASSES + 1, N_SINGLE_SYMBOLS)),
+        ("stencils", "<i2", (len(PLANES), N_SETS, MOST_TAPS)),
+        ("cuts", "|u1", (N_FAMILIES,)),
+        ("weights", "|u1", (N_FAMILIES, N_LEVEL_CLASSES, len(PLANES), N_FEATURES)),
+        ("pairs", "|u1", (N_FAMILIES, N_CLASSES, N_PAIR_SYMBOLS)),
+        ("samples", "|u1", (N_FAMILIES, N_CLASSES + 1, N_SINGLE_SYMBOLS)),
     ]
 )
 # Tables of samples, in the order of the annex and of a file.
 _OF_SINGLES = [*range(SINGLES, SINGLES + N_CLASSES), ESCAPED]
 
 
-def parse_annex(data: bytes) -> Annex:
-    """Return the tables that a file of trained ones holds."""
-    n = _OF_STENCILS.itemsize
-    stencils = np.frombuffer(data, "<i2", n // 2).reshape(_OF_STENCILS.shape)
-    families = np.frombuffer(data, _OF_FAMILY, offset=n)
-    codes = np.zeros((len(families), N_TABLES, N_SYMBOLS), dtype=np.int64)
-    codes[:, :N_CLASSES, :N_PAIR_SYMBOLS] = families["pairs"]
-    codes[:, _OF_SINGLES, :N_SINGLE_SYMBOLS] = families["singles"]
+@cache
+def annex() -> Annex:
+    """Return the trained tables.
+
+    Raises
+    ------
+    StorageError
+        If their file cannot be read.
+    """
+    return unpacked(read_tables(ANNEX, LAYOUT))
+
+
+def unpacked(tables: np.void) -> Annex:
+    """Return the tables of an annex as fits and files use them."""
+    codes = np.zeros((N_FAMILIES, N_TABLES, N_SYMBOLS), dtype=np.int64)
+    codes[:, :N_CLASSES, :N_PAIR_SYMBOLS] = tables["pairs"]
+    codes[:, _OF_SINGLES, :N_SINGLE_SYMBOLS] = tables["samples"]
     return Annex(
-        stencils.astype(np.int16),
-        families["cut"].astype(np.int64),
-        families["weights"].astype(np.int64),
+        tables["stencils"].astype(np.int16),
+        tables["cuts"].astype(np.int64),
+        tables["weights"].astype(np.int64),
         codes,
     )
 
 
-def pack_annex(tables: Annex) -> bytes:
-    """Undo `parse_annex`."""
-    families = np.zeros(len(tables.cuts), dtype=_OF_FAMILY)
-    families["cut"], families["weights"] = tables.cuts, tables.weights
-    families["pairs"] = tables.codes[:, :N_CLASSES, :N_PAIR_SYMBOLS]
-    families["singles"] = tables.codes[:, _OF_SINGLES, :N_SINGLE_SYMBOLS]
-    return tables.stencils.astype("<i2").tobytes() + families.tobytes()
+def packed(tables: Annex) -> bytes:
+    """Return the bytes of an annex: undo `unpacked`."""
+    parts = np.zeros((), dtype=LAYOUT)
+    parts["stencils"], parts["cuts"] = tables.stencils.tolist(), tables.cuts.tolist()
+    parts["weights"] = tables.weights.tolist()
+    parts["pairs"] = tables.codes[:, :N_CLASSES, :N_PAIR_SYMBOLS].tolist()
+    parts["samples"] = tables.codes[:, _OF_SINGLES, :N_SINGLE_SYMBOLS].tolist()
+    return parts.tobytes()
 
 
 # Numbers of a file ------------------------------------------------------------------------------
@@ -276,7 +279,7 @@ def tables_from(file: FileTables) -> Tables:
     for table, own in file.codes.items():
         codes[table] = own
     weights = NUMBER_OF_CODE[file.weights]
-    weights[:, [0, 3], NEAR] = 0
+    weights[:, HH - 1, NEAR] = 0
     return Tables(file.k_max, stencils, weights, frequencies_of(file.cut, freqs_of(codes)))
 
 
@@ -284,7 +287,7 @@ def tables_from(file: FileTables) -> Tables:
 
 
 class _Numbers(NamedTuple):
-    """The numbers of a stream: stencils by class and plane, weights by class and row, the rest."""
+    """The numbers of a stream: stencils and weights by class and plane, then the rest."""
 
     stencils: NDArray[np.int64]
     weights: NDArray[np.int64]
@@ -296,7 +299,7 @@ class _Numbers(NamedTuple):
 def _new_numbers() -> _Numbers:
     return _Numbers(
         np.zeros((N_LEVEL_CLASSES * len(PLANES), _DELTAS + MOST_TAPS), dtype=np.int64),
-        np.zeros((N_LEVEL_CLASSES * N_ROWS, N_FEATURES), dtype=np.int64),
+        np.zeros((N_LEVEL_CLASSES * len(PLANES), N_FEATURES), dtype=np.int64),
         np.zeros(1, dtype=np.int64),
         np.zeros(N_TABLES, dtype=np.int64),
         np.zeros((N_TABLES, N_SYMBOLS), dtype=np.int64),
@@ -311,7 +314,7 @@ def _known(family: int) -> tuple[NDArray[np.int64], ...]:
         are_core = core_taps(plane)
         kinds[index, : len(are_core)] = [_CORE if is_core else _OTHER for is_core in are_core]
         kinds[index, missing_tap(plane)] = _NONE
-    skipped = np.tile([NEAR, _NONE, _NONE, NEAR], N_LEVEL_CLASSES)
+    skipped = np.tile([NEAR, _NONE, _NONE], N_LEVEL_CLASSES)
     trained = annex()
     weights = trained.weights[family].reshape(-1, N_FEATURES)
     return kinds, skipped, weights, EXISTS.sum(1), RESTS, trained.codes[family]
@@ -348,10 +351,9 @@ def parse_file_tables(section: bytes, step: int) -> FileTables:
     k_max, family = section[0] & MOST_K if section else 0, family_of(step)
     if section:
         family = section[0] >> _K_BITS
-    n_families = len(annex().cuts)
-    if family >= n_families:
+    if family >= N_FAMILIES:
         raise CorruptStreamError(
-            f"the tables build on family {family} of trained ones, and there are {n_families}"
+            f"the tables build on family {family} of trained ones, and there are {N_FAMILIES}"
         )
     if len(section) < 2:
         return plain_tables(k_max, family)
@@ -379,7 +381,7 @@ def parse_file_tables(section: bytes, step: int) -> FileTables:
         tuple(stencils[first : first + len(PLANES)])
         for first in range(0, len(stencils), len(PLANES))
     )
-    weights = numbers.weights.reshape(N_LEVEL_CLASSES, N_ROWS, N_FEATURES)
+    weights = numbers.weights.reshape(N_LEVEL_CLASSES, len(PLANES), N_FEATURES)
     codes = {int(table): numbers.codes[table] for table in np.flatnonzero(numbers.is_own)}
     return FileTables(k_max, family, by_class, weights, int(numbers.cut[0]), codes)
 

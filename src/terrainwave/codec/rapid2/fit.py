@@ -41,12 +41,12 @@ from terrainwave.codec.rapid2.symbols import (
     N_SYMBOLS,
     N_TABLES,
     PAIR_ESCAPE,
+    PAIR_LIMIT,
     SINGLE_ESCAPE,
     SINGLE_LIMIT,
     SINGLES,
     SLOT_BITS,
     STEP_CLASS,
-    VALUES,
     Frequencies,
 )
 from terrainwave.codec.rapid2.tables import Tables
@@ -273,9 +273,8 @@ def fit_codes(tables: FileTables, counts: Whole, share: float) -> tuple[dict[int
     pairs = pairs_and_singles < tables.cut
     for row, table in zip(freqs[pairs], pairs_and_singles[pairs].tolist(), strict=True):
         for symbol in np.flatnonzero((row == 0) & (counts[table] > 0)):
-            n = counts[table, symbol]
-            counts[ESCAPED, VALUES[0, symbol] + SINGLE_LIMIT] += n
-            counts[ESCAPED, VALUES[1, symbol] + SINGLE_LIMIT] += n
+            for side in divmod(int(symbol), 2 * PAIR_LIMIT + 1):
+                counts[ESCAPED, side - PAIR_LIMIT + SINGLE_LIMIT] += counts[table, symbol]
     escaped = np.flatnonzero(counts.any(1) & (np.arange(N_TABLES) == ESCAPED))
     own, _, more = _own_codes(usual, counts, escaped, share)
     n_beyond = counts[SINGLES:, SINGLE_ESCAPE].sum()

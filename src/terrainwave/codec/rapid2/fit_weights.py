@@ -6,22 +6,30 @@ are of whole numbers below 2**53, and all else is single operations in a fixed o
 raster gives the same weights on every machine.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.rapid2.details import Features
 from terrainwave.codec.rapid2.file_tables import (
     MAX_CODE,
     N_FEATURES,
     N_PAIR_SYMBOLS,
     N_SINGLE_SYMBOLS,
+    NEAR,
     NUMBER_OF_CODE,
     PLANES,
     codes_of,
 )
-from terrainwave.codec.rapid2.layout import HH, HL, LH, N_LEVEL_CLASSES, plane_shape
+from terrainwave.codec.rapid2.layout import (
+    HH,
+    HL,
+    LH,
+    N_LEVEL_CLASSES,
+    Lattice,
+    Workspace,
+    plane_shape,
+)
 from terrainwave.codec.rapid2.symbols import (
     N_CLASSES,
     PAIR_ESCAPE,
@@ -45,7 +53,7 @@ _MOST_SAMPLES, _MIN_SAMPLES = 1 << 13, 128
 _SCALED_BITS = 18
 _N_TURNS, _N_SWEEPS = 3, 60
 # Samples count by the inverse square of what was expected of them, in steps, and this.
-_LEAST_EXPECTED = 0.05
+_LEAST_EXPECTED = 0.2
 _RIDGE = 1e-7
 
 
@@ -76,33 +84,31 @@ class Observer(UnitCoder):
         super().__init__(tables)
         self.samples: Samples = {}
 
-    def _see(
-        self, which: int, shift: int, lattice: Any, features: Features, details: NDArray[np.int32]
-    ) -> None:
+    def _see(self, which: int, lattice: Lattice, work: Workspace, valid: NDArray[np.uint8]) -> None:
         for plane in PLANES:
-            n_rows, n_cols = plane_shape(plane, lattice.shape)
+            n_rows, n_cols = plane_shape(plane, (lattice.n_rows, lattice.n_cols))
             if n_rows == 0 or n_cols == 0:
                 continue
-            row, col = plane != HL, plane != LH
-            shape = n_rows, n_cols + (n_cols & 1)
-            seen = np.zeros((5, *shape), dtype=np.int32)
-            seen[:3, :, :n_cols] = _features(plane, features, n_rows, n_cols)
-            seen[3, :, :n_cols] = details[plane - 1, :n_rows, :n_cols]
-            seen[4, :, :n_cols] = 1 if lattice.valid is None else lattice.valid[row::2, col::2]
+            seen = np.zeros((5, n_rows, n_cols + (n_cols & 1)), dtype=np.int32)
+            seen[:3, :, :n_cols] = _features(plane, work, n_rows, n_cols)
+            seen[3] = work.details[plane - HH, : seen[3].size].reshape(seen[3].shape)
+            seen[4, :, :n_cols] = 1
+            if lattice.has_void:
+                seen[4, :, :n_cols] = valid[int(plane != HL) :: 2, int(plane != LH) :: 2]
             # An odd end is a pair with a sample like it, which is not coded.
             seen[:3, :, n_cols:] = seen[:3, :, n_cols - 1 : n_cols][:, :, : n_cols & 1]
             flat = seen.reshape(5, -1)
             found = Seen(flat[:3], flat[3], flat[4].astype(np.bool_))
-            self.samples.setdefault((which, plane, shift), []).append(found)
+            self.samples.setdefault((which, plane, lattice.shift), []).append(found)
 
 
-def _features(plane: int, features: Features, n_rows: int, n_cols: int) -> NDArray[np.int32]:
+def _features(plane: int, work: Workspace, n_rows: int, n_cols: int) -> NDArray[np.int32]:
     """Return range, bend and what is near of the samples of a plane, as `details` adds them up."""
 
     def at(source: NDArray[np.int16], row: int, col: int) -> NDArray[np.int32]:
         return source[1 + row :, 1 + col :][:n_rows, :n_cols].astype(np.int32)
 
-    ranges, bends, near = features.ranges, features.bends, features.near
+    ranges, bends, near = work.ranges, work.bends, work.near
     own = at(ranges, 0, 0)
     if plane == HH:
         bend = at(bends, 0, 0) + at(bends, 0, 1) + at(bends, 1, 0) + at(bends, 1, 1)
@@ -136,9 +142,9 @@ def gathered(found: list[Samples]) -> dict[tuple[int, int, int], Seen]:
 def fit_magnitude(
     seen: dict[tuple[int, int, int], Seen], trained: Whole, step: int
 ) -> NDArray[np.int64]:
-    """Return codes of the weights that tell best how large details are, shape (4, 4, 4).
+    """Return codes of the weights that tell best how large details are, shape (4, 3, 4).
 
-    Those of lines, and of what has too few samples, are the trained ones.
+    Where there are too few samples, they are those of the finer class, or the trained ones.
     """
     codes = trained.copy()
     for which in range(N_LEVEL_CLASSES):
@@ -158,7 +164,7 @@ def fit_magnitude(
             weights = np.rint(_fitted(samples, first) * (1 << WEIGHT_UNIT_BITS))
             most = float(NUMBER_OF_CODE[MAX_CODE])
             codes[which, plane - HH] = codes_of(np.minimum(weights, most).astype(np.int64))
-    codes[:, 0, N_FEATURES - 1] = trained[:, 0, N_FEATURES - 1]
+    codes[:, 0, NEAR] = 0
     return codes
 
 

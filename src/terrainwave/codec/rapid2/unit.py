@@ -292,9 +292,7 @@ class UnitCoder:
             self._see(which, lattice, work, goal.valid)
         return lattice
 
-    def _see(
-        self, which: int, lattice: Lattice, work: Workspace, valid: NDArray[np.uint8]
-    ) -> None:
+    def _see(self, which: int, lattice: Lattice, work: Workspace, valid: NDArray[np.uint8]) -> None:
         """Look at a lattice of a class of levels that has been encoded (`fit_weights`)."""
 
     def _code_details(
