@@ -18,6 +18,7 @@ import numpy as np
 
 from fuzz import IS_COMPILED
 from fuzz.units import N_PARENTS, SMALL_SISTERS, SPECS, corrected, parent_of
+from terrainwave.annexes import read_annex
 from terrainwave.codec import registry
 from terrainwave.codec.cdf53 import refiner as cdf53
 from terrainwave.codec.cdf53.tile_layout import TileLayout
@@ -28,7 +29,6 @@ from terrainwave.codec.own_masks import Above, Sections, decode_validity
 from terrainwave.codec.refiner import Validity, as_array
 from terrainwave.codec.remainder_planes import decode_remainders
 from terrainwave.coding.deflate import deflate
-from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.container.header import HEADER_SIZE, MAX_METADATA, pack_header, unpack_header
 from terrainwave.container.metadata import unpack_metadata
 from terrainwave.container.page import N_CODES, page_layout, payload_starts, unpack_page
@@ -121,7 +121,7 @@ def metadata(data: bytes) -> None:
     """Unpack metadata, of JSON or of deflated bytes; make them a raster's."""
     if not data:
         return
-    packed = data[1:] if data[0] & 1 else deflate(data[1:], DICTIONARY)
+    packed = data[1:] if data[0] & 1 else deflate(data[1:], read_annex("dictionary.txt"))
     found = unpack_metadata(packed)
     assert len(json.dumps(found)) <= 8 * MAX_METADATA
     known = {name: value for name, value in found.items() if value is not None}
@@ -439,7 +439,7 @@ def virtual(data: bytes) -> None:
 
 def _virtual_of_metadata(number: int, text: bytes) -> None:
     with Terrain(VIRTUAL[number].read_bytes(), threads=1) as terrain:
-        known = unpack_metadata(deflate(text, DICTIONARY))
+        known = unpack_metadata(deflate(text, read_annex("dictionary.txt")))
         known = {name: value for name, value in known.items() if value is not None}
         size = {"n_rows": terrain.shape[0], "n_cols": terrain.shape[1], "dtype": terrain.dtype.name}
         terrain._raster = RasterInfo.from_metadata(known | size)

@@ -2,7 +2,8 @@
 
 python tools/make_native_tables.py
 
-The dictionary, the models of masks and the mixer's functions come from the text of the format.
+From the files of the annexes (FORMAT.md §15), those of rapid from its modules. The models of masks
+and the mixer's functions come from the text of the format.
 """
 
 import base64
@@ -11,6 +12,7 @@ import zlib
 from decimal import Decimal, localcontext
 from pathlib import Path
 
+from terrainwave.annexes import read_annex, read_tables
 from terrainwave.codec.cdf97 import trained as tables97
 from terrainwave.codec.predictive import trained as tables
 from terrainwave.codec.rapid import trained as rapid_tables
@@ -59,10 +61,11 @@ def packed(name, data):
     return array(f"uint8_t {name}[{len(stream)}]", stream), len(stream)
 
 
-def text_of(name, lines):
+def text_of(name, text):
     """Return a constant of characters."""
+    lines = [text[i : i + 160] for i in range(0, len(text), 160)]
     parts = "\n".join('    "' + re.sub(r'([\\"])', r"\\\1", line) + '"' for line in lines)
-    return f"const char {name}[] =\n{parts};\nconst size_t {name}_size = {sum(map(len, lines))};\n"
+    return f"const char {name}[] =\n{parts};\nconst size_t {name}_size = {len(text)};\n"
 
 
 def stencils(name, annex):
@@ -127,10 +130,9 @@ def check_features():
 def main():
     """Write the file."""
     starts = [int(word) for line in block_of("starts") for word in line.split()]
-    starts97 = base64.b85decode(tables97._STARTS)
     parts = [
         HEAD + '#include "tables.h"\n',
-        text_of("twz_dictionary", block_of("dictionary")),
+        text_of("twz_dictionary", read_annex("dictionary.txt").decode("ascii")),
         array("uint8_t twz_mask_starts[576]", starts),
         stencils("twz_rapid_stencils", rapid_tables.STENCILS),
         array(
@@ -149,11 +151,12 @@ def main():
         array("int16_t twz_cdf97_terms[16][4][19]", tables97.TERM_WEIGHTS.tolist(), 3),
         array("int16_t twz_cdf97_weights[8]", tables97.E_WEIGHTS.tolist()),
     ]
-    for name, data in (
-        ("twz_predictive_starts", zlib.decompress(base64.b85decode(tables._STARTS))),
-        ("twz_cdf97_starts", zlib.decompress(starts97)),
+    for method, annex, names in (
+        ("predictive", tables, ["starts"]),
+        ("cdf97", tables97, ["residuals", "trees", "border"]),
     ):
-        text, size = packed(name, data)
+        found, name = read_tables(annex.ANNEX, annex.LAYOUT), f"twz_{method}_starts"
+        text, size = packed(name, b"".join(found[part].tobytes() for part in names))
         parts += [text, f"const size_t {name}_size = {size};\n"]
     OUT.write_text("\n".join(parts), encoding="utf-8")
 

@@ -11,8 +11,8 @@ from costs import n_calls, peak_memory
 from hypothesis import given
 from hypothesis import strategies as st
 
+from terrainwave.annexes import read_annex
 from terrainwave.coding.deflate import deflate
-from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.container.header import MAGIC
 from terrainwave.container.page import empty_page, pack_columns, pack_page, page_layout
 from terrainwave.errors import (
@@ -24,6 +24,7 @@ from terrainwave.grid.quadtree import Block
 
 HEADER = toy_header(1030, 2)  # k_max = 6: level 2's three blocks are heads of segments
 DATA = toy_file(HEADER)
+LIST = deflate(b"[]", read_annex("dictionary.txt"))
 
 
 def problems(data):
@@ -134,7 +135,10 @@ def test_a_forged_file_without_faults_is_sound():
         (forge(HEADER, with_children([2**63, 2**63, 20]), rest=bytes(20)), "do not fill|beyond"),
         (forge(HEADER, empty_page(TOP), body=b"x"), "follow"),
         (forge(toy_header(), empty_page(page_layout(toy_header().grid, None)), body=b"x"), "fill"),
-        (forge(HEADER, empty_page(TOP), metadata=deflate(b"[]", DICTIONARY)), "not a JSON object"),
+        (
+            forge(HEADER, empty_page(TOP), metadata=deflate(b"[]", read_annex("dictionary.txt"))),
+            "not a JSON object",
+        ),
     ],
 )
 def test_segments_that_do_not_tile_the_file_are_corrupt(data, message):

@@ -11,7 +11,7 @@ import numpy as np
 from reference_decoder.basics import (
     CorruptError,
     UnsupportedError,
-    fenced,
+    annex,
     inflate,
     require,
 )
@@ -19,7 +19,7 @@ from reference_decoder.grid import Grid
 from reference_decoder.predictive import read_tables
 from reference_decoder.rapid import read_rapid_tables
 
-DICTIONARY = fenced("dictionary").replace("\n", "").encode("ascii")  # §4.6
+DICTIONARY = annex("dictionary.txt")  # §4.6
 
 HEADER = struct.Struct("<8sBBHIQIIBBBBBB2sQQqIiiIdddIIIIII")
 NAMES = (

@@ -289,7 +289,11 @@ class UnitCoder:
         if unit.target is not None:
             unit.keep_added(stride, goal)
             self._code_details(unit, stride, lattice, needed.strips)
+            self._see(which, lattice, work, goal.valid)
         return lattice
+
+    def _see(self, which: int, lattice: Lattice, work: Workspace, valid: NDArray[np.uint8]) -> None:
+        """Look at a lattice of a class of levels that has been encoded (`fit_weights`)."""
 
     def _code_details(
         self, unit: _Unit, stride: int, lattice: Lattice, strips: list[tuple[int, int]]
