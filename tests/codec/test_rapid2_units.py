@@ -56,7 +56,7 @@ def frequencies(counts):
 
 
 def coder(counts=None):
-    weights = np.full((4, 4, 4), 6000, dtype=np.int64)
+    weights = np.full((4, 3, 4), 6000, dtype=np.int64)
     counts = np.zeros((N_TABLES, N_SYMBOLS), dtype=np.int64) if counts is None else counts
     return UnitCoder(Tables(1, stencils(), weights, frequencies(counts)))
 

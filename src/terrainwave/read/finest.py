@@ -29,7 +29,7 @@ def _unit_mask(
     spec: GroupSpec,
     parent: Decoded | None,
     payload: bytes,
-    n_rows: int,  # noqa: ARG001
+    rows: Rows,  # noqa: ARG001
 ) -> Decoded:
     """Decode the mask of a unit; heights are all 0."""
     heights = _no_heights(spec.region)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.corrections import correct
-from terrainwave.codec.memory import Spares, new_heights
+from terrainwave.codec.memory import Spares, flat, new_heights
 from terrainwave.codec.rapid.file_tables import Tables
 from terrainwave.codec.rapid.layout import (
     MAX_COLS,
@@ -40,6 +40,7 @@ from terrainwave.codec.refiner import (
     Heights,
     Labels,
     Mask,
+    Rows,
 )
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.coding.rans import (
@@ -262,7 +263,7 @@ class UnitCoder:
         payload: bytes,
         out: Heights,
         corrections: Corrections = NO_CORRECTIONS,
-        n_rows: int = ALL_ROWS,
+        rows: Rows = ALL_ROWS,
     ) -> None:
         """Rebuild the heights of ``spec.region`` in `out`; see `decode` and `DirectRefiner`."""
         if not payload:
@@ -273,9 +274,13 @@ class UnitCoder:
         streams = self._read_streams(payload, flags, spec.step)
         with _MEMORY.lent() as memory:
             self._code(
-                spec, parent, None, mask, flags, streams, out, memory, corrections, n_rows=n_rows
+                spec, parent, None, mask, flags, streams, out, memory, corrections, n_rows=rows.end
             )
-        _check_end(streams, is_part=n_rows < spec.region.n_rows)
+        _check_end(streams, is_part=rows.end < spec.region.n_rows)
+
+    def rows_above(self, spec: GroupSpec, payload: bytes, rows: Rows) -> Rows:  # noqa: ARG002
+        """Return all rows."""
+        return ALL_ROWS
 
     def _read_streams(self, payload: bytes, flags: int, step: int) -> Streams:
         n_states = 1 if flags & _SINGLE else N_STATES
@@ -332,7 +337,7 @@ class UnitCoder:
     def _code(
         self, spec: GroupSpec, parent: Heights | None, target: Heights | None, mask: Mask | None,
         flags: int, streams: Streams, out: Heights, memory: _Memory, corrections: Corrections,
-        known: Known = _NONE_KNOWN, n_rows: int = ALL_ROWS,
+        known: Known = _NONE_KNOWN, n_rows: int = ALL_ROWS.end,
     ) -> None:  # fmt: skip
         """Encode `target`, or decode where it is None; fill `out` with the region's heights."""
         is_wide = bool(flags & _WIDE)
@@ -376,7 +381,7 @@ class UnitCoder:
         assert spec.parent_region is not None
         row = (spec.core.row >> 1) - spec.parent_region.row
         col = (spec.core.col >> 1) - spec.parent_region.col
-        source, pitch = _flat(parent)
+        source, pitch = flat(parent)
         coarse = Lattice(row * pitch + col, pitch, 1)
         rings = 1 + (spec.rings >> 1)
         known = Known(*(rings if is_shared else 0 for is_shared in spec.shared))
@@ -423,7 +428,7 @@ class UnitCoder:
 
     def _code_rows(
         self, unit: _Unit, stride: int, source: Heights, coarse: Lattice, known: Known,
-        shared: tuple[NDArray[np.int64], NDArray[np.int64]], n_rows: int = ALL_ROWS,
+        shared: tuple[NDArray[np.int64], NDArray[np.int64]], n_rows: int = ALL_ROWS.end,
     ) -> None:  # fmt: skip
         """Code the lattice of every `stride`-th sample, those of half the stride, … all samples.
 
@@ -470,28 +475,6 @@ def _put(unit: _Unit, place: int, height: int) -> None:
     height += unit.origin
     limits = unit.scale.low + unit.origin, unit.scale.high + unit.origin
     unit.out[place] = correct(height, unit.kept, unit.added, place, limits, limits)
-
-
-def _flat(heights: Heights) -> tuple[Heights, int]:
-    """Return a flat array that begins with heights, and how far apart their rows lie in it.
-
-    A part of a unit is not copied: its memory is that of `new_heights`.
-    """
-    owner = heights.base
-    if heights.flags.c_contiguous:
-        return heights.ravel(), heights.shape[1]
-    if isinstance(owner, np.ndarray) and (owner.ndim, owner.dtype) == (1, heights.dtype):
-        row_spacing, col_spacing = (size // owner.itemsize for size in heights.strides)
-        if owner.flags.c_contiguous and col_spacing == 1:
-            first = (_address(heights) - _address(owner)) // owner.itemsize
-            return owner[first:], row_spacing
-    copied = new_heights(heights.shape)
-    copied[:] = heights
-    return copied.ravel(), heights.shape[1]
-
-
-def _address(heights: Heights) -> int:
-    return int(heights.__array_interface__["data"][0])
 
 
 def _aprons(spec: GroupSpec, out: Heights) -> list[Heights]:

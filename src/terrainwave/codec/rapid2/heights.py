@@ -1,18 +1,40 @@
-"""Heights of a unit's planes: A made from the parent, the others predicted and settled.
+"""Heights of a lattice: plane A made from the parent, the others predicted and settled.
 
 Planes hold ``(height - origin) >> shift`` within ±LIMIT, whatever the heights are: all sums fit
 32 bits, and a unit of any relief is coded by the same code. Heights themselves are exact.
 """
 
-import numpy as np
+from typing import NamedTuple
 
-from terrainwave.codec.rapid2.layout import HH, HL, LH, LIMIT, PAD, A
+import numpy as np
+from numpy.typing import NDArray
+
 from terrainwave.codec.corrections import corrected
+from terrainwave.codec.rapid2.layout import HH, HL, LH, LIMIT, PAD, A
+from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.jit import kernel, kernel_part
 
 _LIMIT = np.int32(LIMIT)
 _TWO, _FOUR = np.int32(2), np.int32(4)
 _TO_QUARTERS = np.int32(10)
+
+
+class Parent(NamedTuple):
+    """Parent heights in a flat array: where the first is, how far apart rows are, and samples."""
+
+    heights: NDArray[np.int32]
+    first: int
+    pitch: int
+    spacing: int
+
+
+class Goal(NamedTuple):
+    """What an encoder aims at, and what corrections there are; empty arrays where there is none."""
+
+    heights: NDArray[np.int32]
+    valid: NDArray[np.uint8]
+    kept: NDArray[np.int32]
+    added: NDArray[np.int32]
 
 
 @kernel_part
@@ -25,191 +47,282 @@ def _mirrored(number, n):
     return min(number, period - number)
 
 
+@kernel_part
+def _level_with(height, lattice):
+    """Return what a plane holds of a height."""
+    return np.int16(min(max((height - lattice.origin) >> lattice.shift, -LIMIT), LIMIT))
+
+
 @kernel
-def load_parent(parent, shape, origin, shift, low, high, planes):
-    """Fill plane A, with PAD samples outside by symmetry of the lattice of `shape`."""
-    n_rows, n_cols = (shape[0] + 1) // 2, (shape[1] + 1) // 2
-    for row in range(-PAD, n_rows + PAD):
-        source = parent[min(_mirrored(2 * row, shape[0]) // 2, n_rows - 1)]
+def load_parent(parent, lattice, rows, work):
+    """Fill `rows` of plane A, and the PAD rows and columns outside that mirror what is there."""
+    heights, planes, spacing = borrowed(parent.heights), borrowed(work.planes), parent.spacing
+    low, high, origin, shift = lattice.low, lattice.high, lattice.origin, lattice.shift
+    n_rows, n_cols = (lattice.n_rows + 1) // 2, (lattice.n_cols + 1) // 2
+    for row in range(rows[0] - PAD, rows[1] + PAD):
+        # Of an odd number of rows, the last one of A is the lattice's last; of an even one, not.
+        inside = min(_mirrored(2 * row, lattice.n_rows) // 2, n_rows - 1)
+        if not rows[0] <= inside < rows[1]:
+            continue
+        at = parent.first + inside * parent.pitch
         to = planes[A, row + PAD]
         for col in range(n_cols):
-            height = min(max(np.int64(source[col]), low), high) - origin
-            to[col + PAD] = np.int16(min(max(height >> shift, -LIMIT), LIMIT))
+            height = np.int64(heights[at + col * spacing])
+            height = min(max(height, low), high) - origin
+            to[PAD + col] = np.int16(min(max(height >> shift, -LIMIT), LIMIT))
         for col in range(1, PAD + 1):
-            to[PAD - col] = to[PAD + min(_mirrored(-2 * col, shape[1]) // 2, n_cols - 1)]
+            mirrored = min(_mirrored(-2 * col, lattice.n_cols) // 2, n_cols - 1)
+            to[PAD - col] = to[PAD + mirrored]
             last = n_cols - 1 + col
-            to[PAD + last] = to[PAD + min(_mirrored(2 * last, shape[1]) // 2, n_cols - 1)]
+            mirrored = min(_mirrored(2 * last, lattice.n_cols) // 2, n_cols - 1)
+            to[PAD + last] = to[PAD + mirrored]
 
 
 @kernel
-def look_at_parent(planes, n_rows, n_cols, ranges, bends):
-    """Fill the ranges of cells and the bends of samples of A, from one row and column outside on.
+def look_at_parent(lattice, rows, work):
+    """Fill the ranges of cells and the bends of samples of A, of one column outside on each side.
 
-    ``ranges[i + 1, j + 1]`` is that of samples (i, j) ... (i + 1, j + 1), n_rows and n_cols those
-    of A. Both arrays have two more rows and columns than A.
+    `rows` of A, from -1 on; ``ranges[i + 1, j + 1]`` is that of samples (i, j) ... (i + 1, j + 1).
+    Differences of heights within ±LIMIT, doubled and added, are below 2**16.
     """
-    a = planes[A]
-    for i in range(n_rows + 2):
-        north, here, south = a[i + PAD - 2], a[i + PAD - 1], a[i + PAD]
-        for j in range(n_cols + 2):
-            k = j + PAD - 1
-            x, y = np.int32(here[k]), np.int32(here[k + 1])
-            z, w = np.int32(south[k]), np.int32(south[k + 1])
+    a, ranges, bends = borrowed((work.planes[A], work.ranges, work.bends))
+    n = (lattice.n_cols + 1) // 2 + 2
+    for i in range(rows[0], rows[1]):
+        north, here = a[PAD + i - 1, PAD - 1 :], a[PAD + i, PAD - 1 :]
+        west, south = a[PAD + i, PAD - 2 :], a[PAD + i + 1, PAD - 1 :]
+        to_range, to_bend = ranges[i + 1], bends[i + 1]
+        for j in range(n):
+            x, y = np.int32(here[j]), np.int32(here[j + 1])
+            z, w = np.int32(south[j]), np.int32(south[j + 1])
             most, least = max(max(x, y), max(z, w)), min(min(x, y), min(z, w))
-            ranges[i, j] = np.int16(most - least)
-            across = abs(np.int32(here[k - 1]) + y - _TWO * x)
-            along = abs(np.int32(north[k]) + z - _TWO * x)
-            bends[i, j] = np.int16(min(across + along, _LIMIT))
+            to_range[j] = np.int16(most - least)
+            across = abs(np.int32(west[j]) + y - _TWO * x)
+            along = abs(np.int32(north[j]) + z - _TWO * x)
+            to_bend[j] = np.int16(min(across + along, _LIMIT))
 
 
-@kernel
-def predict_row(planes, runs, weights, core, row, n_cols, is_fine, predicted, sides):
+@kernel_part
+def _core_row(planes, core, k, first, n):
+    """Return the row of one of the four nearest known samples."""
+    at = PAD + core[k, 2]
+    return planes[core[k, 0], first + core[k, 1]][at : at + n]
+
+
+@kernel_part
+def predict_row(planes, stencil, row, n, is_fine, predicted, sides):
     """Predict a row of a plane, in quarters, and which sign its details tend to.
 
-    `sides` are -1 where details change their sign, else 0.
+    `sides` are -1 where details change their sign, else 0. The absolute weights add up to 2**18 at
+    most, samples are below 2**13: sums are below 2**31.
     """
+    runs, weights, core = stencil
     first = PAD + row
-    for j in range(n_cols):
-        predicted[j] = 0
-    for k in range(weights.shape[0]):
-        source = planes[runs[0][k], first + runs[1][k]]
-        at = PAD + runs[2][k]
-        a, b = weights[k, 0], weights[k, 1]
-        left, right = source[at : at + n_cols], source[at + 1 : at + 1 + n_cols]
-        for j in range(n_cols):
-            predicted[j] += a * np.int32(left[j]) + b * np.int32(right[j])
-    c0, c1 = PAD + core[0, 2], PAD + core[1, 2]
-    c2, c3 = PAD + core[2, 2], PAD + core[3, 2]
-    p0 = planes[core[0, 0], first + core[0, 1]][c0 : c0 + n_cols]
-    p1 = planes[core[1, 0], first + core[1, 1]][c1 : c1 + n_cols]
-    p2 = planes[core[2, 0], first + core[2, 1]][c2 : c2 + n_cols]
-    p3 = planes[core[3, 0], first + core[3, 1]][c3 : c3 + n_cols]
-    for j in range(n_cols):
-        x, y, z, w = np.int32(p0[j]), np.int32(p1[j]), np.int32(p2[j]), np.int32(p3[j])
-        least, most = min(min(x, y), min(z, w)), max(max(x, y), max(z, w))
+    for k in range(0, weights.shape[0], 2):
+        row_of, at = planes[runs[0][k], first + runs[1][k]], PAD + runs[2][k]
+        x, y = row_of[at : at + n], row_of[at + 1 : at + 1 + n]
+        row_of, at = planes[runs[0][k + 1], first + runs[1][k + 1]], PAD + runs[2][k + 1]
+        z, w = row_of[at : at + n], row_of[at + 1 : at + 1 + n]
+        w0, w1 = np.int32(weights[k, 0]), np.int32(weights[k, 1])
+        w2, w3 = np.int32(weights[k + 1, 0]), np.int32(weights[k + 1, 1])
+        if k == 0:
+            for j in range(n):
+                total = w0 * np.int32(x[j]) + w1 * np.int32(y[j])
+                predicted[j] = total + w2 * np.int32(z[j]) + w3 * np.int32(w[j])
+        else:
+            for j in range(n):
+                total = w0 * np.int32(x[j]) + w1 * np.int32(y[j])
+                predicted[j] += total + w2 * np.int32(z[j]) + w3 * np.int32(w[j])
+    p0, p1 = _core_row(planes, core, 0, first, n), _core_row(planes, core, 1, first, n)
+    p2, p3 = _core_row(planes, core, 2, first, n), _core_row(planes, core, 3, first, n)
+    for j in range(n):
+        a, b, c, d = np.int32(p0[j]), np.int32(p1[j]), np.int32(p2[j]), np.int32(p3[j])
+        least, most = min(min(a, b), min(c, d)), max(max(a, b), max(c, d))
         quarters = min(max(predicted[j] >> _TO_QUARTERS, _FOUR * least), _FOUR * most)
         whole = ((quarters + _TWO) >> _TWO) * _FOUR
-        is_turned = whole > quarters if is_fine else quarters > x + y + z + w
+        is_turned = whole > quarters if is_fine else quarters > a + b + c + d
         predicted[j] = quarters
         sides[j] = -np.int32(is_turned)
 
 
 @kernel_part
-def settle_narrow(predicted, sides, details, step, low, high, own, n_cols):
-    """Add details to a predicted row; `low` and `high` less the origin; no shift."""
-    for j in range(n_cols):
-        detail = (np.int32(details[j]) ^ sides[j]) - sides[j]
+def settle_narrow(predicted, sides, lattice, details, own, n):
+    """Add details to a predicted row.
+
+    The step is at most LIMIT, a detail times it below 2**30 + 2**13 (`Lattice.most`, or 31 steps).
+    """
+    step = np.int32(lattice.step)
+    low, high = np.int32(lattice.low - lattice.origin), np.int32(lattice.high - lattice.origin)
+    own = own[PAD:]
+    for j in range(n):
+        detail = (details[j] ^ sides[j]) - sides[j]
         height = ((predicted[j] + _TWO) >> _TWO) + detail * step
-        own[PAD + j] = np.int16(min(max(height, low), high))
+        own[j] = np.int16(min(max(height, low), high))
 
 
 @kernel_part
-def settle_wide(predicted, sides, details, step, low, high, origin, shift, own, out, n_cols):
-    """Add details to a predicted row of a unit that needs 32 bits; `out` takes the heights."""
-    for j in range(n_cols):
+def settle_wide(predicted, sides, lattice, details, own, heights, n):
+    """Add details to a predicted row of a unit that needs 32 bits, in `own` and in `heights`."""
+    for j in range(n):
         side = np.int64(sides[j])
         detail = (np.int64(details[j]) ^ side) - side
-        height = (((np.int64(predicted[j]) << shift) + 2) >> 2) + origin + detail * step
-        height = min(max(height, low), high)
-        out[j] = np.int32(height)
-        own[PAD + j] = np.int16(min(max((height - origin) >> shift, -LIMIT), LIMIT))
+        height = (((np.int64(predicted[j]) << lattice.shift) + 2) >> 2) + lattice.origin
+        height = min(max(height + detail * lattice.step, lattice.low), lattice.high)
+        heights[j] = np.int32(height)
+        own[PAD + j] = _level_with(height, lattice)
 
 
 @kernel_part
-def repeat_ends(own, n_cols):
-    """Repeat the first and the last sample of a row of a plane outside."""
-    for k in range(1, PAD + 1):
-        own[PAD - k] = own[PAD]
-        own[PAD + n_cols - 1 + k] = own[PAD + n_cols - 1]
+def _quantised(goal, whole, step):
+    """Return the detail that brings a prediction nearest to a goal."""
+    return (np.int64(goal) - whole + (np.int64(step) >> 1)) // step
 
 
 @kernel_part
-def _quantise(goal, of_row, first, predicted, sides, step, origin, shift, has_void, valid, details,
-              n_cols):  # fmt: skip
-    """Fill the details that bring a predicted row nearest to the goal; 0 where void."""
-    half = np.int64(step) >> 1
-    for j in range(n_cols):
-        place = first + 2 * j
+def _quantise(goal, valid, place, lattice, work, details, n):
+    """Fill the details of a predicted row; 0 where void. `place` is that of the first sample."""
+    of_row, first = place
+    for j in range(n):
+        col = first + 2 * j
         detail = np.int64(0)
-        if not has_void or valid[of_row, place]:
-            whole = (((np.int64(predicted[j]) << shift) + 2) >> 2) + origin
-            detail = (np.int64(goal[of_row, place]) - whole + half) // step
-        side = np.int64(sides[j])
+        if not lattice.has_void or valid[of_row, col]:
+            whole = ((np.int64(work.predicted[j]) << lattice.shift) + 2) >> 2
+            detail = _quantised(goal[of_row, col], whole + lattice.origin, lattice.step)
+        side = np.int64(work.sides[j])
         details[j] = np.int32((detail ^ side) - side)
 
 
 @kernel_part
-def _repeat_rows(planes, plane, n_rows):
-    for k in range(1, PAD + 1):
-        planes[plane, PAD - k] = planes[plane, PAD]
-        planes[plane, PAD + n_rows - 1 + k] = planes[plane, PAD + n_rows - 1]
+def _on_line(heights, first, spacing, n, k):
+    """Return a parent's sample of a line by symmetry."""
+    return np.int64(heights[first + _mirrored(k, n) * spacing])
 
 
 @kernel
-def code_heights(
-    is_encoding, goal, has_void, valid, is_narrow, step, low, high, origin, shift, shape, known,
-    lines, all_runs, all_weights, cores, planes, details, predicted, sides, heights, out,
-    kept, added,
-):  # fmt: skip
-    """Settle planes HH, HL and LH of a unit, and write its rows; encoding, find its details first.
+def predict_on_line(parent, line, step):
+    """Predict a sample of a line that units share, in 64 bits; also whether its detail is turned.
 
-    `lines` are the heights of the known samples at top, left, bottom and right, one row each. Plane
-    A is in `planes`; its heights are in `out` already.
+    From the parent's samples of the line alone: both units find the same height. `line` says where
+    the first of these is, how far apart they are, how many, and the number of the one before.
     """
-    n_rows = (shape[0] // 2, (shape[0] + 1) // 2, shape[0] // 2)
-    n_cols = (shape[1] // 2, shape[1] // 2, (shape[1] + 1) // 2)
+    heights = borrowed(parent.heights)
+    first, spacing, n, k = line
+    a, b = _on_line(heights, first, spacing, n, k - 1), _on_line(heights, first, spacing, n, k)
+    c = _on_line(heights, first, spacing, n, k + 1)
+    d = _on_line(heights, first, spacing, n, k + 2)
+    least, most = min(min(a, b), min(c, d)), max(max(a, b), max(c, d))
+    quarters = min(max((9 * (b + c) - a - d) >> 2, 4 * least), 4 * most)
+    whole = (quarters + 2) >> 2
+    return whole, 4 * whole > quarters if step <= 3 else quarters > 2 * (b + c)
+
+
+@kernel
+def settle_on_line(is_encoding, goal, place, lattice, parent, line, details, j, work, own):
+    """Settle sample j of a row, which is on a line that units share."""
+    whole, is_turned = predict_on_line(parent, line, lattice.step)
+    if is_encoding:
+        detail = np.int64(0)
+        if not lattice.has_void or goal.valid[place]:
+            detail = _quantised(goal.heights[place], whole, lattice.step)
+        details[j] = np.int32(-detail if is_turned else detail)
+    detail = np.int64(details[j])
+    height = whole + (-detail if is_turned else detail) * lattice.step
+    height = min(max(height, lattice.low), lattice.high)
+    work.heights[j] = np.int32(height)
+    own[PAD + j] = _level_with(height, lattice)
+
+
+@kernel_part
+def _repeat(planes, plane, row, n):
+    """Repeat the first and the last sample of a row of a plane outside."""
+    own = planes[plane, PAD + row]
+    for k in range(1, PAD + 1):
+        own[PAD - k] = own[PAD]
+        own[PAD + n - 1 + k] = own[PAD + n - 1]
+
+
+@kernel
+def code_heights(is_encoding, goal, lattice, work, parent, known, stencils, rows, out):
+    """Settle planes HH, HL and LH of a lattice, and write its rows; encoding, find its details.
+
+    `known` says which sides are shared: top, left, bottom, right. `rows` are those of HH, HL, LH
+    that are wanted, and those of the lattice to be written. Plane A is in ``work.planes``.
+    """
+    goal, parent, work, out = borrowed((goal, parent, work, out))
+    planes, predicted, sides, heights = work.planes, work.predicted, work.sides, work.heights
+    n_rows = (lattice.n_rows // 2, (lattice.n_rows + 1) // 2, lattice.n_rows // 2)
+    n_cols = (lattice.n_cols // 2, lattice.n_cols // 2, (lattice.n_cols + 1) // 2)
+    n_a_rows, n_a_cols = (lattice.n_rows + 1) // 2, (lattice.n_cols + 1) // 2
+    last_row = parent.first + (n_a_rows - 1) * parent.pitch
+    last_col = parent.first + (n_a_cols - 1) * parent.spacing
     for plane in (HH, HL, LH):
-        if n_rows[plane - 1] == 0 or n_cols[plane - 1] == 0:
+        n = n_cols[plane - 1]
+        if n_rows[plane - 1] == 0 or n == 0:
             planes[plane] = planes[A]
             continue
-        runs, weights, core = all_runs[plane - 1], all_weights[plane - 1], cores[plane - 1]
-        n = n_cols[plane - 1]
-        down, across = plane != HL, plane != LH
-        for row in range(n_rows[plane - 1]):
+        down, across = np.int64(plane != HL), np.int64(plane != LH)
+        pitch = n + (n & 1)
+        for row in range(rows[plane - 1][0], rows[plane - 1][1]):
             own, of_row = planes[plane, PAD + row], 2 * row + down
-            predict_row(planes, runs, weights, core, row, n, step <= 3, predicted, sides)
-            of_details = details[plane - 1, row]
+            details = work.details[plane - 1, pitch * row : pitch * row + n]
+            predict_row(planes, stencils[plane - 1], row, n, lattice.step <= 3, predicted, sides)
             if is_encoding:
-                _quantise(goal, of_row, across, predicted, sides, step, origin, shift, has_void,
-                          valid, of_details, n)  # fmt: skip
-            if is_narrow:
-                settle_narrow(
-                    predicted, sides, of_details, np.int32(step), np.int32(low - origin),
-                    np.int32(high - origin), own, n,
-                )  # fmt: skip
-                for j in range(n):
-                    heights[j] = np.int32(own[PAD + j]) + np.int32(origin)
+                _quantise(goal.heights, goal.valid, (of_row, across), lattice, work, details, n)
+            if lattice.is_narrow:
+                settle_narrow(predicted, sides, lattice, details, own, n)
             else:
-                settle_wide(
-                    predicted, sides, of_details, np.int64(step), low, high, origin, shift, own,
-                    heights, n,
-                )  # fmt: skip
-            is_changed = False
-            if plane == HL and row == 0 and known[0]:
-                heights[:n] = lines[0, :n]
-                is_changed = True
-            elif plane == HL and row == n_rows[1] - 1 and known[2]:
-                heights[:n] = lines[2, :n]
-                is_changed = True
-            elif plane == LH and (known[1] or known[3]):
-                if known[1]:
-                    heights[0] = lines[1, row]
-                if known[3]:
-                    heights[n - 1] = lines[3, row]
-                is_changed = True
-            if added.shape[0] > 0:
+                settle_wide(predicted, sides, lattice, details, own, heights, n)
+            if plane == HL and ((row == 0 and known[0]) or (row == n_rows[1] - 1 and known[2])):
+                first = parent.first if row == 0 and known[0] else last_row
                 for j in range(n):
-                    place = of_row * shape[1] + across + 2 * j
-                    heights[j] = corrected(
-                        np.int64(heights[j]), kept, added, place, (low, high), (low, high)
-                    )
-                is_changed = True
-            if is_changed:
+                    settle_on_line(
+                        is_encoding, goal, (of_row, 2 * j + 1), lattice, parent,
+                        (first, parent.spacing, n_a_cols, j), details, j, work, own,
+                    )  # fmt: skip
+            elif plane == LH:
+                for side in (1, 3):
+                    if known[side]:
+                        first, j = (parent.first, 0) if side == 1 else (last_col, n - 1)
+                        settle_on_line(
+                            is_encoding, goal, (of_row, 2 * j), lattice, parent,
+                            (first, parent.pitch, n_a_rows, row), details, j, work, own,
+                        )  # fmt: skip
+            if goal.added.shape[0] > 0:
                 for j in range(n):
-                    less = (np.int64(heights[j]) - origin) >> shift
-                    own[PAD + j] = np.int16(min(max(less, -LIMIT), LIMIT))
-            repeat_ends(own, n)
-            to = out[of_row]
-            for j in range(n):
-                to[across + 2 * j] = heights[j]
-        _repeat_rows(planes, plane, n_rows[plane - 1])
+                    height = np.int64(own[PAD + j]) + lattice.origin
+                    if not lattice.is_narrow:
+                        height = np.int64(heights[j])
+                    place = of_row * lattice.n_cols + across + 2 * j
+                    limits = lattice.low, lattice.high
+                    height = corrected(height, goal.kept, goal.added, place, limits, limits)
+                    heights[j] = np.int32(height)
+                    own[PAD + j] = _level_with(height, lattice)
+            _repeat(planes, plane, row, n)
+            if not lattice.is_narrow and rows[3][0] <= of_row < rows[3][1]:
+                to = out[of_row]
+                for j in range(n):
+                    to[across + 2 * j] = heights[j]
+        for k in range(1, PAD + 1):
+            planes[plane, PAD - k] = planes[plane, PAD]
+            last = PAD + n_rows[plane - 1] - 1
+            planes[plane, last + k] = planes[plane, last]
+    for row in range(rows[3][0], rows[3][1]):
+        if lattice.is_narrow:
+            write_row(planes, lattice, row, out[row])
+        elif not row & 1:
+            at = parent.first + (row >> 1) * parent.pitch
+            for j in range(n_a_cols):
+                height = np.int64(parent.heights[at + j * parent.spacing])
+                out[row, 2 * j] = np.int32(min(max(height, lattice.low), lattice.high))
+
+
+@kernel_part
+def write_row(planes, lattice, row, out):
+    """Write a row of a narrow lattice from its planes."""
+    origin, i, n = np.int32(lattice.origin), PAD + (row >> 1), lattice.n_cols // 2
+    first = planes[LH if row & 1 else A, i, PAD:]
+    second = planes[HH if row & 1 else HL, i, PAD:]
+    for j in range(n):
+        out[2 * j] = np.int32(first[j]) + origin
+        out[2 * j + 1] = np.int32(second[j]) + origin
+    if lattice.n_cols & 1:
+        out[2 * n] = np.int32(first[n]) + origin

@@ -22,6 +22,8 @@ MAX_WEIGHT = (1 << 15) - 1
 MAX_SUM = 1 << 18
 # Classes of levels that have stencils and weights of their own; the last one is of all coarser.
 N_LEVEL_CLASSES = 4
+# Rows of a plane that are coded together. Those of LH lie one row further up: they see HL below.
+STRIP_ROWS = 8
 
 # Taps (plane, row, column) from the sample's place in its plane.
 TAPS: dict[int, list[tuple[int, int, int]]] = {
@@ -48,7 +50,10 @@ N_TAPS = {plane: len(taps) for plane, taps in TAPS.items()}
 
 
 class Runs(NamedTuple):
-    """Taps side by side, two at a time: where the first of each run lies, and which taps it has."""
+    """Taps side by side, two at a time: where the first of each lies, and which taps they are.
+
+    There is an even number of runs, so that a pass over a row adds four taps.
+    """
 
     planes: NDArray[np.int64]
     rows: NDArray[np.int64]
@@ -63,23 +68,20 @@ def _runs(taps: list[tuple[int, int, int]]) -> Runs:
         plane, row, col = tap = next(iter(left))
         number = left.pop(tap)
         runs.append((plane, row, col, number, left.pop((plane, row, col + 1), -1)))
+    if len(runs) % 2:
+        runs.append((A, 0, 0, -1, -1))
     return Runs(*np.array(runs, dtype=np.int64).T.copy())
 
 
 RUNS = {plane: _runs(taps) for plane, taps in TAPS.items()}
-_CORE = {plane: np.array(core, dtype=np.int64) for plane, core in CORES.items()}
+CORE_ARRAYS = tuple(np.array(CORES[plane], dtype=np.int64) for plane in (HH, HL, LH))
 
 
-def run_weights(plane: int, weights: NDArray[np.int64]) -> NDArray[np.int32]:
+def run_weights(plane: int, weights: NDArray[np.int64]) -> NDArray[np.int16]:
     """Return the weights of a plane's taps by run, shape (n_runs, 2)."""
     both = np.append(weights[: N_TAPS[plane]], 0)
     runs = RUNS[plane]
-    return np.stack([both[runs.first], both[runs.second]], axis=1).astype(np.int32)
-
-
-def core_of(plane: int) -> NDArray[np.int64]:
-    """Return `CORES` as an array, shape (4, 3)."""
-    return _CORE[plane]
+    return np.stack([both[runs.first], both[runs.second]], axis=1).astype(np.int16)
 
 
 def plane_shape(plane: int, shape: tuple[int, int]) -> tuple[int, int]:
@@ -87,3 +89,72 @@ def plane_shape(plane: int, shape: tuple[int, int]) -> tuple[int, int]:
     n_rows, n_cols = shape
     odd_row, odd_col = plane in (HH, LH), plane in (HH, HL)
     return (n_rows + (not odd_row)) // 2, (n_cols + (not odd_col)) // 2
+
+
+class Lattice(NamedTuple):
+    """Numbers that kernels know of a lattice: a group, or every so many samples of a root block.
+
+    Heights are within ``low`` ... ``high``, details within ±most. Planes hold
+    ``(height - origin) >> shift``, and no more than heights without a shift if it `is_narrow`.
+    """
+
+    n_rows: int
+    n_cols: int
+    step: int
+    low: int
+    high: int
+    most: int
+    origin: int
+    shift: int
+    is_narrow: bool
+    has_void: bool
+
+
+class Workspace(NamedTuple):
+    """Arrays that lattices take turns with, of at most `side` samples a side in each plane."""
+
+    side: int
+    planes: NDArray[np.int16]  # with PAD samples outside; A, HH, HL, LH
+    ranges: NDArray[np.int16]  # of cells of A, and bends of its samples, with one more outside
+    bends: NDArray[np.int16]
+    near: NDArray[np.int16]  # magnitudes of details of HH and HL, with one more outside
+    details: NDArray[np.int32]  # of HH, HL, LH, rows without a gap but of an even length
+    both: NDArray[np.int64]  # the same memory: two details, the first in the lower half
+    predicted: NDArray[np.int32]  # of a row, and what follows
+    sides: NDArray[np.int32]
+    heights: NDArray[np.int32]
+    expected: NDArray[np.int32]
+    floats: NDArray[np.float32]
+    bits: NDArray[np.int32]  # the same memory
+    pairs: NDArray[np.int8]  # of a strip, and what follows
+    singles: NDArray[np.int8]
+    entries: NDArray[np.uint8]
+    symbols: NDArray[np.uint8]
+    more: NDArray[np.int32]
+
+
+def new_workspace(side: int) -> Workspace:
+    """Return memory for planes of so many samples a side."""
+    wide, n = side + 2 * PAD, STRIP_ROWS * (side + 1)
+    details = np.zeros((N_PLANES, (side + 1) * side // 2 + side), dtype=np.int64)
+    floats = np.zeros(side + 1, dtype=np.float32)
+    return Workspace(
+        side=side,
+        planes=np.zeros((1 + N_PLANES, wide, wide + 1), dtype=np.int16),
+        ranges=np.zeros((side + 2, side + 2), dtype=np.int16),
+        bends=np.zeros((side + 2, side + 2), dtype=np.int16),
+        near=np.zeros((2, side + 2, side + 2), dtype=np.int16),
+        details=details.view(np.int32),
+        both=details,
+        predicted=np.zeros(side, dtype=np.int32),
+        sides=np.zeros(side, dtype=np.int32),
+        heights=np.zeros(side, dtype=np.int32),
+        expected=np.zeros(side + 1, dtype=np.int32),
+        floats=floats,
+        bits=floats.view(np.int32),
+        pairs=np.zeros(n // 2, dtype=np.int8),
+        singles=np.zeros(n, dtype=np.int8),
+        entries=np.zeros(n + 1, dtype=np.uint8),
+        symbols=np.zeros(n + 1, dtype=np.uint8),
+        more=np.zeros(n + 1, dtype=np.int32),
+    )

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.jit import kernel, kernel_part
 
 SLOT_BITS = 12
@@ -27,7 +28,7 @@ SINGLES, N_TABLES = 64, 128
 NO_PAIR, NO_SINGLE = 63, 127
 # Samples of pairs that have no symbol.
 ESCAPED = 126
-HIDDEN = 255
+HIDDEN = -1
 # Symbols of pairs: (a + 7) 15 + b + 7, and one that says that both come as samples; of samples:
 # d + 31, and one that says that more bits follow.
 PAIR_LIMIT, SINGLE_LIMIT = 7, 31
@@ -44,18 +45,42 @@ _LENGTH_BITS = 5
 WORD, BIT, N_LOGGED, IS_BAD = 0, 1, 2, 3
 
 
-def _values() -> NDArray[np.int16]:
-    """Return the details of symbols: of pairs (first, second), of samples, shape (3, 256)."""
-    values = np.zeros((3, N_SYMBOLS), dtype=np.int16)
+def _values() -> NDArray[np.int64]:
+    """Return details of symbols as the halves of 64 bits, lower first, shape (4, 256).
+
+    Rows: both of a pair; the first of two samples; nothing; the second of two.
+    """
+    values = np.zeros((4, N_SYMBOLS), dtype=np.int64)
     pairs = np.arange(_SIDE * _SIDE)
-    values[0, : len(pairs)], values[1, : len(pairs)] = np.divmod(pairs, _SIDE)
-    values[:2, : len(pairs)] -= PAIR_LIMIT
-    values[2, :SINGLE_ESCAPE] = np.arange(SINGLE_ESCAPE) - SINGLE_LIMIT
-    values[2, SINGLE_ESCAPE] = SINGLE_LIMIT + 1
+    first, second = pairs // _SIDE - PAIR_LIMIT, pairs % _SIDE - PAIR_LIMIT
+    values[0, : len(pairs)] = (first & 0xFFFFFFFF) | second << 32
+    samples = np.arange(SINGLE_ESCAPE + 1) - SINGLE_LIMIT
+    values[1, : len(samples)] = samples & 0xFFFFFFFF
+    values[3, : len(samples)] = samples << 32
     return values
 
 
 VALUES = _values()
+# The value of SINGLE_ESCAPE, which no other symbol has.
+_GOES_ON = SINGLE_LIMIT + 1
+
+
+class Log(NamedTuple):
+    """What an encoder writes down before it knows the first state."""
+
+    tables: NDArray[np.uint8]
+    symbols: NDArray[np.uint8]
+    states: NDArray[np.uint8]  # of MOST_STATES: of fewer, the remainder
+
+
+class Streams(NamedTuple):
+    """What kernels read or write of a band of strips; `raw` has bits, the lowest first."""
+
+    states: NDArray[np.uint32]
+    words: NDArray[np.uint16]
+    raw: NDArray[np.uint32]
+    log: Log
+    places: NDArray[np.int64]
 
 
 class Frequencies(NamedTuple):
@@ -89,28 +114,13 @@ def frequencies_of(cut: int, freqs: NDArray[np.int64]) -> Frequencies:
 
 
 @kernel_part
-def class_of(expected):
-    """Return the class of an expected magnitude, 0 ... 2**31 - 1."""
-    value = np.uint32(max(expected, np.int64(1)))
-    log = np.int64(0)
-    for bits in (16, 8, 4, 2, 1):
-        if value >> np.uint32(bits):
-            value >>= np.uint32(bits)
-            log += bits
-    # The bit below the top one: `value` is 1 now.
-    below = (np.int64(max(expected, np.int64(1))) >> max(log - 1, 0)) & 1 if log else 0
-    return min(2 * log + below, N_CLASSES - 1)
-
-
-@kernel_part
-def make_list(pairs, singles, n_pairs, cut, entries):
+def _list_entries(pairs, singles, n_pairs, cut, entries):
     """Write the entries of a list; return how many there are."""
     n, one = np.uint64(0), np.uint64(1)
     for k in range(np.uint64(n_pairs)):
         # Nothing branches by the class, which no processor foresees.
-        own = np.int64(np.int8(pairs[k]))
+        own, j = np.int64(pairs[k]), k + k
         is_single = np.uint64(own >= cut)
-        j = k + k
         first, second = SINGLES | np.int64(singles[j]), SINGLES | np.int64(singles[j + one])
         entries[n] = np.uint8((first & 127) if is_single else own & 63)
         entries[n + one] = np.uint8(second & 127)
@@ -121,29 +131,29 @@ def make_list(pairs, singles, n_pairs, cut, entries):
 @kernel_part
 def _raw_bits(single):
     """Return how many raw bits a sample has that is coded by itself."""
-    return 0 if single == HIDDEN else max(np.int64(single) - _RAW_CLASS, 0) >> 1
+    return max(np.int64(single) - _RAW_CLASS, 0) >> 1
 
 
 @kernel_part
 def _take(raw, places, n):
-    """Return the next n raw bits, at most 33."""
+    """Return the next n raw bits, at most 32; past the end any."""
     bit = places[BIT]
     places[BIT] = bit + n
-    if n == 0 or bit + n > 8 * (raw.shape[0] - 8):
-        return np.int64(0)
-    value = np.uint64(0)
-    for k in range(6):
-        value |= np.uint64(raw[(bit >> 3) + k]) << np.uint64(8 * k)
-    return np.int64((value >> np.uint64(bit & 7)) & ((np.uint64(1) << np.uint64(n)) - np.uint64(1)))
+    at = np.uint64(min(bit >> 5, raw.shape[0] - 2))
+    both = np.uint64(raw[at]) | np.uint64(raw[at + np.uint64(1)]) << np.uint64(32)
+    mask = (np.uint64(1) << np.uint64(n)) - np.uint64(1)
+    return np.int64((both >> np.uint64(bit & 31)) & mask)
 
 
-@kernel_part
-def _read_entries(entries, n, slots, states, n_states, words, places, symbols):
+@kernel
+def read_entries(entries, n, slots, streams, symbols):
     """Read the symbols of a list. Past the last word, the last ones are read again."""
+    entries, slots, symbols = borrowed((entries, slots, symbols))
+    states, words, _, _, places = borrowed(streams)
     at, most = np.uint64(places[WORD]), np.uint64(words.shape[0] - MOST_STATES)
     # Unsigned, so that no index needs to be checked for a sign; without a branch, which no
-    # processor would foresee.
-    mask, n = np.uint64(n_states - 1), np.uint64(n)
+    # processor would foresee. A state is at most N_SLOTS * (2**20 - 1) + N_SLOTS - 1 < 2**32.
+    mask, n = np.uint64(states.shape[0] - 1), np.uint64(n)
     first = np.uint64(0)
     while first < n:
         if at > most:
@@ -168,7 +178,7 @@ def _read_entries(entries, n, slots, states, n_states, words, places, symbols):
 
 @kernel_part
 def _beyond(raw, places):
-    """Return what a symbol says no more: a signed number beyond SINGLE_LIMIT."""
+    """Return what a symbol says no more: a signed number beyond SINGLE_LIMIT, below 2**33."""
     length = _take(raw, places, _LENGTH_BITS)
     rest = _take(raw, places, length + 1)
     beyond = (np.int64(1) << length) - 1 + (rest >> 1) + SINGLE_LIMIT + 1
@@ -176,81 +186,86 @@ def _beyond(raw, places):
 
 
 @kernel_part
-def read_strip(
-    pairs, singles, n_pairs, entries, symbols, details, most, values, cut, slots, states, n_states,
-    words, raw, places, more,
-):  # fmt: skip
-    """Read the details of a list, int32, two for each pair; none is beyond ±most.
+def _expand(pairs, n_pairs, cut, symbols, values, both, more):
+    """Fill the details that symbols stand for; return how many pairs have none, first in `more`."""
+    k, n_escaped, one = np.uint64(0), np.uint64(0), np.uint64(1)
+    for pair in range(np.uint64(n_pairs)):
+        is_single = np.uint64(np.int64(pairs[pair]) >= cut)
+        symbol, other = np.uint64(symbols[k]), np.uint64(symbols[k + is_single])
+        k += one + is_single
+        both[pair] = values[is_single, symbol] | values[np.uint64(2) + is_single, other]
+        more[n_escaped] = pair + pair
+        n_escaped += np.uint64(symbol == np.uint64(PAIR_ESCAPE))
+    return np.int64(n_escaped)
+
+
+@kernel_part
+def _complete(pairs, singles, n_pairs, cut, streams, details, more, most):
+    """Read the raw bits of samples coded by themselves, and what is beyond their symbols.
+
+    A detail is below 2**33 << 13 before it is brought within ±most, which fits 32 bits.
+    """
+    raw, places = streams.raw, streams.places
+    n_beyond = 0
+    for pair in range(n_pairs):
+        if pairs[pair] < cut:
+            continue
+        for i in range(2 * pair, 2 * pair + 2):
+            n_bits = _raw_bits(singles[i])
+            goes_on = details[i] == _GOES_ON
+            if n_bits == 0 and not goes_on:
+                continue
+            low = _take(raw, places, n_bits)
+            detail = (np.int64(details[i]) << n_bits) | low
+            # Raw bits of those that go on wait in their place.
+            details[i] = np.int32(low if goes_on else min(max(detail, -most), most))
+            more[n_beyond] = i
+            n_beyond += goes_on
+    for k in range(n_beyond):
+        i = more[k]
+        detail = (_beyond(raw, places) << _raw_bits(singles[i])) | np.int64(details[i])
+        details[i] = np.int32(min(max(detail, -most), most))
+
+
+@kernel
+def read_strip(work, pairs, singles, both, details, most, frequencies, values, streams):
+    """Read the details of a list, two for each pair; none of many bits is beyond ±most.
 
     The list; a list of the samples of pairs that have no symbol; the raw bits of samples coded by
     themselves; what is beyond the symbols of these; the same of samples of pairs.
     """
-    n = make_list(pairs, singles, n_pairs, cut, entries)
-    _read_entries(entries, n, slots, states, n_states, words, places, symbols)
-    k, n_more, n_escaped, n_beyond = np.uint64(0), np.uint64(0), np.uint64(0), 0
-    one, end = np.uint64(1), np.uint64(more.shape[0] - 1)
-    for pair in range(np.uint64(n_pairs)):
-        j = pair + pair
-        is_single = np.uint64(np.int64(np.int8(pairs[pair])) >= cut)
-        symbol, other = np.uint64(symbols[k]), np.uint64(symbols[k + is_single])
-        k += one + is_single
-        details[j] = values[is_single + is_single, symbol]
-        details[j + one] = values[one + is_single, other]
-        # Escaped pairs from the end on, samples that are not complete from the start.
-        more[end - n_escaped] = j
-        n_escaped += np.uint64(symbol == np.uint64(PAIR_ESCAPE))
-        more[n_more] = j
-        n_more += is_single & np.uint64(
-            (np.int8(singles[j]) > _RAW_CLASS + 1) | (symbol == np.uint64(SINGLE_ESCAPE))
-        )
-        more[n_more] = j + one
-        n_more += is_single & np.uint64(
-            (np.int8(singles[j + one]) > _RAW_CLASS + 1) | (other == np.uint64(SINGLE_ESCAPE))
-        )
-    n_escaped, n_more = np.int64(n_escaped), np.int64(n_more)
+    pairs, singles, both, details = borrowed((pairs, singles, both, details))
+    entries, symbols, more = borrowed((work.entries, work.symbols, work.more))
+    streams = borrowed(streams)
+    cut, slots = frequencies.cut, frequencies.slots
+    n_pairs = pairs.shape[0]
+    n = _list_entries(pairs, singles, n_pairs, cut, entries)
+    read_entries(entries, n, slots, streams, symbols)
+    n_escaped = _expand(pairs, n_pairs, cut, symbols, values, both, more)
+    # Samples of pairs without a symbol are at the end of `more`, as others are put at its start.
+    first = more.shape[0] - n_escaped
+    for k in range(n_escaped - 1, -1, -1):
+        more[first + k] = more[k]
     if n_escaped:
-        n = 2 * n_escaped
-        for k in range(n):
+        for k in range(2 * n_escaped):
             entries[k] = ESCAPED
-        _read_entries(entries, n, slots, states, n_states, words, places, symbols)
-    for k in range(n_more):
-        i = more[k]
-        n_bits = _raw_bits(singles[i])
-        low = _take(raw, places, n_bits)
-        if details[i] == values[2, SINGLE_ESCAPE]:
-            # Those that go on; their raw bits wait in their place.
-            details[i] = low
-            more[n_beyond] = i
-            n_beyond += 1
-        else:
-            details[i] = min(max((details[i] << n_bits) | low, -most), most)
-    for k in range(n_beyond):
-        i = more[k]
-        detail = (_beyond(raw, places) << _raw_bits(singles[i])) | np.int64(details[i])
-        details[i] = np.int32(min(max(detail, -np.int64(most)), np.int64(most)))
+        read_entries(entries, 2 * n_escaped, slots, streams, symbols)
+    if n > n_pairs:
+        _complete(pairs, singles, n_pairs, cut, streams, details, more, most)
     for k in range(2 * n_escaped):
-        i = more[more.shape[0] - 1 - (k >> 1)] + (k & 1)
-        detail = np.int64(values[2, symbols[k]])
-        if symbols[k] == SINGLE_ESCAPE:
-            detail = _beyond(raw, places)
-        details[i] = np.int32(min(max(detail, -np.int64(most)), np.int64(most)))
-
-
-class Log(NamedTuple):
-    """What an encoder writes down before it knows the first state."""
-
-    tables: NDArray[np.uint8]
-    symbols: NDArray[np.uint8]
-    states: NDArray[np.uint8]
-    raw: NDArray[np.uint8]
+        i = more[first + (k >> 1)] + (k & 1)
+        detail = np.int64(np.int32(values[1, symbols[k]]))
+        if detail == _GOES_ON:
+            detail = _beyond(streams.raw, streams.places)
+        details[i] = np.int32(min(max(detail, -most), most))
 
 
 @kernel_part
 def _put(raw, places, value, n):
     bit = places[BIT]
-    shifted = np.uint64(value) << np.uint64(bit & 7)
-    for k in range((n + (bit & 7) + 7) >> 3):
-        raw[(bit >> 3) + k] |= np.uint8((shifted >> np.uint64(8 * k)) & np.uint64(255))
+    shifted = np.uint64(value) << np.uint64(bit & 31)
+    raw[bit >> 5] |= np.uint32(shifted & np.uint64(0xFFFFFFFF))
+    raw[(bit >> 5) + 1] |= np.uint32(shifted >> np.uint64(32))
     places[BIT] = bit + n
 
 
@@ -271,6 +286,13 @@ def _pair_symbol(table, first, second, freqs):
 
 
 @kernel_part
+def _is_escaped(pair, cut, details, j, freqs):
+    """Say whether a pair of details has no symbol."""
+    is_pair = pair != HIDDEN and pair < cut
+    return is_pair and _pair_symbol(pair, details[j], details[j + 1], freqs) == PAIR_ESCAPE
+
+
+@kernel_part
 def _single_symbol(value):
     return SINGLE_ESCAPE if abs(value) > SINGLE_LIMIT else value + SINGLE_LIMIT
 
@@ -288,59 +310,55 @@ def _put_beyond(raw, places, value):
         _put(raw, places, rest, length + 1)
 
 
-@kernel_part
-def log_strip(pairs, singles, n_pairs, details, cut, freqs, n_states, log, places):
+@kernel
+def log_strip(pairs, singles, details, frequencies, streams):
     """Log a list as `read_strip` reads it."""
-    k = 0
-    for pair in range(n_pairs):
+    cut, freqs = frequencies.cut, frequencies.freqs
+    log, raw, places = streams.log, streams.raw, streams.places
+    k, n_escaped = 0, 0
+    for pair in range(pairs.shape[0]):
         j = 2 * pair
         if pairs[pair] == HIDDEN:
             k += 1
         elif pairs[pair] < cut:
             symbol = _pair_symbol(pairs[pair], details[j], details[j + 1], freqs)
-            _log(log, places, pairs[pair], symbol, k % n_states)
+            _log(log, places, pairs[pair], symbol, k % MOST_STATES)
             k += 1
         else:
             for i in range(j, j + 2):
                 if singles[i] != HIDDEN:
                     symbol = _single_symbol(details[i] >> _raw_bits(singles[i]))
-                    _log(log, places, SINGLES | singles[i], symbol, k % n_states)
+                    _log(log, places, SINGLES | singles[i], symbol, k % MOST_STATES)
                 k += 1
-    k = 0
-    for pair in range(n_pairs):
-        j = 2 * pair
-        if pairs[pair] < cut and (
-            _pair_symbol(pairs[pair], details[j], details[j + 1], freqs) == PAIR_ESCAPE
-        ):
-            for i in range(j, j + 2):
-                _log(log, places, ESCAPED, _single_symbol(details[i]), k % n_states)
-                k += 1
-    for pair in range(n_pairs):
-        if cut <= pairs[pair] != HIDDEN:
-            for j in range(2 * pair, 2 * pair + 2):
-                n_bits = _raw_bits(singles[j])
-                _put(log.raw, places, details[j] & ((np.int64(1) << n_bits) - 1), n_bits)
-    for is_escaped in (False, True):
-        for pair in range(n_pairs):
-            j = 2 * pair
-            if pairs[pair] == HIDDEN or (pairs[pair] < cut) != is_escaped:
-                continue
-            if is_escaped and (
-                _pair_symbol(pairs[pair], details[j], details[j + 1], freqs) != PAIR_ESCAPE
-            ):
-                continue
-            for i in range(j, j + 2):
-                if is_escaped or singles[i] != HIDDEN:
-                    n_bits = 0 if is_escaped else _raw_bits(singles[i])
-                    _put_beyond(log.raw, places, np.int64(details[i]) >> n_bits)
+    for pair in range(pairs.shape[0]):
+        if _is_escaped(pairs[pair], cut, details, 2 * pair, freqs):
+            for i in range(2 * pair, 2 * pair + 2):
+                _log(log, places, ESCAPED, _single_symbol(details[i]), n_escaped % MOST_STATES)
+                n_escaped += 1
+    for pair in range(pairs.shape[0]):
+        for i in range(2 * pair, 2 * pair + 2):
+            if pairs[pair] >= cut and singles[i] != HIDDEN:
+                n_bits = _raw_bits(singles[i])
+                _put(raw, places, details[i] & ((np.int64(1) << n_bits) - 1), n_bits)
+    for pair in range(pairs.shape[0]):
+        for i in range(2 * pair, 2 * pair + 2):
+            if pairs[pair] >= cut and singles[i] != HIDDEN:
+                _put_beyond(raw, places, np.int64(details[i]) >> _raw_bits(singles[i]))
+    for pair in range(pairs.shape[0]):
+        for i in range(2 * pair, 2 * pair + 2):
+            if _is_escaped(pairs[pair], cut, details, 2 * pair, freqs):
+                _put_beyond(raw, places, np.int64(details[i]))
 
 
 @kernel
-def encode_log(log, n, freqs, starts, words, states):
+def encode_log(streams, frequencies, words):
     """Encode what has been logged, from its end on; return how many words end `words`."""
+    log, states = streams.log, streams.states
+    freqs, starts = frequencies.freqs, frequencies.starts
     at = words.shape[0]
-    for k in range(n - 1, -1, -1):
-        table, symbol, lane = log.tables[k], log.symbols[k], log.states[k]
+    for k in range(streams.places[N_LOGGED] - 1, -1, -1):
+        table, symbol = log.tables[k], log.symbols[k]
+        lane = log.states[k] & (states.shape[0] - 1)
         freq, start = np.uint64(freqs[table, symbol]), np.uint64(starts[table, symbol])
         state = np.uint64(states[lane])
         if state >= freq << np.uint64(32 - SLOT_BITS):

@@ -24,9 +24,9 @@ class Tables(NamedTuple):
         Level of the full grid: class 0.
     stencils : ndarray of int64, shape (4, 3, 24)
         By class of level and plane: weights of `layout.TAPS` in 1/4096, whose sum is 4096.
-    weights : ndarray of int64, shape (4, 4, 4)
-        By class and plane, the last one for lines: a constant, and of the range, the bend and what
-        is near, how much a step of it adds to the expected magnitude, in 2**-16 steps.
+    weights : ndarray of int64, shape (4, 3, 4)
+        By class and plane: a constant, and of the range, the bend and what is near, how much a step
+        of it adds to the expected magnitude, in 2**-16 steps.
     frequencies : Frequencies
         Of symbols.
     """
