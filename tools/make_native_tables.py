@@ -11,17 +11,14 @@ import zlib
 from decimal import Decimal, localcontext
 from pathlib import Path
 
-import numpy as np
-
 from terrainwave.annexes import read_annex, read_tables
 from terrainwave.codec.cdf97 import trained as tables97
 from terrainwave.codec.predictive import trained as tables
+from terrainwave.codec.rapid2 import file_tables as rapid_tables
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "native" / "src" / "tables.c"
 WIDTH = 100
-# Bytes of a family of rapid: the cut, weights, codes of frequencies.
-RAPID_FAMILY = 1 + 4 * 3 * 4 + 60 * 226 + 61 * 64
 HEAD = "/* The annexes of the format as data: written by tools/make_native_tables.py. */\n"
 
 
@@ -90,17 +87,14 @@ def mixer():
 
 def of_rapid():
     """Return the stencils of rapid, and its families, a stream for each (R.11)."""
-    sets = np.dtype(("<i2", (3, 16, 24)))
-    annex = read_annex("rapid.bin")
-    data = annex[sets.itemsize :]
-    families = [data[i : i + RAPID_FAMILY] for i in range(0, len(data), RAPID_FAMILY)]
-    assert all(len(family) == RAPID_FAMILY for family in families)
-    stencils = np.frombuffer(annex, sets, 1)[0].tolist()
-    parts, names, sizes = [array("int16_t twz_rapid_stencils[3][16][24]", stencils, 3)], [], []
-    for number, family in enumerate(families):
-        text, size = packed(f"family_{number}", family)
+    found = read_tables(rapid_tables.ANNEX, rapid_tables.LAYOUT)
+    parts = [array("int16_t twz_rapid_stencils[3][16][24]", found["stencils"].tolist(), 3)]
+    names, sizes = [], []
+    for family in range(len(found["cuts"])):
+        tables = [found[name][family].tobytes() for name in ("cuts", "weights", "pairs", "samples")]
+        names.append(f"family_{family}")
+        text, size = packed(names[-1], b"".join(tables))
         parts.append("static " + text)
-        names.append(f"family_{number}")
         sizes.append(size)
     listed = "{" + ", ".join(names) + "}"
     parts.append(f"const uint8_t *const twz_rapid_families[{len(names)}] =\n{wrapped(listed)};\n")
