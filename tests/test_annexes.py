@@ -12,7 +12,7 @@ from terrainwave import annexes
 from terrainwave.annexes import read_annex, read_tables
 from terrainwave.codec.cdf97 import trained as cdf97
 from terrainwave.codec.predictive import trained as predictive
-from terrainwave.codec.rapid2 import file_tables as rapid
+from terrainwave.codec.rapid import file_tables as rapid
 from terrainwave.errors import StorageError
 
 ROOT = Path(__file__).parents[1]

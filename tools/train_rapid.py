@@ -20,8 +20,8 @@ import numpy as np
 import rasterio
 
 from terrainwave.codec.planes import WHOLE
-from terrainwave.codec.rapid2 import file_tables, fit, fit_stencils
-from terrainwave.codec.rapid2.file_tables import (
+from terrainwave.codec.rapid import file_tables, fit, fit_stencils
+from terrainwave.codec.rapid.file_tables import (
     N_FEATURES,
     N_PAIR_SYMBOLS,
     N_SETS,
@@ -35,10 +35,10 @@ from terrainwave.codec.rapid2.file_tables import (
     packed,
     plain_tables,
 )
-from terrainwave.codec.rapid2.fit_stencils import costs_of, fit_weights, gather, judged
-from terrainwave.codec.rapid2.fit_weights import Observer, count_by_class, gathered
-from terrainwave.codec.rapid2.layout import CORES, HH, N_LEVEL_CLASSES, N_TAPS, TAPS
-from terrainwave.codec.rapid2.symbols import (
+from terrainwave.codec.rapid.fit_stencils import costs_of, fit_weights, gather, judged
+from terrainwave.codec.rapid.fit_weights import Observer, count_by_class, gathered
+from terrainwave.codec.rapid.layout import CORES, HH, N_LEVEL_CLASSES, N_TAPS, TAPS
+from terrainwave.codec.rapid.symbols import (
     ESCAPED,
     N_CLASSES,
     N_SLOTS,

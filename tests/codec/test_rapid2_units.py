@@ -3,8 +3,8 @@
 
 import numpy as np
 import pytest
-from terrainwave.codec.rapid2.layout import CORES, HH, HL, LH, TAPS
-from terrainwave.codec.rapid2.symbols import (
+from terrainwave.codec.rapid.layout import CORES, HH, HL, LH, TAPS
+from terrainwave.codec.rapid.symbols import (
     N_SLOTS,
     N_SYMBOLS,
     N_TABLES,
@@ -13,8 +13,8 @@ from terrainwave.codec.rapid2.symbols import (
     SINGLES,
     frequencies_of,
 )
-from terrainwave.codec.rapid2.tables import Tables
-from terrainwave.codec.rapid2.unit import UnitCoder
+from terrainwave.codec.rapid.tables import Tables
+from terrainwave.codec.rapid.unit import UnitCoder
 
 from terrainwave.codec.refiner import NOT_SHARED, GroupSpec, Sides
 from terrainwave.errors import CorruptStreamError

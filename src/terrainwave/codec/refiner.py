@@ -292,13 +292,11 @@ class FittingRefiner(Refiner, Protocol):
         heights: HeightsOf,
         mask: MaskOf,
         *,
-        may_have_reach: bool = True,
         each: Each = map,
     ) -> "FittingRefiner":
         """Return a refiner with tables fitted to a raster, the same ones on every machine.
 
-        `heights` and `mask` return targets and validity of a region of a level; `may_have_reach`
-        says whether tables may be such that readers of format 1.0 don't know them. Work is shared
-        out by `each`, which changes nothing of the result.
+        `heights` and `mask` return targets and validity of a region of a level. Work is
+        shared out by `each`, which changes nothing of the result.
         """
         ...

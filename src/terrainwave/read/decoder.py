@@ -158,9 +158,7 @@ class TreeDecoder:
         """
         return self.source.prefetch(self, keys)
 
-    def prefetch_for(
-        self, keys: Sequence[Block], region: Region
-    ) -> tuple[list[Block], RowsOf]:
+    def prefetch_for(self, keys: Sequence[Block], region: Region) -> tuple[list[Block], RowsOf]:
         """Do as `prefetch` for a region of their level; also return which rows of units are enough.
 
         None are where the region takes whole units, or nearly: such a reader goes on beside it. And

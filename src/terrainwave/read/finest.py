@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from terrainwave.codec.cdf53.refiner import LevelHeights, decode_masks, unpack_head
 from terrainwave.codec.cdf53.tile_layout import TileSpec
 from terrainwave.codec.group import read_head
-from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, all_void
+from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Rows, all_void
 from terrainwave.container.header import Header
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.quadtree import Region

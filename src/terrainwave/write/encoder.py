@@ -82,7 +82,6 @@ def fitted_refiner(job: Job, heights: HeightsOf, mask: MaskOf, crew: Crew) -> tu
         job.parameters.step,
         heights,
         mask,
-        may_have_reach=job.options.may_be_new,
         each=crew.map,
     )
     return fitted, fitted.file_tables

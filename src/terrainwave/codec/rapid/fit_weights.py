@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.rapid2.file_tables import (
+from terrainwave.codec.rapid.file_tables import (
     MAX_CODE,
     N_FEATURES,
     N_PAIR_SYMBOLS,
@@ -21,7 +21,7 @@ from terrainwave.codec.rapid2.file_tables import (
     PLANES,
     codes_of,
 )
-from terrainwave.codec.rapid2.layout import (
+from terrainwave.codec.rapid.layout import (
     HH,
     HL,
     LH,
@@ -30,7 +30,7 @@ from terrainwave.codec.rapid2.layout import (
     Workspace,
     plane_shape,
 )
-from terrainwave.codec.rapid2.symbols import (
+from terrainwave.codec.rapid.symbols import (
     N_CLASSES,
     PAIR_ESCAPE,
     PAIR_LIMIT,
@@ -38,8 +38,8 @@ from terrainwave.codec.rapid2.symbols import (
     SINGLE_LIMIT,
     STEP_CLASS,
 )
-from terrainwave.codec.rapid2.tables import WEIGHT_UNIT_BITS, Tables, weights_of
-from terrainwave.codec.rapid2.unit import UnitCoder
+from terrainwave.codec.rapid.tables import WEIGHT_UNIT_BITS, Tables, weights_of
+from terrainwave.codec.rapid.unit import UnitCoder
 
 Whole = NDArray[np.int64]
 Reals = NDArray[np.float64]

@@ -6,8 +6,8 @@ coded before, never from heights of the lattice: all details can be read before 
 
 import numpy as np
 
-from terrainwave.codec.rapid2.layout import HH, HL, LH, STRIP_ROWS
-from terrainwave.codec.rapid2.symbols import HIDDEN, MOST_NEAR, N_CLASSES, log_strip, read_strip
+from terrainwave.codec.rapid.layout import HH, HL, LH, STRIP_ROWS
+from terrainwave.codec.rapid.symbols import HIDDEN, MOST_NEAR, N_CLASSES, log_strip, read_strip
 from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.jit import kernel, kernel_part
 

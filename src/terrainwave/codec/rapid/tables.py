@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.rapid2.layout import N_LEVEL_CLASSES
-from terrainwave.codec.rapid2.symbols import STEP_BITS, Frequencies
+from terrainwave.codec.rapid.layout import N_LEVEL_CLASSES
+from terrainwave.codec.rapid.symbols import STEP_BITS, Frequencies
 
 # Weights of the range and the bend, and their shift, are such that they are below this.
 _MOST_WEIGHT = 1 << 13

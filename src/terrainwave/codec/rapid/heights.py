@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.corrections import corrected
-from terrainwave.codec.rapid2.layout import HH, HL, LH, LIMIT, PAD, A
+from terrainwave.codec.rapid.layout import HH, HL, LH, LIMIT, PAD, A
 from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.jit import kernel, kernel_part
 

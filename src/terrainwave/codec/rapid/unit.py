@@ -1,34 +1,36 @@
 """Units of heights as payloads: details, then heights (docs/format-rapid.md)."""
 
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.corrections import correct
 from terrainwave.codec.memory import Spares, flat, new_heights
-from terrainwave.codec.rapid2.details import code_details
-from terrainwave.codec.rapid2.heights import (
+from terrainwave.codec.rapid.details import code_details
+from terrainwave.codec.rapid.heights import (
     Goal,
     Parent,
     code_heights,
     load_parent,
     look_at_parent,
 )
-from terrainwave.codec.rapid2.layout import (
+from terrainwave.codec.rapid.layout import (
     CORE_ARRAYS,
     HH,
     HL,
     LH,
     LIMIT,
+    N_PLANES,
     RUNS,
     Lattice,
     Workspace,
     new_workspace,
     run_weights,
 )
-from terrainwave.codec.rapid2.parts import band_strips, needed_for
-from terrainwave.codec.rapid2.symbols import (
+from terrainwave.codec.rapid.parts import band_strips, needed_for
+from terrainwave.codec.rapid.symbols import (
     BIT,
     IS_BAD,
     MOST_STATES,
@@ -36,12 +38,13 @@ from terrainwave.codec.rapid2.symbols import (
     STATE_START,
     VALUES,
     WORD,
+    Frequencies,
     Log,
     Streams,
     count_log,
     encode_log,
 )
-from terrainwave.codec.rapid2.tables import Tables, weights_of
+from terrainwave.codec.rapid.tables import Tables, weights_of
 from terrainwave.codec.refiner import (
     ALL_ROWS,
     FREE,
@@ -61,6 +64,7 @@ _N_STATES = (1, 8, MOST_STATES)
 # A payload of fewer words has fewer states: each takes two bytes.
 _WORDS_OF_STATES = (0, 1 << 7, 1 << 11)
 _MOST_SHIFT = 30
+_MOST_DETAIL = 2**31 - 1
 # Origins are the middle of the range of heights, or 2**10 such numbers as planes hold, from there.
 _ORIGIN_BITS = 10
 # A payload has a part that can be read alone, for windows, for so many bytes.
@@ -142,18 +146,28 @@ class _Unit(NamedTuple):
             part[:] = goal.added.reshape(part.shape)
 
 
+_Stencils = tuple[tuple[Any, ...], ...]
+
+
+@lru_cache(maxsize=32)
+def _arranged(stencils: bytes) -> _Stencils:
+    """Return the stencils of the planes, shape (3, 24), as kernels take them."""
+    weights = np.frombuffer(stencils, dtype=np.int64).reshape(N_PLANES, -1)
+    return tuple(
+        (tuple(RUNS[plane][:3]), run_weights(plane, own), core)
+        for plane, own, core in zip((HH, HL, LH), weights, CORE_ARRAYS, strict=True)
+    )
+
+
 class UnitCoder:
     """Codes units with tables; see `DirectRefiner` for what its functions promise."""
 
     def __init__(self, tables: Tables) -> None:
         self._tables = tables
-        self._stencils = [
-            tuple(
-                (tuple(RUNS[plane][:3]), run_weights(plane, stencils[plane - 1]), core)
-                for plane, core in zip((HH, HL, LH), CORE_ARRAYS, strict=True)
-            )
-            for stencils in tables.stencils
-        ]
+
+    def tables(self, step: int) -> Tables:  # noqa: ARG002
+        """Return the tables that units of a step are coded by."""
+        return self._tables
 
     def encode(
         self,
@@ -270,8 +284,9 @@ class UnitCoder:
         """Code the lattice of every so many samples of a unit."""
         spec, head = unit.spec, unit.head
         low, high = head.limits(spec)
+        most = (spec.z_max - spec.z_min) // spec.step + 1
         lattice = Lattice(
-            out.shape[0], out.shape[1], spec.step, low, high, (spec.z_max - spec.z_min) // spec.step + 1,
+            out.shape[0], out.shape[1], spec.step, low, high, min(most, _MOST_DETAIL),
             head.origin(spec), head.shift, head.is_narrow, unit.valid is not None,
         )  # fmt: skip
         goal = unit.goal(stride)
@@ -279,12 +294,13 @@ class UnitCoder:
         needed = needed_for(out.shape, rows, len(unit.bands))
         load_parent(parent, lattice, needed.parent, work)
         look_at_parent(lattice, needed.features, work)
-        which = self._level_class(unit, stride)
+        tables = self.tables(spec.step)
+        which = tables.level_class(spec.level - (stride.bit_length() - 1))
         if unit.target is None:
             self._code_details(unit, stride, lattice, needed.strips)
         code_heights(
-            unit.target is not None, goal, lattice, work, parent, known, self._stencils[which],
-            needed.planes, out,
+            unit.target is not None, goal, lattice, work, parent, known,
+            _arranged(tables.stencils[which].tobytes()), needed.planes, out,
         )  # fmt: skip
         if unit.target is not None:
             unit.keep_added(stride, goal)
@@ -298,32 +314,31 @@ class UnitCoder:
     def _code_details(
         self, unit: _Unit, stride: int, lattice: Lattice, strips: list[tuple[int, int]]
     ) -> None:
-        weights = self._tables.weights[self._level_class(unit, stride)]
-        made = weights_of(weights, lattice.step, lattice.shift)
+        tables = self.tables(unit.spec.step)
+        which = tables.level_class(unit.spec.level - (stride.bit_length() - 1))
+        made = weights_of(tables.weights[which], lattice.step, lattice.shift)
         valid, work = unit.goal(stride).valid, unit.memory.of((lattice.n_rows, lattice.n_cols))
         for streams, own in zip(unit.bands, strips, strict=True):
             if own[0] < own[1]:
                 code_details(
                     unit.target is not None, lattice, work, valid, own, made,
-                    self._tables.frequencies, VALUES, streams,
+                    tables.frequencies, VALUES, streams,
                 )  # fmt: skip
-
-    def _level_class(self, unit: _Unit, stride: int) -> int:
-        return self._tables.level_class(unit.spec.level - (stride.bit_length() - 1))
 
     def _pack(self, unit: _Unit) -> bytes:
         head, flags = unit.head, 0
+        frequencies = self.tables(unit.spec.step).frequencies
         parts = [b"" if head.is_narrow else bytes([head.shift])]
         if head.number:
             flags |= _HAS_ORIGIN
             parts.append(
                 encode_varint(2 * head.number if head.number > 0 else -2 * head.number - 1)
             )
-        coded = [self._words(streams, MOST_STATES) for streams in unit.bands]
+        coded = [_words(streams, MOST_STATES, frequencies) for streams in unit.bands]
         n_words = max(len(words) for words, _ in coded)
         which = sum(n_words >= least for least in _WORDS_OF_STATES) - 1
         if _N_STATES[which] != MOST_STATES:
-            coded = [self._words(streams, _N_STATES[which]) for streams in unit.bands]
+            coded = [_words(streams, _N_STATES[which], frequencies) for streams in unit.bands]
         flags |= head.is_narrow * _NARROW | which << _STATES | (len(coded) - 1) << _BANDS
         contents = []
         for streams, (words, states) in zip(unit.bands, coded, strict=True):
@@ -333,14 +348,15 @@ class UnitCoder:
             contents += [states.astype("<u4").tobytes(), words.astype("<u2").tobytes(), raw]
         return b"".join([bytes([flags]), *parts, *contents])
 
-    def _words(
-        self, streams: Streams, n_states: int
-    ) -> tuple[NDArray[np.uint16], NDArray[np.uint32]]:
-        """Return what has been logged as words, and the states that decoders begin with."""
-        states = np.full(n_states, STATE_START, dtype=np.uint32)
-        words = np.empty(int(streams.places[N_LOGGED]), dtype=np.uint16)
-        n_words = encode_log(streams._replace(states=states), self._tables.frequencies, words)
-        return words[len(words) - n_words :], states
+
+def _words(
+    streams: Streams, n_states: int, frequencies: Frequencies
+) -> tuple[NDArray[np.uint16], NDArray[np.uint32]]:
+    """Return what has been logged as words, and the states that decoders begin with."""
+    states = np.full(n_states, STATE_START, dtype=np.uint32)
+    words = np.empty(int(streams.places[N_LOGGED]), dtype=np.uint16)
+    n_words = encode_log(streams._replace(states=states), frequencies, words)
+    return words[len(words) - n_words :], states
 
 
 def _as_bytes(mask: Mask | None) -> NDArray[np.uint8] | None:

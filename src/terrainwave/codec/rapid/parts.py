@@ -2,8 +2,8 @@
 
 from typing import NamedTuple
 
-from terrainwave.codec.rapid2.details import n_strips
-from terrainwave.codec.rapid2.layout import HH, HL, LH, STRIP_ROWS, A, plane_shape
+from terrainwave.codec.rapid.details import n_strips
+from terrainwave.codec.rapid.layout import HH, HL, LH, STRIP_ROWS, A, plane_shape
 from terrainwave.codec.refiner import Rows
 
 _Range = tuple[int, int]
