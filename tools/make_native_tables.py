@@ -14,7 +14,7 @@ from pathlib import Path
 from terrainwave.annexes import read_annex, read_tables
 from terrainwave.codec.cdf97 import trained as tables97
 from terrainwave.codec.predictive import trained as tables
-from terrainwave.codec.rapid2 import file_tables as rapid_tables
+from terrainwave.codec.rapid import file_tables as rapid_tables
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "native" / "src" / "tables.c"

@@ -163,6 +163,10 @@ static void write_void(const heights *h, void *out, const uint8_t *valid, size_t
   }
 }
 
+void fill_voids(const heights *h, void *out, const layer *l, size_t at, size_t n) {
+  if (l->valid) write_void(h, out, l->valid + at, n);
+}
+
 /* §5.3: numbers of heights in their order grow by the remainders. */
 static twz_status add_remainders(const heights *h, void *out, const uint8_t *valid, const int64_t *remainders,
                                  size_t n, twz_error *error) {

@@ -355,6 +355,7 @@ typedef struct unit {
   size_t n_users, n_bytes;
   int is_cached;
   int is_void; /* no valid sample: layers have no arrays, heights are 0 */
+  int is_written; /* raw heights went where its order says; layers have none */
   int first_level, n_layers;
   layer layers[MOST_LAYERS];
 } unit;
@@ -373,6 +374,8 @@ static inline size_t core_at(const layer *l, int32_t row, int32_t col) {
 static inline size_t cell_size(const heights *h) { return h->is_short ? sizeof(int16_t) : sizeof(int32_t); }
 /* Write n raw heights of a layer, from sample `at` on; l NULL: of a void unit. */
 twz_status write_raw(const heights *h, void *out, const layer *l, size_t at, size_t n, twz_error *error);
+/* Write what void samples hold where raw heights of a layer are; `out` is aligned. */
+void fill_voids(const heights *h, void *out, const layer *l, size_t at, size_t n);
 /* The quantum number of a sample: heights of cdf53 are not final. */
 int32_t quantum_at(const heights *h, const layer *l, size_t at);
 
@@ -430,6 +433,8 @@ typedef struct job {
   layer *out; /* axes and validity are there, heights are to be filled */
   parent parent;
   const int32_t *corrections; /* of the region (§5.5); NULL: all are 0 */
+  uint8_t *target;            /* of an order: heights go there as raw ones, not to `out` */
+  ptrdiff_t target_stride;
 } job;
 
 /* A unit to be decoded: its key is in `unit`, the rest of which is filled. */
@@ -438,8 +443,11 @@ typedef struct order {
   const unit *above; /* the one that holds the key's block; NULL: none */
   const uint8_t *payload; /* with PAYLOAD_SLACK behind it */
   size_t n;
+  uint8_t *target;        /* where raw heights of the first sample of the part that is ready may go at once; NULL: nowhere */
+  ptrdiff_t target_stride;
 } order;
 
+/* Decode a unit. */
 twz_status decode_unit(const twz_file *f, const order *o, scratch *s, twz_error *error);
 /* How many bytes a unit takes, decoded. */
 uint64_t unit_bytes(const twz_file *f, place key);

@@ -196,16 +196,25 @@ twz_status decode_unit(const twz_file *f, const order *o, scratch *s, twz_error 
   reader rest = {o->payload, o->n, 0}, sections[N_SECTIONS];
   memset(sections, 0, sizeof sections);
   TRY(read_sections(f, &rest, is_finest, sections, error));
-  job j = {f, key, u->first_level, l, parent_of(f, key, o->above), NULL};
+  job j = {f, key, u->first_level, l, parent_of(f, key, o->above), NULL, NULL, o->target_stride};
   TRY(decode_validity(f, l, &j.parent, is_finest, &sections[MASK], &sections[OWN], &has_valid, s, error));
   REQUIRE(has_valid, error, "a payload of a unit without a valid sample");
-  void *memory = twz_allocate(&f->allocator, n * cell_size(&f->heights));
-  if (!memory) return twz_no_memory(error, n * cell_size(&f->heights));
-  if (f->heights.is_short) l->shorts = memory; else l->heights = memory;
-  l->origin = f->heights.origin;
-  rest.bytes += rest.at;
-  rest.n -= rest.at;
+  /* Raw heights that are sums need no heights of the unit, where nothing else is done with these. */
+  size_t size = dtype_size(f->header.dtype);
+  u->is_written = o->target && f->header.method == TWZ_RAPID && key.level >= 0 && f->heights.is_sum && size > 1 &&
+                  (uintptr_t)o->target % size == 0 && o->target_stride % (ptrdiff_t)size == 0 &&
+                  f->heights.first > f->heights.last && !sections[EXCEPTIONS].bytes && !sections[REMAINDER_BYTES].bytes;
+  if (u->is_written) {
+    j.target = o->target;
+  } else {
+    void *memory = twz_allocate(&f->allocator, n * cell_size(&f->heights));
+    if (!memory) return twz_no_memory(error, n * cell_size(&f->heights));
+    if (f->heights.is_short) l->shorts = memory; else l->heights = memory;
+    l->origin = f->heights.origin;
+  }
+  rest = (reader){rest.bytes + rest.at, rest.n - rest.at, 0};
   TRY(decode_corrected(&j, &sections[CORRECTED], &rest, s, error));
+  if (u->is_written) return TWZ_OK;
   /* Each height of rapid is within its limits (R.9), which are within these. */
   if (f->header.method != TWZ_RAPID) clip(l->heights, n, f->header.z_min, f->header.z_max);
   TRY(move_from_nodata(&f->heights, l, n, &sections[EXCEPTIONS], error));

@@ -335,6 +335,13 @@ twz_status decode_rapid(const job *j, const reader *bytes, scratch *s, twz_error
   u.out = u.is_short ? (void *)l->shorts : (void *)l->heights;
   u.out_stride = l->cols.n;
   u.add = u.is_short ? (uint32_t)-l->origin : 0;
+  if (j->target) {
+    ptrdiff_t size = (ptrdiff_t)dtype_size(h->dtype);
+    u.is_short = size == 2;
+    u.out_stride = j->target_stride / size;
+    u.out = j->target - u.rows[0] * j->target_stride - u.cols[0] * size;
+    u.add = (uint32_t)j->file->heights.base;
+  }
   TRY(j->file->kernels->decode_rapid(&u, error));
-  return close_payload(&u, u.rows[0] > 0 || u.rows[1] < u.n_rows, error);
+  return close_payload(&u, u.is_part, error);
 }

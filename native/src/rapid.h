@@ -75,6 +75,7 @@ typedef struct rapid_unit {
   ptrdiff_t out_stride;        /* in heights */
   int is_short;
   uint32_t add;
+  int is_part;                 /* found: not all strips were needed */
 } rapid_unit;
 
 static inline int32_t rapid_strips(int32_t n_rows) { return (n_rows / 2 + 1 + STRIP - 1) / STRIP; }

@@ -878,6 +878,7 @@ static twz_status ISA(decode_rapid)(rapid_unit *u, twz_error *error) {
   int band = 0;
   while (done[HH] / STRIP >= (band + 1) * n_strips / u->n_bands) band++;
   int32_t strip = band * n_strips / u->n_bands;
+  u->is_part = strip > 0;
   w->loaded = STRIP * strip - 2;
   w->looked = STRIP * strip - 1;
   for (int is_new = 1; strip < n_strips && (done[HL] < min_i32(stop, w->rows[HL]) || done[LH] < min_i32(stop, w->rows[LH])); strip++) {
@@ -891,5 +892,6 @@ static twz_status ISA(decode_rapid)(rapid_unit *u, twz_error *error) {
     }
     ISA(settle_rows)(w, strip, done);
   }
+  u->is_part |= strip < n_strips;
   return TWZ_OK;
 }

@@ -26,7 +26,7 @@ struct twz_window {
   twz_file *file;
   int level;
   twz_box box;
-  int n_stages, is_planned, is_placed, is_decoded;
+  int n_stages, is_planned, is_placed, is_decoded, is_spent;
   stage stages[MOST_STAGES];
   uint64_t n_bytes; /* decoded units and payloads */
   /* Slots that wait for payloads, by offset. */
@@ -464,10 +464,76 @@ twz_status twz_window_load(twz_window *w, twz_fetch fetch, void *source, twz_err
   return load_all(&w->file->allocator, window_need, window_feed, w, fetch, source, error);
 }
 
+/* ---- Copying out ---- */
+
+/* What is wanted of a window: arrays from the first sample of a box on. */
+typedef struct output {
+  uint8_t *heights, *valid, *own;
+  ptrdiff_t heights_stride, valid_stride, own_stride;
+} output;
+
+/* Copy the part of a unit's core that lies in the box. */
+static twz_status copy_unit(const twz_window *w, const unit *u, const twz_box *b, const twz_box *part,
+                            const output *out, twz_error *error) {
+  const twz_file *f = w->file;
+  const layer *l = &u->layers[w->level - u->first_level];
+  size_t size = dtype_size(f->header.dtype);
+  for (uint32_t row = part->row; row < part->row + part->n_rows; row++) {
+    size_t at = (size_t)(row - l->rows.first) * (size_t)l->cols.n + (part->col - l->cols.first);
+    ptrdiff_t to_row = (ptrdiff_t)(row - b->row);
+    size_t to_col = part->col - b->col;
+    if (out->heights && u->is_written) {
+      fill_voids(&f->heights, out->heights + to_row * out->heights_stride + to_col * size, l, at, part->n_cols);
+    } else if (out->heights) {
+      TRY(write_raw(&f->heights, out->heights + to_row * out->heights_stride + to_col * size, u->is_void ? NULL : l, at,
+                    part->n_cols, error));
+    }
+    const uint8_t *own = l->own ? l->own : l->valid;
+    struct { uint8_t *to; const uint8_t *from; } copies[2] = {
+        {out->valid ? out->valid + to_row * out->valid_stride + to_col : NULL, l->valid},
+        {out->own ? out->own + to_row * out->own_stride + to_col : NULL, own}};
+    for (int i = 0; i < 2; i++) {
+      if (!copies[i].to) continue;
+      if (u->is_void || !copies[i].from) {
+        memset(copies[i].to, !u->is_void, part->n_cols);
+      } else {
+        memcpy(copies[i].to, copies[i].from + at, part->n_cols);
+      }
+    }
+  }
+  return TWZ_OK;
+}
+
+/* The lines from `first` on, of n, that unit number i of an axis gives: up to the next unit's first. */
+static void part_of_axis(const stage *s, int level, const grid *g, uint32_t i, int is_last, uint32_t *first, uint32_t *n) {
+  if (s->level < 0) return;
+  int shift = g->block_log2 + level - s->level;
+  uint64_t begin = (uint64_t)i << shift, end = is_last ? UINT64_MAX : ((uint64_t)i + 1) << shift;
+  uint64_t stop = min_u64((uint64_t)*first + *n, end);
+  if (begin < *first) begin = *first;
+  *first = (uint32_t)begin;
+  *n = (uint32_t)(stop - begin);
+}
+
+/* What a unit gives to the window's box; is it all that it gives to any? */
+static int has_core(const twz_window *w, place key, twz_box *own) {
+  const grid *g = &w->file->grid;
+  const stage *s = &w->stages[0];
+  twz_box all = {0, 0, level_size(g, g->n_rows, w->level), level_size(g, g->n_cols, w->level)};
+  uint32_t last_row = key.level < 0 ? 0 : n_blocks(g, g->n_rows, key.level) - 1, last_col = key.level < 0 ? 0 : n_blocks(g, g->n_cols, key.level) - 1;
+  *own = w->box;
+  part_of_axis(s, w->level, g, key.row, key.row == last_row, &own->row, &own->n_rows);
+  part_of_axis(s, w->level, g, key.col, key.col == last_col, &own->col, &own->n_cols);
+  part_of_axis(s, w->level, g, key.row, key.row == last_row, &all.row, &all.n_rows);
+  part_of_axis(s, w->level, g, key.col, key.col == last_col, &all.col, &all.n_cols);
+  return memcmp(own, &all, sizeof all) == 0;
+}
+
 /* ---- Decoding ---- */
 
 typedef struct decoding {
   twz_window *window;
+  const output *output; /* where units of the window's level go at once; NULL: nowhere */
   stage *stage;
   size_t *todo, n_todo; /* slots of the stage */
   scratch *scratches;   /* one a worker */
@@ -481,7 +547,9 @@ static void decode_one(void *argument, size_t index, size_t worker) {
   if (error->status != TWZ_OK) return;
   slot *one = &d->stage->slots[d->todo[index]];
   place key = key_at(d->stage, d->todo[index]);
-  order o = {NULL, NULL, one->payload, one->place.length};
+  order o = {NULL, NULL, one->payload, one->place.length, NULL, 0};
+  twz_box own;
+  const output *out = d->stage == d->window->stages && has_core(d->window, key, &own) ? d->output : NULL;
   if (key.level >= 0) o.above = slot_at(d->stage + 1, parent_unit(&f->grid, key))->unit;
   o.unit = twz_allocate_zeros(&f->allocator, sizeof *o.unit);
   if (!o.unit) {
@@ -491,7 +559,15 @@ static void decode_one(void *argument, size_t index, size_t worker) {
   o.unit->entry.at = key;
   o.unit->layers[0].ready = one->wanted;
   o.unit->n_users = 1;
-  if (decode_unit(f, &o, &d->scratches[worker], error) == TWZ_OK) {
+  if (out && out->heights) { /* the core alone: what it shares is another unit's to write */
+    const twz_box *all = &d->window->box;
+    o.unit->layers[0].ready = part_of_unit(&f->grid, key, d->window->level, own.row, own.col, (int64_t)own.row + own.n_rows, (int64_t)own.col + own.n_cols);
+    o.target = out->heights + (ptrdiff_t)(own.row - all->row) * out->heights_stride + (own.col - all->col) * dtype_size(f->header.dtype);
+    o.target_stride = out->heights_stride;
+  }
+  twz_status status = decode_unit(f, &o, &d->scratches[worker], error);
+  if (status == TWZ_OK && out) status = copy_unit(d->window, o.unit, &d->window->box, &own, out, error);
+  if (status == TWZ_OK && !out) {
     one->unit = o.unit;
   } else {
     unit_free(f, o.unit);
@@ -522,8 +598,8 @@ static twz_status decode_stage(decoding *d, const twz_workers *workers, twz_erro
   }
   for (size_t i = 0; i < n; i++) {
     slot *one = &s->slots[d->todo[i]];
-    if (!one->unit) continue;
-    one->unit = cache_give(d->window->file, one->unit);
+    if (one->unit) one->unit = cache_give(d->window->file, one->unit);
+    if (!one->unit && !d->output) continue;
     twz_release(&d->window->file->allocator, one->payload);
     one->payload = NULL;
     one->state = DECODED;
@@ -541,13 +617,14 @@ static void exchange_idle(twz_file *f, scratch *s) {
   file_unlock(f);
 }
 
-twz_status twz_window_decode(twz_window *w, const twz_workers *workers, twz_error *error) {
+static twz_status decode_window(twz_window *w, const twz_workers *workers, const output *out, twz_error *error) {
+  if (w->is_spent) return twz_fail(error, TWZ_BAD_ARGUMENT, "the window was decoded into its caller's memory before: make another");
   if (w->is_decoded) return TWZ_OK;
   if (!w->is_placed) return twz_fail(error, TWZ_NOT_READY, "the window's bytes are missing: need, fetch and feed first");
   const twz_allocator *a = &w->file->allocator;
   size_t n_workers = workers ? workers->n_workers : 1, most = 1;
   for (int i = 0; i < w->n_stages; i++) most = n_slots(&w->stages[i]) > most ? n_slots(&w->stages[i]) : most;
-  decoding d = {w, NULL, NULL, 0, NULL, NULL};
+  decoding d = {w, out, NULL, NULL, 0, NULL, NULL};
   d.todo = twz_allocate(a, most * sizeof *d.todo);
   d.scratches = twz_allocate_zeros(a, n_workers * sizeof *d.scratches);
   d.errors = twz_allocate_zeros(a, n_workers * sizeof *d.errors);
@@ -564,57 +641,29 @@ twz_status twz_window_decode(twz_window *w, const twz_workers *workers, twz_erro
   twz_release(a, d.todo);
   twz_release(a, d.scratches);
   twz_release(a, d.errors);
-  w->is_decoded = status == TWZ_OK;
+  w->is_decoded = status == TWZ_OK && !out;
+  w->is_spent = out != NULL;
   return status;
 }
 
-/* ---- Copying out ---- */
-
-/* What is wanted of a window: arrays from the first sample of a box on. */
-typedef struct output {
-  uint8_t *heights, *valid, *own;
-  ptrdiff_t heights_stride, valid_stride, own_stride;
-} output;
-
-/* Copy the part of a unit's core that lies in the box. */
-static twz_status copy_unit(const twz_window *w, const unit *u, const twz_box *b, const twz_box *part,
-                            const output *out, twz_error *error) {
-  const twz_file *f = w->file;
-  const layer *l = &u->layers[w->level - u->first_level];
-  size_t size = dtype_size(f->header.dtype);
-  for (uint32_t row = part->row; row < part->row + part->n_rows; row++) {
-    size_t at = (size_t)(row - l->rows.first) * (size_t)l->cols.n + (part->col - l->cols.first);
-    ptrdiff_t to_row = (ptrdiff_t)(row - b->row);
-    size_t to_col = part->col - b->col;
-    if (out->heights) {
-      TRY(write_raw(&f->heights, out->heights + to_row * out->heights_stride + to_col * size, u->is_void ? NULL : l, at,
-                    part->n_cols, error));
-    }
-    const uint8_t *own = l->own ? l->own : l->valid;
-    struct { uint8_t *to; const uint8_t *from; } copies[2] = {
-        {out->valid ? out->valid + to_row * out->valid_stride + to_col : NULL, l->valid},
-        {out->own ? out->own + to_row * out->own_stride + to_col : NULL, own}};
-    for (int i = 0; i < 2; i++) {
-      if (!copies[i].to) continue;
-      if (u->is_void || !copies[i].from) {
-        memset(copies[i].to, !u->is_void, part->n_cols);
-      } else {
-        memcpy(copies[i].to, copies[i].from + at, part->n_cols);
-      }
-    }
-  }
-  return TWZ_OK;
+twz_status twz_window_decode(twz_window *w, const twz_workers *workers, twz_error *error) {
+  return decode_window(w, workers, NULL, error);
 }
 
-/* The lines from `first` on, of n, that unit number i of an axis gives: up to the next unit's first. */
-static void part_of_axis(const stage *s, int level, const grid *g, uint32_t i, int is_last, uint32_t *first, uint32_t *n) {
-  if (s->level < 0) return;
-  int shift = g->block_log2 + level - s->level;
-  uint64_t begin = (uint64_t)i << shift, end = is_last ? UINT64_MAX : ((uint64_t)i + 1) << shift;
-  uint64_t stop = min_u64((uint64_t)*first + *n, end);
-  if (begin < *first) begin = *first;
-  *first = (uint32_t)begin;
-  *n = (uint32_t)(stop - begin);
+twz_status twz_window_decode_into(twz_window *w, const twz_workers *workers, void *heights, ptrdiff_t heights_stride,
+                                  uint8_t *valid, ptrdiff_t valid_stride, twz_error *error) {
+  output out = {heights, valid, NULL, heights_stride, valid_stride, 0};
+  if (!heights_stride) out.heights_stride = (ptrdiff_t)(w->box.n_cols * dtype_size(w->file->header.dtype));
+  if (!valid_stride) out.valid_stride = (ptrdiff_t)w->box.n_cols;
+  TRY(decode_window(w, workers, &out, error));
+  stage *s = &w->stages[0];
+  for (size_t i = 0; i < n_slots(s); i++) { /* those of the cache, or that stay in it */
+    if (!s->slots[i].unit) continue;
+    twz_box own;
+    has_core(w, key_at(s, i), &own);
+    TRY(copy_unit(w, s->slots[i].unit, &w->box, &own, &out, error));
+  }
+  return TWZ_OK;
 }
 
 static twz_status read_box(const twz_window *w, const twz_box *b, const output *out, twz_error *error) {
