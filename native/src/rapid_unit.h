@@ -285,6 +285,15 @@ static int32_t ISA(make_list)(const ISA(work) * w, int32_t n, int *has) {
   return (n_made + MOST_STATES - 1) & -MOST_STATES;
 }
 
+static ALWAYS_INLINE uint32_t ISA(next_state)(uint32_t state, const uint32_t *slots, uint32_t entry, uint8_t *symbol, const uint8_t **at) {
+  uint32_t found = slots[entry << SLOT_BITS | (state & (SLOTS - 1))], top = state >> SLOT_BITS;
+  uint32_t next = (found >> 8 & (SLOTS - 1)) * top + top + (found >> 20);
+  uint32_t longer = next << 16 | load_u16(*at), takes = next < FIRST_STATE;
+  *symbol = (uint8_t)found;
+  *at += 2 * takes;
+  return takes ? longer : next;
+}
+
 /*
  * Read the symbols of n entries, a multiple of 32; n_coded of them have details. Returns 0 where words are missing: what is
  * read of a group of 32 lies in PAYLOAD_SLACK.
@@ -370,17 +379,15 @@ static int ISA(read_symbols)(const ISA(work) * w, rapid_stream *z, int32_t n) {
 #endif
   }
 #endif
-  const int mask = w->u->n_states - 1;
-  while (k < n) {
+  for (; k < n; k += MOST_STATES) {
     if (at > z->words_end) return 0;
-    for (int32_t stop = k + MOST_STATES; k < stop; k++) {
-      uint32_t state = z->states[k & mask], top = state >> SLOT_BITS;
-      uint32_t found = slots[((uint32_t)entries[k] << SLOT_BITS) | (state & (SLOTS - 1))];
-      state = (found >> 8 & (SLOTS - 1)) * top + top + (found >> 20);
-      symbols[k] = (uint8_t)found;
-      uint32_t takes = state < FIRST_STATE;
-      z->states[k & mask] = state << (takes << 4) | (load_u16(at) * takes);
-      at += 2 * takes;
+    for (int32_t i = k; i < k + MOST_STATES; i += 8) {
+      uint32_t *x = z->states + (i & (w->u->n_states - 1));
+      if (w->u->n_states == 1) {
+        for (int v = 0; v < 8; v++) *x = ISA(next_state)(*x, slots, entries[i + v], symbols + i + v, &at);
+      } else {
+        for (int v = 0; v < 8; v++) x[v] = ISA(next_state)(x[v], slots, entries[i + v], symbols + i + v, &at);
+      }
     }
   }
   z->words = at;
