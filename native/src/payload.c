@@ -1,5 +1,6 @@
 /* Payloads of units: sections, then the method, then what holds for all methods (FORMAT §5.1, §5.3). */
 #include "range.h"
+#include "rapid.h"
 
 uint64_t unit_bytes(const twz_file *f, place key) {
   uint64_t n = sizeof(unit), a_sample = cell_size(&f->heights) + 1;
@@ -144,6 +145,11 @@ static twz_status read_sections(const twz_file *f, reader *r, int is_finest, rea
     REQUIRE(sections[i].n >= 1, error, "a section of length 0: %s", NAMES[i]);
   }
   return TWZ_OK;
+}
+
+int rapid_bands(const twz_file *f, const uint8_t *payload, size_t n) {
+  reader r = {payload, n, 0}, sections[N_SECTIONS];
+  return read_sections(f, &r, 0, sections, NULL) == TWZ_OK && r.at < n ? (payload[r.at] >> 3 & 3) + 1 : 1;
 }
 
 static twz_status decode_heights(const job *j, const reader *rest, scratch *s, twz_error *error) {

@@ -160,7 +160,7 @@ static twz_status read_tables(const twz_file *f, rapid_tables *t, const uint8_t 
 }
 
 twz_status rapid_tables_new(twz_file *f, const uint8_t *parameters, size_t n, twz_error *error) {
-  f->rapid = twz_allocate(&f->allocator, sizeof *f->rapid);
+  f->rapid = twz_allocate_pages(&f->allocator, sizeof *f->rapid);
   if (!f->rapid) return twz_no_memory(error, sizeof *f->rapid);
   return read_tables(f, f->rapid, parameters, n, error);
 }

@@ -25,12 +25,12 @@ enum {
 };
 
 typedef struct rapid_tables {
+  uint32_t slots[N_TABLES << SLOT_BITS]; /* symbol, (frequency - 1) << 8, place among the symbol's slots << 20; of a large page */
   int k_max, cut; /* pairs of classes below the cut have symbols */
   int16_t stencils[N_LEVEL_CLASSES][3][N_TAPS];
   int32_t weights[N_LEVEL_CLASSES][3][4];
   uint8_t take[256][16], put[256][16]; /* by which of eight pairs are two singles: where entries come from, and go to */
   uint8_t expand[256][8];              /* by mask of lanes: how many set bits are below each */
-  uint32_t slots[N_TABLES << SLOT_BITS]; /* symbol, (frequency - 1) << 8, place among the symbol's slots << 20 */
 } rapid_tables;
 
 /* Streams of a band. */
@@ -78,10 +78,19 @@ typedef struct rapid_unit {
   int is_part;                 /* found: not all strips were needed */
 } rapid_unit;
 
+/* Strips of a lattice of so many rows, and the first one of a band. */
 static inline int32_t rapid_strips(int32_t n_rows) { return (n_rows / 2 + 1 + STRIP - 1) / STRIP; }
+static inline int32_t rapid_band(int32_t n_rows, int band, int n_bands) { return band * rapid_strips(n_rows) / n_bands; }
 
-/* Rows of the parent, from the first one on, that the first rows of a lattice need (R.5). */
-static inline int64_t rapid_rows_above(int64_t n_rows) { return ((n_rows + 1) / 2 + 1 + STRIP) / STRIP * STRIP + 2; }
+/* The first strip that is read for rows of a lattice from one on: HL needs HH from two rows above on (R.5). */
+static inline int rapid_first_band(int32_t n_rows, int32_t row, int n_bands) {
+  int band = 0, strip = max_i32(row / 2 - 2, 0) / STRIP;
+  while (strip >= rapid_band(n_rows, band + 1, n_bands)) band++;
+  return band;
+}
+
+/* How many bands the payload of a unit has, if it is sound. */
+int rapid_bands(const twz_file *f, const uint8_t *payload, size_t n);
 
 /* The weights of a plane for features of shifted heights. */
 void weigh_rapid(const rapid_unit *u, int plane, rapid_weights *made);

@@ -882,14 +882,13 @@ static twz_status ISA(decode_rapid)(rapid_unit *u, twz_error *error) {
   TRY(ISA(begin)(w, u, error));
   int32_t n_strips = rapid_strips(u->n_rows), first = u->rows[0] / 2, stop = (u->rows[1] + 1) / 2; /* rows of HL and LH */
   int32_t done[3] = {max_i32(first - 2, 0), first, first};
-  int band = 0;
-  while (done[HH] / STRIP >= (band + 1) * n_strips / u->n_bands) band++;
-  int32_t strip = band * n_strips / u->n_bands;
+  int band = rapid_first_band(u->n_rows, u->rows[0], u->n_bands);
+  int32_t strip = rapid_band(u->n_rows, band, u->n_bands);
   u->is_part = strip > 0;
   w->loaded = STRIP * strip - 2;
   w->looked = STRIP * strip - 1;
   for (int is_new = 1; strip < n_strips && (done[HL] < min_i32(stop, w->rows[HL]) || done[LH] < min_i32(stop, w->rows[LH])); strip++) {
-    for (; strip >= (band + 1) * n_strips / u->n_bands; is_new = 1) band++;
+    for (; strip >= rapid_band(u->n_rows, band + 1, u->n_bands); is_new = 1) band++;
     for (int p = HH; p <= HL && is_new; p++) ISA(forget)(w, p, STRIP * strip - 1);
     is_new = 0;
     for (; w->loaded < w->a_rows + 2 && w->loaded < STRIP * strip + STRIP + 2; w->loaded++) ISA(load_row)(w, w->loaded);

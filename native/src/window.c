@@ -167,18 +167,21 @@ static part worth_decoding(const twz_file *f, place key, int level, part wanted)
 }
 
 /* Want what a part of a unit follows from of the unit above it: the rows that its strips need, in all columns (R.5). */
-static void want_parent(const twz_file *f, slot *above, place parent, place key, part wanted) {
+static void want_parent(const twz_file *f, slot *above, place parent, place key, part wanted, int n_bands) {
   const grid *g = &f->grid;
   int64_t row = (int64_t)key.row << g->block_log2, col = (int64_t)key.col << g->block_log2, size = (int64_t)1 << g->block_log2;
-  int64_t end = min_i64(row + size + 1, row + rapid_rows_above(wanted.end_row));
-  if (f->header.method != TWZ_RAPID) end = INT64_MAX / 2;
-  part p = part_of_unit(g, parent, key.level, row, col, end, col + size + 1), *w = &above->wanted;
+  int64_t first = 0, end = INT64_MAX / 2;
+  if (f->header.method == TWZ_RAPID) {
+    int32_t n_rows = all_of_unit(g, key, key.level + 1).end_row;
+    first = row + STRIP * rapid_band(n_rows, rapid_first_band(n_rows, wanted.row, n_bands), n_bands) - 2;
+    end = row + min_i64(size + 1, ((wanted.end_row + 1) / 2 + 1 + STRIP) / STRIP * STRIP + 2);
+  }
+  part p = part_of_unit(g, parent, key.level, max_i64(first, row), col, end, col + size + 1), *w = &above->wanted;
   if (w->end_row == 0) *w = p;
   w->row = min_i32(w->row, p.row);
   w->col = min_i32(w->col, p.col);
   w->end_row = max_i32(w->end_row, p.end_row);
   w->end_col = max_i32(w->end_col, p.end_col);
-  above->state = WANTED;
 }
 
 /* Count bytes of the window; an error counts none, so that the next try ends alike. */
@@ -220,7 +223,9 @@ static twz_status plan_units(twz_window *w, twz_error *error) {
       }
       if (i + 1 < w->n_stages) {
         place parent = parent_unit(&f->grid, key);
-        want_parent(f, slot_at(s + 1, parent), parent, key, one->wanted);
+        slot *above = slot_at(s + 1, parent);
+        above->state = WANTED;
+        want_parent(f, above, parent, key, one->wanted, 1); /* with payloads, less may be known to be enough */
       }
     }
   }
@@ -607,6 +612,24 @@ static twz_status decode_stage(decoding *d, const twz_workers *workers, twz_erro
   return status;
 }
 
+/* Now that payloads are there: want of each unit what those below it need, with the bands that they have. */
+static void want_less(twz_window *w) {
+  const twz_file *f = w->file;
+  for (int i = 0; f->header.method == TWZ_RAPID && i + 1 < w->n_stages; i++) {
+    stage *s = &w->stages[i];
+    for (size_t k = 0; k < n_slots(s + 1); k++) s[1].slots[k].wanted = (part){0, 0, 0, 0};
+    for (size_t k = 0; k < n_slots(s); k++) {
+      const slot *one = &s->slots[k];
+      place key = key_at(s, k), parent = parent_unit(&f->grid, key);
+      if (one->state != FED || !one->payload) continue;
+      want_parent(f, slot_at(s + 1, parent), parent, key, one->wanted, rapid_bands(f, one->payload, one->place.length));
+    }
+    for (size_t k = 0; k < n_slots(s + 1); k++) {
+      if (s[1].slots[k].state == FED) s[1].slots[k].wanted = worth_decoding(f, key_at(s + 1, k), s->level, s[1].slots[k].wanted);
+    }
+  }
+}
+
 /* Memory of a worker outlives its window: to map it anew takes as long as to decode a unit. */
 static void exchange_idle(twz_file *f, scratch *s) {
   file_lock(f);
@@ -632,6 +655,7 @@ static twz_status decode_window(twz_window *w, const twz_workers *workers, const
   if (!d.todo || !d.scratches || !d.errors) status = twz_no_memory(error, most * sizeof *d.todo);
   for (size_t i = 0; d.scratches && i < n_workers; i++) d.scratches[i].allocator = a;
   if (d.scratches) exchange_idle(w->file, &d.scratches[0]);
+  want_less(w);
   for (int i = w->n_stages - 1; i >= 0 && status == TWZ_OK; i--) {
     d.stage = &w->stages[i];
     status = decode_stage(&d, workers, error);
