@@ -323,7 +323,7 @@ def test_weights_are_found_that_made_the_details():
     rows[1:4] = rng.gamma(1.0, 3.0, (3, 6000))
     truth = np.array([0.3, 0.2, 0.0, 0.6])
     rows[4] = np.rint(rng.exponential(truth @ rows[:4]))
-    weights = fit_weights._fitted(rows, np.array([1.0, 0.1, 0.1, 0.1]))
+    weights = fit_weights._fitted([rows], np.array([[1.0, 0.1, 0.1, 0.1]]))[0]
     np.testing.assert_allclose(weights, truth, atol=0.12)
     assert weights.min() >= 0
     assert module.N_FEATURES == len(weights)
