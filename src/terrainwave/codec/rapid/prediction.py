@@ -28,7 +28,7 @@ class Parent(NamedTuple):
     spacing: int
 
 
-class Goal(NamedTuple):
+class Aim(NamedTuple):
     """What an encoder aims at, and what corrections there are; empty arrays where there is none."""
 
     heights: NDArray[np.int32]
