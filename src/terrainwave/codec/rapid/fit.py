@@ -65,7 +65,7 @@ _WINDOW = 257
 _SHARE = 1 << 17
 _LEAST_WINDOWS, _MOST_WINDOWS = 2, 16
 # So many samples a side of at most so many windows decide on stencils.
-_FEW, _MOST_DECIDING = 129, 4
+_FEW, _MOST_DECIDING = 193, 4
 # And at most so many on weights, family and cut.
 _MOST_LOOKED_AT = 4
 _MIN_SAMPLES = 300
