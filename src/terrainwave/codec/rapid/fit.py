@@ -64,8 +64,8 @@ _Coder = TypeVar("_Coder", bound=UnitCoder)
 _WINDOW = 257
 _SHARE = 1 << 17
 _LEAST_WINDOWS, _MOST_WINDOWS = 2, 16
-# Where there are more than 4, so many samples a side of at most 4 decide on stencils.
-_MOST_WHOLE, _FEW, _MOST_DECIDING = 4, 129, 4
+# So many samples a side of at most so many windows decide on stencils.
+_FEW, _MOST_DECIDING = 193, 4
 # And at most so many on weights, family and cut.
 _MOST_LOOKED_AT = 4
 _MIN_SAMPLES = 300
@@ -131,9 +131,8 @@ def fit_windows(tables: FileTables, sample: _Sample, each: Each = map) -> FileTa
 
 def _with_stencils(tables: FileTables, sample: _Sample, each: Each) -> FileTables:
     """Return tables with the stencils that make parts of the windows smallest."""
-    side = _FEW if len(sample.windows) > _MOST_WHOLE else None
     every = -(-len(sample.windows) // _MOST_DECIDING)
-    some = sample.part(np.s_[::every, :side, :side])
+    some = sample.part(np.s_[::every, :_FEW, :_FEW])
     tried = dict.fromkeys(candidates(sample.windows, sample.masks, sample.step, sample.share, each))
     best, least = tables, np.inf
     for stencils in tried:
