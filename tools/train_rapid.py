@@ -291,32 +291,33 @@ def families_from(all_cases: list[Coded], before: Annex) -> Annex:
     made = before._replace(
         cuts=before.cuts.copy(), weights=before.weights.copy(), codes=before.codes.copy()
     )
-
-    def take(family: int, some: list[Coded]) -> None:
-        first = made.codes[family % N_STEPS]
-        found = family_from(some, first)
-        made.cuts[family], made.weights[family], made.codes[family] = found
-
     for kind in range(N_STEPS):
         cases = [case for case in all_cases if case.family == kind]
-        take(kind, cases)
-        least = [cost_with(case, family_from([case], made.codes[kind])[2]) for case in cases]
-        lost = [cost_with(case, made.codes[kind]) / best for case, best in zip(cases, least)]
-        # The other family begins with the case that the first one suits least.
-        other = [cases[int(np.argmax(lost))]]
-        for _ in range(N_TURNS):
-            take(kind + N_STEPS, other)
-            costs = [
-                [cost_with(case, made.codes[family]) for family in (kind, kind + N_STEPS)]
-                for case in cases
-            ]
-            is_other = [second < first for first, second in costs]
-            if not any(is_other) or all(is_other):
-                break
-            other = [case for case, is_it in zip(cases, is_other) if is_it]
-            take(kind, [case for case, is_it in zip(cases, is_other) if not is_it])
-        names = sorted({case.name for case in other})
-        print(kind, len(cases), len(other), *names, file=sys.stderr)
+        first = family_from(cases, before.codes[kind])
+        alone = [family_from([case], first[2])[2] for case in cases]
+        least = np.array([cost_with(case, own) for case, own in zip(cases, alone, strict=True)])
+        lost = np.array([cost_with(case, first[2]) for case in cases]) / least
+        best, smallest = [first, first], lost.sum()
+        # The other family begins with the cases that one for all suits least.
+        for n in (1, len(cases) // 4, len(cases) // 2):
+            is_other = np.zeros(len(cases), dtype=bool)
+            is_other[lost.argsort()[len(cases) - n :]] = True
+            for _ in range(N_TURNS):
+                if is_other.all() or not is_other.any():
+                    break
+                two = [
+                    family_from([cases[k] for k in np.flatnonzero(is_other == own)], first[2])
+                    for own in (False, True)
+                ]
+                costs = np.array([[cost_with(case, own[2]) for own in two] for case in cases])
+                total = (costs.min(1) / least).sum()
+                if total < smallest:
+                    best, smallest, of_other = two, total, is_other
+                is_other = costs[:, 1] < costs[:, 0]
+        for family, own in zip((kind, kind + N_STEPS), best, strict=True):
+            made.cuts[family], made.weights[family], made.codes[family] = own
+        names = sorted({cases[k].name for k in np.flatnonzero(of_other)})
+        print(kind, len(cases), lost.mean(), smallest / len(cases), *names, file=sys.stderr)
     return made
 
 

@@ -52,7 +52,8 @@ PLANES = (HH, HL, LH)
 N_SETS, MOST_TAPS = 16, 24
 # What is weighed: a constant, the range, the bend and what is near, which HH has not.
 N_FEATURES, NEAR = 4, 3
-N_FAMILIES = 6
+# Kinds of steps: 1, 3, and greater ones.
+N_FAMILIES, N_KINDS_OF_STEPS = 6, 3
 MAX_CODE = 255
 N_PAIR_SYMBOLS, N_SINGLE_SYMBOLS = PAIR_ESCAPE + 1, SINGLE_ESCAPE + 1
 MOST_K = 31
@@ -172,7 +173,7 @@ def packed(tables: Annex) -> bytes:
 
 def family_of(step: int) -> int:
     """Return the family of a step in a file that says nothing else."""
-    return min((step - 1) >> 1, 2)
+    return min((step - 1) >> 1, N_KINDS_OF_STEPS - 1)
 
 
 def plain_tables(k_max: int, family: int) -> FileTables:
@@ -263,11 +264,27 @@ def tables_from(file: FileTables) -> Tables:
     CorruptStreamError
         If a stencil or a frequency is out of range.
     """
-    trained = annex()
+    codes = annex().codes[file.family].copy()
+    for table, own in file.codes.items():
+        codes[table] = own
+    weights = NUMBER_OF_CODE[file.weights]
+    weights[:, HH - 1, NEAR] = 0
+    frequencies = frequencies_of(file.cut, freqs_of(codes))
+    return Tables(file.k_max, stencils_from(file), weights, frequencies)
+
+
+def stencils_from(file: FileTables) -> NDArray[np.int64]:
+    """Return `Tables.stencils`.
+
+    Raises
+    ------
+    CorruptStreamError
+        If a weight, or the sum of absolute ones, is out of range.
+    """
     stencils = np.zeros((N_LEVEL_CLASSES, len(PLANES), MOST_TAPS), dtype=np.int64)
     for which, row in enumerate(file.stencils):
         for index, (plane, stencil) in enumerate(zip(PLANES, row, strict=True)):
-            sets = trained.stencils[index, :, : N_TAPS[plane]]
+            sets = annex().stencils[index, :, : N_TAPS[plane]]
             weights = stencil.weights(sets, missing_tap(plane), plane)
             if np.abs(weights).sum() > MAX_SUM:
                 raise CorruptStreamError(
@@ -275,12 +292,7 @@ def tables_from(file: FileTables) -> Tables:
                     f" all, expected at most {MAX_SUM}"
                 )
             stencils[which, index, : len(weights)] = weights
-    codes = trained.codes[file.family].copy()
-    for table, own in file.codes.items():
-        codes[table] = own
-    weights = NUMBER_OF_CODE[file.weights]
-    weights[:, HH - 1, NEAR] = 0
-    return Tables(file.k_max, stencils, weights, frequencies_of(file.cut, freqs_of(codes)))
+    return stencils
 
 
 # Bytes ------------------------------------------------------------------------------------------

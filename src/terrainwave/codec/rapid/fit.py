@@ -7,7 +7,7 @@ symbols counted. All in whole numbers: the same raster gives the same tables eve
 
 from dataclasses import replace
 from functools import cache
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,8 @@ from terrainwave.codec.rapid.file_tables import (
     EXISTS,
     LEAST,
     MOST_K,
+    N_FAMILIES,
+    N_KINDS_OF_STEPS,
     NUMBER_OF_CODE,
     RESTS,
     FileTables,
@@ -24,7 +26,7 @@ from terrainwave.codec.rapid.file_tables import (
     family_of,
     freqs_of,
     plain_tables,
-    tables_from,
+    stencils_from,
 )
 from terrainwave.codec.rapid.fit_stencils import COST_UNIT, candidates, stencils_cost
 from terrainwave.codec.rapid.fit_weights import (
@@ -62,8 +64,8 @@ _Coder = TypeVar("_Coder", bound=UnitCoder)
 _WINDOW = 257
 _SHARE = 1 << 17
 _LEAST_WINDOWS, _MOST_WINDOWS = 2, 16
-# Where there are more than 4, so many samples a side of at most 4 decide on stencils.
-_MOST_WHOLE, _FEW, _MOST_DECIDING = 4, 129, 4
+# So many samples a side of at most so many windows decide on stencils.
+_FEW, _MOST_DECIDING = 193, 4
 # And at most so many on weights, family and cut.
 _MOST_LOOKED_AT = 4
 _MIN_SAMPLES = 300
@@ -91,12 +93,11 @@ class _Sample(NamedTuple):
     step: int
     share: float
 
-    def some(self, most: int, side: int | None = None) -> "_Sample":
-        """Return at most so many of the windows, or parts of them of so many samples a side."""
-        every = np.s_[:: -(-len(self.windows) // most)], np.s_[:side], np.s_[:side]
-        windows, masks = self.windows[every], self.masks[every]
-        share = self.share * np.count_nonzero(self.masks) / max(np.count_nonzero(masks), 1)
-        return _Sample(windows, masks, self.step, share)
+    def part(self, of: Any) -> "_Sample":
+        """Return some of the windows, or parts of them."""
+        windows, masks = self.windows[of], self.masks[of]
+        n, of_part = int(np.count_nonzero(self.masks)), int(np.count_nonzero(masks))
+        return _Sample(windows, masks, self.step, self.share * n / max(of_part, 1))
 
 
 def fit_tables(
@@ -119,15 +120,19 @@ def fit_tables(
 def fit_windows(tables: FileTables, sample: _Sample, each: Each = map) -> FileTables:
     """Return tables fitted to windows, from those of a family on."""
     tables = _with_stencils(tables, sample, each)
-    tables = with_weights(tables, sample, each)
-    codes, _ = fit_codes(tables, count(tables, sample, each), sample.share)
+    every = -(-len(sample.windows) // _MOST_LOOKED_AT)
+    tables, counts = with_weights(tables, sample.part(np.s_[::every]), each)
+    others = np.arange(len(sample.windows)) % every > 0
+    if others.any():
+        counts = counts + count(tables, sample.part(others), each)
+    codes, _ = fit_codes(tables, counts, sample.share)
     return tables._replace(codes=codes)
 
 
 def _with_stencils(tables: FileTables, sample: _Sample, each: Each) -> FileTables:
     """Return tables with the stencils that make parts of the windows smallest."""
-    side = _FEW if len(sample.windows) > _MOST_WHOLE else None
-    some = sample.some(_MOST_DECIDING, side)
+    every = -(-len(sample.windows) // _MOST_DECIDING)
+    some = sample.part(np.s_[::every, :_FEW, :_FEW])
     tried = dict.fromkeys(candidates(sample.windows, sample.masks, sample.step, sample.share, each))
     best, least = tables, np.inf
     for stencils in tried:
@@ -138,33 +143,29 @@ def _with_stencils(tables: FileTables, sample: _Sample, each: Each) -> FileTable
     return best
 
 
-def with_weights(
-    tables: FileTables, sample: _Sample, each: Each, families: list[int] | None = None
-) -> FileTables:
-    """Return tables with the family, weights and cut by which some windows get smallest."""
-    some = sample.some(_MOST_LOOKED_AT)
-    seen = gathered([coder.samples for coder, _ in _coded(Observer, tables, some, each)])
-    step, first = sample.step, family_of(sample.step)
-    best, least = tables, np.inf
-    if families is None:
-        families = list(range(first, len(annex().cuts), 3))
-    fitted = fit_magnitude(seen, annex().weights[first], step)
-    of_fitted = count_by_class(seen, NUMBER_OF_CODE[fitted], step)
-    for family in families:
-        trained = annex().weights[family]
-        changes = np.abs(fitted - trained)
-        n_bits = (changes > 0).sum() * (_WEIGHT_BITS + _BY_CHANCE * some.share) + 8
-        for weights, counts, bits in (
-            (trained, None, 0.0),
-            (fitted, of_fitted, float(n_bits)),
-        ):
-            if counts is None:
-                counts = count_by_class(seen, NUMBER_OF_CODE[weights], step)
-            cut = best_cut(counts, family)
+def with_weights(tables: FileTables, sample: _Sample, each: Each = map) -> tuple[FileTables, Whole]:
+    """Return tables with the family, weights and cut by which windows get smallest.
+
+    And how often each symbol comes in these windows then.
+    """
+    seen = gathered([coder.samples for coder, _ in _coded(Observer, tables, sample, each)])
+    first, step, least = tables.family, sample.step, np.inf
+    fitted = fit_magnitude(seen, tables.weights, step)
+    n_changes = int(np.count_nonzero(fitted != tables.weights))
+    for weights, n_own, families in (
+        (tables.weights, 0, [first]),
+        (fitted, n_changes, range(first, N_FAMILIES, N_KINDS_OF_STEPS)),
+    ):
+        # Some of what fitted weights save of the samples that they were fitted to is chance.
+        n_bits = n_own * (_WEIGHT_BITS + _BY_CHANCE * sample.share)
+        by_class = count_by_class(seen, NUMBER_OF_CODE[weights], step)
+        for family in families:
+            cut = best_cut(by_class, family)
             other = tables._replace(family=family, weights=weights, cut=cut)
-            cost = fit_codes(other, counts_of(counts, cut), some.share)[1] + COST_UNIT * bits
+            counts = counts_of(by_class, cut)
+            cost = fit_codes(other, counts, sample.share)[1] + COST_UNIT * n_bits
             if cost < least:
-                best, least = other, cost
+                best, least = (other, counts), cost
     return best
 
 
@@ -173,10 +174,10 @@ def with_weights(
 
 def _for_counts(tables: FileTables) -> Tables:
     """Return tables by which encoders log symbols: every pair has one."""
-    freqs = EXISTS.astype(np.uint32)
-    made = tables_from(tables._replace(codes={}))
-    none = np.zeros(1, dtype=np.uint32)
-    return made._replace(frequencies=Frequencies(tables.cut, none, freqs, freqs))
+    every, none = EXISTS.astype(np.uint32), np.zeros(1, dtype=np.uint32)
+    weights = NUMBER_OF_CODE[tables.weights]
+    frequencies = Frequencies(tables.cut, none, every, every)
+    return Tables(tables.k_max, stencils_from(tables), weights, frequencies)
 
 
 def _coded(

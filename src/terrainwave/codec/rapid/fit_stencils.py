@@ -41,7 +41,7 @@ _INFLUENCE = 1 << 20
 # One sample of so many in each turn of a fit: early turns only find the weights of the samples.
 _EVERY_OF_TURN = (4, 2, 1)
 # Of the noise of decoded samples that an open loop estimates, what is tried.
-_TIMES_NOISE = (0.5, 1.5, 4.0)
+_TIMES_NOISE = (0.3, 1.0)
 # The last weight follows from the others, rounded.
 _MAX_WANTED, _MOST_IN_ALL, _FAR = 28000, MAX_SUM - (1 << 13), 1e6
 # Deltas of a file are whole numbers of 2**shift.
@@ -237,7 +237,7 @@ def fit_weights(
 ) -> list[dict[tuple[int, int], NDArray[np.int64]]]:
     """Return for each noise weights fitted to samples, by class and plane.
 
-    A robust least-squares fit: after the first turn, samples count by 1 / (|error| + 1/2)**1.5.
+    A robust least-squares fit: after the first turn, samples count by 1 / (|error| + 1/2).
     Weights apply to heights less the core's mean; what they lack to a sum of 1 is shared by the
     core, and quantising adds noise to every tap: hence the penalty on the squared sum of the
     weights that result. Without weights that cannot be stored.
@@ -284,11 +284,10 @@ def _normal(samples: FitSamples, weights: Reals | None, every: int) -> tuple[Rea
     some = samples._replace(values=samples.values[: n_parts * _AT_A_TIME * every : every])
     if weights is None:
         size = np.abs(some.goals) * (1.0 / _FINE) + 0.5
-        influence = 1.0 / size
     else:
         some = some._replace(values=np.ascontiguousarray(some.values))
         size = np.abs(_errors(some, weights.astype(np.int64)[None])[0]) + 0.5
-        influence = 1.0 / (size * np.sqrt(size))
+    influence = 1.0 / size
     both = some.values * np.sqrt(influence)[:, None]
     largest = max(float(both.max()), -float(both.min()))
     shift = min(_MOST_SCALED_BITS - int(np.frexp(largest)[1]), _MOST_SCALED_BITS)

@@ -6,13 +6,12 @@ are of whole numbers below 2**53, and all else is single operations in a fixed o
 raster gives the same weights on every machine.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.rapid.file_tables import (
-    MAX_CODE,
     N_FEATURES,
     N_PAIR_SYMBOLS,
     N_SINGLE_SYMBOLS,
@@ -146,73 +145,78 @@ def fit_magnitude(
 
     Where there are too few samples, they are those of the finer class, or the trained ones.
     """
+    parts: dict[tuple[int, int], list[Reals]] = {}
+    for (which, plane, shift), found in seen.items():
+        every = -(-len(found.details) // _MOST_SAMPLES)
+        parts.setdefault((which, plane - HH), []).append(_in_steps(found, every, shift, step))
+    joined = {key: np.concatenate(rows, axis=1) for key, rows in parts.items()}
+    fitting = {key: rows for key, rows in joined.items() if rows.shape[1] >= _MIN_SAMPLES}
+    first = np.array([NUMBER_OF_CODE[trained[key]] for key in fitting]).reshape(-1, N_FEATURES)
+    fitted = _fitted(list(fitting.values()), first / (1 << WEIGHT_UNIT_BITS))
+    whole = np.rint(fitted * (1 << WEIGHT_UNIT_BITS))
     codes = trained.copy()
     for which in range(N_LEVEL_CLASSES):
-        for plane in PLANES:
-            rows = [
-                _in_steps(found, shift, step)
-                for (level, own, shift), found in seen.items()
-                if (level, own) == (which, plane)
-            ]
-            samples = np.concatenate([*rows, np.zeros((N_FEATURES + 1, 0))], axis=1)
-            samples = samples[:, :: -(-samples.shape[1] // _MOST_SAMPLES) or 1]
-            if samples.shape[1] < _MIN_SAMPLES:
-                if which:
-                    codes[which, plane - HH] = codes[which - 1, plane - HH]
-                continue
-            first = NUMBER_OF_CODE[trained[which, plane - HH]] / (1 << WEIGHT_UNIT_BITS)
-            weights = np.rint(_fitted(samples, first) * (1 << WEIGHT_UNIT_BITS))
-            most = float(NUMBER_OF_CODE[MAX_CODE])
-            codes[which, plane - HH] = codes_of(np.minimum(weights, most).astype(np.int64))
+        for index in range(len(PLANES)):
+            if (which, index) in fitting:
+                own = np.minimum(whole[list(fitting).index((which, index))], NUMBER_OF_CODE[-1])
+                codes[which, index] = codes_of(own.astype(np.int64))
+            elif which:
+                codes[which, index] = codes[which - 1, index]
     codes[:, 0, NEAR] = 0
     return codes
 
 
-def _in_steps(seen: Seen, shift: int, step: int) -> Reals:
-    """Return 1 and the features of coded samples, then the sizes of their details, in steps."""
-    coded = seen.is_coded
-    rows = np.ones((N_FEATURES + 1, int(np.count_nonzero(coded))))
+def _in_steps(seen: Seen, every: int, shift: int, step: int) -> Reals:
+    """Return of one sample of so many 1, the features, and the size of its detail, in steps."""
+    coded = np.flatnonzero(seen.is_coded)[::every]
+    rows = np.ones((N_FEATURES + 1, len(coded)))
     rows[1:3] = seen.features[:2, coded] * (2.0**shift / step)
     rows[3] = seen.features[2, coded]
     rows[4] = np.abs(seen.details[coded])
     return rows
 
 
-def _fitted(rows: Reals, weights: Reals) -> Reals:
-    """Return weights, none negative, by which features expect the sizes in the last row.
+def _fitted(samples: list[Reals], weights: Reals) -> Reals:
+    """Return weights, none negative, by which features expect the sizes in the last row of samples.
 
     Details whose sizes are as if by chance around what is expected: the likeliest weights are those
     of least squares in which samples count by the inverse square of what these weights expect.
     """
     for _ in range(_N_TURNS):
-        expected = np.full(rows.shape[1], _LEAST_EXPECTED)
-        for weight, row in zip(weights.tolist(), rows, strict=False):
-            expected += weight * row
-        whole = rows / expected
-        most = whole.max(1)
-        units = np.ldexp(1.0, _SCALED_BITS - np.frexp(np.where(most > 0, most, 1.0))[1])
-        whole *= units[:, None]
-        np.rint(whole, out=whole)
-        products = whole @ whole.T / units[:, None] / units
-        system, wanted = products[:N_FEATURES, :N_FEATURES], products[:N_FEATURES, N_FEATURES]
-        weights = _not_negative(system.tolist(), wanted.tolist(), weights.tolist())
+        found = [_products(rows, own) for rows, own in zip(samples, weights, strict=True)]
+        products = np.array(found).reshape(-1, N_FEATURES + 1, N_FEATURES + 1)
+        weights = _not_negative(products, weights)
     return weights
 
 
-def _not_negative(system: list[list[float]], wanted: list[float], start: list[float]) -> Reals:
-    """Return the solution of normal equations without negative numbers, one number at a time."""
-    found = list(start)
+def _products(rows: Reals, weights: Reals) -> Reals:
+    """Return the normal equations of a turn; the last row and column are of the sizes."""
+    expected = np.full(rows.shape[1], _LEAST_EXPECTED)
+    for weight, row in zip(weights.tolist(), rows, strict=False):
+        expected += weight * row
+    whole = rows / expected
+    most = whole.max(1)
+    units = np.ldexp(1.0, _SCALED_BITS - np.frexp(np.where(most > 0, most, 1.0))[1])
+    whole *= units[:, None]
+    np.rint(whole, out=whole)
+    products: Reals = whole @ whole.T / units[:, None] / units
+    return products
+
+
+def _not_negative(products: Reals, weights: Reals) -> Reals:
+    """Return the solutions of normal equations without negative numbers, one number at a time."""
+    systems, found = products[:, :N_FEATURES, :N_FEATURES], weights.copy()
+    diagonal = systems[:, np.arange(N_FEATURES), np.arange(N_FEATURES)]
+    # A feature that is always 0 has no weight.
+    scale = np.where(diagonal > 0, diagonal * (1 + _RIDGE), np.inf)
     for _ in range(_N_SWEEPS):
-        for k, row in enumerate(system):
-            if row[k] <= 0.0:
-                found[k] = 0.0
-                continue
-            rest = wanted[k]
-            for j, number in enumerate(found):
+        for k in range(N_FEATURES):
+            rest = products[:, k, N_FEATURES].copy()
+            for j in range(N_FEATURES):
                 if j != k:
-                    rest -= row[j] * number
-            found[k] = max(rest / (row[k] * (1.0 + _RIDGE)), 0.0)
-    return np.array(found)
+                    rest -= systems[:, k, j] * found[:, j]
+            found[:, k] = np.maximum(rest / scale[:, k], 0.0)
+    return found
 
 
 # Symbols ----------------------------------------------------------------------------------------
@@ -276,6 +280,7 @@ def _classes_of(expected: NDArray[np.int32]) -> Whole:
     return np.minimum((bits >> _TO_CLASS) - _CLASS_ZERO, N_CLASSES - 1).astype(np.int64)
 
 
-def _single_symbols(values: Whole) -> Whole:
+def _single_symbols(values: NDArray[Any]) -> Whole:
     is_known = np.abs(values) <= SINGLE_LIMIT
-    return np.where(is_known, values + SINGLE_LIMIT, SINGLE_ESCAPE)
+    symbols: Whole = np.where(is_known, values + SINGLE_LIMIT, SINGLE_ESCAPE).astype(np.int64)
+    return symbols

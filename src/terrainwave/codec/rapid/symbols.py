@@ -104,13 +104,10 @@ def frequencies_of(cut: int, freqs: NDArray[np.int64]) -> Frequencies:
     freqs[[NO_PAIR, NO_SINGLE]] = 0
     freqs[freqs.sum(1) == 0, NOTHING] = N_SLOTS
     starts = np.cumsum(freqs, 1) - freqs
-    symbols = np.repeat(np.tile(np.arange(N_SYMBOLS), N_TABLES), freqs.ravel())
-    tables = np.repeat(np.arange(N_TABLES), N_SLOTS)
-    places = np.tile(np.arange(N_SLOTS), N_TABLES) - starts[tables, symbols]
-    slots = symbols | (freqs[tables, symbols] - 1) << 8 | places << 20
-    return Frequencies(
-        cut, slots.astype(np.uint32), freqs.astype(np.uint32), starts.astype(np.uint32)
-    )
+    own = np.arange(N_SYMBOLS) + ((freqs - 1) << 8) - (starts << 20)
+    slots = np.repeat((own & 0xFFFFFFFF).astype(np.uint32).ravel(), freqs.ravel())
+    slots += np.tile(np.arange(N_SLOTS, dtype=np.uint32) << np.uint32(20), N_TABLES)
+    return Frequencies(cut, slots, freqs.astype(np.uint32), starts.astype(np.uint32))
 
 
 @kernel_part

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from terrainwave.codec.corrections import correct
 from terrainwave.codec.memory import Spares, flat, new_heights
 from terrainwave.codec.rapid.details import code_details
-from terrainwave.codec.rapid.heights import (
-    Goal,
+from terrainwave.codec.rapid.prediction import (
+    Aim,
     Parent,
     code_heights,
     load_parent,
@@ -29,7 +29,7 @@ from terrainwave.codec.rapid.layout import (
     new_workspace,
     run_weights,
 )
-from terrainwave.codec.rapid.parts import band_strips, needed_for
+from terrainwave.codec.rapid.needed import band_strips, needed_for
 from terrainwave.codec.rapid.symbols import (
     BIT,
     IS_BAD,
@@ -130,16 +130,16 @@ class _Unit(NamedTuple):
     bands: list[Streams]
     memory: _Memory
 
-    def goal(self, stride: int) -> Goal:
+    def goal(self, stride: int) -> Aim:
         """Return what concerns every so many samples, as kernels take it."""
         part = np.s_[::stride, ::stride]
-        return Goal(
+        return Aim(
             _NO_HEIGHTS if self.target is None else np.ascontiguousarray(self.target[part]),
             _NO_MASK if self.valid is None else np.ascontiguousarray(self.valid[part]),
             *(np.ascontiguousarray(array[part]).ravel() for array in self.corrections),
         )
 
-    def keep_added(self, stride: int, goal: Goal) -> None:
+    def keep_added(self, stride: int, goal: Aim) -> None:
         """Keep the corrections of every so many samples that an encoder found."""
         if goal.added.size and stride > 1:
             part = self.corrections.added[::stride, ::stride]

@@ -28,7 +28,7 @@ class Parent(NamedTuple):
     spacing: int
 
 
-class Goal(NamedTuple):
+class Aim(NamedTuple):
     """What an encoder aims at, and what corrections there are; empty arrays where there is none."""
 
     heights: NDArray[np.int32]
@@ -267,6 +267,9 @@ def code_heights(is_encoding, goal, lattice, work, parent, known, stencils, rows
             predict_row(planes, stencils[plane - 1], row, n, lattice.step <= 3, predicted, sides)
             if is_encoding:
                 _quantise(goal.heights, goal.valid, (of_row, across), lattice, work, details, n)
+                if pitch > n:
+                    # An odd end is a pair with nothing: memory holds what was coded before.
+                    work.details[plane - 1, pitch * row + n] = 0
             if lattice.is_narrow:
                 settle_narrow(predicted, sides, lattice, details, own, n)
             else:
