@@ -111,8 +111,8 @@ static twz_status fill_slots(rapid_tables *t, int table, const uint8_t *codes, i
   frequencies[rest] = SLOTS - others;
   uint32_t *slot = t->slots + ((size_t)table << SLOT_BITS);
   for (uint32_t s = 0; s < (uint32_t)n; s++) {
-    uint32_t m = (uint32_t)frequencies[s], first = s | (m - 1) << 8;
-    for (uint32_t y = 0; y < m; y++) slot[y] = first | y << 20;
+    uint32_t m = (uint32_t)frequencies[s];
+    for (uint32_t y = 0; y < m; y++) slot[y] = s | (m - 1) << 8 | y << 20;
     slot += m;
   }
   return TWZ_OK;

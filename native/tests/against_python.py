@@ -1,7 +1,7 @@
 """Hold `twz` against the Python package on more than the conformance set has: python … TWZ.
 
 Rasters of many equal units, with and without voids, rasters at the border of what 16 bits hold, and
-plateaus far apart by any tables: all levels and windows, each kind of kernels, one thread and three.
+plateaus far apart by any tables: all levels, windows, each kind of kernels, one thread and three.
 """
 
 import subprocess
