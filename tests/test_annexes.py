@@ -12,6 +12,7 @@ from terrainwave import annexes
 from terrainwave.annexes import read_annex, read_tables
 from terrainwave.codec.cdf97 import trained as cdf97
 from terrainwave.codec.predictive import trained as predictive
+from terrainwave.codec.rapid import file_tables as rapid
 from terrainwave.errors import StorageError
 
 ROOT = Path(__file__).parents[1]
@@ -21,6 +22,7 @@ TYPES = {"int16": "<i2", "uint16": "<u2", "uint8": "|u1", "int32": "<i4"}
 BINARY = [
     (predictive, "format-predictive.md", "P.9"),
     (cdf97, "FORMAT.md", "7.8"),
+    (rapid, "format-rapid.md", "R.11"),
 ]
 
 sys.path.append(str(ROOT / "tools"))
@@ -70,6 +72,7 @@ def test_the_tools_that_train_write_the_files():
     starts = read_tables(predictive.ANNEX, predictive.LAYOUT)["starts"]
     made = train_stencils.annex(predictive.STENCILS, predictive.E_WEIGHTS, starts)
     assert made == read_annex(predictive.ANNEX)
+    assert rapid.packed(rapid.annex()) == read_annex(rapid.ANNEX)
 
 
 def test_numbers_that_do_not_fit_are_not_written():

@@ -116,9 +116,8 @@ WIDE = {
         "view", "_export_mesh", "save", "save_mesh", "save_lods", "Scene.__init__", "make_app",
     },
     "arrays of one unit, and where in them: an array in a tuple counts references in every row": {
-        "_add_spread", "_code", "_code_line", "_code_node", "_code_tables", "_correct", "_encode",
-        "_flip", "_insert",
-        "code_detail", "code_rows", "gather_window", "n_reached",
+        "_add_spread", "_code_line", "_code_node", "_code_tables", "_flip", "_insert",
+        "code_detail", "gather_window", "n_reached",
     },
     "arrays of one triangulation, and where in them": {"_flip", "_insert"},
 }  # fmt: skip
@@ -326,7 +325,7 @@ def _name_of(node):
 @pytest.mark.parametrize(
     ("method", "caller", "kernel"),
     [
-        ("rapid", "rapid.coder", "code_rows"),
+        ("rapid", "rapid.unit", "code_heights"),
         ("predictive", "predictive.refiner", "code_pass"),
         ("cdf97", "cdf97.refiner", "code_residuals"),
         ("cdf53", "cdf53.refiner", "encode_field"),

@@ -24,7 +24,7 @@ DOCUMENT = (DOCS / "FORMAT.md").read_text(encoding="utf-8")
 EXAMPLE_OF_PREDICTIVE = (
     (DOCS / "format-predictive.md").read_text(encoding="utf-8").partition("\n## P.11 ")[2]
 )
-EXAMPLE_OF_RAPID = (DOCS / "format-rapid.md").read_text(encoding="utf-8").partition("\n## R.12 ")[2]
+EXAMPLE_OF_RAPID = (DOCS / "format-rapid.md").read_text(encoding="utf-8").partition("\n## R.13 ")[2]
 ROOT_KEY = (-1, 0, 0)
 
 

@@ -287,6 +287,12 @@ typedef struct twz_workers {
 
 /* Decode all units of the window; workers NULL: on this thread. */
 TWZ_API twz_status twz_window_decode(twz_window *window, const twz_workers *workers, twz_error *error);
+/*
+ * The same and twz_window_read in one, for a window that is read once: units that lie in it are decoded into the
+ * caller's memory, and not kept. Afterwards the window can only be freed.
+ */
+TWZ_API twz_status twz_window_decode_into(twz_window *window, const twz_workers *workers, void *heights, ptrdiff_t heights_stride,
+                                          uint8_t *valid, ptrdiff_t valid_stride, twz_error *error);
 
 /*
  * Check all of an open file, as a verifier does (docs/FORMAT.md, 13.1): each byte belongs to one section and has the

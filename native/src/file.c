@@ -33,18 +33,6 @@ twz_status twz_file_new(const twz_options *options, uint64_t file_size, twz_file
 }
 
 void unit_free(twz_file *f, unit *u) {
-  heap *h = u->heap;
-  if (h) {
-    file_lock(f);
-    int is_last = --h->n_users == 0;
-    file_unlock(f);
-    if (is_last) {
-      twz_release(&f->allocator, h->heights);
-      twz_release(&f->allocator, h);
-    }
-    u->layers[0].heights = NULL;
-    u->layers[0].shorts = NULL;
-  }
   for (int i = 0; i < u->n_layers; i++) {
     twz_release(&f->allocator, u->layers[i].heights);
     twz_release(&f->allocator, u->layers[i].shorts);
@@ -80,7 +68,7 @@ void twz_file_free(twz_file *f) {
   twz_release(&f->allocator, f->rapid);
   twz_release(&f->allocator, f->predictive);
   twz_release(&f->allocator, f->cdf97);
-  for (int i = 0; i < MOST_TOGETHER; i++) twz_release(&f->allocator, f->idle[i].memory);
+  twz_release(&f->allocator, f->idle.memory);
   twz_allocator allocator = f->allocator;
   twz_release(&allocator, f);
 }
@@ -261,26 +249,10 @@ static void link_newest(twz_file *f, unit *u) {
   f->newest = u;
 }
 
-/* Count a unit's bytes, as long as the cache holds them: heights of a heap until its last unit leaves. */
-static void count_in(twz_file *f, unit *u) {
-  f->cached_bytes += u->n_bytes;
-  if (u->heap && u->heap->n_cached++ == 0) f->cached_bytes += u->heap->n_out;
-}
-
-static void count_out(twz_file *f, unit *u) {
-  f->cached_bytes -= u->n_bytes;
-  if (!u->heap) return;
-  const layer *l = &u->layers[0];
-  uint64_t n_bytes = cell_size(&f->heights) * (uint64_t)l->rows.n * (uint64_t)l->cols.n;
-  f->cached_bytes += n_bytes;
-  u->heap->n_out += n_bytes;
-  if (--u->heap->n_cached == 0) f->cached_bytes -= u->heap->n_out;
-}
-
 static void take_out(twz_file *f, unit *u) {
   if (u->n_users == 0) unlink_unit(f, u);
   table_remove(&f->units, &u->entry);
-  count_out(f, u);
+  f->cached_bytes -= u->n_bytes;
 }
 
 /* Take the oldest units that nobody uses out, until what is kept fits; returns them, to be released without the lock. */
@@ -303,11 +275,12 @@ static void free_units(twz_file *f, unit *u) {
   }
 }
 
-unit *cache_take(twz_file *f, place key, int32_t *n_rows) {
+unit *cache_take(twz_file *f, place key, part *wanted) {
   file_lock(f);
   unit *u = (unit *)table_find(&f->units, key);
-  if (u && !has_rows(u, *n_rows)) {
-    *n_rows = ALL_ROWS;
+  if (u && !u->is_void && !part_has(u->layers[0].ready, *wanted)) {
+    const part all = {0, 0, u->layers[0].rows.n, u->layers[0].cols.n};
+    *wanted = all;
     u = NULL;
   }
   if (u && u->n_users++ == 0) unlink_unit(f, u);
@@ -319,7 +292,7 @@ unit *cache_take(twz_file *f, place key, int32_t *n_rows) {
 unit *cache_give(twz_file *f, unit *u) {
   file_lock(f);
   unit *out = NULL, *less = NULL, *found = (unit *)table_find(&f->units, u->entry.at);
-  if (found && !has_rows(found, u->layers[0].n_ready ? u->layers[0].n_ready : ALL_ROWS)) {
+  if (found && !found->is_void && !part_has(found->layers[0].ready, u->layers[0].ready)) {
     take_out(f, found);
     found->is_cached = 0;
     if (found->n_users == 0) less = found;
@@ -329,7 +302,7 @@ unit *cache_give(twz_file *f, unit *u) {
     if (found->n_users++ == 0) unlink_unit(f, found);
   } else if (table_insert(&f->units, &f->allocator, &u->entry)) {
     u->is_cached = 1;
-    count_in(f, u);
+    f->cached_bytes += u->n_bytes;
     out = trim(f);
   }
   file_unlock(f);

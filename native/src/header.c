@@ -74,7 +74,7 @@ static twz_status check_sizes(const header *h, uint64_t file_size, twz_error *er
   REQUIRE(h->block_log2 >= 5 && h->block_log2 <= 10, error, "block_log2 %d, not 5 to 10", h->block_log2);
   REQUIRE(h->border_rings == 1 || h->border_rings == 3, error, "border_rings %d, not 1 or 3",
           h->border_rings);
-  REQUIRE(h->method != TWZ_CDF53 || h->border_rings == 1, error, "border_rings 3 with method cdf53");
+  REQUIRE((h->method != TWZ_CDF53 && h->method != TWZ_RAPID) || h->border_rings == 1, error, "border_rings 3 with this method");
   REQUIRE(h->metadata_length >= 1 && h->metadata_length <= 1u << 20, error,
           "metadata_length %u, not 1 to 2^20", h->metadata_length);
   REQUIRE(h->parameters_length <= 1u << 16, error, "parameters_length %u, more than 2^16",

@@ -51,6 +51,8 @@ class Method:
     is_patchable : bool
         A unit can be coded again so that heights that still hold come back as they were: its loop
         takes corrections (`codec.corrections`).
+    has_rings : bool
+        Its blocks may share three rings of samples with their neighbours.
     has_file_tables : bool
         The file's header may hold tables for all of its units.
     has_layers : bool
@@ -67,6 +69,7 @@ class Method:
     is_clusterable: bool = True
     may_be_faithful: bool = False
     is_patchable: bool = False
+    has_rings: bool = False
     has_file_tables: bool = False
     has_layers: bool = False
 
@@ -84,15 +87,16 @@ METHODS = {
                refiner="rapid.refiner.RapidRefiner", has_file_tables=True, is_patchable=True),
         Method(name="predictive", number=2, options="predictive.Predictive",
                refiner="predictive.refiner.PredictiveRefiner",
-               has_file_tables=True, is_patchable=True,
+               has_file_tables=True, is_patchable=True, has_rings=True,
                effort="1, 2 or 8 sets of weights"),
         Method(name="cdf97", number=1, options="cdf97.Cdf97",
                refiner="cdf97.refiner.Cdf97Refiner", pyramid="lowpass",
-               effort="1, up to 3 or up to 7 steps", has_layers=True, may_be_faithful=True),
+               effort="1, up to 3 or up to 7 steps", has_layers=True, may_be_faithful=True,
+               has_rings=True),
         Method(name="cdf53", number=3, options="cdf53.Cdf53",
                pyramid="lowpass53", is_cuttable=True, is_clusterable=False),
         Method(name="store", number=0, options="store.Store",
-               refiner="store.refiner.StoreRefiner"),
+               refiner="store.refiner.StoreRefiner", has_rings=True),
     )
 }  # fmt: skip
 DEFAULT_METHOD = METHODS["rapid"]  # what "auto" names, whatever the raster (decision 21)

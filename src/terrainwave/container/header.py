@@ -465,7 +465,7 @@ def _violations_of_grid(header: Header) -> Iterator[_Violation]:
         yield _Violation(f"block is {header.block}, not 32 ... 1024")
     if header.border_rings not in (1, 3):
         yield _Violation(f"border_rings is {header.border_rings}, not 1 or 3")
-    if header.border_rings != 1 and METHODS[header.method].is_tiled:
+    if header.border_rings != 1 and not METHODS[header.method].has_rings:
         yield _Violation(f"border_rings is {header.border_rings}, not 1, of method {header.method}")
     if not 0 <= header.effort <= MAX_EFFORT:
         yield _Violation(f"effort is {header.effort}, not 0 ... 9{NEWER}", UnsupportedVersionError)

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rapid2.layout import N_LEVEL_CLASSES
-from rapid2.symbols import STEP_BITS, Frequencies
+from terrainwave.codec.rapid.layout import N_LEVEL_CLASSES
+from terrainwave.codec.rapid.symbols import STEP_BITS, Frequencies
 
 # Weights of the range and the bend, and their shift, are such that they are below this.
 _MOST_WEIGHT = 1 << 13
@@ -24,9 +24,9 @@ class Tables(NamedTuple):
         Level of the full grid: class 0.
     stencils : ndarray of int64, shape (4, 3, 24)
         By class of level and plane: weights of `layout.TAPS` in 1/4096, whose sum is 4096.
-    weights : ndarray of int64, shape (4, 4, 4)
-        By class and plane, the last one for lines: a constant, and of the range, the bend and what
-        is near, how much a step of it adds to the expected magnitude, in 2**-16 steps.
+    weights : ndarray of int64, shape (4, 3, 4)
+        By class and plane: a constant, and of the range, the bend and what is near, how much a step
+        of it adds to the expected magnitude, in 2**-16 steps.
     frequencies : Frequencies
         Of symbols.
     """

@@ -3,8 +3,8 @@
 
 import numpy as np
 import pytest
-from rapid2.layout import CORES, HH, HL, LH, TAPS
-from rapid2.symbols import (
+from terrainwave.codec.rapid.layout import CORES, HH, HL, LH, TAPS
+from terrainwave.codec.rapid.symbols import (
     N_SLOTS,
     N_SYMBOLS,
     N_TABLES,
@@ -13,8 +13,8 @@ from rapid2.symbols import (
     SINGLES,
     frequencies_of,
 )
-from rapid2.tables import Tables
-from rapid2.unit import UnitCoder
+from terrainwave.codec.rapid.tables import Tables
+from terrainwave.codec.rapid.unit import UnitCoder
 
 from terrainwave.codec.refiner import NOT_SHARED, GroupSpec, Sides
 from terrainwave.errors import CorruptStreamError
@@ -56,7 +56,7 @@ def frequencies(counts):
 
 
 def coder(counts=None):
-    weights = np.full((4, 4, 4), 6000, dtype=np.int64)
+    weights = np.full((4, 3, 4), 6000, dtype=np.int64)
     counts = np.zeros((N_TABLES, N_SYMBOLS), dtype=np.int64) if counts is None else counts
     return UnitCoder(Tables(1, stencils(), weights, frequencies(counts)))
 
