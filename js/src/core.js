@@ -102,7 +102,7 @@ export class Core {
 
   /**
    * Feed what the `file` or the `window` needs next, of what is held. Return null if it was there,
-   * else { start, end, likely } of each range that is missing; none: nothing is needed.
+   * else { start, end, isPage } of each range that is missing; none: nothing is needed.
    */
   #step(whom, held) {
     const n = this.#call(`${whom}_need`);
@@ -111,10 +111,12 @@ export class Core {
     const ranges = Array.from({ length: n }, (_, i) => told.slice(3 * i, 3 * i + 3));
     const parts = ranges.map(([start, length]) => find(held, start, length));
     const missing = ranges.filter((_, i) => !parts[i]);
-    if (n === 0 || missing.length > 0) {
-      return missing.map(([start, length, likely]) => ({ start, end: start + length, likely }));
+    // Pages of the index that are here may tell more of what is missing.
+    const isTold = ranges.some(([, , isPage], i) => isPage && parts[i]);
+    if (n === 0 || (missing.length > 0 && !isTold)) {
+      return missing.map(([start, length, isPage]) => ({ start, end: start + length, isPage: isPage === 1 }));
     }
-    parts.forEach((bytes, i) => this.#feed(whom, ranges[i][0], bytes));
+    parts.forEach((bytes, i) => bytes && this.#feed(whom, ranges[i][0], bytes));
     return null;
   }
 
@@ -183,7 +185,7 @@ export class Core {
         if (status === 0) return { found: this.#told(1)[0] };
         const missing = status === NOT_READY ? this.#step("window", held) : [];
         if (missing?.length === 0) throw this.#refusal(status);
-        if (missing) return { missing };
+        if (missing) return { missing: missing.filter(({ isPage }) => isPage) };
       }
     });
   }

@@ -2,7 +2,8 @@
 
 A request to a server a hundred milliseconds away costs as much time as some 500 KiB, and storage
 is billed by the request. So gaps between wanted ranges are bridged, the shortest first: this gives
-the fewest requests that a number of unwanted bytes can buy. `native/src/ranges.c` does the same.
+the fewest requests that a number of unwanted bytes can buy. `native/gdal/source.cpp` and
+`js/src/source.js` do the same.
 """
 
 from bisect import bisect_right, insort
