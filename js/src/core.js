@@ -27,10 +27,24 @@ const SAMPLES_AT_ONCE = 2 ** 17;
 const MOST_SPARE = 2 ** 26;
 let spare = null; // what a decoder exports whose file was closed
 
-/** Bytes of a file that came: { start, bytes } of each. */
-function find(held, start, length) {
-  const found = held.find((one) => one.start <= start && start + length <= one.start + one.bytes.length);
-  return found?.bytes.subarray(start - found.start, start - found.start + length);
+/** Return the bytes of a range out of what came, { start, bytes } of each, or where what is missing begins. */
+function find(held, start, end) {
+  const parts = [];
+  let at = start;
+  while (at < end) {
+    const one = held.find((piece) => piece.start <= at && at < piece.start + piece.bytes.length);
+    if (!one) return { missing: at };
+    parts.push(one.bytes.subarray(at - one.start, end - one.start));
+    at += parts.at(-1).length;
+  }
+  if (parts.length === 1) return { bytes: parts[0] };
+  const bytes = new Uint8Array(end - start);
+  let n = 0;
+  for (const part of parts) {
+    bytes.set(part, n);
+    n += part.length;
+  }
+  return { bytes };
 }
 
 export class Core {
@@ -108,15 +122,17 @@ export class Core {
     const n = this.#call(`${whom}_need`);
     if (n < 0) throw this.#refusal(-n);
     const told = this.#told(3 * n);
-    const ranges = Array.from({ length: n }, (_, i) => told.slice(3 * i, 3 * i + 3));
-    const parts = ranges.map(([start, length]) => find(held, start, length));
-    const missing = ranges.filter((_, i) => !parts[i]);
+    const ranges = Array.from({ length: n }, (_, i) => {
+      const [start, length, isPage] = told.slice(3 * i, 3 * i + 3);
+      return { start, end: start + length, isPage: isPage === 1, ...find(held, start, start + length) };
+    });
+    const missing = ranges.filter(({ bytes }) => !bytes);
     // Pages of the index that are here may tell more of what is missing.
-    const isTold = ranges.some(([, , isPage], i) => isPage && parts[i]);
+    const isTold = ranges.some(({ isPage, bytes }) => isPage && bytes);
     if (n === 0 || (missing.length > 0 && !isTold)) {
-      return missing.map(([start, length, isPage]) => ({ start, end: start + length, isPage: isPage === 1 }));
+      return missing.map(({ missing: start, end, isPage }) => ({ start, end, isPage }));
     }
-    parts.forEach((bytes, i) => bytes && this.#feed(whom, ranges[i][0], bytes));
+    for (const { start, bytes } of ranges) if (bytes) this.#feed(whom, start, bytes);
     return null;
   }
 

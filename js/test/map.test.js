@@ -48,15 +48,6 @@ test("what many readers want at once comes by few requests, and once", async () 
   assert.deepEqual(source.asked, [[0, BLOCK], [BLOCK, 3 * BLOCK], [7 * BLOCK, size]]);
 });
 
-test("the first of what is announced comes with what is asked for", async () => {
-  const source = new Counted(20 * BLOCK);
-  const blocks = new BlockSource(source);
-  blocks.announce(9 * BLOCK + 1, 19 * BLOCK);
-  await blocks.read(9 * BLOCK + 1, 9 * BLOCK + 5);
-  await blocks.read(11 * BLOCK, 14 * BLOCK);
-  assert.deepEqual(source.asked, [[9 * BLOCK, 16 * BLOCK]]);
-});
-
 test("a block that did not come is asked for again", async () => {
   const source = new Counted(3 * BLOCK);
   const blocks = new BlockSource(source);

@@ -137,10 +137,7 @@ class Page:
     def is_empty(self) -> bool:
         """Say whether nothing is lost if the segment is left out (FORMAT.md §3.4)."""
         return not (
-            self.sections_length
-            or self.flags.any()
-            or self.codes.any()
-            or self.child_lengths.any()
+            self.sections_length or self.flags.any() or self.codes.any() or self.child_lengths.any()
         )
 
 

@@ -237,9 +237,7 @@ def _stored(path: str, offset: int, part: _Extent) -> StoredSegment:
     return StoredSegment(path, offset, part.page_length, part.page_length + part.sections_length)
 
 
-def _page_bytes(
-    head: Block | None, segments: Segments, part: _Extent, first_child: int
-) -> bytes:
+def _page_bytes(head: Block | None, segments: Segments, part: _Extent, first_child: int) -> bytes:
     """Return the page of a segment whose children's bodies begin at `first_child` of the file."""
     segment = segments[head]
     if isinstance(segment, StoredSegment):
