@@ -355,7 +355,8 @@ class Container:
                 start, length = parent.child_range(child)
                 # Also keeps the walk finite: each byte is visited at most once.
                 if start != byte_pos:
-                    yield f"the body of {describe_head(child)} begins at byte {start}, not {byte_pos}"
+                    name = f"the body of {describe_head(child)}"
+                    yield f"{name} begins at byte {start}, not {byte_pos}"
                     if start < byte_pos:
                         continue
                 byte_pos = start + length
