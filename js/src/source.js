@@ -5,11 +5,12 @@ import { UrlSource } from "./url.js";
 
 /**
  * Ranges with gaps between them are read in one go, the shortest gaps first, as in Python
- * (container/sources/ranges.py): a quarter of the bytes wanted or so many in any case, and one and a
- * half times the bytes wanted while there are more requests than is aimed at.
+ * (container/sources/ranges.py): a quarter of the bytes wanted or 64 KiB in any case, and one and a
+ * half times the bytes wanted or 512 KiB while there are more requests than is aimed at.
  */
 const FREE_GAPS = 1 << 16;
-const MOST_GAP = 1 << 19;
+const FREE_GAPS_OF_MANY = 1 << 19;
+const MOST_GAP = 1 << 20;
 const AIMED_REQUESTS = 3;
 const MOST_AT_ONCE = 1 << 23;
 const PARALLEL = 6;
@@ -141,7 +142,8 @@ async function readRanges(source, ranges) {
 /** Return the numbers of ranges, in order of place, to be read with those before them. */
 function gapsToBridge(ranges) {
   const wanted = ranges.reduce((sum, { start, end }) => sum + end - start, 0);
-  const [free, most] = [0.25, 1.5].map((share) => Math.max(share * wanted, FREE_GAPS));
+  const free = Math.max(wanted / 4, FREE_GAPS);
+  const most = Math.max(1.5 * wanted, FREE_GAPS_OF_MANY);
   const gaps = ranges.slice(1).map(({ start }, i) => ({ gap: start - ranges[i].end, number: i + 1 }));
   const bridged = new Set();
   let spent = 0;

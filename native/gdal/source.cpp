@@ -30,10 +30,11 @@ namespace {
 constexpr uint64_t CACHE_BYTES = uint64_t{64} << 20;
 constexpr uint64_t LEAST_CACHE_BYTES = uint64_t{8} << 20;
 /* Of a remote file ranges with gaps between them are one request, the shortest gaps first, as in Python
- * (container/sources/ranges.py): while gaps are no more than a quarter of what is wanted, or this, and no more than
- * one and a half times that while requests are more than is aimed at. */
+ * (container/sources/ranges.py): while gaps are no more than a quarter of what is wanted, or 64 KiB, and while requests
+ * are more than is aimed at, no more than one and a half times what is wanted, or 512 KiB. */
 constexpr uint64_t FREE_GAPS = 64 << 10;
-constexpr uint64_t MOST_GAP = 512 << 10;
+constexpr uint64_t FREE_GAPS_OF_MANY = 512 << 10;
+constexpr uint64_t MOST_GAP = 1 << 20;
 constexpr size_t AIMED_REQUESTS = 3;
 constexpr size_t MOST_RANGES = 512;
 constexpr size_t HEAD_BYTES = 16 << 10; /* as GDAL reads of remote files at a time */
@@ -340,7 +341,8 @@ std::vector<Piece> Joined(std::vector<Piece> pieces, Spent &spent) {
     spent.n_wanted += pieces[i].bytes.size();
     if (i > 0) gaps.emplace_back(pieces[i].offset - pieces[i - 1].End(), i);
   }
-  const uint64_t free = std::max(spent.n_wanted / 4, FREE_GAPS), most = std::max(spent.n_wanted / 2 * 3, FREE_GAPS);
+  const uint64_t free = std::max(spent.n_wanted / 4, FREE_GAPS);
+  const uint64_t most = std::max(spent.n_wanted / 2 * 3, FREE_GAPS_OF_MANY);
   std::sort(gaps.begin(), gaps.end());
   std::vector<bool> is_joined(pieces.size(), false);
   size_t n_requests = spent.n_requests + pieces.size();

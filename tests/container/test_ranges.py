@@ -48,7 +48,7 @@ def test_a_quarter_of_what_is_wanted_may_lie_in_gaps():
     near, far = ByteRange(MIB + 300_000, MIB), ByteRange(MIB + 600_000, MIB)
     assert spans_of([first, near]) == [ByteRange(0, 2 * MIB + 300_000)]
     assert spans_of([first, far]) == [first, far]
-    # However much is wanted, a gap above 512 KiB costs more than a request.
+    # However much is wanted, a gap above 1 MiB costs more than a request.
     large, beyond = ByteRange(0, 8 * MIB), ByteRange(8 * MIB + MAX_GAP + 1, MIB)
     assert spans_of([large, beyond]) == [large, beyond]
 

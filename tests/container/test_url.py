@@ -215,10 +215,10 @@ def test_a_fork_reads_on_connections_of_its_own(server):
 
 
 def test_far_ranges_are_read_side_by_side_and_in_order(server):
-    data = np.random.default_rng(1).bytes(3_000_000)
+    data = np.random.default_rng(1).bytes(6_000_000)
     server.files["/a"] = data
     source = open_source(server.url("/a"))
-    ranges = [ByteRange(offset, 1000) for offset in range(2_900_000, 0, -200_000)]
+    ranges = [ByteRange(offset, 1000) for offset in range(5_900_000, 0, -600_000)]
     assert source.read_many(ranges) == [data[r.offset : r.end] for r in ranges]
     assert len(server.requests) == 1 + len(ranges)
     source.close()

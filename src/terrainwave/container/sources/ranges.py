@@ -11,14 +11,14 @@ from collections.abc import Iterator, Sequence
 from itertools import accumulate
 from typing import NamedTuple
 
-MAX_GAP = 512 * 1024
+MAX_GAP = 1024 * 1024
 MAX_REQUEST = 16 * 1024 * 1024
 # What a window should take, in all rounds (docs/decisions/0010).
 AIMED_REQUESTS = 3
 # Bytes in gaps, as a share of what is wanted: to be bridged in any case, and while requests are
-# more than is aimed at. Where little is wanted, 64 KiB in any case.
+# more than is aimed at. Where little is wanted, 64 and 512 KiB in any case.
 _WASTE, _MOST_WASTE = 0.25, 1.5
-_FREE_WASTE = 64 * 1024
+_FREE_WASTE, _MOST_FREE_WASTE = 64 * 1024, 512 * 1024
 
 
 class ByteRange(NamedTuple):
@@ -56,7 +56,7 @@ def budget_of(n_wanted: int, n_requests: int = 0, n_wasted: int = 0) -> Budget:
         Requests made and unwanted bytes fetched in earlier rounds.
     """
     waste = max(_FREE_WASTE, int(_WASTE * n_wanted))
-    most_waste = max(_FREE_WASTE, int(_MOST_WASTE * n_wanted))
+    most_waste = max(_MOST_FREE_WASTE, int(_MOST_WASTE * n_wanted))
     return Budget(AIMED_REQUESTS - n_requests, waste - n_wasted, most_waste - n_wasted)
 
 
@@ -70,7 +70,7 @@ class MergedRange(NamedTuple):
 def merge_ranges(ranges: Sequence[ByteRange], budget: Budget | None = None) -> list[MergedRange]:
     """Return requests that cover `ranges`, in order of place, up to 16 MiB in one.
 
-    The shortest gaps are bridged, none above 512 KiB, within `budget`; by default that of these
+    The shortest gaps are bridged, none above 1 MiB, within `budget`; by default that of these
     ranges alone. Empty ranges need no request.
     """
     order = [number for number in range(len(ranges)) if ranges[number].length]
