@@ -9,10 +9,10 @@ the raster's middle, where most units meet, of a dataset just opened; the first 
 wall of that window over http with 50 ms, in a process of its own. `Terrain.read` by one thread is
 measured in this Python, its kernels warm.
 
-``--requests``: into ``window_requests.csv``, no times, but the requests and bytes of 40 windows over
-http, the one in the middle and random ones, by this GDAL of the COG, by the driver, by Python and by
-JavaScript (Node): each by a dataset just opened, then all by one. GDAL opens by two requests, as it
-first asks for the size.
+``--requests``: into ``window_requests.csv``, no times, but the requests and bytes of 40 windows
+over http, the one in the middle and random ones, by this GDAL of the COG, by the driver, by Python
+and by JavaScript (Node): each by a dataset just opened, then all by one. GDAL opens by two
+requests, as it first asks for the size.
 """
 
 import json
@@ -202,7 +202,8 @@ def steps_of(environment: dict[str, str], *command: object) -> Iterator[None]:
         list(map(str, command)), env=environment, text=True,
         stdin=subprocess.PIPE, stdout=subprocess.PIPE,
     ) as program:  # fmt: skip
-        assert program.stdin is not None and program.stdout is not None
+        assert program.stdin is not None
+        assert program.stdout is not None
         for _ in program.stdout:
             yield
             program.stdin.write("\n")
