@@ -136,7 +136,7 @@ typedef struct twz_options {
 typedef struct twz_range {
   uint64_t offset;
   uint64_t length;
-  uint64_t likely; /* so many bytes behind them will probably be needed next; may be ignored */
+  uint64_t is_page; /* 1: a page of the index, which tells more of what is needed; else 0 */
   uint64_t reserved;
 } twz_range;
 
@@ -264,8 +264,8 @@ TWZ_API twz_status twz_window_new(twz_file *file, int level, const twz_box *box,
                                   twz_error *error);
 TWZ_API void twz_window_free(twz_window *window); /* NULL is allowed */
 
-/* As twz_file_need, ..._feed and ..._load. First come pages of the index, then payloads; each round can ask
- * for what the one before has told. *n = 0: the window can be decoded. */
+/* As twz_file_need, ..._feed and ..._load. Pages of the index come with the payloads whose places are known; each
+ * round can ask for what the one before has told. *n = 0: the window can be decoded. */
 TWZ_API twz_status twz_window_need(twz_window *window, twz_range *ranges, size_t capacity, size_t *n,
                                    twz_error *error);
 TWZ_API twz_status twz_window_feed(twz_window *window, uint64_t offset, const void *bytes, size_t n,

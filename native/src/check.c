@@ -60,7 +60,7 @@ static twz_status add_children(check *c, pages *p, const segment *s, twz_error *
     p->capacity = capacity;
   }
   for (int i = 0; i < s->n_heads; i++) {
-    if (s->children[i].length == 0) continue;
+    if (s->children[i].page_length == 0) continue;
     p->all[p->n].head = child_page(s, i, &p->all[p->n].page);
     p->n++;
   }
@@ -99,8 +99,8 @@ static twz_status check_sections(check *c, const segment *s, twz_error *error) {
 static twz_status check_level(check *c, const pages *level, pages *below, uint64_t *at, twz_error *error) {
   for (size_t i = 0; i < level->n; i++) {
     const page_place *page = &level->all[i].page;
-    REQUIRE(page->offset == *at, error, "a segment begins at byte %llu, where the one before it ends at byte %llu",
-            (unsigned long long)page->offset, (unsigned long long)*at);
+    REQUIRE(page->body == *at, error, "a segment's body begins at byte %llu, where the one before it ends at byte %llu",
+            (unsigned long long)page->body, (unsigned long long)*at);
     *at = page->end;
     segment *s;
     TRY(load_page(c, level->all[i].head, page, &s, error));
@@ -236,7 +236,7 @@ static twz_status check_below(check *c, place head, twz_error *error) {
   TRY(find_loaded(c, head, &s, error));
   TRY(check_segment(c, head, s, error));
   for (int i = 0; i < s->n_heads; i++) {
-    if (s->children[i].length) TRY(check_below(c, s->heads[i], error));
+    if (s->children[i].page_length) TRY(check_below(c, s->heads[i], error));
   }
   return TWZ_OK;
 }

@@ -96,7 +96,8 @@ static twz_status read_parameters(twz_file *f, const uint8_t *bytes, twz_error *
 
 static twz_status read_top_page(twz_file *f, const uint8_t *page, twz_error *error) {
   place top = {-1, 0, 0};
-  page_place where = {start_needed(f) - f->header.top_page_length, 0, 0, f->header.top_page_length};
+  uint64_t body = start_needed(f);
+  page_place where = {body - f->header.top_page_length, body, 0, 0, f->header.top_page_length};
   segment *s;
   TRY(read_segment(&s, &f->grid, top, &where, page, f->file_size, &f->crc, &f->allocator, error));
   if (table_insert(&f->segments, &f->allocator, &s->entry)) return TWZ_OK;

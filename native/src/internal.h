@@ -257,8 +257,9 @@ typedef struct block_codes {
   uint8_t z_min, z_max, error, mesh_error;
 } block_codes;
 
-typedef struct child_place { /* of a child segment; length 0: absent */
-  uint64_t offset, length;
+typedef struct child_place { /* of a child segment; page_length 0: absent */
+  uint64_t offset, length; /* of its body */
+  uint64_t page;           /* where its page lies */
   uint32_t page_length;
 } child_place;
 
@@ -289,7 +290,7 @@ int index_of_place(const place *places, int n, place p); /* -1: not there */
 /* What is known of the place of a segment's page. */
 typedef struct page_place {
   uint64_t offset;
-  uint64_t end;          /* of the segment; 0 of the top one: see §3.5 */
+  uint64_t body, end;    /* of the segment's body; end 0 of the top one: see §3.5 */
   uint64_t siblings_end;
   uint32_t length;
 } page_place;

@@ -259,7 +259,7 @@ static twz_status wait_for_payloads(twz_window *w, twz_error *error) {
     REQUIRE(before->offset + before->length <= after->offset, error, "payloads of two units overlap at byte %llu",
             (unsigned long long)after->offset);
   }
-  w->is_placed = 1;
+  w->first_waiting = 0;
   return TWZ_OK;
 }
 
@@ -300,7 +300,7 @@ static int ask_page(asked *a, const page_place *page) {
   memset(&a->ranges[m], 0, sizeof a->ranges[m]);
   a->ranges[m].offset = page->offset;
   a->ranges[m].length = page->length;
-  a->ranges[m].likely = page->end - page->offset - page->length;
+  a->ranges[m].is_page = 1;
   a->n++;
   return 1;
 }
@@ -347,32 +347,17 @@ static twz_status place_units(twz_window *w, twz_range *ranges, size_t capacity,
     }
   }
   *n = a.n;
-  if (*n == 0) return wait_for_payloads(w, error);
-  /* Ranges are in order of offset. */
-  for (size_t i = 1; i < *n; i++) {
-    twz_range moved = ranges[i];
-    size_t k = i;
-    for (; k > 0 && ranges[k - 1].offset > moved.offset; k--) ranges[k] = ranges[k - 1];
-    ranges[k] = moved;
-  }
-  for (size_t i = 1; i < *n; i++) {
-    REQUIRE(ranges[i - 1].offset + ranges[i - 1].length <= ranges[i].offset, error,
-            "pages of two segments overlap at byte %llu", (unsigned long long)ranges[i].offset);
-  }
-  return TWZ_OK;
+  w->is_placed = a.n == 0;
+  return wait_for_payloads(w, error);
 }
 
-twz_status twz_window_need(twz_window *w, twz_range *ranges, size_t capacity, size_t *n, twz_error *error) {
-  *n = 0;
-  if (capacity == 0) return twz_fail(error, TWZ_BAD_ARGUMENT, "no room for a range");
-  if (!w->is_planned) TRY(plan_units(w, error));
-  if (!w->is_placed) TRY(place_units(w, ranges, capacity, n, error));
-  if (*n) return TWZ_OK;
-  /* Payloads, those that follow each other as one range. */
+/* Append the ranges of payloads whose places are known, those that follow each other as one range. */
+static void add_payloads(const twz_window *w, twz_range *ranges, size_t capacity, size_t *n) {
+  size_t n_pages = *n;
   for (size_t i = w->first_waiting; i < w->n_waiting; i++) {
     const slot *one = w->waiting[i];
     if (one->state != PLACED) continue;
-    twz_range *last = *n ? &ranges[*n - 1] : NULL;
+    twz_range *last = *n > n_pages ? &ranges[*n - 1] : NULL;
     if (last && last->offset + last->length == one->place.offset && last->length < (uint64_t)1 << 24) {
       last->length += one->place.length;
       continue;
@@ -382,6 +367,26 @@ twz_status twz_window_need(twz_window *w, twz_range *ranges, size_t capacity, si
     ranges[*n].offset = one->place.offset;
     ranges[*n].length = one->place.length;
     ++*n;
+  }
+}
+
+static int compare_ranges(const void *a, const void *b) {
+  const twz_range *x = a, *y = b;
+  return x->offset < y->offset ? -1 : x->offset > y->offset;
+}
+
+twz_status twz_window_need(twz_window *w, twz_range *ranges, size_t capacity, size_t *n, twz_error *error) {
+  *n = 0;
+  if (capacity == 0) return twz_fail(error, TWZ_BAD_ARGUMENT, "no room for a range");
+  if (!w->is_planned) TRY(plan_units(w, error));
+  if (!w->is_placed) TRY(place_units(w, ranges, capacity, n, error));
+  int has_pages = *n > 0;
+  add_payloads(w, ranges, capacity, n);
+  if (!has_pages) return TWZ_OK; /* payloads are in order and apart */
+  qsort(ranges, *n, sizeof *ranges, compare_ranges);
+  for (size_t i = 1; i < *n; i++) {
+    REQUIRE(ranges[i - 1].offset + ranges[i - 1].length <= ranges[i].offset, error,
+            "pages or payloads of two segments overlap at byte %llu", (unsigned long long)ranges[i].offset);
   }
   return TWZ_OK;
 }
@@ -440,7 +445,7 @@ twz_status twz_window_feed(twz_window *w, uint64_t offset, const void *bytes, si
   if (!w->is_planned || offset > w->file->file_size || n > w->file->file_size - offset) {
     return twz_fail(error, TWZ_BAD_ARGUMENT, "bytes beyond the end of the file, or before any were needed");
   }
-  if (!w->is_placed) return feed_pages(w, offset, bytes, n, error);
+  if (!w->is_placed) TRY(feed_pages(w, offset, bytes, n, error));
   size_t low = w->first_waiting, high = w->n_waiting;
   while (low < high) { /* the first slot at or after offset */
     size_t middle = low + (high - low) / 2;

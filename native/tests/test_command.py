@@ -55,7 +55,7 @@ def check(twz, folder):
         if status or shown or has_note != is_told or (errors and not is_told):
             yield f"check {name}: {status} {shown!r} {errors!r}"
     for name, words in (
-        ("segment-gap", "a segment's payloads end at byte"),
+        ("segment-gap", "a segment's body ends at byte"),
         ("neighbours-differ", "which they share"),
         ("mesh-crc", "the checksum of a payload or mesh"),
     ):

@@ -36,7 +36,7 @@ static int fetch(void *source, size_t n, const twz_range *ranges, void *const *b
   for (size_t i = 0; i < n; i++) {
     CHECK(i == 0 || ranges[i].offset >= ranges[i - 1].offset + ranges[i - 1].length);
     CHECK(ranges[i].length > 0 && ranges[i].offset + ranges[i].length <= m->n);
-    CHECK(ranges[i].likely <= m->n - ranges[i].offset - ranges[i].length);
+    CHECK(ranges[i].is_page <= 1);
     memcpy(buffers[i], m->bytes + ranges[i].offset, (size_t)ranges[i].length);
     m->n_fetched += (size_t)ranges[i].length;
   }
@@ -508,11 +508,11 @@ static void ranges_do_not_overlap(memory *m) {
       if (top->payloads[i].length) payload = &top->payloads[i];
     }
     for (int i = 0; i < top->n_heads && are_pages && !is_changed; i++) {
-      if (child && top->children[i].length) {
+      if (child && top->children[i].page_length) {
         is_changed = 1;
-        top->children[i].offset = child->offset + 1;
+        top->children[i].page = child->page + 1;
       }
-      if (top->children[i].length) child = &top->children[i];
+      if (top->children[i].page_length) child = &top->children[i];
     }
     twz_window *window;
     CHECK(twz_window_new(file, -1, NULL, &window, NULL) == TWZ_OK);

@@ -261,26 +261,34 @@ def read_file(data):
 
     grid = Grid(h.n_rows, h.n_cols, 2**h.block_log2, h.border_rings)
     payloads, codes, segment_of_key, segment_of_block = {}, {}, {}, {}
-    # The segments of one level in file order: head, length of page, length (None: not known).
-    row = [(None, h.top_page_length, None)]
+    # The segments of one level in file order: head, page, length (None: not known).
+    row = [(None, data[at : at + h.top_page_length], None)]
+    at += h.top_page_length
     while row:
         next_row, first_children = [], []
-        for head, page_length, length in row:
+        for head, its_page, length in row:
             layout = segment_layout(grid, head)
             keys, blocks, heads = layout
             segment_of_key |= dict.fromkeys(keys, head)
             segment_of_block |= dict.fromkeys(blocks, head)
-            if page_length == 0:  # absent (§3.4)
+            if not its_page:  # absent (§3.4)
                 payloads |= dict.fromkeys(keys, b"")
                 codes |= dict.fromkeys(blocks, (0, 0, 0, 0))
-                next_row += [(child, 0, 0) for child in heads]
+                next_row += [(child, b"", 0) for child in heads]
                 continue
             start = at
-            first_child, page = read_page(data[at : at + page_length], layout)
+            first_child, page = read_page(its_page, layout)
             require((first_child > 0) == bool(heads), "first_child")
             if heads:
                 first_children.append((first_child, len(next_row)))
-            at += page_length
+            for child, n_page, n in zip(
+                heads, page.child_page_length, page.child_length, strict=True
+            ):
+                require(n_page == 0 or 13 <= n_page <= 2**15, "child_page_length")
+                require((n_page == 0) == (n == 0) and n >= n_page, "child_length")
+                require(len(data) >= at + n_page, "page is cut off")
+                next_row.append((child, data[at : at + n_page], n))
+                at += n_page
             require(not any(page.flags), "flags of a key", UnsupportedError)
             for key in file_order(keys):
                 i = keys.index(key)
@@ -298,16 +306,11 @@ def read_file(data):
                 zip(page.z_min, page.z_max, page.error, page.mesh_error, strict=True),
                 strict=True,
             )
-            require(length is None or at - start == length, "length of a segment")
-            for child, n_page, n in zip(
-                heads, page.child_page_length, page.child_length, strict=True
-            ):
-                require(n_page == 0 or 13 <= n_page <= 2**15, "child_page_length")
-                require((n_page == 0) == (n == 0) and n >= n_page, "child_length")
-                next_row.append((child, n_page, n))
-        # §3.2: the next level of segments begins here and has no gaps.
+            require(length is None or len(its_page) + at - start == length, "length of a segment")
+        # §3.2: the bodies of the next level begin here and have no gaps.
         for first_child, i in first_children:
-            require(first_child == at + sum(n for *_, n in next_row[:i]), "first_child")
+            before = sum(n - len(page) for _, page, n in next_row[:i])
+            require(first_child == at + before, "first_child")
         row = next_row
     require(at == h.file_size, "bytes after the last section")
     return SimpleNamespace(

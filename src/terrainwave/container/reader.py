@@ -28,7 +28,7 @@ from terrainwave.container.page import (
     page_layout,
     unpack_page,
 )
-from terrainwave.container.segment import Segment, page_and_payloads, segment_of_page
+from terrainwave.container.segment import Segment, segment_of_page
 from terrainwave.container.sources.byte_source import ByteSource
 from terrainwave.container.sources.cut_file import CutFile
 from terrainwave.container.sources.ranges import ByteRange
@@ -107,7 +107,8 @@ class Container:
         start = self.extents.top_start
         layout = page_layout(self.grid, None)
         page = unpack_page(data, layout, f"the page of {describe_head(None)}")
-        end = start + len(data) + page.body_length
+        segment = segment_of_page(None, layout, page, start + len(data))
+        end = segment.end
         if end > self.extents.file_size:
             raise CorruptStreamError("the top segment reaches beyond the end of the file")
         last = page.children_end if layout.children else end
@@ -118,7 +119,7 @@ class Container:
             raise CorruptStreamError("the segments do not fill the file")
         if last > self.extents.file_size:
             raise CorruptStreamError("a segment reaches beyond the end of the file")
-        return segment_of_page(None, layout, page, start, len(data), end)
+        return segment
 
     # Index
 
@@ -178,20 +179,20 @@ class Container:
         """Check a page against its parent's and return its segment (FORMAT.md §3.5)."""
         layout = page_layout(self.grid, head)
         start, length = parent.child_range(head)
-        if not length:
-            return segment_of_page(head, layout, empty_page(layout), start, 0, start)
+        if not data:
+            return segment_of_page(head, layout, empty_page(layout), start)
         name = describe_head(head)
         page = unpack_page(data, layout, f"the page of {name}")
-        if len(data) + page.body_length != length:
+        if page.body_length != length:
             raise CorruptStreamError(
-                f"{name} has {len(data) + page.body_length} bytes, its parent says {length}"
+                f"the body of {name} has {page.body_length} bytes, its parent says {length}"
             )
         # Strictly onward, so that no chain of pages ever comes back to a byte.
         if layout.children and page.first_child < parent.page.children_end:
             raise CorruptStreamError(f"the child segments of {name} overlap others")
         if layout.children and page.children_end > self.extents.file_size:
             raise CorruptStreamError(f"a child of {name} reaches beyond the end of the file")
-        return segment_of_page(head, layout, page, start, len(data), start + length)
+        return segment_of_page(head, layout, page, start)
 
     def _head_of(self, key: Block) -> Block | None:
         if key.is_root_key:
@@ -211,7 +212,7 @@ class Container:
             segment = self.segment(waiting.pop())
             yield segment
             children = segment.layout.children
-            waiting += [child for child in children if segment.child_range(child).length]
+            waiting += [child for child in children if segment.page_range(child).length]
 
     # Payloads
 
@@ -231,34 +232,29 @@ class Container:
         Notes
         -----
         Each missing level of index pages takes one round of requests, which also brings payloads
-        whose place is known by then and wanted ones next to the pages; one more round brings the
-        rest. Which gaps are read is decided for all rounds together (`container.sources.ranges`).
+        whose place is known by then; one more round brings the rest. Which gaps are read is decided
+        for all rounds together (`container.sources.ranges`).
         """
         heads = {key: self._head_of(key) for key in keys}
-        wanted: dict[Block | None, set[Block]] = {}
-        for key, head in heads.items():
-            wanted.setdefault(head, set()).add(key)
-        known = self._known_segments(wanted)
+        known = self._known_segments(heads.values())
         reader = self.rounds()
         pages: list[ByteRange] = []
         with self._blaming_change():
-            while missing := self._next_segments(wanted, known):
-                spans = [
-                    page_and_payloads(
-                        parent, head, page_layout(self.grid, head), wanted.get(head, ())
-                    )
-                    for head, parent in missing.items()
-                ]
-                reader.fetch([*pages, *spans, *_payload_places(heads, known).values()])
-                loaded: dict[Block | None, Segment] = {}
-                for head, parent in missing.items():
-                    pages.append(parent.page_range(head))
-                    loaded[head] = self._unpack_segment(head, parent, reader.take(pages[-1]))
+            while missing := self._next_segments(heads.values(), known):
+                places = {head: parent.page_range(head) for head, parent in missing.items()}
+                here = {head: place for head, place in places.items() if reader.has(place)}
+                if not here:  # else they may tell more of what is to be fetched
+                    pages += places.values()
+                    reader.fetch([*pages, *_payload_places(heads, known).values()])
+                loaded: dict[Block | None, Segment] = {
+                    head: self._unpack_segment(head, missing[head], reader.take(place))
+                    for head, place in (here or places).items()
+                }
                 self._keep(loaded)
                 known.update(loaded)
-            places = _payload_places(heads, known)
-            reader.fetch([*pages, *places.values()])
-            payloads = {key: reader.take(place) for key, place in places.items()}
+            of_payloads = _payload_places(heads, known)
+            reader.fetch([*pages, *of_payloads.values()])
+            payloads = {key: reader.take(place) for key, place in of_payloads.items()}
             n_bytes = sum(map(len, payloads.values()))
             _log.debug("read %d payloads, %d bytes", len(keys), n_bytes)
             for key, head in heads.items():
@@ -357,16 +353,17 @@ class Container:
         index pages of one level; of the finest, where most are, only one.
         """
         yield from self._check_payloads(self._top)
-        byte_pos, end, layer = self._top.start, self._top.end, [self._top]
+        byte_pos, end, layer = self._top.end, self._top.end, [self._top]
         while layer:
             byte_pos, parents, layer = max(byte_pos, end), layer, []
             for parent, child in ((one, child) for one in parents for child in one.layout.children):
-                start, length = parent.child_range(child)
-                if not length:
+                if not parent.page_range(child).length:
                     continue
+                start, length = parent.child_range(child)
                 # Also keeps the walk finite: each byte is visited at most once.
                 if start != byte_pos:
-                    yield f"{describe_head(child)} begins at byte {start}, not {byte_pos}"
+                    name = f"the body of {describe_head(child)}"
+                    yield f"{name} begins at byte {start}, not {byte_pos}"
                     if start < byte_pos:
                         continue
                 byte_pos = start + length

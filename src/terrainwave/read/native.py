@@ -71,7 +71,7 @@ class _Range(ctypes.Structure):
     _fields_ = [
         ("offset", ctypes.c_uint64),
         ("length", ctypes.c_uint64),
-        ("likely", ctypes.c_uint64),
+        ("is_page", ctypes.c_uint64),
         ("reserved", ctypes.c_uint64),
     ]
 
@@ -156,11 +156,13 @@ class Library:
         assert made.value is not None
         return made.value
 
-    def needed(self, name: str, handle: int) -> list[ByteRange]:
-        """Return which bytes a file or a window needs next."""
+    def needed(self, name: str, handle: int) -> list[tuple[ByteRange, bool]]:
+        """Return which bytes a file or a window needs next, and which of them are index pages."""
         ranges, n = (_Range * _MOST_RANGES)(), ctypes.c_size_t()
         self.call(name, handle, ranges, _MOST_RANGES, ctypes.byref(n))
-        return [ByteRange(part.offset, part.length) for part in ranges[: n.value]]
+        return [
+            (ByteRange(part.offset, part.length), part.is_page == 1) for part in ranges[: n.value]
+        ]
 
 
 @cache
@@ -354,10 +356,14 @@ class NativeFile:
             missing = list(dict.fromkeys(part for _, parts in wanted for part in parts))
             if not missing:
                 return
-            rounds.fetch(missing)
+            # Pages that are here may tell more of what is to be fetched.
+            known = {part for part, is_page in missing if is_page and rounds.has(part)}
+            if not known:
+                rounds.fetch([part for part, _ in missing])
             for one, parts in wanted:
-                for part in parts:
-                    self._library.call(feed, one, part.offset, rounds.take(part), part.length)
+                for part, _ in parts:
+                    if part in known or not known:
+                        self._library.call(feed, one, part.offset, rounds.take(part), part.length)
 
     def read(
         self, level: int, region: Region, *, is_own: bool
@@ -486,7 +492,7 @@ class _Rounds:
     def __init__(self, container: Container) -> None:
         self._reader = container.rounds()
         self._known: list[ByteRange] = []
-        self.take = self._reader.take
+        self.take, self.has = self._reader.take, self._reader.has
 
     def fetch(self, wanted: Sequence[ByteRange]) -> None:
         """Fetch what is not here yet of what is wanted."""
