@@ -1,8 +1,8 @@
-# ruff: noqa: D103
 """Units of the next default codec: what is decoded is what was encoded, within the bound."""
 
 import numpy as np
 import pytest
+
 from terrainwave.codec.rapid.layout import CORES, HH, HL, LH, TAPS
 from terrainwave.codec.rapid.symbols import (
     N_SLOTS,
@@ -15,7 +15,6 @@ from terrainwave.codec.rapid.symbols import (
 )
 from terrainwave.codec.rapid.tables import Tables
 from terrainwave.codec.rapid.unit import UnitCoder
-
 from terrainwave.codec.refiner import NOT_SHARED, GroupSpec, Sides
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.quadtree import Region

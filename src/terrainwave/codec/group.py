@@ -218,7 +218,7 @@ class Head(NamedTuple):
     n_bytes: int
 
 
-def _read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> _Head:
+def _read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Head:
     """Read what stands before the heights of a payload, which is not empty.
 
     Raises
@@ -243,7 +243,7 @@ def _read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> _Head
     validity = _decode_validity(spec, parent, Sections(sections[MASK_CODED], sections[_HAS_OWN]))
     if validity.mask is not None and not validity.mask.any():
         raise CorruptStreamError("a unit without a valid sample has a payload")
-    return _Head(
+    return Head(
         validity,
         sections[_HAS_EXCEPTIONS],
         sections[_HAS_REMAINDERS],

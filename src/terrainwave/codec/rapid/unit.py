@@ -9,13 +9,6 @@ from numpy.typing import NDArray
 from terrainwave.codec.corrections import correct
 from terrainwave.codec.memory import Spares, flat, new_heights
 from terrainwave.codec.rapid.details import code_details
-from terrainwave.codec.rapid.prediction import (
-    Aim,
-    Parent,
-    code_heights,
-    load_parent,
-    look_at_parent,
-)
 from terrainwave.codec.rapid.layout import (
     CORE_ARRAYS,
     HH,
@@ -30,6 +23,13 @@ from terrainwave.codec.rapid.layout import (
     run_weights,
 )
 from terrainwave.codec.rapid.needed import band_strips, needed_for
+from terrainwave.codec.rapid.prediction import (
+    Aim,
+    Parent,
+    code_heights,
+    load_parent,
+    look_at_parent,
+)
 from terrainwave.codec.rapid.symbols import (
     BIT,
     IS_BAD,
