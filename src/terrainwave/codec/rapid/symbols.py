@@ -225,14 +225,14 @@ def _complete(pairs, singles, n_pairs, cut, streams, details, more, most):
 
 
 @kernel
-def read_strip(work, pairs, singles, both, details, most, frequencies, values, streams):
+def read_strip(memory, pairs, singles, both, details, most, frequencies, values, streams):
     """Read the details of a list, two for each pair; none of many bits is beyond ±most.
 
     The list; a list of the samples of pairs that have no symbol; the raw bits of samples coded by
     themselves; what is beyond the symbols of these; the same of samples of pairs.
     """
     pairs, singles, both, details = borrowed((pairs, singles, both, details))
-    entries, symbols, more = borrowed((work.entries, work.symbols, work.more))
+    entries, symbols, more = borrowed(memory)
     streams = borrowed(streams)
     cut, slots = frequencies.cut, frequencies.slots
     n_pairs = pairs.shape[0]
