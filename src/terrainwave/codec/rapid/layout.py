@@ -74,7 +74,8 @@ def _runs(taps: list[tuple[int, int, int]]) -> Runs:
 
 
 RUNS = {plane: _runs(taps) for plane, taps in TAPS.items()}
-CORE_ARRAYS = tuple(np.array(CORES[plane], dtype=np.int64) for plane in (HH, HL, LH))
+# Planes, rows and columns of `CORES`.
+CORE_ARRAYS = tuple(np.array(CORES[plane], dtype=np.int64).T.copy() for plane in (HH, HL, LH))
 
 
 def run_weights(plane: int, weights: NDArray[np.int64]) -> NDArray[np.int16]:
