@@ -2,7 +2,7 @@
 
 python tools/make_native_tables.py
 
-From the files of the annexes (FORMAT.md §15), and the mixer's functions from the text of the format.
+From the files of the annexes (FORMAT.md §15), and the mixer's functions from its text.
 """
 
 import re

@@ -165,9 +165,9 @@ def read_entries(entries, n, slots, streams, symbols):
             freq = (found >> np.uint32(8)) & np.uint32(N_SLOTS - 1)
             state = freq * whole + whole + (found >> np.uint32(20))
             symbols[k] = np.uint8(found & np.uint32(255))
-            is_short = np.uint32(state < np.uint32(STATE_START))
-            word = np.uint32(words[at]) * is_short
-            states[k & mask] = (state << (is_short << np.uint32(4))) | word
+            is_short = state < np.uint32(STATE_START)
+            longer = (state << np.uint32(16)) | np.uint32(words[at])
+            states[k & mask] = longer if is_short else state
             at += np.uint64(is_short)
         first = last
     places[WORD] = np.int64(at)
