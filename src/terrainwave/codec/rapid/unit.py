@@ -453,6 +453,8 @@ def _read_bands(head: _Head, payload: bytes) -> list[Streams]:
         raise kind(f"the payload has {len(payload)} bytes, its parts need {needed}")
     for n_words, n_raw in head.sizes:
         states = np.frombuffer(payload, "<u4", head.n_states, at).astype(np.uint32)
+        if states.min() < STATE_START:
+            raise CorruptStreamError(f"a state of {states.min()}, expected {STATE_START} at least")
         at += 4 * head.n_states
         words = np.zeros(n_words + MOST_STATES, dtype=np.uint16)
         words[:n_words] = np.frombuffer(payload, "<u2", n_words, at)
