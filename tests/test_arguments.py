@@ -261,5 +261,5 @@ def test_a_text_that_reads_as_a_number_is_not_shown_as_one():
 
 
 def test_a_number_for_a_word_is_called_a_number(tmp_path):
-    with pytest.raises(InvalidArgumentError, match=r"^found effort the number 1, expected 'fast', "):
+    with pytest.raises(InvalidArgumentError, match=r"^found effort the number 1, expected 'fast'"):
         tw.compress(HEIGHTS, tmp_path / "a.twz", effort=1)
