@@ -2,6 +2,7 @@
 
 import json
 import warnings
+import zlib
 
 import numpy as np
 import pytest
@@ -11,7 +12,12 @@ from strategies import terrain_like
 from zarr.storage import MemoryStore
 
 import terrainwave
-from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveWarning
+from terrainwave.errors import (
+    CorruptStreamError,
+    InvalidHeightsError,
+    TerrainwaveWarning,
+    UnsupportedVersionError,
+)
 from terrainwave.ext.zarr_codec import TerrainwaveCodec
 
 
@@ -152,6 +158,19 @@ def test_chunk_of_another_shape_or_type_is_refused(other):
     foreign = terrainwave.compress_to_bytes(np.zeros((n_rows, n_cols), dtype))
     with pytest.raises(CorruptStreamError, match=r"expected int16 of shape \(20, 20\)"):
         damaged(store, foreign)[...]
+
+
+def test_a_chunk_of_a_development_build_is_to_be_made_again():
+    _, store = make_array(terrain_like(20, 20), (20, 20))
+    chunk = bytearray(terrainwave.compress_to_bytes(terrain_like(20, 20)))
+    chunk[8] = 1
+    chunk[124:128] = zlib.crc32(chunk[:124]).to_bytes(4, "little")
+    with pytest.raises(
+        UnsupportedVersionError,
+        match="cannot be read: found format version 1, expected 2: made by a development build:"
+        " compress the raster again",
+    ):
+        damaged(store, bytes(chunk))[...]
 
 
 def test_metadata_name_the_codec_what_was_chosen_and_whether_heights_are_stable():

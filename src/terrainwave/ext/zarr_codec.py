@@ -25,6 +25,7 @@ from terrainwave.errors import (
     InvalidHeightsError,
     TerrainwaveError,
     TerrainwaveWarning,
+    UnsupportedVersionError,
 )
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quantum import as_fraction
@@ -203,7 +204,9 @@ class TerrainwaveCodec(ArrayBytesCodec):
                     )
                 heights = terrain.read(max_bytes=math.prod(shape) * dtype.itemsize)
         except TerrainwaveError as error:
-            raise type(error)(f"a chunk of the codec {CODEC_NAME} is damaged: {error}") from error
+            is_other = isinstance(error, UnsupportedVersionError)
+            what = "cannot be read" if is_other else "is damaged"
+            raise type(error)(f"a chunk of the codec {CODEC_NAME} {what}: {error}") from error
         decoded = heights.astype(dtype, copy=False).reshape(chunk_spec.shape)
         prototype: Any = chunk_spec.prototype  # its protocol of arrays is narrower than numpy's
         return prototype.nd_buffer.from_ndarray_like(decoded)
