@@ -9,7 +9,6 @@ from container.toys import paths_to_corner, toy_codes, toy_header
 from terrainwave.container.page import page_layout
 from terrainwave.container.reader import Container
 from terrainwave.container.sources.byte_source import BufferSource
-from terrainwave.container.sources.ranges import AIMED_REQUESTS
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import assemble
 
@@ -74,7 +73,7 @@ def test_a_window_where_four_segments_meet_takes_few_requests(source, row, col):
 @pytest.mark.parametrize("place", [(3, 3), (11, 14), (31, 1), (28, 20), (12, 4)])
 def test_a_window_in_one_segment_takes_three_requests(source, place):
     n_rounds, n_requests, ratio = cost(source, paths_to_corner(Container(source).grid, *place))
-    assert (n_rounds, n_requests <= AIMED_REQUESTS) == (1, True)
+    assert (n_rounds, n_requests <= 3) == (1, True)
     assert ratio <= 2.5
 
 
@@ -87,7 +86,7 @@ def test_a_file_of_one_segment_opens_by_one_request_and_a_window_takes_three(pla
     container = Container(source)
     assert source.reads == [(0, 16384)]
     n_rounds, n_requests, ratio = cost(source, paths_to_corner(container.grid, *place))
-    assert (n_rounds, n_requests <= AIMED_REQUESTS, ratio <= 2.5) == (1, True, True)
+    assert (n_rounds, n_requests <= 3, ratio <= 2.5) == (1, True, True)
 
 
 def test_pages_that_did_not_come_at_the_opening_come_with_the_payloads_above_them(tmp_path):
@@ -96,5 +95,5 @@ def test_pages_that_did_not_come_at_the_opening_come_with_the_payloads_above_the
     source = Counting(file_of(header, tmp_path, MEAN_LENGTHS))
     n_rounds, n_requests, ratio = cost(source, paths_to_corner(header.grid, 3, 3))
     assert (n_rounds, len(source.rounds[0])) == (2, 1)
-    assert n_requests <= AIMED_REQUESTS + 1
+    assert n_requests <= 4
     assert ratio <= 2.5
