@@ -17,39 +17,43 @@ _ONE, _TWO = np.int32(1), np.int32(2)
 
 
 @kernel_part
-def _expect_row(work, plane, row, weights, n, expected):
+def _expect_row(flats, pitches, plane, row, weights, n, expected):
     """Fill the expected magnitudes of the samples of a row.
 
     ``((v1 * range + v2 * bend) >> shift) + v3 * near + v0``, in 2**-14 steps, with `weights` (v0,
     v1, v2, v3, shift). Ranges are at most 2 * 16382, bends 4 * 8191, v1 and v2 2**13 - 1: their
     sum is below 2**29.1. `near` is at most 6 * 4095, v3 2**15 - 1, v0 2**29: all below 2**31.
+    `flats` are ranges, bends and what is near in flat memory, `pitches` how far apart rows and
+    planes of it lie.
     """
-    ranges, bends, near = work.ranges, work.bends, work.near
+    ranges, bends, near = flats
     v0, v1, v2, v3, shift = weights[0], weights[1], weights[2], weights[3], weights[4]
+    pitch, size, one = np.uint64(pitches[0]), np.uint64(pitches[1]), np.uint64(1)
     # One row and column outside are there.
-    here, above = ranges[row + 1, 1:], ranges[row, 1:]
-    bend, below = bends[row + 1, 1:], bends[row + 2, 1:]
+    here = np.uint64(row + 1) * pitch + one
+    above, below, n = here - pitch, here + pitch, np.uint64(n)
     if plane == HH:
         for k in range(n):
-            all_bends = np.int32(bend[k]) + np.int32(bend[k + 1])
-            all_bends += np.int32(below[k]) + np.int32(below[k + 1])
-            expected[k] = ((v1 * np.int32(here[k]) + v2 * all_bends) >> shift) + v0
+            at, under = here + k, below + k
+            all_bends = np.int32(bends[at]) + np.int32(bends[at + one])
+            all_bends += np.int32(bends[under]) + np.int32(bends[under + one])
+            expected[k] = ((v1 * np.int32(ranges[at]) + v2 * all_bends) >> shift) + v0
     elif plane == HL:
-        north, own = near[0, row, 1:], near[0, row + 1, 1:]
         for k in range(n):
-            both_bends = np.int32(bend[k]) + np.int32(bend[k + 1])
-            both = np.int32(here[k]) + np.int32(above[k])
-            magnitudes = np.int32(north[k]) + np.int32(own[k])
+            at, over = here + k, above + k
+            both_bends = np.int32(bends[at]) + np.int32(bends[at + one])
+            both = np.int32(ranges[at]) + np.int32(ranges[over])
+            magnitudes = np.int32(near[over]) + np.int32(near[at])
             expected[k] = ((v1 * both + v2 * both_bends) >> shift) + v3 * magnitudes + v0
     else:
-        west, before = ranges[row + 1], near[0, row + 1]
-        corner, own, south = near[0, row + 1, 1:], near[1, row + 1, 1:], near[1, row + 2, 1:]
-        own_before, south_before = near[1, row + 1], near[1, row + 2]
         for k in range(n):
-            both_bends = np.int32(bend[k]) + np.int32(below[k])
-            both = np.int32(here[k]) + np.int32(west[k])
-            magnitudes = np.int32(corner[k]) + np.int32(before[k]) + np.int32(own[k])
-            magnitudes += np.int32(own_before[k]) + np.int32(south[k]) + np.int32(south_before[k])
+            at, under = here + k, below + k
+            both_bends = np.int32(bends[at]) + np.int32(bends[under])
+            both = np.int32(ranges[at]) + np.int32(ranges[at - one])
+            magnitudes = np.int32(near[at]) + np.int32(near[at - one])
+            at, under = at + size, under + size
+            magnitudes += np.int32(near[at]) + np.int32(near[at - one])
+            magnitudes += np.int32(near[under]) + np.int32(near[under - one])
             expected[k] = ((v1 * both + v2 * both_bends) >> shift) + v3 * magnitudes + v0
 
 
@@ -65,32 +69,34 @@ def _classify(value):
 
 
 @kernel_part
-def _class_row(work, n, pairs, singles):
-    """Fill the classes of the samples of a row, and of its pairs; an odd one is a pair alone."""
-    expected, floats, bits = work.expected, work.floats, work.bits
+def _class_row(expected, floats, bits, n, pairs, singles, at):
+    """Fill the classes of the samples of a row, and of its pairs, from pair `at` on.
+
+    An odd one is a pair alone.
+    """
     if n & 1:
         expected[n] = expected[n - 1]
-    for k in range(n):
+    n_pairs, first, at = np.uint64((n + 1) // 2), np.uint64(2 * at), np.uint64(at)
+    for k in range(np.uint64(n)):
         floats[k] = _classify(expected[k])
-    for k in range(n):
-        singles[k] = np.int8(min((bits[k] >> _TO_CLASS) - _CLASS_ZERO, _TOP_CLASS))
-    for k in range((n + 1) // 2):
-        floats[k] = _classify((expected[2 * k] >> _ONE) + (expected[2 * k + 1] >> _ONE))
-    for k in range((n + 1) // 2):
-        pairs[k] = np.int8(min((bits[k] >> _TO_CLASS) - _CLASS_ZERO, _TOP_CLASS))
+    for k in range(np.uint64(n)):
+        singles[first + k] = np.int8(min((bits[k] >> _TO_CLASS) - _CLASS_ZERO, _TOP_CLASS))
+    for k in range(n_pairs):
+        floats[k] = _classify((expected[k + k] >> _ONE) + (expected[k + k + np.uint64(1)] >> _ONE))
+    for k in range(n_pairs):
+        pairs[at + k] = np.int8(min((bits[k] >> _TO_CLASS) - _CLASS_ZERO, _TOP_CLASS))
     if n & 1:
-        singles[n] = HIDDEN
+        singles[first + np.uint64(n)] = HIDDEN
 
 
 @kernel_part
-def _hide_voids(valid, plane, row, n, pairs, singles):
+def _hide_voids(valid, plane, row, n, pairs, singles, at):
     """Hide void samples of a row, and pairs of them."""
-    of_row = valid[2 * row + (plane != HL)]
-    at = np.int64(plane != LH)
+    of_row, first = 2 * row + (plane != HL), np.int64(plane != LH)
     for k in range(n):
-        if not of_row[at + 2 * k]:
-            singles[k] = HIDDEN
-    for k in range((n + 1) // 2):
+        if not valid[of_row, first + 2 * k]:
+            singles[2 * at + k] = HIDDEN
+    for k in range(at, at + (n + 1) // 2):
         if singles[2 * k] == HIDDEN and singles[2 * k + 1] == HIDDEN:
             pairs[k] = HIDDEN
 
@@ -104,8 +110,11 @@ def code_details(
     Nothing is known of strips before the first one of a band. Rows of `weights` belong to HH, HL
     and LH.
     """
-    work = borrowed(work)
-    near, all_pairs, all_singles = work.near, work.pairs, work.singles
+    work, valid = borrowed((work, valid))
+    near, pairs, singles, expected = work.near, work.pairs, work.singles, work.expected
+    flats = borrowed((work.ranges.reshape(-1), work.bends.reshape(-1), near.reshape(-1)))
+    all_details, all_both = borrowed((work.details.reshape(-1), work.both.reshape(-1)))
+    pitches = near.shape[2], near.shape[1] * near.shape[2]
     n_rows = (lattice.n_rows // 2, (lattice.n_rows + 1) // 2, lattice.n_rows // 2)
     n_cols = (lattice.n_cols // 2, lattice.n_cols // 2, (lattice.n_cols + 1) // 2)
     near[:, STRIP_ROWS * strips[0]] = 0
@@ -123,29 +132,27 @@ def code_details(
                 continue
             for row in range(first, last):
                 at = n_pairs * (row - first)
-                pairs, singles = all_pairs[at:], all_singles[2 * at :]
-                _expect_row(work, plane, row, weights[plane - 1], n, work.expected)
-                _class_row(work, n, pairs, singles)
+                _expect_row(flats, pitches, plane, row, weights[plane - 1], n, expected)
+                _class_row(expected, work.floats, work.bits, n, pairs, singles, at)
                 if lattice.has_void:
-                    _hide_voids(valid, plane, row, n, pairs, singles)
-            both = work.both[plane - 1, n_pairs * first : n_pairs * last]
-            details = work.details[plane - 1, 2 * n_pairs * first : 2 * n_pairs * last]
+                    _hide_voids(valid, plane, row, n, pairs, singles, at)
             n_all = n_pairs * (last - first)
+            at = (plane - 1) * work.both.shape[1] + n_pairs * first
+            both, details = all_both[at : at + n_all], all_details[2 * at : 2 * (at + n_all)]
             if is_encoding:
-                log_strip(
-                    all_pairs[:n_all], all_singles[: 2 * n_all], details, frequencies, streams
-                )
+                log_strip(pairs[:n_all], singles[: 2 * n_all], details, frequencies, streams)
             else:
+                memory = work.entries, work.symbols, work.more
                 read_strip(
-                    work, all_pairs[:n_all], all_singles[: 2 * n_all], both, details, lattice.most,
+                    memory, pairs[:n_all], singles[: 2 * n_all], both, details, lattice.most,
                     frequencies, values, streams,
                 )  # fmt: skip
             if plane != LH:
                 for row in range(first, last):
-                    at = 2 * n_pairs * (row - first)
-                    source, to = details[at : at + n], near[plane - 1, row + 1, 1:]
-                    for k in range(n):
-                        to[k] = np.int16(min(abs(source[k]), MOST_NEAR))
+                    source = np.uint64(2 * n_pairs * (row - first))
+                    to = np.uint64((plane - 1) * pitches[1] + (row + 1) * pitches[0] + 1)
+                    for k in range(np.uint64(n)):
+                        flats[2][to + k] = np.int16(min(abs(details[source + k]), MOST_NEAR))
 
 
 def n_strips(n_rows: int) -> int:

@@ -28,10 +28,10 @@ Stencils = tuple[tuple[FileStencil, ...], ...]
 
 # Levels below the full grid of each class, and how many samples are taken of a plane there.
 CLASS_DEPTHS = ((0,), (1,), (2,), (3, 4))
-_WANTED = (3072, 2048, 1536, 1536)
+_WANTED = (8192, 4096, 2048, 1536)
 # Products of so many samples at a time are small enough for BLAS to use one thread.
 _AT_A_TIME = 128
-_JUDGED = 1024  # samples that stencils are compared by
+_JUDGED = 2048  # samples that stencils are compared by
 _MIN_SAMPLES = 256
 _MARGIN = 4  # no tap is further away, in samples of the lattice
 # Samples are whole numbers of 1/64 step, at most 2**17; scaled by their influence at most 2**20.

@@ -74,7 +74,10 @@ def _runs(taps: list[tuple[int, int, int]]) -> Runs:
 
 
 RUNS = {plane: _runs(taps) for plane, taps in TAPS.items()}
-CORE_ARRAYS = tuple(np.array(CORES[plane], dtype=np.int64) for plane in (HH, HL, LH))
+# Their planes, rows and columns, as `RUNS` has those of taps.
+CORE_ARRAYS = tuple(
+    tuple(np.array(CORES[plane], dtype=np.int64).T.copy()) for plane in (HH, HL, LH)
+)
 
 
 def run_weights(plane: int, weights: NDArray[np.int64]) -> NDArray[np.int16]:

@@ -53,9 +53,34 @@ def _level_with(height, lattice):
     return np.int16(min(max((height - lattice.origin) >> lattice.shift, -LIMIT), LIMIT))
 
 
+@kernel_part
+def _look(work, rows, n):
+    """Fill the ranges of cells and the bends of samples of A, of one column outside on each side.
+
+    ``ranges[i + 1, j + 1]`` is that of samples (i, j) ... (i + 1, j + 1).
+    Differences of heights within ±LIMIT, doubled and added, are below 2**16.
+    """
+    a, ranges, bends = work.planes[A], work.ranges, work.bends
+    for i in range(rows[0], rows[1]):
+        north, here = a[PAD + i - 1, PAD - 1 :], a[PAD + i, PAD - 1 :]
+        west, south = a[PAD + i, PAD - 2 :], a[PAD + i + 1, PAD - 1 :]
+        to_range, to_bend = ranges[i + 1], bends[i + 1]
+        for j in range(n):
+            x, y = np.int32(here[j]), np.int32(here[j + 1])
+            z, w = np.int32(south[j]), np.int32(south[j + 1])
+            most, least = max(max(x, y), max(z, w)), min(min(x, y), min(z, w))
+            to_range[j] = np.int16(most - least)
+            across = abs(np.int32(west[j]) + y - _TWO * x)
+            along = abs(np.int32(north[j]) + z - _TWO * x)
+            to_bend[j] = np.int16(min(across + along, _LIMIT))
+
+
 @kernel
-def load_parent(parent, lattice, rows, work):
-    """Fill `rows` of plane A, and the PAD rows and columns outside that mirror what is there."""
+def load_parent(parent, lattice, rows, features, work):
+    """Fill `rows` of plane A, and the PAD rows and columns outside that mirror what is there.
+
+    Then the ranges and bends of rows `features`, from -1 on.
+    """
     heights, planes, spacing = borrowed(parent.heights), borrowed(work.planes), parent.spacing
     low, high, origin, shift = lattice.low, lattice.high, lattice.origin, lattice.shift
     n_rows, n_cols = (lattice.n_rows + 1) // 2, (lattice.n_cols + 1) // 2
@@ -76,66 +101,44 @@ def load_parent(parent, lattice, rows, work):
             last = n_cols - 1 + col
             mirrored = min(_mirrored(2 * last, lattice.n_cols) // 2, n_cols - 1)
             to[PAD + last] = to[PAD + mirrored]
-
-
-@kernel
-def look_at_parent(lattice, rows, work):
-    """Fill the ranges of cells and the bends of samples of A, of one column outside on each side.
-
-    `rows` of A, from -1 on; ``ranges[i + 1, j + 1]`` is that of samples (i, j) ... (i + 1, j + 1).
-    Differences of heights within ±LIMIT, doubled and added, are below 2**16.
-    """
-    a, ranges, bends = borrowed((work.planes[A], work.ranges, work.bends))
-    n = (lattice.n_cols + 1) // 2 + 2
-    for i in range(rows[0], rows[1]):
-        north, here = a[PAD + i - 1, PAD - 1 :], a[PAD + i, PAD - 1 :]
-        west, south = a[PAD + i, PAD - 2 :], a[PAD + i + 1, PAD - 1 :]
-        to_range, to_bend = ranges[i + 1], bends[i + 1]
-        for j in range(n):
-            x, y = np.int32(here[j]), np.int32(here[j + 1])
-            z, w = np.int32(south[j]), np.int32(south[j + 1])
-            most, least = max(max(x, y), max(z, w)), min(min(x, y), min(z, w))
-            to_range[j] = np.int16(most - least)
-            across = abs(np.int32(west[j]) + y - _TWO * x)
-            along = abs(np.int32(north[j]) + z - _TWO * x)
-            to_bend[j] = np.int16(min(across + along, _LIMIT))
+    _look(borrowed(work), features, n_cols + 2)
 
 
 @kernel_part
-def _core_row(planes, core, k, first, n):
-    """Return the row of one of the four nearest known samples."""
-    at = PAD + core[k, 2]
-    return planes[core[k, 0], first + core[k, 1]][at : at + n]
+def _place(tap, k, at, size, pitch):
+    """Return where tap k of the sample at a place of all planes lies, in flat memory."""
+    return np.uint64(at + tap[0][k] * size + tap[1][k] * pitch + tap[2][k])
 
 
 @kernel_part
-def predict_row(planes, stencil, row, n, is_fine, predicted, sides):
+def _predict_row(flat, sizes, stencil, at, n, is_fine, predicted, sides):
     """Predict a row of a plane, in quarters, and which sign its details tend to.
 
-    `sides` are -1 where details change their sign, else 0. The absolute weights add up to 2**18 at
-    most, samples are below 2**13: sums are below 2**31.
+    `at` is the place of its first sample in plane A; places are unsigned, so that no index needs to
+    be checked for a sign. `sides` are -1 where details change their sign, else 0. The absolute
+    weights add up to 2**18 at most, samples are below 2**13: sums are below 2**31.
     """
     runs, weights, core = stencil
-    first = PAD + row
+    size, pitch = sizes
+    n, one = np.uint64(n), np.uint64(1)
     for k in range(0, weights.shape[0], 2):
-        row_of, at = planes[runs[0][k], first + runs[1][k]], PAD + runs[2][k]
-        x, y = row_of[at : at + n], row_of[at + 1 : at + 1 + n]
-        row_of, at = planes[runs[0][k + 1], first + runs[1][k + 1]], PAD + runs[2][k + 1]
-        z, w = row_of[at : at + n], row_of[at + 1 : at + 1 + n]
+        x, z = _place(runs, k, at, size, pitch), _place(runs, k + 1, at, size, pitch)
+        y, w = x + one, z + one
         w0, w1 = np.int32(weights[k, 0]), np.int32(weights[k, 1])
         w2, w3 = np.int32(weights[k + 1, 0]), np.int32(weights[k + 1, 1])
         if k == 0:
             for j in range(n):
-                total = w0 * np.int32(x[j]) + w1 * np.int32(y[j])
-                predicted[j] = total + w2 * np.int32(z[j]) + w3 * np.int32(w[j])
+                total = w0 * np.int32(flat[x + j]) + w1 * np.int32(flat[y + j])
+                predicted[j] = total + w2 * np.int32(flat[z + j]) + w3 * np.int32(flat[w + j])
         else:
             for j in range(n):
-                total = w0 * np.int32(x[j]) + w1 * np.int32(y[j])
-                predicted[j] += total + w2 * np.int32(z[j]) + w3 * np.int32(w[j])
-    p0, p1 = _core_row(planes, core, 0, first, n), _core_row(planes, core, 1, first, n)
-    p2, p3 = _core_row(planes, core, 2, first, n), _core_row(planes, core, 3, first, n)
+                total = w0 * np.int32(flat[x + j]) + w1 * np.int32(flat[y + j])
+                predicted[j] += total + w2 * np.int32(flat[z + j]) + w3 * np.int32(flat[w + j])
+    x, y = _place(core, 0, at, size, pitch), _place(core, 1, at, size, pitch)
+    z, w = _place(core, 2, at, size, pitch), _place(core, 3, at, size, pitch)
     for j in range(n):
-        a, b, c, d = np.int32(p0[j]), np.int32(p1[j]), np.int32(p2[j]), np.int32(p3[j])
+        a, b = np.int32(flat[x + j]), np.int32(flat[y + j])
+        c, d = np.int32(flat[z + j]), np.int32(flat[w + j])
         least, most = min(min(a, b), min(c, d)), max(max(a, b), max(c, d))
         quarters = min(max(predicted[j] >> _TO_QUARTERS, _FOUR * least), _FOUR * most)
         whole = ((quarters + _TWO) >> _TWO) * _FOUR
@@ -145,30 +148,30 @@ def predict_row(planes, stencil, row, n, is_fine, predicted, sides):
 
 
 @kernel_part
-def settle_narrow(predicted, sides, lattice, details, own, n):
+def _settle_narrow(predicted, sides, lattice, details, source, flat, at, n):
     """Add details to a predicted row.
 
     The step is at most LIMIT, a detail times it below 2**30 + 2**13 (`Lattice.most`, or 31 steps).
     """
     step = np.int32(lattice.step)
     low, high = np.int32(lattice.low - lattice.origin), np.int32(lattice.high - lattice.origin)
-    own = own[PAD:]
-    for j in range(n):
-        detail = (details[j] ^ sides[j]) - sides[j]
+    source, at = np.uint64(source), np.uint64(at)
+    for j in range(np.uint64(n)):
+        detail = (details[source + j] ^ sides[j]) - sides[j]
         height = ((predicted[j] + _TWO) >> _TWO) + detail * step
-        own[j] = np.int16(min(max(height, low), high))
+        flat[at + j] = np.int16(min(max(height, low), high))
 
 
 @kernel_part
-def settle_wide(predicted, sides, lattice, details, own, heights, n):
-    """Add details to a predicted row of a unit that needs 32 bits, in `own` and in `heights`."""
+def _settle_wide(predicted, sides, lattice, details, source, flat, at, heights, n):
+    """Add details to a predicted row of a unit that needs 32 bits, in a plane and in `heights`."""
     for j in range(n):
         side = np.int64(sides[j])
-        detail = (np.int64(details[j]) ^ side) - side
+        detail = (np.int64(details[source + j]) ^ side) - side
         height = (((np.int64(predicted[j]) << lattice.shift) + 2) >> 2) + lattice.origin
         height = min(max(height + detail * lattice.step, lattice.low), lattice.high)
         heights[j] = np.int32(height)
-        own[PAD + j] = _level_with(height, lattice)
+        flat[at + j] = _level_with(height, lattice)
 
 
 @kernel_part
@@ -178,17 +181,20 @@ def _quantised(goal, whole, step):
 
 
 @kernel_part
-def _quantise(goal, valid, place, lattice, work, details, n):
+def _quantise(aim, place, lattice, work, details, source, n):
     """Fill the details of a predicted row; 0 where void. `place` is that of the first sample."""
     of_row, first = place
     for j in range(n):
         col = first + 2 * j
         detail = np.int64(0)
-        if not lattice.has_void or valid[of_row, col]:
+        if not lattice.has_void or aim.valid[of_row, col]:
             whole = ((np.int64(work.predicted[j]) << lattice.shift) + 2) >> 2
-            detail = _quantised(goal[of_row, col], whole + lattice.origin, lattice.step)
+            detail = _quantised(aim.heights[of_row, col], whole + lattice.origin, lattice.step)
         side = np.int64(work.sides[j])
-        details[j] = np.int32((detail ^ side) - side)
+        details[source + j] = np.int32((detail ^ side) - side)
+    if n & 1:
+        # An odd end is a pair with nothing: memory holds what was coded before.
+        details[source + n] = 0
 
 
 @kernel_part
@@ -198,13 +204,13 @@ def _on_line(heights, first, spacing, n, k):
 
 
 @kernel
-def predict_on_line(parent, line, step):
+def predict_on_line(heights, line, step):
     """Predict a sample of a line that units share, in 64 bits; also whether its detail is turned.
 
     From the parent's samples of the line alone: both units find the same height. `line` says where
     the first of these is, how far apart they are, how many, and the number of the one before.
     """
-    heights = borrowed(parent.heights)
+    heights = borrowed(heights)
     first, spacing, n, k = line
     a, b = _on_line(heights, first, spacing, n, k - 1), _on_line(heights, first, spacing, n, k)
     c = _on_line(heights, first, spacing, n, k + 1)
@@ -215,40 +221,31 @@ def predict_on_line(parent, line, step):
     return whole, 4 * whole > quarters if step <= 3 else quarters > 2 * (b + c)
 
 
-@kernel
-def settle_on_line(is_encoding, goal, place, lattice, parent, line, details, j, work, own):
-    """Settle sample j of a row, which is on a line that units share."""
-    whole, is_turned = predict_on_line(parent, line, lattice.step)
+@kernel_part
+def _settle_on_line(is_encoding, aim, place, lattice, above, line, details, source):
+    """Return the height of a sample on a line that units share; encoding, find its detail."""
+    whole, is_turned = predict_on_line(above, line, lattice.step)
+    sign = np.int64(-1 if is_turned else 1)
     if is_encoding:
         detail = np.int64(0)
-        if not lattice.has_void or goal.valid[place]:
-            detail = _quantised(goal.heights[place], whole, lattice.step)
-        details[j] = np.int32(-detail if is_turned else detail)
-    detail = np.int64(details[j])
-    height = whole + (-detail if is_turned else detail) * lattice.step
-    height = min(max(height, lattice.low), lattice.high)
-    work.heights[j] = np.int32(height)
-    own[PAD + j] = _level_with(height, lattice)
-
-
-@kernel_part
-def _repeat(planes, plane, row, n):
-    """Repeat the first and the last sample of a row of a plane outside."""
-    own = planes[plane, PAD + row]
-    for k in range(1, PAD + 1):
-        own[PAD - k] = own[PAD]
-        own[PAD + n - 1 + k] = own[PAD + n - 1]
+        if not lattice.has_void or aim.valid[place]:
+            detail = sign * _quantised(aim.heights[place], whole, lattice.step)
+        details[source] = np.int32(detail)
+    height = whole + sign * np.int64(details[source]) * lattice.step
+    return min(max(height, lattice.low), lattice.high)
 
 
 @kernel
-def code_heights(is_encoding, goal, lattice, work, parent, known, stencils, rows, out):
+def code_heights(is_encoding, aim, lattice, work, parent, known, stencils, rows, out):
     """Settle planes HH, HL and LH of a lattice, and write its rows; encoding, find its details.
 
     `known` says which sides are shared: top, left, bottom, right. `rows` are those of HH, HL, LH
     that are wanted, and those of the lattice to be written. Plane A is in ``work.planes``.
     """
-    goal, parent, work, out = borrowed((goal, parent, work, out))
+    aim, work, above, out = borrowed((aim, work, parent.heights, out))
     planes, predicted, sides, heights = work.planes, work.predicted, work.sides, work.heights
+    flat, details = borrowed((planes.reshape(-1), work.details.reshape(-1)))
+    size, pitch = planes.shape[1] * planes.shape[2], planes.shape[2]
     n_rows = (lattice.n_rows // 2, (lattice.n_rows + 1) // 2, lattice.n_rows // 2)
     n_cols = (lattice.n_cols // 2, lattice.n_cols // 2, (lattice.n_cols + 1) // 2)
     n_a_rows, n_a_cols = (lattice.n_rows + 1) // 2, (lattice.n_cols + 1) // 2
@@ -260,72 +257,83 @@ def code_heights(is_encoding, goal, lattice, work, parent, known, stencils, rows
             planes[plane] = planes[A]
             continue
         down, across = np.int64(plane != HL), np.int64(plane != LH)
-        pitch = n + (n & 1)
         for row in range(rows[plane - 1][0], rows[plane - 1][1]):
-            own, of_row = planes[plane, PAD + row], 2 * row + down
-            details = work.details[plane - 1, pitch * row : pitch * row + n]
-            predict_row(planes, stencils[plane - 1], row, n, lattice.step <= 3, predicted, sides)
+            of_row, at = 2 * row + down, (PAD + row) * pitch + PAD
+            own, source = (
+                at + plane * size,
+                (plane - 1) * work.details.shape[1] + (n + (n & 1)) * row,
+            )
+            _predict_row(
+                flat, (size, pitch), stencils[plane - 1], at, n, lattice.step <= 3, predicted, sides
+            )
             if is_encoding:
-                _quantise(goal.heights, goal.valid, (of_row, across), lattice, work, details, n)
-                if pitch > n:
-                    # An odd end is a pair with nothing: memory holds what was coded before.
-                    work.details[plane - 1, pitch * row + n] = 0
+                _quantise(aim, (of_row, across), lattice, work, details, source, n)
             if lattice.is_narrow:
-                settle_narrow(predicted, sides, lattice, details, own, n)
+                _settle_narrow(predicted, sides, lattice, details, source, flat, own, n)
             else:
-                settle_wide(predicted, sides, lattice, details, own, heights, n)
-            if plane == HL and ((row == 0 and known[0]) or (row == n_rows[1] - 1 and known[2])):
-                first = parent.first if row == 0 and known[0] else last_row
+                _settle_wide(predicted, sides, lattice, details, source, flat, own, heights, n)
+            is_top = row == 0 and known[0]
+            if plane == HL and (is_top or (row == n_rows[1] - 1 and known[2])):
                 for j in range(n):
-                    settle_on_line(
-                        is_encoding, goal, (of_row, 2 * j + 1), lattice, parent,
-                        (first, parent.spacing, n_a_cols, j), details, j, work, own,
-                    )  # fmt: skip
-            elif plane == LH:
-                for side in (1, 3):
-                    if known[side]:
-                        first, j = (parent.first, 0) if side == 1 else (last_col, n - 1)
-                        settle_on_line(
-                            is_encoding, goal, (of_row, 2 * j), lattice, parent,
-                            (first, parent.pitch, n_a_rows, row), details, j, work, own,
-                        )  # fmt: skip
-            if goal.added.shape[0] > 0:
+                    line = (parent.first if is_top else last_row, parent.spacing, n_a_cols, j)
+                    place = (of_row, 2 * j + 1)
+                    heights[j] = _settle_on_line(
+                        is_encoding, aim, place, lattice, above, line, details, source + j
+                    )
+                    flat[own + j] = _level_with(np.int64(heights[j]), lattice)
+            for side in (1, 3):
+                if plane == LH and known[side]:
+                    j = 0 if side == 1 else n - 1
+                    line = (parent.first if side == 1 else last_col, parent.pitch, n_a_rows, row)
+                    place = (of_row, 2 * j)
+                    heights[j] = _settle_on_line(
+                        is_encoding, aim, place, lattice, above, line, details, source + j
+                    )
+                    flat[own + j] = _level_with(np.int64(heights[j]), lattice)
+            if aim.added.shape[0] > 0:
                 for j in range(n):
-                    height = np.int64(own[PAD + j]) + lattice.origin
+                    height = np.int64(flat[own + j]) + lattice.origin
                     if not lattice.is_narrow:
                         height = np.int64(heights[j])
                     place = of_row * lattice.n_cols + across + 2 * j
                     limits = lattice.low, lattice.high
-                    height = corrected(height, goal.kept, goal.added, place, limits, limits)
+                    height = corrected(height, aim.kept, aim.added, place, limits, limits)
                     heights[j] = np.int32(height)
-                    own[PAD + j] = _level_with(height, lattice)
-            _repeat(planes, plane, row, n)
+                    flat[own + j] = _level_with(height, lattice)
+            for k in range(1, PAD + 1):
+                flat[own - k], flat[own + n - 1 + k] = flat[own], flat[own + n - 1]
             if not lattice.is_narrow and rows[3][0] <= of_row < rows[3][1]:
-                to = out[of_row]
                 for j in range(n):
-                    to[across + 2 * j] = heights[j]
+                    out[of_row, across + 2 * j] = heights[j]
+        last = PAD + n_rows[plane - 1] - 1
         for k in range(1, PAD + 1):
-            planes[plane, PAD - k] = planes[plane, PAD]
-            last = PAD + n_rows[plane - 1] - 1
-            planes[plane, last + k] = planes[plane, last]
+            planes[plane, PAD - k], planes[plane, last + k] = (
+                planes[plane, PAD],
+                planes[plane, last],
+            )
     for row in range(rows[3][0], rows[3][1]):
+        at = (PAD + (row >> 1)) * pitch + PAD
         if lattice.is_narrow:
-            write_row(planes, lattice, row, out[row])
+            first, second = (LH, HH) if row & 1 else (A, HL)
+            _write_row(flat, first * size + at, second * size + at, lattice, out[row])
         elif not row & 1:
             at = parent.first + (row >> 1) * parent.pitch
             for j in range(n_a_cols):
-                height = np.int64(parent.heights[at + j * parent.spacing])
+                height = np.int64(above[at + j * parent.spacing])
                 out[row, 2 * j] = np.int32(min(max(height, lattice.low), lattice.high))
 
 
 @kernel_part
-def write_row(planes, lattice, row, out):
-    """Write a row of a narrow lattice from its planes."""
-    origin, i, n = np.int32(lattice.origin), PAD + (row >> 1), lattice.n_cols // 2
-    first = planes[LH if row & 1 else A, i, PAD:]
-    second = planes[HH if row & 1 else HL, i, PAD:]
-    for j in range(n):
-        out[2 * j] = np.int32(first[j]) + origin
-        out[2 * j + 1] = np.int32(second[j]) + origin
-    if lattice.n_cols & 1:
-        out[2 * n] = np.int32(first[n]) + origin
+def _write_row(flat, first, second, lattice, out):
+    """Write a row of a narrow lattice from rows of two planes, which begin at places of `flat`."""
+    origin, n, first, second = (
+        np.int32(lattice.origin),
+        lattice.n_cols,
+        np.uint64(first),
+        np.uint64(second),
+    )
+    for j in range(np.uint64(n // 2)):
+        out[j + j] = np.int32(flat[first + j]) + origin
+        out[j + j + np.uint64(1)] = np.int32(flat[second + j]) + origin
+    if n & 1:
+        out[n - 1] = np.int32(flat[first + np.uint64(n // 2)]) + origin

@@ -165,9 +165,9 @@ def read_entries(entries, n, slots, streams, symbols):
             freq = (found >> np.uint32(8)) & np.uint32(N_SLOTS - 1)
             state = freq * whole + whole + (found >> np.uint32(20))
             symbols[k] = np.uint8(found & np.uint32(255))
-            is_short = np.uint32(state < np.uint32(STATE_START))
-            word = np.uint32(words[at]) * is_short
-            states[k & mask] = (state << (is_short << np.uint32(4))) | word
+            is_short = state < np.uint32(STATE_START)
+            longer = (state << np.uint32(16)) | np.uint32(words[at])
+            states[k & mask] = longer if is_short else state
             at += np.uint64(is_short)
         first = last
     places[WORD] = np.int64(at)
@@ -225,14 +225,14 @@ def _complete(pairs, singles, n_pairs, cut, streams, details, more, most):
 
 
 @kernel
-def read_strip(work, pairs, singles, both, details, most, frequencies, values, streams):
+def read_strip(memory, pairs, singles, both, details, most, frequencies, values, streams):
     """Read the details of a list, two for each pair; none of many bits is beyond ±most.
 
     The list; a list of the samples of pairs that have no symbol; the raw bits of samples coded by
     themselves; what is beyond the symbols of these; the same of samples of pairs.
     """
     pairs, singles, both, details = borrowed((pairs, singles, both, details))
-    entries, symbols, more = borrowed((work.entries, work.symbols, work.more))
+    entries, symbols, more = borrowed(memory)
     streams = borrowed(streams)
     cut, slots = frequencies.cut, frequencies.slots
     n_pairs = pairs.shape[0]

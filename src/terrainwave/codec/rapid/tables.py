@@ -10,7 +10,7 @@ from terrainwave.codec.rapid.symbols import STEP_BITS, Frequencies
 
 # Weights of the range and the bend, and their shift, are such that they are below this.
 _MOST_WEIGHT = 1 << 13
-_MOST_NEAR_WEIGHT = (1 << 15) - 1
+_MOST_NEAR_WEIGHT, _MOST_SHIFT = (1 << 15) - 1, 16
 # Of a step: a file's weights are whole numbers of these.
 WEIGHT_UNIT_BITS = 16
 
@@ -49,9 +49,9 @@ def weights_of(weights: NDArray[np.int64], step: int, shift: int) -> NDArray[np.
     made = np.zeros((len(weights), 5), dtype=np.int32)
     to_steps = WEIGHT_UNIT_BITS - STEP_BITS
     for row, (constant, of_range, of_bend, of_near) in enumerate(weights.tolist()):
-        more, most = 0, max(of_range, of_bend)
-        while more < 16 and (most << (shift + more + 1)) // step < _MOST_WEIGHT << to_steps:
-            more += 1
+        # The most by which neither weight is too large.
+        most = ((_MOST_WEIGHT << to_steps) * step - 1) // max(of_range, of_bend, 1)
+        more = min(max(most.bit_length() - 1 - shift, 0), _MOST_SHIFT)
         made[row] = (
             (constant >> to_steps) + 1,
             min(((of_range << (shift + more)) // step) >> to_steps, _MOST_WEIGHT - 1),

@@ -9,13 +9,6 @@ from numpy.typing import NDArray
 from terrainwave.codec.corrections import correct
 from terrainwave.codec.memory import Spares, flat, new_heights
 from terrainwave.codec.rapid.details import code_details
-from terrainwave.codec.rapid.prediction import (
-    Aim,
-    Parent,
-    code_heights,
-    load_parent,
-    look_at_parent,
-)
 from terrainwave.codec.rapid.layout import (
     CORE_ARRAYS,
     HH,
@@ -30,6 +23,12 @@ from terrainwave.codec.rapid.layout import (
     run_weights,
 )
 from terrainwave.codec.rapid.needed import band_strips, needed_for
+from terrainwave.codec.rapid.prediction import (
+    Aim,
+    Parent,
+    code_heights,
+    load_parent,
+)
 from terrainwave.codec.rapid.symbols import (
     BIT,
     IS_BAD,
@@ -130,7 +129,7 @@ class _Unit(NamedTuple):
     bands: list[Streams]
     memory: _Memory
 
-    def goal(self, stride: int) -> Aim:
+    def aim(self, stride: int) -> Aim:
         """Return what concerns every so many samples, as kernels take it."""
         part = np.s_[::stride, ::stride]
         return Aim(
@@ -139,11 +138,11 @@ class _Unit(NamedTuple):
             *(np.ascontiguousarray(array[part]).ravel() for array in self.corrections),
         )
 
-    def keep_added(self, stride: int, goal: Aim) -> None:
+    def keep_added(self, stride: int, aim: Aim) -> None:
         """Keep the corrections of every so many samples that an encoder found."""
-        if goal.added.size and stride > 1:
+        if aim.added.size and stride > 1:
             part = self.corrections.added[::stride, ::stride]
-            part[:] = goal.added.reshape(part.shape)
+            part[:] = aim.added.reshape(part.shape)
 
 
 _Stencils = tuple[tuple[Any, ...], ...]
@@ -289,23 +288,22 @@ class UnitCoder:
             out.shape[0], out.shape[1], spec.step, low, high, min(most, _MOST_DETAIL),
             head.origin(spec), head.shift, head.is_narrow, unit.valid is not None,
         )  # fmt: skip
-        goal = unit.goal(stride)
+        aim = unit.aim(stride)
         work = unit.memory.of(out.shape)
         needed = needed_for(out.shape, rows, len(unit.bands))
-        load_parent(parent, lattice, needed.parent, work)
-        look_at_parent(lattice, needed.features, work)
+        load_parent(parent, lattice, needed.parent, needed.features, work)
         tables = self.tables(spec.step)
         which = tables.level_class(spec.level - (stride.bit_length() - 1))
         if unit.target is None:
             self._code_details(unit, stride, lattice, needed.strips)
         code_heights(
-            unit.target is not None, goal, lattice, work, parent, known,
+            unit.target is not None, aim, lattice, work, parent, known,
             _arranged(tables.stencils[which].tobytes()), needed.planes, out,
         )  # fmt: skip
         if unit.target is not None:
-            unit.keep_added(stride, goal)
+            unit.keep_added(stride, aim)
             self._code_details(unit, stride, lattice, needed.strips)
-            self._see(which, lattice, work, goal.valid)
+            self._see(which, lattice, work, aim.valid)
         return lattice
 
     def _see(self, which: int, lattice: Lattice, work: Workspace, valid: NDArray[np.uint8]) -> None:
@@ -317,7 +315,7 @@ class UnitCoder:
         tables = self.tables(unit.spec.step)
         which = tables.level_class(unit.spec.level - (stride.bit_length() - 1))
         made = weights_of(tables.weights[which], lattice.step, lattice.shift)
-        valid, work = unit.goal(stride).valid, unit.memory.of((lattice.n_rows, lattice.n_cols))
+        valid, work = unit.aim(stride).valid, unit.memory.of((lattice.n_rows, lattice.n_cols))
         for streams, own in zip(unit.bands, strips, strict=True):
             if own[0] < own[1]:
                 code_details(
