@@ -329,13 +329,16 @@ bool Dataset::ReadDirectly(GDALRasterBand &band, const Request &request) {
   const double n_all = static_cast<double>(request.n_cols) * request.n_rows;
   double n_done = 0;
   return ForEachPart(request, [&](const twz_box &part) {
-    Area area(*file_, handle_, grid_, part, n_threads_);
-    if (!area.IsGood()) return false;
     char *to = static_cast<char *>(request.data) +
                (part.row - static_cast<uint32_t>(request.y)) * request.line_space +
                (part.col - static_cast<uint32_t>(request.x)) * request.pixel_space;
+    /* Of large parts nothing is kept: their units are decoded where the samples are wanted. */
+    const bool is_large = static_cast<int64_t>(part.n_rows) * part.n_cols >= 4 * int64_t{BlockSize()} * BlockSize();
+    const bool is_into = is_plain && is_large && !band.IsMaskBand() && !grid_.stride && grid_.level == Info().n_levels - 1;
+    Area area(*file_, handle_, grid_, part, n_threads_, is_into ? to : nullptr, static_cast<ptrdiff_t>(request.line_space));
+    if (!area.IsGood()) return false;
     if (is_plain) {
-      if (!Copy(area, part, band.IsMaskBand(), to, static_cast<ptrdiff_t>(request.line_space))) return false;
+      if (!is_into && !Copy(area, part, band.IsMaskBand(), to, static_cast<ptrdiff_t>(request.line_space))) return false;
     } else {
       lines.resize(static_cast<size_t>(size) * part.n_cols);
       for (uint32_t row = 0; row < part.n_rows; row++, to += request.line_space) {

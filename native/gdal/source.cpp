@@ -486,11 +486,15 @@ int ThreadsOf(const char *option) {
   return std::max(1, std::min(n, 128));
 }
 
-twz_status DecodeWindow(twz_window *window, int n_threads, twz_error *error) {
+twz_status DecodeWindow(twz_window *window, int n_threads, void *heights, ptrdiff_t heights_stride, twz_error *error) {
+  const auto decode = [&](const twz_workers *workers) {
+    if (!heights) return twz_window_decode(window, workers, error);
+    return twz_window_decode_into(window, workers, heights, heights_stride, nullptr, 0, error);
+  };
   Pool &pool = Threads();
-  if (n_threads <= 1 || !pool.mutex.try_lock()) return twz_window_decode(window, nullptr, error);
+  if (n_threads <= 1 || !pool.mutex.try_lock()) return decode(nullptr);
   std::lock_guard<std::mutex> lock(pool.mutex, std::adopt_lock);
-  return twz_window_decode(window, WorkersOf(pool, n_threads), error);
+  return decode(WorkersOf(pool, n_threads));
 }
 
 void EndThreads() {

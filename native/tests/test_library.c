@@ -355,6 +355,50 @@ static void rows_may_lie_anywhere(memory *m) {
   twz_file_free(file);
 }
 
+/* A window that is decoded into the caller's memory is what it is when it is decoded and read, wherever rows lie. */
+static void windows_may_be_decoded_into_memory(memory *m, twz_pool *pool) {
+  twz_file *file = open_memory(m, NULL), *other = NULL;
+  size_t width = twz_file_info(file)->dtype_bytes;
+  for (int i = 0; i < 12; i++) {
+    if (i % 3 == 0) { /* of a file just opened, and of one that has some units */
+      twz_file_free(other);
+      other = open_memory(m, NULL);
+    }
+    twz_level size;
+    int level = i % 4 == 3 ? -2 : -1;
+    if (twz_file_level(file, level, &size, NULL) != TWZ_OK) continue;
+    twz_box b = {i < 2 ? 0 : below(size.n_rows), i < 2 ? 0 : below(size.n_cols), size.n_rows, size.n_cols};
+    b.n_rows = i < 2 ? size.n_rows : 1 + below(size.n_rows - b.row);
+    b.n_cols = i < 2 ? size.n_cols : 1 + below(size.n_cols - b.col);
+    raster r;
+    CHECK(read_raster(file, m, level, &b, NULL, &r, NULL) == TWZ_OK);
+    size_t line = b.n_cols * width, stride = line + (i % 2 ? 3 : 0), shift = (size_t)(i % 2);
+    uint8_t *rows = malloc(b.n_rows * stride + 8), *valid = malloc(r.n);
+    memset(rows, 0xA5, b.n_rows * stride + 8);
+    twz_window *window;
+    twz_error error;
+    CHECK(twz_window_new(other, level, &b, &window, NULL) == TWZ_OK);
+    CHECK(twz_window_decode_into(window, NULL, rows, 0, NULL, 0, &error) == TWZ_NOT_READY);
+    CHECK(twz_window_load(window, fetch, m, NULL) == TWZ_OK);
+    const twz_workers *workers = i % 3 == 2 ? twz_pool_workers(pool) : NULL;
+    CHECK(twz_window_decode_into(window, workers, rows + shift, (ptrdiff_t)stride, i % 2 ? NULL : valid, 0, NULL) == TWZ_OK);
+    int is_right = i % 2 || memcmp(valid, r.valid, r.n) == 0;
+    for (size_t row = 0; row < b.n_rows; row++) {
+      is_right &= memcmp(rows + shift + row * stride, r.heights + row * line, line) == 0;
+      for (size_t k = line; k < stride; k++) is_right &= rows[shift + row * stride + k] == 0xA5; /* nothing else is written */
+    }
+    CHECK(is_right);
+    CHECK(twz_window_decode(window, NULL, &error) == TWZ_BAD_ARGUMENT && error.text[0]);
+    CHECK(twz_window_read(window, rows, 0, NULL, 0, &error) == TWZ_NOT_READY);
+    twz_window_free(window);
+    free(rows);
+    free(valid);
+    free_raster(&r);
+  }
+  twz_file_free(file);
+  twz_file_free(other);
+}
+
 /* ---- What must fail ---- */
 
 /* A window that is refused is refused again, and holds no units. */
@@ -655,9 +699,30 @@ static void additions_are_refused_or_ignored(memory *m) {
   free(more.bytes);
 }
 
+/* Streams of a unit of rapid of one state and no words: no strip is decoded after the one that needs the first. */
+static void cut_strips_end_where_they_are_cut(twz_file *file) {
+  enum { SIZE = 257 };
+  uint8_t payload[8 + PAYLOAD_SLACK] = {0, 0, 0, 0, 0x00, 0x00, 0x00, 0xFF}; /* wide, no shift, no words, no raw bits */
+  static int32_t above[(SIZE + 1) / 2 * ((SIZE + 1) / 2)], heights[SIZE * SIZE];
+  layer up = {.heights = above}, l = {.heights = heights, .ready = {0, 0, SIZE, SIZE}};
+  up.rows.n = up.cols.n = (SIZE + 1) / 2;
+  l.rows.n = l.cols.n = SIZE;
+  for (size_t k = 0; k < SIZE * SIZE; k++) heights[k] = INT32_MIN;
+  const job j = {.file = file, .level = 1, .out = &l, .parent = {.layer = &up}};
+  const reader bytes = {payload, 8, 0};
+  scratch s = {.allocator = &file->allocator};
+  twz_error error;
+  CHECK(decode_rapid(&j, &bytes, &s, &error) == TWZ_CORRUPT && strstr(error.text, "cut"));
+  size_t n_left = 0;
+  for (size_t k = 0; k < SIZE * SIZE; k++) n_left += heights[k] == INT32_MIN;
+  CHECK(n_left > SIZE * SIZE / 2);
+  scratch_free(&s);
+}
+
 /* A root that is cut at once: what lies below the first rows is not decoded. */
 static void cut_streams_end_where_they_are_cut(memory *m) {
   twz_file *file = open_memory(m, NULL);
+  if (file->header.method == TWZ_RAPID) cut_strips_end_where_they_are_cut(file);
   const int method = file->header.method, is_cdf97 = method == TWZ_CDF97;
   if (is_cdf97 || method == TWZ_PREDICTIVE) {
     static const uint8_t PAYLOADS[3][4] = {{2, 0}, {4, 1, 0}, {0}}; /* residuals, raw heights; predictive */
@@ -809,6 +874,7 @@ int main(int n, char **files) {
     the_cache_counts_what_it_holds(&m);
     units_in_use_are_in_no_list(&m);
     rows_may_lie_anywhere(&m);
+    windows_may_be_decoded_into_memory(&m, pool);
     a_refused_window_holds_nothing(&m);
     a_damaged_version_is_no_other_one(&m);
     additions_are_refused_or_ignored(&m);

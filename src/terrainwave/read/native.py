@@ -30,7 +30,7 @@ _log = logging.getLogger(__name__)
 
 PACKAGE = "terrainwave_native"
 SWITCH = "TERRAINWAVE_NATIVE"  # 0 in the environment: not used
-ABI = 2  # PYTHON_ABI of native/python/shim.c
+ABI = 3  # PYTHON_ABI of native/python/shim.c
 
 _N_POINTERS = 5  # of twz_allocator, and of twz_locks
 
@@ -101,6 +101,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "twz_window_need": (_POINTER, _RANGES, _SIZE, _N),
     "twz_window_feed": (_POINTER, ctypes.c_uint64, ctypes.c_char_p, _SIZE),
     "twz_window_decode": (_POINTER, _POINTER),
+    "twz_window_decode_into": (_POINTER, _POINTER, _POINTER, _STRIDE, _POINTER, _STRIDE),
     "twz_window_read": (_POINTER, _POINTER, _STRIDE, _POINTER, _STRIDE),
     "twz_window_read_own": (_POINTER, _POINTER, _STRIDE),
     "twz_pool_new": (_SIZE, _HANDLE),
@@ -465,22 +466,31 @@ class NativeFile:
     def _decode(
         self, handles: _Handles, window: int, level: int, heights: NDArray[Any], *, is_own: bool
     ) -> NDArray[np.bool_]:
-        """Decode a window that has its bytes; fill `heights` and return what is valid."""
+        """Decode a window that has its bytes; fill `heights` and return what is valid.
+
+        Of a large one nothing is kept: its units are decoded where the samples are wanted.
+        """
         library = self._library
-        if handles.workers is not None and handles.pool_lock.acquire(blocking=False):
-            try:
-                library.call("twz_window_decode", window, handles.workers)
-            finally:
-                handles.pool_lock.release()
-        else:
-            library.call("twz_window_decode", window, None)
         # On the full grid, and where the file does not tell fills, what is valid is so by itself.
         is_own &= self._header.has_voids and level < self._header.grid.k_max
         valid = np.empty(heights.shape, dtype=np.bool_)
-        to, stride = heights.ctypes.data, heights.strides[0]
-        library.call(
-            "twz_window_read", window, to, stride, None if is_own else valid.ctypes.data, 0
-        )
+        out = heights.ctypes.data, heights.strides[0], valid.ctypes.data, 0
+        given: tuple[int, ...] = out
+        name = "twz_window_decode_into"
+        if is_own or heights.size < 4 * self._side(level) ** 2:
+            name, given = "twz_window_decode", ()
+        if handles.workers is not None and handles.pool_lock.acquire(blocking=False):
+            try:
+                library.call(name, window, handles.workers, *given)
+            finally:
+                handles.pool_lock.release()
+        else:
+            library.call(name, window, None, *given)
+        if not given:
+            to, stride, shown, shown_stride = out
+            library.call(
+                "twz_window_read", window, to, stride, None if is_own else shown, shown_stride
+            )
         if is_own:
             library.call("twz_window_read_own", window, valid.ctypes.data, 0)
         return valid
