@@ -52,9 +52,12 @@ HAS_FILLS = 16
 HAS_WEIGHTS = 32
 # Payloads put heights back in the loop, so that patches move no others (FORMAT.md §5.5).
 HAS_CORRECTIONS = 64
+# The file ends with digests of its heights (FORMAT.md §4.8).
+HAS_DIGESTS = 256
 KNOWN_FEATURES = (
     HAS_REMAINDERS | IS_FAITHFUL | HAS_REACH | HAS_FILLS | HAS_WEIGHTS | HAS_CORRECTIONS
-)
+    | HAS_DIGESTS
+)  # fmt: skip
 # The bit of each layout of rapid's tables that readers of format 1.0 don't know.
 LAYOUT_FEATURES = {REACH_LAYOUT: HAS_REACH, WEIGHTS_LAYOUT: HAS_WEIGHTS}
 # What readers of format 1.0 know: all else needs one of 1.1.
@@ -72,6 +75,7 @@ MAX_Z = 2**30  # so that z ± a step's half and differences of two heights fit i
 MAX_STEP = 2**31 - 1
 MAX_METADATA = 2**20  # both deflated and inflated
 MAX_PARAMETERS = 2**16
+SMALLEST_DIGESTS = 40  # the section of one digest (FORMAT.md §4.8)
 MAX_PAGE = 2**15  # an inflated page has at most 5.9 kB (FORMAT.md §10)
 
 _LAYOUT = struct.Struct("<8s B B H I Q I I B B B B B B 2s Q Q q I i i I d d d I I I I I")
@@ -116,7 +120,7 @@ class Header:
         Its tolerance on the finest level, in 1/16 quanta; 0 without meshes.
     features : int
         Must-understand mask: a sum of `HAS_REMAINDERS`, `IS_FAITHFUL`, `HAS_REACH`, `HAS_FILLS`,
-        `HAS_WEIGHTS`, `HAS_CORRECTIONS`.
+        `HAS_WEIGHTS`, `HAS_CORRECTIONS`, `HAS_DIGESTS`.
     metadata : dict
         The JSON metadata (`container.metadata`).
     file_tables : bytes
@@ -168,6 +172,11 @@ class Header:
     def has_corrections(self) -> bool:
         """Say whether payloads put heights back in the loop."""
         return bool(self.features & HAS_CORRECTIONS)
+
+    @property
+    def has_digests(self) -> bool:
+        """Say whether the file ends with digests of its heights."""
+        return bool(self.features & HAS_DIGESTS)
 
     @property
     def format(self) -> str:
@@ -526,5 +535,6 @@ def _violations_of_sizes(header: Header, extents: Extents) -> Iterator[_Violatio
     if not 1 <= extents.top_page_length <= MAX_PAGE:
         yield _Violation(f"top page of {extents.top_page_length} bytes, not 1 ... 2^15")
     end = extents.top_start + extents.top_page_length
+    end += SMALLEST_DIGESTS * header.has_digests
     if not end <= extents.file_size < 2**63:
         yield _Violation(f"file size {extents.file_size} does not hold the first {end} bytes")

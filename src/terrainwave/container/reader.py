@@ -13,7 +13,13 @@ from functools import partial
 from typing import Any
 
 from terrainwave.cache import Cache
-from terrainwave.container.header import Extents, Header, unpack_header
+from terrainwave.container.digests import (
+    TAIL_LENGTH,
+    DigestTree,
+    section_length,
+    unpack_digests,
+)
+from terrainwave.container.header import SMALLEST_DIGESTS, Extents, Header, unpack_header
 from terrainwave.container.metadata import unpack_metadata
 from terrainwave.container.page import (
     describe_head,
@@ -101,15 +107,17 @@ class Container:
         layout = page_layout(self.grid, None)
         page = unpack_page(data, layout, f"the page of {describe_head(None)}")
         end = start + len(data) + page.body_length
-        if end > self.extents.file_size:
+        most = self.extents.file_size - SMALLEST_DIGESTS * self.header.has_digests
+        if end > most:
             raise CorruptStreamError("the top segment reaches beyond the end of the file")
         last = page.children_end if layout.children else end
         if layout.children and page.first_child != end:
             raise CorruptStreamError("the first segment does not follow the top segment")
         n_levels_below = self.grid.k_max - self.grid.top_levels
-        if last != self.extents.file_size and n_levels_below <= SEGMENT_LEVELS:
+        is_exact = not self.header.has_digests  # else `check` finds where they begin
+        if is_exact and last != most and n_levels_below <= SEGMENT_LEVELS:
             raise CorruptStreamError("the segments do not fill the file")
-        if last > self.extents.file_size:
+        if last > most:
             raise CorruptStreamError("a segment reaches beyond the end of the file")
         return segment_of_page(None, layout, page, start, len(data), end)
 
@@ -339,6 +347,38 @@ class Container:
             for key, head in zip(keys, heads, strict=True)
         ]
 
+    # Digests
+
+    def digests_place(self) -> ByteRange:
+        """Return where digests lie, which end the file; of length 0 where it has none.
+
+        Raises
+        ------
+        CorruptStreamError
+            If they would reach into the segments.
+        """
+        size = self.extents.file_size
+        if not self.header.has_digests:
+            return ByteRange(size, 0)
+        length = section_length(self.source.read(size - TAIL_LENGTH, TAIL_LENGTH))
+        if not SMALLEST_DIGESTS <= length <= size - self._top.end:
+            raise CorruptStreamError(f"digests of {length} bytes do not fit behind the segments")
+        return ByteRange(size - length, length)
+
+    def digests(self) -> DigestTree | None:
+        """Return the digests of the file's heights; None if it has none.
+
+        Raises
+        ------
+        CorruptStreamError
+            If they are damaged.
+        """
+        if not self.header.has_digests:
+            return None
+        with self._blaming_change():
+            data = self.source.read(*self.digests_place())
+            return unpack_digests(data, (self.header.n_rows, self.header.n_cols))
+
     # Check of the whole file
 
     def check(self) -> Iterator[str]:
@@ -373,8 +413,13 @@ class Container:
                 if segment.layout.children:
                     layer.append(segment)
         byte_pos = max(byte_pos, end)
-        if byte_pos != self.extents.file_size:
-            yield f"the segments end at byte {byte_pos} of {self.extents.file_size}"
+        try:
+            place = self.digests_place()
+        except CorruptStreamError as error:
+            yield str(error)
+            return
+        if byte_pos != place.offset:
+            yield f"the segments end at byte {byte_pos} of {place.offset}"
 
     def _check_payloads(self, segment: Segment) -> Iterator[str]:
         batch: list[int] = []

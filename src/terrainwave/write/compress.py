@@ -36,7 +36,7 @@ from terrainwave.container.targets.publication import (
 )
 from terrainwave.container.targets.unfinished import Part, only_writer
 from terrainwave.container.targets.upload import uploaded
-from terrainwave.container.writer import assemble
+from terrainwave.container.writer import append_digests, assemble
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.file.raster import raster_source
 from terrainwave.grid.crew import Crew
@@ -109,6 +109,7 @@ def compress(
     stable: bool = False,
     format: str = FORMATS[-1],
     keep_origin: bool = False,
+    digest: bool | None = None,
     temp_dir: str | os.PathLike[str] | None = None,
     verify: bool = True,
     threads: int | None = None,
@@ -202,6 +203,10 @@ def compress(
     keep_origin : bool
         Store a digest of the heights and these options in the metadata, by which
         ``compress --skip-existing`` recognises the file. ``compress --to`` always does.
+    digest : bool, optional
+        Store digests (SHA-256) of the decoded heights: `Terrain.digest` gives the one that stands
+        for all heights and where they lie, `verify` compares it. 40 bytes, and 32 more for each
+        4096 x 4096 samples. By default as `verify`, whose decoding they come from.
     temp_dir : path, optional
         Directory for large temporary data; by default beside `dst`. With `client`, a path or a URL
         that fsspec can write to and that all workers can use.
@@ -257,6 +262,7 @@ def compress(
         stable=stable,
         format=format,
         keep_origin=keep_origin,
+        digest=digest,
         verify=verify,
         threads=threads,
     )
@@ -331,13 +337,14 @@ def compress_to_bytes(
     strict: bool = False,
     stable: bool = False,
     format: str = FORMATS[-1],
+    digest: bool = False,
     verify: bool = True,
     threads: int | None = None,
 ) -> bytes:
     """Compress to bytes instead of a file; `Terrain` opens them as it opens a file.
 
     For arrays that fit into memory: chunks of a store, cells of a database. Options, bound and
-    errors are those of `compress`, except that `mesh` is ``"none"`` by default.
+    errors are those of `compress`, except that `mesh` is ``"none"`` and `digest` False by default.
     """
     options = Options(
         max_error=max_error,
@@ -348,6 +355,7 @@ def compress_to_bytes(
         strict=strict,
         stable=stable,
         format=format,
+        digest=digest,
         verify=verify,
         threads=threads,
     )
@@ -462,10 +470,14 @@ def _write(
             if coded.job.options.named_method != options.named_method:
                 notes.append("the heights do not compress: stored as they are")
             job = coded.job
-            assemble(file, job.header(coded.file_tables), coded.segments)
+            header = job.header(coded.file_tables)
+            extents = assemble(file, header, coded.segments)
             measured = None
             if options.verify:
-                measured = passes.prove(path or cast(io.BytesIO, file).getvalue(), job)
+                finished = path or cast(io.BytesIO, file).getvalue()
+                measured, tiles = passes.prove(finished, job)
+                if options.makes_digests:
+                    append_digests(file, header, extents, tiles.tree())
             coded.close()
     scale = abs(source.info.scale)
     moved = job.moved_error * scale

@@ -59,6 +59,7 @@ class Options:
     stable: bool = False
     format: str = FORMATS[-1]
     keep_origin: bool = False
+    digest: bool | None = None
     verify: bool = True
     threads: int | None = None
     choice: MethodChoice = field(init=False, repr=False, compare=False)
@@ -79,6 +80,13 @@ class Options:
         flags = [field.name for field in fields(self) if isinstance(field.default, bool)]
         check_flags(**{name: getattr(self, name) for name in flags})
         check_choice("format", self.format, FORMATS)
+        if self.digest is not None:
+            check_flags(digest=self.digest)
+        if self.digest and not self.verify:
+            raise InvalidArgumentError(
+                "found `digest` without `verify`, expected both: digests are those of heights that"
+                " the proof decodes"
+            )
         choice = chosen(self.method, self.effort)
         settled |= {"method": choice.own, "effort": choice.effort, "choice": choice}
         if not _is_settled(self.mesh):
@@ -198,6 +206,11 @@ class Options:
     def may_be_new(self) -> bool:
         """Return whether files may use what readers of the first format do not know."""
         return self.format != FORMATS[0]
+
+    @property
+    def makes_digests(self) -> bool:
+        """Say whether the file gets digests of its heights."""
+        return self.verify and self.may_be_new if self.digest is None else self.digest
 
     @property
     def notes(self) -> list[str]:
