@@ -72,7 +72,9 @@ class Editor:
         self.grid = Grid(h["n_rows"], h["n_cols"], 2 ** h["block_log2"], h["border_rings"])
         self.top = self._read(data, None, at, h["top_page_length"])
         self.gap = b""  # between the first segment and the others
-        self.end = b""
+        self.end = b""  # digests, or what is too much
+        if h["features"] & 256:
+            self.end = data[-8 - 32 * int.from_bytes(data[-4:], "little") :]
         self.change_header = lambda header: header
 
     def _read(self, data, head, at, page_length):

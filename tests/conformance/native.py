@@ -12,7 +12,7 @@ import sys
 PROFILE = {
     "name": "terrainwave, native",
     "methods": ["store", "cdf97", "predictive", "cdf53", "rapid"],
-    "features": 123,
+    "features": 379,
     "own": True,
     "meshes": [],
     "blocks": True,

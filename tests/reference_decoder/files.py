@@ -15,6 +15,7 @@ from reference_decoder.basics import (
     inflate,
     require,
 )
+from reference_decoder.digests import section_before
 from reference_decoder.grid import Grid
 from reference_decoder.predictive import read_tables
 from reference_decoder.rapid import read_rapid_tables
@@ -41,7 +42,7 @@ def read_header(data):
     require(h.header_size == 128, "header_size")
     require(h.header_crc == zlib.crc32(data[:124]), "header_crc")
     require(h.reserved == 0, "reserved", UnsupportedError)
-    require(not h.features & ~(1 | 2 | 8 | 16 | 32 | 64), "features", UnsupportedError)
+    require(not h.features & ~(1 | 2 | 8 | 16 | 32 | 64 | 256), "features", UnsupportedError)
     require(not h.features & 2 or h.method == 1, "a faithful file of another method")
     require(not h.features & 32 or h.method == 4, "weights of another method", UnsupportedError)
     require(not h.features & 8 or h.method == 4, "contexts by reach of another method")
@@ -79,6 +80,7 @@ def read_header(data):
     require(h.parameters_length <= 2**16, "parameters_length")
     require(1 <= h.top_page_length <= 2**15, "top_page_length")
     before = 128 + h.metadata_length + h.parameters_length + h.top_page_length
+    before += 40 if h.features & 256 else 0
     require(before <= h.file_size, "file_size")
     require(len(data) == h.file_size, "size of the file")
     return h
@@ -301,7 +303,8 @@ def read_file(data):
         for first_child, i in first_children:
             require(first_child == at + sum(n for *_, n in next_row[:i]), "first_child")
         row = next_row
-    require(at == h.file_size, "bytes after the last section")
+    digests = section_before(data, at) if h.features & 256 else b""
+    require(at + len(digests) == h.file_size, "bytes after the last section")
     return SimpleNamespace(
         header=h,
         parameters=parameters,
@@ -316,6 +319,7 @@ def read_file(data):
         codes=codes,
         segment_of_key=segment_of_key,
         segment_of_block=segment_of_block,
+        digests=digests,
     )
 
 

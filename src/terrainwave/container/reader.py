@@ -102,22 +102,26 @@ class Container:
         self.grid: Grid = self.header.grid
         self._top = self._unpack_top(start[extents.top_start : end])
 
+    @property
+    def _segments_end(self) -> int:
+        """Return where the segments end; before digests, where they end at the latest."""
+        return self.extents.file_size - SMALLEST_DIGESTS * self.header.has_digests
+
     def _unpack_top(self, data: bytes) -> Segment:
         start = self.extents.top_start
         layout = page_layout(self.grid, None)
         page = unpack_page(data, layout, f"the page of {describe_head(None)}")
         end = start + len(data) + page.body_length
-        most = self.extents.file_size - SMALLEST_DIGESTS * self.header.has_digests
-        if end > most:
+        if end > self._segments_end:
             raise CorruptStreamError("the top segment reaches beyond the end of the file")
         last = page.children_end if layout.children else end
         if layout.children and page.first_child != end:
             raise CorruptStreamError("the first segment does not follow the top segment")
         n_levels_below = self.grid.k_max - self.grid.top_levels
         is_exact = not self.header.has_digests  # else `check` finds where they begin
-        if is_exact and last != most and n_levels_below <= SEGMENT_LEVELS:
+        if is_exact and last != self._segments_end and n_levels_below <= SEGMENT_LEVELS:
             raise CorruptStreamError("the segments do not fill the file")
-        if last > most:
+        if last > self._segments_end:
             raise CorruptStreamError("a segment reaches beyond the end of the file")
         return segment_of_page(None, layout, page, start, len(data), end)
 
@@ -190,7 +194,7 @@ class Container:
         # Strictly onward, so that no chain of pages ever comes back to a byte.
         if layout.children and page.first_child < parent.page.children_end:
             raise CorruptStreamError(f"the child segments of {name} overlap others")
-        if layout.children and page.children_end > self.extents.file_size:
+        if layout.children and page.children_end > self._segments_end:
             raise CorruptStreamError(f"a child of {name} reaches beyond the end of the file")
         return segment_of_page(head, layout, page, start, len(data), start + length)
 
