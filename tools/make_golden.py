@@ -451,7 +451,7 @@ def write_readme(manifest):
 # Made of another golden file by changing its metadata.
 RETOLD = {
     "store-moved-decimal": ("store-int16-nodata-halves", {"moved": 3.0}),
-    "rapid-above-float32": ("rapid-float32-nan", {"bound": "above"}),
+    "rapid-above-float32": ("rapid-weights-float32-fills", {"bound": "above"}),
 }
 
 

@@ -193,9 +193,16 @@ class Header:
         return int(cast(float, found)) if found is not None else 0
 
     @property
+    def bound_side(self) -> str:
+        """Return on which side of originals heights may lie: both, above or below."""
+        found = self.metadata.get("bound")
+        return str(found) if found in ("above", "below") else "both"
+
+    @property
     def coded_error(self) -> int:
         """Return how far decoded heights may be from the quantised originals, in quanta."""
-        return (self.step >> 1) + self.moved
+        n_sides = 1 if self.bound_side == "both" else 2
+        return n_sides * (self.step >> 1) + self.moved
 
     @property
     def quanta_error(self) -> float:

@@ -181,6 +181,11 @@ def patch(
                 f"{path} has method {method.name}; only files of method {fit} can be patched:"
                 " compress the whole raster again"
             )
+        if terrain.header.bound_side != "both":
+            raise InvalidHeightsError(
+                f"{path} has heights {terrain.header.bound_side} the originals only, which a patch"
+                " would not keep: compress the whole raster again"
+            )
         notes = note_on_undeclared(source)
         for note in notes:
             warnings.warn(note, TerrainwaveWarning, stacklevel=2)

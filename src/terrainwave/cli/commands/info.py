@@ -197,7 +197,7 @@ def _info_rows(info: Any, found: _Found) -> list[tuple[str, object]]:
         ("bits/sample", f"{info.bits_per_sample:.4g}, {info.ratio:.4g} times smaller than raw"),
         (
             "max error",
-            f"asked {info.max_error:.6g}, holds {info.effective_error:.6g}{unit}{floats}",
+            f"asked {info.max_error:.6g}, holds {info.effective_error:.6g}{unit}{floats}{_SIDES[info.bound]}",
         ),
         (
             "moved",
@@ -231,6 +231,11 @@ def _info_rows(info: Any, found: _Found) -> list[tuple[str, object]]:
     return [(name, value) for name, value in rows if value != ""]
 
 
+_SIDES = {
+    "both": "",
+    "above": "; no height is below its original",
+    "below": "; no height is above its original",
+}
 _MEANINGS = {
     "height": "",
     "depth": " (depths: they go down)",
