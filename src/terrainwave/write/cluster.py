@@ -18,8 +18,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from terrainwave.codec.refiner import Heights, Mask, Refiner
-from terrainwave.container.digests import TILE, TileDigests
 from terrainwave.container.depot import Depot, StoredSegment
+from terrainwave.container.digests import TILE, TileDigests
 from terrainwave.container.page import N_CODES
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.writer import store_segments
@@ -167,10 +167,8 @@ class DistributedPasses:
         n_bytes = sink.n_bytes + below.n_bytes + len(site.file_tables)
         return Coded(site.file_tables, {**sink.spools, **segments}, n_bytes, job)
 
-    def prove(
-        self, path: str | os.PathLike[str] | bytes, job: Job
-    ) -> tuple[float, TileDigests]:
-        """Decode the file from disk and compare every sample; return the largest error and digests."""
+    def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> tuple[float, TileDigests]:
+        """Decode the file, compare every sample; return the largest error and digests of tiles."""
         assert not isinstance(path, bytes)  # what has a client is written to disk
         site = Site(self.raster, self.depot, job, self.level, job.options.named_method.name)
         tasks = {region: (site, os.path.abspath(path), region) for region in self._proof_regions()}

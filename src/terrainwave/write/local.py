@@ -64,10 +64,8 @@ class LocalPasses:
         """Code all units into one spool per segment."""
         return encode(job, self.windows, self.directory, self.executor, self.reporter, self.kept)
 
-    def prove(
-        self, path: str | os.PathLike[str] | bytes, job: Job
-    ) -> tuple[float, TileDigests]:
-        """Decode the file from disk and compare every sample; return the largest error and digests."""
+    def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> tuple[float, TileDigests]:
+        """Decode the file, compare every sample; return the largest error and digests of tiles."""
         return prove(path, job, self.windows, self.executor, self.reporter, self.kept)
 
     def close(self) -> None:

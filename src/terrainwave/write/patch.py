@@ -367,7 +367,7 @@ class _Patcher:
         return measured_error(largest, quantizer), self._new_digests(tiles.tree())
 
     def _new_digests(self, found: DigestTree) -> DigestTree | None:
-        """Return the digests found, if the file has some: those beyond the new raster are the same."""
+        """Return the digests found, if the file has some: beyond the new raster they stay."""
         before = self._terrain.container.digests()
         if before is None:
             return None

@@ -341,7 +341,7 @@ def proven_shares(
 
 
 class _KeptProof:
-    """Results of shares, kept in records that follow each other: a run may be killed at any time."""
+    """Results of shares, kept in records that follow each other."""
 
     def __init__(self, kept: Kept, name: str) -> None:
         self._kept = kept
@@ -355,9 +355,7 @@ class _KeptProof:
         all_found = []
         while (record := self._kept.get(self._record)) is not None:
             places, data = record["places"], self._kept.data(self._record)
-            tiles = {
-                (row, col): data[32 * n : 32 * (n + 1)] for n, (row, col) in enumerate(places)
-            }
+            tiles = {(row, col): data[32 * n : 32 * (n + 1)] for n, (row, col) in enumerate(places)}
             all_found.append(Proved(record["largest"], tiles))
             self.done = record["done"]
             self._n_records += 1
@@ -389,7 +387,8 @@ def prove(
 ) -> tuple[float, TileDigests]:
     """Decode the file from disk and compare every sample and the mask.
 
-    Returns the largest error, and the digests of tiles if the file is to have them. Shares that an earlier run has compared in a file of the same bytes are not compared again.
+    Return the largest error, and the digests of tiles if the file is to have them. Shares that an
+    earlier run has compared in a file of the same bytes are not compared again.
 
     Raises
     ------
