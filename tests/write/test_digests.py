@@ -55,8 +55,7 @@ def test_heights_that_went_through_a_geotiff_keep_their_root(tmp_path):
     heights = terrain_like(300, 310, dtype="float32", seed=2)
     source = write_geotiff(tmp_path / "dem.tif", heights, units=("m",))
     tw.compress(source, tmp_path / "lossy.twz", **OPTIONS | {"max_error": 0.3})
-    with tw.open(tmp_path / "lossy.twz") as terrain:
-        tw.decompress(terrain, tmp_path / "back.tif")
+    tw.decompress(tmp_path / "lossy.twz", tmp_path / "back.tif")
     tw.compress(tmp_path / "back.tif", tmp_path / "exact.twz", **OPTIONS)
     assert digest_of(tmp_path / "exact.twz") == digest_of(tmp_path / "lossy.twz")
 
@@ -107,7 +106,7 @@ def test_digests_are_off_where_asked_and_without_the_proof(tmp_path):
             assert terrain.digest() is None
             assert list(terrain.check()) == []
     assert not read_file(tw.compress_to_bytes(heights, max_error=0)).digests
-    with pytest.raises(InvalidArgumentError, match="found `digest` without `verify`"):
+    with pytest.raises(InvalidArgumentError, match="found digest without verify"):
         tw.compress(heights, tmp_path / "b.twz", **OPTIONS, digest=True, verify=False)
 
 
@@ -241,5 +240,5 @@ def test_what_is_no_root_is_refused(tmp_path, root):
 
 def test_a_root_beside_an_original_is_refused(tmp_path):
     path, root = altered(tmp_path, has_new_digests=True)
-    with pytest.raises(InvalidArgumentError, match="found `root` with `original`"):
+    with pytest.raises(InvalidArgumentError, match="found root with original"):
         tw.verify(path, "dem.tif", root=root)

@@ -1,4 +1,4 @@
-"""Digests of heights: a tree of SHA-256, and the root that stands for a whole raster (FORMAT.md §4.8).
+"""Digests of heights: a tree of SHA-256, whose root stands for a raster (FORMAT.md §4.8).
 
 The tree follows from the samples of the full grid alone: neither blocks nor methods are in it, so
 the same heights have the same root however they are coded.

@@ -2,8 +2,10 @@
 
 from collections.abc import Iterator
 from itertools import product
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from terrainwave.codec.refiner import ALL_VALID, Decoded
 from terrainwave.container.digests import TILE, Place, TileDigests, tile_digests
@@ -27,7 +29,7 @@ def check_units(
     even, lost, sound = EvenBlocks(container, decoder), list[Block](), set[Content]()
     seams = _Seams(decoder, even)
     has_digests = root is not None or container.header.has_digests
-    digests = _Digests(container, decoder) if has_digests else None
+    digests = _Digests(container, decoder, even) if has_digests else None
     for key in container.grid.root_keys():
         yield from _check_below(container, decoder, seams, even, digests, key, lost, sound)
     if digests is not None and not lost:
@@ -97,9 +99,10 @@ def _check_below(
 class _Digests:
     """Digests of tiles of the full grid, each made when the last unit of the tile is checked."""
 
-    def __init__(self, container: Container, decoder: TreeDecoder) -> None:
+    def __init__(self, container: Container, decoder: TreeDecoder, even: EvenBlocks) -> None:
         self._container = container
         self._decoder = decoder
+        self._even = even
         header, self._grid = container.header, container.grid
         self._tiles = TileDigests((header.n_rows, header.n_cols))
         self._windows = WindowReader("", self._grid, header.quantizer, 1)
@@ -118,12 +121,22 @@ class _Digests:
         for row, col in product(rows, cols):
             whole = Region(0, 0, grid.n_rows, grid.n_cols)
             region = Region(row * TILE, col * TILE, TILE, TILE).intersect(whole)
-            raw, void = self._windows.read(self._decoder, grid.k_max, region, is_own=False)
-            valid = np.ones(region.shape, dtype=np.bool_) if void is None else ~void
-            tiles = tile_digests(region, raw, valid)
+            tiles = tile_digests(region, *self._heights(key, region))
             self._tiles.add(tiles)
             if self._recent is not None:
                 self._recent |= tiles
+
+    def _heights(self, key: Block, region: Region) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Return raw heights and validity of a tile that ends in a unit."""
+        level = self._grid.k_max
+        height = self._even.of_unit(key)
+        if height is not None:
+            units = self._decoder.keys(level, region)
+            if all(self._even.of_unit(unit) == height for unit in units):
+                raw = self._container.header.quantizer.dequantize(np.array([[height]], np.int32))
+                return np.broadcast_to(raw, region.shape), np.ones(region.shape, np.bool_)
+        raw, void = self._windows.read(self._decoder, level, region, is_own=False)
+        return raw, np.ones(region.shape, dtype=np.bool_) if void is None else ~void
 
     def begin(self) -> None:
         """Begin a finest segment that others may be like."""

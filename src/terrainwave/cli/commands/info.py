@@ -197,7 +197,8 @@ def _info_rows(info: Any, found: _Found) -> list[tuple[str, object]]:
         ("bits/sample", f"{info.bits_per_sample:.4g}, {info.ratio:.4g} times smaller than raw"),
         (
             "max error",
-            f"asked {info.max_error:.6g}, holds {info.effective_error:.6g}{unit}{floats}{_SIDES[info.bound]}",
+            f"asked {info.max_error:.6g}, holds {info.effective_error:.6g}{unit}{floats}"
+            + _SIDES[info.bound],
         ),
         (
             "moved",

@@ -43,8 +43,11 @@ from terrainwave.progress import ProgressCallback
 @click.option("--part", is_flag=True,
               help="ORIGINAL covers a part of FILE, such as the raster of a patch: compare that"
               " part only.")  # fmt: skip
-@click.option("--root", metavar="HEX",
-              help="Published root of FILE's heights, as info prints it: without ORIGINAL.")  # fmt: skip
+@click.option(
+    "--root",
+    metavar="HEX",
+    help="Published root of FILE's heights, as info prints it: without ORIGINAL.",
+)
 @click.option("--mesh", is_flag=True, help="Check errors, borders and coverage of all meshes, too.")
 @THREADS_OPTION
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing; the exit status is the result.")
