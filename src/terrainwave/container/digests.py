@@ -167,10 +167,12 @@ def unpack_digests(section: bytes, shape: tuple[int, int]) -> DigestTree:
     while height := height - 1:
         counts, below = _counts(shape, height), dict[Place, bytes]()
         for place in sorted(level):
-            children = {child: next(digests, None) for child in _children(place, counts)}
-            if None in children.values():
-                raise CorruptStreamError(f"found {n_digests} digests, expected more")
-            below.update((child, found) for child, found in children.items() if found != VOID)
+            for child in _children(place, counts):
+                found = next(digests, None)
+                if found is None:
+                    raise CorruptStreamError(f"found {n_digests} digests, expected more")
+                if found != VOID:
+                    below[child] = found
         level = below
     if next(digests, None) is not None:
         raise CorruptStreamError(f"found {n_digests} digests, expected fewer")

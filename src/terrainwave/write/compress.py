@@ -288,10 +288,7 @@ def compress(
     name = os.fspath(dst)
     is_url = "://" in name
     if is_url and cluster is not None:
-        raise InvalidArgumentError(
-            f"found a client and {display_name(name)} as `dst`, expected a path that all workers"
-            " can use"
-        )
+        raise _url_beside_client(name)
     of_source: dict[str, Any] = {"band": band, "nodata": nodata, "georeference": georeference}
     of_source["heights_are"] = heights_are
     coded = [options.to_metadata(), keep_origin]
@@ -376,6 +373,14 @@ def _refuse_tasks(task_samples: int | None, on_task: TaskCallback | None) -> Non
     if task_samples is not None or on_task is not None:
         found = "`on_task`" if task_samples is None else f"`task_samples` {task_samples}"
         raise InvalidArgumentError(f"found {found} without a client, expected both or none of them")
+
+
+def _url_beside_client(name: str) -> InvalidArgumentError:
+    """Return the error for a target that workers cannot write to."""
+    return InvalidArgumentError(
+        f"found a client and {display_name(name)} as `dst`, expected a path that all workers can"
+        " use"
+    )
 
 
 def _refuse_tiles(options: Options) -> None:

@@ -174,18 +174,7 @@ def patch(
         ) as (directory, kept),
         Crew(n_threads) as executor,
     ):
-        method = METHODS[terrain.header.method]
-        if not method.is_patchable:
-            fit = methods_that(lambda method: method.is_patchable)
-            raise InvalidHeightsError(
-                f"{path} has method {method.name}; only files of method {fit} can be patched:"
-                " compress the whole raster again"
-            )
-        if terrain.header.bound_side != "both":
-            raise InvalidHeightsError(
-                f"{path} has heights {terrain.header.bound_side} the originals only, which a patch"
-                " would not keep: compress the whole raster again"
-            )
+        _refuse_unfit(path, terrain.header)
         notes = note_on_undeclared(source)
         for note in notes:
             warnings.warn(note, TerrainwaveWarning, stacklevel=2)
@@ -224,6 +213,22 @@ def patch(
             *taken_up(kept),
         ],
     )
+
+
+def _refuse_unfit(path: str | os.PathLike[str], header: Header) -> None:
+    """Raise `InvalidHeightsError` for a file that cannot be patched."""
+    method = METHODS[header.method]
+    if not method.is_patchable:
+        fit = methods_that(lambda method: method.is_patchable)
+        raise InvalidHeightsError(
+            f"{path} has method {method.name}; only files of method {fit} can be patched:"
+            " compress the whole raster again"
+        )
+    if header.bound_side != "both":
+        raise InvalidHeightsError(
+            f"{path} has heights {header.bound_side} the originals only, which a patch would not"
+            " keep: compress the whole raster again"
+        )
 
 
 def _note_on_format(before: str, after: str) -> str:
