@@ -32,6 +32,7 @@ def found(path):
             "border_rings": header.border_rings,
             "step": header.step,
             **library.describe(terrain),
+            **library.root(terrain),
             "level": [library.level_of(terrain, level) for level in range(terrain.n_levels)],
         }
 

@@ -9,7 +9,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from reference_decoder import cdf97 as reference_cdf97
-from reference_decoder import predictive, range_coder, rapid
+from reference_decoder import digests, predictive, range_coder, rapid
 from reference_decoder.basics import inflate
 from reference_decoder.files import DICTIONARY, NAMES, block_codes, read_file
 from reference_decoder.payloads import decode_map
@@ -305,3 +305,14 @@ def test_the_whole_file_has_the_stated_page_boxes_and_indices():
         assert payloads[key][:6] == bytes([0, 0, 0, 0, 0, 5])
         assert [int(bits[5 * i : 5 * i + 5], 2) for i in range(len(indices))] == indices
         assert len(bits) - 5 * len(indices) in (3, 1)
+
+
+def test_digests_of_the_file_are_the_stated_ones():
+    tile, top, root = re.findall(r"`([0-9a-f]{64})`", section("4.8"))
+    file = read_file(FILE)
+    heights, mask = decode(FILE)
+    found = digests.digests_of(heights, mask)
+    assert [found[0, 0, 0].hex(), found[1, 0, 0].hex()] == [tile, top]
+    assert digests.root_of(file.header, file.metadata, "int16", bytes.fromhex(top)) == root
+    with terrainwave.open(FILE) as terrain:
+        assert list(terrain.check(root)) == []

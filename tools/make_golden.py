@@ -237,6 +237,16 @@ CASES = {
     "predictive-patched-float32-nan": (
         (70, 66), "float32", 500, "nan", PLACE, {"max_error": 0.5, "mesh": "none", "patches": 2},
     ),
+    # Three leaves, the middle one void, and void tiles; segments of three levels.
+    "store-digests-int16": (
+        (3, 8200), "int16", 900, "gap", PLACE,
+        {"max_error": 0, "method": "store", "mesh": "none", "digest": True},
+    ),
+    "rapid-digests-float32": (
+        (70, 66), "float32", 500, "nan",
+        PLACE | {"bands": {"scales": 0.5, "offsets": -0.0}},
+        {"max_error": 0.5, "method": "rapid", "mesh": "none", "digest": True},
+    ),
     "one-sample": ((1, 1), "int16", 100, "none", DEGREES, {"max_error": 0}),
     "one-row": ((1, 90), "float32", 100, "none", DEGREES, {"max_error": 0.5}),
     "all-void": ((70, 40), "int16", 100, "all", DEGREES, {"max_error": 1}),
@@ -294,6 +304,9 @@ EXERCISES = {
     "predictive-patched-float32-nan": "corrections, a large step, voids are NaN",
     "store-moved-decimal": "`moved` written 3.0 (§4.2)",
     "store-optional-sections": "two optional sections of the header (§4.8), one of them empty",
+    "store-digests-int16": "digests (feature bit 4, §4.9) of three leaves, one of them void",
+    "rapid-digests-float32": "digests of heights of a lossy file, voids, CRS and unit",
+    "rapid-above-float32": "one-sided bound: `bound` above, *base* off the middle (§4.2)",
     "one-sample": "a raster of one sample",
     "one-row": "a raster of one row",
     "all-void": "no valid sample: z_min 0, z_max −1, empty payloads",
@@ -314,6 +327,10 @@ def write_case(path, shape, dtype, amplitude, kind, profile, options):
     if kind in ("nodata", "all", "declared"):
         nodata = -9999
         heights = np.where(valid, heights, nodata).astype(dtype)
+    elif kind == "gap":
+        col = np.arange(shape[1])
+        nodata = -9999
+        heights[:, (col >= 600) & (col < 8192)] = nodata
     elif kind == "nan":
         heights = np.where(valid, heights, np.nan).astype(dtype)
     elif kind == "mask":
@@ -321,7 +338,8 @@ def write_case(path, shape, dtype, amplitude, kind, profile, options):
     raster = path.with_suffix(".tif")
     try:
         write_geotiff(raster, heights, mask=mask, nodata=nodata, units=("m",), **profile)
-        options = {"block": 32, "mesh": "halves", "method": "predictive"} | options
+        usual = {"block": 32, "mesh": "halves", "method": "predictive", "digest": False}
+        options = usual | options
         n_patches = options.pop("patches", 0)
         terrainwave.compress(raster, path, threads=1, overwrite=True, **grouped(options))
         for number in range(n_patches):
@@ -412,7 +430,16 @@ def add_sections(editor):
     editor.optional += optional_section(b"void", b"")
 
 
+def be_above(editor):
+    """Say that all heights are above the originals: the middle of steps lies half a step higher."""
+    editor.set_json(bound="above")
+    h = editor.fields
+    editor.header = {"base": h["base"] + h["step"] // 2}
+    editor.header |= {name: 2 * h[name] for name in ("max_error", "effective_bound")}
+
+
 RETOLD = {
+    "rapid-above-float32": ("rapid-weights-float32-nan", be_above),
     "store-moved-decimal": ("store-int16-nodata-halves", lambda editor: editor.set_json(moved=3.0)),
     "store-optional-sections": ("store-int16-nodata-halves", add_sections),
 }

@@ -74,6 +74,9 @@ def judge_valid(reader, profile, path, entry):
     answer = reader.ask(task="describe", file=str(path))
     wrong = [key for key in DESCRIBED if answer.get(key) != entry[key]]
     yield "metadata", "failed" if wrong else "passed", f"{wrong} of {answer}" if wrong else ""
+    if "root" in entry and profile.get("digests"):
+        found = reader.ask(task="check", file=str(path)).get("root")
+        yield "digests", "passed" if found == entry["root"] else "failed", f"root {found}"
     has_mesh = entry["mesh"] in profile["meshes"]
     parts = {"heights": ("level", OF_LEVEL)}
     if profile["blocks"]:
@@ -132,7 +135,7 @@ def print_table(profile, counts):
     """Print passed, failed and outside by part."""
     print(f"{profile['name']}: methods {', '.join(profile['methods'])}")
     print(f"{'part':10} {'passed':>7} {'outside':>8} {'failed':>7}")
-    for part in ("metadata", "heights", "blocks", "meshes", "invalid"):
+    for part in ("metadata", "digests", "heights", "blocks", "meshes", "invalid"):
         row = [counts[part, outcome] for outcome in ("passed", "outside", "failed")]
         print(f"{part:10} {row[0]:7} {row[1]:8} {row[2]:7}")
 

@@ -232,6 +232,8 @@ typedef struct twz_info {
   const char *metadata;     /* all metadata, one JSON object (RFC 8259) as it stands in the file */
   size_t metadata_length;   /* bytes, without the NUL behind it */
   uint64_t file_size;
+  int bound_side;           /* on which side of originals the heights of the full grid lie: 1 above (none is below its
+                               original), -1 below, 0 both. Up is up for physical heights; depths go down */
 } twz_info;
 
 /* What header and metadata say; NULL while the file is not open. */

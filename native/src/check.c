@@ -112,6 +112,19 @@ static twz_status check_level(check *c, const pages *level, pages *below, uint64
   return TWZ_OK;
 }
 
+/* Digests fill the file behind the segments, and have the right checksum. What they are of is not checked. */
+static twz_status check_digests(check *c, uint64_t at, twz_error *error) {
+  twz_file *f = c->file;
+  TRY(read_bytes(c, f->file_size - DIGESTS_TAIL, DIGESTS_TAIL, error));
+  uint32_t crc = load_u32(c->buffer), n = load_u32(c->buffer + 4);
+  uint64_t length = (uint64_t)DIGEST_SIZE * n;
+  REQUIRE(n > 0 && at <= f->file_size && length == f->file_size - DIGESTS_TAIL - at, error,
+          "%u digests do not fill the file behind the segments", n);
+  TRY(read_bytes(c, at, length, error));
+  REQUIRE(crc_matches(&f->crc, c->buffer, (size_t)length, crc), error, "the checksum of the digests is wrong");
+  return TWZ_OK;
+}
+
 static twz_status check_bytes(check *c, const segment *top, twz_error *error) {
   pages levels[2] = {{NULL, 0, 0}, {NULL, 0, 0}};
   uint64_t at = top->end;
@@ -123,6 +136,7 @@ static twz_status check_bytes(check *c, const segment *top, twz_error *error) {
   }
   for (int i = 0; i < 2; i++) twz_release(&c->file->allocator, levels[i].all);
   TRY(status);
+  if (c->file->grid.has_digests) return check_digests(c, at, error);
   REQUIRE(at == c->file->file_size, error, "the segments end at byte %llu of %llu", (unsigned long long)at,
           (unsigned long long)c->file->file_size);
   return TWZ_OK;

@@ -82,6 +82,7 @@ static twz_status check_sizes(const header *h, uint64_t file_size, twz_error *er
   REQUIRE(h->top_page_length >= 1 && h->top_page_length <= 1u << 15, error,
           "top_page_length %u, not 1 to 2^15", h->top_page_length);
   uint64_t before = (uint64_t)h->header_size + h->metadata_length + h->parameters_length + h->top_page_length;
+  if (h->features & DIGESTS) before += LEAST_DIGESTS;
   REQUIRE(before <= h->file_size, error, "metadata, parameters and top page go beyond file_size");
   REQUIRE(h->file_size == file_size, error, "the file has %llu bytes, its header says %llu",
           (unsigned long long)file_size, (unsigned long long)h->file_size);
@@ -186,6 +187,7 @@ void grid_init(grid *g, const header *h) {
   g->n_cols = h->n_cols;
   g->block_log2 = h->block_log2;
   g->rings = (h->border_rings - 1) / 2;
+  g->has_digests = (h->features & DIGESTS) != 0;
   g->k_max = 0;
   uint32_t most = h->n_rows > h->n_cols ? h->n_rows : h->n_cols;
   while (cells(most, g->k_max) > 1u << g->block_log2) g->k_max++;

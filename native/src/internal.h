@@ -177,7 +177,9 @@ enum {
   REMAINDERS = 2,
   FAITHFUL = 4,
   CORRECTIONS = 8,
-  KNOWN_FEATURES = VOIDS | REMAINDERS | FAITHFUL | CORRECTIONS
+  DIGESTS = 16,
+  KNOWN_FEATURES = VOIDS | REMAINDERS | FAITHFUL | CORRECTIONS | DIGESTS,
+  DIGEST_SIZE = 32, DIGESTS_TAIL = 8, LEAST_DIGESTS = DIGEST_SIZE + DIGESTS_TAIL /* §4.9 */
 };
 
 typedef struct header {
@@ -210,6 +212,7 @@ typedef struct grid {
   uint32_t n_rows, n_cols;
   int k_max, block_log2, rings; /* rings: (border_rings - 1) / 2 */
   int tile_levels, first_tiles; /* cdf53: d and r of C.2; else 0 */
+  int has_digests;              /* they follow the last segment (§4.9) */
 } grid;
 
 void grid_init(grid *g, const header *h);

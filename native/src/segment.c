@@ -216,13 +216,13 @@ static twz_status place_pages(segment *s, const segment_layout *l, const columns
 }
 
 /* Place the bodies of children. */
-static twz_status place_children(segment *s, const segment_layout *l, const columns *c, uint64_t first, uint64_t file_size,
+static twz_status place_children(segment *s, const segment_layout *l, const columns *c, uint64_t first, uint64_t most,
                                  twz_error *error) {
   uint64_t at = first;
   for (int i = 0; i < l->n_heads; i++) {
     uint64_t page = s->children[i].page_length, length = number_at(c->child_length, l->n_heads, 8, i);
     REQUIRE((page == 0) == (length == 0), error, "a child segment has a page or a length of 0, not both");
-    REQUIRE(length >= page && length - page <= file_size - at, error, "a child segment ends beyond the file");
+    REQUIRE(length >= page && length - page <= most - at, error, "a child segment ends beyond the file");
     s->children[i].offset = at;
     s->children[i].length = length - page;
     at += length - page;
@@ -232,7 +232,7 @@ static twz_status place_children(segment *s, const segment_layout *l, const colu
 }
 
 static twz_status fill_segment(segment *s, const grid *g, const segment_layout *l, const page_place *where,
-                               const uint8_t *page, const uint8_t *content, uint64_t file_size,
+                               const uint8_t *page, const uint8_t *content, uint64_t most,
                                twz_error *error) {
   columns c;
   split_columns(&c, content, l);
@@ -242,16 +242,17 @@ static twz_status fill_segment(segment *s, const grid *g, const segment_layout *
   int is_top = s->entry.at.level < 0, has_children = l->n_heads > 0;
   REQUIRE((first_child > 0) == has_children, error, "first_child %llu of a segment %s children",
           (unsigned long long)first_child, has_children ? "with" : "without");
-  uint64_t end = is_top ? (has_children ? first_child : file_size) : where->end;
-  REQUIRE(at == end && at <= file_size, error, "a segment's body ends at byte %llu instead of %llu",
+  /* Where digests follow, only a verifier finds the exact end of the last segment. */
+  uint64_t end = is_top ? (has_children ? first_child : g->has_digests ? at : most) : where->end;
+  REQUIRE(at == end && at <= most, error, "a segment's body ends at byte %llu instead of %llu",
           (unsigned long long)at, (unsigned long long)end);
   s->end = at;
   if (has_children) {
-    REQUIRE(first_child >= where->siblings_end && first_child <= file_size, error,
+    REQUIRE(first_child >= where->siblings_end && first_child <= most, error,
             "first_child lies before the segment's siblings or beyond the file");
-    TRY(place_children(s, l, &c, first_child, file_size, error));
+    TRY(place_children(s, l, &c, first_child, most, error));
     int are_last = is_top && l->heads[0].level + DEPTH >= g->k_max;
-    REQUIRE(!are_last || s->children_end == file_size, error, "bytes after the last segment");
+    REQUIRE(!are_last || g->has_digests || s->children_end == most, error, "bytes after the last segment");
   }
   for (int i = 0; i < l->n_blocks; i++) {
     const uint8_t *code = c.codes + i;
@@ -296,7 +297,8 @@ twz_status read_segment(segment **found, const grid *g, place head, const page_p
   memcpy(s->keys, l.keys, sizeof(place) * (size_t)l.n_keys);
   memcpy(s->blocks, l.blocks, sizeof(place) * (size_t)l.n_blocks);
   memcpy(s->heads, l.heads, sizeof(place) * (size_t)l.n_heads);
-  twz_status status = fill_segment(s, g, &l, where, page, content, file_size, error);
+  uint64_t most = file_size - (g->has_digests ? LEAST_DIGESTS : 0); /* where the last segment may end */
+  twz_status status = fill_segment(s, g, &l, where, page, content, most, error);
   if (status != TWZ_OK) {
     twz_release(allocator, s);
     return status;

@@ -74,7 +74,9 @@ class Editor:
         body = at + h["top_page_length"]
         self.top = self._read(data, None, data[at:body], body)
         self.gap = b""  # between the first body and the others
-        self.end = b""
+        self.end = b""  # digests, or what is too much
+        if h["features"] & 16:
+            self.end = data[-8 - 32 * int.from_bytes(data[-4:], "little") :]
         self.change_header = lambda header: header
 
     def _read(self, data, head, its_page, at):

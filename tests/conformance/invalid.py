@@ -87,6 +87,23 @@ class Case(NamedTuple):
 # Changes ---------------------------------------------------------------------------------------
 
 
+def flip_byte(at):
+    """Return a change of the lowest bit of one byte."""
+
+    def change(data):
+        data = bytearray(data)
+        data[at] ^= 1
+        return bytes(data)
+
+    return change
+
+
+def digests(data):
+    """Put other digests at the end, with a checksum that matches."""
+    tail = struct.pack("<II", zlib.crc32(data), len(data) // 32)
+    return edited(lambda editor: setattr(editor, "end", data + tail))
+
+
 def header(**fields):
     """Fields of the header, with a checksum that matches."""
 
@@ -371,6 +388,22 @@ CASES = {
     "byte-left-over": Case(
         "store", "§1.5", "a byte after the last section, within file_size",
         edited(lambda editor: setattr(editor, "end", b"\0")),
+    ),
+    "digests-crc": Case(
+        "store-digests-int16", "§4.9", "checksum of the digests", flip_byte(-8),
+        found_by="verifier",
+    ),
+    "digests-short": Case(
+        "store-digests-int16", "§4.9", "begin 32 bytes behind the segments",
+        edited(lambda editor: setattr(editor, "end", bytes(32) + editor.end)),
+        found_by="verifier",
+    ),
+    "digests-none": Case(
+        "store-digests-int16", "§4.9", "no digest", digests(b""), found_by="verifier"
+    ),
+    "digests-cut": Case(
+        "store-digests-int16", "§4.9", "a section of 36 bytes",
+        edited(lambda editor: setattr(editor, "end", editor.end[-36:])),
     ),
     "rows-0": Case("store", "§4.1", "no rows", header(n_rows=0)),
     "rows-too-many": Case("store", "§4.1", "2^31 + 1 rows", header(n_rows=2**31 + 1)),

@@ -12,7 +12,7 @@ import sys
 PROFILE = {
     "name": "terrainwave, native",
     "methods": ["store", "cdf97", "predictive", "cdf53", "rapid"],
-    "features": 15,
+    "features": 31,
     "own": True,
     "meshes": [],
     "blocks": True,

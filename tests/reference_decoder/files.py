@@ -15,6 +15,7 @@ from reference_decoder.basics import (
     inflate,
     require,
 )
+from reference_decoder.digests import section_before
 from reference_decoder.grid import Grid
 from reference_decoder.predictive import read_tables
 from reference_decoder.rapid import read_rapid_tables
@@ -41,7 +42,7 @@ def read_header(data):
     require(h.header_size >= 128, "header_size")
     require(h.header_crc == zlib.crc32(data[:124]), "header_crc")
     require(h.reserved == 0, "reserved", UnsupportedError)
-    require(not h.features & ~(1 | 2 | 4 | 8), "features", UnsupportedError)
+    require(not h.features & ~(1 | 2 | 4 | 8 | 16), "features", UnsupportedError)
     require(not h.features & 4 or h.method == 1, "a faithful file of another method")
     may_be_corrected = h.method in (2, 4) and h.step > 1
     require(not h.features & 8 or may_be_corrected, "corrections", UnsupportedError)
@@ -77,6 +78,7 @@ def read_header(data):
     require(h.parameters_length <= 2**16, "parameters_length")
     require(1 <= h.top_page_length <= 2**15, "top_page_length")
     before = h.header_size + h.metadata_length + h.parameters_length + h.top_page_length
+    before += 40 if h.features & 16 else 0
     require(before <= h.file_size, "file_size")
     require(len(data) == h.file_size, "size of the file")
     return h
@@ -312,7 +314,8 @@ def read_file(data):
             before = sum(n - len(page) for _, page, n in next_row[:i])
             require(first_child == at + before, "first_child")
         row = next_row
-    require(at == h.file_size, "bytes after the last section")
+    digests = section_before(data, at) if h.features & 256 else b""
+    require(at + len(digests) == h.file_size, "bytes after the last section")
     return SimpleNamespace(
         header=h,
         parameters=parameters,
@@ -327,6 +330,7 @@ def read_file(data):
         codes=codes,
         segment_of_key=segment_of_key,
         segment_of_block=segment_of_block,
+        digests=digests,
     )
 
 

@@ -5,7 +5,7 @@ from functools import cache
 
 from reference_decoder.basics import ceil_div, clamp, corrected, read_varint, require, zeros
 from reference_decoder.predictive import fold
-from reference_decoder.rapid_tables import CORE, ESCAPE, TAPS, read_rapid_tables
+from reference_decoder.rapid_tables import CORE, ESCAPE, TAPS
 
 PARITY = {"HH": (1, 1), "HL": (0, 1), "LH": (1, 0)}
 GOES_ON = 63  # R.9

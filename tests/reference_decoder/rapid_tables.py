@@ -117,4 +117,4 @@ class TableStream:
         if not self.is_own:
             return known
         codes = self.codes(2, known[:rest] + known[rest + 1 :])
-        return codes[:rest] + [0] + codes[rest:]
+        return [*codes[:rest], 0, *codes[rest:]]

@@ -40,7 +40,9 @@ HAS_REMAINDERS = 2
 IS_FAITHFUL = 4
 # Payloads put heights back in the loop, so that patches move no others (FORMAT.md §5.4).
 HAS_CORRECTIONS = 8
-KNOWN_FEATURES = HAS_VOIDS | HAS_REMAINDERS | IS_FAITHFUL | HAS_CORRECTIONS
+# The file ends with digests of its heights (FORMAT.md §4.9).
+HAS_DIGESTS = 16
+KNOWN_FEATURES = HAS_VOIDS | HAS_REMAINDERS | IS_FAITHFUL | HAS_CORRECTIONS | HAS_DIGESTS
 
 MAX_SIDE = 2**31
 MAX_SAMPLES = 2**50
@@ -52,6 +54,7 @@ MAX_Z = 2**30  # so that z ± a step's half and differences of two heights fit i
 MAX_STEP = 2**31 - 1
 MAX_METADATA = 2**20  # both deflated and inflated
 MAX_PARAMETERS = 2**16
+SMALLEST_DIGESTS = 40  # the section of one digest (FORMAT.md §4.9)
 MAX_PAGE = 2**15  # an inflated page has at most 5.9 kB (FORMAT.md §10)
 
 _LAYOUT = struct.Struct("<8s B B H I Q I I B B B B B B 2s Q Q q I i i I d d d I I I I I")
@@ -98,7 +101,7 @@ class Header:
         Its tolerance on the finest level, in 1/16 quanta; 0 without meshes.
     features : int
         Must-understand mask: a sum of `HAS_VOIDS`, `HAS_REMAINDERS`, `IS_FAITHFUL`,
-        `HAS_CORRECTIONS`.
+        `HAS_CORRECTIONS`, `HAS_DIGESTS`.
     metadata : dict
         The JSON metadata (`container.metadata`).
     file_tables : bytes
@@ -152,6 +155,11 @@ class Header:
         return bool(self.features & HAS_CORRECTIONS)
 
     @property
+    def has_digests(self) -> bool:
+        """Say whether the file ends with digests of its heights."""
+        return bool(self.features & HAS_DIGESTS)
+
+    @property
     def moved(self) -> int:
         """Return by how much a file before may have moved heights, in quanta.
 
@@ -161,9 +169,16 @@ class Header:
         return int(cast(float, found)) if found is not None else 0
 
     @property
+    def bound_side(self) -> str:
+        """Return on which side of originals heights may lie: both, above or below."""
+        found = self.metadata.get("bound")
+        return str(found) if found in ("above", "below") else "both"
+
+    @property
     def coded_error(self) -> int:
         """Return how far decoded heights may be from the quantised originals, in quanta."""
-        return (self.step >> 1) + self.moved
+        n_sides = 1 if self.bound_side == "both" else 2
+        return n_sides * (self.step >> 1) + self.moved
 
     @property
     def quanta_error(self) -> float:
@@ -523,5 +538,6 @@ def _violations_of_sizes(header: Header, extents: Extents) -> Iterator[_Violatio
     if not 1 <= extents.top_page_length <= MAX_PAGE:
         yield _Violation(f"top page of {extents.top_page_length} bytes, not 1 ... 2^15")
     end = extents.top_start + extents.top_page_length
+    end += SMALLEST_DIGESTS * header.has_digests
     if not end <= extents.file_size < 2**63:
         yield _Violation(f"file size {extents.file_size} does not hold the first {end} bytes")

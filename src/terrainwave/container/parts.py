@@ -11,8 +11,9 @@ class Parts:
 
     Parameters
     ----------
-    metadata, tables, index, meshes : int
-        The header with the metadata; the method's parameters; all index pages; stored meshes.
+    metadata, tables, index, meshes, digests : int
+        The header with the metadata; the method's parameters; all index pages; stored meshes;
+        digests of heights.
     heights : tuple of int
         Payloads of each level, the coarsest first; one number where they hold several levels.
     """
@@ -22,6 +23,7 @@ class Parts:
     index: int
     heights: tuple[int, ...]
     meshes: int
+    digests: int
 
 
 def parts_of(container: Container) -> Parts:
@@ -42,4 +44,5 @@ def parts_of(container: Container) -> Parts:
         index,
         tuple(heights),
         meshes,
+        container.digests_place().length,
     )

@@ -13,8 +13,15 @@ from functools import partial
 from typing import Any
 
 from terrainwave.cache import Cache
+from terrainwave.container.digests import (
+    TAIL_LENGTH,
+    DigestTree,
+    section_length,
+    unpack_digests,
+)
 from terrainwave.container.header import (
     HEADER_SIZE,
+    SMALLEST_DIGESTS,
     Extents,
     Header,
     check_optional_sections,
@@ -103,21 +110,27 @@ class Container:
         self.grid: Grid = self.header.grid
         self._top = self._unpack_top(start[extents.top_start : end])
 
+    @property
+    def _segments_end(self) -> int:
+        """Return where the segments end; before digests, where they end at the latest."""
+        return self.extents.file_size - SMALLEST_DIGESTS * self.header.has_digests
+
     def _unpack_top(self, data: bytes) -> Segment:
         start = self.extents.top_start
         layout = page_layout(self.grid, None)
         page = unpack_page(data, layout, f"the page of {describe_head(None)}")
         segment = segment_of_page(None, layout, page, start + len(data))
         end = segment.end
-        if end > self.extents.file_size:
+        if end > self._segments_end:
             raise CorruptStreamError("the top segment reaches beyond the end of the file")
         last = page.children_end if layout.children else end
         if layout.children and page.first_child != end:
             raise CorruptStreamError("the first segment does not follow the top segment")
         n_levels_below = self.grid.k_max - self.grid.top_levels
-        if last != self.extents.file_size and n_levels_below <= SEGMENT_LEVELS:
+        is_exact = not self.header.has_digests  # else `check` finds where they begin
+        if is_exact and last != self._segments_end and n_levels_below <= SEGMENT_LEVELS:
             raise CorruptStreamError("the segments do not fill the file")
-        if last > self.extents.file_size:
+        if last > self._segments_end:
             raise CorruptStreamError("a segment reaches beyond the end of the file")
         return segment
 
@@ -190,7 +203,7 @@ class Container:
         # Strictly onward, so that no chain of pages ever comes back to a byte.
         if layout.children and page.first_child < parent.page.children_end:
             raise CorruptStreamError(f"the child segments of {name} overlap others")
-        if layout.children and page.children_end > self.extents.file_size:
+        if layout.children and page.children_end > self._segments_end:
             raise CorruptStreamError(f"a child of {name} reaches beyond the end of the file")
         return segment_of_page(head, layout, page, start)
 
@@ -342,6 +355,38 @@ class Container:
             for key, head in zip(keys, heads, strict=True)
         ]
 
+    # Digests
+
+    def digests_place(self) -> ByteRange:
+        """Return where digests lie, which end the file; of length 0 where it has none.
+
+        Raises
+        ------
+        CorruptStreamError
+            If they would reach into the segments.
+        """
+        size = self.extents.file_size
+        if not self.header.has_digests:
+            return ByteRange(size, 0)
+        length = section_length(self.source.read(size - TAIL_LENGTH, TAIL_LENGTH))
+        if not SMALLEST_DIGESTS <= length <= size - self._top.end:
+            raise CorruptStreamError(f"digests of {length} bytes do not fit behind the segments")
+        return ByteRange(size - length, length)
+
+    def digests(self) -> DigestTree | None:
+        """Return the digests of the file's heights; None if it has none.
+
+        Raises
+        ------
+        CorruptStreamError
+            If they are damaged.
+        """
+        if not self.header.has_digests:
+            return None
+        with self._blaming_change():
+            data = self.source.read(*self.digests_place())
+            return unpack_digests(data, (self.header.n_rows, self.header.n_cols))
+
     # Check of the whole file
 
     def check(self) -> Iterator[str]:
@@ -377,8 +422,13 @@ class Container:
                 if segment.layout.children:
                     layer.append(segment)
         byte_pos = max(byte_pos, end)
-        if byte_pos != self.extents.file_size:
-            yield f"the segments end at byte {byte_pos} of {self.extents.file_size}"
+        try:
+            place = self.digests_place()
+        except CorruptStreamError as error:
+            yield str(error)
+            return
+        if byte_pos != place.offset:
+            yield f"the segments end at byte {byte_pos} of {place.offset}"
 
     def _check_payloads(self, segment: Segment) -> Iterator[str]:
         batch: list[int] = []

@@ -5,13 +5,22 @@ import threading
 import zlib
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import count
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
 from terrainwave.container.depot import Depot, StoredSegment
-from terrainwave.container.header import HEADER_SIZE, MAX_PAGE, Extents, Header, pack_header
+from terrainwave.container.digests import DigestTree
+from terrainwave.container.header import (
+    HAS_DIGESTS,
+    HEADER_SIZE,
+    MAX_PAGE,
+    Extents,
+    Header,
+    pack_header,
+)
 from terrainwave.container.metadata import pack_metadata
 from terrainwave.container.page import (
     N_CODES,
@@ -67,7 +76,7 @@ def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
     out_file : binary file object
         Only written to, in order.
     header : Header
-        With its metadata and parameters.
+        With its metadata and parameters. Digests follow later (`append_digests`).
     segments : mapping of Block or None to SegmentSpool, LikeSegment, StoredSegment or None
         One for each of ``header.grid.segment_heads()``, complete; None for one that is void, and
         nothing for those below it.
@@ -113,6 +122,7 @@ def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
         parameters_crc=zlib.crc32(header.file_tables),
         top_page_length=parts[None].page_length,
     )
+    header = replace(header, features=header.features & ~HAS_DIGESTS)
     first = pack_header(header, extents)
     # The bodies of this level's segments, then those of their children.
     first_children: dict[Block | None, int] = {}
@@ -138,6 +148,35 @@ def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
                         out_file.write(chunk)
         out_file.flush()
     return extents
+
+
+def append_digests(
+    out_file: BinaryIO, header: Header, extents: Extents, digests: DigestTree
+) -> None:
+    """End a file that `assemble` has written with the digests of its heights.
+
+    Parameters
+    ----------
+    out_file : binary file object
+        The file from its first byte on; one that can seek.
+    header, extents : Header, Extents
+        The file's; `extents` as `assemble` returned them.
+
+    Raises
+    ------
+    StorageError
+        If the disk is full.
+    """
+    section = digests.pack()
+    header = replace(header, features=header.features | HAS_DIGESTS)
+    extents = replace(extents, file_size=extents.file_size + len(section))
+    with storage_errors(f"cannot write {getattr(out_file, 'name', 'the file')}"):
+        out_file.seek(0, os.SEEK_END)
+        out_file.write(section)
+        out_file.seek(0)
+        out_file.write(pack_header(header, extents))
+        out_file.seek(0, os.SEEK_END)
+        out_file.flush()
 
 
 _NUMBERS = count()  # of stores of this process

@@ -410,11 +410,30 @@ class TerrainFile(DescribedFile):
             return None
         return EvenBlocks(self.container, self.decoder)
 
-    def check(self) -> Iterator[str]:
-        """Check all checksums and decode every unit; yield what is wrong, in plain words."""
+    def digest(self) -> str | None:
+        """Return the root of the file's digests, 64 hexadecimal digits; None if it has none.
+
+        It stands for all decoded heights of the full grid, which samples are void, and where the
+        heights lie: size, type, CRS, transform, units, scale and offset (FORMAT.md §4.9). How a
+        file is coded does not change it. Nothing is decoded: `verify` compares heights with it.
+
+        Raises
+        ------
+        CorruptStreamError
+            If the digests are damaged.
+        """
+        tree = self.container.digests()
+        return None if tree is None else tree.root(self.header)
+
+    def check(self, root: str | None = None) -> Iterator[str]:
+        """Check all checksums and decode every unit; yield what is wrong, in plain words.
+
+        Heights are compared with the file's digests, if it has some, and with `root`, a root as
+        `digest` returns it.
+        """
         from terrainwave.read.check import check_units
 
-        return check_units(self.container, self.decoder)
+        return check_units(self.container, self.decoder, root)
 
     def _check_size(self, shape: tuple[int, int], max_bytes: int) -> None:
         n_bytes = int(shape[0]) * int(shape[1]) * self.dtype.itemsize

@@ -17,6 +17,8 @@ class Info:
     `faithful` says whether the file was made with `faithful=True` (`Cdf97`).
     `float_error` is how much more than `max_error` stored floats may differ: one float spacing if
     they stand for decimal numbers and the file is not strict, otherwise 0.
+    `bound` is the side of the original on which heights lie: ``"both"``, ``"above"`` (none is below
+    its original) or ``"below"``.
     `moved_error` is the part of `effective_error` that comes from an earlier file.
     `earlier` lists the .twz files that the heights went through before: ``"file"`` and its bound
     from the original, ``"max_error"``.
@@ -36,6 +38,7 @@ class Info:
     ratio: float
     max_error: float
     effective_error: float
+    bound: str
     quantum: float
     rounding_error: float
     float_error: float
@@ -102,6 +105,7 @@ def info_of(terrain: DescribedFile) -> Info:
         ratio=n_samples * terrain.dtype.itemsize / terrain.container.source.size,
         max_error=terrain.max_error,
         effective_error=terrain.effective_error,
+        bound=header.bound_side,
         quantum=quantum,
         rounding_error=terrain.quantizer.rho * abs(raster.scale),
         float_error=float_error * abs(raster.scale),

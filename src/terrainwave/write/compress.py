@@ -36,7 +36,7 @@ from terrainwave.container.targets.publication import (
 )
 from terrainwave.container.targets.unfinished import Part, only_writer
 from terrainwave.container.targets.upload import uploaded
-from terrainwave.container.writer import assemble
+from terrainwave.container.writer import append_digests, assemble
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.file.raster import raster_source
 from terrainwave.grid.crew import Crew
@@ -106,6 +106,7 @@ def compress(
     strict: bool = False,
     stable: bool = False,
     keep_origin: bool = False,
+    digest: bool | None = None,
     temp_dir: str | os.PathLike[str] | None = None,
     verify: bool = True,
     threads: int | None = None,
@@ -195,6 +196,10 @@ def compress(
     keep_origin : bool
         Store a digest of the heights and these options in the metadata, by which
         ``compress --skip-existing`` recognises the file. ``compress --to`` always does.
+    digest : bool, optional
+        Store digests (SHA-256) of the decoded heights: `Terrain.digest` gives the one that stands
+        for all heights and where they lie, `verify` compares it. 40 bytes, and 32 more for each
+        4096 x 4096 samples. By default as `verify`, whose decoding they come from.
     temp_dir : path, optional
         Directory for large temporary data; by default beside `dst`. With `client`, a path or a URL
         that fsspec can write to and that all workers can use.
@@ -249,6 +254,7 @@ def compress(
         strict=strict,
         stable=stable,
         keep_origin=keep_origin,
+        digest=digest,
         verify=verify,
         threads=threads,
     )
@@ -274,10 +280,7 @@ def compress(
     name = os.fspath(dst)
     is_url = "://" in name
     if is_url and cluster is not None:
-        raise InvalidArgumentError(
-            f"found a client and {display_name(name)} as `dst`, expected a path that all workers"
-            " can use"
-        )
+        raise _url_beside_client(name)
     of_source: dict[str, Any] = {"band": band, "nodata": nodata, "georeference": georeference}
     of_source["heights_are"] = heights_are
     coded = [options.to_metadata(), keep_origin]
@@ -321,13 +324,14 @@ def compress_to_bytes(
     mesh: str | MeshOptions = "none",
     strict: bool = False,
     stable: bool = False,
+    digest: bool = False,
     verify: bool = True,
     threads: int | None = None,
 ) -> bytes:
     """Compress to bytes instead of a file; `Terrain` opens them as it opens a file.
 
     For arrays that fit into memory: chunks of a store, cells of a database. Options, bound and
-    errors are those of `compress`, except that `mesh` is ``"none"`` by default.
+    errors are those of `compress`, except that `mesh` is ``"none"`` and `digest` False by default.
     """
     options = Options(
         max_error=max_error,
@@ -337,6 +341,7 @@ def compress_to_bytes(
         mesh=mesh,
         strict=strict,
         stable=stable,
+        digest=digest,
         verify=verify,
         threads=threads,
     )
@@ -357,6 +362,14 @@ def _refuse_tasks(task_samples: int | None, on_task: TaskCallback | None) -> Non
     if task_samples is not None or on_task is not None:
         found = "`on_task`" if task_samples is None else f"`task_samples` {task_samples}"
         raise InvalidArgumentError(f"found {found} without a client, expected both or none of them")
+
+
+def _url_beside_client(name: str) -> InvalidArgumentError:
+    """Return the error for a target that workers cannot write to."""
+    return InvalidArgumentError(
+        f"found a client and {display_name(name)} as `dst`, expected a path that all workers can"
+        " use"
+    )
 
 
 def _refuse_tiles(options: Options) -> None:
@@ -451,10 +464,14 @@ def _write(
             if coded.job.options.named_method != options.named_method:
                 notes.append("the heights do not compress: stored as they are")
             job = coded.job
-            assemble(file, job.header(coded.file_tables), coded.segments)
+            header = job.header(coded.file_tables)
+            extents = assemble(file, header, coded.segments)
             measured = None
             if options.verify:
-                measured = passes.prove(path or cast(io.BytesIO, file).getvalue(), job)
+                finished = path or cast(io.BytesIO, file).getvalue()
+                measured, tiles = passes.prove(finished, job)
+                if options.makes_digests:
+                    append_digests(file, header, extents, tiles.tree())
             coded.close()
     scale = abs(source.info.scale)
     moved = job.moved_error * scale

@@ -42,6 +42,7 @@ class Options:
     strict: bool = False
     stable: bool = False
     keep_origin: bool = False
+    digest: bool | None = None
     verify: bool = True
     threads: int | None = None
     mesh_kind: str = ""
@@ -62,6 +63,13 @@ class Options:
             settled["threads"] = checked_threads(self.threads)
         flags = [field.name for field in fields(self) if isinstance(field.default, bool)]
         check_flags(**{name: getattr(self, name) for name in flags})
+        if self.digest is not None:
+            check_flags(digest=self.digest)
+        if self.digest and not self.verify:
+            raise InvalidArgumentError(
+                "found `digest` without `verify`, expected both: digests are those of heights that"
+                " the proof decodes"
+            )
         choice = chosen(self.method, self.effort)
         settled |= {"method": choice.own, "effort": choice.effort, "choice": choice}
         if not self.mesh_kind:
@@ -170,6 +178,11 @@ class Options:
     def n_threads(self) -> int:
         """Return how many threads encode."""
         return checked_threads(self.threads)
+
+    @property
+    def makes_digests(self) -> bool:
+        """Say whether the file gets digests of its heights."""
+        return self.verify if self.digest is None else self.digest
 
     @property
     def notes(self) -> list[str]:

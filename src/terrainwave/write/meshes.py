@@ -18,7 +18,7 @@ from terrainwave.container.page import N_CODES
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.targets.publication import publish, refuse_own_source, scratch_directory
 from terrainwave.container.targets.unfinished import only_writer
-from terrainwave.container.writer import assemble
+from terrainwave.container.writer import append_digests, assemble
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.file import TerrainFile
 from terrainwave.grid.crew import Crew
@@ -118,7 +118,10 @@ def store_meshes(
         errors = measure_meshes(grid, mesher, originals, executor, count, lost)
         codes = mesher.error_codes(errors, lost, by_recursion=header.is_faithful)
         spools = _copied(terrain, codes, directory, sections)
-        assemble(part.file, header, spools)
+        extents = assemble(part.file, header, spools)
+        digests = container.digests()
+        if digests is not None:  # of heights, which stay
+            append_digests(part.file, header, extents, digests)
         for spool in spools.values():
             spool.close()
         _log.info("%s: stored meshes of kind %s", dst, header.mesh)

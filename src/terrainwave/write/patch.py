@@ -23,14 +23,20 @@ from typing import Any
 import numpy as np
 
 from terrainwave.arguments import check_flags, check_local, checked_path, checked_threads
+from terrainwave.container.digests import DigestTree, TileDigests, tile_digests
 from terrainwave.container.header import HAS_CORRECTIONS, HAS_VOIDS, Header
 from terrainwave.container.metadata import EARLIER, without_origin
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.targets.kept import Kept
 from terrainwave.container.targets.publication import publish, refuse_own_source
 from terrainwave.container.targets.unfinished import only_writer
-from terrainwave.container.writer import assemble
-from terrainwave.errors import BoundViolationError, InvalidHeightsError, TerrainwaveWarning
+from terrainwave.container.writer import append_digests, assemble
+from terrainwave.errors import (
+    BoundViolationError,
+    CorruptStreamError,
+    InvalidHeightsError,
+    TerrainwaveWarning,
+)
 from terrainwave.file import TerrainFile
 from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Region
@@ -40,12 +46,15 @@ from terrainwave.raster_io.geotiff.sidecar import forget_measured
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.undeclared_voids import note_on_undeclared
 from terrainwave.write.passes.proof import (
+    NOTHING,
     OUR_FAULT,
+    Proved,
     allowed_error,
     compare_window,
     measured_error,
     proof_shares,
     proven_shares,
+    together,
 )
 from terrainwave.write.passes.resuming import KeptUnits, run_directory, taken_up
 from terrainwave.write.patching.index import PatchedIndex
@@ -159,13 +168,7 @@ def patch(
         ) as (directory, kept),
         Crew(n_threads) as executor,
     ):
-        method = METHODS[terrain.header.method]
-        if not method.is_patchable:
-            fit = methods_that(lambda method: method.is_patchable)
-            raise InvalidHeightsError(
-                f"{path} has method {method.name}; only files of method {fit} can be patched:"
-                " compress the whole raster again"
-            )
+        _refuse_unfit(path, terrain.header)
         notes = note_on_undeclared(source)
         for note in notes:
             warnings.warn(note, TerrainwaveWarning, stacklevel=2)
@@ -176,11 +179,13 @@ def patch(
         n_recoded, n_copied = patcher.code()
         if patcher.is_changed:
             with publish(final, overwrite=True, is_update=True) as part:
-                assemble(part.file, patcher.header, patcher.sink.spools)
-                error = patcher.prove(part.path)
+                extents = assemble(part.file, patcher.header, patcher.sink.spools)
+                error, digests = patcher.prove(part.path)
+                if digests is not None:
+                    append_digests(part.file, patcher.header, extents, digests)
             notes += forget_measured(path)
         else:
-            error = patcher.prove(final)
+            error, _ = patcher.prove(final)
         patcher.close()
         _log.info("%s: coded %d units, kept %d", path, n_recoded, n_copied)
         scale = abs(terrain.raster_info.scale)
@@ -194,6 +199,22 @@ def patch(
         units=terrain.units,
         notes=[*merged.notes, *notes, *taken_up(kept)],
     )
+
+
+def _refuse_unfit(path: str | os.PathLike[str], header: Header) -> None:
+    """Raise `InvalidHeightsError` for a file that cannot be patched."""
+    method = METHODS[header.method]
+    if not method.is_patchable:
+        fit = methods_that(lambda method: method.is_patchable)
+        raise InvalidHeightsError(
+            f"{path} has method {method.name}; only files of method {fit} can be patched:"
+            " compress the whole raster again"
+        )
+    if header.bound_side != "both":
+        raise InvalidHeightsError(
+            f"{path} has heights {header.bound_side} the originals only, which a patch would not"
+            " keep: compress the whole raster again"
+        )
 
 
 # What the metadata say of losses before: known again where a patch covers all.
@@ -282,11 +303,20 @@ class _Patcher:
         shape = self._grid.n_rows * self._grid.n_cols
         return self._reporter.counter(stage, shape, self._terrain.dtype.itemsize)
 
-    def prove(self, path: str | os.PathLike[str]) -> float:
-        """Decode the result; return the largest error where the new raster is, in raw units.
+    def prove(self, path: str | os.PathLike[str]) -> tuple[float, DigestTree | None]:
+        """Decode the result.
+
+        Returns
+        -------
+        error : float
+            The largest where the new raster is, in raw units.
+        digests : DigestTree or None
+            The digests of all heights, if the file has digests.
 
         Raises
         ------
+        CorruptStreamError
+            If the file's digests were not those of its heights before.
         BoundViolationError
             If a sample is further than the bound from the new raster, or one elsewhere is not what
             it was.
@@ -296,24 +326,44 @@ class _Patcher:
         count = self._count("proving")
         with TerrainFile(path, threads=1, native=False) as result:
 
-            def compare(region: Region) -> float:
+            def compare(region: Region) -> Proved:
                 part = region.intersect(self._merged.place)
-                largest = 0.0
+                found = NOTHING
                 if part.n_rows and part.n_cols:
-                    largest = compare_window(result, self._merged, part, allowed)
+                    found = compare_window(result, self._merged, part, allowed, False)
                 if part != region:
                     self._compare_rest(result, region)
+                if self.header.has_digests:
+                    tiles = tile_digests(region, *result.read_with_mask(region))
+                    found = found._replace(tiles=tiles)
                 count(region.n_rows * region.n_cols)
-                return largest
+                return found
 
-            def compare_all(share: list[Region]) -> float:
-                return max(map(compare, share))
+            def compare_all(share: list[Region]) -> Proved:
+                return together(map(compare, share))
 
             shares = proof_shares(self._grid)
             compared = partial(self._executor.map, compare_all)
-            proven = proven_shares(path, shares, compared, self._kept)
-            largest = max(error for _, error in proven)
-        return measured_error(largest, quantizer)
+            largest, tiles = 0.0, TileDigests(self._terrain.shape)
+            for _, found in proven_shares(path, shares, compared, self._kept):
+                largest = max(largest, found.error)
+                tiles.add(found.tiles)
+        return measured_error(largest, quantizer), self._new_digests(tiles.tree())
+
+    def _new_digests(self, found: DigestTree) -> DigestTree | None:
+        """Return the digests found, if the file has some: beyond the new raster they stay."""
+        before = self._terrain.container.digests()
+        if before is None:
+            return None
+        place = self._merged.place
+        for leaf in found.differences(before):
+            if not all(leaf.intersect(place).shape):
+                raise CorruptStreamError(
+                    f"the digest of {leaf.n_rows} x {leaf.n_cols} samples from row {leaf.row},"
+                    f" column {leaf.col} is not that of their heights, which the new raster does"
+                    " not cover: check the file (terrainwave verify)"
+                )
+        return found
 
     def _compare_rest(self, result: TerrainFile, region: Region) -> None:
         """Raise unless samples that the new raster does not cover are what they were."""

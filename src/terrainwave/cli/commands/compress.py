@@ -132,6 +132,12 @@ from terrainwave.progress import ProgressCallback
     help="What the numbers are. Depths and radii (distances from the centre of the body) are stored"
     " as they are and turned on the globe, in meshes and views. Default: as the raster says.",
 )
+@click.option(
+    "--digest/--no-digest",
+    default=None,
+    help="Store digests (SHA-256) of the heights, by which verify finds any change; info prints"
+    " their root. Default: yes, unless --no-verify.",
+)
 @click.option("--no-verify", is_flag=True, help="Do not decode and compare every sample.")
 @resumable
 @click.option(
