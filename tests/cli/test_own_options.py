@@ -40,9 +40,9 @@ def compressed(dem, *words, notes=()):
             {"method": terrainwave.Cdf97(faithful=True, border_rings=3)},
         ),
         (
-            "-o border-rings=3 --mesh zerotree -o labels=layer",
+            "--method store -o border-rings=3 --mesh zerotree -o labels=layer",
             {
-                "method": terrainwave.Rapid(border_rings=3),
+                "method": terrainwave.Store(border_rings=3),
                 "mesh": terrainwave.Zerotree(labels="layer"),
             },
         ),
@@ -67,7 +67,7 @@ def test_options_are_those_of_python(dem, tmp_path, words, options):
     ("former", "new"),
     [
         ("--faithful --method cdf97", "--method cdf97 -o faithful"),
-        ("--border-rings 3", "-o border_rings=3"),
+        ("--border-rings 3 --method store", "--method store -o border_rings=3"),
         ("--mesh zerotree-layer", "--mesh zerotree -o labels=layer"),
     ],
 )
