@@ -39,9 +39,9 @@ def compressed(dem, *words):
             {"method": terrainwave.Cdf97(faithful=True, border_rings=3)},
         ),
         (
-            "-o border-rings=3 --mesh zerotree -o labels=layer",
+            "--method store -o border-rings=3 --mesh zerotree -o labels=layer",
             {
-                "method": terrainwave.Rapid(border_rings=3),
+                "method": terrainwave.Store(border_rings=3),
                 "mesh": terrainwave.Zerotree(labels="layer"),
             },
         ),
