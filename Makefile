@@ -201,7 +201,7 @@ native-driver: system-native
 	@$(call built_natively,clang,clang,$(with_driver))
 	@cmake --install build/native/clang --prefix "$(PREFIX)" >/dev/null
 	@folder=$$(dirname $$(find "$(PREFIX)" -name gdal_TWZ.so | head -1)) && \
-		GDAL_DRIVER_PATH=$$folder gdalinfo tests/golden/v1/one-sample.twz >/dev/null && \
+		GDAL_DRIVER_PATH=$$folder gdalinfo tests/golden/v2/one-sample.twz >/dev/null && \
 		echo "GDAL reads .twz files where GDAL_DRIVER_PATH is $$folder"
 
 # The tests of the driver, with GDAL of this system and of other releases of Debian: 3.6, 3.10, and the newest there is.

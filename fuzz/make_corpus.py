@@ -23,6 +23,7 @@ from fuzz.targets import (
     place_of_mask,
 )
 from fuzz.units import N_PARENTS, SPECS, corrected_payload_of, payload_of
+from terrainwave.annexes import read_annex
 from terrainwave.codec.cdf53.refiner import encode_tile
 from terrainwave.codec.cdf53.tile_layout import TileLayout
 from terrainwave.codec.corrections import encode_corrections
@@ -31,8 +32,7 @@ from terrainwave.codec.refiner import ALL_VALID, Validity, as_array
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.remainder_planes import encode_remainders
 from terrainwave.coding.deflate import inflate
-from terrainwave.container.dictionary import DICTIONARY
-from terrainwave.container.header import HEADER_SIZE, MAX_METADATA
+from terrainwave.container.header import MAX_METADATA
 from terrainwave.container.page import empty_page, pack_columns, pack_page
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.sections import pack_section
@@ -49,10 +49,10 @@ def _of_files() -> Iterator[tuple[str, bytes]]:
         with Terrain(data, threads=1) as terrain:
             container = terrain.container
             extents, found = container.extents, container.header
-        yield "header", data[:HEADER_SIZE]
-        packed = data[HEADER_SIZE : extents.parameters_start]
+        yield "header", data[: extents.header_size]
+        packed = data[extents.header_size : extents.parameters_start]
         yield "metadata", b"\1" + packed
-        text = inflate(packed, MAX_METADATA, "metadata", DICTIONARY)
+        text = inflate(packed, MAX_METADATA, "metadata", read_annex("dictionary.txt"))
         yield "metadata", b"\0" + text
         if found.method in ("rapid", "predictive"):
             kind = [name for name in REFINERS if REFINERS[name].has_file_tables].index(found.method)

@@ -54,7 +54,7 @@ PLANTED = (
     ),
     Planted(
         "tables of rapid: families that exist", "parameters", "python",
-        "codec/rapid/file_tables.py", "if family >= n_families:", "if False:",
+        "codec/rapid/file_tables.py", "if family >= N_FAMILIES:", "if False:",
     ),
 )  # fmt: skip
 

@@ -76,7 +76,7 @@ def _command(name: str, mode: str, seconds: float) -> list[str]:
     kept[0].mkdir(parents=True, exist_ok=True)
     corpus = [*kept, ROOT / "fuzz" / "corpus" / name]
     if name == "opening":
-        corpus.append(ROOT / "tests" / "golden" / "v1")
+        corpus.append(ROOT / "tests" / "golden" / "v2")
     return [
         sys.executable, "-m", "fuzz.worker", name, str(WORK / "finds"), str(WORK / "state.json"),
         f"-max_total_time={max(1, int(seconds))}", f"-timeout={_TIMEOUTS[mode]}",

@@ -18,6 +18,7 @@ import numpy as np
 
 from fuzz import IS_COMPILED
 from fuzz.units import N_PARENTS, SMALL_SISTERS, SPECS, corrected, parent_of
+from terrainwave.annexes import read_annex
 from terrainwave.codec import registry
 from terrainwave.codec.cdf53 import refiner as cdf53
 from terrainwave.codec.cdf53.tile_layout import TileLayout
@@ -27,8 +28,13 @@ from terrainwave.codec.masks import Above, decode_validity
 from terrainwave.codec.refiner import Validity, as_array
 from terrainwave.codec.remainder_planes import decode_remainders
 from terrainwave.coding.deflate import deflate
-from terrainwave.container.dictionary import DICTIONARY
-from terrainwave.container.header import HEADER_SIZE, MAX_METADATA, pack_header, unpack_header
+from terrainwave.container.header import (
+    HEADER_SIZE,
+    MAX_METADATA,
+    check_optional_sections,
+    pack_header,
+    unpack_header,
+)
 from terrainwave.container.metadata import unpack_metadata
 from terrainwave.container.page import N_CODES, page_layout, payload_starts, unpack_page
 from terrainwave.container.sources.byte_source import BufferSource
@@ -46,7 +52,7 @@ from terrainwave.terrain import Terrain
 from terrainwave.tri.halves.borders import beside_void
 from terrainwave.tri.stored_kinds import STORED_KINDS
 
-GOLDEN = Path(__file__).parents[1] / "tests" / "golden" / "v1"
+GOLDEN = Path(__file__).parents[1] / "tests" / "golden" / "v2"
 CORPUS = Path(__file__).parent / "corpus"
 # A read of more is refused: what a file claims must not decide how much memory is taken.
 _MOST_SAMPLES = 1 << 16
@@ -87,6 +93,7 @@ def opening(data: bytes) -> None:
 def header(data: bytes) -> None:
     """Unpack a header; pack it again."""
     found, extents = unpack_header(data)
+    check_optional_sections(data[HEADER_SIZE : extents.header_size])
     assert pack_header(found, extents)[:-4] == data[: HEADER_SIZE - 4]
     found.grid.level_shape(0)
     assert found.codec_parameters.z_min == found.z_min
@@ -120,7 +127,7 @@ def metadata(data: bytes) -> None:
     """Unpack metadata, of JSON or of deflated bytes; make them a raster's."""
     if not data:
         return
-    packed = data[1:] if data[0] & 1 else deflate(data[1:], DICTIONARY)
+    packed = data[1:] if data[0] & 1 else deflate(data[1:], read_annex("dictionary.txt"))
     found = unpack_metadata(packed)
     assert len(json.dumps(found)) <= 8 * MAX_METADATA
     known = {name: value for name, value in found.items() if value is not None}
@@ -414,7 +421,7 @@ def virtual(data: bytes) -> None:
 
 def _virtual_of_metadata(number: int, text: bytes) -> None:
     with Terrain(VIRTUAL[number].read_bytes(), threads=1) as terrain:
-        known = unpack_metadata(deflate(text, DICTIONARY))
+        known = unpack_metadata(deflate(text, read_annex("dictionary.txt")))
         known = {name: value for name, value in known.items() if value is not None}
         size = {"n_rows": terrain.shape[0], "n_cols": terrain.shape[1], "dtype": terrain.dtype.name}
         terrain._raster = RasterInfo.from_metadata(known | size)

@@ -46,7 +46,7 @@ export interface Window {
 export interface ReadOptions {
   /**
    * Which samples of a coarse level are void: "exact", where the full grid is; "any", those alone
-   * around which nothing is valid. Unless told: exact if the file tells (`hasFills`), else any.
+   * around which nothing is valid. Default: exact.
    */
   voids?: "exact" | "any";
 }
@@ -95,8 +95,8 @@ export class Terrain {
   shape(level?: number): Shape;
   /** a, b, c, d, e, f: x = a·col + b·row + c, y = d·col + e·row + f at the corners of pixels. */
   transform(level?: number): [number, number, number, number, number, number];
-  /** Whether the file tells which heights of coarse levels are fills of voids (format 1.1). */
-  readonly hasFills: boolean;
+  /** Whether samples may be void; false: none is. */
+  readonly hasVoids: boolean;
   /** What of the window lies beyond the level is cut off. */
   read(level?: number, window?: Partial<Window>, options?: ReadOptions): Promise<Read>;
   /** Bilinear, in physical units; NaN outside the samples and beside voids. */

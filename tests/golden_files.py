@@ -1,4 +1,4 @@
-"""Golden files: what a file of each format version decodes to, now and for ever.
+"""Golden files: what a file of each format version decodes to.
 
 `tests/golden/vN/` holds files of format version N and `manifest.json`, as tests/golden/README.md
 says; `tools/make_golden.py` makes those of the current version.
@@ -32,6 +32,7 @@ def found(path):
             "border_rings": header.border_rings,
             "step": header.step,
             **library.describe(terrain),
+            **library.root(terrain),
             "level": [library.level_of(terrain, level) for level in range(terrain.n_levels)],
         }
 

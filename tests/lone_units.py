@@ -9,7 +9,8 @@ from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Region
 
 ALL_SHARED = Sides(True, True, True, True)
-BIG = 1 << 30
+# Heights of a file span less than 2^30 quanta (FORMAT.md §4.1).
+BIG = (1 << 29) - 1
 
 
 def lone_spec(shape, step=3, effort=1, shared=NOT_SHARED, parent=True):
@@ -61,7 +62,7 @@ def hard_rasters(shape, largest):
     """Return heights by name that are hard to code, up to ±`largest`."""
     rng = np.random.default_rng(3)
     spike = np.zeros(shape, dtype=np.int32)
-    spike[shape[0] // 2, shape[1] // 3] = 1 << 29
+    spike[shape[0] // 2, shape[1] // 3] = largest
     rows, cols = np.mgrid[: shape[0], : shape[1]]
     return {
         "constant": np.full(shape, 1234, dtype=np.int32),

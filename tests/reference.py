@@ -105,20 +105,6 @@ def implied_voids(region, outer, valid):
     return found
 
 
-def mask_below(mask, spec, parent):
-    """Return a mask as a unit below `parent` may have it, which is None for a root block."""
-    if parent is None:
-        return mask
-    region, outer = spec.region, spec.parent_region
-    found = mask & ~implied_voids(region, outer, parent.mask)
-    row, col = region.row & 1, region.col & 1
-    inherited = found[row::2, col::2]
-    first, left = (region.row + row) // 2 - outer.row, (region.col + col) // 2 - outer.col
-    own = parent.own_mask[first:, left:]
-    inherited[...] = own[: inherited.shape[0], : inherited.shape[1]]
-    return found
-
-
 def level_mask(valid, shift):
     """Return the mask of the level `shift` steps above the full grid.
 

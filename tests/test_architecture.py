@@ -23,7 +23,7 @@ PACKAGE = REPOSITORY / "src" / "terrainwave"
 PLAN = (REPOSITORY / "ARCHITECTURE.md").read_text(encoding="utf-8")
 
 ROOT = {"errors", "progress", "names", "arguments", "_version", "extras", "forks", "cache"}
-ROOT |= {"interrupts", "option_sets"}
+ROOT |= {"interrupts", "option_sets", "annexes"}
 # What each room may import besides itself, in the order of the data's path: rooms above it, and
 # none beside it. Nothing else, within functions neither.
 GRID = ROOT | {"coding", "grid"}
@@ -33,6 +33,7 @@ MAY_IMPORT = {
     "interrupts": set(),
     "progress": {"errors", "arguments", "interrupts"},
     "extras": {"errors"},
+    "annexes": {"errors"},
     "names": set(),
     "forks": set(),
     "cache": {"forks"},
@@ -102,8 +103,7 @@ CROWDED: dict[str, int] = {}
 # Names that several modules may have: the parts that packages of methods have in common.
 PARTS = {"refiner", "file_tables", "fit", "trained"}
 # Modules called what they are for, which a module elsewhere does: a command, a mode of the viewer.
-# `render.style` is where `Style` was before 1.1.
-CALLED_AFTER = ("cli/commands", "render/modes", "render/style")
+CALLED_AFTER = ("cli/commands", "render/modes")
 # Functions of more lines, without their docstrings: loops of kernels, which cost time when cut.
 MOST_LINES, MOST_ARGUMENTS = 70, 10
 # Files through which `max_error` reaches the kernel that codes by it.
@@ -113,18 +113,18 @@ LONG = {"_sweep_cells", "code_pass", "code_residuals"}
 WIDE = {
     "options of a user": {
         "compress", "compress_to_bytes", "decompress", "write_pmtiles", "write_tiles", "_draw",
-        "view", "_export_mesh", "save", "save_mesh", "save_lods", "Scene.__init__", "make_app",
+        "verify", "view", "_export_mesh", "save", "save_mesh", "save_lods", "Scene.__init__",
+        "make_app",
     },
     "arrays of one unit, and where in them: an array in a tuple counts references in every row": {
-        "_add_spread", "_code", "_code_line", "_code_node", "_code_tables", "_correct", "_encode",
-        "_flip", "_insert",
-        "code_detail", "code_rows", "gather_window", "n_reached",
+        "_add_spread", "_code_line", "_code_node", "_code_tables", "_flip", "_insert",
+        "code_detail", "gather_window", "n_reached",
     },
     "arrays of one triangulation, and where in them": {"_flip", "_insert"},
 }  # fmt: skip
 # Entrances: what users start may import all that is above.
 ENTRANCES = {"__init__", "cli", "__main__"}
-MAY_OPEN_FILES = {"raster_io", "container", "cli", "verification", "coding"}
+MAY_OPEN_FILES = {"annexes", "raster_io", "container", "cli", "verification", "coding"}
 
 
 @cache
@@ -326,7 +326,7 @@ def _name_of(node):
 @pytest.mark.parametrize(
     ("method", "caller", "kernel"),
     [
-        ("rapid", "rapid.coder", "code_rows"),
+        ("rapid", "rapid.unit", "code_heights"),
         ("predictive", "predictive.refiner", "code_pass"),
         ("cdf97", "cdf97.refiner", "code_residuals"),
         ("cdf53", "cdf53.refiner", "encode_field"),
@@ -490,9 +490,10 @@ def test_files_are_opened_only_at_the_edge():
         "rasterio",
         "pyproj",
         "anywidget",
+        "terrainwave.annexes",
     ],
 )
-def test_importing_terrainwave_needs_no_heavy_library(library):
+def test_importing_terrainwave_needs_no_heavy_library_and_no_table(library):
     code = f"import sys, terrainwave; sys.exit({library!r} in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 

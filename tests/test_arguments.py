@@ -38,7 +38,7 @@ OF_FILES = {"threads": WHOLE, "progress": CALLABLE, "overwrite": FLAG}
 OF_RASTERS = {"src": [5, None, ""], "band": WHOLE, "nodata": VALUE, "georeference": FLAG}
 OF_CODING = {
     "max_error": NUMBER, "method": WORD, "block": WHOLE, "effort": WORD, "mesh": WORD,
-    "strict": FLAG, "stable": FLAG, "format": WORD, "verify": FLAG, "threads": WHOLE,
+    "strict": FLAG, "stable": FLAG, "verify": FLAG, "threads": WHOLE,
 }  # fmt: skip
 OF_WINDOWS = {"window": FOUR, "level": WHOLE}
 OF_VOIDS = {"on_error": WORD, "voids": WORD}
@@ -261,7 +261,5 @@ def test_a_text_that_reads_as_a_number_is_not_shown_as_one():
 
 
 def test_a_number_for_a_word_is_called_a_number(tmp_path):
-    with pytest.raises(
-        InvalidArgumentError, match=r"^found format the number 1\.0, expected '1\.0' or '1\.1'$"
-    ):
-        tw.compress(HEIGHTS, tmp_path / "a.twz", format=1.0)
+    with pytest.raises(InvalidArgumentError, match=r"^found effort the number 1, expected 'fast'"):
+        tw.compress(HEIGHTS, tmp_path / "a.twz", effort=1)

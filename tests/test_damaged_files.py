@@ -25,6 +25,7 @@ from terrainwave.errors import (
     TruncatedStreamError,
 )
 from terrainwave.grid.quadtree import Block
+from terrainwave.names import METHODS
 from terrainwave.read.decoder import TreeDecoder
 from terrainwave.terrain import Terrain
 
@@ -40,7 +41,7 @@ def method(request):
 
 @pytest.fixture(scope="module")
 def data(method):
-    rings = 1 if method == "cdf53" else 3
+    rings = 3 if METHODS[method].has_rings else 1
     return twz_bytes(HEIGHTS, max_error=1, nodata=-32768, method=method, border_rings=rings)
 
 

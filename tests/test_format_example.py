@@ -9,7 +9,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from reference_decoder import cdf97 as reference_cdf97
-from reference_decoder import predictive, rapid
+from reference_decoder import digests, predictive, rapid
 from reference_decoder.basics import inflate
 from reference_decoder.files import DICTIONARY, NAMES, block_codes, read_file
 from reference_decoder.payloads import Bits, decode_root
@@ -24,7 +24,7 @@ DOCUMENT = (DOCS / "FORMAT.md").read_text(encoding="utf-8")
 EXAMPLE_OF_PREDICTIVE = (
     (DOCS / "format-predictive.md").read_text(encoding="utf-8").partition("\n## P.11 ")[2]
 )
-EXAMPLE_OF_RAPID = (DOCS / "format-rapid.md").read_text(encoding="utf-8").partition("\n## R.12 ")[2]
+EXAMPLE_OF_RAPID = (DOCS / "format-rapid.md").read_text(encoding="utf-8").partition("\n## R.13 ")[2]
 ROOT_KEY = (-1, 0, 0)
 
 
@@ -115,7 +115,7 @@ def test_rows_of_the_file_are_the_fields_of_the_header():
             )
             assert value == getattr(header, name), meaning
             n_fields += 1
-    assert n_fields == 27
+    assert n_fields == 28
 
 
 def test_deflated_sections_inflate_to_the_stated_content():
@@ -312,3 +312,14 @@ def test_the_whole_file_has_the_stated_page_boxes_and_indices():
         assert payloads[key][:6] == bytes([0, 0, 0, 0, 0, 5])
         assert [int(bits[5 * i : 5 * i + 5], 2) for i in range(len(indices))] == indices
         assert len(bits) - 5 * len(indices) in (3, 1)
+
+
+def test_digests_of_the_file_are_the_stated_ones():
+    tile, top, root = re.findall(r"`([0-9a-f]{64})`", section("4.8"))
+    file = read_file(FILE)
+    heights, mask = decode(FILE)
+    found = digests.digests_of(heights, mask)
+    assert [found[0, 0, 0].hex(), found[1, 0, 0].hex()] == [tile, top]
+    assert digests.root_of(file.header, file.metadata, "int16", bytes.fromhex(top)) == root
+    with terrainwave.open(FILE) as terrain:
+        assert list(terrain.check(root)) == []

@@ -31,6 +31,15 @@ def test_the_hook_names_all_codecs():
     assert {f"terrainwave.codec.{method}.refiner" for method in METHODS} <= set(hidden)
 
 
+def test_the_hook_names_all_annexes():
+    datas = dict(runpy.run_path(Path(HOOKS) / "hook-terrainwave.py")["datas"])
+    annexes = Path(terrainwave.__file__).parent / "annexes"
+    kept = [path for path in annexes.iterdir() if path.suffix in (".bin", ".txt")]
+    assert kept
+    for path in kept:
+        assert Path(datas[str(path)]) == Path("terrainwave") / "annexes"
+
+
 def test_pyinstaller_finds_the_hook():
     found = entry_points(group="pyinstaller40")
     assert "terrainwave.ext.pyinstaller:hook_dirs" in {one.value for one in found}

@@ -82,18 +82,12 @@ def test_the_version_is_set_everywhere(tmp_path, version, npm):
     assert stated_versions(tmp_path) == expected_versions(version, npm, ["7", "8", "19"])
 
 
-def test_builds_between_releases_do_not_call_themselves_a_release():
-    """While CHANGELOG has changes that no release has, the version is a development version."""
-    (unreleased,) = re.findall(
-        r"^## \[Unreleased\]\n(.*?)^## ", text_of("CHANGELOG.md"), re.M | re.S
-    )
-    (last,) = re.findall(r"^## \[(\d+\.\d+\.\d+)\]", text_of("CHANGELOG.md"), re.M)[:1]
+def test_the_changelog_begins_with_the_release_that_comes_or_the_last_one():
+    """While changes are in no release, the version is a development version of that one."""
+    number, rest = re.findall(r"^## \[(\d+\.\d+\.\d+)\](.*)$", text_of("CHANGELOG.md"), re.M)[0]
     version = Version(__version__)
-    if unreleased.strip():
-        assert version.is_devrelease
-        assert version > Version(last)
-    else:
-        assert version == Version(last)
+    assert number == version.base_version
+    assert (rest == " - unreleased") == version.is_devrelease
 
 
 def test_the_classifiers_say_how_ready_it_is():

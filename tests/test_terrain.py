@@ -280,17 +280,6 @@ def test_windows_from_bounds_take_the_transforms_of_levels(tmp_path):
             assert terrain.region(window, level=level) == (4, 6, 10, 20)
 
 
-def test_a_called_transform_is_what_the_method_gave_and_says_what_to_call(tmp_path):
-    with georeferenced(tmp_path, FLAT_261, ROTATED) as terrain:
-        with pytest.warns(DeprecationWarning, match=r"transform_of\(level, window\)"):
-            whole = terrain.transform()
-        assert whole == ROTATED
-        with pytest.warns(DeprecationWarning, match="2.0") as told:
-            part = terrain.transform(-2, window=(2, 3, 4, 5))
-        assert part == tuple(terrain.transform_of(-2, (2, 3, 4, 5)))[:6]
-        assert told[0].filename == __file__
-
-
 # Bounds
 
 

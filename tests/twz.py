@@ -1,14 +1,15 @@
 """Small .twz files in memory."""
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from terrainwave.codec.method_options import chosen_with
+from terrainwave.codec.method_options import chosen
 from terrainwave.grid.quadtree import Region
 from terrainwave.terrain import Terrain
-from terrainwave.tri.mesh_options import of_former_name
+from terrainwave.tri.mesh_options import options_of
 from terrainwave.write.compress import compress
 
 # Of methods, with their defaults: tests that draw options from tables name them side by side.
@@ -21,18 +22,29 @@ def grouped(options):
     given = {name: options.pop(name) for name in OF_METHODS if name in options}
     given = {name: value for name, value in given.items() if value != OF_METHODS[name]}
     if given:
-        own = chosen_with(options.get("method", "auto"), options.get("effort", "default"), given)
-        options["method"], options["effort"] = own
+        choice = chosen(options.get("method", "auto"), options.get("effort", "default"))
+        options["method"], options["effort"] = replace(choice.own, **given), choice.effort
     if "mesh" in options:
-        options["mesh"] = of_former_name(str(options["mesh"])) or options["mesh"]
+        options["mesh"] = mesh_of(options["mesh"])
     return options
 
 
+def mesh_of(mesh):
+    """Return the options that the name of a stored kind of meshes stands for, or what is given."""
+    name, _, value = str(mesh).partition("-")
+    if not value:
+        return mesh
+    kind = options_of(name)
+    (option,) = kind.names()
+    return kind(**{option: value})
+
+
 def twz_bytes(heights, **options):
-    """Return the bytes of the file that `compress` makes of an array or a path."""
+    """Return the bytes of the file that `compress` makes of an array or a path; no digests."""
     with tempfile.TemporaryDirectory() as directory:
         target = Path(directory) / "small.twz"
-        compress(heights, target, **{"block": 32, "threads": 1, **grouped(options)})
+        of_tests = {"block": 32, "threads": 1, "digest": False}
+        compress(heights, target, **of_tests | grouped(options))
         return target.read_bytes()
 
 

@@ -1,7 +1,7 @@
 """Pack the conformance set: ``python tools/make_conformance.py TARGET.zip``; the same bytes always.
 
 The files of tests/golden with their manifest, the program that asks a reader, the documents of the
-format, and the tables of its annexes as JSON: all that another implementation needs.
+format, and its annexes: all that another implementation needs.
 """
 
 import base64
@@ -16,8 +16,6 @@ import numpy as np
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / "src"))
 
-from terrainwave.codec.cdf97 import trained as tables97  # noqa: E402
-from terrainwave.codec.predictive import trained as tables  # noqa: E402
 from terrainwave.codec.rapid import trained as rapid_tables  # noqa: E402
 from terrainwave.codec.rapid import trained_reach as rapid_reach_tables  # noqa: E402
 
@@ -33,22 +31,12 @@ def numbers(packed: str, kind: str, shape: tuple[int, ...] = (-1,)) -> list:
 
 
 def annexes() -> dict[str, dict]:
-    """Return the tables of FORMAT.md §7.8, P.9 and R.10, by file."""
+    """Return the tables of R.10, by file."""
 
     def by_plane(table):
         return {PLANES[plane]: np.asarray(rows).tolist() for plane, rows in table.items()}
 
     return {
-        "cdf97": {
-            "TERM_WEIGHTS": tables97.TERM_WEIGHTS.tolist(),
-            "E_WEIGHTS": tables97.E_WEIGHTS.tolist(),
-            "STARTS": numbers(tables97._STARTS, "<u2"),
-        },
-        "predictive": {
-            "STENCILS": by_plane(tables.STENCILS),
-            "E_WEIGHTS": by_plane(tables.E_WEIGHTS),
-            "STARTS": numbers(tables._STARTS, "<u2"),
-        },
         "rapid": {
             "STENCILS": by_plane(rapid_tables.STENCILS),
             "FEATURES": np.asarray(rapid_tables.FEATURES).tolist(),
@@ -70,6 +58,9 @@ def contents() -> dict[str, bytes]:
     files["LICENSE"] = (ROOT / "LICENSE").read_bytes()
     for path in (ROOT / "docs" / "FORMAT.md", *(ROOT / "docs").glob("format-*.md")):
         files[f"format/{path.name}"] = path.read_bytes()
+    for pattern in ("*.bin", "*.txt"):
+        for path in (ROOT / "src" / "terrainwave" / "annexes").glob(pattern):
+            files[f"annexes/{path.name}"] = path.read_bytes()
     for name, table in annexes().items():
         text = json.dumps(table, separators=(",", ":"))
         files[f"tables/{name}.json"] = text.encode() + b"\n"

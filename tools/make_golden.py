@@ -3,8 +3,8 @@
 It also renews the checksum of the worked example's header (FORMAT.md §9.2), which the version is
 part of.
 
-Files that exist are left as they are: what a version wrote once must stay readable. So are what
-the manifest says of them; the table of tests/golden/README.md is written anew.
+Files that exist are left as they are, and so is what the manifest says of them: to make one anew,
+remove both. The table of tests/golden/README.md is written anew.
 """
 
 import json
@@ -20,7 +20,7 @@ sys.path[:0] = [str(ROOT / "src"), str(ROOT / "tests")]
 
 import golden_files  # noqa: E402
 from conformance import invalid  # noqa: E402
-from conformance.editor import Editor  # noqa: E402
+from conformance.editor import Editor, optional_section  # noqa: E402
 from rasterio.transform import Affine  # noqa: E402
 from strategies import write_geotiff  # noqa: E402
 from twz import grouped  # noqa: E402
@@ -74,16 +74,6 @@ CASES = {
         (45, 70), "int16", 900, "nodata", PLACE, {"max_error": 3, "mesh": "zerotree"},
     ),
     "predictive-int16-nodata-rqt": (
-        (45, 70), "int16", 900, "nodata", PLACE, {"max_error": 3, "mesh": "rqt"},
-    ),
-    # As above, of writers that no longer measure the finest meshes.
-    "predictive-int16-halves-bounded": (
-        (75, 68), "int16", 900, "none", PLACE, {"max_error": 2},
-    ),
-    "predictive-int16-nodata-zerotree-bounded": (
-        (45, 70), "int16", 900, "nodata", PLACE, {"max_error": 3, "mesh": "zerotree"},
-    ),
-    "predictive-int16-nodata-rqt-bounded": (
         (45, 70), "int16", 900, "nodata", PLACE, {"max_error": 3, "mesh": "rqt"},
     ),
     "predictive-uint8-best": (
@@ -203,40 +193,23 @@ CASES = {
         (1100, 2), "int16", 60, "nodata", PLACE,
         {"max_error": 3, "method": "store", "mesh": "none"},
     ),
-    # Format 1.1: fills of coarse levels, and contexts by reach that the header tells.
-    "rapid-fills-int16-nodata": (
-        (70, 51), "int16", 400, "nodata", PLACE,
+    "rapid-int16-declared": (
+        (50, 51), "int16", 400, "declared", PLACE,
         {"max_error": 2, "method": "rapid", "mesh": "none"},
     ),
-    "predictive-fills-float32-rings": (
+    "predictive-float32-rings": (
         (45, 70), "float32", 500, "nan", PLACE,
         {"max_error": 1, "border_rings": 3, "mesh": "none"},
     ),
-    "rapid-fills-float32-exact": (
-        (40, 44), "float32", 400, "nan", PLACE,
-        {"max_error": 0, "method": "rapid", "mesh": "none"},
-    ),
-    "store-fills-int16-segments": (
-        (1100, 3), "int16", 60, "nodata", PLACE,
-        {"max_error": 9, "method": "store", "mesh": "none"},
-    ),
-    "cdf53-fills-int16-tiles": (
+    "cdf53-int16-tiles": (
         (1100, 3), "int16", 300, "mask", PLACE,
         {"max_error": 9, "method": "cdf53", "mesh": "none"},
-    ),
-    "cdf97-fills-int16-zerotree-layer": (
-        (75, 68), "int16", 150, "nodata", PLACE,
-        {"max_error": 6, "method": "cdf97", "mesh": "zerotree"},
-    ),
-    "rapid-reach-told-int16": (
-        (50, 47), "int16", 4000, "none", PLACE,
-        {"max_error": 9, "method": "rapid", "mesh": "none"},
     ),
     # Weights of features of the file's own: of two classes or of all four, contexts of either kind.
     "rapid-weights-int16-lossless": (
         (100, 110), "int16", 60, "none", PLACE, {"max_error": 0, "method": "rapid", "mesh": "none"},
     ),
-    "rapid-weights-float32-fills": (
+    "rapid-weights-float32-nan": (
         (100, 110), "float32", 500, "nan", PLACE,
         {"max_error": 0.5, "method": "rapid", "mesh": "none"},
     ),
@@ -264,6 +237,16 @@ CASES = {
     "predictive-patched-float32-nan": (
         (70, 66), "float32", 500, "nan", PLACE, {"max_error": 0.5, "mesh": "none", "patches": 2},
     ),
+    # Three leaves, the middle one void, and void tiles; segments of three levels.
+    "store-digests-int16": (
+        (3, 8200), "int16", 900, "gap", PLACE,
+        {"max_error": 0, "method": "store", "mesh": "none", "digest": True},
+    ),
+    "rapid-digests-float32": (
+        (70, 66), "float32", 500, "nan",
+        PLACE | {"bands": {"scales": 0.5, "offsets": -0.0}},
+        {"max_error": 0.5, "method": "rapid", "mesh": "none", "digest": True},
+    ),
     "one-sample": ((1, 1), "int16", 100, "none", DEGREES, {"max_error": 0}),
     "one-row": ((1, 90), "float32", 100, "none", DEGREES, {"max_error": 0.5}),
     "all-void": ((70, 40), "int16", 100, "all", DEGREES, {"max_error": 1}),
@@ -276,9 +259,6 @@ EXERCISES = {
     "predictive-int16-lossless": "step 1",
     "predictive-int16-nodata-zerotree": "voids by nodata, labels of `zerotree-plain`",
     "predictive-int16-nodata-rqt": "voids by nodata, flags of `rqt`",
-    "predictive-int16-halves-bounded": "the finest meshes' errors are bounds, not measured",
-    "predictive-int16-nodata-zerotree-bounded": "the same with `zerotree-plain`",
-    "predictive-int16-nodata-rqt-bounded": "the same with `rqt`",
     "predictive-uint8-best": "tables of the file's own (P.10)",
     "predictive-uint16-mask": "a mask of its own, no nodata: voids are 0",
     "predictive-int32-rings": "aprons (border_rings 3), a large step",
@@ -306,27 +286,27 @@ EXERCISES = {
     "cdf97-int16-mask-zerotree-layer": "aprons, a mask, zero trees of difference layers (mesh 4)",
     "cdf97-uint16-mask-rqt": "a mask of its own, `rqt`",
     "cdf97-int32-rings": "aprons, a large step",
-    "cdf97-int16-nodata-faithful": "feature bit 1 (§7.9), coded zero trees (mesh 5)",
-    "cdf97-int32-rings-faithful": "feature bit 1 with aprons",
+    "cdf97-int16-nodata-faithful": "feature bit 2 (§7.9), coded zero trees (mesh 5)",
+    "cdf97-int32-rings-faithful": "feature bit 2 with aprons",
     "store-int16-nodata-halves": "the smallest method, voids by nodata",
     "store-float64-rqt": "decimals of float64, NaN",
     "store-int16-segments": "six levels: several segments, absent ones (§3.4)",
-    "rapid-fills-int16-nodata": "fills (feature bit 4, §5.4), three levels",
-    "predictive-fills-float32-rings": "fills, aprons, NaN",
-    "rapid-fills-float32-exact": "fills beside remainders",
-    "store-fills-int16-segments": "fills, six levels: several segments",
-    "cdf53-fills-int16-tiles": "fills of tiles of several levels, one below the other (C.4)",
-    "cdf97-fills-int16-zerotree-layer": "fills of filtered levels, meshes that don't know of them",
-    "rapid-reach-told-int16": "contexts by reach that the header tells (feature bit 3)",
-    "rapid-weights-int16-lossless": "weights of features (feature bit 5, R.10) of two classes",
-    "rapid-weights-float32-fills": "weights beside fills, a step that is not fine",
+    "rapid-int16-declared": "a nodata value and no void: no feature bit 0",
+    "predictive-float32-rings": "fills (§5.2), aprons, NaN",
+    "cdf53-int16-tiles": "fills of tiles of several levels, one below the other (C.4)",
+    "rapid-weights-int16-lossless": "weights of features (R.10) of two classes",
+    "rapid-weights-float32-nan": "weights beside fills, a step that is not fine",
     "rapid-reach-weights-int16": "weights of all classes, contexts by reach, step 3, blocks of 64",
     "rapid-reach-weights-int32-wide": "weights, contexts by reach, *wide* units, aprons",
-    "rapid-patched-int16-nodata": "corrections (feature bit 6, §5.5) beside voids",
+    "rapid-patched-int16-nodata": "corrections (feature bit 3, §5.4) beside voids",
     "rapid-patched-int32-wide": "corrections of a root block, heights far apart (R.2), aprons",
     "predictive-patched-int16-rings": "corrections with raw bits of magnitudes, aprons, voids",
     "predictive-patched-float32-nan": "corrections, a large step, voids are NaN",
-    "store-moved-decimal": "`moved` written 3.0 (§4.2; erratum 2)",
+    "store-moved-decimal": "`moved` written 3.0 (§4.2)",
+    "store-optional-sections": "two optional sections of the header (§4.8), one of them empty",
+    "store-digests-int16": "digests (feature bit 4, §4.9) of three leaves, one of them void",
+    "rapid-digests-float32": "digests of heights of a lossy file, voids, CRS and unit",
+    "rapid-above-float32": "one-sided bound: `bound` above, *base* off the middle (§4.2)",
     "one-sample": "a raster of one sample",
     "one-row": "a raster of one row",
     "all-void": "no valid sample: z_min 0, z_max −1, empty payloads",
@@ -342,9 +322,15 @@ def write_case(path, shape, dtype, amplitude, kind, profile, options):
         heights = heights / np.asarray(divisor, dtype=dtype)
     mask, nodata = None, None
     valid = np.zeros(shape, dtype=bool) if kind == "all" else voids(*shape)
-    if kind in ("nodata", "all"):
+    if kind == "declared":
+        valid = np.ones(shape, dtype=bool)
+    if kind in ("nodata", "all", "declared"):
         nodata = -9999
         heights = np.where(valid, heights, nodata).astype(dtype)
+    elif kind == "gap":
+        col = np.arange(shape[1])
+        nodata = -9999
+        heights[:, (col >= 600) & (col < 8192)] = nodata
     elif kind == "nan":
         heights = np.where(valid, heights, np.nan).astype(dtype)
     elif kind == "mask":
@@ -352,7 +338,8 @@ def write_case(path, shape, dtype, amplitude, kind, profile, options):
     raster = path.with_suffix(".tif")
     try:
         write_geotiff(raster, heights, mask=mask, nodata=nodata, units=("m",), **profile)
-        options = {"block": 32, "mesh": "halves", "method": "predictive"} | options
+        usual = {"block": 32, "mesh": "halves", "method": "predictive", "digest": False}
+        options = usual | options
         n_patches = options.pop("patches", 0)
         terrainwave.compress(raster, path, threads=1, overwrite=True, **grouped(options))
         for number in range(n_patches):
@@ -430,15 +417,32 @@ def write_readme(manifest):
     path.write_text(text, encoding="utf-8")
 
 
-# Made of another golden file by changing its metadata.
-RETOLD = {"store-moved-decimal": ("store-int16-nodata-halves", {"moved": 3.0})}
-
-
-def write_retold(path, name, changes):
-    """Write a golden file that says something else of itself than another."""
+def write_retold(path, name, edit):
+    """Write a golden file that is another but for one change."""
     editor = Editor(path.with_name(f"{name}.twz").read_bytes())
-    editor.set_json(**changes)
+    edit(editor)
     path.write_bytes(editor.bytes())
+
+
+def add_sections(editor):
+    """Add optional sections."""
+    editor.optional = optional_section(b"none", b"what no reader knows")
+    editor.optional += optional_section(b"void", b"")
+
+
+def be_above(editor):
+    """Say that all heights are above the originals: the middle of steps lies half a step higher."""
+    editor.set_json(bound="above")
+    h = editor.fields
+    editor.header = {"base": h["base"] + h["step"] // 2}
+    editor.header |= {name: 2 * h[name] for name in ("max_error", "effective_bound")}
+
+
+RETOLD = {
+    "rapid-above-float32": ("rapid-weights-float32-nan", be_above),
+    "store-moved-decimal": ("store-int16-nodata-halves", lambda editor: editor.set_json(moved=3.0)),
+    "store-optional-sections": ("store-int16-nodata-halves", add_sections),
+}
 
 
 def main():

@@ -2,26 +2,23 @@
 
 python tools/make_native_tables.py
 
-The dictionary and the mixer's functions come from the text of the format.
+From the files of the annexes (FORMAT.md §15), and the mixer's functions from its text.
 """
 
-import base64
 import re
 import zlib
 from decimal import Decimal, localcontext
 from pathlib import Path
 
+from terrainwave.annexes import read_annex, read_tables
 from terrainwave.codec import masks
 from terrainwave.codec.cdf97 import trained as tables97
 from terrainwave.codec.predictive import trained as tables
-from terrainwave.codec.rapid import trained as rapid_tables
-from terrainwave.codec.rapid import trained_reach as rapid_reach_tables
+from terrainwave.codec.rapid import file_tables as rapid_tables
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "native" / "src" / "tables.c"
 WIDTH = 100
-N_FAMILIES = 6
-OF_A_FAMILY = 176 * 63
 HEAD = "/* The annexes of the format as data: written by tools/make_native_tables.py. */\n"
 
 
@@ -60,10 +57,11 @@ def packed(name, data):
     return array(f"uint8_t {name}[{len(stream)}]", stream), len(stream)
 
 
-def text_of(name, lines):
+def text_of(name, text):
     """Return a constant of characters."""
+    lines = [text[i : i + 160] for i in range(0, len(text), 160)]
     parts = "\n".join('    "' + re.sub(r'([\\"])', r"\\\1", line) + '"' for line in lines)
-    return f"const char {name}[] =\n{parts};\nconst size_t {name}_size = {sum(map(len, lines))};\n"
+    return f"const char {name}[] =\n{parts};\nconst size_t {name}_size = {len(text)};\n"
 
 
 def stencils(name, annex):
@@ -87,60 +85,39 @@ def mixer():
     return array("int16_t twz_logits[1024]", s), array("uint16_t twz_mixed[704]", t)
 
 
-def codes():
-    """Return the codes of rapid's frequencies, a stream for each layout and family."""
-    parts, names, sizes = [], [], []
-    for layout, annex in enumerate((rapid_tables, rapid_reach_tables)):
-        data = zlib.decompress(base64.b85decode(annex._CODES))
-        assert len(data) == N_FAMILIES * OF_A_FAMILY
-        for family in range(N_FAMILIES):
-            name = f"codes_{layout}_{family}"
-            first = family * OF_A_FAMILY
-            text, size = packed(name, data[first : first + OF_A_FAMILY])
-            parts.append("static " + text)
-            names.append(name)
-            sizes.append(size)
+def of_masks():
+    """Return the frequencies of masks (§5.2)."""
+    found = read_tables(masks.ANNEX, masks.LAYOUT)
+    return [
+        array("uint16_t twz_mask_samples[16][49]", found["samples"].tolist(), 2),
+        array("uint16_t twz_mask_groups[7][13]", found["groups"].tolist(), 2),
+    ]
+
+
+def of_rapid():
+    """Return the stencils of rapid, and its families, a stream for each (R.11)."""
+    found = read_tables(rapid_tables.ANNEX, rapid_tables.LAYOUT)
+    parts = [array("int16_t twz_rapid_stencils[3][16][24]", found["stencils"].tolist(), 3)]
+    names, sizes = [], []
+    for family in range(len(found["cuts"])):
+        tables = [found[name][family].tobytes() for name in ("cuts", "weights", "pairs", "samples")]
+        names.append(f"family_{family}")
+        text, size = packed(names[-1], b"".join(tables))
+        parts.append("static " + text)
+        sizes.append(size)
     listed = "{" + ", ".join(names) + "}"
-    parts.append(f"const uint8_t *const twz_rapid_codes[12] =\n{wrapped(listed)};\n")
-    parts.append(array("size_t twz_rapid_codes_size[12]", sizes))
+    parts.append(f"const uint8_t *const twz_rapid_families[{len(names)}] =\n{wrapped(listed)};\n")
+    parts.append(array(f"size_t twz_rapid_families_size[{len(names)}]", sizes))
     return parts
-
-
-def check_features():
-    """Raise unless sums of rapid's weighted features fit 32 bits, whatever the step (R.7)."""
-    errors = 2**18 - 1
-    for log2 in range(31):
-        range_shift, most_range = max(log2 - 4, 0), 2 ** (15 + min(log2, 4)) - 1
-        most = [1, errors, 2 * errors, errors, most_range, most_range, 4 * most_range]
-        most += [6 * errors, 4 * errors]
-        shifts = [0, log2, log2, log2, range_shift, range_shift, range_shift, log2, log2]
-        divisors = [1] + 8 * [2**log2]
-        for table in rapid_tables.FEATURES:
-            for row in table.reshape(-1, 9).tolist():
-                weights = [
-                    (((v << s) // d) + 128) >> 8
-                    for v, s, d in zip(row, shifts, divisors, strict=True)
-                ]
-                assert all(weight >= 0 for weight in weights)
-                assert sum(w * m for w, m in zip(weights, most, strict=True)) < 2**31, row
 
 
 def main():
     """Write the file."""
-    samples, groups = masks.frequencies()
-    starts97 = base64.b85decode(tables97._STARTS)
     parts = [
         HEAD + '#include "tables.h"\n',
-        text_of("twz_dictionary", block_of("dictionary")),
-        array("uint16_t twz_mask_samples[16][49]", samples.tolist(), 2),
-        array("uint16_t twz_mask_groups[7][13]", groups.tolist(), 2),
-        stencils("twz_rapid_stencils", rapid_tables.STENCILS),
-        array(
-            "int32_t twz_rapid_features[2][4][4][9]",
-            [table.tolist() for table in rapid_tables.FEATURES],
-            4,
-        ),
-        *codes(),
+        text_of("twz_dictionary", read_annex("dictionary.txt").decode("ascii")),
+        *of_masks(),
+        *of_rapid(),
         stencils("twz_predictive_stencils", tables.STENCILS),
         array(
             "int16_t twz_predictive_weights[3][3][18]",
@@ -151,15 +128,15 @@ def main():
         array("int16_t twz_cdf97_terms[16][4][19]", tables97.TERM_WEIGHTS.tolist(), 3),
         array("int16_t twz_cdf97_weights[8]", tables97.E_WEIGHTS.tolist()),
     ]
-    for name, data in (
-        ("twz_predictive_starts", zlib.decompress(base64.b85decode(tables._STARTS))),
-        ("twz_cdf97_starts", zlib.decompress(starts97)),
+    for method, annex, names in (
+        ("predictive", tables, ["starts"]),
+        ("cdf97", tables97, ["residuals", "trees", "border"]),
     ):
-        text, size = packed(name, data)
+        found, name = read_tables(annex.ANNEX, annex.LAYOUT), f"twz_{method}_starts"
+        text, size = packed(name, b"".join(found[part].tobytes() for part in names))
         parts += [text, f"const size_t {name}_size = {size};\n"]
     OUT.write_text("\n".join(parts), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    check_features()
     main()

@@ -74,6 +74,9 @@ def judge_valid(reader, profile, path, entry):
     answer = reader.ask(task="describe", file=str(path))
     wrong = [key for key in DESCRIBED if answer.get(key) != entry[key]]
     yield "metadata", "failed" if wrong else "passed", f"{wrong} of {answer}" if wrong else ""
+    if "root" in entry and profile.get("digests"):
+        found = reader.ask(task="check", file=str(path)).get("root")
+        yield "digests", "passed" if found == entry["root"] else "failed", f"root {found}"
     has_mesh = entry["mesh"] in profile["meshes"]
     parts = {"heights": ("level", OF_LEVEL)}
     if profile["blocks"]:
@@ -132,7 +135,7 @@ def print_table(profile, counts):
     """Print passed, failed and outside by part."""
     print(f"{profile['name']}: methods {', '.join(profile['methods'])}")
     print(f"{'part':10} {'passed':>7} {'outside':>8} {'failed':>7}")
-    for part in ("metadata", "heights", "blocks", "meshes", "invalid"):
+    for part in ("metadata", "digests", "heights", "blocks", "meshes", "invalid"):
         row = [counts[part, outcome] for outcome in ("passed", "outside", "failed")]
         print(f"{part:10} {row[0]:7} {row[1]:8} {row[2]:7}")
 
@@ -140,13 +143,13 @@ def print_table(profile, counts):
 def main():
     """Ask, print a table, and say by the status whether all is right."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--set", type=Path, help="folder of v1; by default the one beside")
+    parser.add_argument("--set", type=Path, help="folder of v2; by default the one beside")
     parser.add_argument("--only", default="", help="files whose name has this text")
     parser.add_argument("--timeout", type=float, default=300, help="seconds for an answer")
     parser.add_argument("--csv", type=Path, help="write file, part, outcome, remark")
     parser.add_argument("command", nargs="+", metavar="COMMAND")
     options = parser.parse_args()
-    folder = (options.set or next(path for path in SETS if (path / "v1").is_dir())) / "v1"
+    folder = (options.set or next(path for path in SETS if (path / "v2").is_dir())) / "v2"
     reader = Reader(options.command, options.timeout)
     rows = list(judge(reader, folder, options.only))
     profile = reader.ask(task="profile")

@@ -1,4 +1,4 @@
-"""Set the version at every place that states it: ``python -m tools.set_version 1.1.0``.
+"""Set the version at every place that states it: ``python -m tools.set_version 1.0.0``.
 
 Between releases it is the next one's with ``.dev0``, so that nobody takes a build of them for the
 release before. CMake and C's preprocessor know numbers alone: theirs are those of the release that
@@ -21,12 +21,12 @@ def whole(version: str) -> str:
 
 
 def of_npm(version: str) -> str:
-    """Return ``1.1.0-dev.0`` for ``1.1.0.dev0``."""
+    """Return ``1.0.0-dev.0`` for ``1.0.0.dev0``."""
     return re.sub(r"\.dev(\d+)$", r"-dev.\1", version)
 
 
 def numbers(version: str) -> str:
-    """Return ``1.1.0`` for ``1.1.0.dev0``."""
+    """Return ``1.0.0`` for ``1.0.0.dev0``."""
     return ".".join(number(i)(version) for i in range(3))
 
 
@@ -78,7 +78,7 @@ def main(version: str) -> None:
         normal = str(Version(version))
     except InvalidVersion as error:
         raise click.BadParameter(
-            f"{version} is no version, expected one as 1.1.0 or 1.2.0.dev0"
+            f"{version} is no version, expected one as 1.0.0 or 1.1.0.dev0"
         ) from error
     set_version(normal, ROOT)
 

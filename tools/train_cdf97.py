@@ -1,19 +1,15 @@
 """Train the tables of the `cdf97` method from a directory of rasters.
 
-    python tools/train_cdf97.py DIR MODULE.py [--leave-out NAME,NAME]
+    python tools/train_cdf97.py DIR cdf97.bin [--leave-out NAME,NAME]
 
 Three stages, each from what the earlier ones give and nothing else: sets of weights of the
 residuals' prediction (clusters of least-squares fits over units), weights of the expected magnitude
 (a non-negative fit to residuals), start values of the models (what they adapt to). Needs scipy. The
-result is a module like `terrainwave.codec.cdf97.trained`; tables in use are never edited.
+result is the annex of FORMAT.md §7.8; a file that is in use is never changed.
 """
 
 import argparse
-import base64
-import json
 import sys
-import textwrap
-import zlib
 from pathlib import Path
 from typing import NamedTuple
 
@@ -364,60 +360,14 @@ def train(rasters, rng):
     return train_models(models)
 
 
-def module_text(starts):
-    """Return the source of a table module."""
-    text = [HEADER]
-    weights = json.dumps(tables97.TERM_WEIGHTS.tolist()) + ","
-    text.append("TERM_WEIGHTS = np.array(")
-    text += textwrap.wrap(weights, 96, initial_indent="    ", subsequent_indent="    ")
-    text.append("    dtype=np.int32)\n")
-    text.append(
-        f"E_WEIGHTS = np.array({json.dumps(tables97.E_WEIGHTS.tolist())}, dtype=np.int64)\n"
-    )
-    text.append(f"_SIZES = {[len(part) for part in starts]}")
-    packed = base64.b85encode(zlib.compress(np.concatenate(starts).tobytes(), 9)).decode("ascii")
-    text.append("_STARTS = (")
-    text += [f'    "{packed[i : i + 92]}"' for i in range(0, len(packed), 92)]
-    text.append(")\n" + FOOTER)
-    return "\n".join(text)
+def annex(starts):
+    """Return the bytes of the annex (§7.8); a list with a number that does not fit raises."""
+    parts = np.zeros((), tables97.LAYOUT)
+    parts["w"], parts["W"] = tables97.TERM_WEIGHTS.tolist(), tables97.E_WEIGHTS.tolist()
+    parts["residuals"], parts["trees"], parts["border"] = starts
+    return parts.tobytes()
 
 
-HEADER = '''"""Tables of the `cdf97` method: written by tools/train_cdf97.py, never edited.
-
-Weights of the residuals' prediction per set, phase and term in 1/256, of the expected magnitude in
-1/128, and start values of the models of residuals, trees and shared lines: probability of a one in
-1/4096 times 16 plus half the count, u16.
-"""
-
-# fmt: off
-import base64
-import zlib
-
-import numpy as np
-from numpy.typing import NDArray
-'''
-FOOTER = '''
-STARTS = np.split(
-    np.frombuffer(zlib.decompress(base64.b85decode(_STARTS)), dtype="<u2").astype(np.uint32),
-    np.cumsum(_SIZES)[:-1],
-)
-_MODELS = [((part >> 4) << 20 | (part & 15) * 2).astype(np.uint32) for part in STARTS]
-
-
-def start_residual_models() -> NDArray[np.uint32]:
-    """Return fresh models of residuals with the trained start values."""
-    return _MODELS[0].copy()
-
-
-def start_tree_models() -> NDArray[np.uint32]:
-    """Return fresh models of labels and coefficients."""
-    return _MODELS[1].copy()
-
-
-def start_border_models() -> NDArray[np.uint32]:
-    """Return fresh models of shared lines."""
-    return _MODELS[2].copy()
-'''
 FIRST_GUESS = np.array((24, 22, 9, 9, 11, 21, 8, 70), dtype=np.int64)
 assert FIRST_GUESS.size == N_FEATURES
 
@@ -434,7 +384,7 @@ def main():
     rasters = [r for r in rasters if not any(name in r[0] for name in left_out)]
     print([r[0] for r in rasters], file=sys.stderr)
     starts = train(rasters, np.random.default_rng(1))
-    options.out.write_text(module_text(starts))
+    options.out.write_bytes(annex(starts))
 
 
 if __name__ == "__main__":

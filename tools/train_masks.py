@@ -1,9 +1,9 @@
-"""Train the frequencies of the coder of masks: src/terrainwave/codec/masks.bin, an annex.
+"""Train the frequencies of masks from a directory of rasters, and from drawn masks.
 
-    python tools/train_masks.py DIR [--leave-out NAME]
+    python tools/train_masks.py DIR masks.bin [--leave-out NAME]
 
-Learns from the masks of the rasters in a directory and from drawn ones; prints the bytes that the
-masks of each take. With --leave-out, does without one raster and writes nothing.
+Prints the bytes that the masks of each take. The result is the annex of FORMAT.md §5.2; a file that
+is in use is never changed.
 """
 
 import argparse
@@ -16,7 +16,6 @@ import numpy as np
 import terrainwave
 from terrainwave.codec import masks
 
-OUT = Path(masks.__file__).with_name("masks.bin")
 # A bound so large that coding heights takes no time.
 MAX_ERROR = 1000
 SIDE = 513
@@ -103,10 +102,18 @@ def _rounded(shares):
     return np.clip(np.rint(shares * masks.N_SLOTS), 1, masks.N_SLOTS - 1).astype(np.uint32)
 
 
+def annex(samples, groups):
+    """Return the bytes of the annex (§5.2); a list with a number that does not fit raises."""
+    parts = np.zeros((), masks.LAYOUT)
+    parts["samples"], parts["groups"] = samples.tolist(), groups.tolist()
+    return parts.tobytes()
+
+
 def main():
     """Train, write the annex, print sizes."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("directory", type=Path)
+    parser.add_argument("out", type=Path)
     parser.add_argument("--leave-out", help="name of a raster not to train with")
     arguments = parser.parse_args()
     found = {path.stem: counts_of(path) for path in sorted(arguments.directory.glob("*.tif"))}
@@ -129,8 +136,7 @@ def main():
         trained(counts[part], weights, n)
         for part, n in zip(parts, (masks.N_SETS, masks.N_GROUP_SETS), strict=True)
     ]
-    if arguments.leave_out is None:
-        OUT.write_bytes(b"".join(freqs.astype("<u2").tobytes() for freqs in sets))
+    arguments.out.write_bytes(annex(*sets))
     for name, counts in found.items():
         bits = sum(bits_of(counts[part], freqs).min(1) for part, freqs in zip(parts, sets))
         print(f"{name}: {bits.sum() / 8:.0f} bytes in {len(counts)} units")

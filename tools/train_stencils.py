@@ -1,19 +1,16 @@
 """Train the tables of the `predictive` method from a directory of rasters.
 
-    python tools/train_stencils.py DIR MODULE.py [--leave-out NAME]
+    python tools/train_stencils.py DIR predictive.bin [--leave-out NAME]
 
 Three stages, each from what the earlier ones give and nothing else: stencil sets (clusters of
 least-squares fits over rasters, bounds and levels), weights of the expected magnitude (non-negative
 fits to details the encoder really makes), start values of the models (what they adapt to). Needs
-scipy. The result is a module like `terrainwave.codec.predictive.trained`; tables in use are never
-edited.
+scipy. The result is the annex of docs/format-predictive.md P.9; a file that is in use is never
+changed.
 """
 
 import argparse
-import base64
-import json
 import sys
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -304,50 +301,15 @@ def start_values(sums):
     return (probability << 4 | np.minimum(count >> 1, 15)).astype("<u2")
 
 
-def module_text(stencils, expectation, starts):
-    """Return the source of a table module."""
-    text = [HEADER]
-    for name, table in (("STENCILS", stencils), ("E_WEIGHTS", expectation)):
-        text.append(f"{name} = {{")
-        for plane in (1, 2, 3):
-            text.append(
-                f"    {plane}: np.array({json.dumps(table[plane].tolist())}, dtype=np.int64),"
-            )
-        text.append("}\n")
-    packed = base64.b85encode(zlib.compress(starts.tobytes(), 9)).decode("ascii")
-    text.append("_STARTS = (")
-    text += [f'    "{packed[i : i + 92]}"' for i in range(0, len(packed), 92)]
-    text.append(")\n" + FOOTER)
-    return "\n".join(text)
+def annex(stencils, expectation, starts):
+    """Return the bytes of the annex (P.9); a list with a number that does not fit raises."""
+    parts = np.zeros((), tables.LAYOUT)
+    for i, plane in enumerate(("HH", "HL", "LH")):
+        parts[plane], parts["W"][i] = stencils[i + 1].tolist(), expectation[i + 1].tolist()
+    parts["starts"] = starts
+    return parts.tobytes()
 
 
-HEADER = '''"""Tables of the `predictive` method: written by tools/train_stencils.py, never edited.
-
-Stencils per pass (HH, HL, LH) and set, weights of the expected magnitude per pass, and start
-values of the models: probability of a one in 1/4096 times 16 plus half the count, u16.
-"""
-
-# fmt: off
-import base64
-import zlib
-
-import numpy as np
-from numpy.typing import NDArray
-'''
-FOOTER = '''
-_VALUES = np.frombuffer(zlib.decompress(base64.b85decode(_STARTS)), dtype="<u2").astype(np.uint32)
-_MODELS = ((_VALUES >> 4) << 20 | (_VALUES & 15) * 2).astype(np.uint32)
-
-
-def start_models(n_models: int) -> NDArray[np.uint32]:
-    """Return fresh models with the trained start values."""
-    return _MODELS[:n_models].copy()
-
-
-def start_border_models(n_models: int) -> NDArray[np.uint32]:
-    """Return fresh models of shared lines; they follow the others."""
-    return _MODELS[-n_models:].copy()
-'''
 MAX_START = 24
 N_GUESSES = 2
 FIRST_GUESS = np.zeros(nested.N_FEATURES, dtype=np.int64)
@@ -378,7 +340,7 @@ def main():
         expectation = train_expectation(rasters, rng)
         tables.E_WEIGHTS = expectation
     models = train_models(rasters)
-    options.out.write_text(module_text(stencils, expectation, start_values(models)))
+    options.out.write_bytes(annex(stencils, expectation, start_values(models)))
 
 
 if __name__ == "__main__":

@@ -46,7 +46,7 @@ async function tileOf({ url }, { signal }) {
   return { data: answer?.image ?? null };
 }
 
-// Folders of older versions do not name one.
+// What pages say of a terrain may leave it out.
 const encodingOf = ({ described }) => described.encoding ?? "mapbox";
 
 /** Return a raster-dem source of a terrain, for a style; by default in the terrain's encoding. */

@@ -7,8 +7,6 @@ const MAX_GAP = 3;
 const MOST_AT_ONCE = 64;
 /** Milliseconds in which wishes are gathered: tiles of one view come one after another. */
 const GATHERING = 10;
-/** Blocks of what is announced that are asked for with it. */
-const AHEAD = 6;
 /** Blocks that are kept. */
 const N_KEPT = 512;
 
@@ -17,7 +15,7 @@ export class BlockSource {
   /** `source` has head(n), read(start, end) and, after the first head, size. */
   constructor(source) {
     this.source = source;
-    this.parallel = Infinity; // of readRanges: to gather, all must be known
+    this.gathers = true; // for readRanges: it joins what is asked for at the same time
     this.blocks = new Map(); // by number: promises, the least recently used first
     this.wanted = new Map(); // by number: what settles the promise
   }
@@ -46,14 +44,6 @@ export class BlockSource {
       found.set(part, Math.max(at - start, 0));
     });
     return found;
-  }
-
-  /** Take note that some of these bytes will be read next: the first of them come at once. */
-  announce(start, end) {
-    const last = Math.min(end, start + AHEAD * BLOCK, this.size);
-    for (let number = Math.floor(start / BLOCK); number * BLOCK < last; number++) {
-      this.block(number).catch(() => {}); // whoever reads them is told
-    }
   }
 
   block(number) {

@@ -27,10 +27,24 @@ const SAMPLES_AT_ONCE = 2 ** 17;
 const MOST_SPARE = 2 ** 26;
 let spare = null; // what a decoder exports whose file was closed
 
-/** Bytes of a file that came: { start, bytes } of each. */
-function find(held, start, length) {
-  const found = held.find((one) => one.start <= start && start + length <= one.start + one.bytes.length);
-  return found?.bytes.subarray(start - found.start, start - found.start + length);
+/** Return the bytes of a range out of what came, { start, bytes } of each, or where what is missing begins. */
+function find(held, start, end) {
+  const parts = [];
+  let at = start;
+  while (at < end) {
+    const one = held.find((piece) => piece.start <= at && at < piece.start + piece.bytes.length);
+    if (!one) return { missing: at };
+    parts.push(one.bytes.subarray(at - one.start, end - one.start));
+    at += parts.at(-1).length;
+  }
+  if (parts.length === 1) return { bytes: parts[0] };
+  const bytes = new Uint8Array(end - start);
+  let n = 0;
+  for (const part of parts) {
+    bytes.set(part, n);
+    n += part.length;
+  }
+  return { bytes };
 }
 
 export class Core {
@@ -102,19 +116,23 @@ export class Core {
 
   /**
    * Feed what the `file` or the `window` needs next, of what is held. Return null if it was there,
-   * else { start, end, likely } of each range that is missing; none: nothing is needed.
+   * else { start, end, isPage } of each range that is missing; none: nothing is needed.
    */
   #step(whom, held) {
     const n = this.#call(`${whom}_need`);
     if (n < 0) throw this.#refusal(-n);
     const told = this.#told(3 * n);
-    const ranges = Array.from({ length: n }, (_, i) => told.slice(3 * i, 3 * i + 3));
-    const parts = ranges.map(([start, length]) => find(held, start, length));
-    const missing = ranges.filter((_, i) => !parts[i]);
-    if (n === 0 || missing.length > 0) {
-      return missing.map(([start, length, likely]) => ({ start, end: start + length, likely }));
+    const ranges = Array.from({ length: n }, (_, i) => {
+      const [start, length, isPage] = told.slice(3 * i, 3 * i + 3);
+      return { start, end: start + length, isPage: isPage === 1, ...find(held, start, start + length) };
+    });
+    const missing = ranges.filter(({ bytes }) => !bytes);
+    // Pages of the index that are here may tell more of what is missing.
+    const isTold = ranges.some(({ isPage, bytes }) => isPage && bytes);
+    if (n === 0 || (missing.length > 0 && !isTold)) {
+      return missing.map(({ missing: start, end, isPage }) => ({ start, end, isPage }));
     }
-    parts.forEach((bytes, i) => this.#feed(whom, ranges[i][0], bytes));
+    for (const { start, bytes } of ranges) if (bytes) this.#feed(whom, start, bytes);
     return null;
   }
 
@@ -183,7 +201,7 @@ export class Core {
         if (status === 0) return { found: this.#told(1)[0] };
         const missing = status === NOT_READY ? this.#step("window", held) : [];
         if (missing?.length === 0) throw this.#refusal(status);
-        if (missing) return { missing };
+        if (missing) return { missing: missing.filter(({ isPage }) => isPage) };
       }
     });
   }

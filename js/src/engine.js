@@ -1,6 +1,6 @@
 /**
  * Reads windows of one file: asks for bytes until the decoder has what it needs. `fetch` of each
- * question returns a promise of the bytes of many { start, end, likely }.
+ * question returns a promise of the bytes of many { start, end, isPage }.
  */
 
 import { Core } from "./core.js";

@@ -3,8 +3,15 @@
 import { ArgumentError, SourceError } from "./errors.js";
 import { UrlSource } from "./url.js";
 
-/** Ranges closer together than this are read in one go. */
-const GAP = 8192;
+/**
+ * Ranges with gaps between them are read in one go, the shortest gaps first, as in Python
+ * (container/sources/ranges.py): a quarter of the bytes wanted or 64 KiB in any case, and one and a
+ * half times the bytes wanted or 512 KiB while there are more requests than is aimed at.
+ */
+const FREE_GAPS = 1 << 16;
+const FREE_GAPS_OF_MANY = 1 << 19;
+const MOST_GAP = 1 << 20;
+const AIMED_REQUESTS = 3;
 const MOST_AT_ONCE = 1 << 23;
 const PARALLEL = 6;
 
@@ -70,8 +77,6 @@ function exactly(bytes, n, what) {
 
 /** Pages of the index that are kept: each reader of a file asks for them. */
 const N_PAGES = 512;
-/** Where no more pages are needed at once, what is likely to be needed behind them is announced. */
-const FEW_PAGES = 8;
 
 /** Reads what decoders ask for: many ranges at a time, in few requests. */
 export class Ranges {
@@ -82,17 +87,13 @@ export class Ranges {
     this.#source = source;
   }
 
-  /** Return the bytes of { start, end, likely }; so many bytes behind one are likely to be next. */
+  /** Return the bytes of { start, end, isPage }. */
   async read(ranges) {
     const kept = await Promise.all(ranges.map((range) => this.#pages.get(nameOf(range))));
     const missing = ranges.filter((_, i) => !kept[i]);
-    const pages = missing.filter(({ likely }) => likely > 0);
-    if (pages.length <= FEW_PAGES) {
-      for (const { end, likely } of pages) this.#source.announce?.(end, end + likely);
-    }
     const reading = readRanges(this.#source, missing);
     missing.forEach((range, i) => {
-      if (range.likely > 0) this.#keep(nameOf(range), reading.then((found) => new Uint8Array(found[i])));
+      if (range.isPage) this.#keep(nameOf(range), reading.then((found) => new Uint8Array(found[i])));
     });
     const found = (await reading).values();
     return kept.map((bytes) => bytes ?? found.next().value);
@@ -111,17 +112,18 @@ const nameOf = ({ start, end }) => `${start}-${end}`;
 async function readRanges(source, ranges) {
   const found = new Array(ranges.length);
   const order = ranges.map((_, i) => i).sort((a, b) => ranges[a].start - ranges[b].start);
+  const joined = source.gathers ? new Set() : gapsToBridge(order.map((i) => ranges[i]));
   const groups = [];
-  for (const i of order) {
+  order.forEach((i, number) => {
     const { start, end } = ranges[i];
     const last = groups.at(-1);
-    if (last && start - last.end <= GAP && end - last.start <= MOST_AT_ONCE) {
+    if (joined.has(number) && end - last.start <= MOST_AT_ONCE) {
       last.end = Math.max(last.end, end);
       last.members.push(i);
     } else {
       groups.push({ start, end, members: [i] });
     }
-  }
+  });
   let next = 0;
   const work = async () => {
     while (next < groups.length) {
@@ -132,6 +134,24 @@ async function readRanges(source, ranges) {
       }
     }
   };
-  await Promise.all(Array.from({ length: Math.min(source.parallel ?? PARALLEL, groups.length) }, work));
+  const nAtOnce = source.gathers ? groups.length : Math.min(PARALLEL, groups.length);
+  await Promise.all(Array.from({ length: nAtOnce }, work));
   return found;
+}
+
+/** Return the numbers of ranges, in order of place, to be read with those before them. */
+function gapsToBridge(ranges) {
+  const wanted = ranges.reduce((sum, { start, end }) => sum + end - start, 0);
+  const free = Math.max(wanted / 4, FREE_GAPS);
+  const most = Math.max(1.5 * wanted, FREE_GAPS_OF_MANY);
+  const gaps = ranges.slice(1).map(({ start }, i) => ({ gap: start - ranges[i].end, number: i + 1 }));
+  const bridged = new Set();
+  let spent = 0;
+  for (const { gap, number } of gaps.sort((a, b) => a.gap - b.gap)) {
+    const isTooMany = ranges.length - bridged.size > AIMED_REQUESTS;
+    if (gap > MOST_GAP || spent + gap > (isTooMany ? most : free)) break;
+    spent += Math.max(gap, 0);
+    bridged.add(number);
+  }
+  return bridged;
 }

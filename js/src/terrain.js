@@ -12,7 +12,7 @@ const DEFAULTS = { cacheBytes: 2 ** 27, maxSamples: 2 ** 28 };
 /** Most files are opened by one request of so many bytes (FORMAT.md §10). */
 const FIRST_READ = 16384;
 /** A feature of FORMAT.md §4.1: samples of coarse levels tell whether the full grid has them. */
-const HAS_FILLS = 16;
+const HAS_VOIDS = 1; // feature bit 0
 /** Samples that are read at once: a decoder's memory holds them of any raster. */
 const MOST_AT_ONCE = 2 ** 23;
 /** Of larger windows: samples on a side of their parts, at least. */
@@ -78,7 +78,7 @@ export class Terrain {
     const { crs = null, units = null, scale = 1, offset = 0 } = metadata;
     const heightsAre = KINDS.includes(metadata.heights_are) ? metadata.heights_are : null;
     Object.assign(this, about, { metadata, crs, units, scale, offset, heightsAre });
-    this.hasFills = (features & HAS_FILLS) !== 0;
+    this.hasVoids = (features & HAS_VOIDS) !== 0;
     this.#given = given;
     Object.freeze(this);
   }
@@ -92,16 +92,9 @@ export class Terrain {
     return found;
   }
 
-  #checkVoids(voids, level) {
+  #checkVoids(voids) {
     if (voids !== "exact" && voids !== "any") {
       throw new ArgumentError(`voids ${voids}: expected "exact" or "any"`);
-    }
-    const mayHide = level < this.nLevels - 1 && (this.metadata.mask_kind ?? "none") !== "none";
-    if (voids === "exact" && mayHide && !this.hasFills) {
-      throw new ArgumentError(
-        "the file is of format 1.0, which does not tell which heights of coarse levels are fills: " +
-          "read them with voids \"any\", or compress the raster again",
-      );
     }
   }
 
@@ -144,19 +137,19 @@ export class Terrain {
    *
    * `voids` says which samples of a coarse level are void: "exact", where the full grid is, sample
    * by sample, or "any", those alone around which nothing is valid, while the others have a height
-   * that is a fill. By default exact, if the file tells (`hasFills`), else any.
+   * that is a fill.
    */
-  async read(level = -1, window = {}, { voids = this.hasFills ? "exact" : "any" } = {}) {
+  async read(level = -1, window = {}, { voids = "exact" } = {}) {
     const { maxSamples, signal } = this.#given;
     if (this.#isClosed) throw new ArgumentError("the terrain is closed");
     const found = this.#level(level);
-    this.#checkVoids(voids, found);
+    this.#checkVoids(voids);
     const place = this.#cut(found, window ?? {});
     const { nRows, nCols } = place;
     if (nRows * nCols > maxSamples) {
       throw new LimitExceededError(`${nRows} x ${nCols} samples are more than maxSamples, ${maxSamples}`);
     }
-    const isExact = voids === "exact" && this.hasFills;
+    const isExact = voids === "exact" && this.hasVoids;
     const read = await this.#reader(found, place);
     const heights = new ARRAYS[this.dtype](nRows * nCols);
     const valid = new Uint8Array(nRows * nCols);

@@ -1,12 +1,15 @@
 /** Damaged and hostile bytes give an error of ours, or heights: never a hang, never NaN. */
 
 import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { deflateRawSync } from "node:zlib";
 
 import { CorruptStreamError, TerrainwaveError, open } from "../src/index.js";
-import { DICTIONARY } from "../testing/dictionary.js";
 import { Parts, golden } from "../testing/files.js";
+
+const ANNEXES = new URL("../../src/terrainwave/annexes/", import.meta.url);
+const DICTIONARY = readFileSync(new URL("dictionary.txt", ANNEXES)); // FORMAT.md §4.6
 
 /** Read all levels; return whether bytes were refused, by one of our errors. */
 async function isRefused(bytes) {

@@ -11,6 +11,7 @@ import { BLOCK, BlockSource } from "../src/blocks.js";
 import { Core } from "../src/core.js";
 import { ArgumentError, LimitExceededError, open } from "../src/index.js";
 import { loadModule } from "../src/module.js";
+import { Ranges } from "../src/source.js";
 import { golden } from "../testing/files.js";
 
 class Counted {
@@ -48,13 +49,24 @@ test("what many readers want at once comes by few requests, and once", async () 
   assert.deepEqual(source.asked, [[0, BLOCK], [BLOCK, 3 * BLOCK], [7 * BLOCK, size]]);
 });
 
-test("the first of what is announced comes with what is asked for", async () => {
-  const source = new Counted(20 * BLOCK);
-  const blocks = new BlockSource(source);
-  blocks.announce(9 * BLOCK + 1, 19 * BLOCK);
-  await blocks.read(9 * BLOCK + 1, 9 * BLOCK + 5);
-  await blocks.read(11 * BLOCK, 14 * BLOCK);
-  assert.deepEqual(source.asked, [[9 * BLOCK, 16 * BLOCK]]);
+test("ranges come by three requests where gaps are worth it", async () => {
+  const source = new Counted(1 << 22);
+  const ranges = [0, 1, 2, 7, 8, 9, 20, 30].map((place) => ({ start: place << 16, end: (place << 16) + 20000 }));
+  const found = await new Ranges(source).read(ranges);
+  found.forEach((bytes, i) => assert.deepEqual(bytes, source.bytes.subarray(ranges[i].start, ranges[i].end)));
+  assert.deepEqual(source.asked.map(([start]) => start >> 16), [0, 20, 30]);
+  source.asked.length = 0;
+  await new Ranges(source).read(ranges.slice(2, 4)); // few requests: a gap of 308 kB is not worth it
+  assert.equal(source.asked.length, 2);
+});
+
+test("pages of the index are fetched once", async () => {
+  const source = new Counted(1 << 20);
+  const ranges = new Ranges(source);
+  const [page, payload] = [{ start: 100, end: 200, isPage: true }, { start: 900_000, end: 900_100 }];
+  await ranges.read([page, payload]);
+  await ranges.read([page, payload]);
+  assert.deepEqual(source.asked, [[100, 200], [900_000, 900_100], [900_000, 900_100]]);
 });
 
 test("a block that did not come is asked for again", async () => {

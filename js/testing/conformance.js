@@ -9,7 +9,7 @@ import { digestOfLevel } from "./files.js";
 const PROFILE = {
   name: "terrainwave, JavaScript",
   methods: ["store", "cdf97", "predictive", "cdf53", "rapid"],
-  features: 123,
+  features: 31,
   own: true,
   meshes: [],
   blocks: false,

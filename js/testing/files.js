@@ -6,7 +6,7 @@ import { deflateRawSync, deflateSync, inflateSync } from "node:zlib";
 
 import { crc32, fileOrder, keysOf, lengthsOf } from "./format.js";
 
-export const GOLDEN = new URL("../../tests/golden/v1/", import.meta.url);
+export const GOLDEN = new URL("../../tests/golden/v2/", import.meta.url);
 
 export const golden = (name) => readFile(new URL(`${name}.twz`, GOLDEN));
 
@@ -16,7 +16,7 @@ const digest = (array) => createHash("sha256").update(array).digest("hex");
 export async function digestOfLevel(terrain, level) {
   const { heights, valid, nRows, nCols } = await terrain.read(level, {}, { voids: "any" });
   const found = { rows: nRows, cols: nCols, heights: digest(heights), mask: digest(valid) };
-  if (!terrain.hasFills) return found;
+  if (!terrain.hasVoids) return found;
   const exact = await terrain.read(level, {}, { voids: "exact" });
   return { ...found, own: digest(exact.valid) };
 }

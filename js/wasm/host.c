@@ -41,7 +41,7 @@ static int ranges_told(twz_status status, size_t n) {
   for (size_t i = 0; i < n; i++) {
     told[3 * i] = (double)ranges[i].offset;
     told[3 * i + 1] = (double)ranges[i].length;
-    told[3 * i + 2] = (double)ranges[i].likely;
+    told[3 * i + 2] = (double)ranges[i].is_page;
   }
   return (int)n;
 }

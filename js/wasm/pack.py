@@ -11,9 +11,9 @@ import sys
 import zlib
 from pathlib import Path
 
-STREAM = re.compile(r"uint8_t (codes_\d_\d|twz_\w+_starts)\[(\d+)\] =\s*\{(120,[^}]*)\};")
-SIZES = re.compile(r"size_t (twz_\w+_size(?:\[12\])?) =\s*\{?([\d,\s]+)\}?;")
-N_STREAMS = 14
+STREAM = re.compile(r"uint8_t (family_\d|twz_\w+_starts)\[(\d+)\] =\s*\{(120,[^}]*)\};")
+SIZES = re.compile(r"size_t (twz_\w+_size(?:\[6\])?) =\s*\{?([\d,\s]+)\}?;")
+N_STREAMS = 8
 # What unpack.c takes. The header is left out.
 FILTER = {"id": lzma.FILTER_LZMA1, "preset": 9 | lzma.PRESET_EXTREME, "lc": 3, "lp": 0, "pb": 0}
 HEADER = 13
@@ -33,9 +33,9 @@ def stored_tables(text):
         listed = (sizes.get(int(number), int(number)) for number in found[2].split(","))
         return f"size_t {found[1]} = {{{','.join(map(str, listed))}}};"
 
-    text = STREAM.sub(stored, text)
-    if len(sizes) != N_STREAMS:
-        sys.exit(f"tables.c: found {len(sizes)} zlib streams, expected {N_STREAMS}: see pack.py")
+    text, n_found = STREAM.subn(stored, text)
+    if n_found != N_STREAMS:
+        sys.exit(f"tables.c: found {n_found} zlib streams, expected {N_STREAMS}: see pack.py")
     return SIZES.sub(resized, text)
 
 

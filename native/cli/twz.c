@@ -278,6 +278,7 @@ static int info(session *s) {
     printf("%-16s%.17g %.17g %.17g %.17g %.17g %.17g\n", "transform", t[0], t[1], t[2], t[3], t[4], t[5]);
   }
   print_text("crs", i->crs);
+  if (i->bound_side) print_text("bound", i->bound_side > 0 ? "above" : "below");
   if (i->is_point >= 0) print_text("area or point", i->is_point ? "Point" : "Area");
   print_text("description", i->description);
   for (int band = 0; band < 2; band++) {

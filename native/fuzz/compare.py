@@ -65,13 +65,13 @@ def write_any(path, seed):
         "mesh": "none",
         "threads": 1,
     }
-    rings = {} if method == "cdf53" else {"border_rings": int(rng.choice([1, 3]))}
+    rings = {} if method in ("rapid", "cdf53") else {"border_rings": int(rng.choice([1, 3]))}
     options["method"] = getattr(tw, method.capitalize())(**rings)
     if has_voids:
         options["nodata"] = NODATA
     with contextlib.ExitStack() as stack:
         if method == "rapid" and rng.random() < 0.8:
-            stack.enter_context(forced.tables(rng, has_weights=rng.random() < 0.7))
+            stack.enter_context(forced.tables(rng))
         if method in PATCHABLE and is_lossy and rng.random() < 0.7:
             share = rng.choice([0.001, 0.02, 0.3, 1.0])
             stack.enter_context(forced.corrections(share, int(rng.integers(1 << 16))))

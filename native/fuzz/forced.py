@@ -9,22 +9,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from terrainwave.codec.rapid import trained as rapid_tables
+from terrainwave.codec.planes import FileStencil
 from terrainwave.codec.rapid.file_tables import (
-    FREQ_OF_CODE,
+    EXISTS,
+    LEAST,
     MAX_CODE,
     N_CLASSES,
+    N_FEATURES,
+    N_LEVEL_CLASSES,
+    N_SLOTS,
+    NUMBER_OF_CODE,
     PLANES,
-    FileStencil,
+    RESTS,
     FileTables,
-    are_sound,
+    annex,
     core_taps,
-    default_codes,
-    freqs_of,
     missing_tap,
     pack_file_tables,
-    rest_symbols,
-    weights_of,
+    stencils_from,
 )
 from terrainwave.codec.rapid.refiner import RapidRefiner
 from terrainwave.codec.refiner import FREE
@@ -34,66 +36,54 @@ from terrainwave.names import METHODS
 from terrainwave.write.encoder import TreeEncoder
 from terrainwave.write.job import Job
 
-N_FEATURES = len(rapid_tables.FEATURES[0][0][0])
 MOST = 2**31 - 1
 
 
 def any_stencil(rng, plane):
     """Return a stencil of a set of the format, at times changed."""
-    base = int(rng.integers(len(rapid_tables.STENCILS[plane])))
-    while rng.random() < 0.3:
-        deltas = rng.integers(-40, 41, len(core_taps(plane)))
-        deltas[missing_tap(plane)] = 0
-        stencil = FileStencil(base, int(rng.integers(3)), tuple(deltas.tolist()))
-        try:
-            weights_of(plane, stencil)
-        except CorruptStreamError:
-            continue
-        return stencil
-    return FileStencil(base)
+    base = int(rng.integers(annex().stencils.shape[1]))
+    if rng.random() < 0.5:
+        return FileStencil(base)
+    deltas = rng.integers(-40, 41, len(core_taps(plane)))
+    deltas[missing_tap(plane)] = 0
+    return FileStencil(base, int(rng.integers(3)), tuple(deltas.tolist()))
 
 
-def any_weights(rng):
-    """Return codes of weights of one class to all of them, some as large as they may be."""
-    shape = int(rng.integers(1, N_CLASSES + 1)), len(PLANES), N_FEATURES
-    codes = rng.integers(0, rng.choice([30, 70, MAX_CODE + 1]), shape)
-    codes[:, 0, 7:] = 0  # HH has no planes before it
-    for which, plane in np.ndindex(codes.shape[:2]):
-        alone = np.zeros_like(codes[:1])
-        alone[0, plane] = own = codes[which, plane]
-        while not are_sound(alone):  # ends close to what is just sound
-            feature = rng.integers(1, N_FEATURES)
-            own[feature] -= own[feature] > 0
-            alone[0, plane] = own
-    return codes
+def any_stencils(rng, plain):
+    """Return stencils of all classes and planes, those of sets where others are out of range."""
+    rows = tuple(tuple(any_stencil(rng, plane) for plane in PLANES) for _ in range(N_LEVEL_CLASSES))
+    try:
+        stencils_from(plain._replace(stencils=rows))
+    except CorruptStreamError:
+        return plain.stencils
+    return rows
 
 
 def any_codes(rng, family):
-    """Return codes of frequencies of some contexts."""
-    trained, found = default_codes(family), {}
-    for context in np.flatnonzero(rng.random(len(trained)) < rng.random() ** 4):
-        codes = np.clip(trained[context] + rng.integers(-3, 4, trained.shape[1]), 1, MAX_CODE)
-        rest = rest_symbols(family)[context : context + 1]
-        others = np.delete(codes, rest)
-        while FREQ_OF_CODE[others].sum() >= FREQ_OF_CODE[MAX_CODE]:
-            others[others.argmax()] -= 1
-        codes[np.arange(len(codes)) != rest] = others
-        codes[rest] = trained[context][rest]
-        try:
-            freqs_of(codes[None], rest)
-        except CorruptStreamError:
-            continue
-        found[int(context)] = codes
+    """Return codes of frequencies of some tables."""
+    found = {}
+    for table in np.flatnonzero(EXISTS.any(1) & (rng.random(len(EXISTS)) < rng.random() ** 4)):
+        is_told = EXISTS[table] & (np.arange(EXISTS.shape[1]) != RESTS[table])
+        codes = annex().codes[family, table] + rng.integers(-3, 4, EXISTS.shape[1])
+        codes = np.where(is_told, np.clip(codes, 0, MAX_CODE), annex().codes[family, table])
+        while (NUMBER_OF_CODE[codes] + LEAST[table])[is_told].sum() >= N_SLOTS:
+            codes[np.where(is_told, codes, 0).argmax()] -= 1
+        found[int(table)] = codes
     return found
 
 
-def any_tables(rng, k_max, has_weights):
-    """Return tables of rapid, of any layout."""
-    family = int(rng.integers(2 * rapid_tables.N_FAMILIES))
-    stencils = tuple(tuple(any_stencil(rng, plane) for plane in PLANES) for _ in range(N_CLASSES))
+def any_tables(rng, k_max):
+    """Return tables of rapid."""
+    family = int(rng.integers(len(annex().cuts)))
     k_max = max(k_max + int(rng.integers(-1, 3)), 0)  # which class a level has
-    weights = any_weights(rng) if has_weights else None
-    return FileTables(k_max, family, stencils, any_codes(rng, family), weights)
+    shape = N_LEVEL_CLASSES, len(PLANES), N_FEATURES
+    weights = rng.integers(0, rng.choice([30, 70, MAX_CODE + 1]), shape)
+    cut, sets = int(rng.integers(N_CLASSES + 1)), ((FileStencil(0),) * 3,) * N_LEVEL_CLASSES
+    plain = FileTables(k_max, family, sets, weights, cut, any_codes(rng, family))
+    return plain._replace(
+        stencils=any_stencils(rng, plain),
+        codes={table: own for table, own in plain.codes.items() if not cut <= table < N_CLASSES},
+    )
 
 
 def noise(spec, seed):
@@ -128,12 +118,12 @@ def any_kept(share, seed):
 
 
 @contextmanager
-def tables(rng, *, has_weights):
+def tables(rng):
     """Let rapid have any tables within the `with` block."""
     before = RapidRefiner.fitted
 
     def fitted(_self, grid, *_rest, **_options):
-        return RapidRefiner(pack_file_tables(any_tables(rng, grid.k_max, has_weights)))
+        return RapidRefiner(pack_file_tables(any_tables(rng, grid.k_max)))
 
     RapidRefiner.fitted = fitted
     try:

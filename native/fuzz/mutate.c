@@ -21,7 +21,7 @@ typedef struct piece {
   uint8_t flags[MOST_KEYS], codes[4 * MOST_BLOCKS];
   int children[MOST_HEADS]; /* numbers of pieces; 0: absent */
   text page;
-  uint64_t n_bytes, offset;
+  uint64_t n_bytes, offset, page_offset; /* of the body; where the page lies */
 } piece;
 
 /* Something wrong that is put in while a file is written. */
@@ -117,7 +117,9 @@ static int add_piece(parts *p, const grid *g, place head) {
   return p->n_pieces++;
 }
 
-static int read_piece(parts *p, const grid *g, place head, const uint8_t *bytes, size_t n, uint64_t offset, uint64_t page_length) {
+/* Take the page at an offset and the body at another. */
+static int read_piece(parts *p, const grid *g, place head, const uint8_t *bytes, size_t n, uint64_t offset,
+                      uint64_t page_length, uint64_t at) {
   uint8_t content[MOST_LAYOUT];
   size_t n_content;
   if (page_length < 13 || offset > n || page_length > n - offset) return 0;
@@ -130,7 +132,9 @@ static int read_piece(parts *p, const grid *g, place head, const uint8_t *bytes,
   if (inflate_zlib(page + 12, (size_t)page_length - 12, content, size, &n_content, "", NULL) != TWZ_OK || n_content != size) return 0;
   int order[MOST_KEYS];
   order_of_file(l, order);
-  uint64_t at = offset + page_length;
+  const uint8_t *lengths = content + 9 * l->n_keys + 4 * l->n_blocks;
+  uint64_t pages = at;
+  for (int i = 0; i < l->n_heads; i++) at += number_of(lengths, l->n_heads, 4, i);
   for (int k = 0; k < l->n_keys; k++) {
     int i = order[k];
     uint64_t payload = number_of(content, l->n_keys, 4, i), mesh = number_of(content + 4 * l->n_keys, l->n_keys, 4, i);
@@ -140,12 +144,12 @@ static int read_piece(parts *p, const grid *g, place head, const uint8_t *bytes,
   }
   memcpy(s->flags, content + 8 * l->n_keys, (size_t)l->n_keys);
   memcpy(s->codes, content + 9 * l->n_keys, 4 * (size_t)l->n_blocks);
-  const uint8_t *lengths = content + 9 * l->n_keys + 4 * l->n_blocks;
   at = load_u64(page + 4);
   for (int i = 0; i < l->n_heads; i++) {
-    uint64_t own = number_of(lengths + 4 * l->n_heads, l->n_heads, 8, i);
-    if (own) s->children[i] = read_piece(p, g, l->heads[i], bytes, n, at, number_of(lengths, l->n_heads, 4, i));
-    at += own;
+    uint64_t of_page = number_of(lengths, l->n_heads, 4, i), own = number_of(lengths + 4 * l->n_heads, l->n_heads, 8, i);
+    if (own) s->children[i] = read_piece(p, g, l->heads[i], bytes, n, pages, of_page, at);
+    pages += of_page;
+    at += own - of_page;
   }
   return number;
 }
@@ -153,7 +157,7 @@ static int read_piece(parts *p, const grid *g, place head, const uint8_t *bytes,
 static int take_apart(parts *p, const uint8_t *bytes, size_t n) {
   memset(p, 0, sizeof *p);
   grid g;
-  if (n < HEADER_SIZE || !grid_of(bytes, &g)) return 0;
+  if (n < HEADER_SIZE || load_u16(bytes + 10) != HEADER_SIZE || !grid_of(bytes, &g)) return 0;
   memcpy(p->header, bytes, HEADER_SIZE);
   uint64_t n_metadata = load_u32(bytes + 76), n_parameters = load_u32(bytes + 108), n_page = load_u32(bytes + 116);
   uint64_t start = HEADER_SIZE + n_metadata + n_parameters;
@@ -166,7 +170,7 @@ static int take_apart(parts *p, const uint8_t *bytes, size_t n) {
   free(inflated);
   p->parameters = copied(bytes + HEADER_SIZE + n_metadata, (size_t)n_parameters);
   const place top = {-1, 0, 0};
-  read_piece(p, &g, top, bytes, n, start, n_page);
+  read_piece(p, &g, top, bytes, n, start, n_page, start + n_page);
   return p->n_pieces > 0;
 }
 
@@ -263,14 +267,14 @@ static void write_page(parts *p, piece *s, const crc_tables *crc, int has_fault)
     const piece *child = p->pieces[s->children[i]];
     if (!s->children[i]) continue;
     put_number(page_length, l->n_heads, 4, i, child->page.n);
-    put_number(child_length, l->n_heads, 8, i, child->n_bytes);
+    put_number(child_length, l->n_heads, 8, i, child->page.n + child->n_bytes);
+    s->n_bytes += child->page.n;
   }
   if (has_fault && p->fault == NUMBER) content[below((uint32_t)size)] ^= (uint8_t)(1 << below(8));
   text stream = deflated(content, size, 1);
   replace(&s->page, copied(stream.bytes, stream.n + 12));
   memcpy(s->page.bytes + 12, stream.bytes, stream.n);
   free(stream.bytes);
-  s->n_bytes += s->page.n;
 }
 
 /* Children lie behind their parents: pieces in the order of the file. */
@@ -298,7 +302,8 @@ static size_t put_together(parts *p, uint8_t *to, size_t most) {
   int order[MOST_PIECES], n = order_pieces(p, order), faulty = (int)below((uint32_t)n);
   for (int i = n - 1; i >= 0; i--) write_page(p, p->pieces[order[i]], &crc, i == faulty);
   text metadata = deflated(p->metadata.bytes, p->metadata.n, 0);
-  uint64_t at = HEADER_SIZE + metadata.n + p->parameters.n;
+  const uint64_t top_page = HEADER_SIZE + metadata.n + p->parameters.n;
+  uint64_t at = top_page + p->pieces[0]->page.n;
   size_t n_gap = p->fault == GAP ? 1 + below(4) : 0;
   for (int i = 0; i < n; i++) {
     if (i == faulty) at += i ? n_gap : 0;
@@ -323,6 +328,7 @@ static size_t put_together(parts *p, uint8_t *to, size_t most) {
   store(h + 124, crc32_of(&crc, h, 124), 4);
   put(to, put(to, put(to, 0, h, HEADER_SIZE), metadata.bytes, metadata.n), p->parameters.bytes, p->parameters.n);
   free(metadata.bytes);
+  p->pieces[0]->page_offset = top_page;
   for (int i = 0, next = 1; i < n; i++) {
     piece *s = p->pieces[order[i]];
     uint64_t first = s->layout.n_heads ? (next < n ? p->pieces[order[next]]->offset : at) : 0;
@@ -331,7 +337,14 @@ static size_t put_together(parts *p, uint8_t *to, size_t most) {
     store(s->page.bytes + 4, first, 8);
     store(s->page.bytes, crc32_of(&crc, s->page.bytes + 4, s->page.n - 4), 4);
     if (i == faulty && p->fault == PAGE_BYTE) s->page.bytes[below((uint32_t)s->page.n)] ^= (uint8_t)(1 << below(8));
-    size_t place = put(to, (size_t)s->offset, s->page.bytes, s->page.n);
+    put(to, (size_t)s->page_offset, s->page.bytes, s->page.n);
+    size_t place = (size_t)s->offset;
+    for (int k = 0; k < s->layout.n_heads; k++) {
+      piece *child = p->pieces[s->children[k]];
+      if (!s->children[k]) continue;
+      child->page_offset = place;
+      place += child->page.n;
+    }
     int keys[MOST_KEYS];
     order_of_file(&s->layout, keys);
     for (int k = 0; k < s->layout.n_keys; k++) {

@@ -31,27 +31,28 @@ def heights_of(n_rows, n_cols, dtype, has_voids):
 def variants(method):
     """Yield (name, dtype, has_voids, options of compress); `main` knows some of the names."""
     own = getattr(tw, method.capitalize())
+    rings = {} if method == "rapid" else {"border_rings": 3}
     yield "lossless", np.int16, False, {"max_error": 0}
-    yield "voids", np.int16, True, {"max_error": 2, "nodata": -9999, "format": "1.0"}
-    yield "fills", np.int32, True, {"max_error": 0, "nodata": -9999}
+    yield "voids", np.int16, True, {"max_error": 2, "nodata": -9999}
+    yield "exact-voids", np.int32, True, {"max_error": 0, "nodata": -9999}
     if method != "cdf53":
         yield (
             "coarse",
             np.float32,
             True,
-            {"max_error": 5, "nodata": -9999, "method": own(border_rings=3)},
+            {"max_error": 5, "nodata": -9999, "method": own(**rings)},
         )
         yield "exact", np.float32, False, {"max_error": 0}
     if method == "rapid":
         yield "weights", np.int16, False, {"max_error": 0}
-        yield "wide-weights", np.int32, False, {"max_error": 2e6, "method": own(border_rings=3)}
+        yield "wide-weights", np.int32, False, {"max_error": 2e6, "method": own(**rings)}
     if method in ("rapid", "predictive"):
         yield "corrected", np.int16, True, {"max_error": 2, "nodata": -9999}
         yield (
             "wide-corrected",
             np.int32,
             True,
-            {"max_error": 2e6, "nodata": -9999, "method": own(border_rings=3)},
+            {"max_error": 2e6, "nodata": -9999, "method": own(**rings)},
         )
 
 
@@ -73,7 +74,7 @@ def main():
                     with contextlib.ExitStack() as stack:
                         if "weights" in name:
                             rng = np.random.default_rng(n_rows)
-                            stack.enter_context(forced.tables(rng, has_weights=True))
+                            stack.enter_context(forced.tables(rng))
                         if "corrected" in name:
                             stack.enter_context(forced.corrections(0.1, n_rows))
                         options = {"method": method, "block": 32, "overwrite": True} | options

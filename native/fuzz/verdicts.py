@@ -16,7 +16,7 @@ import numpy as np
 
 import terrainwave as tw
 
-GOLDEN = Path(__file__).parents[2] / "tests" / "golden" / "v1"
+GOLDEN = Path(__file__).parents[2] / "tests" / "golden" / "v2"
 
 
 def write_segments(folder):

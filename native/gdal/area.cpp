@@ -10,7 +10,7 @@
 namespace twz {
 namespace {
 
-constexpr uint32_t TELLS_FILLS = 16; /* feature bit 4 */
+constexpr uint32_t HAS_VOIDS = 1; /* feature bit 0 */
 
 /* Call something with a value of the type that heights have. */
 template <class Function>
@@ -101,7 +101,8 @@ uint32_t Finer(uint32_t first, uint32_t n, uint32_t n_samples) {
 
 }  // namespace
 
-Area::Area(const SharedFile &file, VSILFILE *handle, const Grid &grid, const twz_box &box, int n_threads)
+Area::Area(const SharedFile &file, VSILFILE *handle, const Grid &grid, const twz_box &box, int n_threads, void *heights,
+           ptrdiff_t heights_stride)
     : file_(file), grid_(grid), source_(box) {
   if (grid.stride) {
     twz_level level;
@@ -113,7 +114,7 @@ Area::Area(const SharedFile &file, VSILFILE *handle, const Grid &grid, const twz
     source_ = {2 * box.row, 2 * box.col, Finer(box.row, box.n_rows, level.n_rows),
                Finer(box.col, box.n_cols, level.n_cols)};
   }
-  is_good_ = Decode(handle, n_threads);
+  is_good_ = Decode(handle, n_threads, heights, heights_stride);
 }
 
 bool Area::Fail(const twz_error &error) const {
@@ -121,18 +122,19 @@ bool Area::Fail(const twz_error &error) const {
   return false;
 }
 
-bool Area::Decode(VSILFILE *handle, int n_threads) {
+bool Area::Decode(VSILFILE *handle, int n_threads, void *heights, ptrdiff_t heights_stride) {
   twz_error error;
   twz_window *window = nullptr;
   const twz_status begun = twz_window_new(file_.Get(), grid_.level, &source_, &window, &error);
   window_.reset(window);
   if (begun != TWZ_OK || !LoadWindow(file_, handle, window, &error) ||
-      DecodeWindow(window, n_threads, &error) != TWZ_OK) {
+      DecodeWindow(window, n_threads, heights, heights_stride, &error) != TWZ_OK) {
     return Fail(error);
   }
+  if (heights) return true;
   const twz_info &info = file_.Info();
   const size_t n = static_cast<size_t>(source_.n_rows) * source_.n_cols;
-  if (grid_.level != info.n_levels - 1 && (info.features & TELLS_FILLS)) {
+  if (grid_.level != info.n_levels - 1 && (info.features & HAS_VOIDS)) {
     own_.resize(n);
     if (twz_window_read_own(window, own_.data(), 0, &error) != TWZ_OK) return Fail(error);
   }

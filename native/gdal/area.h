@@ -17,10 +17,14 @@ struct Grid {
   uint32_t n_rows, n_cols;
 };
 
-/* A part of a grid, decoded when it is made. Ask IsGood first: what went wrong has been told. */
+/*
+ * A part of a grid, decoded when it is made. Ask IsGood first: what went wrong has been told. Given `heights`, of the
+ * finest level, these are filled at once, and there is nothing to copy.
+ */
 class Area {
  public:
-  Area(const SharedFile &file, VSILFILE *handle, const Grid &grid, const twz_box &box, int n_threads);
+  Area(const SharedFile &file, VSILFILE *handle, const Grid &grid, const twz_box &box, int n_threads,
+       void *heights = nullptr, ptrdiff_t heights_stride = 0);
 
   bool IsGood() const { return is_good_; }
 
@@ -34,7 +38,7 @@ class Area {
   struct Free {
     void operator()(twz_window *window) const { twz_window_free(window); }
   };
-  bool Decode(VSILFILE *handle, int n_threads);
+  bool Decode(VSILFILE *handle, int n_threads, void *heights, ptrdiff_t heights_stride);
   bool CopySamples(const twz_box &part, void *heights, ptrdiff_t heights_stride, uint8_t *valid,
                    ptrdiff_t valid_stride);
   bool Fail(const twz_error &error) const;

@@ -29,11 +29,9 @@ constexpr char PREFIX[] = "TWZ:";
 constexpr char DOMAIN[] = "TERRAINWAVE";
 constexpr char HOW_TO_WRITE[] =
     "the TWZ driver only reads; to make a .twz file: terrainwave compress dem.tif dem.twz --max-error 0.5";
-/* Tags that earlier versions wrote into GeoTIFFs; compressed, they are of other heights. */
-constexpr const char *OF_OTHERS[] = {"TERRAINWAVE_MAX_ERROR", "TERRAINWAVE_METHOD", "TERRAINWAVE_OVERVIEWS"};
 /* Of the band, in DOMAIN: it goes into the .aux.xml and marks of which file statistics there are. */
 constexpr char FINGERPRINT[] = "FINGERPRINT";
-constexpr uint32_t HAS_REMAINDERS = 1; /* feature bit 0 */
+constexpr uint32_t HAS_REMAINDERS = 2; /* feature bit 1 */
 /* Samples a side that overviews stop at, as Terrain.geotiff has it. */
 constexpr uint32_t SMALLEST_OVERVIEW = 512;
 /* Blocks are as large as units of decoding, within these. Of 128 to 2048 samples a side, 512 took least, units being
@@ -331,13 +329,16 @@ bool Dataset::ReadDirectly(GDALRasterBand &band, const Request &request) {
   const double n_all = static_cast<double>(request.n_cols) * request.n_rows;
   double n_done = 0;
   return ForEachPart(request, [&](const twz_box &part) {
-    Area area(*file_, handle_, grid_, part, n_threads_);
-    if (!area.IsGood()) return false;
     char *to = static_cast<char *>(request.data) +
                (part.row - static_cast<uint32_t>(request.y)) * request.line_space +
                (part.col - static_cast<uint32_t>(request.x)) * request.pixel_space;
+    /* Of large parts nothing is kept: their units are decoded where the samples are wanted. */
+    const bool is_large = static_cast<int64_t>(part.n_rows) * part.n_cols >= 4 * int64_t{BlockSize()} * BlockSize();
+    const bool is_into = is_plain && is_large && !band.IsMaskBand() && !grid_.stride && grid_.level == Info().n_levels - 1;
+    Area area(*file_, handle_, grid_, part, n_threads_, is_into ? to : nullptr, static_cast<ptrdiff_t>(request.line_space));
+    if (!area.IsGood()) return false;
     if (is_plain) {
-      if (!Copy(area, part, band.IsMaskBand(), to, static_cast<ptrdiff_t>(request.line_space))) return false;
+      if (!is_into && !Copy(area, part, band.IsMaskBand(), to, static_cast<ptrdiff_t>(request.line_space))) return false;
     } else {
       lines.resize(static_cast<size_t>(size) * part.n_cols);
       for (uint32_t row = 0; row < part.n_rows; row++, to += request.line_space) {
@@ -609,10 +610,7 @@ void Dataset::Describe() {
     }
     const char *key, *value;
     for (size_t i = 0; twz_file_tag(file_->Get(), of_band, i, &key, &value); i++) {
-      const bool is_of_others =
-          STARTS_WITH_CI(key, "STATISTICS_") ||
-          std::any_of(std::begin(OF_OTHERS), std::end(OF_OTHERS), [&](const char *name) { return EQUAL(key, name); });
-      if (!*key || strchr(key, '=') || is_of_others) continue;
+      if (!*key || strchr(key, '=') || STARTS_WITH_CI(key, "STATISTICS_")) continue;
       tags.erase(key);
       tags.emplace(key, value);
     }

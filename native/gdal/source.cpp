@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstdlib>
+#include <cstring>
 #include <map>
 #include <tuple>
 #include <vector>
@@ -29,10 +30,13 @@ namespace {
  * units of int16 and those above it; more made whole reads no faster. GDAL caches blocks besides. */
 constexpr uint64_t CACHE_BYTES = uint64_t{64} << 20;
 constexpr uint64_t LEAST_CACHE_BYTES = uint64_t{8} << 20;
-/* Of a remote file so much is read behind a page of the index that is read alone, and ranges with gaps between them are one request, the
- * shortest gaps first, while gaps are no more than a quarter of what is wanted, or this. */
-constexpr uint64_t MOST_AHEAD = 64 << 10;
+/* Of a remote file ranges with gaps between them are one request, the shortest gaps first, as in Python
+ * (container/sources/ranges.py): while gaps are no more than a quarter of what is wanted, or 64 KiB, and while requests
+ * are more than is aimed at, no more than one and a half times what is wanted, or 512 KiB. */
 constexpr uint64_t FREE_GAPS = 64 << 10;
+constexpr uint64_t FREE_GAPS_OF_MANY = 512 << 10;
+constexpr uint64_t MOST_GAP = 1 << 20;
+constexpr size_t AIMED_REQUESTS = 3;
 constexpr size_t MOST_RANGES = 512;
 constexpr size_t HEAD_BYTES = 16 << 10; /* as GDAL reads of remote files at a time */
 /* Blocks whose errors are looked up when a level is opened: some hundred pages of the index. */
@@ -247,7 +251,8 @@ const twz_workers *WorkersOf(Pool &pool, int n_threads) {
 }  // namespace
 
 void SharedFile::Report(const std::string &name, const twz_error &error) {
-  if (error.status == TWZ_UNSUPPORTED) {
+  const bool is_of_a_build = std::strstr(error.text, "made by a development build") != nullptr;
+  if (error.status == TWZ_UNSUPPORTED && !is_of_a_build) {
     CPLError(CE_Failure, CPLE_NotSupported, "%s: %s; install a terrainwave driver for GDAL newer than %d.%d.%d",
              name.c_str(), error.text, TWZ_VERSION_MAJOR, TWZ_VERSION_MINOR, TWZ_VERSION_PATCH);
     return;
@@ -325,22 +330,31 @@ std::string SharedFile::Fingerprint() const {
 
 namespace {
 
+/* What a window has taken so far. */
+struct Spent {
+  size_t n_requests = 0;
+  uint64_t n_wanted = 0, n_gaps = 0; /* bytes */
+};
+
 /* Join pieces with the shortest gaps between them. */
-std::vector<Piece> Joined(std::vector<Piece> pieces) {
-  uint64_t budget = 0;
+std::vector<Piece> Joined(std::vector<Piece> pieces, Spent &spent) {
   std::vector<std::pair<uint64_t, size_t>> gaps;
   for (size_t i = 0; i < pieces.size(); i++) {
-    budget += (pieces[i].End() - pieces[i].offset) / 4;
-    if (i > 0) gaps.emplace_back(pieces[i].offset - std::min(pieces[i].offset, pieces[i - 1].End()), i);
+    spent.n_wanted += pieces[i].bytes.size();
+    if (i > 0) gaps.emplace_back(pieces[i].offset - pieces[i - 1].End(), i);
   }
-  budget = std::max(budget, FREE_GAPS);
+  const uint64_t free = std::max(spent.n_wanted / 4, FREE_GAPS);
+  const uint64_t most = std::max(spent.n_wanted / 2 * 3, FREE_GAPS_OF_MANY);
   std::sort(gaps.begin(), gaps.end());
   std::vector<bool> is_joined(pieces.size(), false);
+  size_t n_requests = spent.n_requests + pieces.size();
   for (const auto &gap : gaps) {
-    if (gap.first > budget) break;
-    budget -= gap.first;
+    if (gap.first > MOST_GAP || spent.n_gaps + gap.first > (n_requests > AIMED_REQUESTS ? most : free)) break;
+    spent.n_gaps += gap.first;
+    n_requests--;
     is_joined[gap.second] = true;
   }
+  spent.n_requests = n_requests;
   std::vector<Piece> joined;
   for (size_t i = 0; i < pieces.size(); i++) {
     if (!is_joined[i]) {
@@ -348,18 +362,18 @@ std::vector<Piece> Joined(std::vector<Piece> pieces) {
       continue;
     }
     Piece &last = joined.back();
-    last.bytes.resize(static_cast<size_t>(std::max(last.End(), pieces[i].End()) - last.offset));
+    last.bytes.resize(static_cast<size_t>(pieces[i].End() - last.offset));
   }
   return joined;
 }
 
 }  // namespace
 
-/* Of a remote file what lies behind a page comes with it, and is there when it is asked for; a round is one call of
- * VSI. */
+/* A round is one call of VSI. What has come of a remote file is not fetched again. */
 bool LoadWindow(const SharedFile &file, VSILFILE *handle, twz_window *window, twz_error *error) {
   const bool is_remote = file.IsRemote();
   std::vector<Piece> ahead;
+  Spent spent;
   if (is_remote) ahead.push_back({0, file.Head()});
   std::vector<twz_range> ranges(MOST_RANGES);
   for (;;) {
@@ -367,6 +381,7 @@ bool LoadWindow(const SharedFile &file, VSILFILE *handle, twz_window *window, tw
     if (twz_window_need(window, ranges.data(), ranges.size(), &n, error) != TWZ_OK) return false;
     if (n == 0) return true;
     std::vector<Piece> pieces;
+    bool is_told = false;
     for (size_t i = 0; i < n; i++) {
       const twz_range &range = ranges[i];
       const uint64_t end = range.offset + range.length;
@@ -377,13 +392,13 @@ bool LoadWindow(const SharedFile &file, VSILFILE *handle, twz_window *window, tw
         const uint8_t *bytes = known->bytes.data() + (range.offset - known->offset);
         if (twz_window_feed(window, range.offset, bytes, static_cast<size_t>(range.length), error) != TWZ_OK)
           return false;
+        is_told = is_told || range.is_page;
         continue;
       }
-      const uint64_t stop = end + (is_remote && n == 1 ? std::min(range.likely, MOST_AHEAD) : 0);
-      pieces.push_back({range.offset, std::vector<uint8_t>(static_cast<size_t>(stop - range.offset))});
+      pieces.push_back({range.offset, std::vector<uint8_t>(static_cast<size_t>(range.length))});
     }
-    if (pieces.empty()) continue;
-    if (is_remote) pieces = Joined(std::move(pieces));
+    if (pieces.empty() || is_told) continue; /* pages that were here may tell more of what to fetch */
+    if (is_remote) pieces = Joined(std::move(pieces), spent);
     if (!Fetch(handle, pieces)) {
       error->status = TWZ_FETCH_FAILED;
       CPLsnprintf(error->text, sizeof error->text, "bytes " CPL_FRMT_GUIB " to " CPL_FRMT_GUIB " could not be read",
@@ -432,6 +447,7 @@ double LoadedError(const SharedFile &file, VSILFILE *handle, int level, const tw
     size_t n = 0;
     if (found >= 0 || twz_window_need(made, ranges.data(), ranges.size(), &n, nullptr) != TWZ_OK || n == 0) return found;
     for (size_t i = 0; i < n; i++) {
+      if (!ranges[i].is_page) continue;
       std::vector<Piece> page(1);
       page[0].offset = ranges[i].offset;
       page[0].bytes.resize(static_cast<size_t>(ranges[i].length));
@@ -470,11 +486,15 @@ int ThreadsOf(const char *option) {
   return std::max(1, std::min(n, 128));
 }
 
-twz_status DecodeWindow(twz_window *window, int n_threads, twz_error *error) {
+twz_status DecodeWindow(twz_window *window, int n_threads, void *heights, ptrdiff_t heights_stride, twz_error *error) {
+  const auto decode = [&](const twz_workers *workers) {
+    if (!heights) return twz_window_decode(window, workers, error);
+    return twz_window_decode_into(window, workers, heights, heights_stride, nullptr, 0, error);
+  };
   Pool &pool = Threads();
-  if (n_threads <= 1 || !pool.mutex.try_lock()) return twz_window_decode(window, nullptr, error);
+  if (n_threads <= 1 || !pool.mutex.try_lock()) return decode(nullptr);
   std::lock_guard<std::mutex> lock(pool.mutex, std::adopt_lock);
-  return twz_window_decode(window, WorkersOf(pool, n_threads), error);
+  return decode(WorkersOf(pool, n_threads));
 }
 
 void EndThreads() {

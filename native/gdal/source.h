@@ -55,7 +55,7 @@ double StatedError(const SharedFile &file, VSILFILE *handle, int level);
 /* Threads that the open option, else GDAL_NUM_THREADS, asks for. */
 int ThreadsOf(const char *option);
 /* Decode by so many threads, which all datasets share. */
-twz_status DecodeWindow(twz_window *window, int n_threads, twz_error *error);
+twz_status DecodeWindow(twz_window *window, int n_threads, void *heights, ptrdiff_t heights_stride, twz_error *error);
 /* End the threads; when the driver goes. */
 void EndThreads();
 

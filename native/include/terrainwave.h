@@ -62,9 +62,9 @@ extern "C" {
 #endif
 
 /* Between releases the next one's, with .dev0 behind the numbers. */
-#define TWZ_VERSION "1.1.0.dev0"
+#define TWZ_VERSION "1.0.0.dev0"
 #define TWZ_VERSION_MAJOR 1
-#define TWZ_VERSION_MINOR 1
+#define TWZ_VERSION_MINOR 0
 #define TWZ_VERSION_PATCH 0
 
 /* The version of the library that runs, as 10000 major + 100 minor + patch. */
@@ -136,7 +136,7 @@ typedef struct twz_options {
 typedef struct twz_range {
   uint64_t offset;
   uint64_t length;
-  uint64_t likely; /* so many bytes behind them will probably be needed next; may be ignored */
+  uint64_t is_page; /* 1: a page of the index, which tells more of what is needed; else 0 */
   uint64_t reserved;
 } twz_range;
 
@@ -232,6 +232,8 @@ typedef struct twz_info {
   const char *metadata;     /* all metadata, one JSON object (RFC 8259) as it stands in the file */
   size_t metadata_length;   /* bytes, without the NUL behind it */
   uint64_t file_size;
+  int bound_side;           /* on which side of originals the heights of the full grid lie: 1 above (none is below its
+                               original), -1 below, 0 both. Up is up for physical heights; depths go down */
 } twz_info;
 
 /* What header and metadata say; NULL while the file is not open. */
@@ -264,8 +266,8 @@ TWZ_API twz_status twz_window_new(twz_file *file, int level, const twz_box *box,
                                   twz_error *error);
 TWZ_API void twz_window_free(twz_window *window); /* NULL is allowed */
 
-/* As twz_file_need, ..._feed and ..._load. First come pages of the index, then payloads; each round can ask
- * for what the one before has told. *n = 0: the window can be decoded. */
+/* As twz_file_need, ..._feed and ..._load. Pages of the index come with the payloads whose places are known; each
+ * round can ask for what the one before has told. *n = 0: the window can be decoded. */
 TWZ_API twz_status twz_window_need(twz_window *window, twz_range *ranges, size_t capacity, size_t *n,
                                    twz_error *error);
 TWZ_API twz_status twz_window_feed(twz_window *window, uint64_t offset, const void *bytes, size_t n,
@@ -287,6 +289,12 @@ typedef struct twz_workers {
 
 /* Decode all units of the window; workers NULL: on this thread. */
 TWZ_API twz_status twz_window_decode(twz_window *window, const twz_workers *workers, twz_error *error);
+/*
+ * The same and twz_window_read in one, for a window that is read once: units that lie in it are decoded into the
+ * caller's memory, and not kept. Afterwards the window can only be freed.
+ */
+TWZ_API twz_status twz_window_decode_into(twz_window *window, const twz_workers *workers, void *heights, ptrdiff_t heights_stride,
+                                          uint8_t *valid, ptrdiff_t valid_stride, twz_error *error);
 
 /*
  * Check all of an open file, as a verifier does (docs/FORMAT.md, 13.1): each byte belongs to one section and has the
@@ -311,8 +319,7 @@ TWZ_API twz_status twz_window_read_part(const twz_window *window, const twz_box 
                                         ptrdiff_t valid_stride, twz_error *error);
 /*
  * One byte a sample: 1 if the original has a valid sample at this very place, 0 if it is void or a
- * fill (a valid sample of a coarse level whose place is void in the full grid). TWZ_UNSUPPORTED if
- * the file does not say so (feature bit 4); the finest level always can be asked.
+ * fill (a valid sample of a coarse level whose place is void in the full grid).
  */
 TWZ_API twz_status twz_window_read_own(const twz_window *window, uint8_t *own, ptrdiff_t own_stride,
                                        twz_error *error);

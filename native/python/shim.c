@@ -7,7 +7,7 @@
 #include "internal.h"
 
 /* Raised whenever what src/terrainwave/read/native.py calls changes its meaning or layout. */
-enum { PYTHON_ABI = 2 };
+enum { PYTHON_ABI = 3 };
 
 TWZ_API int twz_python_abi(void);
 TWZ_API uint32_t twz_python_features(void);

@@ -24,7 +24,7 @@ static twz_status read_masks(const unit *u, reader *r, head *h, twz_error *error
 static twz_status read_head(const twz_file *f, const unit *u, reader *r, head *h, int is_held, twz_error *error) {
   uint64_t z, n_planes;
   int flags = r->bytes[r->at++], is_root = u->entry.at.level < 0;
-  REQUIRE(flags <= 1, error, "flags %d of method cdf53", flags);
+  REQUIRE((flags & ~(f->header.features & VOIDS ? 1 : 0)) == 0, error, "flags %d of method cdf53", flags);
   if (flags & 1) TRY(read_masks(u, r, h, error));
   TRY(read_section(r, &h->borders, "borders", error));
   REQUIRE((h->borders.n > 0) == is_held, error, "borders of %llu bytes of a tile %s shared sides",

@@ -60,7 +60,7 @@ static twz_status add_children(check *c, pages *p, const segment *s, twz_error *
     p->capacity = capacity;
   }
   for (int i = 0; i < s->n_heads; i++) {
-    if (s->children[i].length == 0) continue;
+    if (s->children[i].page_length == 0) continue;
     p->all[p->n].head = child_page(s, i, &p->all[p->n].page);
     p->n++;
   }
@@ -99,8 +99,8 @@ static twz_status check_sections(check *c, const segment *s, twz_error *error) {
 static twz_status check_level(check *c, const pages *level, pages *below, uint64_t *at, twz_error *error) {
   for (size_t i = 0; i < level->n; i++) {
     const page_place *page = &level->all[i].page;
-    REQUIRE(page->offset == *at, error, "a segment begins at byte %llu, where the one before it ends at byte %llu",
-            (unsigned long long)page->offset, (unsigned long long)*at);
+    REQUIRE(page->body == *at, error, "a segment's body begins at byte %llu, where the one before it ends at byte %llu",
+            (unsigned long long)page->body, (unsigned long long)*at);
     *at = page->end;
     segment *s;
     TRY(load_page(c, level->all[i].head, page, &s, error));
@@ -109,6 +109,19 @@ static twz_status check_level(check *c, const pages *level, pages *below, uint64
     twz_release(&c->file->allocator, s);
     TRY(status);
   }
+  return TWZ_OK;
+}
+
+/* Digests fill the file behind the segments, and have the right checksum. What they are of is not checked. */
+static twz_status check_digests(check *c, uint64_t at, twz_error *error) {
+  twz_file *f = c->file;
+  TRY(read_bytes(c, f->file_size - DIGESTS_TAIL, DIGESTS_TAIL, error));
+  uint32_t crc = load_u32(c->buffer), n = load_u32(c->buffer + 4);
+  uint64_t length = (uint64_t)DIGEST_SIZE * n;
+  REQUIRE(n > 0 && at <= f->file_size && length == f->file_size - DIGESTS_TAIL - at, error,
+          "%u digests do not fill the file behind the segments", n);
+  TRY(read_bytes(c, at, length, error));
+  REQUIRE(crc_matches(&f->crc, c->buffer, (size_t)length, crc), error, "the checksum of the digests is wrong");
   return TWZ_OK;
 }
 
@@ -123,6 +136,7 @@ static twz_status check_bytes(check *c, const segment *top, twz_error *error) {
   }
   for (int i = 0; i < 2; i++) twz_release(&c->file->allocator, levels[i].all);
   TRY(status);
+  if (c->file->grid.has_digests) return check_digests(c, at, error);
   REQUIRE(at == c->file->file_size, error, "the segments end at byte %llu of %llu", (unsigned long long)at,
           (unsigned long long)c->file->file_size);
   return TWZ_OK;
@@ -236,7 +250,7 @@ static twz_status check_below(check *c, place head, twz_error *error) {
   TRY(find_loaded(c, head, &s, error));
   TRY(check_segment(c, head, s, error));
   for (int i = 0; i < s->n_heads; i++) {
-    if (s->children[i].length) TRY(check_below(c, s->heads[i], error));
+    if (s->children[i].page_length) TRY(check_below(c, s->heads[i], error));
   }
   return TWZ_OK;
 }

@@ -33,18 +33,6 @@ twz_status twz_file_new(const twz_options *options, uint64_t file_size, twz_file
 }
 
 void unit_free(twz_file *f, unit *u) {
-  heap *h = u->heap;
-  if (h) {
-    file_lock(f);
-    int is_last = --h->n_users == 0;
-    file_unlock(f);
-    if (is_last) {
-      twz_release(&f->allocator, h->heights);
-      twz_release(&f->allocator, h);
-    }
-    u->layers[0].heights = NULL;
-    u->layers[0].shorts = NULL;
-  }
   for (int i = 0; i < u->n_layers; i++) {
     twz_release(&f->allocator, u->layers[i].heights);
     twz_release(&f->allocator, u->layers[i].shorts);
@@ -80,7 +68,7 @@ void twz_file_free(twz_file *f) {
   twz_release(&f->allocator, f->rapid);
   twz_release(&f->allocator, f->predictive);
   twz_release(&f->allocator, f->cdf97);
-  for (int i = 0; i < MOST_TOGETHER; i++) twz_release(&f->allocator, f->idle[i].memory);
+  twz_release(&f->allocator, f->idle.memory);
   twz_allocator allocator = f->allocator;
   twz_release(&allocator, f);
 }
@@ -91,7 +79,7 @@ void twz_file_free(twz_file *f) {
 static uint64_t start_needed(const twz_file *f) {
   if (f->header.file_size == 0) return min_u64(f->file_size, FIRST_READ);
   const header *h = &f->header;
-  return (uint64_t)HEADER_SIZE + h->metadata_length + h->parameters_length + h->top_page_length;
+  return (uint64_t)h->header_size + h->metadata_length + h->parameters_length + h->top_page_length;
 }
 
 static twz_status read_parameters(twz_file *f, const uint8_t *bytes, twz_error *error) {
@@ -108,7 +96,8 @@ static twz_status read_parameters(twz_file *f, const uint8_t *bytes, twz_error *
 
 static twz_status read_top_page(twz_file *f, const uint8_t *page, twz_error *error) {
   place top = {-1, 0, 0};
-  page_place where = {start_needed(f) - f->header.top_page_length, 0, 0, f->header.top_page_length};
+  uint64_t body = start_needed(f);
+  page_place where = {body - f->header.top_page_length, body, 0, 0, f->header.top_page_length};
   segment *s;
   TRY(read_segment(&s, &f->grid, top, &where, page, f->file_size, &f->crc, &f->allocator, error));
   if (table_insert(&f->segments, &f->allocator, &s->entry)) return TWZ_OK;
@@ -117,8 +106,9 @@ static twz_status read_top_page(twz_file *f, const uint8_t *page, twz_error *err
 }
 
 static twz_status open_start(twz_file *f, twz_error *error) {
-  TRY(read_metadata(f, f->start + HEADER_SIZE, error));
-  const uint8_t *parameters = f->start + HEADER_SIZE + f->header.metadata_length;
+  const uint8_t *metadata = f->start + f->header.header_size, *parameters = metadata + f->header.metadata_length;
+  TRY(check_optional_sections(&f->header, f->start, &f->crc, error));
+  TRY(read_metadata(f, metadata, error));
   TRY(read_parameters(f, parameters, error));
   TRY(read_top_page(f, parameters + f->header.parameters_length, error));
   twz_release(&f->allocator, f->start);
@@ -260,26 +250,10 @@ static void link_newest(twz_file *f, unit *u) {
   f->newest = u;
 }
 
-/* Count a unit's bytes, as long as the cache holds them: heights of a heap until its last unit leaves. */
-static void count_in(twz_file *f, unit *u) {
-  f->cached_bytes += u->n_bytes;
-  if (u->heap && u->heap->n_cached++ == 0) f->cached_bytes += u->heap->n_out;
-}
-
-static void count_out(twz_file *f, unit *u) {
-  f->cached_bytes -= u->n_bytes;
-  if (!u->heap) return;
-  const layer *l = &u->layers[0];
-  uint64_t n_bytes = cell_size(&f->heights) * (uint64_t)l->rows.n * (uint64_t)l->cols.n;
-  f->cached_bytes += n_bytes;
-  u->heap->n_out += n_bytes;
-  if (--u->heap->n_cached == 0) f->cached_bytes -= u->heap->n_out;
-}
-
 static void take_out(twz_file *f, unit *u) {
   if (u->n_users == 0) unlink_unit(f, u);
   table_remove(&f->units, &u->entry);
-  count_out(f, u);
+  f->cached_bytes -= u->n_bytes;
 }
 
 /* Take the oldest units that nobody uses out, until what is kept fits; returns them, to be released without the lock. */
@@ -302,11 +276,12 @@ static void free_units(twz_file *f, unit *u) {
   }
 }
 
-unit *cache_take(twz_file *f, place key, int32_t *n_rows) {
+unit *cache_take(twz_file *f, place key, part *wanted) {
   file_lock(f);
   unit *u = (unit *)table_find(&f->units, key);
-  if (u && !has_rows(u, *n_rows)) {
-    *n_rows = ALL_ROWS;
+  if (u && !u->is_void && !part_has(u->layers[0].ready, *wanted)) {
+    const part all = {0, 0, u->layers[0].rows.n, u->layers[0].cols.n};
+    *wanted = all;
     u = NULL;
   }
   if (u && u->n_users++ == 0) unlink_unit(f, u);
@@ -318,7 +293,7 @@ unit *cache_take(twz_file *f, place key, int32_t *n_rows) {
 unit *cache_give(twz_file *f, unit *u) {
   file_lock(f);
   unit *out = NULL, *less = NULL, *found = (unit *)table_find(&f->units, u->entry.at);
-  if (found && !has_rows(found, u->layers[0].n_ready ? u->layers[0].n_ready : ALL_ROWS)) {
+  if (found && !found->is_void && !part_has(found->layers[0].ready, u->layers[0].ready)) {
     take_out(f, found);
     found->is_cached = 0;
     if (found->n_users == 0) less = found;
@@ -328,7 +303,7 @@ unit *cache_give(twz_file *f, unit *u) {
     if (found->n_users++ == 0) unlink_unit(f, found);
   } else if (table_insert(&f->units, &f->allocator, &u->entry)) {
     u->is_cached = 1;
-    count_in(f, u);
+    f->cached_bytes += u->n_bytes;
     out = trim(f);
   }
   file_unlock(f);

@@ -36,31 +36,30 @@ static double load_double(const uint8_t *p) {
 
 static twz_status read_start(const uint8_t *bytes, const crc_tables *crc, twz_error *error) {
   REQUIRE(memcmp(bytes, MAGIC, 8) == 0, error, "this is no .twz file: it does not begin with the magic bytes");
-  if (bytes[8] != 1) {
-    /* If 1 makes the checksum right, the byte is damaged: newer headers have checksums of their own version. */
+  if (bytes[8] != FORMAT_VERSION) {
+    /* If ours makes the checksum right, the byte is damaged: headers have checksums of their own version. */
     uint8_t first[124];
     memcpy(first, bytes, sizeof first);
-    first[8] = 1;
+    first[8] = FORMAT_VERSION;
     REQUIRE(crc32_of(crc, first, sizeof first) != load_u32(bytes + 124), error,
-            "byte 8 is damaged: it says format version %d, and the header's checksum is that of version 1", bytes[8]);
-    return twz_fail(error, TWZ_UNSUPPORTED, "format version %d; this release reads version 1: get a newer one", bytes[8]);
+            "byte 8 is damaged: it says format version %d, and the checksum is that of version %d", bytes[8], FORMAT_VERSION);
+    return twz_fail(error, TWZ_UNSUPPORTED, "found format version %d, expected %d%s", bytes[8], FORMAT_VERSION,
+                    bytes[8] < FORMAT_VERSION ? ": made by a development build: compress the raster again"
+                                              : ", which a newer release may know");
   }
-  REQUIRE(load_u16(bytes + 10) == HEADER_SIZE, error, "header_size %d instead of 128", load_u16(bytes + 10));
+  REQUIRE(load_u16(bytes + 10) >= HEADER_SIZE, error, "header_size %d, less than 128", load_u16(bytes + 10));
   REQUIRE(crc_matches(crc, bytes, 124, load_u32(bytes + 124)), error, "the header's checksum is wrong");
   return TWZ_OK;
 }
 
 static twz_status check_known(const uint8_t *bytes, twz_error *error) {
   static const char NEWER[] = "%s %u, which a newer release may know";
-  uint32_t features = load_u32(bytes + 12), others = features & ~(uint32_t)KNOWN_FEATURES;
-  REQUIRE_KNOWN(!(others & 128), error, "signs of zero (feature bit 7), which a newer release may know");
+  uint32_t others = load_u32(bytes + 12) & ~(uint32_t)KNOWN_FEATURES;
   REQUIRE_KNOWN(others == 0, error, NEWER, "feature bits", others);
   REQUIRE_KNOWN(bytes[9] == 0, error, NEWER, "reserved byte", bytes[9]);
   REQUIRE_KNOWN(bytes[38] == 0 && bytes[39] == 0, error, NEWER, "padding", load_u16(bytes + 38));
   REQUIRE_KNOWN(bytes[37] <= 6, error, NEWER, "mesh", bytes[37]);
   REQUIRE_KNOWN(bytes[34] < N_METHODS, error, NEWER, "method", bytes[34]);
-  REQUIRE_KNOWN(!(features & WEIGHTS) || bytes[34] == TWZ_RAPID, error,
-                "weights of features (bit 5) of another method than rapid, which a newer release may know");
   REQUIRE_KNOWN(dtype_size(bytes[35]) != 0, error, NEWER, "dtype", bytes[35]);
   REQUIRE_KNOWN(bytes[36] <= 9, error, NEWER, "effort", bytes[36]);
   return TWZ_OK;
@@ -75,14 +74,15 @@ static twz_status check_sizes(const header *h, uint64_t file_size, twz_error *er
   REQUIRE(h->block_log2 >= 5 && h->block_log2 <= 10, error, "block_log2 %d, not 5 to 10", h->block_log2);
   REQUIRE(h->border_rings == 1 || h->border_rings == 3, error, "border_rings %d, not 1 or 3",
           h->border_rings);
-  REQUIRE(h->method != TWZ_CDF53 || h->border_rings == 1, error, "border_rings 3 with method cdf53");
+  REQUIRE((h->method != TWZ_CDF53 && h->method != TWZ_RAPID) || h->border_rings == 1, error, "border_rings 3 with this method");
   REQUIRE(h->metadata_length >= 1 && h->metadata_length <= 1u << 20, error,
           "metadata_length %u, not 1 to 2^20", h->metadata_length);
   REQUIRE(h->parameters_length <= 1u << 16, error, "parameters_length %u, more than 2^16",
           h->parameters_length);
   REQUIRE(h->top_page_length >= 1 && h->top_page_length <= 1u << 15, error,
           "top_page_length %u, not 1 to 2^15", h->top_page_length);
-  uint64_t before = (uint64_t)HEADER_SIZE + h->metadata_length + h->parameters_length + h->top_page_length;
+  uint64_t before = (uint64_t)h->header_size + h->metadata_length + h->parameters_length + h->top_page_length;
+  if (h->features & DIGESTS) before += LEAST_DIGESTS;
   REQUIRE(before <= h->file_size, error, "metadata, parameters and top page go beyond file_size");
   REQUIRE(h->file_size == file_size, error, "the file has %llu bytes, its header says %llu",
           (unsigned long long)file_size, (unsigned long long)h->file_size);
@@ -108,14 +108,12 @@ static twz_status check_numbers(const header *h, uint32_t step, uint32_t mesh_to
   return TWZ_OK;
 }
 
-static twz_status check_features(const header *h, const grid *g, twz_error *error) {
+static twz_status check_features(const header *h, twz_error *error) {
   int may_be_corrected = (h->method == TWZ_RAPID || h->method == TWZ_PREDICTIVE) && h->step >= 3;
-  REQUIRE((h->features & (REACH | WEIGHTS)) != (REACH | WEIGHTS), error, "feature bits 3 and 5 exclude each other");
-  REQUIRE(!(h->features & REACH) || h->method == TWZ_RAPID, error, "contexts by reach of another method than rapid");
   REQUIRE(!(h->features & FAITHFUL) || h->method == TWZ_CDF97, error, "a faithful file of another method than cdf97");
-  REQUIRE(!(h->features & FILLS) || g->k_max >= 1, error, "fills in a file of one level");
+  REQUIRE(h->z_min <= h->z_max || (h->features & VOIDS), error, "no sample is valid, and none may be void");
   REQUIRE_KNOWN(!(h->features & CORRECTIONS) || may_be_corrected, error,
-                "corrections (feature bit 6) of this method or of step 1, which a newer release may know");
+                "corrections (feature bit 3) of this method or of step 1, which a newer release may know");
   if (h->features & REMAINDERS) {
     REQUIRE(dtype_is_float(h->dtype) || h->dtype == TWZ_INT32, error, "remainders of 8 or 16 bits");
     REQUIRE(h->method != TWZ_CDF53, error, "remainders with method cdf53");
@@ -131,6 +129,7 @@ twz_status read_header(header *h, const uint8_t *bytes, uint64_t file_size, cons
   TRY(read_start(bytes, crc, error));
   TRY(check_known(bytes, error));
   uint32_t step = load_u32(bytes + 64);
+  h->header_size = load_u16(bytes + 10);
   h->features = load_u32(bytes + 12);
   h->file_size = load_u64(bytes + 16);
   h->n_rows = load_u32(bytes + 24);
@@ -156,9 +155,24 @@ twz_status read_header(header *h, const uint8_t *bytes, uint64_t file_size, cons
   h->top_page_length = load_u32(bytes + 116);
   TRY(check_sizes(h, file_size, error));
   TRY(check_numbers(h, step, load_u32(bytes + 120), error));
-  grid g;
-  grid_init(&g, h);
-  return check_features(h, &g, error);
+  return check_features(h, error);
+}
+
+/* §4.8: whatever their names, which no reader needs to know. */
+twz_status check_optional_sections(const header *h, const uint8_t *bytes, const crc_tables *crc, twz_error *error) {
+  enum { SECTION_HEAD = 12 };
+  for (uint32_t at = HEADER_SIZE; at < h->header_size;) {
+    REQUIRE(h->header_size - at >= SECTION_HEAD, error, "the head of an optional section is cut short");
+    uint32_t name = load_u32(bytes + at), n = load_u32(bytes + at + 4), start = at + SECTION_HEAD;
+    REQUIRE(n <= h->header_size - start, error, "an optional section reaches beyond the header");
+    for (uint32_t other = HEADER_SIZE; other < at; other += SECTION_HEAD + load_u32(bytes + other + 4)) {
+      REQUIRE(load_u32(bytes + other) != name, error, "an optional section comes twice");
+    }
+    REQUIRE(crc_matches(crc, bytes + start, n, load_u32(bytes + at + 8)), error,
+            "the checksum of an optional section is wrong");
+    at = start + n;
+  }
+  return TWZ_OK;
 }
 
 /* ---- Grid ---- */
@@ -173,6 +187,7 @@ void grid_init(grid *g, const header *h) {
   g->n_cols = h->n_cols;
   g->block_log2 = h->block_log2;
   g->rings = (h->border_rings - 1) / 2;
+  g->has_digests = (h->features & DIGESTS) != 0;
   g->k_max = 0;
   uint32_t most = h->n_rows > h->n_cols ? h->n_rows : h->n_cols;
   while (cells(most, g->k_max) > 1u << g->block_log2) g->k_max++;

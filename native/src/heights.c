@@ -59,7 +59,7 @@ void heights_init(heights *h, const row_kernels *kernels, const header *of, int 
   h->step = of->step;
   h->is_cdf53 = of->method == TWZ_CDF53;
   /* One more on each side: where samples move from nodata. */
-  h->is_short = of->method == TWZ_RAPID && kernels->decode_rapid_short && (int64_t)h->z_max - h->z_min <= 65533;
+  h->is_short = of->method == TWZ_RAPID && (int64_t)h->z_max - h->z_min <= 65533;
   h->origin = h->is_short ? (int32_t)shift_right((int64_t)h->z_min + h->z_max + 1, 1) : 0;
   h->has_nodata = has_nodata;
   h->nodata = has_nodata ? rounded_to(of->dtype, nodata) : h->is_float ? NAN : 0;
@@ -161,6 +161,10 @@ static void write_void(const heights *h, void *out, const uint8_t *valid, size_t
     case 4: WRITE_VOID(uint32_t); break;
     default: WRITE_VOID(uint64_t); break;
   }
+}
+
+void fill_voids(const heights *h, void *out, const layer *l, size_t at, size_t n) {
+  if (l->valid) write_void(h, out, l->valid + at, n);
 }
 
 /* §5.3: numbers of heights in their order grow by the remainders. */

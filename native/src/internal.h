@@ -169,16 +169,17 @@ const json_value *json_member(const json_value *object, const char *key); /* NUL
 /* ---- Header and grid (header.c) ------------------------------------------------------------- */
 
 enum {
-  HEADER_SIZE = 128,
+  HEADER_SIZE = 128, /* without optional sections */
   FIRST_READ = 16384,
   N_METHODS = 5,
-  REMAINDERS = 1, /* feature bits */
-  FAITHFUL = 2,
-  REACH = 8,
-  FILLS = 16,
-  WEIGHTS = 32,
-  CORRECTIONS = 64,
-  KNOWN_FEATURES = REMAINDERS | FAITHFUL | REACH | FILLS | WEIGHTS | CORRECTIONS
+  FORMAT_VERSION = 2,
+  VOIDS = 1, /* feature bits */
+  REMAINDERS = 2,
+  FAITHFUL = 4,
+  CORRECTIONS = 8,
+  DIGESTS = 16,
+  KNOWN_FEATURES = VOIDS | REMAINDERS | FAITHFUL | CORRECTIONS | DIGESTS,
+  DIGEST_SIZE = 32, DIGESTS_TAIL = 8, LEAST_DIGESTS = DIGEST_SIZE + DIGESTS_TAIL /* §4.9 */
 };
 
 typedef struct header {
@@ -191,11 +192,12 @@ typedef struct header {
   int32_t step; /* below 2^31 */
   int32_t z_min, z_max;
   double max_error, effective_bound, rho;
-  uint32_t metadata_length, metadata_crc, parameters_length, parameters_crc, top_page_length;
+  uint32_t header_size, metadata_length, metadata_crc, parameters_length, parameters_crc, top_page_length;
 } header;
 
 twz_status read_header(header *h, const uint8_t *bytes, uint64_t file_size, const crc_tables *crc,
                        twz_error *error);
+twz_status check_optional_sections(const header *h, const uint8_t *bytes, const crc_tables *crc, twz_error *error);
 size_t dtype_size(int dtype);
 int dtype_is_float(int dtype);
 void dtype_range(int dtype, int64_t *low, int64_t *high);
@@ -210,6 +212,7 @@ typedef struct grid {
   uint32_t n_rows, n_cols;
   int k_max, block_log2, rings; /* rings: (border_rings - 1) / 2 */
   int tile_levels, first_tiles; /* cdf53: d and r of C.2; else 0 */
+  int has_digests;              /* they follow the last segment (§4.9) */
 } grid;
 
 void grid_init(grid *g, const header *h);
@@ -257,8 +260,9 @@ typedef struct block_codes {
   uint8_t z_min, z_max, error, mesh_error;
 } block_codes;
 
-typedef struct child_place { /* of a child segment; length 0: absent */
-  uint64_t offset, length;
+typedef struct child_place { /* of a child segment; page_length 0: absent */
+  uint64_t offset, length; /* of its body */
+  uint64_t page;           /* where its page lies */
   uint32_t page_length;
 } child_place;
 
@@ -289,7 +293,7 @@ int index_of_place(const place *places, int n, place p); /* -1: not there */
 /* What is known of the place of a segment's page. */
 typedef struct page_place {
   uint64_t offset;
-  uint64_t end;          /* of the segment; 0 of the top one: see §3.5 */
+  uint64_t body, end;    /* of the segment's body; end 0 of the top one: see §3.5 */
   uint64_t siblings_end;
   uint32_t length;
 } page_place;
@@ -326,13 +330,22 @@ void heights_init(heights *h, const struct row_kernels *kernels, const header *o
 double raw_of_quantum(const heights *h, int64_t k);
 /* ---- Units ---------------------------------------------------------------------------------- */
 
+/* Some of a unit's samples: from a row and a column of its region up to others. */
+typedef struct part {
+  int32_t row, col, end_row, end_col;
+} part;
+
+static inline int part_has(part all, part wanted) {
+  return all.row <= wanted.row && all.col <= wanted.col && all.end_row >= wanted.end_row && all.end_col >= wanted.end_col;
+}
+
 /* Samples of one level of a unit's region, row by row. */
 typedef struct layer {
   axis rows, cols;
   int32_t *heights;     /* quanta (cdf53: steps) */
   int16_t *shorts;      /* or these, less the origin: of all units with samples of a file that is short */
   int32_t origin;       /* 0 of heights */
-  int32_t n_ready;      /* rows that heights are wanted of, or there, from the first on; 0: all */
+  part ready;           /* samples whose heights are wanted, or there */
   uint8_t *valid;       /* NULL: all are valid */
   uint8_t *own;         /* with feature bit 4; NULL: as valid */
   int64_t *remainders;  /* NULL: all are 0 */
@@ -340,29 +353,16 @@ typedef struct layer {
 
 enum { MOST_LAYERS = 10 };
 
-/* Memory that units share: those that are decoded together. */
-typedef struct heap {
-  size_t n_users, n_cached;
-  uint64_t n_out; /* bytes of those that left the cache, where the others keep them */
-  void *heights;
-} heap;
-
 typedef struct unit {
   entry entry; /* the key */
   struct unit *newer, *older; /* in the cache, by use, while nobody uses it */
   size_t n_users, n_bytes;
   int is_cached;
   int is_void; /* no valid sample: layers have no arrays, heights are 0 */
+  int is_written; /* raw heights went where its order says; layers have none */
   int first_level, n_layers;
-  heap *heap; /* where heights of the first layer are; NULL: they are an array of its own */
   layer layers[MOST_LAYERS];
 } unit;
-
-/* A unit whose first rows served a window is decoded as a whole when more are wanted: at most twice. */
-enum { ALL_ROWS = INT32_MAX };
-static inline int has_rows(const unit *u, int32_t n_rows) {
-  return u->layers[0].n_ready == 0 || u->layers[0].n_ready >= n_rows;
-}
 
 static inline layer *layer_of(unit *u, int level) { return &u->layers[level - u->first_level]; }
 
@@ -378,6 +378,8 @@ static inline size_t core_at(const layer *l, int32_t row, int32_t col) {
 static inline size_t cell_size(const heights *h) { return h->is_short ? sizeof(int16_t) : sizeof(int32_t); }
 /* Write n raw heights of a layer, from sample `at` on; l NULL: of a void unit. */
 twz_status write_raw(const heights *h, void *out, const layer *l, size_t at, size_t n, twz_error *error);
+/* Write what void samples hold where raw heights of a layer are; `out` is aligned. */
+void fill_voids(const heights *h, void *out, const layer *l, size_t at, size_t n);
 /* The quantum number of a sample: heights of cdf53 are not final. */
 int32_t quantum_at(const heights *h, const layer *l, size_t at);
 
@@ -385,11 +387,8 @@ struct rapid_tables;
 struct predictive_tables;
 struct cdf97_tables;
 
-/* Units that one worker decodes in turns. */
-enum { MOST_TOGETHER = 4 };
-
-/* Bytes behind a payload that may be read, whatever they are: loads of a row need no check (R.11). */
-enum { PAYLOAD_SLACK = 4096 };
+/* Bytes behind a payload that may be read, whatever they are: loads need no check (R.12). */
+enum { PAYLOAD_SLACK = 256 };
 
 struct twz_file {
   twz_allocator allocator;
@@ -418,7 +417,7 @@ struct twz_file {
   table segments, units;
   unit *newest, *oldest; /* of the units that nobody uses */
   uint64_t cached_bytes;
-  scratch idle[MOST_TOGETHER]; /* of the last window that was decoded, for the next one */
+  scratch idle; /* of the last window that was decoded, for the next one */
 };
 
 /* Parent heights of a group: samples of the layer above, from (row, col) of its region on. */
@@ -437,7 +436,9 @@ typedef struct job {
   int level;
   layer *out; /* axes and validity are there, heights are to be filled */
   parent parent;
-  const int32_t *corrections; /* of the region (§5.5); NULL: all are 0 */
+  const int32_t *corrections; /* of the region (§5.4); NULL: all are 0 */
+  uint8_t *target;            /* of an order: heights go there as raw ones, not to `out` */
+  ptrdiff_t target_stride;
 } job;
 
 /* A unit to be decoded: its key is in `unit`, the rest of which is filled. */
@@ -446,10 +447,12 @@ typedef struct order {
   const unit *above; /* the one that holds the key's block; NULL: none */
   const uint8_t *payload; /* with PAYLOAD_SLACK behind it */
   size_t n;
+  uint8_t *target;        /* where raw heights of the first sample of the part that is ready may go at once; NULL: nowhere */
+  ptrdiff_t target_stride;
 } order;
 
-/* Decode up to MOST_TOGETHER units, with as many scratches. */
-twz_status decode_units(const twz_file *f, const order *orders, int n, scratch *s, twz_error *error);
+/* Decode a unit. */
+twz_status decode_unit(const twz_file *f, const order *o, scratch *s, twz_error *error);
 /* How many bytes a unit takes, decoded. */
 uint64_t unit_bytes(const twz_file *f, place key);
 
@@ -462,12 +465,12 @@ twz_status decode_validity(const twz_file *f, layer *out, const parent *p, int i
 
 /* Each fills the heights of the whole region from the bytes of the method. */
 twz_status decode_store(const job *j, const reader *bytes, twz_error *error);
-/* Methods rapid and predictive correct heights as they decode them (§5.5). */
+/* Methods rapid and predictive correct heights as they decode them (§5.4). */
 static inline int64_t corrected(const job *j, size_t at, int64_t height, int64_t low, int64_t high) {
   return j->corrections ? clamp_i64(height + j->corrections[at], low, high) : height;
 }
-/* Of up to MOST_TOGETHER units, with memory of their own: in lockstep where they are alike. */
-twz_status decode_rapid(const job *const *jobs, const reader *bytes, int n, scratch *s, twz_error *error);
+/* The part of the region that out->ready says. */
+twz_status decode_rapid(const job *j, const reader *bytes, scratch *s, twz_error *error);
 twz_status decode_predictive(const job *j, const reader *bytes, scratch *s, twz_error *error);
 twz_status decode_cdf97(const job *j, const reader *bytes, scratch *s, twz_error *error);
 /* A tile: all its levels, masks included. */
@@ -492,7 +495,7 @@ twz_status load_all(const twz_allocator *a, need_function need, feed_function fe
 twz_status check_window(const twz_window *w, twz_error *error);
 
 /* The cache: units that are taken or given stay until they are left. */
-unit *cache_take(twz_file *f, place key, int32_t *n_rows); /* NULL: it or some of so many rows are not there */
+unit *cache_take(twz_file *f, place key, part *wanted); /* NULL: it is not there, or not all that is wanted, which is then all */
 unit *cache_give(twz_file *f, unit *u);
 void cache_leave(twz_file *f, unit *u);
 void unit_free(twz_file *f, unit *u); /* takes the lock */

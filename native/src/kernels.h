@@ -7,8 +7,6 @@
 typedef struct row_kernels {
   twz_kernels kind;
   rapid_decoder decode_rapid;
-  rapid_decoder decode_rapid_short; /* NULL: there are no short units */
-  rapid_groups_decoder decode_rapid_groups;
   void (*write_sums)(int dtype, void *out, const int32_t *quanta, size_t n, uint32_t base);
   void (*write_products)(int dtype, void *out, const int32_t *quanta, size_t n, double base, double num, double den);
   void (*widen)(int32_t *to, const int16_t *from, size_t n, int32_t origin);

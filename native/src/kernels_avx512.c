@@ -3,5 +3,5 @@
 #include "heights_rows.h"
 
 const row_kernels kernels_avx512 = {
-    TWZ_KERNELS_AVX512, ISA(decode_unit_rapid), DECODE_SHORT, DECODE_GROUPS,
+    TWZ_KERNELS_AVX512, ISA(decode_rapid),
     ISA(write_sums), ISA(write_products), ISA(widen), ISA(add_shorts)};

@@ -3,5 +3,5 @@
 #include "heights_rows.h"
 
 const row_kernels kernels_baseline = {
-    TWZ_KERNELS_BASELINE, ISA(decode_unit_rapid), DECODE_SHORT, DECODE_GROUPS,
+    TWZ_KERNELS_BASELINE, ISA(decode_rapid),
     ISA(write_sums), ISA(write_products), ISA(widen), ISA(add_shorts)};

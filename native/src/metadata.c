@@ -40,6 +40,13 @@ static twz_status take_word(const json_value *root, const char *key, const char 
   return WRONG(error, key, "one of the words the format has for it");
 }
 
+/* On which side of originals heights lie; other words than the format's mean both. */
+static int side_of(const json_value *root) {
+  const json_value *v = json_member(root, "bound");
+  if (!v || v->kind != JSON_STRING) return 0;
+  return strcmp(v->string, "above") == 0 ? 1 : strcmp(v->string, "below") == 0 ? -1 : 0;
+}
+
 static twz_status take_tags(twz_file *f, int band, twz_error *error) {
   const char *key = band ? "band_tags" : "tags";
   const json_value *v = json_member(f->json.root, key);
@@ -119,6 +126,7 @@ static twz_status take_all(twz_file *f, double *nodata, twz_error *error) {
   TRY(take_word(root, "mask_kind", MASKS, 4, 0, &mask, error));
   info->mask_kind = (twz_mask_kind)mask;
   TRY(take_word(root, "area_or_point", AREAS, 2, -1, &info->is_point, error));
+  info->bound_side = side_of(root);
   for (int band = 0; band < 2; band++) TRY(take_tags(f, band, error));
   const json_value *moved = json_member(root, "moved");
   double n_moved = moved && moved->kind == JSON_NUMBER ? json_number(moved) : -1;

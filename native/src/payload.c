@@ -1,9 +1,10 @@
 /* Payloads of units: sections, then the method, then what holds for all methods (FORMAT §5.1, §5.3). */
 #include "range.h"
+#include "rapid.h"
 
 uint64_t unit_bytes(const twz_file *f, place key) {
   uint64_t n = sizeof(unit), a_sample = cell_size(&f->heights) + 1;
-  if (f->header.features & FILLS) a_sample += 1;
+  if (f->header.features & VOIDS) a_sample += 1;
   if (f->header.features & REMAINDERS) a_sample += 8;
   for (int level = first_level_of(key); level <= last_level_of(&f->grid, key); level++) {
     axis rows, cols;
@@ -91,7 +92,7 @@ static twz_status decode_remainders(const twz_file *f, layer *l, size_t n, const
   return status;
 }
 
-/* §5.5. */
+/* §5.4. */
 static twz_status decode_corrections(const job *j, const reader *section, int32_t *corrections, twz_error *error) {
   enum { PIECE = 32, N_MODELS = 170, FIRST_SAMPLE = 16, UNARY = 124, PREFIX = 138, MOST_PIECES = 2051 / PIECE + 1 };
   const layer *l = j->out;
@@ -133,7 +134,8 @@ enum { MASK, EXCEPTIONS, REMAINDER_BYTES, CORRECTED, N_SECTIONS };
 
 static twz_status read_sections(const twz_file *f, reader *r, int is_finest, reader *sections, twz_error *error) {
   static const char *const NAMES[N_SECTIONS] = {"a mask", "exceptions", "remainders", "corrections"};
-  int flags = r->bytes[r->at++], known = 1 << MASK | 1 << EXCEPTIONS;
+  int flags = r->bytes[r->at++], known = 1 << EXCEPTIONS;
+  if (f->header.features & VOIDS) known |= 1 << MASK;
   if ((f->header.features & REMAINDERS) && is_finest) known |= 1 << REMAINDER_BYTES;
   if (f->header.features & CORRECTIONS) known |= 1 << CORRECTED;
   REQUIRE((flags & ~known) == 0, error, "flags %d of a payload", flags);
@@ -145,146 +147,85 @@ static twz_status read_sections(const twz_file *f, reader *r, int is_finest, rea
   return TWZ_OK;
 }
 
+int rapid_bands(const twz_file *f, const uint8_t *payload, size_t n) {
+  reader r = {payload, n, 0}, sections[N_SECTIONS];
+  return read_sections(f, &r, 0, sections, NULL) == TWZ_OK && r.at < n ? (payload[r.at] >> 3 & 3) + 1 : 1;
+}
+
 static twz_status decode_heights(const job *j, const reader *rest, scratch *s, twz_error *error) {
   switch (j->file->header.method) {
     case TWZ_STORE: return decode_store(j, rest, error);
-    case TWZ_RAPID: return decode_rapid(&j, rest, 1, s, error);
+    case TWZ_RAPID: return decode_rapid(j, rest, s, error);
     case TWZ_PREDICTIVE: return decode_predictive(j, rest, s, error);
     default: return decode_cdf97(j, rest, s, error);
   }
 }
 
-/* A unit between its sections and its heights. */
-typedef struct begun {
-  job job;
-  reader sections[N_SECTIONS], rest;
-  int is_done; /* void, or a tile of cdf53 */
-} begun;
-
-static void lay_out(const twz_file *f, unit *u) {
+static void lay_out(const twz_file *f, const order *o, unit *u) {
   place key = u->entry.at;
   u->first_level = first_level_of(key);
   u->n_layers = last_level_of(&f->grid, key) - u->first_level + 1;
   for (int i = 0; i < u->n_layers; i++) {
-    unit_axes(&f->grid, key, u->first_level + i, &u->layers[i].rows, &u->layers[i].cols);
+    layer *l = &u->layers[i];
+    unit_axes(&f->grid, key, u->first_level + i, &l->rows, &l->cols);
+    const part all = {0, 0, l->rows.n, l->cols.n};
+    if (i > 0 || l->ready.end_row == 0 || o->n == 0) l->ready = all;
   }
 }
 
-/* Let a layer's heights lie in some memory. */
-static void place_heights(const heights *h, layer *l, void *memory) {
-  if (h->is_short) {
-    l->shorts = memory;
-    l->origin = h->origin;
-  } else {
-    l->heights = memory;
-  }
+/* Heights, corrected where there is a section that says so. */
+static twz_status decode_corrected(job *j, const reader *section, const reader *rest, scratch *s, twz_error *error) {
+  if (!section->bytes) return decode_heights(j, rest, s, error);
+  const twz_allocator *a = &j->file->allocator;
+  size_t n = (size_t)j->out->rows.n * (size_t)j->out->cols.n;
+  int32_t *corrections = twz_allocate_zeros(a, n * sizeof *corrections);
+  if (!corrections) return twz_no_memory(error, n * sizeof *corrections);
+  j->corrections = corrections;
+  twz_status status = decode_corrections(j, section, corrections, error);
+  if (status == TWZ_OK) status = decode_heights(j, rest, s, error);
+  twz_release(a, corrections);
+  return status;
 }
 
-/* Give heights of several units one piece of memory. */
-static twz_status share_memory(const twz_file *f, const order *orders, int n, twz_error *error) {
-  size_t n_heights = 0, n_users = 0, size = cell_size(&f->heights);
-  for (int k = 0; k < n; k++) {
-    if (orders[k].n == 0 || f->header.method == TWZ_CDF53) continue;
-    n_heights += (size_t)orders[k].unit->layers[0].rows.n * (size_t)orders[k].unit->layers[0].cols.n;
-    n_users++;
-  }
-  if (n_users < 2) return TWZ_OK;
-  heap *h = twz_allocate_zeros(&f->allocator, sizeof *h);
-  if (!h) return twz_no_memory(error, sizeof *h);
-  h->heights = twz_allocate_pages(&f->allocator, n_heights * size);
-  if (!h->heights) {
-    twz_release(&f->allocator, h);
-    return twz_no_memory(error, n_heights * size);
-  }
-  uint8_t *next = h->heights;
-  for (int k = 0; k < n; k++) {
-    if (orders[k].n == 0) continue;
-    layer *l = &orders[k].unit->layers[0];
-    orders[k].unit->heap = h;
-    h->n_users++;
-    place_heights(&f->heights, l, next);
-    next += size * (size_t)l->rows.n * (size_t)l->cols.n;
-  }
-  return TWZ_OK;
-}
-
-static twz_status begin_unit(const twz_file *f, const order *o, begun *b, scratch *s, twz_error *error) {
+twz_status decode_unit(const twz_file *f, const order *o, scratch *s, twz_error *error) {
   unit *u = o->unit;
   place key = u->entry.at;
-  memset(b, 0, sizeof *b);
+  lay_out(f, o, u);
   u->n_bytes = sizeof *u;
   u->is_void = o->n == 0;
-  b->is_done = u->is_void || f->header.method == TWZ_CDF53;
+  REQUIRE(!u->is_void || (f->header.features & VOIDS), error, "a unit without a payload in a file without voids");
   if (u->is_void) return TWZ_OK;
-  if (b->is_done) return decode_cdf53(f, u, o->above, o->payload, o->n, s, error);
+  if (f->header.method == TWZ_CDF53) return decode_cdf53(f, u, o->above, o->payload, o->n, s, error);
 
   layer *l = &u->layers[0];
   size_t n = (size_t)l->rows.n * (size_t)l->cols.n;
   int is_finest = u->first_level == f->grid.k_max, has_valid;
-  reader rest = {o->payload, o->n, 0};
-  TRY(read_sections(f, &rest, is_finest, b->sections, error));
-  const job j = {f, key, u->first_level, l, parent_of(f, key, o->above), NULL};
-  b->job = j;
-  TRY(decode_validity(f, l, &b->job.parent, is_finest, &b->sections[MASK], &has_valid, s, error));
+  reader rest = {o->payload, o->n, 0}, sections[N_SECTIONS];
+  memset(sections, 0, sizeof sections);
+  TRY(read_sections(f, &rest, is_finest, sections, error));
+  job j = {f, key, u->first_level, l, parent_of(f, key, o->above), NULL, NULL, o->target_stride};
+  TRY(decode_validity(f, l, &j.parent, is_finest, &sections[MASK], &has_valid, s, error));
   REQUIRE(has_valid, error, "a payload of a unit without a valid sample");
-  if (!u->heap) {
+  /* Raw heights that are sums need no heights of the unit, where nothing else is done with these. */
+  size_t size = dtype_size(f->header.dtype);
+  u->is_written = o->target && f->header.method == TWZ_RAPID && key.level >= 0 && f->heights.is_sum && size > 1 &&
+                  (uintptr_t)o->target % size == 0 && o->target_stride % (ptrdiff_t)size == 0 &&
+                  f->heights.first > f->heights.last && !sections[EXCEPTIONS].bytes && !sections[REMAINDER_BYTES].bytes;
+  if (u->is_written) {
+    j.target = o->target;
+  } else {
     void *memory = twz_allocate(&f->allocator, n * cell_size(&f->heights));
     if (!memory) return twz_no_memory(error, n * cell_size(&f->heights));
-    place_heights(&f->heights, l, memory);
+    if (f->heights.is_short) l->shorts = memory; else l->heights = memory;
+    l->origin = f->heights.origin;
   }
-  b->rest.bytes = rest.bytes + rest.at;
-  b->rest.n = rest.n - rest.at;
-  return TWZ_OK;
-}
-
-/* Heights, corrected where there is a section that says so. */
-static twz_status decode_corrected(begun *b, scratch *s, twz_error *error) {
-  const reader *section = &b->sections[CORRECTED];
-  if (!section->bytes) return decode_heights(&b->job, &b->rest, s, error);
-  const layer *l = b->job.out;
-  const twz_allocator *a = &b->job.file->allocator;
-  size_t n = (size_t)l->rows.n * (size_t)l->cols.n;
-  int32_t *corrections = twz_allocate_zeros(a, n * sizeof *corrections);
-  if (!corrections) return twz_no_memory(error, n * sizeof *corrections);
-  b->job.corrections = corrections;
-  twz_status status = decode_corrections(&b->job, section, corrections, error);
-  if (status == TWZ_OK) status = decode_heights(&b->job, &b->rest, s, error);
-  twz_release(a, corrections);
-  b->job.corrections = NULL;
-  return status;
-}
-
-static twz_status end_unit(const twz_file *f, unit *u, begun *b, twz_error *error) {
-  layer *l = &u->layers[0];
-  size_t n = (size_t)l->rows.n * (size_t)l->cols.n;
-  /* Each height of rapid is within its limits (R.2), which are within these. */
+  rest = (reader){rest.bytes + rest.at, rest.n - rest.at, 0};
+  TRY(decode_corrected(&j, &sections[CORRECTED], &rest, s, error));
+  if (u->is_written) return TWZ_OK;
+  /* Each height of rapid is within its limits (R.9), which are within these. */
   if (f->header.method != TWZ_RAPID) clip(l->heights, n, f->header.z_min, f->header.z_max);
-  TRY(move_from_nodata(&f->heights, l, n, &b->sections[EXCEPTIONS], error));
-  if (b->sections[REMAINDER_BYTES].bytes) TRY(decode_remainders(f, l, n, &b->sections[REMAINDER_BYTES], error));
+  TRY(move_from_nodata(&f->heights, l, n, &sections[EXCEPTIONS], error));
+  if (sections[REMAINDER_BYTES].bytes) TRY(decode_remainders(f, l, n, &sections[REMAINDER_BYTES], error));
   u->n_bytes += n * (cell_size(&f->heights) + (l->valid ? 1u : 0u) + (l->own ? 1u : 0u) + (l->remainders ? 8u : 0u));
-  return TWZ_OK;
-}
-
-twz_status decode_units(const twz_file *f, const order *orders, int n, scratch *s, twz_error *error) {
-  begun begun[MOST_TOGETHER];
-  const job *jobs[MOST_TOGETHER];
-  reader rests[MOST_TOGETHER];
-  int n_together = 0;
-  for (int k = 0; k < n; k++) lay_out(f, orders[k].unit);
-  TRY(share_memory(f, orders, n, error));
-  for (int k = 0; k < n; k++) TRY(begin_unit(f, &orders[k], &begun[k], &s[k], error));
-  for (int k = 0; k < n; k++) {
-    if (begun[k].is_done || f->header.method != TWZ_RAPID || begun[k].sections[CORRECTED].bytes) continue;
-    jobs[n_together] = &begun[k].job;
-    rests[n_together++] = begun[k].rest;
-  }
-  int are_together = n_together > 1;
-  if (are_together) TRY(decode_rapid(jobs, rests, n_together, s, error));
-  for (int k = 0; k < n; k++) {
-    if (begun[k].is_done) continue;
-    int is_decoded = are_together && !begun[k].sections[CORRECTED].bytes;
-    if (!is_decoded) TRY(decode_corrected(&begun[k], &s[k], error));
-    TRY(end_unit(f, orders[k].unit, &begun[k], error));
-  }
   return TWZ_OK;
 }

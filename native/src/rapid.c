@@ -1,4 +1,4 @@
-/* Method rapid: tables of a file (R.10), streams and limits of a unit (R.1, R.2). */
+/* Method rapid: tables of a file (R.10), payloads, root blocks. */
 #include "rapid.h"
 
 #include "kernels.h"
@@ -6,13 +6,20 @@
 #include "tables.h"
 
 enum {
-  REACH_LAYOUT = 3, WEIGHTS_LAYOUT = 5, N_FAMILIES = 6, N_CODES = N_CONTEXTS * N_SYMBOLS, MOST_CODE = 127,
-  N_MODELS = 416, OWN_CODES = 414 /* the first of two models */
+  N_FAMILIES = 6, MOST_CODE = 255, N_MODELS = 646, OWN_CODES = 644, /* the first of two models */
+  OF_FREQUENCIES = 2, OF_WEIGHTS = 8, /* groups of models */
+  N_PAIR_SYMBOLS = PAIR_ESCAPE + 1, N_SINGLE_SYMBOLS = SINGLE_ESCAPE + 1, MOST_SUM = 1 << 18
 };
 
-static const int TAPS[3] = {19, 19, 23};
-/* Of a stencil: the taps of the core, c_1 first (R.6). */
-static const int CORE_TAPS[3][4] = {{5, 6, 9, 10}, {1, 2, 9, 12}, {1, 2, 12, 13}};
+/* A family of the annex (R.11). */
+typedef struct family {
+  uint8_t cut, weights[N_LEVEL_CLASSES][3][4];
+  uint8_t pairs[MOST_CLASS + 1][N_PAIR_SYMBOLS], singles[MOST_CLASS + 2][N_SINGLE_SYMBOLS];
+} family;
+
+/* Taps of planes, and of these the core's, the missing one first (R.3). */
+static const int TAPS[3] = {16, 20, 24};
+static const int CORE_TAPS[3][4] = {{5, 6, 9, 10}, {5, 6, 14, 17}, {4, 7, 15, 16}};
 
 static int32_t value_of_code(int g) {
   if (g < 32) return g;
@@ -20,48 +27,9 @@ static int32_t value_of_code(int g) {
   return ((16 + g % 16) << e) + (1 << (e - 1));
 }
 
-/* The first symbol with the greatest code of the annex. */
-static int rest_symbol(const uint8_t *trained) {
-  int rest = 0;
-  for (int s = 1; s < N_SYMBOLS; s++) {
-    if (trained[s] > trained[rest]) rest = s;
-  }
-  return rest;
-}
-
-static twz_status fill_slots(rapid_tables *t, const uint8_t *codes, const uint8_t *trained, twz_error *error) {
-  for (int context = 0; context < N_CONTEXTS; context++) {
-    const uint8_t *own = codes + context * N_SYMBOLS;
-    int rest = rest_symbol(trained + context * N_SYMBOLS);
-    int32_t frequencies[N_SYMBOLS];
-    int64_t others = 0;
-    for (int s = 0; s < N_SYMBOLS; s++) {
-      frequencies[s] = s == rest ? 0 : value_of_code(own[s]);
-      others += frequencies[s];
-    }
-    REQUIRE(others < SLOTS, error, "parameters: frequencies of context %d are too large", context);
-    frequencies[rest] = (int32_t)(SLOTS - others);
-    REQUIRE(frequencies[0] >= 1, error, "parameters: symbol 0 of context %d has no frequency", context);
-    uint32_t *slot = t->slots + context * SLOTS;
-    for (uint32_t s = 0; s < N_SYMBOLS; s++) {
-      uint32_t f = (uint32_t)frequencies[s];
-      for (uint32_t y = 0; y < f; y++) *slot++ = s | f << 6 | y << 18;
-    }
-  }
-  return TWZ_OK;
-}
-
-/* A magnitude of a group of 46 models (P.10, R.10). */
+/* A magnitude of a group of 46 models (R.10). */
 static int64_t read_magnitude(coder *c, model *models, int group) {
   return magnitude(c, models + 46 * group, models + 46 * group + 14, 0);
-}
-
-static twz_status read_stencil(coder *c, model *models, int plane, int16_t *stencil, twz_error *error) {
-  int set = (int)raw_bits(c, 4);
-  REQUIRE(set < RAPID_SETS, error, "parameters: stencil %d of plane %d does not exist", set, plane);
-  memcpy(stencil, twz_rapid_stencils[plane][set], sizeof(int16_t) * N_TAPS);
-  if (!raw_bits(c, 1)) return TWZ_OK;
-  return read_changed_stencil(c, models, TAPS[plane], CORE_TAPS[plane], stencil, error);
 }
 
 twz_status read_changed_stencil(coder *c, model *models, int n_taps, const int *core, int16_t *stencil, twz_error *error) {
@@ -83,269 +51,297 @@ twz_status read_changed_stencil(coder *c, model *models, int n_taps, const int *
   return TWZ_OK;
 }
 
-static twz_status read_codes(coder *c, model *models, const uint8_t *trained, uint8_t *codes, twz_error *error) {
-  int is_own = 0;
-  for (int context = 0; context < N_CONTEXTS; context++) {
-    is_own = adaptive_bit(c, &models[OWN_CODES + is_own]);
-    if (!is_own) continue;
-    const uint8_t *annex = trained + context * N_SYMBOLS;
-    int rest = rest_symbol(annex), before = 0;
-    for (int s = 0; s < N_SYMBOLS; s++) {
-      if (s == rest) continue;
-      int g = annex[s];
-      int64_t m = read_magnitude(c, models, (g ? 5 : 2) + min_i32(bit_length((uint64_t)before), 2));
-      REQUIRE(m <= MOST_CODE, error, "parameters: a code changes by more than 127");
-      before = (int)m;
-      int code = m > 0 && g > 0 && raw_bits(c, 1) ? g - before : g + before;
-      REQUIRE(code >= 0 && code <= MOST_CODE, error, "parameters: code %d of a frequency", code);
-      codes[context * N_SYMBOLS + s] = (uint8_t)code;
-    }
+static twz_status read_stencil(coder *c, model *models, int plane, int16_t *stencil, twz_error *error) {
+  memcpy(stencil, twz_rapid_stencils[plane][raw_bits(c, 4)], sizeof(int16_t) * N_TAPS);
+  if (raw_bits(c, 1)) TRY(read_changed_stencil(c, models, TAPS[plane], CORE_TAPS[plane], stencil, error));
+  int32_t sum = 0;
+  for (int k = 0; k < N_TAPS; k++) sum += stencil[k] < 0 ? -stencil[k] : stencil[k];
+  REQUIRE(sum <= MOST_SUM, error, "parameters: a stencil whose absolute weights sum to %d", sum);
+  return TWZ_OK;
+}
+
+/* Change codes of the annex, all but number `skipped`. */
+static twz_status read_codes(coder *c, model *models, int group, int n, int skipped, uint8_t *codes, twz_error *error) {
+  int before = 0;
+  for (int k = 0; k < n; k++) {
+    if (k == skipped) continue;
+    int g = codes[k];
+    int64_t m = read_magnitude(c, models, group + (g ? 3 : 0) + before);
+    REQUIRE(m <= MOST_CODE, error, "parameters: a code changes by more than 255");
+    before = min_i32(bit_length((uint64_t)m), 2);
+    int code = m > 0 && g > 0 && raw_bits(c, 1) ? g - (int)m : g + (int)m;
+    REQUIRE(code >= 0 && code <= MOST_CODE, error, "parameters: code %d", code);
+    codes[k] = (uint8_t)code;
   }
   return TWZ_OK;
 }
 
-/* What the file says of V_k of the classes 0 ... n_classes - 1, rows HH, HL, LH, instead of the table (R.10). */
-static twz_status read_weights(coder *c, model *models, int n_classes, int32_t (*features)[4][9], twz_error *error) {
-  static const uint8_t SHIFTS[9] = {14, 7, 7, 7, 13, 13, 9, 7, 7};
-  static const uint8_t TERMS[3][9] = {{0, 1, 2, 1, 1, 1, 4, 0, 0}, {0, 1, 2, 1, 1, 1, 2, 2, 4}, {0, 1, 2, 1, 1, 1, 2, 6, 4}};
-  int codes[3][9] = {{12, 58, 50, 25, 33, 35, 57, 0, 0}, {4, 39, 37, 10, 25, 24, 37, 49, 32}, {4, 35, 19, 18, 22, 22, 35, 48, 23}};
-  for (int i = 0; i < n_classes * 3; i++) {
-    int class = i / 3, plane = i % 3;
-    int64_t sum = 0;
-    for (int k = 0; k < 9; k++) {
-      int32_t *v = &features[class][plane][k];
-      *v = 0;
-      if (plane == 0 && k > 6) continue; /* HH has no planes before it */
-      int64_t m = read_magnitude(c, models, 8);
-      REQUIRE(m <= MOST_CODE, error, "parameters: a code of a weight changes by more than 127");
-      if (m > 0 && raw_bits(c, 1)) m = -m;
-      codes[plane][k] += (int)m;
-      REQUIRE(codes[plane][k] >= 0 && codes[plane][k] <= MOST_CODE, error, "parameters: code %d of a weight", codes[plane][k]);
-      *v = value_of_code(codes[plane][k]) << SHIFTS[k];
-      sum += (int64_t)TERMS[plane][k] * *v * (k >= 4 && k <= 6 ? 1 : 8);
-    }
-    REQUIRE(sum < (1 << 24) - (1 << 15), error, "parameters: weights of features whose sums do not fit");
-  }
-  return TWZ_OK;
-}
-
-/* Of V_k of each class and row. */
-static void scale_features(rapid_tables *t, const int32_t (*features)[4][9], int32_t n) {
-  int log2 = bit_length((uint64_t)n) - 1, range_shift = max_i32(log2 - 4, 0);
-  for (int i = 0; i < N_CLASSES * 4 * 9; i++) {
-    int class = i / 36, row = i / 9 % 4, k = i % 9;
-    int shift = k == 0 ? 0 : k >= 4 && k <= 6 ? range_shift : log2;
-    int64_t scaled = floor_div((int64_t)features[class][row][k] * ((int64_t)1 << shift), k ? n : 1);
-    t->features[class][row][k] = (int32_t)shift_right(scaled + 128, 8);
-  }
-}
-
-static twz_status take_codes(uint8_t *codes, int layout, int family, twz_error *error) {
-  size_t n;
-  int i = layout * N_FAMILIES + family;
-  TRY(inflate_zlib(twz_rapid_codes[i], twz_rapid_codes_size[i], codes, N_CODES, &n, "a table of this library", error));
-  return TWZ_OK;
-}
-
-static twz_status read_tables(twz_file *f, rapid_tables *t, const uint8_t *parameters, size_t n, twz_error *error) {
-  uint8_t trained[N_CODES], codes[N_CODES];
-  int32_t step = f->header.step;
-  int family = step == 1 ? 0 : step == 3 ? 1 : 2, layout = n ? parameters[0] : 1;
-  REQUIRE(!(f->header.features & REACH) || layout == REACH_LAYOUT, error,
-          "feature bit 3 with parameters of layout %d, not 3", layout);
-  REQUIRE((layout == WEIGHTS_LAYOUT) == ((f->header.features & WEIGHTS) != 0), error,
-          "parameters of layout %d %s feature bit 5", layout, f->header.features & WEIGHTS ? "with" : "without");
-  REQUIRE_KNOWN(layout == 1 || layout == REACH_LAYOUT || layout == WEIGHTS_LAYOUT, error, "parameters of layout %d, which a newer release may know", layout);
-  t->is_by_reach = layout == REACH_LAYOUT;
-  for (int i = 0; i < N_CLASSES * 3; i++) {
-    memcpy(t->stencils[i / 3][i % 3], twz_rapid_stencils[i % 3][0], sizeof(int16_t) * N_TAPS);
-  }
+/* What the stream of a file says (R.10). */
+static twz_status read_stream(const twz_file *f, rapid_tables *t, family *of, const uint8_t *bytes, size_t n, twz_error *error) {
   coder c;
   model models[N_MODELS];
-  int n_classes = 0; /* that have weights of the file's own */
-  if (n) {
-    coder_start(&c, parameters + 1, n - 1, f->rates);
-    for (int i = 0; i < N_MODELS; i++) models[i] = FRESH_MODEL;
-    t->k_max = (int)raw_bits(&c, 5);
-    family = (int)raw_bits(&c, 3);
-    REQUIRE(family < N_FAMILIES, error, "parameters: family %d of frequencies", family);
-    if (layout == WEIGHTS_LAYOUT) {
-      t->is_by_reach = (int)raw_bits(&c, 1);
-      n_classes = 1 + (int)raw_bits(&c, 2);
+  coder_start(&c, bytes, n, f->rates);
+  for (int i = 0; i < N_MODELS; i++) models[i] = FRESH_MODEL;
+  for (int i = 0; i < 3 * N_LEVEL_CLASSES; i++) TRY(read_stencil(&c, models, i % 3, t->stencils[i / 3][i % 3], error));
+  for (int i = 0; i < 3 * N_LEVEL_CLASSES; i++) {
+    TRY(read_codes(&c, models, OF_WEIGHTS, i % 3 ? 4 : 3, -1, of->weights[i / 3][i % 3], error));
+  }
+  of->cut = (uint8_t)raw_bits(&c, 6);
+  REQUIRE(of->cut <= MOST_CLASS + 1, error, "parameters: a cut of %d", of->cut);
+  int is_own = 0;
+  for (int i = 0; i < of->cut; i++) {
+    is_own = adaptive_bit(&c, &models[OWN_CODES + is_own]);
+    if (is_own) TRY(read_codes(&c, models, OF_FREQUENCIES, N_PAIR_SYMBOLS, NO_DETAILS, of->pairs[i], error));
+  }
+  for (int i = 0; i < MOST_CLASS + 2; i++) {
+    is_own = adaptive_bit(&c, &models[OWN_CODES + is_own]);
+    if (is_own) TRY(read_codes(&c, models, OF_FREQUENCIES, N_SINGLE_SYMBOLS, NO_DETAIL, of->singles[i], error));
+  }
+  return coder_end(&c, "parameters", error);
+}
+
+/* The slots of a table: `rest` has those that the others leave; symbols from `first_sure` on have one at least. */
+static twz_status fill_slots(rapid_tables *t, int table, const uint8_t *codes, int n, int rest, int first_sure, twz_error *error) {
+  int32_t frequencies[N_PAIR_SYMBOLS], others = 0;
+  for (int s = 0; s < n; s++) {
+    frequencies[s] = s == rest ? 0 : value_of_code(codes[s]) + (s >= first_sure);
+    others += frequencies[s];
+  }
+  REQUIRE(others < SLOTS, error, "parameters: frequencies of table %d leave no slot to details of 0", table);
+  frequencies[rest] = SLOTS - others;
+  uint32_t *slot = t->slots + ((size_t)table << SLOT_BITS);
+  for (uint32_t s = 0; s < (uint32_t)n; s++) {
+    uint32_t m = (uint32_t)frequencies[s];
+    for (uint32_t y = 0; y < m; y++) slot[y] = s | (m - 1) << 8 | y << 20;
+    slot += m;
+  }
+  return TWZ_OK;
+}
+
+/* By which of eight pairs are two entries: where entries of pairs and singles in turn are. */
+static void fill_orders(rapid_tables *t) {
+  for (unsigned mask = 0; mask < 256; mask++) {
+    uint8_t n = 0, below = 0;
+    for (uint8_t k = 0; k < 16; k++) {
+      int is_there = k % 2 == 0 || (mask >> (k / 2) & 1);
+      t->put[mask][k] = is_there ? n : 128;
+      if (is_there) t->take[mask][n++] = k;
     }
-    for (int i = 0; i < N_CLASSES * 3; i++) {
-      TRY(read_stencil(&c, models, i % 3, t->stencils[i / 3][i % 3], error));
+    while (n < 16) t->take[mask][n++] = 128;
+    for (int lane = 0; lane < 8; lane++) {
+      t->expand[mask][lane] = below;
+      below = (uint8_t)(below + (mask >> lane & 1));
     }
   }
-  int32_t features[N_CLASSES][4][9];
-  memcpy(features, twz_rapid_features[family / 3], sizeof features);
-  if (n_classes) TRY(read_weights(&c, models, n_classes, features, error));
-  TRY(take_codes(trained, t->is_by_reach, family, error));
-  memcpy(codes, trained, sizeof codes);
-  if (n) {
-    TRY(read_codes(&c, models, trained, codes, error));
-    TRY(coder_end(&c, "parameters", error));
+}
+
+static twz_status read_tables(const twz_file *f, rapid_tables *t, const uint8_t *parameters, size_t n, twz_error *error) {
+  int number = n ? parameters[0] >> 5 : f->header.step == 1 ? 0 : f->header.step == 3 ? 1 : 2;
+  REQUIRE(number < N_FAMILIES, error, "parameters: family %d of tables, and there are %d", number, N_FAMILIES);
+  family of;
+  size_t n_bytes;
+  TRY(inflate_zlib(twz_rapid_families[number], twz_rapid_families_size[number], (uint8_t *)&of, sizeof of, &n_bytes,
+                   "a table of this library", error));
+  t->k_max = n ? parameters[0] & 31 : 0;
+  for (int i = 0; i < 3 * N_LEVEL_CLASSES; i++) memcpy(t->stencils[i / 3][i % 3], twz_rapid_stencils[i % 3][0], sizeof(int16_t) * N_TAPS);
+  if (n > 1) TRY(read_stream(f, t, &of, parameters + 1, n - 1, error));
+  t->cut = of.cut;
+  for (int i = 0; i < 12 * N_LEVEL_CLASSES; i++) t->weights[i / 12][i / 4 % 3][i % 4] = value_of_code(of.weights[i / 12][i / 4 % 3][i % 4]);
+  for (int class = 0; class < N_LEVEL_CLASSES; class++) t->weights[class][HH][3] = 0;
+  for (int i = 0; i < SINGLES; i++) {
+    static const uint8_t none[N_PAIR_SYMBOLS];
+    int has_pairs = i <= MOST_CLASS, has_singles = i <= MOST_CLASS || i == ESCAPED - SINGLES;
+    const uint8_t *singles = !has_singles ? none : i <= MOST_CLASS ? of.singles[i] : of.singles[MOST_CLASS + 1];
+    TRY(fill_slots(t, i, has_pairs ? of.pairs[i] : none, N_PAIR_SYMBOLS, NO_DETAILS, has_pairs ? PAIR_ESCAPE : SLOTS, error));
+    TRY(fill_slots(t, SINGLES + i, singles, N_SINGLE_SYMBOLS, NO_DETAIL, has_singles ? 0 : SLOTS, error));
   }
-  for (int i = 0; i < N_CLASSES * 3; i++) {
-    int64_t sum = 0;
-    for (int k = 0; k < N_TAPS; k++) sum += abs_i64(t->stencils[i / 3][i % 3][k]);
-    t->widest = max_i64(t->widest, sum);
-  }
-  scale_features(t, (const int32_t (*)[4][9])features, step);
-  for (int mask = 0; mask < 256; mask++) {
-    for (int lane = 0, below = 0; lane < 8; lane++) {
-      t->expand[mask][lane] = (uint8_t)below;
-      below += mask >> lane & 1;
-    }
-  }
-  return fill_slots(t, codes, trained, error);
+  fill_orders(t);
+  return TWZ_OK;
 }
 
 twz_status rapid_tables_new(twz_file *f, const uint8_t *parameters, size_t n, twz_error *error) {
-  f->rapid = twz_allocate_zeros(&f->allocator, sizeof *f->rapid);
+  f->rapid = twz_allocate_pages(&f->allocator, sizeof *f->rapid);
   if (!f->rapid) return twz_no_memory(error, sizeof *f->rapid);
   return read_tables(f, f->rapid, parameters, n, error);
 }
 
-/* ---- Units ---- */
+void weigh_rapid(const rapid_unit *u, int plane, rapid_weights *made) {
+  enum { MOST_WEIGHT = 1 << 13, TO_STEPS = 2 };
+  const int32_t *v = u->tables->weights[u->level_class][plane];
+  int64_t most = max_i32(v[1], v[2]);
+  int more = 0;
+  while (more < 16 && (most << (u->shift + more + 1)) / u->step < MOST_WEIGHT << TO_STEPS) more++;
+  made->constant = (v[0] >> TO_STEPS) + 1;
+  made->of_range = (int32_t)min_i64((((int64_t)v[1] << (u->shift + more)) / u->step) >> TO_STEPS, MOST_WEIGHT - 1);
+  made->of_bend = (int32_t)min_i64((((int64_t)v[2] << (u->shift + more)) / u->step) >> TO_STEPS, MOST_WEIGHT - 1);
+  made->of_near = min_i32(v[3] >> TO_STEPS, (1 << 15) - 1);
+  made->shift = more;
+}
 
-static twz_status open_streams(rapid_streams *z, const reader *bytes, twz_error *error) {
+/* ---- Payloads (R.1) ---- */
+
+static twz_status open_payload(rapid_unit *u, const reader *bytes, twz_error *error) {
+  static const uint8_t STATES[4] = {1, 8, 32, 0};
   reader r = *bytes;
-  REQUIRE(r.n > 0, error, "a payload without a byte of method rapid");
-  int flags = r.bytes[r.at++];
-  REQUIRE(flags < 4, error, "flags %d of method rapid", flags);
-  uint64_t n_words;
-  TRY(read_varint(&r, &n_words, error));
-  z->n_states = flags & 2 ? 1 : 8;
-  REQUIRE(r.n - r.at >= 4 * z->n_states && n_words <= (r.n - r.at - 4 * z->n_states) / 2, error,
-          "%llu words of method rapid where there is no room for them", (unsigned long long)n_words);
-  for (uint32_t i = 0; i < z->n_states; i++, r.at += 4) z->states[i] = load_u32(r.bytes + r.at);
-  z->n_words = (size_t)n_words;
-  z->words = r.bytes + r.at;
-  z->raw = z->words + 2 * z->n_words;
-  z->n_raw = r.n - r.at - 2 * z->n_words;
-  return TWZ_OK;
-}
-
-static twz_status close_streams(const rapid_unit *u, twz_error *error) {
-  const rapid_streams *z = &u->streams;
-  if (u->job->out->n_ready) { /* what follows is not known */
-    REQUIRE(z->n_words_used <= z->n_words && z->n_bits <= 8 * z->n_raw, error, "streams of method rapid are cut");
-    return TWZ_OK;
+  int flags, shift = 0;
+  uint64_t number = 0, n_words[MOST_BANDS], n_raw[MOST_BANDS];
+  TRY(read_byte(&r, &flags, error));
+  u->is_narrow = flags & 1;
+  u->n_states = STATES[flags >> 1 & 3];
+  u->n_bands = (flags >> 3 & 3) + 1;
+  REQUIRE(flags < 64 && u->n_states && (!u->is_narrow || u->step <= LIMIT) && (u->parent || u->short_parent || u->n_bands == 1),
+          error, "flags %d of method rapid", flags);
+  if (!u->is_narrow) TRY(read_byte(&r, &shift, error));
+  REQUIRE(shift <= 30, error, "heights that are shifted by %d bits", shift);
+  u->shift = shift;
+  if (flags & 32) TRY(read_varint(&r, &number, error));
+  int64_t middle = shift_right((int64_t)u->z_min + u->z_max, 1), k = (int64_t)(number >> 1) ^ -(int64_t)(number & 1);
+  int64_t origin = middle + clamp_i64(k, -INT32_MAX, INT32_MAX) * ((int64_t)1 << min_i32(10 + shift, 31));
+  REQUIRE(origin >= u->z_min && origin <= u->z_max, error, "an origin outside of the range of heights");
+  u->origin = (int32_t)origin;
+  u->low = u->is_narrow ? max_i32(u->z_min, u->origin - LIMIT) : u->z_min;
+  u->high = u->is_narrow ? min_i32(u->z_max, u->origin + LIMIT) : u->z_max;
+  for (int i = 0; i < u->n_bands; i++) {
+    TRY(read_varint(&r, &n_words[i], error));
+    TRY(read_varint(&r, &n_raw[i], error));
   }
-  REQUIRE(z->n_words_used == z->n_words, error, "%llu words of method rapid, %llu are there",
-          (unsigned long long)z->n_words_used, (unsigned long long)z->n_words);
-  for (uint32_t i = 0; i < z->n_states; i++) REQUIRE(z->states[i] == 65536, error, "a state of method rapid ends elsewhere");
-  REQUIRE((z->n_bits + 7) / 8 == z->n_raw, error, "raw bits of %llu bytes, %llu are there",
-          (unsigned long long)((z->n_bits + 7) / 8), (unsigned long long)z->n_raw);
-  REQUIRE(z->n_bits % 8 == 0 || z->raw[z->n_raw - 1] >> z->n_bits % 8 == 0, error, "a 1 above the last raw bit");
-  return TWZ_OK;
-}
-
-/* R.2: what fits 32 bits. */
-static const int64_t MOST_SUM = ((int64_t)1 << 31) - 64;
-
-static void find_limits(rapid_unit *u, int is_wide) {
-  const header *h = &u->job->file->header;
-  const parent *p = &u->job->parent;
-  rapid_scale *c = &u->scale;
-  c->low = h->z_min;
-  c->high = h->z_max;
-  if (is_wide) return;
-  const int64_t widest = u->tables->widest;
-  int64_t origin = 0, reach = MOST_SUM / widest;
-  if (p->layer && max_i64(-(int64_t)h->z_min, h->z_max) * widest > MOST_SUM) {
-    int32_t low = INT32_MAX, high = INT32_MIN;
-    for (int32_t r = 0; r < p->n_rows; r++) {
-      for (int32_t i = 0; i < p->n_cols; i++) {
-        int32_t height = parent_height(p, r, i);
-        low = min_i32(low, height);
-        high = max_i32(high, height);
-      }
+  for (int i = 0; i < u->n_bands; i++) {
+    rapid_stream *z = &u->bands[i];
+    size_t n_left = r.n - r.at, n_states = 4 * (size_t)u->n_states;
+    REQUIRE(n_left >= n_states && n_words[i] <= (n_left - n_states) / 2 && n_raw[i] <= n_left - n_states - 2 * n_words[i], error,
+            "streams of method rapid that the payload has no room for");
+    for (int s = 0; s < u->n_states; s++, r.at += 4) {
+      z->states[s] = load_u32(r.bytes + r.at);
+      REQUIRE(z->states[s] >= FIRST_STATE, error, "a state of method rapid below 65536");
     }
-    origin = shift_right((int64_t)low + high, 1);
+    z->words = r.bytes + r.at;
+    z->words_end = z->raw = z->words + 2 * n_words[i];
+    z->n_raw = (size_t)n_raw[i];
+    z->n_bits = 0;
+    r.at += 2 * (size_t)n_words[i] + z->n_raw;
   }
-  c->low = (int32_t)(max_i64(h->z_min, origin - reach) - origin);
-  c->high = (int32_t)(min_i64(h->z_max, origin + reach) - origin);
-  c->origin = (int32_t)origin;
+  REQUIRE(r.at == r.n, error, "%llu bytes behind the streams of method rapid", (unsigned long long)(r.n - r.at));
+  return TWZ_OK;
 }
 
-static twz_status open_unit(rapid_unit *u, const job *j, const reader *bytes, scratch *s, twz_error *error) {
-  memset(u, 0, sizeof *u);
-  u->job = j;
-  u->tables = j->file->rapid;
-  u->scratch = s;
-  TRY(open_streams(&u->streams, bytes, error));
-  u->streams.expand = u->tables->expand;
-  int is_wide = bytes->bytes[0] & 1;
-  find_limits(u, is_wide);
-  rapid_scale *c = &u->scale;
-  REQUIRE(c->low <= c->high, error, "a unit whose heights lie outside of what it can hold: it is not wide");
-  int32_t n = j->file->header.step;
-  c->step = n;
-  c->log2 = bit_length((uint64_t)n) - 1;
-  c->is_fine = n <= 3;
-  c->is_by_reach = u->tables->is_by_reach;
-  c->side_shift = max_i32(c->log2 - 5, 0);
-  c->range_shift = max_i32(c->log2 - 4, 0);
-  c->most_range = (1 << (15 + min_i32(c->log2, 4))) - 1;
-  c->side_scale = (int32_t)(65536 / (8 * (int64_t)n));
-  c->far_scale = (int32_t)(((int64_t)1024 << c->log2) / n);
-  c->end_shift = 2 + c->log2 - c->side_shift;
-  c->most_detail = ((int64_t)c->high - c->low) / n + 1;
-  /* Sums of details times steps must fit 32 bits, too, or 64 are used: the heights are the same. */
-  u->is_wide = is_wide || max_i64(c->most_detail, ZERO_SYMBOL) * n >= (int64_t)1 << 30;
-  /* Stencils sum to 4096: heights less another origin are predicted the same, as long as sums fit. */
-  int32_t change = j->file->heights.origin - c->origin;
-  int64_t low = (int64_t)c->low - change, high = (int64_t)c->high - change;
-  u->is_short = j->out->shorts && j->file->kernels->decode_rapid_short && !u->is_wide && j->parent.layer &&
-                !j->parent.is_void && max_i64(-low, high) * u->tables->widest <= MOST_SUM;
-  if (u->is_short) {
-    c->low = (int32_t)low;
-    c->high = (int32_t)high;
-    c->origin += change;
-  }
-  /* Row 2 i of the lattice is stored in turn i + 1, the one below it in the next. */
-  const layer *l = j->out;
-  u->n_turns = ((l->rows.n_core + 1) >> 1) + 2;
-  if (l->n_ready) {
-    int32_t last = max_i32(l->n_ready - 1 - l->rows.core, 0);
-    u->n_turns = min_i32(u->n_turns, (last >> 1) + 2 + (last & 1));
+/* Streams end where they should; those of a part are not exceeded. */
+static twz_status close_payload(const rapid_unit *u, int is_part, twz_error *error) {
+  for (int i = 0; i < u->n_bands; i++) {
+    const rapid_stream *z = &u->bands[i];
+    REQUIRE(z->words <= z->words_end && z->n_bits <= 8 * z->n_raw, error, "streams of method rapid are cut");
+    if (is_part) continue;
+    REQUIRE(z->words == z->words_end && (z->n_bits + 7) / 8 == z->n_raw, error, "bytes are left over behind the streams of method rapid");
+    for (int s = 0; s < u->n_states; s++) REQUIRE(z->states[s] == FIRST_STATE, error, "a state of method rapid ends elsewhere");
+    REQUIRE(z->n_bits % 8 == 0 || z->raw[z->n_raw - 1] >> z->n_bits % 8 == 0, error, "a 1 above the last raw bit");
   }
   return TWZ_OK;
 }
 
-/* Heights of a unit that is not short, in a file that is: from 32 bits to 16. */
-static twz_status decode_long(rapid_unit *u, layer *l, twz_error *error) {
-  const twz_file *f = u->job->file;
-  size_t n = (size_t)l->rows.n * (size_t)l->cols.n;
-  int32_t *heights = l->heights = twz_allocate_zeros(&f->allocator, n * sizeof *heights);
-  if (!heights) return twz_no_memory(error, n * sizeof *heights);
-  twz_status status = f->kernels->decode_rapid(u, error);
-  for (size_t i = 0; status == TWZ_OK && i < n; i++) l->shorts[i] = (int16_t)(heights[i] - l->origin);
-  twz_release(&f->allocator, heights);
-  l->heights = NULL;
+/* ---- Root blocks (R.2) ---- */
+
+/* A sample that nothing predicts. */
+static int32_t read_corner(rapid_unit *u, int is_valid, int32_t correction) {
+  int64_t height = shift_right((int64_t)u->low + u->high, 1);
+  if (is_valid) {
+    rapid_stream *z = &u->bands[0];
+    int n_bits = bit_length((uint64_t)((u->high - u->low) / u->step));
+    uint64_t bits = load_u64(z->raw + min_size(z->n_bits >> 3, z->n_raw)) >> (z->n_bits & 7);
+    z->n_bits += (size_t)n_bits;
+    height = min_i64(u->low + (int64_t)(bits & (((uint64_t)1 << n_bits) - 1)) * u->step + (u->step >> 1), u->high);
+  }
+  return (int32_t)clamp_i64(height + correction, u->low, u->high);
+}
+
+static twz_status decode_root(rapid_unit *u, const job *j, twz_error *error) {
+  const layer *l = j->out;
+  int32_t n_rows = l->rows.n, n_cols = l->cols.n, stride = 1;
+  int level_class = j->file->rapid->k_max - j->level;
+  while (stride < max_i32(n_rows, n_cols) - 1) stride *= 2;
+  size_t n = (size_t)n_rows * (size_t)n_cols;
+  int32_t *memory = twz_allocate(&j->file->allocator, 2 * n * sizeof *memory), *heights = memory, *others = memory ? memory + n : NULL;
+  if (!memory) return twz_no_memory(error, 2 * n * sizeof *memory);
+  u->n_rows = (n_rows - 1) / stride + 1;
+  u->n_cols = (n_cols - 1) / stride + 1;
+  for (int32_t row = 0; row < u->n_rows; row++) {
+    for (int32_t col = 0; col < u->n_cols; col++) {
+      ptrdiff_t at = ((ptrdiff_t)row * n_cols + col) * stride;
+      heights[row * u->n_cols + col] = read_corner(u, !l->valid || l->valid[at], j->corrections ? j->corrections[at] : 0);
+    }
+  }
+  twz_status status = TWZ_OK;
+  u->add = 0;
+  u->is_short = 0;
+  for (stride /= 2; stride && status == TWZ_OK; stride /= 2) {
+    u->parent = heights;
+    u->parent_stride = u->n_cols;
+    u->n_rows = u->rows[1] = (n_rows - 1) / stride + 1;
+    u->n_cols = u->cols[1] = (n_cols - 1) / stride + 1;
+    u->out = others;
+    u->out_stride = u->n_cols;
+    u->level_class = (int)clamp_i64(level_class + bit_length((uint64_t)stride) - 1, 0, N_LEVEL_CLASSES - 1);
+    u->valid_stride = u->corrections_stride = stride * (ptrdiff_t)n_cols;
+    u->valid_step = u->corrections_step = stride;
+    status = j->file->kernels->decode_rapid(u, error);
+    others = heights;
+    heights = u->out;
+  }
+  for (size_t i = 0; status == TWZ_OK && i < n; i++) {
+    if (l->shorts) l->shorts[i] = (int16_t)(heights[i] - l->origin); else l->heights[i] = heights[i];
+  }
+  twz_release(&j->file->allocator, memory);
   return status;
 }
 
-static twz_status decode_alone(rapid_unit *u, twz_error *error) {
-  const row_kernels *kernels = u->job->file->kernels;
-  if (u->is_short) return kernels->decode_rapid_short(u, error);
-  return u->job->out->shorts ? decode_long(u, u->job->out, error) : kernels->decode_rapid(u, error);
-}
-
-twz_status decode_rapid(const job *const *jobs, const reader *bytes, int n, scratch *s, twz_error *error) {
-  rapid_unit units[MOST_TOGETHER];
-  for (int k = 0; k < n; k++) TRY(open_unit(&units[k], jobs[k], &bytes[k], &s[k], error));
-  for (int k = 0, stop; k < n; k = stop) {
-    for (stop = k; stop < n && units[stop].is_short && units[stop].streams.n_states == 8;) stop++;
-    if (stop > k + 1) {
-      TRY(jobs[0]->file->kernels->decode_rapid_groups(&units[k], stop - k, error));
-    } else {
-      stop = k + 1;
-      TRY(decode_alone(&units[k], error));
-    }
+twz_status decode_rapid(const job *j, const reader *bytes, scratch *s, twz_error *error) {
+  static const int32_t zeros[1025];
+  const layer *l = j->out;
+  const parent *p = &j->parent;
+  const header *h = &j->file->header;
+  rapid_unit u;
+  memset(&u, 0, offsetof(rapid_unit, bands));
+  memset(&u.n_rows, 0, sizeof u - offsetof(rapid_unit, n_rows));
+  u.tables = j->file->rapid;
+  u.scratch = s;
+  u.step = h->step;
+  u.z_min = h->z_min;
+  u.z_max = h->z_max;
+  u.most_detail = (h->z_max - h->z_min) / h->step + 1;
+  u.valid = l->valid;
+  u.corrections = j->corrections;
+  if (p->layer && !p->is_void) {
+    u.parent_stride = p->layer->cols.n;
+    ptrdiff_t at = p->row * u.parent_stride + p->col;
+    if (p->layer->shorts) u.short_parent = p->layer->shorts + at; else u.parent = p->layer->heights + at;
+    u.parent_origin = p->layer->origin;
+  } else if (p->layer) {
+    u.parent = zeros;
   }
-  for (int k = 0; k < n; k++) TRY(close_streams(&units[k], error));
-  return TWZ_OK;
+  TRY(open_payload(&u, bytes, error));
+  if (!p->layer) {
+    TRY(decode_root(&u, j, error));
+    return close_payload(&u, 0, error);
+  }
+  u.n_rows = l->rows.n;
+  u.n_cols = l->cols.n;
+  u.rows[0] = l->ready.row;
+  u.rows[1] = l->ready.end_row;
+  u.cols[0] = l->ready.col;
+  u.cols[1] = l->ready.end_col;
+  u.level_class = (int)clamp_i64(u.tables->k_max - j->level, 0, N_LEVEL_CLASSES - 1);
+  u.valid_stride = u.corrections_stride = l->cols.n;
+  u.valid_step = u.corrections_step = 1;
+  for (int side = 0; side < 4; side++) u.known[side] = side % 2 ? l->cols.shared[side / 2] : l->rows.shared[side / 2];
+  u.is_short = l->shorts != NULL;
+  u.out = u.is_short ? (void *)l->shorts : (void *)l->heights;
+  u.out_stride = l->cols.n;
+  u.add = u.is_short ? (uint32_t)-l->origin : 0;
+  if (j->target) {
+    ptrdiff_t size = (ptrdiff_t)dtype_size(h->dtype);
+    u.is_short = size == 2;
+    u.out_stride = j->target_stride / size;
+    u.out = j->target - u.rows[0] * j->target_stride - u.cols[0] * size;
+    u.add = (uint32_t)j->file->heights.base;
+  }
+  TRY(j->file->kernels->decode_rapid(&u, error));
+  return close_payload(&u, u.is_part, error);
 }

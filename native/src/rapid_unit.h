@@ -1,220 +1,903 @@
-/* Method rapid, compiled for a set of instructions: ISA(name) names what is its own. */
-#include "border.h"
+/*
+ * A lattice of method rapid (R.3 ... R.9), compiled for a set of instructions. Rows of planes, of features and of
+ * details lie in rings: row i in place i mod their size. Rows end with room for a vector, and begin with one.
+ */
 #include "kernels.h"
+#include "rapid_lanes.h"
 
-#if defined(__AVX2__) && defined(TWZ_HAVE_X86)
-#define HAS_AVX2
-#define HAS_VECTORS
-#include <immintrin.h>
-#elif defined(__wasm_simd128__)
-#define HAS_SIMD128
-#define HAS_VECTORS
-#include <wasm_simd128.h>
-#endif
+enum { ROOM = 64, A_ROWS = 32, HELD_ROWS = 16, MOST_NEAR = 4095, RAW_CLASS = 32 };
 
-#if defined(__clang__) && defined(TWZ_SANITIZED)
-#define IVDEP /* checks stand in the way of vectors */
-#elif defined(__clang__)
-#define IVDEP _Pragma("clang loop vectorize(assume_safety) interleave(disable)")
-#elif defined(__GNUC__)
-#define IVDEP _Pragma("GCC ivdep")
-#elif defined(_MSC_VER)
-#define IVDEP __pragma(loop(ivdep))
-#else
-#define IVDEP
-#endif
+typedef struct ISA(work) {
+  rapid_unit *u;
+  rapid_weights weights[3]; /* of HH, HL, LH */
+  ptrdiff_t stride;
+  int32_t rows[3], cols[3], a_rows, a_cols;
+  int32_t from, to;         /* columns of planes that are predicted */
+  int32_t loaded, looked;   /* rows of A before `loaded` are there, features of rows before `looked` */
+  int16_t *a, *ranges, *bends, *planes[3], *details[3], *near[2], *predicted, *sides;
+  int32_t *wide_details[3], *heights[3]; /* where 16 bits are too few */
+  /* Of a list: classes of pairs and samples, which pairs are two samples, entries, symbols, details. */
+  uint8_t *pairs, *singles, *is_two, *entries, *symbols;
+  int8_t *small;
+  int32_t *large, *more;
+} ISA(work);
 
-enum { HH, HL, LH, A };
+static ALWAYS_INLINE int16_t *ISA(row_in)(const ISA(work) * w, int16_t *ring, int32_t i, int n) {
+  return ring + (i & (n - 1)) * w->stride + ROOM;
+}
+static ALWAYS_INLINE int32_t *ISA(wide_row_in)(const ISA(work) * w, int32_t *ring, int32_t i) {
+  return ring + (i & (HELD_ROWS - 1)) * w->stride + ROOM;
+}
+static ALWAYS_INLINE int16_t *ISA(row_of_a)(const ISA(work) * w, int32_t i) { return ISA(row_in)(w, w->a, i, A_ROWS); }
+/* A row of a plane: outside, the last one; of a plane without samples, one of A. */
+static int16_t *ISA(row_of)(const ISA(work) * w, int plane, int32_t i) {
+  if (w->rows[plane] == 0 || w->cols[plane] == 0) return ISA(row_of_a)(w, i);
+  return ISA(row_in)(w, w->planes[plane], max_i32(min_i32(i, w->rows[plane] - 1), 0), HELD_ROWS);
+}
 
-/* Whole-sample symmetry about 0 and n - 1, repeated until inside (R.5). */
-static int32_t ISA(fold)(int32_t i, int32_t n) {
+/* By symmetry about the first and the last of n. */
+static int32_t ISA(mirrored)(int32_t i, int32_t n) {
   if (n == 1) return 0;
-  int32_t period = 2 * (n - 1), inside = (i % period + period) % period;
-  return min_i32(inside, period - inside);
+  int32_t period = 2 * (n - 1);
+  i %= period;
+  if (i < 0) i += period;
+  return min_i32(i, period - i);
 }
 
-/* The bin of e: 2 lg e + its second bit - 10, out of the exponent of a float (R.7); e is below 2^27. */
-static ALWAYS_INLINE int32_t ISA(bin_of_e)(int32_t e) {
-  float number = (float)(max_i32(e, 32) & ~7); /* 24 bits: exact */
-  int32_t bits;
-  memcpy(&bits, &number, 4);
-  return min_i32((bits >> 22) - 264, 43);
-}
+/* ---- What is known before any detail (R.4) ---- */
 
-/* The next n <= 33 raw bits, the first one lowest; whatever lies behind their end (R.1). */
-static ALWAYS_INLINE uint64_t ISA(take_raw)(rapid_streams *z, int n) {
-  uint64_t held = load_u64(z->raw + min_size(z->n_bits >> 3, z->n_raw)) >> (z->n_bits & 7);
-  z->n_bits += (size_t)n;
-  return held & (((uint64_t)1 << n) - 1);
-}
+#define LOAD_SAMPLES(from)                                                                             \
+  for (int32_t j = 0; j < n; j++) {                                                                    \
+    int32_t height = min_i32(max_i32((from)[j] - less, low), high) >> shift;                           \
+    to[j] = (int16_t)min_i32(max_i32(height, -LIMIT), LIMIT);                                          \
+  }
 
-/* How many of n samples, each step-th one, are valid: without voids there is less to do. */
-static int32_t ISA(count_valid)(const uint8_t *valid, int32_t n, size_t step) {
-  int32_t n_valid = 0;
-  if (step == 2) {
-    for (int32_t j = 0; j < n; j++) n_valid += valid[2 * j];
+static void ISA(load_row)(const ISA(work) * w, int32_t i) {
+  const rapid_unit *u = w->u;
+  int32_t n = w->a_cols, low = u->low - u->origin, high = u->high - u->origin, less = u->origin - u->parent_origin;
+  int shift = u->shift;
+  ptrdiff_t source = min_i32(ISA(mirrored)(2 * i, u->n_rows) / 2, w->a_rows - 1) * u->parent_stride;
+  int16_t *RESTRICT to = ISA(row_of_a)(w, i);
+  if (u->short_parent) {
+    const int16_t *RESTRICT from = u->short_parent + source;
+    LOAD_SAMPLES(from)
   } else {
-    for (int32_t j = 0; j < n; j++) n_valid += valid[(size_t)j * step];
+    const int32_t *RESTRICT from = u->parent + source;
+    LOAD_SAMPLES(from)
   }
-  return n_valid;
-}
-
-/* ---- Details (R.8, R.9) ---- */
-
-/* The raw bits of n details; `most` is below 2^31. */
-static void ISA(read_raw)(const int32_t *contexts, int32_t *details, int32_t n, int64_t most, rapid_streams *z) {
-  for (int32_t j = 0; j < n; j++) {
-    int n_bits = ((contexts[j] & (DOWN - 1)) >> 3) - 8;
-    int64_t detail = details[j];
-    if (detail == -ZERO_SYMBOL) {
-      uint64_t bits = ISA(take_raw)(z, 33);
-      detail = (int64_t)(bits & 0xFFFFFFFFu) - (int64_t)(bits >> 32 << 32);
-    } else if (n_bits > 0) {
-      detail = detail * ((int64_t)1 << n_bits) + (int64_t)ISA(take_raw)(z, n_bits);
-    } else {
-      continue;
-    }
-    details[j] = (int32_t)clamp_i64(detail, -most, most);
+  for (int32_t k = 1; k <= MARGIN; k++) {
+    int32_t last = n - 1 + k;
+    to[-k] = to[min_i32(ISA(mirrored)(-2 * k, u->n_cols) / 2, n - 1)];
+    to[last] = to[min_i32(ISA(mirrored)(2 * last, u->n_cols) / 2, n - 1)];
   }
 }
 
-/* Contexts of valid samples among n, one behind the other; returns how many. */
-static ALWAYS_INLINE int32_t ISA(pack_plain)(const int32_t *contexts, const uint8_t *valid, size_t step, int32_t n, int32_t *packed) {
-  int32_t n_packed = 0;
-  for (int32_t j = 0; j < n; j++) {
-    packed[n_packed] = contexts[j];
-    n_packed += valid[(size_t)j * step];
-  }
-  return n_packed;
-}
-
-/* And their details back, 0 for voids; behind the last one is another. */
-static ALWAYS_INLINE void ISA(unpack_plain)(const int32_t *packed, const uint8_t *valid, size_t step, int32_t n, int32_t *details) {
-  for (int32_t j = 0; j < n; j++) {
-    int is_valid = valid[(size_t)j * step];
-    details[j] = *packed & -is_valid;
-    packed += is_valid;
+/* Ranges of cells and bends of samples, from one column outside on. */
+static void ISA(look)(const ISA(work) * w, int32_t i) {
+  const int16_t *north = ISA(row_of_a)(w, i - 1), *here = ISA(row_of_a)(w, i), *south = ISA(row_of_a)(w, i + 1);
+  int16_t *ranges = ISA(row_in)(w, w->ranges, i, HELD_ROWS), *bends = ISA(row_in)(w, w->bends, i, HELD_ROWS);
+  const VECTOR limit = SPLAT(LIMIT);
+  for (int32_t j = -1; j <= w->a_cols; j += LANES) {
+    VECTOR x = LOAD(here + j), y = LOAD(here + j + 1), z = LOAD(south + j), v = LOAD(south + j + 1), twice = TWICE(x);
+    STORE(ranges + j, SUB(MOST(MOST(x, y), MOST(z, v)), LEAST(LEAST(x, y), LEAST(z, v))));
+    VECTOR across = SUB(ADD(LOAD(here + j - 1), y), twice), along = SUB(ADD(LOAD(north + j), z), twice);
+    STORE(bends + j, LEAST(ADD(LEAST(ABS(across), limit), LEAST(ABS(along), limit)), limit));
   }
 }
 
-/* Details of a row that are read without voids between them: the row's own, or those of its valid samples. */
-typedef struct ISA(span) {
-  int32_t *details;
-  const int32_t *contexts;
-  int32_t n;
-  rapid_streams *streams;
-  int has_raw;
-} ISA(span);
+/* ---- Classes (R.5) ---- */
 
-/* Details number j ... n - 1 of a span, towards the side of their contexts. */
-static void ISA(read_one_by_one)(ISA(span) * s, int32_t j, const uint32_t *slots) {
-  rapid_streams *z = s->streams;
-  uint32_t last = z->n_states - 1;
-  size_t before = min_size(z->n_words_used, z->n_words);
-  const uint8_t *words = z->words + 2 * before; /* a row takes at most a word a sample: PAYLOAD_SLACK */
-  size_t k = z->n_symbols, n_taken = 0;
-  int has_raw = s->has_raw;
-  for (; j < s->n; j++) {
-    uint32_t context = (uint32_t)s->contexts[j] & (DOWN - 1);
-    uint32_t x = z->states[k & last], entry = slots[context << 11 | (x & (SLOTS - 1))];
-    uint32_t next = (entry >> 6 & 4095) * (x >> 11) + (entry >> 18);
-    /* Whether a word follows is hard to foresee: no branch. */
-    uint32_t takes = next < 65536, word = load_u16(words + 2 * n_taken);
-    z->states[k & last] = takes ? next << 16 | word : next;
-    n_taken += takes;
-    k++;
-    uint32_t symbol = entry & 63;
-    s->details[j] = (int32_t)symbol - ZERO_SYMBOL;
-    has_raw |= (symbol == 0) | (context >= FIRST_RAW);
-  }
-  s->has_raw = has_raw;
-  z->n_symbols = k;
-  z->n_words_used += n_taken;
-}
+/* What the rows of features of a row of a plane are: sums of cells' ranges, of bends, and of details near. */
+typedef struct ISA(features) {
+  const int16_t *here, *above, *bends, *below, *near[3];
+} ISA(features);
 
-#ifdef HAS_VECTORS
-/* Two taps side by side: where the row of pairs begins, and their weights. */
-typedef struct ISA(pair_of_taps) {
-  const int32_t *at;
-  int16_t first, second;
-} ISA(pair_of_taps);
-#endif
-
-#if defined(HAS_AVX2)
-#include "rapid_vectors.h"
-#elif defined(HAS_SIMD128)
-#include "rapid_simd128.h"
+#if defined(__SSE2__) || defined(TWZ_HAVE_X86)
+static ALWAYS_INLINE VECTOR ISA(classes_of)(VECTOR expected) {
+  /* Without the bits two below those that are set, no rounding reaches the two top ones. */
+  VECTOR sparse = V_SI(andnot)(V(srli_epi32)(expected, 2), expected);
+#if defined(__AVX512VBMI2__)
+  VECTOR floats = _mm512_castps_si512(_mm512_cvtepi32_ps(sparse));
+#elif defined(__AVX2__)
+  VECTOR floats = _mm256_castps_si256(_mm256_cvtepi32_ps(sparse));
 #else
-#define READ_RAW ISA(read_raw)
-#define PACK ISA(pack_plain)
-#define UNPACK ISA(unpack_plain)
+  VECTOR floats = _mm_castps_si128(_mm_cvtepi32_ps(sparse));
 #endif
+  return V(sub_epi32)(V(srli_epi32)(floats, 22), V(set1_epi32)(254)); /* of 0: negative; later saturated */
+}
 
-#ifdef HAS_VECTORS
-/* Read spans of n >= 1 units in turns: each step waits for the one before it in its own stream. */
-static void ISA(read_vectors)(ISA(span) * s, int n, const uint32_t *slots) {
-  ISA(span) *spans[MOST_TOGETHER] = {s}; /* the longest first */
-  ISA(lanes) l[MOST_TOGETHER];
-  for (int k = 1; k < n; k++) {
-    int i = k;
-    for (; i > 0 && spans[i - 1]->n < s[k].n; i--) spans[i] = spans[i - 1];
-    spans[i] = &s[k];
+/* Classes of 32-bit lanes, two vectors of them, to bytes. */
+static ALWAYS_INLINE void ISA(store_classes)(uint8_t *to, VECTOR a, VECTOR b) {
+  VECTOR both = LEAST(MOST(V(packs_epi32)(a, b), SPLAT(0)), SPLAT(MOST_CLASS));
+#if defined(__AVX512VBMI2__)
+  _mm256_storeu_si256((__m256i *)(void *)to, _mm512_cvtepi16_epi8(both));
+#elif defined(__AVX2__)
+  __m256i bytes = _mm256_permute4x64_epi64(_mm256_packus_epi16(both, both), 0xD8);
+  _mm_storeu_si128((__m128i *)(void *)to, _mm256_castsi256_si128(bytes));
+#else
+  _mm_storel_epi64((__m128i *)(void *)to, _mm_packus_epi16(both, both));
+#endif
+}
+
+static void ISA(class_row)(const ISA(features) * f, int plane, const rapid_weights *by, int32_t n, uint8_t *pairs, uint8_t *singles) {
+  const VECTOR weights = TWO_WEIGHTS(by->of_range, by->of_bend), of_near = TWO_WEIGHTS(by->of_near, 0);
+  const VECTOR constant = V(set1_epi32)(by->constant), none = V_SI(setzero)();
+  const __m128i shift = _mm_cvtsi32_si128(by->shift);
+  for (int32_t j = 0; j < n; j += LANES) {
+    VECTOR range = LOAD(f->here + j), bend = LOAD(f->bends + j), near = none;
+    if (plane == HH) {
+      bend = ADD(ADD(bend, LOAD(f->bends + j + 1)), ADD(LOAD(f->below + j), LOAD(f->below + j + 1)));
+    } else if (plane == HL) {
+      range = ADD(range, LOAD(f->above + j));
+      bend = ADD(bend, LOAD(f->bends + j + 1));
+      near = ADD(LOAD(f->near[0] + j), LOAD(f->near[1] + j));
+    } else {
+      range = ADD(range, LOAD(f->here + j - 1));
+      bend = ADD(bend, LOAD(f->below + j));
+      for (int k = 0; k < 3; k++) near = ADD(near, ADD(LOAD(f->near[k] + j), LOAD(f->near[k] + j - 1)));
+    }
+    VECTOR low = V(madd_epi16)(V(unpacklo_epi16)(range, bend), weights), high = V(madd_epi16)(V(unpackhi_epi16)(range, bend), weights);
+    low = V(add_epi32)(V(srl_epi32)(low, shift), constant);
+    high = V(add_epi32)(V(srl_epi32)(high, shift), constant);
+    if (plane != HH) {
+      low = ADD_DOT(low, V(unpacklo_epi16)(near, none), of_near);
+      high = ADD_DOT(high, V(unpackhi_epi16)(near, none), of_near);
+    }
+    ISA(store_classes)(singles + j, ISA(classes_of)(low), ISA(classes_of)(high));
+    low = V(srli_epi32)(low, 1);
+    high = V(srli_epi32)(high, 1);
+    low = V(add_epi32)(low, V(srli_epi64)(low, 32)); /* means of pairs, in even lanes */
+    high = V(add_epi32)(high, V(srli_epi64)(high, 32));
+    low = ISA(classes_of)(low);
+    high = ISA(classes_of)(high);
+#if defined(__AVX512VBMI2__)
+    VECTOR both = _mm512_castps_si512(_mm512_shuffle_ps(_mm512_castsi512_ps(low), _mm512_castsi512_ps(high), 0x88));
+    both = _mm512_min_epi32(_mm512_max_epi32(both, none), _mm512_set1_epi32(MOST_CLASS));
+    _mm_storeu_si128((__m128i *)(void *)(pairs + j / 2), _mm512_cvtepi32_epi8(both));
+#elif defined(__AVX2__)
+    VECTOR both = _mm256_castps_si256(_mm256_shuffle_ps(_mm256_castsi256_ps(low), _mm256_castsi256_ps(high), 0x88));
+    both = LEAST(MOST(V(packs_epi32)(both, both), none), SPLAT(MOST_CLASS));
+    both = _mm256_permutevar8x32_epi32(_mm256_packus_epi16(both, both), _mm256_setr_epi32(0, 4, 1, 5, 2, 6, 3, 7));
+    _mm_storel_epi64((__m128i *)(void *)(pairs + j / 2), _mm256_castsi256_si128(both));
+#else
+    VECTOR both = _mm_castps_si128(_mm_shuffle_ps(_mm_castsi128_ps(low), _mm_castsi128_ps(high), 0x88));
+    both = LEAST(MOST(V(packs_epi32)(both, both), none), SPLAT(MOST_CLASS));
+    int32_t four = _mm_cvtsi128_si32(_mm_packus_epi16(both, both));
+    memcpy(pairs + j / 2, &four, 4);
+#endif
   }
-  ISA(begin_lanes)(&l[0], spans[0]->streams);
-  for (int k = 1; k < n; k++) ISA(begin_lanes)(&l[k], spans[k]->streams);
-  int32_t j = 0;
-  if (n > 3) j = ISA(read_in_turns)(l, spans, 4, j, slots);
-  if (n > 2) j = ISA(read_in_turns)(l, spans, 3, j, slots);
-  if (n > 1) j = ISA(read_in_turns)(l, spans, 2, j, slots);
-  ISA(read_in_turns)(l, spans, 1, j, slots);
+}
+#else
+static void ISA(to_classes)(const int32_t *RESTRICT expected, int32_t n, uint8_t *RESTRICT classes) {
+  for (int32_t k = 0; k < n; k++) {
+    int32_t v = max_i32(expected[k], 1), bits;
+    float sparse = (float)(v & ~(v >> 2)); /* no rounding reaches the two top bits */
+    memcpy(&bits, &sparse, 4);
+    classes[k] = (uint8_t)min_i32((bits >> 22) - 254, MOST_CLASS);
+  }
+}
+
+static void ISA(class_row)(const ISA(features) * f, int plane, const rapid_weights *by, int32_t n, uint8_t *pairs, uint8_t *singles) {
+  enum { PIECE = 64 };
+  const rapid_weights v = *by;
+  for (int32_t first = 0; first < n; first += PIECE) {
+    int32_t expected[PIECE], means[PIECE / 2], m = min_i32(n - first, PIECE);
+    const int16_t *here = f->here + first, *above = f->above + first, *bends = f->bends + first, *below = f->below + first;
+    if (plane == HH) {
+      for (int32_t k = 0; k < m; k++) {
+        int32_t bend = bends[k] + bends[k + 1] + below[k] + below[k + 1];
+        expected[k] = ((v.of_range * here[k] + v.of_bend * bend) >> v.shift) + v.constant;
+      }
+    } else if (plane == HL) {
+      const int16_t *p = f->near[0] + first, *q = f->near[1] + first;
+      for (int32_t k = 0; k < m; k++) {
+        int32_t range = here[k] + above[k], bend = bends[k] + bends[k + 1];
+        expected[k] = ((v.of_range * range + v.of_bend * bend) >> v.shift) + v.of_near * (p[k] + q[k]) + v.constant;
+      }
+    } else {
+      const int16_t *p = f->near[0] + first, *q = f->near[1] + first, *r = f->near[2] + first;
+      for (int32_t k = 0; k < m; k++) {
+        int32_t range = here[k] + here[k - 1], bend = bends[k] + below[k];
+        int32_t near = p[k] + p[k - 1] + q[k] + q[k - 1] + r[k] + r[k - 1];
+        expected[k] = ((v.of_range * range + v.of_bend * bend) >> v.shift) + v.of_near * near + v.constant;
+      }
+    }
+    if (m % 2) expected[m] = expected[m - 1];
+    for (int32_t k = 0; k < (m + 1) / 2; k++) means[k] = (expected[2 * k] >> 1) + (expected[2 * k + 1] >> 1);
+    ISA(to_classes)(expected, m, singles + first);
+    ISA(to_classes)(means, (m + 1) / 2, pairs + first / 2);
+  }
 }
 #endif
 
-static void ISA(read_span)(ISA(span) * s, const uint32_t *slots) {
-#ifdef HAS_VECTORS
-  if (s->streams->n_states == 8) {
-    ISA(read_vectors)(s, 1, slots);
+/* Hide samples without details: `valid` of n samples, at every `step`; NULL: all are valid. An odd sample is a pair. */
+static void ISA(hide)(const uint8_t *RESTRICT valid, ptrdiff_t step, int32_t n, uint8_t *RESTRICT pairs, uint8_t *RESTRICT singles) {
+  if (n % 2) {
+    pairs[n / 2] = (uint8_t)(singles[n - 1] - (singles[n - 1] == 3)); /* the mean of its halves, rounded down */
+    singles[n] = HIDDEN;
+  }
+  if (!valid) return;
+  if (step == 2) {
+    for (int32_t k = 0; k < n; k++) singles[k] = (uint8_t)(singles[k] | (valid[2 * k] ? 0 : HIDDEN));
+  } else {
+    for (int32_t k = 0; k < n; k++) singles[k] = (uint8_t)(singles[k] | (valid[k * step] ? 0 : HIDDEN));
+  }
+  for (int32_t k = 0; k < (n + 1) / 2; k++) {
+    uint8_t both = singles[2 * k] & singles[2 * k + 1];
+    pairs[k] = (uint8_t)(pairs[k] | (both == HIDDEN ? HIDDEN : 0));
+  }
+}
+
+/* ---- Symbols (R.6) ---- */
+
+/* What a list has besides symbols. */
+enum { HAS_ESCAPES = 1, HAS_RAW = 2 };
+
+/* Write the entries of n pairs, a multiple of 32 in all; return how many. */
+static int32_t ISA(make_list)(const ISA(work) * w, int32_t n, int *has) {
+  uint8_t *pairs = w->pairs, *singles = w->singles, *entries = w->entries;
+  const int cut = w->u->tables->cut;
+  int32_t n_made = 0, k = 0;
+  memset(pairs + n, HIDDEN, ROOM);
+  memset(singles + 2 * n, HIDDEN, 2 * ROOM);
+#if defined(__AVX512VBMI2__)
+  __mmask64 raw = 0;
+  for (; k < n; k += 32) {
+    __m512i pair = _mm512_cvtepi8_epi16(_mm256_loadu_si256((const __m256i *)(const void *)(pairs + k)));
+    __m512i single = _mm512_loadu_si512(singles + 2 * k);
+    __mmask32 two = _mm512_cmpge_epi16_mask(pair, _mm512_set1_epi16((int16_t)cut));
+    raw |= _mm512_mask_cmpgt_epi8_mask(_mm512_movepi8_mask(_mm512_movm_epi16(two)), single, _mm512_set1_epi8(RAW_CLASS + 1));
+    memcpy(w->is_two + k / 8, &two, 4);
+    single = _mm512_and_si512(_mm512_or_si512(single, _mm512_set1_epi8(SINGLES)), _mm512_set1_epi8(127));
+    __m512i entry = _mm512_mask_blend_epi16(two, _mm512_and_si512(pair, _mm512_set1_epi16(63)), single);
+    __mmask64 kept = _pdep_u64(two, 0xAAAAAAAAAAAAAAAAu) | 0x5555555555555555u;
+    _mm512_storeu_si512(entries + n_made, _mm512_maskz_compress_epi8(kept, entry));
+    n_made += 32 + (int32_t)_mm_popcnt_u32(two);
+  }
+  if (raw) *has |= HAS_RAW;
+#elif defined(__AVX2__)
+  __m128i raw = _mm_setzero_si128();
+  for (; k < n; k += 8) {
+    __m128i pair = _mm_cvtepi8_epi16(_mm_loadl_epi64((const __m128i *)(const void *)(pairs + k)));
+    __m128i single = _mm_loadu_si128((const __m128i *)(const void *)(singles + 2 * k));
+    __m128i two = _mm_cmpgt_epi16(pair, _mm_set1_epi16((int16_t)(cut - 1)));
+    raw = _mm_or_si128(raw, _mm_and_si128(two, _mm_cmpgt_epi8(single, _mm_set1_epi8(RAW_CLASS + 1))));
+    unsigned mask = (unsigned)_mm_movemask_epi8(_mm_packs_epi16(two, two)) & 255;
+    w->is_two[k / 8] = (uint8_t)mask;
+    single = _mm_and_si128(_mm_or_si128(single, _mm_set1_epi8(SINGLES)), _mm_set1_epi8(127));
+    __m128i entry = _mm_blendv_epi8(_mm_and_si128(pair, _mm_set1_epi16(63)), single, two);
+    __m128i taken = _mm_loadu_si128((const __m128i *)(const void *)w->u->tables->take[mask]);
+    _mm_storeu_si128((__m128i *)(void *)(entries + n_made), _mm_shuffle_epi8(entry, taken));
+    n_made += 8 + _mm_popcnt_u32(mask);
+  }
+  if (!_mm_testz_si128(raw, raw)) *has |= HAS_RAW;
+#else
+  for (; k < n; k++) { /* no branch by the class, which no processor foresees */
+    int own = (int8_t)pairs[k], is_two = own >= cut, first = (int8_t)singles[2 * k], second = (int8_t)singles[2 * k + 1];
+    entries[n_made] = (uint8_t)(is_two ? (SINGLES | first) & 127 : own & 63);
+    entries[n_made + 1] = (uint8_t)((SINGLES | second) & 127);
+    n_made += 1 + is_two;
+    *has |= (is_two & ((first > RAW_CLASS + 1) | (second > RAW_CLASS + 1))) * HAS_RAW;
+  }
+#endif
+  n_made -= k - n;
+  memset(entries + n_made, NO_PAIR, MOST_STATES);
+  return (n_made + MOST_STATES - 1) & -MOST_STATES;
+}
+
+static ALWAYS_INLINE uint32_t ISA(next_state)(uint32_t state, const uint32_t *slots, uint32_t entry, uint8_t *symbol, const uint8_t **at) {
+  uint32_t found = slots[entry << SLOT_BITS | (state & (SLOTS - 1))], top = state >> SLOT_BITS;
+  uint32_t next = (found >> 8 & (SLOTS - 1)) * top + top + (found >> 20);
+  uint32_t longer = next << 16 | load_u16(*at), takes = next < FIRST_STATE;
+  *symbol = (uint8_t)found;
+  *at += 2 * takes;
+  return takes ? longer : next;
+}
+
+/*
+ * Read the symbols of n entries, a multiple of 32; n_coded of them have details. Returns 0 where words are missing: what is
+ * read of a group of 32 lies in PAYLOAD_SLACK.
+ */
+static int ISA(read_symbols)(const ISA(work) * w, rapid_stream *z, int32_t n) {
+  const uint8_t *entries = w->entries, *at = z->words;
+  const uint32_t *slots = w->u->tables->slots;
+  uint8_t *symbols = w->symbols;
+  int32_t k = 0;
+#if defined(__AVX2__)
+  if (w->u->n_states == MOST_STATES) {
+#if defined(__AVX512VBMI2__)
+    enum { VECTORS = 2 };
+#define STEP(v)                                                                                                          \
+  __m512i entry##v = _mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i *)(const void *)(entries + k + 16 * v)));       \
+  __m512i slot##v = _mm512_or_si512(_mm512_slli_epi32(entry##v, SLOT_BITS), _mm512_and_si512(x[v], low));               \
+  __m512i found##v = _mm512_i32gather_epi32(slot##v, slots, 4);                                                         \
+  __m512i top##v = _mm512_srli_epi32(x[v], SLOT_BITS);                                                                  \
+  __m512i less##v = _mm512_and_si512(_mm512_srli_epi32(found##v, 8), low);                                              \
+  __m512i next##v = _mm512_add_epi32(_mm512_mullo_epi32(less##v, top##v), _mm512_add_epi32(top##v, _mm512_srli_epi32(found##v, 20))); \
+  __mmask16 takes##v = _mm512_cmplt_epu32_mask(next##v, _mm512_set1_epi32(FIRST_STATE));                                \
+  _mm_storeu_si128((__m128i *)(void *)(symbols + k + 16 * v), _mm512_cvtepi32_epi8(found##v));
+#define REFILL(v)                                                                                                        \
+  __m512i words##v = _mm512_cvtepu16_epi32(_mm256_loadu_si256((const __m256i *)(const void *)at));                       \
+  x[v] = _mm512_mask_or_epi32(next##v, takes##v, _mm512_slli_epi32(next##v, 16), _mm512_maskz_expand_epi32(takes##v, words##v)); \
+  at += 2 * (unsigned)_mm_popcnt_u32(takes##v);
+    const __m512i low = _mm512_set1_epi32(SLOTS - 1);
+    __m512i x[VECTORS] = {_mm512_loadu_si512(z->states), _mm512_loadu_si512(z->states + 16)};
+#else
+    enum { VECTORS = 4 };
+#define STEP(v)                                                                                                          \
+  __m256i entry##v = _mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i *)(const void *)(entries + k + 8 * v)));        \
+  __m256i slot##v = _mm256_or_si256(_mm256_slli_epi32(entry##v, SLOT_BITS), _mm256_and_si256(x[v], low));               \
+  __m256i found##v = _mm256_i32gather_epi32((const int *)(const void *)slots, slot##v, 4);                              \
+  __m256i top##v = _mm256_srli_epi32(x[v], SLOT_BITS);                                                                  \
+  __m256i less##v = _mm256_and_si256(_mm256_srli_epi32(found##v, 8), low);                                              \
+  __m256i next##v = _mm256_add_epi32(_mm256_mullo_epi32(less##v, top##v), _mm256_add_epi32(top##v, _mm256_srli_epi32(found##v, 20))); \
+  __m256i takes##v = _mm256_cmpeq_epi32(_mm256_srli_epi32(next##v, 16), _mm256_setzero_si256());                        \
+  unsigned mask##v = (unsigned)_mm256_movemask_ps(_mm256_castsi256_ps(takes##v));                                       \
+  found##v = _mm256_and_si256(found##v, _mm256_set1_epi32(255));
+#define REFILL(v)                                                                                                        \
+  __m256i order##v = _mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i *)(const void *)w->u->tables->expand[mask##v])); \
+  __m256i words##v = _mm256_cvtepu16_epi32(_mm_loadu_si128((const __m128i *)(const void *)at));                          \
+  words##v = _mm256_or_si256(_mm256_slli_epi32(next##v, 16), _mm256_permutevar8x32_epi32(words##v, order##v));          \
+  x[v] = _mm256_blendv_epi8(next##v, words##v, takes##v);                                                               \
+  at += 2 * (unsigned)_mm_popcnt_u32(mask##v);
+    const __m256i low = _mm256_set1_epi32(SLOTS - 1);
+    __m256i x[VECTORS];
+    for (int v = 0; v < VECTORS; v++) x[v] = _mm256_loadu_si256((const __m256i *)(const void *)(z->states + 8 * v));
+#endif
+    for (; k < n; k += MOST_STATES) {
+      if (at > z->words_end) return 0;
+      __m256i all = _mm256_loadu_si256((const __m256i *)(const void *)(entries + k));
+      __m256i hidden = _mm256_cmpeq_epi8(_mm256_and_si256(all, _mm256_set1_epi8(63)), _mm256_set1_epi8(63));
+      if (_mm256_movemask_epi8(hidden) == -1) { /* they change no state */
+        __m256i singles = _mm256_cmpeq_epi8(all, _mm256_set1_epi8(NO_SINGLE));
+        all = _mm256_blendv_epi8(_mm256_set1_epi8(NO_DETAILS), _mm256_set1_epi8(NO_DETAIL), singles);
+        _mm256_storeu_si256((__m256i *)(void *)(symbols + k), all);
+        continue;
+      }
+      STEP(0)
+      STEP(1)
+#if !defined(__AVX512VBMI2__)
+      STEP(2)
+      STEP(3)
+      __m256i both = _mm256_packus_epi16(_mm256_packs_epi32(found0, found1), _mm256_packs_epi32(found2, found3));
+      both = _mm256_permutevar8x32_epi32(both, _mm256_setr_epi32(0, 4, 1, 5, 2, 6, 3, 7));
+      _mm256_storeu_si256((__m256i *)(void *)(symbols + k), both);
+#endif
+      REFILL(0)
+      REFILL(1)
+#if !defined(__AVX512VBMI2__)
+      REFILL(2)
+      REFILL(3)
+#endif
+    }
+#undef STEP
+#undef REFILL
+#if defined(__AVX512VBMI2__)
+    for (int v = 0; v < VECTORS; v++) _mm512_storeu_si512(z->states + 16 * v, x[v]);
+#else
+    for (int v = 0; v < VECTORS; v++) _mm256_storeu_si256((__m256i *)(void *)(z->states + 8 * v), x[v]);
+#endif
+  }
+#endif
+  for (; k < n; k += MOST_STATES) {
+    if (at > z->words_end) return 0;
+    for (int32_t i = k; i < k + MOST_STATES; i += 8) {
+      uint32_t *x = z->states + (i & (w->u->n_states - 1));
+      if (w->u->n_states == 1) {
+        for (int v = 0; v < 8; v++) *x = ISA(next_state)(*x, slots, entries[i + v], symbols + i + v, &at);
+      } else {
+        for (int v = 0; v < 8; v++) x[v] = ISA(next_state)(x[v], slots, entries[i + v], symbols + i + v, &at);
+      }
+    }
+  }
+  z->words = at;
+  return 1;
+}
+
+/* Details of n pairs in 8 bits, in `small`; where more follows: SINGLE_ESCAPE - NO_DETAIL, of the first of a pair. */
+static void ISA(place_symbols)(const ISA(work) * w, int32_t n, int *has) {
+  enum { MORE = SINGLE_ESCAPE - NO_DETAIL };
+  const uint8_t *symbols = w->symbols;
+  int8_t *small = w->small;
+  int32_t k = 0;
+#if defined(__AVX512VBMI2__)
+  const __m512i low = _mm512_set1_epi16(255);
+  __mmask64 seen = 0;
+  for (; k < n; k += 32) {
+    __mmask32 two;
+    memcpy(&two, w->is_two + k / 8, 4);
+    __mmask64 kept = _pdep_u64(two, 0xAAAAAAAAAAAAAAAAu) | 0x5555555555555555u;
+    __m512i both = _mm512_maskz_expand_epi8(kept, _mm512_loadu_si512(symbols)), pair = _mm512_and_si512(both, low);
+    symbols += 32 + _mm_popcnt_u32(two);
+    __m512i first = _mm512_mulhi_epu16(pair, _mm512_set1_epi16(4370));
+    __m512i second = _mm512_sub_epi16(pair, _mm512_sub_epi16(_mm512_slli_epi16(first, 4), first));
+    __mmask32 escaped = _mm512_cmpeq_epi16_mask(first, _mm512_set1_epi16(15));
+    first = _mm512_mask_mov_epi16(_mm512_sub_epi16(first, _mm512_set1_epi16(7)), escaped, _mm512_set1_epi16(MORE));
+    second = _mm512_slli_epi16(_mm512_sub_epi16(second, _mm512_set1_epi16(7)), 8);
+    pair = _mm512_or_si512(_mm512_and_si512(first, low), second);
+    pair = _mm512_mask_blend_epi16(two, pair, _mm512_sub_epi8(both, _mm512_set1_epi8(NO_DETAIL)));
+    seen |= _mm512_cmpeq_epi8_mask(pair, _mm512_set1_epi8(MORE));
+    _mm512_storeu_si512(small + 2 * k, pair);
+  }
+  if (seen) *has |= HAS_ESCAPES;
+#elif defined(__AVX2__)
+  const __m128i low = _mm_set1_epi16(255), bits = _mm_setr_epi16(1, 2, 4, 8, 16, 32, 64, 128);
+  __m128i seen = _mm_setzero_si128();
+  for (; k < n; k += 8) {
+    unsigned mask = w->is_two[k / 8];
+    __m128i two = _mm_cmpeq_epi16(_mm_and_si128(_mm_set1_epi16((int16_t)mask), bits), bits);
+    __m128i put = _mm_loadu_si128((const __m128i *)(const void *)w->u->tables->put[mask]);
+    __m128i both = _mm_shuffle_epi8(_mm_loadu_si128((const __m128i *)(const void *)symbols), put), pair = _mm_and_si128(both, low);
+    symbols += 8 + _mm_popcnt_u32(mask);
+    __m128i first = _mm_mulhi_epu16(pair, _mm_set1_epi16(4370));
+    __m128i second = _mm_sub_epi16(pair, _mm_sub_epi16(_mm_slli_epi16(first, 4), first));
+    __m128i escaped = _mm_cmpeq_epi16(first, _mm_set1_epi16(15));
+    first = _mm_blendv_epi8(_mm_sub_epi16(first, _mm_set1_epi16(7)), _mm_set1_epi16(MORE), escaped);
+    second = _mm_slli_epi16(_mm_sub_epi16(second, _mm_set1_epi16(7)), 8);
+    pair = _mm_or_si128(_mm_and_si128(first, low), second);
+    pair = _mm_blendv_epi8(pair, _mm_sub_epi8(both, _mm_set1_epi8(NO_DETAIL)), two);
+    seen = _mm_or_si128(seen, _mm_cmpeq_epi8(pair, _mm_set1_epi8(MORE)));
+    _mm_storeu_si128((__m128i *)(void *)(small + 2 * k), pair);
+  }
+  if (!_mm_testz_si128(seen, seen)) *has |= HAS_ESCAPES;
+#else
+  const int cut = w->u->tables->cut;
+  int seen = 0;
+  for (; k < n; k++) {
+    int is_two = (int8_t)w->pairs[k] >= cut, symbol = *symbols, next = symbols[is_two];
+    int first = symbol * 4370 >> 16, second = symbol - 15 * first - 7, is_escaped = first == 15;
+    first = is_escaped ? MORE : first - 7;
+    first = is_two ? symbol - NO_DETAIL : first;
+    second = is_two ? next - NO_DETAIL : second;
+    small[2 * k] = (int8_t)first;
+    small[2 * k + 1] = (int8_t)second;
+    seen |= (first == MORE) | (second == MORE);
+    symbols += 1 + is_two;
+  }
+  if (seen) *has |= HAS_ESCAPES;
+#endif
+}
+
+/* ---- Raw bits (R.7) ---- */
+
+static ALWAYS_INLINE int ISA(n_raw_bits)(uint8_t single) { return max_i32((int8_t)single - RAW_CLASS, 0) >> 1; }
+
+/* The next n raw bits, 33 at most; whatever they are behind the last one. */
+static ALWAYS_INLINE uint64_t ISA(take)(rapid_stream *z, int n) {
+  uint64_t bits = load_u64(z->raw + min_size(z->n_bits >> 3, z->n_raw)) >> (z->n_bits & 7);
+  z->n_bits += (size_t)n;
+  return bits & (((uint64_t)1 << n) - 1);
+}
+
+/* A detail whose symbol says that more follows, above its n_low lower bits. */
+static int32_t ISA(read_beyond)(const ISA(work) * w, rapid_stream *z, int n_low, int32_t low) {
+  int length = (int)ISA(take)(z, 5);
+  uint64_t rest = ISA(take)(z, length + 1);
+  int64_t beyond = ((int64_t)1 << length) + (int64_t)(rest >> 1) + NO_DETAIL;
+  int64_t detail = (rest & 1 ? -beyond : beyond) * ((int64_t)1 << n_low) + low;
+  return (int32_t)clamp_i64(detail, -(int64_t)w->u->most_detail, w->u->most_detail);
+}
+
+/* Raw bits of single samples among n pairs. */
+static void ISA(read_raw)(const ISA(work) * w, rapid_stream *z, int32_t n) {
+  int32_t *large = w->large;
+  const int32_t most = w->u->most_detail;
+  for (int32_t k = 0; k < n; k += 8) {
+    unsigned mask = w->is_two[k / 8];
+    if (!mask) continue;
+#if defined(__AVX2__)
+    for (int32_t j = 2 * k; j < 2 * k + 16; j += 8, mask >>= 4) {
+      const __m256i none = _mm256_setzero_si256(), of_pairs = _mm256_setr_epi32(1, 1, 2, 2, 4, 4, 8, 8);
+      __m256i two = _mm256_cmpeq_epi32(_mm256_and_si256(_mm256_set1_epi32((int)mask), of_pairs), of_pairs);
+      __m256i class = _mm256_cvtepi8_epi32(_mm_loadl_epi64((const __m128i *)(const void *)(w->singles + j)));
+      __m256i n_bits = _mm256_srai_epi32(_mm256_max_epi32(_mm256_sub_epi32(class, _mm256_set1_epi32(RAW_CLASS)), none), 1);
+      n_bits = _mm256_and_si256(n_bits, two);
+      if (_mm256_testz_si256(n_bits, n_bits)) continue;
+      /* Sums of numbers of bits, up to and with each lane; at most 13 bits a lane. */
+      __m256i sums = _mm256_add_epi32(n_bits, _mm256_slli_si256(n_bits, 4));
+      sums = _mm256_add_epi32(sums, _mm256_slli_si256(sums, 8));
+      sums = _mm256_add_epi32(sums, _mm256_shuffle_epi32(_mm256_permute2x128_si256(sums, sums, 8), 255));
+      __m256i from = _mm256_add_epi32(_mm256_sub_epi32(sums, n_bits), _mm256_set1_epi32((int)(z->n_bits & 7)));
+      const uint8_t *at = z->raw + min_size(z->n_bits >> 3, z->n_raw);
+      __m256i held = _mm256_i32gather_epi32((const int *)(const void *)at, _mm256_srli_epi32(from, 3), 1);
+      held = _mm256_srlv_epi32(held, _mm256_and_si256(from, _mm256_set1_epi32(7)));
+      held = _mm256_andnot_si256(_mm256_sllv_epi32(_mm256_set1_epi32(-1), n_bits), held);
+      __m256i detail = _mm256_loadu_si256((const __m256i *)(const void *)(large + j)), high = _mm256_set1_epi32(most);
+      __m256i whole = _mm256_or_si256(_mm256_sllv_epi32(detail, n_bits), held);
+      __m256i is_more = _mm256_cmpeq_epi32(detail, _mm256_set1_epi32(SINGLE_ESCAPE - NO_DETAIL)); /* these keep their low bits */
+      __m256i clamped = _mm256_max_epi32(_mm256_min_epi32(whole, high), _mm256_sub_epi32(none, high));
+      whole = _mm256_blendv_epi8(clamped, held, is_more);
+      whole = _mm256_blendv_epi8(whole, detail, _mm256_cmpeq_epi32(n_bits, none));
+      _mm256_storeu_si256((__m256i *)(void *)(large + j), whole);
+      z->n_bits += (size_t)_mm256_extract_epi32(sums, 7);
+    }
+#else
+    for (int32_t j = 2 * k; j < 2 * k + 16; j++) {
+      int n_bits = mask >> (j / 2 - k) & 1 ? ISA(n_raw_bits)(w->singles[j]) : 0;
+      if (!n_bits) continue;
+      int32_t low = (int32_t)ISA(take)(z, n_bits), whole = large[j] * (1 << n_bits) + low;
+      large[j] = large[j] == SINGLE_ESCAPE - NO_DETAIL ? low : max_i32(min_i32(whole, most), -most);
+    }
+#endif
+  }
+}
+
+/* What symbols do not say of the details of n pairs: from `small` to `large`. */
+static int ISA(read_more)(const ISA(work) * w, rapid_stream *z, int32_t n, int has) {
+  enum { MORE = SINGLE_ESCAPE - NO_DETAIL };
+  const int8_t *small = w->small;
+  int32_t *RESTRICT large = w->large, *more = w->more, n_escaped = 0, n_more = 0;
+  for (int32_t j = 0; j < 2 * n; j++) large[j] = small[j];
+  /* Places of what goes on: single samples from the start on, pairs behind them. */
+  int32_t *escaped = more + 2 * n;
+  const int8_t *at = has & HAS_ESCAPES ? small : NULL, *end = small + 2 * n;
+  for (; at && (at = memchr(at, MORE, (size_t)(end - at))) != NULL; at++) {
+    int32_t i = (int32_t)(at - small);
+    if (w->is_two[i / 16] >> (i / 2 % 8) & 1) more[n_more++] = i; else escaped[n_escaped++] = i;
+  }
+  if (n_escaped) {
+    int32_t n_entries = (2 * n_escaped + MOST_STATES - 1) & -MOST_STATES;
+    memset(w->entries, ESCAPED, (size_t)(2 * n_escaped));
+    memset(w->entries + 2 * n_escaped, NO_PAIR, (size_t)(n_entries - 2 * n_escaped));
+    if (!ISA(read_symbols)(w, z, n_entries)) return 0;
+  }
+  if (has & HAS_RAW) ISA(read_raw)(w, z, n);
+  for (int32_t k = 0; k < n_more; k++) {
+    int n_low = ISA(n_raw_bits)(w->singles[more[k]]);
+    large[more[k]] = ISA(read_beyond)(w, z, n_low, n_low ? large[more[k]] : 0);
+  }
+  for (int32_t k = 0; k < 2 * n_escaped; k++) {
+    int32_t detail = w->symbols[k] - NO_DETAIL;
+    large[escaped[k / 2] + k % 2] = detail == MORE ? ISA(read_beyond)(w, z, 0, 0) : max_i32(min_i32(detail, w->u->most_detail), -w->u->most_detail);
+  }
+  return z->n_bits <= 8 * z->n_raw;
+}
+
+/* Read the details of n pairs: into `large` if *has is not 0 afterwards, else into `small`. Returns 0 where bytes are missing. */
+static int ISA(read_list)(const ISA(work) * w, rapid_stream *z, int32_t n, int *has) {
+  *has = 0;
+  int32_t n_entries = ISA(make_list)(w, n, has);
+  if (!ISA(read_symbols)(w, z, n_entries)) return 0;
+  ISA(place_symbols)(w, n, has);
+#if !defined(__AVX2__)
+  for (int32_t k = 0; *has && k < n; k += 8) {
+    unsigned mask = 0;
+    for (int i = 0; i < 8 && k + i < n; i++) mask |= (unsigned)((int8_t)w->pairs[k + i] >= w->u->tables->cut) << i;
+    w->is_two[k / 8] = (uint8_t)mask;
+  }
+#endif
+  return !*has || ISA(read_more)(w, z, n, *has);
+}
+
+
+/* ---- Strips of details (R.5 ... R.7) ---- */
+
+static ALWAYS_INLINE int ISA(is_line)(const ISA(work) * w, int plane, int32_t row) {
+  const int *known = w->u->known;
+  return plane == HL && ((known[0] && row == 0) || (known[2] && row == w->rows[HL] - 1));
+}
+
+/* Move the details of a row from where they are in a list; where the prediction may be far from heights, as they are. */
+static void ISA(place_row)(const ISA(work) * w, int plane, int32_t row, ptrdiff_t at, int has) {
+  int16_t *RESTRICT to = ISA(row_in)(w, w->details[plane], row, HELD_ROWS);
+  int32_t *RESTRICT wide = ISA(wide_row_in)(w, w->wide_details[plane], row);
+  const int8_t *RESTRICT small = w->small + at;
+  const int32_t *RESTRICT large = w->large + at;
+  int32_t n = w->cols[plane];
+  if (has) {
+    for (int32_t j = 0; j < n; j++) to[j] = (int16_t)max_i32(min_i32(large[j], INT16_MAX), -INT16_MAX);
+  } else {
+    for (int32_t j = 0; j < n; j++) to[j] = small[j];
+  }
+  if (!w->u->is_narrow || ISA(is_line)(w, plane, row)) {
+    if (has) memcpy(wide, large, (size_t)n * sizeof *wide);
+    for (int32_t j = 0; !has && j < n; j++) wide[j] = small[j];
+  } else if (plane == LH) {
+    wide[0] = has ? large[0] : small[0];
+    wide[n - 1] = has ? large[n - 1] : small[n - 1];
+  }
+  if (plane == LH) return;
+  int16_t *RESTRICT near = ISA(row_in)(w, w->near[plane], row, HELD_ROWS);
+  for (int32_t j = 0; j < n; j++) near[j] = (int16_t)min_i32(to[j] < 0 ? -to[j] : to[j], MOST_NEAR);
+  near[-1] = near[n] = near[n + 1] = 0;
+}
+
+/* Nothing is known of the details of a row. */
+static void ISA(forget)(const ISA(work) * w, int plane, int32_t row) {
+  memset(ISA(row_in)(w, w->near[plane], row, HELD_ROWS) - ROOM, 0, (size_t)w->stride * sizeof(int16_t));
+}
+
+static int ISA(read_strip)(const ISA(work) * w, int plane, int32_t strip, rapid_stream *z) {
+  const rapid_unit *u = w->u;
+  int32_t first = max_i32(STRIP * strip - (plane == LH), 0), last = min_i32(STRIP * strip - (plane == LH) + STRIP, w->rows[plane]);
+  int32_t n = w->cols[plane], n_pairs = (n + 1) / 2;
+  int has;
+  if (plane != LH && last == w->rows[plane]) ISA(forget)(w, plane, last); /* outside nothing is near */
+  if (first >= last || n == 0) return 1;
+  for (int32_t row = first; row < last; row++) {
+    const int16_t *above = ISA(row_in)(w, w->near[HH], row - 1, HELD_ROWS), *hh = ISA(row_in)(w, w->near[HH], row, HELD_ROWS);
+    const int16_t *hl = ISA(row_in)(w, w->near[HL], row, HELD_ROWS), *below = ISA(row_in)(w, w->near[HL], row + 1, HELD_ROWS);
+    const ISA(features) f = {
+        ISA(row_in)(w, w->ranges, row, HELD_ROWS), ISA(row_in)(w, w->ranges, row - 1, HELD_ROWS),
+        ISA(row_in)(w, w->bends, row, HELD_ROWS), ISA(row_in)(w, w->bends, row + 1, HELD_ROWS), {hh, plane == HL ? above : hl, below}};
+    uint8_t *pairs = w->pairs + (ptrdiff_t)(row - first) * n_pairs, *singles = w->singles + (ptrdiff_t)(row - first) * 2 * n_pairs;
+    switch (plane) {
+      case HH: ISA(class_row)(&f, HH, &w->weights[HH], n, pairs, singles); break;
+      case HL: ISA(class_row)(&f, HL, &w->weights[HL], n, pairs, singles); break;
+      default: ISA(class_row)(&f, LH, &w->weights[LH], n, pairs, singles); break;
+    }
+    const uint8_t *valid = u->valid;
+    if (valid) valid += (2 * row + (plane != HL)) * u->valid_stride + (plane != LH) * u->valid_step;
+    ISA(hide)(valid, 2 * u->valid_step, n, pairs, singles);
+  }
+  if (!ISA(read_list)(w, z, n_pairs * (last - first), &has)) return 0;
+  for (int32_t row = first; row < last; row++) ISA(place_row)(w, plane, row, (ptrdiff_t)(row - first) * 2 * n_pairs, has);
+  return 1;
+}
+
+/* ---- Heights (R.8, R.9) ---- */
+
+typedef struct ISA(tap) {
+  const int16_t *at;
+  int16_t first, second;
+} ISA(tap);
+
+/* Predict a row of a plane; of a narrow unit, settle its heights, too. */
+static ALWAYS_INLINE void ISA(predict)(const ISA(work) * w, int plane, int32_t row, const ISA(tap) * taps, const int n_taps,
+                                       const int16_t *p0, const int16_t *p1, const int16_t *p2, const int16_t *p3) {
+  const rapid_unit *u = w->u;
+  const int is_fine = u->step <= 3, is_narrow = u->is_narrow;
+  const int16_t *details = ISA(row_in)(w, w->details[plane], row, HELD_ROWS);
+  int16_t *own = ISA(row_in)(w, w->planes[plane], row, HELD_ROWS);
+  /* No detail beyond `most` says more than it: all heights are within LIMIT. */
+  const int32_t most = is_narrow ? 2 * LIMIT / u->step + 1 : 0;
+  const VECTOR low = SPLAT(u->low - u->origin), high = SPLAT(u->high - u->origin), step = SPLAT(u->step);
+  const VECTOR most_detail = SPLAT(most), least_detail = SPLAT(-most), two = SPLAT(2);
+  ISA(tap_weights) weights[14];
+  for (int k = 0; k < n_taps; k++) weights[k] = TWO_WEIGHTS(taps[k].first, taps[k].second);
+  for (int32_t j = w->from; j < w->to; j += LANES) {
+    ISA(sums) sums = NO_SUMS;
+    for (int k = 0; k < n_taps; k++) ADD_TAPS(sums, taps[k].at + j, weights[k]);
+    VECTOR x = LOAD(p0 + j), y = LOAD(p1 + j), z = LOAD(p2 + j), v = LOAD(p3 + j);
+    VECTOR least = LEAST(LEAST(x, y), LEAST(z, v)), greatest = MOST(MOST(x, y), MOST(z, v));
+    VECTOR quarters = LEAST(MOST(ISA(quarters)(sums), TWICE(TWICE(least))), TWICE(TWICE(greatest)));
+    VECTOR whole = QUARTER(ADD(quarters, two)), side;
+    if (is_fine) side = ABOVE(TWICE(TWICE(whole)), quarters); else side = ABOVE(quarters, ADD(ADD(x, y), ADD(z, v)));
+    if (is_narrow) {
+      VECTOR detail = SUB(XOR(LEAST(MOST(LOAD(details + j), least_detail), most_detail), side), side);
+      STORE(own + j, LEAST(MOST(ADD(whole, MUL(detail, step)), low), high));
+    } else {
+      STORE(w->predicted + j, quarters);
+      STORE(w->sides + j, side);
+    }
+  }
+}
+
+static void ISA(predict_row)(const ISA(work) * w, int plane, int32_t i) {
+  const int16_t *v = w->u->tables->stencils[w->u->level_class][plane];
+  const int16_t *up = ISA(row_of_a)(w, i - 1), *at = ISA(row_of_a)(w, i), *down = ISA(row_of_a)(w, i + 1), *low = ISA(row_of_a)(w, i + 2);
+  if (plane == HH) {
+    const ISA(tap) taps[8] = {{up - 1, v[0], v[1]}, {up + 1, v[2], v[3]}, {at - 1, v[4], v[5]}, {at + 1, v[6], v[7]},
+                              {down - 1, v[8], v[9]}, {down + 1, v[10], v[11]}, {low - 1, v[12], v[13]}, {low + 1, v[14], v[15]}};
+    ISA(predict)(w, HH, i, taps, 8, at, at + 1, down, down + 1);
     return;
   }
-#endif
-  ISA(read_one_by_one)(s, 0, slots);
+  const int16_t *h2 = ISA(row_of)(w, HH, i - 2), *h1 = ISA(row_of)(w, HH, i - 1), *h = ISA(row_of)(w, HH, i), *hd = ISA(row_of)(w, HH, i + 1);
+  if (plane == HL) {
+    const ISA(tap) taps[12] = {{up - 1, v[0], v[1]}, {up + 1, v[2], v[3]}, {at - 1, v[4], v[5]}, {at + 1, v[6], v[7]},
+                               {down - 1, v[8], v[9]}, {down + 1, v[10], v[11]}, {h2, v[12], 0}, {h1 - 1, v[13], v[14]},
+                               {h1 + 1, v[15], 0}, {h - 1, v[16], v[17]}, {h + 1, v[18], 0}, {hd, v[19], 0}};
+    ISA(predict)(w, HL, i, taps, 12, at, at + 1, h1, h);
+    return;
+  }
+  const int16_t *l = ISA(row_of)(w, HL, i), *ld = ISA(row_of)(w, HL, i + 1);
+  const ISA(tap) taps[14] = {{up - 1, v[0], v[1]}, {up + 1, v[2], 0}, {at - 1, v[3], v[4]}, {at + 1, v[5], 0}, {down - 1, v[6], v[7]},
+                             {down + 1, v[8], 0}, {low - 1, v[9], v[10]}, {low + 1, v[11], 0}, {h1 - 1, v[12], v[13]},
+                             {h - 2, v[14], v[15]}, {h, v[16], v[17]}, {hd - 1, v[18], v[19]}, {l - 1, v[20], v[21]}, {ld - 1, v[22], v[23]}};
+  ISA(predict)(w, LH, i, taps, 14, at, down, h - 1, h);
 }
 
-#if defined(TWZ_SANITIZED)
-#define SMALL /* compilers would take minutes */
-#elif defined(HAS_SIMD128)
-#define SMALL /* few units are not short, and every page loads the module */
-#pragma clang attribute push(__attribute__((minsize)), apply_to = function)
-#endif
-#define NUMBER int64_t
-#define PREDICT_IVDEP /* clang would make no vectors of 64-bit products, and say so */
-#define NAMED(name) ISA(wide_##name)
-#include "rapid_rows.h"
-#undef NUMBER
-#undef NAMED
-#undef PREDICT_IVDEP
+#define SETTLE(number)                                                                                              \
+  for (int32_t j = w->from; j < w->to; j++) {                                                                       \
+    number whole = shift >= 2 ? (number)predicted[j] * ((number)1 << (shift - 2)) : ((number)predicted[j] * (1 << shift) + 2) >> 2; \
+    number detail = max_i32(min_i32(details[j], most), -most), side = sides[j];                                     \
+    number height = whole + ((detail ^ side) - side) * (number)u->step;                                             \
+    height = height < low ? low : height > high ? high : height;                                                    \
+    heights[j] = (int32_t)height + origin;                                                                          \
+  }
 
-#define NUMBER int32_t
-#define PREDICT_IVDEP IVDEP
-#define NAMED(name) ISA(narrow_##name)
-#include "rapid_rows.h"
-#undef NAMED
-#ifdef HAS_SIMD128
-#undef SMALL
-#pragma clang attribute pop
-#endif
+/* Of a unit that needs 32 bits. */
+static void ISA(settle_wide)(const ISA(work) * w, int plane, int32_t row) {
+  const rapid_unit *u = w->u;
+  const int16_t *RESTRICT predicted = w->predicted, *RESTRICT sides = w->sides;
+  const int32_t *RESTRICT details = ISA(wide_row_in)(w, w->wide_details[plane], row);
+  int32_t *RESTRICT heights = ISA(wide_row_in)(w, w->heights[plane], row);
+  const int32_t low = u->low - u->origin, high = u->high - u->origin, origin = u->origin, most = u->most_detail;
+  const int shift = u->shift;
+  if (shift <= 16 && u->step <= 1 << 28) { /* all sums are below 2^31 */
+    SETTLE(int32_t)
+  } else {
+    SETTLE(int64_t)
+  }
+}
 
-#ifdef HAS_VECTORS
-#define SHORT
-#define NAMED(name) ISA(short_##name)
-#include "rapid_rows.h"
-#define DECODE_SHORT NAMED(decode)
-#define DECODE_GROUPS NAMED(decode_groups)
-#else
-#define DECODE_SHORT NULL
-#define DECODE_GROUPS NULL
-#endif
+static int32_t ISA(parent_at)(const rapid_unit *u, ptrdiff_t at) {
+  return (u->short_parent ? u->short_parent[at] : u->parent[at]) + u->parent_origin;
+}
 
-static twz_status ISA(decode_unit_rapid)(rapid_unit *u, twz_error *error) {
-  return u->is_wide ? ISA(wide_decode)(u, error) : ISA(narrow_decode)(u, error);
+/* The height of an odd place of a line that units share, from the parent's samples on it: n, so far apart. */
+static int32_t ISA(height_on_line)(const rapid_unit *u, ptrdiff_t first, ptrdiff_t step, int32_t n, int32_t k, int64_t detail) {
+  int64_t x[4];
+  for (int32_t i = 0; i < 4; i++) {
+    int32_t at = k - 1 + i;
+    x[i] = ISA(parent_at)(u, first + step * ((uint32_t)at < (uint32_t)n ? at : ISA(mirrored)(at, n)));
+  }
+  int64_t least = min_i64(min_i64(x[0], x[1]), min_i64(x[2], x[3])), most = max_i64(max_i64(x[0], x[1]), max_i64(x[2], x[3]));
+  int64_t quarters = clamp_i64(shift_right(9 * (x[1] + x[2]) - x[0] - x[3], 2), 4 * least, 4 * most), whole = shift_right(quarters + 2, 2);
+  int is_turned = u->step <= 3 ? 4 * whole > quarters : quarters > 2 * (x[1] + x[2]);
+  return (int32_t)clamp_i64(whole + (is_turned ? -detail : detail) * u->step, u->z_min, u->z_max);
+}
+
+/* Heights of a row that is settled: those on lines, and corrections. */
+static void ISA(change_row)(const ISA(work) * w, int plane, int32_t row) {
+  const rapid_unit *u = w->u;
+  const int32_t *corrections = u->corrections, n = w->cols[plane], origin = u->origin, low = u->low, high = u->high;
+  int is_line = ISA(is_line)(w, plane, row), has_column = plane == LH && (u->known[1] || u->known[3]);
+  if (corrections) corrections += (2 * row + (plane != HL)) * u->corrections_stride + (plane != LH) * u->corrections_step;
+  if (u->is_narrow && !is_line && !has_column && !corrections) return;
+  int16_t *RESTRICT own = ISA(row_in)(w, w->planes[plane], row, HELD_ROWS);
+  int32_t *RESTRICT heights = ISA(wide_row_in)(w, w->heights[plane], row);
+  const int32_t *details = ISA(wide_row_in)(w, w->wide_details[plane], row);
+  if (u->is_narrow && (is_line || corrections)) {
+    for (int32_t j = w->from; j < w->to; j++) heights[j] = own[j] + origin;
+  }
+  for (int32_t j = w->from; is_line && j < min_i32(w->to, n); j++) {
+    heights[j] = ISA(height_on_line)(u, row * u->parent_stride, 1, w->a_cols, j, details[j]);
+  }
+  for (int side = 1; side < 4; side += 2) {
+    int32_t j = side == 1 ? 0 : n - 1;
+    if (!has_column || !u->known[side]) continue;
+    heights[j] = ISA(height_on_line)(u, j, u->parent_stride, w->a_rows, row, details[j]);
+    own[j] = (int16_t)(min_i32(max_i32(heights[j], low), high) - origin); /* of a narrow unit; else see below */
+  }
+  if (u->is_narrow && !is_line && !corrections) return;
+  int shift = u->shift;
+  for (int32_t j = w->from; j < min_i32(w->to, n); j++) {
+    int64_t change = corrections ? corrections[2 * j * u->corrections_step] : 0;
+    heights[j] = (int32_t)clamp_i64(heights[j] + change, low, high);
+    own[j] = (int16_t)max_i32(min_i32((heights[j] - origin) >> shift, LIMIT), -LIMIT);
+  }
+}
+
+/* Even and odd samples of a row from column `begin` up to, not with, `end`. */
+#define INTERLEAVE(type, of_even, of_odd)                                                  \
+  do {                                                                                     \
+    type *RESTRICT to = (type *)u->out + row * u->out_stride;                              \
+    for (int32_t j = begin / 2; j < (begin + 1) / 2; j++) to[2 * j + 1] = (type)(of_odd);  \
+    for (int32_t j = (begin + 1) / 2; j < end / 2; j++) {                                  \
+      to[2 * j] = (type)(of_even);                                                         \
+      to[2 * j + 1] = (type)(of_odd);                                                      \
+    }                                                                                      \
+    for (int32_t j = end / 2; j < (end + 1) / 2; j++) to[2 * j] = (type)(of_even);         \
+  } while (0)
+
+/* Write a row of the lattice: even samples and odd ones of two rows of planes. */
+static void ISA(store_row)(const ISA(work) * w, int32_t row) {
+  const rapid_unit *u = w->u;
+  if (row < u->rows[0] || row >= u->rows[1]) return;
+  int32_t i = row / 2, begin = u->cols[0], end = u->cols[1];
+  if (u->is_narrow) {
+    const int16_t *RESTRICT even = row % 2 ? ISA(row_in)(w, w->planes[LH], i, HELD_ROWS) : ISA(row_of_a)(w, i);
+    const int16_t *RESTRICT odd = ISA(row_in)(w, w->planes[row % 2 ? HH : HL], i, HELD_ROWS);
+    uint32_t add = u->add + (uint32_t)u->origin;
+    if (u->is_short) {
+      INTERLEAVE(uint16_t, (uint16_t)even[j] + (uint16_t)add, (uint16_t)odd[j] + (uint16_t)add);
+    } else {
+      INTERLEAVE(uint32_t, (uint32_t)even[j] + add, (uint32_t)odd[j] + add);
+    }
+    return;
+  }
+  int32_t *even = ISA(wide_row_in)(w, w->heights[LH], i);
+  const int32_t *RESTRICT odd = ISA(wide_row_in)(w, w->heights[row % 2 ? HH : HL], i);
+  for (int32_t j = begin / 2; row % 2 == 0 && j < (end + 1) / 2; j++) {
+    even[j] = min_i32(max_i32(ISA(parent_at)(u, i * u->parent_stride + j), u->low), u->high);
+  }
+  uint32_t add = u->add;
+  if (u->is_short) {
+    INTERLEAVE(uint16_t, (uint32_t)even[j] + add, (uint32_t)odd[j] + add);
+  } else {
+    INTERLEAVE(uint32_t, (uint32_t)even[j] + add, (uint32_t)odd[j] + add);
+  }
+}
+
+/* Predict and settle the rows of planes that are ready after a strip, and write those of the lattice. */
+static void ISA(settle_rows)(const ISA(work) * w, int32_t strip, int32_t *done) {
+  const int32_t *rows = w->rows;
+  int32_t ready[3];
+  ready[HH] = min_i32(STRIP * strip + STRIP, rows[HH]);
+  ready[HL] = min_i32(STRIP * strip + STRIP - (ready[HH] < rows[HH]), rows[HL]);
+  ready[LH] = min_i32(STRIP * strip + STRIP - 1 - (ready[HL] < rows[HL]), rows[LH]);
+  for (int p = HH; p <= LH; p++) {
+    for (; done[p] < ready[p]; done[p]++) {
+      int32_t i = done[p], n = w->cols[p];
+      if (n) {
+        int16_t *own = ISA(row_in)(w, w->planes[p], i, HELD_ROWS);
+        ISA(predict_row)(w, p, i);
+        if (!w->u->is_narrow) ISA(settle_wide)(w, p, i);
+        ISA(change_row)(w, p, i);
+        for (int k = 1; k <= MARGIN; k++) {
+          own[-k] = own[0];
+          if (w->to >= n) own[n - 1 + k] = own[n - 1];
+        }
+      }
+      if (p != HH) ISA(store_row)(w, 2 * i + (p == LH));
+    }
+  }
+}
+
+/* ---- A lattice ---- */
+
+static twz_status ISA(begin)(ISA(work) * w, rapid_unit *u, twz_error *error) {
+  memset(w, 0, sizeof *w);
+  w->u = u;
+  w->a_rows = (u->n_rows + 1) / 2;
+  w->a_cols = (u->n_cols + 1) / 2;
+  w->stride = (w->a_cols + 3 * ROOM) & -ROOM;
+  size_t row = (size_t)w->stride, list = STRIP * row, n_bytes = list * (6 + 3 * sizeof(int32_t)) + 64 * SCRATCH_ALIGN;
+  n_bytes += row * (sizeof(int16_t) * (A_ROWS + 10 * HELD_ROWS + 2) + sizeof(int32_t) * 6 * HELD_ROWS);
+  TRY(scratch_reserve(u->scratch, n_bytes, error));
+  w->a = scratch_take(u->scratch, A_ROWS * row * sizeof(int16_t));
+  w->ranges = scratch_take(u->scratch, HELD_ROWS * row * sizeof(int16_t));
+  w->bends = scratch_take(u->scratch, HELD_ROWS * row * sizeof(int16_t));
+  w->predicted = scratch_take(u->scratch, row * sizeof(int16_t));
+  w->sides = scratch_take(u->scratch, row * sizeof(int16_t));
+  w->from = max_i32(u->cols[0] / 2 - 2 * MARGIN, 0) & -32;
+  w->to = min_i32((u->cols[1] + 1) / 2 + MARGIN, w->a_cols);
+  for (int p = HH; p <= LH; p++) {
+    w->rows[p] = (u->n_rows + (p == HL)) / 2;
+    w->cols[p] = (u->n_cols + (p == LH)) / 2;
+    w->planes[p] = scratch_take(u->scratch, HELD_ROWS * row * sizeof(int16_t));
+    w->details[p] = scratch_take(u->scratch, HELD_ROWS * row * sizeof(int16_t));
+    w->wide_details[p] = scratch_take(u->scratch, HELD_ROWS * row * sizeof(int32_t));
+    w->heights[p] = scratch_take(u->scratch, HELD_ROWS * row * sizeof(int32_t));
+    if (w->to - w->from < w->a_cols) memset(w->planes[p], 0, HELD_ROWS * row * sizeof(int16_t));
+    weigh_rapid(u, p, &w->weights[p]);
+    if (p == LH) break;
+    w->near[p] = scratch_take(u->scratch, HELD_ROWS * row * sizeof(int16_t));
+    memset(w->near[p], 0, HELD_ROWS * row * sizeof(int16_t));
+  }
+  w->pairs = scratch_take(u->scratch, list);
+  w->singles = scratch_take(u->scratch, list);
+  w->is_two = scratch_take(u->scratch, list);
+  w->entries = scratch_take(u->scratch, list);
+  w->symbols = scratch_take(u->scratch, list);
+  w->small = scratch_take(u->scratch, list);
+  w->large = scratch_take(u->scratch, list * sizeof(int32_t));
+  w->more = scratch_take(u->scratch, 2 * list * sizeof(int32_t));
+  return TWZ_OK;
+}
+
+static twz_status ISA(decode_rapid)(rapid_unit *u, twz_error *error) {
+  ISA(work) work, *w = &work;
+  TRY(ISA(begin)(w, u, error));
+  int32_t n_strips = rapid_strips(u->n_rows), first = u->rows[0] / 2, stop = (u->rows[1] + 1) / 2; /* rows of HL and LH */
+  int32_t done[3] = {max_i32(first - 2, 0), first, first};
+  int band = rapid_first_band(u->n_rows, u->rows[0], u->n_bands);
+  int32_t strip = rapid_band(u->n_rows, band, u->n_bands);
+  u->is_part = strip > 0;
+  w->loaded = STRIP * strip - 2;
+  w->looked = STRIP * strip - 1;
+  for (int is_new = 1; strip < n_strips && (done[HL] < min_i32(stop, w->rows[HL]) || done[LH] < min_i32(stop, w->rows[LH])); strip++) {
+    for (; strip >= rapid_band(u->n_rows, band + 1, u->n_bands); is_new = 1) band++;
+    for (int p = HH; p <= HL && is_new; p++) ISA(forget)(w, p, STRIP * strip - 1);
+    is_new = 0;
+    for (; w->loaded < w->a_rows + 2 && w->loaded < STRIP * strip + STRIP + 2; w->loaded++) ISA(load_row)(w, w->loaded);
+    for (; w->looked <= w->a_rows && w->looked <= STRIP * strip + STRIP; w->looked++) ISA(look)(w, w->looked);
+    for (int p = HH; p <= LH; p++) {
+      REQUIRE(ISA(read_strip)(w, p, strip, &u->bands[band]), error, "streams of method rapid are cut");
+    }
+    ISA(settle_rows)(w, strip, done);
+  }
+  u->is_part |= strip < n_strips;
+  return TWZ_OK;
 }

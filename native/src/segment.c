@@ -90,15 +90,16 @@ segment_state find_segment(const twz_file *f, place head, segment **s, page_plac
   if (above != FOUND) return above;
   const segment *p = *s;
   int i = index_of_place(p->heads, p->n_heads, head);
-  if (i < 0 || p->children[i].length == 0) return ABSENT;
+  if (i < 0 || p->children[i].page_length == 0) return ABSENT;
   *missing = child_page(p, i, page);
   return MISSING;
 }
 
 place child_page(const segment *s, int i, page_place *page) {
-  page->offset = s->children[i].offset;
+  page->offset = s->children[i].page;
   page->length = s->children[i].page_length;
-  page->end = page->offset + s->children[i].length;
+  page->body = s->children[i].offset;
+  page->end = page->body + s->children[i].length;
   page->siblings_end = s->children_end;
   return s->heads[i];
 }
@@ -201,46 +202,57 @@ static twz_status place_sections(segment *s, const segment_layout *l, const colu
   return TWZ_OK;
 }
 
-static twz_status place_children(segment *s, const segment_layout *l, const columns *c, uint64_t first, uint64_t file_size,
+/* Place the pages of children, which begin at *at. */
+static twz_status place_pages(segment *s, const segment_layout *l, const columns *c, uint64_t *at, twz_error *error) {
+  for (int i = 0; i < l->n_heads; i++) {
+    uint64_t page = number_at(c->page_length, l->n_heads, 4, i);
+    REQUIRE(page == 0 || (page >= 13 && page <= MOST_PAGE), error, "a child's page of %llu bytes",
+            (unsigned long long)page);
+    s->children[i].page = *at;
+    s->children[i].page_length = (uint32_t)page;
+    *at += page;
+  }
+  return TWZ_OK;
+}
+
+/* Place the bodies of children. */
+static twz_status place_children(segment *s, const segment_layout *l, const columns *c, uint64_t first, uint64_t most,
                                  twz_error *error) {
   uint64_t at = first;
   for (int i = 0; i < l->n_heads; i++) {
-    uint64_t page = number_at(c->page_length, l->n_heads, 4, i);
-    uint64_t length = number_at(c->child_length, l->n_heads, 8, i);
+    uint64_t page = s->children[i].page_length, length = number_at(c->child_length, l->n_heads, 8, i);
     REQUIRE((page == 0) == (length == 0), error, "a child segment has a page or a length of 0, not both");
-    if (length) {
-      REQUIRE(page >= 13 && page <= MOST_PAGE, error, "a child's page of %llu bytes", (unsigned long long)page);
-      REQUIRE(length >= page && length <= file_size - at, error, "a child segment ends beyond the file");
-    }
+    REQUIRE(length >= page && length - page <= most - at, error, "a child segment ends beyond the file");
     s->children[i].offset = at;
-    s->children[i].length = length;
-    s->children[i].page_length = (uint32_t)page;
-    at += length;
+    s->children[i].length = length - page;
+    at += length - page;
   }
   s->children_end = at;
   return TWZ_OK;
 }
 
 static twz_status fill_segment(segment *s, const grid *g, const segment_layout *l, const page_place *where,
-                               const uint8_t *page, const uint8_t *content, uint64_t file_size,
+                               const uint8_t *page, const uint8_t *content, uint64_t most,
                                twz_error *error) {
   columns c;
   split_columns(&c, content, l);
-  uint64_t first_child = load_u64(page + 4), at = where->offset + where->length;
+  uint64_t first_child = load_u64(page + 4), at = where->body;
+  TRY(place_pages(s, l, &c, &at, error));
   TRY(place_sections(s, l, &c, &at, error));
   int is_top = s->entry.at.level < 0, has_children = l->n_heads > 0;
   REQUIRE((first_child > 0) == has_children, error, "first_child %llu of a segment %s children",
           (unsigned long long)first_child, has_children ? "with" : "without");
-  uint64_t end = is_top ? (has_children ? first_child : file_size) : where->end;
-  REQUIRE(at == end && at <= file_size, error, "a segment's payloads end at byte %llu instead of %llu",
+  /* Where digests follow, only a verifier finds the exact end of the last segment. */
+  uint64_t end = is_top ? (has_children ? first_child : g->has_digests ? at : most) : where->end;
+  REQUIRE(at == end && at <= most, error, "a segment's body ends at byte %llu instead of %llu",
           (unsigned long long)at, (unsigned long long)end);
   s->end = at;
   if (has_children) {
-    REQUIRE(first_child >= where->siblings_end && first_child <= file_size, error,
+    REQUIRE(first_child >= where->siblings_end && first_child <= most, error,
             "first_child lies before the segment's siblings or beyond the file");
-    TRY(place_children(s, l, &c, first_child, file_size, error));
+    TRY(place_children(s, l, &c, first_child, most, error));
     int are_last = is_top && l->heads[0].level + DEPTH >= g->k_max;
-    REQUIRE(!are_last || s->children_end == file_size, error, "bytes after the last segment");
+    REQUIRE(!are_last || g->has_digests || s->children_end == most, error, "bytes after the last segment");
   }
   for (int i = 0; i < l->n_blocks; i++) {
     const uint8_t *code = c.codes + i;
@@ -285,7 +297,8 @@ twz_status read_segment(segment **found, const grid *g, place head, const page_p
   memcpy(s->keys, l.keys, sizeof(place) * (size_t)l.n_keys);
   memcpy(s->blocks, l.blocks, sizeof(place) * (size_t)l.n_blocks);
   memcpy(s->heads, l.heads, sizeof(place) * (size_t)l.n_heads);
-  twz_status status = fill_segment(s, g, &l, where, page, content, file_size, error);
+  uint64_t most = file_size - (g->has_digests ? LEAST_DIGESTS : 0); /* where the last segment may end */
+  twz_status status = fill_segment(s, g, &l, where, page, content, most, error);
   if (status != TWZ_OK) {
     twz_release(allocator, s);
     return status;

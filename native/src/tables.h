@@ -11,11 +11,10 @@ extern const uint16_t twz_mask_samples[16][49]; /* §5.2 */
 extern const uint16_t twz_mask_groups[7][13];
 
 /* By plane HH, HL, LH, set and tap; taps that a plane lacks are 0. */
-enum { RAPID_SETS = 12, PREDICTIVE_SETS = 8, MOST_TAPS = 24 };
-extern const int16_t twz_rapid_stencils[3][RAPID_SETS][MOST_TAPS]; /* R.10 */
-extern const int32_t twz_rapid_features[2][4][4][9];               /* by table, class, row, feature */
-extern const uint8_t *const twz_rapid_codes[12];                   /* by layout and family, zlib streams */
-extern const size_t twz_rapid_codes_size[12];
+enum { RAPID_SETS = 16, PREDICTIVE_SETS = 8, MOST_TAPS = 24 };
+extern const int16_t twz_rapid_stencils[3][RAPID_SETS][MOST_TAPS]; /* R.11 */
+extern const uint8_t *const twz_rapid_families[6];                 /* zlib streams */
+extern const size_t twz_rapid_families_size[6];
 
 extern const int16_t twz_predictive_stencils[3][PREDICTIVE_SETS][MOST_TAPS]; /* P.9 */
 extern const int16_t twz_predictive_weights[3][3][18];          /* by plane, class and feature */

@@ -1,7 +1,7 @@
 /* Windows: which units they need, which bytes these need, decoding and copying out (FORMAT §11). */
 #include <stdlib.h>
 
-#include "internal.h"
+#include "rapid.h"
 
 enum { MOST_STAGES = 28 };
 
@@ -12,7 +12,7 @@ typedef struct slot {
   section_place place;
   uint8_t *payload;
   unit *unit;
-  int32_t n_rows; /* that are wanted, from the first of the region on */
+  part wanted; /* of the region; nothing: it is not wanted yet */
 } slot;
 
 /* The units of one level of keys, a rectangle of them; the finest stage is the first. */
@@ -26,7 +26,7 @@ struct twz_window {
   twz_file *file;
   int level;
   twz_box box;
-  int n_stages, is_planned, is_placed, is_decoded;
+  int n_stages, is_planned, is_placed, is_decoded, is_spent;
   stage stages[MOST_STAGES];
   uint64_t n_bytes; /* decoded units and payloads */
   /* Slots that wait for payloads, by offset. */
@@ -141,29 +141,47 @@ void twz_window_free(twz_window *w) {
 
 /* ---- What is needed ---- */
 
-/* How many rows of the region of a unit it takes to have `last` of a level. */
-static int32_t rows_up_to(const grid *g, place key, int level, uint32_t last) {
+/* The part of a unit's region that lies in rows and columns of a level, not with the last ones. */
+static part part_of_unit(const grid *g, place key, int level, int64_t row, int64_t col, int64_t end_row, int64_t end_col) {
   axis rows, cols;
   unit_axes(g, key, level, &rows, &cols);
-  int32_t n = (int32_t)(min_u32(last, rows.first + (uint32_t)rows.n - 1) - rows.first + 1);
-  return 4 * (int64_t)n > 3 * (int64_t)rows.n ? ALL_ROWS : n; /* little is gained */
+  part p;
+  p.row = (int32_t)clamp_i64(row - rows.first, 0, rows.n);
+  p.col = (int32_t)clamp_i64(col - cols.first, 0, cols.n);
+  p.end_row = (int32_t)clamp_i64(end_row - rows.first, 0, rows.n);
+  p.end_col = (int32_t)clamp_i64(end_col - cols.first, 0, cols.n);
+  return p;
 }
 
-/* The last line of the parent heights of a key (§2.4). */
-static uint32_t last_above(const grid *g, place key) {
-  return min_u32(((key.row + 1) << g->block_log2) + (uint32_t)g->rings, level_size(g, g->n_rows, key.level) - 1);
-}
+static part all_of_unit(const grid *g, place key, int level) { return part_of_unit(g, key, level, 0, 0, INT64_MAX / 2, INT64_MAX / 2); }
 
 /*
- * Rows of a unit of rapid follow from those above them (R.5). The first ones do where a window wants no more, unless
- * samples are moved from nodata, which are counted. A window of whole units is of a reader that goes on: it gets all.
+ * A part of a unit of rapid follows from a part of its parent's samples, unless samples are moved from nodata, which are
+ * counted. A unit most of which is wanted is of a reader that goes on: it gets all.
  */
-static int can_end_early(const twz_window *w) {
-  const twz_file *f = w->file;
-  const stage *s = &w->stages[0];
-  if (f->header.method != TWZ_RAPID || f->heights.first <= f->heights.last || s->level < 0) return 0;
-  place key = {s->level, s->row + s->n_rows - 1, s->col};
-  return rows_up_to(&f->grid, key, w->level, w->box.row + w->box.n_rows - 1) != ALL_ROWS;
+static part worth_decoding(const twz_file *f, place key, int level, part wanted) {
+  part all = all_of_unit(&f->grid, key, level);
+  int64_t n = (int64_t)(wanted.end_row - wanted.row) * (wanted.end_col - wanted.col), n_all = (int64_t)all.end_row * all.end_col;
+  if (f->header.method != TWZ_RAPID || f->heights.first <= f->heights.last || key.level < 0) return all;
+  return 4 * n > 3 * n_all ? all : wanted;
+}
+
+/* Want what a part of a unit follows from of the unit above it: the rows that its strips need, in all columns (R.5). */
+static void want_parent(const twz_file *f, slot *above, place parent, place key, part wanted, int n_bands) {
+  const grid *g = &f->grid;
+  int64_t row = (int64_t)key.row << g->block_log2, col = (int64_t)key.col << g->block_log2, size = (int64_t)1 << g->block_log2;
+  int64_t first = 0, end = INT64_MAX / 2;
+  if (f->header.method == TWZ_RAPID) {
+    int32_t n_rows = all_of_unit(g, key, key.level + 1).end_row;
+    first = row + STRIP * rapid_band(n_rows, rapid_first_band(n_rows, wanted.row, n_bands), n_bands) - 2;
+    end = row + min_i64(size + 1, ((wanted.end_row + 1) / 2 + 1 + STRIP) / STRIP * STRIP + 2);
+  }
+  part p = part_of_unit(g, parent, key.level, max_i64(first, row), col, end, col + size + 1), *w = &above->wanted;
+  if (w->end_row == 0) *w = p;
+  w->row = min_i32(w->row, p.row);
+  w->col = min_i32(w->col, p.col);
+  w->end_row = max_i32(w->end_row, p.end_row);
+  w->end_col = max_i32(w->end_col, p.end_col);
 }
 
 /* Count bytes of the window; an error counts none, so that the next try ends alike. */
@@ -179,20 +197,21 @@ static twz_status count_bytes(twz_window *w, uint64_t n, twz_error *error) {
 /* Find which units must be decoded: those that the cache lacks, and what they follow from. */
 static twz_status plan_units(twz_window *w, twz_error *error) {
   twz_file *f = w->file;
-  int is_partial = can_end_early(w);
   uint64_t n_before = w->n_bytes;
   for (int i = 0; i < w->n_stages; i++) {
     stage *s = &w->stages[i];
     for (size_t k = 0; k < n_slots(s); k++) {
       slot *one = &s->slots[k];
       place key = key_at(s, k);
+      int level = i ? w->stages[i - 1].level : w->level;
+      const twz_box *b = &w->box;
       if (i == 0) {
         one->state = WANTED;
-        one->n_rows = rows_up_to(&f->grid, key, w->level, w->box.row + w->box.n_rows - 1);
+        one->wanted = part_of_unit(&f->grid, key, level, b->row, b->col, (int64_t)b->row + b->n_rows, (int64_t)b->col + b->n_cols);
       }
       if (one->state != WANTED) continue;
-      if (!is_partial || key.level < 0) one->n_rows = ALL_ROWS;
-      one->unit = cache_take(f, key, &one->n_rows);
+      one->wanted = worth_decoding(f, key, level, one->wanted);
+      one->unit = cache_take(f, key, &one->wanted);
       if (one->unit) {
         one->state = DECODED;
         continue;
@@ -206,7 +225,7 @@ static twz_status plan_units(twz_window *w, twz_error *error) {
         place parent = parent_unit(&f->grid, key);
         slot *above = slot_at(s + 1, parent);
         above->state = WANTED;
-        above->n_rows = max_i32(above->n_rows, rows_up_to(&f->grid, parent, key.level, last_above(&f->grid, key)));
+        want_parent(f, above, parent, key, one->wanted, 1); /* with payloads, less may be known to be enough */
       }
     }
   }
@@ -240,7 +259,7 @@ static twz_status wait_for_payloads(twz_window *w, twz_error *error) {
     REQUIRE(before->offset + before->length <= after->offset, error, "payloads of two units overlap at byte %llu",
             (unsigned long long)after->offset);
   }
-  w->is_placed = 1;
+  w->first_waiting = 0;
   return TWZ_OK;
 }
 
@@ -281,7 +300,7 @@ static int ask_page(asked *a, const page_place *page) {
   memset(&a->ranges[m], 0, sizeof a->ranges[m]);
   a->ranges[m].offset = page->offset;
   a->ranges[m].length = page->length;
-  a->ranges[m].likely = page->end - page->offset - page->length;
+  a->ranges[m].is_page = 1;
   a->n++;
   return 1;
 }
@@ -328,32 +347,17 @@ static twz_status place_units(twz_window *w, twz_range *ranges, size_t capacity,
     }
   }
   *n = a.n;
-  if (*n == 0) return wait_for_payloads(w, error);
-  /* Ranges are in order of offset. */
-  for (size_t i = 1; i < *n; i++) {
-    twz_range moved = ranges[i];
-    size_t k = i;
-    for (; k > 0 && ranges[k - 1].offset > moved.offset; k--) ranges[k] = ranges[k - 1];
-    ranges[k] = moved;
-  }
-  for (size_t i = 1; i < *n; i++) {
-    REQUIRE(ranges[i - 1].offset + ranges[i - 1].length <= ranges[i].offset, error,
-            "pages of two segments overlap at byte %llu", (unsigned long long)ranges[i].offset);
-  }
-  return TWZ_OK;
+  w->is_placed = a.n == 0;
+  return wait_for_payloads(w, error);
 }
 
-twz_status twz_window_need(twz_window *w, twz_range *ranges, size_t capacity, size_t *n, twz_error *error) {
-  *n = 0;
-  if (capacity == 0) return twz_fail(error, TWZ_BAD_ARGUMENT, "no room for a range");
-  if (!w->is_planned) TRY(plan_units(w, error));
-  if (!w->is_placed) TRY(place_units(w, ranges, capacity, n, error));
-  if (*n) return TWZ_OK;
-  /* Payloads, those that follow each other as one range. */
+/* Append the ranges of payloads whose places are known, those that follow each other as one range. */
+static void add_payloads(const twz_window *w, twz_range *ranges, size_t capacity, size_t *n) {
+  size_t n_pages = *n;
   for (size_t i = w->first_waiting; i < w->n_waiting; i++) {
     const slot *one = w->waiting[i];
     if (one->state != PLACED) continue;
-    twz_range *last = *n ? &ranges[*n - 1] : NULL;
+    twz_range *last = *n > n_pages ? &ranges[*n - 1] : NULL;
     if (last && last->offset + last->length == one->place.offset && last->length < (uint64_t)1 << 24) {
       last->length += one->place.length;
       continue;
@@ -363,6 +367,26 @@ twz_status twz_window_need(twz_window *w, twz_range *ranges, size_t capacity, si
     ranges[*n].offset = one->place.offset;
     ranges[*n].length = one->place.length;
     ++*n;
+  }
+}
+
+static int compare_ranges(const void *a, const void *b) {
+  const twz_range *x = a, *y = b;
+  return x->offset < y->offset ? -1 : x->offset > y->offset;
+}
+
+twz_status twz_window_need(twz_window *w, twz_range *ranges, size_t capacity, size_t *n, twz_error *error) {
+  *n = 0;
+  if (capacity == 0) return twz_fail(error, TWZ_BAD_ARGUMENT, "no room for a range");
+  if (!w->is_planned) TRY(plan_units(w, error));
+  if (!w->is_placed) TRY(place_units(w, ranges, capacity, n, error));
+  int has_pages = *n > 0;
+  add_payloads(w, ranges, capacity, n);
+  if (!has_pages) return TWZ_OK; /* payloads are in order and apart */
+  qsort(ranges, *n, sizeof *ranges, compare_ranges);
+  for (size_t i = 1; i < *n; i++) {
+    REQUIRE(ranges[i - 1].offset + ranges[i - 1].length <= ranges[i].offset, error,
+            "pages or payloads of two segments overlap at byte %llu", (unsigned long long)ranges[i].offset);
   }
   return TWZ_OK;
 }
@@ -421,7 +445,7 @@ twz_status twz_window_feed(twz_window *w, uint64_t offset, const void *bytes, si
   if (!w->is_planned || offset > w->file->file_size || n > w->file->file_size - offset) {
     return twz_fail(error, TWZ_BAD_ARGUMENT, "bytes beyond the end of the file, or before any were needed");
   }
-  if (!w->is_placed) return feed_pages(w, offset, bytes, n, error);
+  if (!w->is_placed) TRY(feed_pages(w, offset, bytes, n, error));
   size_t low = w->first_waiting, high = w->n_waiting;
   while (low < high) { /* the first slot at or after offset */
     size_t middle = low + (high - low) / 2;
@@ -450,130 +474,6 @@ twz_status twz_window_load(twz_window *w, twz_fetch fetch, void *source, twz_err
   return load_all(&w->file->allocator, window_need, window_feed, w, fetch, source, error);
 }
 
-/* ---- Decoding ---- */
-
-typedef struct decoding {
-  twz_window *window;
-  stage *stage;
-  size_t *todo, n_todo; /* slots of the stage */
-  size_t n_at_once;     /* units that are decoded by one task */
-  scratch *scratches;   /* MOST_TOGETHER a worker */
-  twz_error *errors;    /* one a worker; the first is kept */
-} decoding;
-
-static void decode_some(void *argument, size_t index, size_t worker) {
-  decoding *d = argument;
-  twz_file *f = d->window->file;
-  twz_error *error = &d->errors[worker];
-  if (error->status != TWZ_OK) return;
-  slot *slots[MOST_TOGETHER];
-  order orders[MOST_TOGETHER];
-  size_t first = index * d->n_at_once, n = min_size(d->n_at_once, d->n_todo - first);
-  twz_status status = TWZ_OK;
-  memset(orders, 0, sizeof orders);
-  for (size_t k = 0; k < n && status == TWZ_OK; k++) {
-    slots[k] = &d->stage->slots[d->todo[first + k]];
-    place key = key_at(d->stage, d->todo[first + k]);
-    order *o = &orders[k];
-    if (key.level >= 0) o->above = slot_at(d->stage + 1, parent_unit(&f->grid, key))->unit;
-    o->payload = slots[k]->payload;
-    o->n = slots[k]->place.length;
-    o->unit = twz_allocate_zeros(&f->allocator, sizeof *o->unit);
-    if (!o->unit) {
-      status = twz_no_memory(error, sizeof *o->unit);
-      break;
-    }
-    o->unit->entry.at = key;
-    o->unit->layers[0].n_ready = slots[k]->n_rows == ALL_ROWS || o->n == 0 ? 0 : slots[k]->n_rows;
-    o->unit->n_users = 1;
-  }
-  if (status == TWZ_OK) status = decode_units(f, orders, (int)n, d->scratches + MOST_TOGETHER * worker, error);
-  for (size_t k = 0; k < n && orders[k].unit; k++) {
-    if (status == TWZ_OK) {
-      slots[k]->unit = orders[k].unit;
-    } else {
-      unit_free(f, orders[k].unit);
-    }
-  }
-}
-
-static twz_status decode_stage(decoding *d, const twz_workers *workers, twz_error *error) {
-  stage *s = d->stage;
-  size_t n = 0;
-  for (size_t k = 0; k < n_slots(s); k++) {
-    state state = s->slots[k].state;
-    if (state == WANTED || state == PLACED) {
-      return twz_fail(error, TWZ_NOT_READY, "bytes of the window are missing: need, fetch and feed first");
-    }
-    if (state == FED) d->todo[n++] = k;
-  }
-  if (n == 0) return TWZ_OK;
-  size_t n_workers = workers ? workers->n_workers : 1;
-  d->n_todo = n;
-  /* Units in lockstep, unless a worker would have nothing to do. */
-  int is_rapid = d->window->file->header.method == TWZ_RAPID;
-  size_t most = is_rapid ? min_size(max_size(n / n_workers, 1), MOST_TOGETHER) : 1, n_tasks = (n + most - 1) / most;
-  d->n_at_once = (n + n_tasks - 1) / n_tasks; /* 9 units are three times three */
-  n_tasks = (n + d->n_at_once - 1) / d->n_at_once;
-  if (workers && n_tasks > 1) {
-    workers->run(workers->context, n_tasks, decode_some, d);
-  } else {
-    for (size_t i = 0; i < n_tasks; i++) decode_some(d, i, 0);
-  }
-  twz_status status = TWZ_OK;
-  for (size_t i = 0; i < n_workers && status == TWZ_OK; i++) {
-    if (d->errors[i].status != TWZ_OK) status = twz_fail(error, d->errors[i].status, "%s", d->errors[i].text);
-  }
-  for (size_t i = 0; i < n; i++) {
-    slot *one = &s->slots[d->todo[i]];
-    if (!one->unit) continue;
-    one->unit = cache_give(d->window->file, one->unit);
-    twz_release(&d->window->file->allocator, one->payload);
-    one->payload = NULL;
-    one->state = DECODED;
-  }
-  return status;
-}
-
-/* Memory of a worker outlives its window: to map it anew takes as long as to decode a unit. */
-static void exchange_idle(twz_file *f, scratch *s) {
-  file_lock(f);
-  for (int i = 0; i < MOST_TOGETHER; i++) {
-    scratch idle = f->idle[i];
-    f->idle[i] = s[i];
-    s[i] = idle;
-    s[i].allocator = &f->allocator;
-  }
-  file_unlock(f);
-}
-
-twz_status twz_window_decode(twz_window *w, const twz_workers *workers, twz_error *error) {
-  if (w->is_decoded) return TWZ_OK;
-  if (!w->is_placed) return twz_fail(error, TWZ_NOT_READY, "the window's bytes are missing: need, fetch and feed first");
-  const twz_allocator *a = &w->file->allocator;
-  size_t n_workers = workers ? workers->n_workers : 1, most = 1;
-  for (int i = 0; i < w->n_stages; i++) most = n_slots(&w->stages[i]) > most ? n_slots(&w->stages[i]) : most;
-  decoding d = {w, NULL, NULL, 0, 1, NULL, NULL};
-  d.todo = twz_allocate(a, most * sizeof *d.todo);
-  d.scratches = twz_allocate_zeros(a, MOST_TOGETHER * n_workers * sizeof *d.scratches);
-  d.errors = twz_allocate_zeros(a, n_workers * sizeof *d.errors);
-  twz_status status = TWZ_OK;
-  if (!d.todo || !d.scratches || !d.errors) status = twz_no_memory(error, most * sizeof *d.todo);
-  for (size_t i = 0; d.scratches && i < MOST_TOGETHER * n_workers; i++) d.scratches[i].allocator = a;
-  if (d.scratches) exchange_idle(w->file, &d.scratches[0]);
-  for (int i = w->n_stages - 1; i >= 0 && status == TWZ_OK; i--) {
-    d.stage = &w->stages[i];
-    status = decode_stage(&d, workers, error);
-  }
-  if (d.scratches) exchange_idle(w->file, &d.scratches[0]);
-  for (size_t i = 0; d.scratches && i < MOST_TOGETHER * n_workers; i++) scratch_free(&d.scratches[i]);
-  twz_release(a, d.todo);
-  twz_release(a, d.scratches);
-  twz_release(a, d.errors);
-  w->is_decoded = status == TWZ_OK;
-  return status;
-}
-
 /* ---- Copying out ---- */
 
 /* What is wanted of a window: arrays from the first sample of a box on. */
@@ -592,7 +492,9 @@ static twz_status copy_unit(const twz_window *w, const unit *u, const twz_box *b
     size_t at = (size_t)(row - l->rows.first) * (size_t)l->cols.n + (part->col - l->cols.first);
     ptrdiff_t to_row = (ptrdiff_t)(row - b->row);
     size_t to_col = part->col - b->col;
-    if (out->heights) {
+    if (out->heights && u->is_written) {
+      fill_voids(&f->heights, out->heights + to_row * out->heights_stride + to_col * size, l, at, part->n_cols);
+    } else if (out->heights) {
       TRY(write_raw(&f->heights, out->heights + to_row * out->heights_stride + to_col * size, u->is_void ? NULL : l, at,
                     part->n_cols, error));
     }
@@ -621,6 +523,176 @@ static void part_of_axis(const stage *s, int level, const grid *g, uint32_t i, i
   if (begin < *first) begin = *first;
   *first = (uint32_t)begin;
   *n = (uint32_t)(stop - begin);
+}
+
+/* What a unit gives to the window's box; is it all that it gives to any? */
+static int has_core(const twz_window *w, place key, twz_box *own) {
+  const grid *g = &w->file->grid;
+  const stage *s = &w->stages[0];
+  twz_box all = {0, 0, level_size(g, g->n_rows, w->level), level_size(g, g->n_cols, w->level)};
+  uint32_t last_row = key.level < 0 ? 0 : n_blocks(g, g->n_rows, key.level) - 1, last_col = key.level < 0 ? 0 : n_blocks(g, g->n_cols, key.level) - 1;
+  *own = w->box;
+  part_of_axis(s, w->level, g, key.row, key.row == last_row, &own->row, &own->n_rows);
+  part_of_axis(s, w->level, g, key.col, key.col == last_col, &own->col, &own->n_cols);
+  part_of_axis(s, w->level, g, key.row, key.row == last_row, &all.row, &all.n_rows);
+  part_of_axis(s, w->level, g, key.col, key.col == last_col, &all.col, &all.n_cols);
+  return memcmp(own, &all, sizeof all) == 0;
+}
+
+/* ---- Decoding ---- */
+
+typedef struct decoding {
+  twz_window *window;
+  const output *output; /* where units of the window's level go at once; NULL: nowhere */
+  stage *stage;
+  size_t *todo, n_todo; /* slots of the stage */
+  scratch *scratches;   /* one a worker */
+  twz_error *errors;    /* one a worker; the first is kept */
+} decoding;
+
+static void decode_one(void *argument, size_t index, size_t worker) {
+  decoding *d = argument;
+  twz_file *f = d->window->file;
+  twz_error *error = &d->errors[worker];
+  if (error->status != TWZ_OK) return;
+  slot *one = &d->stage->slots[d->todo[index]];
+  place key = key_at(d->stage, d->todo[index]);
+  order o = {NULL, NULL, one->payload, one->place.length, NULL, 0};
+  twz_box own;
+  const output *out = d->stage == d->window->stages && has_core(d->window, key, &own) ? d->output : NULL;
+  if (key.level >= 0) o.above = slot_at(d->stage + 1, parent_unit(&f->grid, key))->unit;
+  o.unit = twz_allocate_zeros(&f->allocator, sizeof *o.unit);
+  if (!o.unit) {
+    twz_no_memory(error, sizeof *o.unit);
+    return;
+  }
+  o.unit->entry.at = key;
+  o.unit->layers[0].ready = one->wanted;
+  o.unit->n_users = 1;
+  if (out && out->heights) { /* the core alone: what it shares is another unit's to write */
+    const twz_box *all = &d->window->box;
+    o.unit->layers[0].ready = part_of_unit(&f->grid, key, d->window->level, own.row, own.col, (int64_t)own.row + own.n_rows, (int64_t)own.col + own.n_cols);
+    o.target = out->heights + (ptrdiff_t)(own.row - all->row) * out->heights_stride + (own.col - all->col) * dtype_size(f->header.dtype);
+    o.target_stride = out->heights_stride;
+  }
+  twz_status status = decode_unit(f, &o, &d->scratches[worker], error);
+  if (status == TWZ_OK && out) status = copy_unit(d->window, o.unit, &d->window->box, &own, out, error);
+  if (status == TWZ_OK && !out) {
+    one->unit = o.unit;
+  } else {
+    unit_free(f, o.unit);
+  }
+}
+
+static twz_status decode_stage(decoding *d, const twz_workers *workers, twz_error *error) {
+  stage *s = d->stage;
+  size_t n = 0;
+  for (size_t k = 0; k < n_slots(s); k++) {
+    state state = s->slots[k].state;
+    if (state == WANTED || state == PLACED) {
+      return twz_fail(error, TWZ_NOT_READY, "bytes of the window are missing: need, fetch and feed first");
+    }
+    if (state == FED) d->todo[n++] = k;
+  }
+  if (n == 0) return TWZ_OK;
+  size_t n_workers = workers ? workers->n_workers : 1;
+  d->n_todo = n;
+  if (workers && n > 1) {
+    workers->run(workers->context, n, decode_one, d);
+  } else {
+    for (size_t i = 0; i < n; i++) decode_one(d, i, 0);
+  }
+  twz_status status = TWZ_OK;
+  for (size_t i = 0; i < n_workers && status == TWZ_OK; i++) {
+    if (d->errors[i].status != TWZ_OK) status = twz_fail(error, d->errors[i].status, "%s", d->errors[i].text);
+  }
+  for (size_t i = 0; i < n; i++) {
+    slot *one = &s->slots[d->todo[i]];
+    if (one->unit) one->unit = cache_give(d->window->file, one->unit);
+    if (!one->unit && !d->output) continue;
+    twz_release(&d->window->file->allocator, one->payload);
+    one->payload = NULL;
+    one->state = DECODED;
+  }
+  return status;
+}
+
+/* Now that payloads are there: want of each unit what those below it need, with the bands that they have. */
+static void want_less(twz_window *w) {
+  const twz_file *f = w->file;
+  for (int i = 0; f->header.method == TWZ_RAPID && i + 1 < w->n_stages; i++) {
+    stage *s = &w->stages[i];
+    for (size_t k = 0; k < n_slots(s + 1); k++) s[1].slots[k].wanted = (part){0, 0, 0, 0};
+    for (size_t k = 0; k < n_slots(s); k++) {
+      const slot *one = &s->slots[k];
+      place key = key_at(s, k), parent = parent_unit(&f->grid, key);
+      if (one->state != FED || !one->payload) continue;
+      want_parent(f, slot_at(s + 1, parent), parent, key, one->wanted, rapid_bands(f, one->payload, one->place.length));
+    }
+    for (size_t k = 0; k < n_slots(s + 1); k++) {
+      if (s[1].slots[k].state == FED) s[1].slots[k].wanted = worth_decoding(f, key_at(s + 1, k), s->level, s[1].slots[k].wanted);
+    }
+  }
+}
+
+/* Memory of a worker outlives its window: to map it anew takes as long as to decode a unit. */
+static void exchange_idle(twz_file *f, scratch *s) {
+  file_lock(f);
+  scratch idle = f->idle;
+  f->idle = *s;
+  *s = idle;
+  s->allocator = &f->allocator;
+  file_unlock(f);
+}
+
+static twz_status decode_window(twz_window *w, const twz_workers *workers, const output *out, twz_error *error) {
+  if (w->is_spent) return twz_fail(error, TWZ_BAD_ARGUMENT, "the window was decoded into its caller's memory before: make another");
+  if (w->is_decoded) return TWZ_OK;
+  if (!w->is_placed) return twz_fail(error, TWZ_NOT_READY, "the window's bytes are missing: need, fetch and feed first");
+  const twz_allocator *a = &w->file->allocator;
+  size_t n_workers = workers ? workers->n_workers : 1, most = 1;
+  for (int i = 0; i < w->n_stages; i++) most = n_slots(&w->stages[i]) > most ? n_slots(&w->stages[i]) : most;
+  decoding d = {w, out, NULL, NULL, 0, NULL, NULL};
+  d.todo = twz_allocate(a, most * sizeof *d.todo);
+  d.scratches = twz_allocate_zeros(a, n_workers * sizeof *d.scratches);
+  d.errors = twz_allocate_zeros(a, n_workers * sizeof *d.errors);
+  twz_status status = TWZ_OK;
+  if (!d.todo || !d.scratches || !d.errors) status = twz_no_memory(error, most * sizeof *d.todo);
+  for (size_t i = 0; d.scratches && i < n_workers; i++) d.scratches[i].allocator = a;
+  if (d.scratches) exchange_idle(w->file, &d.scratches[0]);
+  want_less(w);
+  for (int i = w->n_stages - 1; i >= 0 && status == TWZ_OK; i--) {
+    d.stage = &w->stages[i];
+    status = decode_stage(&d, workers, error);
+  }
+  if (d.scratches) exchange_idle(w->file, &d.scratches[0]);
+  for (size_t i = 0; d.scratches && i < n_workers; i++) scratch_free(&d.scratches[i]);
+  twz_release(a, d.todo);
+  twz_release(a, d.scratches);
+  twz_release(a, d.errors);
+  w->is_decoded = status == TWZ_OK && !out;
+  w->is_spent = out != NULL;
+  return status;
+}
+
+twz_status twz_window_decode(twz_window *w, const twz_workers *workers, twz_error *error) {
+  return decode_window(w, workers, NULL, error);
+}
+
+twz_status twz_window_decode_into(twz_window *w, const twz_workers *workers, void *heights, ptrdiff_t heights_stride,
+                                  uint8_t *valid, ptrdiff_t valid_stride, twz_error *error) {
+  output out = {heights, valid, NULL, heights_stride, valid_stride, 0};
+  if (!heights_stride) out.heights_stride = (ptrdiff_t)(w->box.n_cols * dtype_size(w->file->header.dtype));
+  if (!valid_stride) out.valid_stride = (ptrdiff_t)w->box.n_cols;
+  TRY(decode_window(w, workers, &out, error));
+  stage *s = &w->stages[0];
+  for (size_t i = 0; i < n_slots(s); i++) { /* those of the cache, or that stay in it */
+    if (!s->slots[i].unit) continue;
+    twz_box own;
+    has_core(w, key_at(s, i), &own);
+    TRY(copy_unit(w, s->slots[i].unit, &w->box, &own, &out, error));
+  }
+  return TWZ_OK;
 }
 
 static twz_status read_box(const twz_window *w, const twz_box *b, const output *out, twz_error *error) {
@@ -664,10 +736,6 @@ twz_status twz_window_read(const twz_window *w, void *heights, ptrdiff_t heights
 
 twz_status twz_window_read_own_part(const twz_window *w, const twz_box *part, uint8_t *own, ptrdiff_t own_stride,
                                     twz_error *error) {
-  const twz_file *f = w->file;
-  if (!(f->header.features & FILLS) && w->level < f->grid.k_max) {
-    return twz_fail(error, TWZ_UNSUPPORTED, "this file does not tell fills of coarse levels: feature bit 4 is not set");
-  }
   output out = {NULL, NULL, own, 0, 0, own_stride ? own_stride : (ptrdiff_t)part->n_cols};
   return read_box(w, part, &out, error);
 }
@@ -700,9 +768,10 @@ static twz_status compare_units(const twz_file *f, const unit *a, const unit *b,
   if (a->is_void && b->is_void) return TWZ_OK;
   for (int i = 0; i < a->n_layers; i++) {
     const layer *x = &a->layers[i], *y = &b->layers[i];
-    uint32_t top = max_u32(x->rows.first, y->rows.first), left = max_u32(x->cols.first, y->cols.first);
-    uint32_t bottom = min_u32(x->rows.first + (uint32_t)x->rows.n, y->rows.first + (uint32_t)y->rows.n);
-    uint32_t right = min_u32(x->cols.first + (uint32_t)x->cols.n, y->cols.first + (uint32_t)y->cols.n);
+    uint32_t top = max_u32(x->rows.first + (uint32_t)x->ready.row, y->rows.first + (uint32_t)y->ready.row);
+    uint32_t left = max_u32(x->cols.first + (uint32_t)x->ready.col, y->cols.first + (uint32_t)y->ready.col);
+    uint32_t bottom = min_u32(x->rows.first + (uint32_t)x->ready.end_row, y->rows.first + (uint32_t)y->ready.end_row);
+    uint32_t right = min_u32(x->cols.first + (uint32_t)x->ready.end_col, y->cols.first + (uint32_t)y->ready.end_col);
     for (uint32_t row = top; row < bottom; row++) {
       for (uint32_t col = left; col < right; col++) {
         held p = held_at(&f->heights, a, x, row, col), q = held_at(&f->heights, b, y, row, col);

@@ -6,7 +6,7 @@ build=$1 kind=$3
 # CMake looks for a relative prefix below its sources.
 case $2 in /*) prefix=$2 ;; *) prefix=$(pwd)/$2 ;; esac
 root=$(cd "$(dirname "$0")/../.." && pwd)
-file=$root/tests/golden/v1/rapid-int16-halves.twz
+file=$root/tests/golden/v2/rapid-int16-halves.twz
 rm -rf "$prefix" "$prefix.moved"
 cmake --install "$build" --prefix "$prefix" >/dev/null
 mv "$prefix" "$prefix.moved" # a prefix need not stay where it was installed

@@ -11,7 +11,7 @@ import tempfile
 import zlib
 from pathlib import Path
 
-GOLDEN = Path(__file__).parents[2] / "tests" / "golden" / "v1"
+GOLDEN = Path(__file__).parents[2] / "tests" / "golden" / "v2"
 CONTROLS = "\x7f\x80\x9b31m\x9f\u061c\u200b\u200e\u2028\u202e\u2066\ufeff"
 
 
@@ -55,7 +55,7 @@ def check(twz, folder):
         if status or shown or has_note != is_told or (errors and not is_told):
             yield f"check {name}: {status} {shown!r} {errors!r}"
     for name, words in (
-        ("segment-gap", "a segment's payloads end at byte"),
+        ("segment-gap", "a segment's body ends at byte"),
         ("neighbours-differ", "which they share"),
         ("mesh-crc", "the checksum of a payload or mesh"),
     ):

@@ -36,7 +36,7 @@ static int fetch(void *source, size_t n, const twz_range *ranges, void *const *b
   for (size_t i = 0; i < n; i++) {
     CHECK(i == 0 || ranges[i].offset >= ranges[i - 1].offset + ranges[i - 1].length);
     CHECK(ranges[i].length > 0 && ranges[i].offset + ranges[i].length <= m->n);
-    CHECK(ranges[i].likely <= m->n - ranges[i].offset - ranges[i].length);
+    CHECK(ranges[i].is_page <= 1);
     memcpy(buffers[i], m->bytes + ranges[i].offset, (size_t)ranges[i].length);
     m->n_fetched += (size_t)ranges[i].length;
   }
@@ -107,11 +107,15 @@ static uint32_t below(uint32_t n) { /* a number below n */
 }
 
 static size_t n_overlaps;
-static size_t n_early; /* units of which only the first rows were decoded */
+static size_t n_parts; /* units of which only a part was decoded */
 
-static void count_early(const twz_file *file) {
+static void count_parts(const twz_file *file) {
   for (size_t i = 0; i < file->units.n_slots; i++) {
-    for (entry *e = file->units.slots[i]; e; e = e->next) n_early += ((unit *)e)->layers[0].n_ready != 0;
+    for (entry *e = file->units.slots[i]; e; e = e->next) {
+      const layer *l = &((unit *)e)->layers[0];
+      const part all = {0, 0, l->rows.n, l->cols.n};
+      n_parts += !part_has(l->ready, all);
+    }
   }
 }
 
@@ -134,7 +138,7 @@ static void windows_are_parts_of_the_whole(memory *m) {
       b.n_rows = 1 + below(size.n_rows - b.row);
       b.n_cols = 1 + below(size.n_cols - b.col);
       CHECK(read_raster(other, m, level - twz_file_info(file)->n_levels, &b, NULL, &part, NULL) == TWZ_OK);
-      count_early(other);
+      count_parts(other);
       int same = 1;
       for (uint32_t row = 0; row < b.n_rows; row++) {
         size_t from = (size_t)(b.row + row) * size.n_cols + b.col, to = (size_t)row * b.n_cols;
@@ -302,11 +306,10 @@ static void the_cache_counts_what_it_holds(memory *m) {
     free_raster(&part);
     CHECK(file->cached_bytes <= file->cache_bytes);
   }
-  size_t before = n_sized, counted = (size_t)file->cached_bytes, n_units = file->units.n;
+  size_t before = n_sized, counted = (size_t)file->cached_bytes;
   file->cache_bytes = 0;
-  while (file->units.n > 0) cache_leave(file, cache_take(file, file->newest->entry.at, &(int32_t){1}));
-  size_t given_back = before - n_sized, heaps = n_units * sizeof(heap);
-  CHECK(counted <= given_back && given_back <= counted + heaps && file->cached_bytes == 0);
+  while (file->units.n > 0) cache_leave(file, cache_take(file, file->newest->entry.at, &(part){0, 0, 0, 0}));
+  CHECK(counted == before - n_sized && file->cached_bytes == 0);
   twz_file_free(file);
   CHECK(n_sized == 0);
 }
@@ -350,6 +353,50 @@ static void rows_may_lie_anywhere(memory *m) {
   free_raster(&r);
   twz_window_free(window);
   twz_file_free(file);
+}
+
+/* A window that is decoded into the caller's memory is what it is when it is decoded and read, wherever rows lie. */
+static void windows_may_be_decoded_into_memory(memory *m, twz_pool *pool) {
+  twz_file *file = open_memory(m, NULL), *other = NULL;
+  size_t width = twz_file_info(file)->dtype_bytes;
+  for (int i = 0; i < 12; i++) {
+    if (i % 3 == 0) { /* of a file just opened, and of one that has some units */
+      twz_file_free(other);
+      other = open_memory(m, NULL);
+    }
+    twz_level size;
+    int level = i % 4 == 3 ? -2 : -1;
+    if (twz_file_level(file, level, &size, NULL) != TWZ_OK) continue;
+    twz_box b = {i < 2 ? 0 : below(size.n_rows), i < 2 ? 0 : below(size.n_cols), size.n_rows, size.n_cols};
+    b.n_rows = i < 2 ? size.n_rows : 1 + below(size.n_rows - b.row);
+    b.n_cols = i < 2 ? size.n_cols : 1 + below(size.n_cols - b.col);
+    raster r;
+    CHECK(read_raster(file, m, level, &b, NULL, &r, NULL) == TWZ_OK);
+    size_t line = b.n_cols * width, stride = line + (i % 2 ? 3 : 0), shift = (size_t)(i % 2);
+    uint8_t *rows = malloc(b.n_rows * stride + 8), *valid = malloc(r.n);
+    memset(rows, 0xA5, b.n_rows * stride + 8);
+    twz_window *window;
+    twz_error error;
+    CHECK(twz_window_new(other, level, &b, &window, NULL) == TWZ_OK);
+    CHECK(twz_window_decode_into(window, NULL, rows, 0, NULL, 0, &error) == TWZ_NOT_READY);
+    CHECK(twz_window_load(window, fetch, m, NULL) == TWZ_OK);
+    const twz_workers *workers = i % 3 == 2 ? twz_pool_workers(pool) : NULL;
+    CHECK(twz_window_decode_into(window, workers, rows + shift, (ptrdiff_t)stride, i % 2 ? NULL : valid, 0, NULL) == TWZ_OK);
+    int is_right = i % 2 || memcmp(valid, r.valid, r.n) == 0;
+    for (size_t row = 0; row < b.n_rows; row++) {
+      is_right &= memcmp(rows + shift + row * stride, r.heights + row * line, line) == 0;
+      for (size_t k = line; k < stride; k++) is_right &= rows[shift + row * stride + k] == 0xA5; /* nothing else is written */
+    }
+    CHECK(is_right);
+    CHECK(twz_window_decode(window, NULL, &error) == TWZ_BAD_ARGUMENT && error.text[0]);
+    CHECK(twz_window_read(window, rows, 0, NULL, 0, &error) == TWZ_NOT_READY);
+    twz_window_free(window);
+    free(rows);
+    free(valid);
+    free_raster(&r);
+  }
+  twz_file_free(file);
+  twz_file_free(other);
 }
 
 /* ---- What must fail ---- */
@@ -505,11 +552,11 @@ static void ranges_do_not_overlap(memory *m) {
       if (top->payloads[i].length) payload = &top->payloads[i];
     }
     for (int i = 0; i < top->n_heads && are_pages && !is_changed; i++) {
-      if (child && top->children[i].length) {
+      if (child && top->children[i].page_length) {
         is_changed = 1;
-        top->children[i].offset = child->offset + 1;
+        top->children[i].page = child->page + 1;
       }
-      if (top->children[i].length) child = &top->children[i];
+      if (top->children[i].page_length) child = &top->children[i];
     }
     twz_window *window;
     CHECK(twz_window_new(file, -1, NULL, &window, NULL) == TWZ_OK);
@@ -568,17 +615,26 @@ static const crc_tables *tables(void) {
   return &t;
 }
 
-/* The status of opening a file with another number of `width` bytes in its header, whose checksum is made right. */
-static twz_status opened_with(const memory *m, size_t offset, uint64_t value, size_t width, int is_right) {
-  memory changed = {malloc(m->n), m->n, 0, 0, 0};
+static void mend_header(memory *m) {
+  uint32_t crc = crc32_of(tables(), m->bytes, 124);
+  for (int i = 0; i < 4; i++) m->bytes[124 + i] = (uint8_t)(crc >> (8 * i));
+}
+
+static twz_status opened(memory *m, twz_error *error) {
   twz_file *file;
+  twz_status status = twz_file_new(NULL, m->n, &file, error);
+  if (status == TWZ_OK) status = twz_file_load(file, fetch, m, error);
+  twz_file_free(file);
+  return status;
+}
+
+/* The status of opening a file with another number of `width` bytes in its header, whose checksum is made right. */
+static twz_status opened_with(const memory *m, size_t offset, uint64_t value, size_t width, int is_right, twz_error *error) {
+  memory changed = {malloc(m->n), m->n, 0, 0, 0};
   memcpy(changed.bytes, m->bytes, m->n);
   for (size_t i = 0; i < width; i++) changed.bytes[offset + i] = (uint8_t)(value >> (8 * i));
-  uint32_t crc = crc32_of(tables(), changed.bytes, 124);
-  for (int i = 0; is_right && i < 4; i++) changed.bytes[124 + i] = (uint8_t)(crc >> (8 * i));
-  twz_status status = twz_file_new(NULL, changed.n, &file, NULL);
-  if (status == TWZ_OK) status = twz_file_load(file, fetch, &changed, NULL);
-  twz_file_free(file);
+  if (is_right) mend_header(&changed);
+  twz_status status = opened(&changed, error);
   free(changed.bytes);
   return status;
 }
@@ -595,22 +651,78 @@ static void ranges_of_heights_are_limited(const memory *m) {
       {-(1 << 29), (1 << 29) - 1, 1}, {-(1 << 29), 1 << 29, 0}, {-(1 << 30), 1 << 30, 0}, {-(1 << 30), -1, 1}, {0, (1 << 30) - 1, 1}, {0, 1 << 30, 0}};
   for (size_t i = 0; i < sizeof CASES / sizeof *CASES; i++) {
     uint64_t both = (uint32_t)(CASES[i].low & UINT32_MAX) | (uint64_t)(CASES[i].high & UINT32_MAX) << 32;
-    CHECK(opened_with(m, 68, both, 8, 1) == (CASES[i].is_good ? TWZ_OK : TWZ_CORRUPT));
+    CHECK(opened_with(m, 68, both, 8, 1, NULL) == (CASES[i].is_good ? TWZ_OK : TWZ_CORRUPT));
   }
 }
 
-/* A newer version has a checksum of its own; another number before the checksum of version 1 is damage. */
-static void a_damaged_version_is_no_newer_one(const memory *m) {
+/* Another version has a checksum of its own; another number before the checksum of ours is damage. */
+static void a_damaged_version_is_no_other_one(const memory *m) {
   for (uint64_t version = 0; version < 256; version++) {
-    if (version == 1) continue;
-    CHECK(opened_with(m, 8, version, 1, 0) == TWZ_CORRUPT);
-    CHECK(opened_with(m, 8, version, 1, 1) == TWZ_UNSUPPORTED);
+    if (version == FORMAT_VERSION) continue;
+    CHECK(opened_with(m, 8, version, 1, 0, NULL) == TWZ_CORRUPT);
+    CHECK(opened_with(m, 8, version, 1, 1, NULL) == TWZ_UNSUPPORTED);
   }
+  twz_error error;
+  opened_with(m, 8, 1, 1, 1, &error);
+  CHECK(strcmp(error.text, "found format version 1, expected 2: made by a development build: compress the raster again") == 0);
+}
+
+/* What a minor version may add (FORMAT §12.1): bits that are refused, and optional sections that are ignored. */
+static void additions_are_refused_or_ignored(memory *m) {
+  uint32_t features = load_u32(m->bytes + 12);
+  for (int bit = 4; bit < 32; bit++) CHECK(opened_with(m, 12, features | 1u << bit, 4, 1, NULL) == TWZ_UNSUPPORTED);
+
+  static const uint8_t SECTIONS[] = {'n', 'o', 'n', 'e', 3, 0, 0, 0, 0, 0, 0, 0, 'a', 'b', 'c', 'v', 'o', 'i', 'd', 0, 0, 0, 0, 0, 0, 0, 0};
+  const size_t n_more = sizeof SECTIONS, size = HEADER_SIZE + n_more, old_size = load_u16(m->bytes + 10);
+  const size_t page = old_size + load_u32(m->bytes + 76) + load_u32(m->bytes + 108);
+  if (load_u64(m->bytes + page + 4) != 0) return; /* pages of several segments say where others lie */
+  memory more = {malloc(m->n - old_size + size), m->n - old_size + size, 0, 0, 0};
+  memcpy(more.bytes, m->bytes, HEADER_SIZE);
+  memcpy(more.bytes + HEADER_SIZE, SECTIONS, n_more);
+  memcpy(more.bytes + size, m->bytes + old_size, m->n - old_size);
+  uint32_t crc = crc32_of(tables(), SECTIONS + 12, 3);
+  for (int i = 0; i < 4; i++) more.bytes[HEADER_SIZE + 8 + i] = (uint8_t)(crc >> (8 * i));
+  for (int i = 0; i < 8; i++) more.bytes[16 + i] = (uint8_t)((uint64_t)more.n >> (8 * i));
+  more.bytes[10] = (uint8_t)size;
+  more.bytes[11] = (uint8_t)(size >> 8);
+  mend_header(&more);
+  CHECK(opened(&more, NULL) == TWZ_OK && check_file(&more) == TWZ_OK);
+
+  static const size_t WRONG[] = {4, 8, 12, 19}; /* a length, a checksum, a content, the length of the last section */
+  for (size_t i = 0; i < sizeof WRONG / sizeof *WRONG; i++) {
+    more.bytes[HEADER_SIZE + WRONG[i]] ^= 1;
+    CHECK(opened(&more, NULL) == TWZ_CORRUPT);
+    more.bytes[HEADER_SIZE + WRONG[i]] ^= 1;
+  }
+  memcpy(more.bytes + HEADER_SIZE + 15, SECTIONS, 4); /* one name twice */
+  CHECK(opened(&more, NULL) == TWZ_CORRUPT);
+  free(more.bytes);
+}
+
+/* Streams of a unit of rapid of one state and no words: no strip is decoded after the one that needs the first. */
+static void cut_strips_end_where_they_are_cut(twz_file *file) {
+  enum { SIZE = 257 };
+  uint8_t payload[8 + PAYLOAD_SLACK] = {0, 0, 0, 0, 0x00, 0x00, 0x00, 0xFF}; /* wide, no shift, no words, no raw bits */
+  static int32_t above[(SIZE + 1) / 2 * ((SIZE + 1) / 2)], heights[SIZE * SIZE];
+  layer up = {.heights = above}, l = {.heights = heights, .ready = {0, 0, SIZE, SIZE}};
+  up.rows.n = up.cols.n = (SIZE + 1) / 2;
+  l.rows.n = l.cols.n = SIZE;
+  for (size_t k = 0; k < SIZE * SIZE; k++) heights[k] = INT32_MIN;
+  const job j = {.file = file, .level = 1, .out = &l, .parent = {.layer = &up}};
+  const reader bytes = {payload, 8, 0};
+  scratch s = {.allocator = &file->allocator};
+  twz_error error;
+  CHECK(decode_rapid(&j, &bytes, &s, &error) == TWZ_CORRUPT && strstr(error.text, "cut"));
+  size_t n_left = 0;
+  for (size_t k = 0; k < SIZE * SIZE; k++) n_left += heights[k] == INT32_MIN;
+  CHECK(n_left > SIZE * SIZE / 2);
+  scratch_free(&s);
 }
 
 /* A root that is cut at once: what lies below the first rows is not decoded. */
 static void cut_streams_end_where_they_are_cut(memory *m) {
   twz_file *file = open_memory(m, NULL);
+  if (file->header.method == TWZ_RAPID) cut_strips_end_where_they_are_cut(file);
   const int method = file->header.method, is_cdf97 = method == TWZ_CDF97;
   if (is_cdf97 || method == TWZ_PREDICTIVE) {
     static const uint8_t PAYLOADS[3][4] = {{2, 0}, {4, 1, 0}, {0}}; /* residuals, raw heights; predictive */
@@ -762,8 +874,10 @@ int main(int n, char **files) {
     the_cache_counts_what_it_holds(&m);
     units_in_use_are_in_no_list(&m);
     rows_may_lie_anywhere(&m);
+    windows_may_be_decoded_into_memory(&m, pool);
     a_refused_window_holds_nothing(&m);
-    a_damaged_version_is_no_newer_one(&m);
+    a_damaged_version_is_no_other_one(&m);
+    additions_are_refused_or_ignored(&m);
     cut_streams_end_where_they_are_cut(&m);
     if (strstr(path, "store-int16-segments")) ranges_of_heights_are_limited(&m);
     ranges_do_not_overlap(&m);
@@ -775,7 +889,7 @@ int main(int n, char **files) {
     damage_is_noticed(&m);
     free(m.bytes);
   }
-  CHECK(n == 1 || (n_early > 100 && n_overlaps > 10));
+  CHECK(n == 1 || (n_parts > 100 && n_overlaps > 10));
   twz_pool_free(pool);
   if (n_failed) fprintf(stderr, "%d checks failed\n", n_failed);
   return n_failed != 0;

@@ -22,7 +22,7 @@ TWZ_ENDINGS = (".twz",)
 GEOTIFF_ENDINGS = (".tif", ".tiff")
 HEIGHT_TILE_ENDINGS = (".r16", ".png")
 # Which samples of a coarse level are void (`Terrain.read`).
-VOIDS = ("exact", "any")
+VOIDS = EXACT, ANY = "exact", "any"
 # What becomes of damaged blocks.
 ON_ERROR = RAISE, MASK = "raise", "mask"
 # What voids of a height tile become, if no height is given.

@@ -6,8 +6,6 @@ A new method is a package in `codec` and a line in `METHODS`; no other module kn
 from collections.abc import Callable
 from dataclasses import dataclass
 
-# Versions of the format that files are of (FORMAT.md §4.7), in the order of their coming.
-FORMATS = ("1.0", "1.1")
 # In the order in which files number them.
 EFFORTS = ("fast", "default", "best")
 DEFAULT_EFFORT = EFFORTS[1]
@@ -53,11 +51,10 @@ class Method:
     is_patchable : bool
         A unit can be coded again so that heights that still hold come back as they were: its loop
         takes corrections (`codec.corrections`).
+    has_rings : bool
+        Its blocks may share three rings of samples with their neighbours.
     has_file_tables : bool
         The file's header may hold tables for all of its units.
-    has_reach : bool
-        Its tables may have contexts by reach or weights of features, which readers of format 1.0
-        don't know.
     has_layers : bool
         It codes difference layers, whose zero trees drive its meshes of the kind "zerotree".
     """
@@ -72,8 +69,8 @@ class Method:
     is_clusterable: bool = True
     may_be_faithful: bool = False
     is_patchable: bool = False
+    has_rings: bool = False
     has_file_tables: bool = False
-    has_reach: bool = False
     has_layers: bool = False
 
     @property
@@ -82,26 +79,24 @@ class Method:
         return self.refiner is None
 
 
-# Layouts of tables: with contexts by reach, and with weights of features (format-rapid.md R.10).
-REACH_LAYOUT, WEIGHTS_LAYOUT = 3, 5
 # In the order in which they are named to users; the first is the default.
 METHODS = {
     method.name: method
     for method in (
         Method(name="rapid", number=4, options="rapid.Rapid",
-               refiner="rapid.refiner.RapidRefiner", has_file_tables=True,
-               has_reach=True, is_patchable=True),
+               refiner="rapid.refiner.RapidRefiner", has_file_tables=True, is_patchable=True),
         Method(name="predictive", number=2, options="predictive.Predictive",
                refiner="predictive.refiner.PredictiveRefiner",
-               has_file_tables=True, is_patchable=True,
+               has_file_tables=True, is_patchable=True, has_rings=True,
                effort="1, 2 or 8 sets of weights"),
         Method(name="cdf97", number=1, options="cdf97.Cdf97",
                refiner="cdf97.refiner.Cdf97Refiner", pyramid="lowpass",
-               effort="1, up to 3 or up to 7 steps", has_layers=True, may_be_faithful=True),
+               effort="1, up to 3 or up to 7 steps", has_layers=True, may_be_faithful=True,
+               has_rings=True),
         Method(name="cdf53", number=3, options="cdf53.Cdf53",
                pyramid="lowpass53", is_cuttable=True, is_clusterable=False),
         Method(name="store", number=0, options="store.Store",
-               refiner="store.refiner.StoreRefiner"),
+               refiner="store.refiner.StoreRefiner", has_rings=True),
     )
 }  # fmt: skip
 DEFAULT_METHOD = METHODS["rapid"]  # what "auto" names, whatever the raster (decision 21)

@@ -11,7 +11,7 @@ from strategies import terrain_like, write_geotiff
 
 import terrainwave
 
-FILE = Path(__file__).parents[1] / "golden" / "v1" / "rapid-int16-states.twz"
+FILE = Path(__file__).parents[1] / "golden" / "v2" / "rapid-int16-states.twz"
 LOGIN, QUERY = "//me:secret@", "?sig=secret"
 
 

@@ -173,11 +173,9 @@ def test_floats_on_no_grid_can_be_cut():
     [
         ({"rate": 1, "max_error": 1}, "max_error and rate, expected one of them"),
         ({"rate": 1, "psnr": 40}, "rate=1 and psnr=40, expected one of them"),
-        ({"rate": 1, "method": "cdf97"}, "rate and method cdf97, expected method cdf53"),
         ({"rate": 0}, "rate 0, expected a finite number > 0"),
         ({"psnr": float("nan")}, "psnr nan, expected a finite number"),
         ({"rate": 0.01}, "give a larger one"),
-        ({"border_rings": 3}, "found border_rings and method cdf53, expected method rapid"),
     ],
 )
 def test_goals_that_cannot_be_kept_are_refused(options, message):

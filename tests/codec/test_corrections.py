@@ -8,7 +8,7 @@ import pytest
 from cases import some
 from hypothesis import given
 from hypothesis import strategies as st
-from reference import mask_below
+from reference import level_mask
 from reference_decoder import grid as reference_grid
 from reference_decoder.basics import DOCUMENT
 from reference_decoder.payloads import decode_corrections as decode_slowly
@@ -21,7 +21,7 @@ from terrainwave.codec.shared_lines import plan_border, shared_samples
 from terrainwave.codec.unit_specs import block_of_unit, unit_spec
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.parameters import CodecParameters
-from terrainwave.grid.quadtree import Block, Grid
+from terrainwave.grid.quadtree import Block, Grid, Region
 
 GRID = Grid(90, 75, 32)
 KEYS = [Block(-1, 0, 0), Block(0, 0, 0), Block(1, 0, 0), Block(1, 1, 0)]
@@ -69,8 +69,8 @@ def test_corrections_come_back_here_and_by_the_slow_decoder(key, rings, seed, sh
 
 
 def test_the_example_of_the_format_holds():
-    """FORMAT.md §5.5: root block of 3 × 5 samples, n = 5."""
-    text = DOCUMENT[DOCUMENT.index("### 5.5 ") : DOCUMENT.index("## 6. ")]
+    """FORMAT.md §5.4: root block of 3 × 5 samples, n = 5."""
+    text = DOCUMENT[DOCUMENT.index("### 5.4 ") : DOCUMENT.index("## 6. ")]
     data = bytes.fromhex(re.search(r"are the bytes ((?:[0-9a-f]{2} ?)+)\.", text)[1])
     parameters = CodecParameters(5, -99, 99, (1, 0), 1, 1, has_corrections=True)
     spec = unit_spec(Grid(3, 5, 32), parameters, Block(-1, 0, 0))
@@ -105,19 +105,19 @@ def test_kept_heights_come_back(method, rings, step, has_void):
     """Of all kinds of samples: corners of root blocks, shared lines, lattices; voids too."""
     refiner, rng = registry.refiner_by_name(method), np.random.default_rng(step)
     parent = {}
+    valid = rng.random((GRID.n_rows, GRID.n_cols)) < (0.9 if has_void else 2)
     for key in [*KEYS[:2], KEYS[3]]:
-        # Of coarse levels masks are not just any.
-        spec = replace(spec_of(key, rings, step), is_finest=True)
+        spec = spec_of(key, rings, step)
         above = None if key.is_root_key else parent[key]
         rows, cols = np.indices(spec.region.shape)
         target = 3000 * np.sin((rows + spec.region.row) / 17) * np.cos(cols / 11)
         target = (target + rng.normal(0, 9, target.shape)).astype(np.int32)
-        mask = np.ones(target.shape, bool)
-        if has_void:
-            mask = mask_below(rng.random(target.shape) < 0.9, spec, above)
+        shift, stride = GRID.k_max - spec.level, GRID.stride(spec.level)
+        at = spec.region.slices_in(Region(0, 0, *GRID.level_shape(spec.level)))
+        mask, own = level_mask(valid, shift)[at], valid[::stride, ::stride][at]
         apart = rng.integers(-40 - step, 40 + step, target.shape, np.int32, endpoint=True)
         kept = np.where(rng.random(target.shape) < 0.3, target + apart, FREE)
-        payload, coded = encode_unit(refiner, spec, above, target, mask, kept=kept)
+        payload, coded = encode_unit(refiner, spec, above, target, mask, own=own, kept=kept)
         found = decode_unit(refiner, spec, above, payload)
         np.testing.assert_array_equal(found.heights, coded.heights)
         must_stay = (kept != FREE) & ~is_inherited(spec)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from terrainwave.codec import memory as spare
-from terrainwave.codec.memory import Spares, new_heights
-from terrainwave.codec.rapid.coder import _flat
+from terrainwave.codec.memory import Spares, flat, new_heights
 
 
 def test_memory_is_lent_to_one_at_a_time_and_then_again():
@@ -56,15 +55,15 @@ def test_a_part_of_a_unit_is_seen_in_its_memory(part):
     heights = new_heights((7, 9))
     heights[:] = np.arange(63).reshape(7, 9)
     views = heights[part]
-    flat, pitch = _flat(views)
-    assert np.shares_memory(flat, heights)
-    seen = [flat[row * pitch : row * pitch + views.shape[1]] for row in range(views.shape[0])]
+    memory, pitch = flat(views)
+    assert np.shares_memory(memory, heights)
+    seen = [memory[row * pitch : row * pitch + views.shape[1]] for row in range(views.shape[0])]
     assert np.array_equal(seen, views)
 
 
 def test_parts_of_other_arrays_are_copied():
     heights = np.arange(63, dtype=np.int32).reshape(7, 9).copy()
     for views in (heights[1:, 2:], heights[::2, ::2], heights.T):
-        flat, pitch = _flat(views)
-        assert not np.shares_memory(flat, heights)
-        assert np.array_equal(flat.reshape(-1, pitch), views)
+        memory, pitch = flat(views)
+        assert not np.shares_memory(memory, heights)
+        assert np.array_equal(memory.reshape(-1, pitch), views)

@@ -11,12 +11,10 @@ from numba.core.compiler_lock import global_compiler_lock
 
 from terrainwave.codec.rapid import file_tables as rapid_parameters
 from terrainwave.codec.rapid.file_tables import (
-    FileStencil,
-    FileTables,
-    Tables,
-    default_codes,
+    annex,
     pack_file_tables,
     parse_file_tables,
+    plain_tables,
 )
 from terrainwave.coding import compiler, jit
 from terrainwave.coding.jit import all_compiled, inlined_kernel, kernel, kernel_part, rare_kernel
@@ -251,24 +249,14 @@ def test_a_rare_kernel_is_looked_for_while_nobody_compiles(monkeypatch):
 
 @needs_jit
 def test_tables_of_files_are_the_same_by_plain_python(monkeypatch):
-    tables = FileTables(
-        k_max=3,
-        family=1,
-        stencils=4 * ((FileStencil(1, 2, tuple(range(-9, 10))), FileStencil(0), FileStencil(0)),),
-        codes={5: freq_codes()},
-    )
+    codes = annex().codes[1, 5].copy()
+    codes[np.flatnonzero(codes > 8)[:3]] -= 3
+    tables = plain_tables(3, 1)._replace(codes={5: codes})
     compiled = pack_file_tables(tables)
     monkeypatch.setattr(jit, "_is_patient", True)
     monkeypatch.setattr(rapid_parameters._code_tables, "_is_compiled", False)
     monkeypatch.setattr(rapid_parameters._code_tables, "_is_cheap", lambda _: True)
     assert pack_file_tables(tables) == compiled
-    plain, usual = parse_file_tables(compiled), Tables(tables)
-    np.testing.assert_array_equal(plain.stencils, usual.stencils)
-    np.testing.assert_array_equal(plain.packed_freqs(3), usual.packed_freqs(3))
-
-
-def freq_codes():
-    """Return codes of a context other than the trained ones, which leave something."""
-    codes = default_codes(1)[5].copy()
-    codes[np.flatnonzero(codes > 8)[:3]] -= 3
-    return codes
+    plain = parse_file_tables(compiled, 3)
+    assert plain.stencils == tables.stencils
+    np.testing.assert_array_equal(plain.codes[5], codes)

@@ -56,7 +56,7 @@ class Editor:
     ----------
     header : dict
         Fields that are to differ from the file's own; lengths and checksums too.
-    metadata, parameters : bytes
+    optional, metadata, parameters : bytes
     top : Segment
     """
 
@@ -64,23 +64,30 @@ class Editor:
         self.fields = dict(zip(NAMES, HEADER.unpack(data[:128]), strict=True))
         self.header = {}
         h = self.fields
-        at = 128
+        at = h["header_size"]
+        self.optional = data[128:at]
         self.metadata = data[at : at + h["metadata_length"]]
         at += h["metadata_length"]
         self.parameters = data[at : at + h["parameters_length"]]
         at += h["parameters_length"]
         self.grid = Grid(h["n_rows"], h["n_cols"], 2 ** h["block_log2"], h["border_rings"])
-        self.top = self._read(data, None, at, h["top_page_length"])
-        self.gap = b""  # between the first segment and the others
-        self.end = b""
+        body = at + h["top_page_length"]
+        self.top = self._read(data, None, data[at:body], body)
+        self.gap = b""  # between the first body and the others
+        self.end = b""  # digests, or what is too much
+        if h["features"] & 16:
+            self.end = data[-8 - 32 * int.from_bytes(data[-4:], "little") :]
         self.change_header = lambda header: header
 
-    def _read(self, data, head, at, page_length):
+    def _read(self, data, head, its_page, at):
         segment = Segment(head, segment_layout(self.grid, head))
         keys, _, heads = segment.layout
-        first_child, page = read_page(data[at : at + page_length], segment.layout)
+        first_child, page = read_page(its_page, segment.layout)
         segment.columns = vars(page)
-        at += page_length
+        pages = []
+        for n_page in page.child_page_length:
+            pages.append(data[at : at + n_page])
+            at += n_page
         for key in file_order(keys):
             i = keys.index(key)
             for store, name in ((segment.payloads, "payload"), (segment.meshes, "mesh")):
@@ -88,9 +95,9 @@ class Editor:
                 store[key] = data[at : at + n]
                 at += n
         at = first_child
-        for child, n_page, n in zip(heads, page.child_page_length, page.child_length, strict=True):
-            segment.children.append(self._read(data, child, at, n_page) if n else None)
-            at += n
+        for child, of_child, n in zip(heads, pages, page.child_length, strict=True):
+            segment.children.append(self._read(data, child, of_child, at) if n else None)
+            at += n - len(of_child)
         return segment
 
     def json(self):
@@ -113,7 +120,7 @@ class Editor:
         return columns
 
     def _write(self, segments):
-        """Return (page but its head, rest) of segments of one level, and of the levels below."""
+        """Return (page but its head, sections) of segments of a level, and of the levels below."""
         below = [child for segment in segments for child in segment.children if child]
         written_below = self._write(below) if below else []
         at = iter(written_below[0] if below else [])
@@ -121,8 +128,8 @@ class Editor:
         for segment in segments:
             lengths = []
             for child in segment.children:
-                page, rest = next(at) if child else (b"", b"")
-                lengths.append((len(page), len(page) + len(rest)))
+                page, rest, n_below = next(at) if child else (b"", b"", 0)
+                lengths.append((len(page), len(page) + n_below + len(rest)))
             columns = self._columns(segment, lengths)
             packed = segment.pack(
                 b"".join(planes(columns[name], width) for name, width in COLUMNS.items())
@@ -132,7 +139,7 @@ class Editor:
                 for key in file_order(segment.layout[0])
                 for store in (segment.payloads, segment.meshes)
             )
-            level.append((bytes(12) + packed, rest))
+            level.append((bytes(12) + packed, rest, sum(n_page for n_page, _ in lengths)))
         return [level, *written_below]
 
     def bytes(self):
@@ -142,26 +149,26 @@ class Editor:
             segments.append(below)
         page_length = len(levels[0][0][0])
         fields = dict(
+            header_size=128 + len(self.optional),
             metadata_length=len(self.metadata),
             metadata_crc=zlib.crc32(self.metadata),
             parameters_length=len(self.parameters),
             parameters_crc=zlib.crc32(self.parameters),
             top_page_length=page_length,
         )
-        start = 128 + len(self.metadata) + len(self.parameters)
-        body = bytearray(self.metadata + self.parameters)
-        at = start
-        starts = []
+        before = self.optional + self.metadata + self.parameters
+        start = 128 + len(before)
+        at = start + page_length
+        starts = []  # of bodies
         for number, level in enumerate(levels):
             at += len(self.gap) if number == 1 else 0
-            for page, rest in level:
+            for _, rest, n_below in level:
                 starts.append(at)
-                at += len(page) + len(rest)
-        n_done = 0
-        for number, (level, row) in enumerate(zip(levels, segments, strict=True)):
-            body += self.gap if number == 1 else b""
+                at += n_below + len(rest)
+        n_done, pages = 0, []
+        for level, row in zip(levels, segments, strict=True):
             child = n_done + len(level)
-            for (page, rest), segment in zip(level, row, strict=True):
+            for (page, *_), segment in zip(level, row, strict=True):
                 first = 0
                 if segment.layout[2]:
                     first = starts[child] if child < len(starts) else at
@@ -170,14 +177,27 @@ class Editor:
                     first = segment.first_child(first)
                 page = page[:4] + struct.pack("<Q", first) + page[12:]
                 page = zlib.crc32(page[4:]).to_bytes(4, "little") + page[4:]
-                body += segment.change_page(page) + rest
+                pages.append(segment.change_page(page))
                 n_done += 1
+        rest_of_pages = iter(pages)
+        body = bytearray(before + next(rest_of_pages))
+        for number, (level, row) in enumerate(zip(levels, segments, strict=True)):
+            body += self.gap if number == 1 else b""
+            for (_, rest, _), segment in zip(level, row, strict=True):
+                for child in segment.children:
+                    body += next(rest_of_pages) if child else b""
+                body += rest
         body += self.end
         fields["file_size"] = 128 + len(body)
         fields = self.fields | fields | self.header
         header = HEADER.pack(*(fields[name] for name in NAMES))[:124]
         header += zlib.crc32(header).to_bytes(4, "little")
         return self.change_header(header) + bytes(body)
+
+
+def optional_section(name, content):
+    """§4.8."""
+    return name + struct.pack("<II", len(content), zlib.crc32(content)) + content
 
 
 def varint(value):

@@ -14,7 +14,7 @@ from reference_decoder.basics import read_varint
 from reference_decoder.files import HEADER, METHODS, NAMES
 from reference_decoder.range_coder import Models, RangeEncoder
 
-from conformance.editor import Editor, deflated, varint
+from conformance.editor import Editor, deflated, optional_section, varint
 
 MESHES = (
     "none", "halves", "zerotree-plain", "rqt", "zerotree-layer", "zerotree-coded",
@@ -62,7 +62,7 @@ def base(name):
     if name in ("zerotree-plain", "rqt"):
         rough = (row[:9, :9] * 9 + col[:9, :9]) * 37 % 23
         return twz_bytes(rough.astype(np.int16), max_error=0, method="store", mesh=name)
-    return (Path(__file__).parents[1] / "golden" / "v1" / f"{name}.twz").read_bytes()
+    return (Path(__file__).parents[1] / "golden" / "v2" / f"{name}.twz").read_bytes()
 
 
 class Case(NamedTuple):
@@ -85,6 +85,23 @@ class Case(NamedTuple):
 
 
 # Changes ---------------------------------------------------------------------------------------
+
+
+def flip_byte(at):
+    """Return a change of the lowest bit of one byte."""
+
+    def change(data):
+        data = bytearray(data)
+        data[at] ^= 1
+        return bytes(data)
+
+    return change
+
+
+def digests(data):
+    """Put other digests at the end, with a checksum that matches."""
+    tail = struct.pack("<II", zlib.crc32(data), len(data) // 32)
+    return edited(lambda editor: setattr(editor, "end", data + tail))
 
 
 def header(**fields):
@@ -124,14 +141,9 @@ def parameters(data):
     return edited(lambda editor: setattr(editor, "parameters", data))
 
 
-def weighted(data, features=32):
-    """Parameters of rapid that the header says have weights of features: bytes, or codes."""
-
-    def edit(editor):
-        editor.parameters = data if isinstance(data, bytes) else section_with(data)
-        editor.header = {"features": features}
-
-    return edited(edit)
+def optional(*sections):
+    """Optional sections of the header."""
+    return edited(lambda editor: setattr(editor, "optional", b"".join(sections)))
 
 
 def weights(hl_2, hl_4=30):
@@ -309,7 +321,6 @@ def planes_of_zeros(n_planes, n_samples=25):
 
 # Remainders of 0x3d400000 each: from floats of some hundred to beyond the largest.
 HUGE = zlib.compress(bytes(2 * 25) + b"\x80" * 25 + b"\x7a" * 25, 9)
-FILLS = "store-fills-int16-segments"
 PATCHED = "rapid-patched-int32-wide"
 LONE = b'{"software":"\\ud800"}'
 NESTED = b'{"x":' + b"[" * 16 + b"]" * 16 + b"}"
@@ -323,56 +334,74 @@ CASES = {
         "store", "§4.1", "the magic's line ends changed, as by a copy in text mode",
         lambda data: data[:4] + b"\n\x1a\n" + data[7:],
     ),
-    "version-2": Case("store", "§4.1", "version 2", header(version=2), "unsupported"),
+    "version-3": Case("store", "§4.1", "version 3", header(version=3), "unsupported"),
+    "version-1": Case(
+        "store", "§4.1", "version 1, of development builds", header(version=1), "unsupported"
+    ),
     "version-0": Case("store", "§4.1", "version 0", header(version=0), "unsupported"),
     "header-crc": Case("store", "§4.1", "header_crc", flip(125)),
-    "header-size": Case("store", "§4.1", "header_size 132", header(header_size=132)),
+    "header-size": Case("store", "§4.1", "header_size 127", header(header_size=127)),
+    "optional-cut": Case("store", "§4.8", "a section of 11 bytes", optional(bytes(11))),
+    "optional-beyond": Case(
+        "store", "§4.8", "a section that ends a byte after the header",
+        optional(optional_section(b"none", b"content")[:-1]),
+    ),
+    "optional-twice": Case(
+        "store", "§4.8", "two sections of one name", optional(
+            optional_section(b"none", b"one"), optional_section(b"none", b"other")
+        ),
+    ),
+    "optional-crc": Case(
+        "store", "§4.8", "crc of a section",
+        optional(optional_section(b"none", b"content")[:-1] + b"x"),
+    ),
     "reserved-byte": Case("store", "§1.2", "reserved byte 1", header(reserved=1), "unsupported"),
     "padding": Case("store", "§1.2", "padding 0, 1", header(padding=b"\0\1"), "unsupported"),
-    "feature-4": Case("store", "§4.1", "feature bit 2", header(features=4), "unsupported"),
-    "feature-2-31": Case("store", "§4.1", "feature bit 31", header(features=2**31), "unsupported"),
-    "feature-kept-5": Case("store", "§4.1", "feature bit 5", header(features=32), "unsupported"),
-    "feature-kept-6": Case("store", "§4.1", "feature bit 6", header(features=64), "unsupported"),
-    "feature-kept-7": Case("store", "§4.1", "feature bit 7", header(features=128), "unsupported"),
-    "reach-of-store": Case(
-        "store", "§4.1", "feature bit 3 with method store", header(features=8)
+    "feature-4": Case("store", "§4.7", "feature bit 4", header(features=17), "unsupported"),
+    "feature-31": Case(
+        "store", "§4.7", "feature bit 31", header(features=2**31 + 1), "unsupported"
     ),
-    "reach-of-layout-1": Case(
-        "rapid", "§4.1", "feature bit 3 with tables of layout 1", header(features=8)
-    ),
-    "fills-of-one-level": Case(
-        "one-sample", "§4.1", "feature bit 4 with k_max 0", header(features=16)
-    ),
-    "weights-of-layout-1": Case(
-        "rapid", "§4.1", "feature bit 5 with tables of layout 1", header(features=32)
-    ),
-    "weights-not-told": Case(
-        "rapid", "R.10", "layout 5 without feature bit 5", parameters(b"\5\0\0\0\0\0\0")
-    ),
-    "weights-and-reach": Case(
-        "rapid", "§4.1", "feature bits 3 and 5", weighted(b"\5\0\0\0\0\0\0", features=40)
+    "all-void-not-told": Case(
+        "all-void", "§4.1", "no valid sample without feature bit 0", header(features=0)
     ),
     "parameters-rapid-weights-family": Case(
-        "rapid", "R.10", "family 7 of layout 5", weighted(b"\5\7\0\0\0\0\0")
+        "rapid", "R.10", "family 7 of layout 5", parameters(b"\5\7\0\0\0\0\0")
     ),
     "parameters-rapid-weights-code": Case(
-        "rapid", "R.10", "a code of a weight below 0", weighted(weights(hl_2=-1))
+        "rapid", "R.10", "a code of a weight below 0", parameters(section_with(weights(hl_2=-1)))
     ),
     "parameters-rapid-weights-sum": Case(
-        "rapid", "R.10", "weights whose sum may pass 31 bits", weighted(weights(hl_2=120, hl_4=127))
+        "rapid", "R.10", "weights whose sum may pass 31 bits",
+        parameters(section_with(weights(hl_2=120, hl_4=127))),
     ),
-    "remainders-int16": Case("store", "§4.1", "remainders of int16", header(features=1)),
+    "remainders-int16": Case("store", "§4.1", "remainders of int16", header(features=3)),
     "remainders-step": Case("exact", "§4.1", "remainders beside step 3", header(step=3)),
     "remainders-bound": Case(
         "exact", "§4.1", "remainders beside an effective_bound",
         header(max_error=1.0, effective_bound=0.5),
     ),
-    "faithful-store": Case("store", "§4.1", "a faithful file of store", header(features=2)),
+    "faithful-store": Case("store", "§4.1", "a faithful file of store", header(features=5)),
     "file-cut": Case("store", "§3.5", "the last byte is missing", lambda data: data[:-1]),
     "file-longer": Case("store", "§1.5", "a byte after the last one", lambda data: data + b"\0"),
     "byte-left-over": Case(
         "store", "§1.5", "a byte after the last section, within file_size",
         edited(lambda editor: setattr(editor, "end", b"\0")),
+    ),
+    "digests-crc": Case(
+        "store-digests-int16", "§4.9", "checksum of the digests", flip_byte(-8),
+        found_by="verifier",
+    ),
+    "digests-short": Case(
+        "store-digests-int16", "§4.9", "begin 32 bytes behind the segments",
+        edited(lambda editor: setattr(editor, "end", bytes(32) + editor.end)),
+        found_by="verifier",
+    ),
+    "digests-none": Case(
+        "store-digests-int16", "§4.9", "no digest", digests(b""), found_by="verifier"
+    ),
+    "digests-cut": Case(
+        "store-digests-int16", "§4.9", "a section of 36 bytes",
+        edited(lambda editor: setattr(editor, "end", editor.end[-36:])),
     ),
     "rows-0": Case("store", "§4.1", "no rows", header(n_rows=0)),
     "rows-too-many": Case("store", "§4.1", "2^31 + 1 rows", header(n_rows=2**31 + 1)),
@@ -554,8 +583,15 @@ CASES = {
     # Payloads
     "payload-crc": Case("store", "§3.3", "payload_crc", column("payload_crc", 1)),
     "payload-flags": Case("store", "§5.1", "flag bit 4", payload(flip(0, 16))),
+    "payload-mask-unasked": Case(
+        "store", "§5.1", "a mask section without feature bit 0", header(features=0)
+    ),
+    "payload-empty-unasked": Case(
+        "groups", "§5.1", "an empty payload without feature bit 0",
+        payload(lambda data: b"", key=(1, 0, 0)),
+    ),
     "payload-remainders": Case(
-        "store", "§5.1", "flag of remainders without feature bit 0", payload(flip(0, 4))
+        "store", "§5.1", "flag of remainders without feature bit 1", payload(flip(0, 4))
     ),
     "payload-remainders-coarse": Case(
         "predictive-float64-exact", "§5.1", "flag of remainders on level 0", payload(flip(0, 4))
@@ -594,19 +630,19 @@ CASES = {
         "store", "§5.1", "a mask section longer than the payload", payload(put(1, 99))
     ),
     "mask-of-a-coarse-level-left-over": Case(
-        FILLS, "§5.2", "a mask of level 0 with a word too much",
+        "store-int16-segments", "§5.2", "a mask of level 0 with a word too much",
         mask(lambda section: section + b"\0\0"),
     ),
     "mask-of-a-group-left-over": Case(
-        FILLS, "§5.2", "a mask of a group with a word too much",
+        "store-int16-segments", "§5.2", "a mask of a group with a word too much",
         mask(lambda section: section + b"\0\0", key=(0, 0, 0)),
     ),
     "corrections-of-step-1": Case(
-        "predictive-int16-lossless", "§4.7", "feature bit 6 with step 1", header(features=64),
+        "predictive-int16-lossless", "§4.7", "feature bit 3 with step 1", header(features=8),
         "unsupported",
     ),
     "corrections-unasked": Case(
-        "rapid", "§5.1", "a flag of corrections without feature bit 6",
+        "rapid", "§5.1", "a flag of corrections without feature bit 3",
         payload(lambda data: bytes([data[0] | 8]) + data[1:]),
     ),
     "corrections-empty": Case(
@@ -621,11 +657,11 @@ CASES = {
         corrections(lambda section: section + b"\0"),
     ),
     "corrections-all-0": Case(
-        PATCHED, "§5.5", "a section in which all corrections are 0",
+        PATCHED, "§5.4", "a section in which all corrections are 0",
         corrections(lambda section: coded_corrections(0)),
     ),
     "corrections-too-large": Case(
-        PATCHED, "§5.5", "a correction of 2^31",
+        PATCHED, "§5.4", "a correction of 2^31",
         corrections(lambda section: coded_corrections(2**31)),
     ),
     "exceptions-unasked": Case(
@@ -700,6 +736,13 @@ CASES = {
         "cdf97", "§6.2", "a byte after the stream", method_bytes(lambda data: data + b"\0")
     ),
     "cdf53-flags": Case("cdf53", "C.4", "flag 2", payload(lambda data: head_53(0, 0, 0, flags=2))),
+    "cdf53-masks-unasked": Case(
+        "cdf53", "C.4", "masks without feature bit 0", header(features=0)
+    ),
+    "cdf53-empty-unasked": Case(
+        "tiles", "C.4", "an empty payload without feature bit 0",
+        edited(lambda editor: editor.top.payloads.__setitem__(head_of_a_tile(editor), b"")),
+    ),
     "cdf53-head-crc": Case("cdf53", "C.4", "crc of a head", payload(
         lambda data: head_53(0, 0, 0)[:-1] + bytes([head_53(0, 0, 0)[-1] ^ 1])
     )),
@@ -787,9 +830,14 @@ CASES = {
 }  # fmt: skip
 
 
+def head_of_a_tile(editor):
+    """Return the key of a tile that is not the root one."""
+    return next(key for key in editor.top.payloads if key != ROOT and editor.top.payloads[key])
+
+
 def tile_low(editor):
     """Give a tile of a file of cdf53 that is not the root one a `low`."""
-    key = next(key for key in editor.top.payloads if key != ROOT and editor.top.payloads[key])
+    key = head_of_a_tile(editor)
     data = editor.top.payloads[key]
     borders = varint(data[1]) + data[2 : 2 + data[1]]
     assert data[0] == 0

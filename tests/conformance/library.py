@@ -18,11 +18,12 @@ from terrainwave.names import MESHES, METHODS
 PROFILE = {
     "name": "terrainwave, Python",
     "methods": list(METHODS),
-    "features": 123,
+    "features": 31,
     "own": True,
     "meshes": list(MESHES[1:]),
     "blocks": True,
     "verifier": True,
+    "digests": True,
 }
 
 
@@ -62,9 +63,9 @@ def block_triangles(terrain, level):
 
 
 def heights_of(terrain, level):
-    """Return heights, with those that are fills, and which are no fills if the file tells."""
+    """Return heights, with those that are fills, and which are no fills if the file has voids."""
     own = None
-    if terrain.header.has_fills:
+    if terrain.header.has_voids:
         own = terrain.read_with_mask(level=level, voids="exact")[1]
     return protocol.heights_and_mask(*terrain.read_with_mask(level=level, voids="any"), own)
 
@@ -78,13 +79,19 @@ def level_of(terrain, level):
     return found
 
 
+def root(terrain):
+    """Return the root of a file's digests, if it has some."""
+    found = terrain.digest()
+    return {} if found is None else {"root": found}
+
+
 def check(terrain):
     """Read all that there is."""
     for level in range(terrain.n_levels):
         level_of(terrain, level)
     for problem in terrain.check():
         raise CorruptStreamError(problem)
-    return {"sound": True}
+    return {"sound": True} | root(terrain)
 
 
 def answer(question):

@@ -12,13 +12,13 @@ import sys
 PROFILE = {
     "name": "terrainwave, native",
     "methods": ["store", "cdf97", "predictive", "cdf53", "rapid"],
-    "features": 123,
+    "features": 31,
     "own": True,
     "meshes": [],
     "blocks": True,
     "verifier": True,
 }
-HAS_FILLS = 16
+HAS_VOIDS = 1
 
 
 class Refused(Exception):
@@ -64,7 +64,7 @@ def answer(command, question):
     found = {key: (described[key] - 1) // step + 1 for key in ("rows", "cols")}
     found["heights"] = digest_of(command, path, level)
     found["mask"] = digest_of(command, path, level, "--mask")
-    if described["features"] & HAS_FILLS:
+    if described["features"] & HAS_VOIDS:
         found["own"] = digest_of(command, path, level, "--own")
     return found
 

@@ -7,6 +7,7 @@ if __name__ == "__main__":
     sys.path[:0] = [str(Path(__file__).parents[1])]
 
 from reference_decoder.basics import CorruptError, UnsupportedError
+from reference_decoder.digests import root_of, section_of
 from reference_decoder.files import DTYPES, METHODS, block_codes, decode_error, read_file
 from reference_decoder.units import decode, decode_with_own
 
@@ -15,11 +16,12 @@ from conformance import protocol
 PROFILE = {
     "name": "reference decoder",
     "methods": list(METHODS.values()),
-    "features": 123,
+    "features": 31,
     "own": True,
     "meshes": [],
     "blocks": True,
     "verifier": True,
+    "digests": True,
 }
 
 
@@ -50,8 +52,8 @@ def answer(question):
             return describe(file)
         if task == "level":
             heights, mask, own = decode_with_own(data, question["level"])
-            has_fills = file.header.features & 16
-            return protocol.heights_and_mask(heights, mask, own if has_fills else None)
+            has_voids = file.header.features & 1
+            return protocol.heights_and_mask(heights, mask, own if has_voids else None)
         if task == "blocks":
             boxes, blocks = block_codes(data), file.grid.blocks(question["level"])
             return protocol.blocks(
@@ -60,8 +62,13 @@ def answer(question):
         if task == "mesh":
             return {"error": "unsupported", "message": "meshes"}
         for level in range(file.grid.k_max + 1):
-            decode(data, level)
-        return {"sound": True}
+            heights, mask = decode(data, level)
+        if not file.digests:
+            return {"sound": True}
+        if section_of(heights, mask) != file.digests:
+            raise CorruptError("digests of other heights")
+        root = root_of(file.header, file.metadata, heights.dtype.name, file.digests[:32])
+        return {"sound": True, "root": root}
     except UnsupportedError as error:
         return {"error": "unsupported", "message": str(error)}
     except CorruptError as error:

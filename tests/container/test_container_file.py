@@ -77,15 +77,27 @@ def test_the_order_in_which_payloads_arrive_does_not_change_a_byte():
     assert toy_file(header, shuffled) == toy_file(header) == toy_file(header, lambda k: k[::-1])
 
 
-def test_segments_lie_in_the_file_by_level_then_morton():
-    header = toy_header(5000, 3000)
+def test_bodies_lie_in_the_file_by_level_then_morton():
+    header = toy_header(17_000, 3000)
     data = toy_file(header)
     with open_container(data) as container:
-        starts = [container.segment(head).start for head in header.grid.segment_heads()]
-        ends = [container.segment(head).end for head in header.grid.segment_heads()]
-    assert starts[1:] == ends[:-1]
-    assert starts[0] == container.extents.top_start
+        segments = [container.segment(head) for head in header.grid.segment_heads()]
+        end_of_page = container.extents.top_start + container.extents.top_page_length
+    starts = [(one.page_starts or [one.sections_start])[0] for one in segments]
+    ends = [one.end for one in segments]
+    assert starts == [end_of_page, *ends[:-1]]
     assert ends[-1] == len(data)
+    assert len({one.head.level for one in segments[1:]}) == 2
+
+
+def test_pages_of_children_lie_together_before_the_payloads_above_them():
+    header = toy_header(17_000, 3000)
+    with open_container(toy_file(header)) as container:
+        for head in header.grid.segment_heads():
+            segment = container.segment(head)
+            places = [segment.page_range(child) for child in segment.layout.children]
+            assert [place.end for place in places[:-1]] == [place.offset for place in places[1:]]
+            assert not places or places[-1].end == segment.sections_start
 
 
 def test_the_top_segment_is_page_then_root_then_groups():

@@ -11,8 +11,8 @@ from costs import n_calls, peak_memory
 from hypothesis import given
 from hypothesis import strategies as st
 
+from terrainwave.annexes import read_annex
 from terrainwave.coding.deflate import deflate
-from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.container.header import MAGIC
 from terrainwave.container.page import empty_page, pack_columns, pack_page, page_layout
 from terrainwave.errors import (
@@ -24,6 +24,7 @@ from terrainwave.grid.quadtree import Block
 
 HEADER = toy_header(1030, 2)  # k_max = 6: level 2's three blocks are heads of segments
 DATA = toy_file(HEADER)
+LIST = deflate(b"[]", read_annex("dictionary.txt"))
 
 
 def problems(data):
@@ -85,9 +86,8 @@ def test_a_damaged_payload_is_named_and_others_still_read():
 
 
 def test_the_damaged_root_is_named():
-    extents = open_container(DATA).extents
     damaged = bytearray(DATA)
-    damaged[extents.top_start + extents.top_page_length] ^= 1
+    damaged[open_container(DATA).segment(None).sections_start] ^= 1
     with pytest.raises(CorruptStreamError, match=r"root block \(level 0, row 0, col 0\)"):
         open_container(bytes(damaged)).payload(Block(-1, 0, 0))
 
@@ -127,14 +127,17 @@ def test_a_forged_file_without_faults_is_sound():
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (forge(HEADER, with_children([20, 20, 21]), rest=bytes(60)), "do not fill|beyond"),
-        (forge(HEADER, with_children([20, 20, 20]), rest=bytes(61)), "do not fill"),
-        (forge(HEADER, with_children([20, 20, 20]), rest=bytes(60), first_child=-1), "follow"),
-        (forge(HEADER, with_children([20, 20, 20]), rest=bytes(60), first_child=1), "follow"),
+        (forge(HEADER, with_children([20, 20, 21]), rest=bytes(21)), "do not fill|beyond"),
+        (forge(HEADER, with_children([20, 20, 20]), rest=bytes(22)), "do not fill"),
+        (forge(HEADER, with_children([20, 20, 20]), rest=bytes(21), first_child=-1), "follow"),
+        (forge(HEADER, with_children([20, 20, 20]), rest=bytes(21), first_child=1), "follow"),
         (forge(HEADER, with_children([2**63, 2**63, 20]), rest=bytes(20)), "do not fill|beyond"),
         (forge(HEADER, empty_page(TOP), body=b"x"), "follow"),
         (forge(toy_header(), empty_page(page_layout(toy_header().grid, None)), body=b"x"), "fill"),
-        (forge(HEADER, empty_page(TOP), metadata=deflate(b"[]", DICTIONARY)), "not a JSON object"),
+        (
+            forge(HEADER, empty_page(TOP), metadata=deflate(b"[]", read_annex("dictionary.txt"))),
+            "not a JSON object",
+        ),
     ],
 )
 def test_segments_that_do_not_tile_the_file_are_corrupt(data, message):
@@ -150,48 +153,48 @@ def test_a_payload_beyond_the_end_of_the_file_is_corrupt():
 
 DEEP = toy_header(4 * 32 * 256 + 1, 2)  # k_max = 10: segments on levels 2 and 6
 DEEP_TOP = page_layout(DEEP.grid, None)
+BODIES = 16 * 87
 
 
-def deep_top(lengths):
-    """Return a top page whose child segments are pages without anything else."""
-    lengths = np.array(lengths + [0] * (len(DEEP_TOP.children) - len(lengths)))
-    return replace(
-        empty_page(DEEP_TOP),
-        child_lengths=lengths.astype(np.uint64),
-        child_page_lengths=lengths.astype(np.uint32),
-    )
+def deep_top(n, page_length, body_length):
+    """Return a top page with n child segments."""
+    page = empty_page(DEEP_TOP)
+    page.child_page_lengths[:n] = page_length
+    page.child_lengths[:n] = page_length + body_length
+    return page
 
 
 def deep_forgery(*first_children, n_bytes=None):
-    """Return a file whose segments on level 2 each point at sixteen of 100 zeros.
+    """Return a file whose segments on level 2 each point at sixteen bodies of 87 zeros.
 
-    `first_children` map the end of the top segment and the end of level 2 to where.
+    The pages of these are 13 zeros each. `first_children` map the end of the top segment's body and
+    the end of level 2's to where.
     """
     below = page_layout(DEEP.grid, DEEP_TOP.children[0])
     assert len(below.children) == 16
     child = replace(
         empty_page(below),
         child_lengths=np.full(16, 100, np.uint64),
-        child_page_lengths=np.full(16, 100, np.uint32),
+        child_page_lengths=np.full(16, 13, np.uint32),
     )
-    columns = pack_columns(child)
-    page = deep_top([len(pack_page(columns, 0))] * len(first_children))
-    n_bytes = 1600 * len(first_children) if n_bytes is None else n_bytes
+    columns, n = pack_columns(child), len(first_children)
+    page = deep_top(n, len(pack_page(columns, 0)), 16 * 13)
+    n_bytes = BODIES * n if n_bytes is None else n_bytes
     end_of_top = len(forge(DEEP, page))
-    end_of_level = end_of_top + page.child_lengths.sum().item()
+    end_of_level = end_of_top + 16 * 13 * n
     pages = [pack_page(columns, place(end_of_top, end_of_level)) for place in first_children]
-    return forge(DEEP, page, rest=b"".join(pages) + bytes(n_bytes))
+    return forge(DEEP, page, rest=bytes(16 * 13 * n + n_bytes), pages=b"".join(pages))
 
 
 def test_all_faults_of_a_forgery_are_found_and_none_twice():
-    data = deep_forgery(lambda top, level: level, lambda top, level: level + 1600)
+    data = deep_forgery(lambda top, level: level, lambda top, level: level + BODIES)
     assert DEEP.grid.k_max == 10
     assert len(problems(data)) == 32
     assert all("has only" in problem or "checksum" in problem for problem in problems(data))
 
 
 def test_segments_on_the_same_bytes_are_found_and_visited_once():
-    data = deep_forgery(lambda top, level: level, lambda top, level: level, n_bytes=1600)
+    data = deep_forgery(lambda top, level: level, lambda top, level: level, n_bytes=BODIES)
     found = problems(data)
     assert sum("checksum" in problem for problem in found) == 16
     assert sum("begins at byte" in problem for problem in found) == 16
@@ -199,7 +202,7 @@ def test_segments_on_the_same_bytes_are_found_and_visited_once():
 
 
 def test_a_gap_between_segments_is_found():
-    data = deep_forgery(lambda top, level: level + 5, n_bytes=1605)
+    data = deep_forgery(lambda top, level: level + 5, n_bytes=BODIES + 5)
     assert sum("begins at byte" in problem for problem in problems(data)) == 1
 
 
@@ -211,7 +214,7 @@ def test_bytes_after_the_last_segment_are_found():
 
 def test_a_child_of_the_top_segment_beyond_the_end_of_the_file_is_corrupt():
     with pytest.raises(CorruptStreamError, match="beyond the end"):
-        open_container(forge(DEEP, deep_top([50, 50]), rest=bytes(99)))
+        open_container(forge(DEEP, deep_top(2, 13, 50), rest=bytes(99)))
 
 
 @pytest.mark.parametrize(
@@ -235,7 +238,7 @@ def test_a_segment_whose_page_disagrees_with_its_parent_is_corrupt():
     layout = page_layout(HEADER.grid, TOP.children[0])
     page = pack_page(pack_columns(empty_page(layout)), 0)
     lengths = [len(page) + 1, 0, 0]
-    data = forge(HEADER, with_children(lengths, [len(page), 0, 0]), rest=page + b"\0")
+    data = forge(HEADER, with_children(lengths, [len(page), 0, 0]), rest=b"\0", pages=page)
     with pytest.raises(CorruptStreamError, match="its parent says"):
         open_container(data).payload(Block(5, 0, 0))
     assert problems(data)

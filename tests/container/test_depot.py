@@ -136,7 +136,7 @@ def test_segments_are_read_again_where_a_request_fails(depot, store):
         file.write(b"page and payload")
     store.fails["get"] = 2
     segment = StoredSegment(depot.path("a"), 0, 4, 16)
-    assert list(segment.chunks()) == [b"page", b" and payload"]
+    assert (segment.page(), list(segment.sections())) == (b"page", [b" and payload"])
 
 
 def test_bytes_and_names_are_counted(depot):

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from terrainwave.container import header as header_module
-from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.container.header import DTYPE_CODES, HEADER_SIZE, MAGIC
 from terrainwave.container.page import empty_page, file_order, pack_columns, page_layout
 from terrainwave.grid.quadtree import Block, Grid
@@ -139,9 +138,3 @@ def test_every_section_that_the_document_cites_exists():
 
 def test_the_check_value_of_crc_32_is_right():
     assert f"0x{zlib.crc32(b'123456789'):X}" in section("1.3")
-
-
-def test_the_dictionary_of_metadata_is_that_of_format_4_6():
-    text = re.search(r"^```dictionary\n(.*?)^```", section("4.6"), re.M | re.S)[1]
-    assert text.replace("\n", "").encode() == DICTIONARY
-    assert f"0x{zlib.crc32(DICTIONARY):08X}" in section("4.2")

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from terrainwave.container.header import (
     DTYPE_CODES,
+    HAS_VOIDS,
     HEADER_SIZE,
     Extents,
     Header,
@@ -73,7 +74,7 @@ def test_header_comes_back_from_its_bytes(header):
     "changes",
     [
         {"n_rows": 2**31, "n_cols": 2**19},
-        {"z_min": 0, "z_max": -1},
+        {"z_min": 0, "z_max": -1, "features": HAS_VOIDS},
         {"z_min": -(2**30), "z_max": -1},
         {"step": 2**31 - 1},
         {"quantum": Fraction(1, 2**63 - 1), "base": 2**62},
@@ -105,7 +106,7 @@ def test_every_changed_byte_of_the_header_is_noticed(byte_pos):
 
 
 def test_a_damaged_version_is_no_newer_one():
-    for version in set(range(256)) - {1}:
+    for version in set(range(256)) - {2}:
         data = bytearray(packed())
         data[8] = version
         with pytest.raises(CorruptStreamError, match=f"byte 8 is damaged.* version {version},"):
@@ -113,10 +114,19 @@ def test_a_damaged_version_is_no_newer_one():
 
 
 UNSUPPORTED = [
-    (8, "B", 0, "format version 0, which no release has written"),
-    (8, "B", 2, "format version 2: "),
+    *(
+        (
+            8,
+            "B",
+            old,
+            f"found format version {old}, expected 2: made by a development build:"
+            " compress the raster again",
+        )
+        for old in (0, 1)
+    ),
+    (8, "B", 3, "found format version 3, expected 2: install a newer terrainwave"),
     (9, "B", 1, "reserved"),
-    (12, "I", 4, "unknown features 0x4"),
+    (12, "I", 16, "unknown features 0x10"),
     (12, "I", 2**31, "unknown features"),
     (34, "B", 5, "unknown method 5"),
     (35, "B", 0, "unknown data type 0"),
@@ -133,12 +143,12 @@ UNSUPPORTED = [
 def test_what_a_newer_version_may_write_is_unsupported(offset, layout, value, message):
     with pytest.raises(UnsupportedVersionError, match=message) as raised:
         unpack_header(patched(offset, layout, value))
-    assert ("install a newer terrainwave" in str(raised.value)) == ("version 0" not in message)
+    assert ("install a newer terrainwave" in str(raised.value)) == ("development" not in message)
 
 
 CORRUPT = [
     (10, "H", 127, "header size 127"),
-    (12, "I", 2, "a faithful file of method store"),
+    (12, "I", 4, "a faithful file of method store"),
     (16, "Q", 547, "does not hold"),
     (16, "Q", 2**63, "does not hold"),
     (24, "I", 0, "n_rows is 0"),
@@ -161,6 +171,7 @@ CORRUPT = [
     (64, "I", 0, "step is 0"),
     (64, "I", 2, "step is 2"),
     (64, "I", 2**31 + 1, "step is"),
+    (68, "ii", (0, -1), "no sample is valid, and none may be void"),
     (68, "ii", (5, 4), "heights 5 ... 4"),
     (68, "ii", (1, 0), "heights 1 ... 0"),
     (68, "i", -(2**30) - 1, "out of range"),

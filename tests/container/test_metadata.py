@@ -10,8 +10,8 @@ from container.toys import toy_header
 from hypothesis import given
 from hypothesis import strategies as st
 
+from terrainwave.annexes import read_annex
 from terrainwave.coding.deflate import deflate, inflate
-from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.container.header import MAX_METADATA
 from terrainwave.container.metadata import pack_metadata, unpack_metadata
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveError
@@ -32,7 +32,7 @@ FULL = {
 
 
 def deflated(text):
-    return deflate(text if isinstance(text, bytes) else text.encode(), DICTIONARY)
+    return deflate(text if isinstance(text, bytes) else text.encode(), read_annex("dictionary.txt"))
 
 
 def test_metadata_come_back_with_unknown_keys():
@@ -182,7 +182,7 @@ def test_metadata_that_could_not_be_read_are_not_written(metadata):
 
 def test_nothing_about_time_host_or_path_is_added():
     text = inflate(
-        pack_metadata(toy_header().metadata), MAX_METADATA, "metadata", DICTIONARY
+        pack_metadata(toy_header().metadata), MAX_METADATA, "metadata", read_annex("dictionary.txt")
     ).decode()
     assert json.loads(text).keys() == toy_header().metadata.keys()
     assert not re.search(r"\s", text)

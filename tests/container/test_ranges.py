@@ -48,37 +48,37 @@ def test_a_quarter_of_what_is_wanted_may_lie_in_gaps():
     near, far = ByteRange(MIB + 300_000, MIB), ByteRange(MIB + 600_000, MIB)
     assert spans_of([first, near]) == [ByteRange(0, 2 * MIB + 300_000)]
     assert spans_of([first, far]) == [first, far]
-    # However much is wanted, a gap above 512 KiB costs more than a request.
+    # However much is wanted, a gap above 1 MiB costs more than a request.
     large, beyond = ByteRange(0, 8 * MIB), ByteRange(8 * MIB + MAX_GAP + 1, MIB)
     assert spans_of([large, beyond]) == [large, beyond]
 
 
-def test_more_may_lie_in_gaps_where_requests_become_few_by_it():
-    gaps = [60 * KIB] * 5 + [300 * KIB] * AIMED_REQUESTS  # 18 ranges
-    ranges = in_a_row(50 * KIB, gaps)
-    assert len(spans_of(ranges)) == 18 - 3  # a quarter of 900 KiB
+def test_more_may_lie_in_gaps_while_requests_are_more_than_is_aimed_at():
+    ranges = in_a_row(50 * KIB, [60 * KIB] * 5 + [300 * KIB] * 12)  # 18 ranges, 900 KiB
+    assert len(spans_of(ranges)) == 18 - 5 - 3  # one and a half times that: 5 · 60 + 3 · 300
     budget = Budget(13, waste=225 * KIB, most_waste=300 * KIB)
     assert len(spans_of(ranges, budget)) == 13
-    # Where the aim is too far, nothing is wasted on the way there.
-    assert len(spans_of(ranges, budget._replace(most_waste=299 * KIB))) == 18 - 3
-    assert len(spans_of(ranges, budget._replace(n_requests=12))) == 18 - 3
+    assert len(spans_of(ranges, budget._replace(most_waste=299 * KIB))) == 14
+    assert len(spans_of(ranges, budget._replace(n_requests=12))) == 13
 
 
 def test_no_more_gaps_are_bridged_than_the_aim_needs():
-    ranges = in_a_row(100 * KIB, [100 * KIB] * AIMED_REQUESTS)  # 13 ranges
+    ranges = in_a_row(100 * KIB, [100 * KIB] * 12)
     budget = Budget(AIMED_REQUESTS, waste=0, most_waste=10 * MIB)
     assert len(spans_of(ranges, budget)) == AIMED_REQUESTS
     assert spans_of(ranges, budget._replace(n_requests=13)) == ranges
+    # Earlier rounds have taken all: one more is needed in any case.
+    assert len(spans_of(ranges, budget._replace(n_requests=-2))) == 1
 
 
 def test_what_earlier_rounds_took_is_gone_from_the_budget():
     whole = budget_of(4 * MIB)
-    assert whole == (AIMED_REQUESTS, MIB, int(0.45 * 4 * MIB))
-    left = budget_of(4 * MIB, n_requests=5, n_wasted=MIB + 1)
-    assert left == (AIMED_REQUESTS - 5, -1, whole.most_waste - MIB - 1)
+    assert whole == (AIMED_REQUESTS, MIB, 6 * MIB)
+    left = budget_of(4 * MIB, n_requests=2, n_wasted=MIB + 1)
+    assert left == (AIMED_REQUESTS - 2, -1, whole.most_waste - MIB - 1)
     ranges = in_a_row(10, [1])
-    assert spans_of(ranges, left) == ranges
-    assert len(spans_of(ranges, left._replace(n_requests=1))) == 1
+    assert len(spans_of(ranges, left)) == 1
+    assert spans_of(ranges, left._replace(n_requests=2)) == ranges
 
 
 def test_ranges_that_touch_or_overlap_are_one_request_whatever_the_budget():
@@ -121,19 +121,15 @@ def test_requests_are_disjoint_in_order_and_within_the_budget(lengths, gaps, bud
     assert all(one.end < other.offset for one, other in pairwise(spans))
     n_wasted = n_bytes(spans) - n_bytes(ranges)
     assert n_wasted <= max(0, budget.waste, budget.most_waste)
-    if n_wasted > max(0, budget.waste):
-        assert len(spans) == budget.n_requests
     # The fewest requests that the budget can buy: bridging the shortest gaps first.
     costs = [sum(sorted(gaps[1 : len(ranges)])[:n]) for n in range(len(ranges))]
-    fewest = len(ranges) - max(
-        (n for n, cost in enumerate(costs) if cost <= budget.waste), default=0
-    )
-    if (
-        fewest > budget.n_requests >= 1
-        and costs[len(ranges) - budget.n_requests] <= budget.most_waste
-    ):
-        fewest = budget.n_requests
-    assert len(spans) == fewest
+
+    def bought(most):
+        return max((n for n, cost in enumerate(costs) if cost <= most), default=0)
+
+    aimed = max(0, len(ranges) - max(budget.n_requests, 1))
+    n_bridged = max(bought(budget.waste), min(bought(budget.most_waste), aimed))
+    assert len(spans) == len(ranges) - n_bridged
 
 
 def fetched(*pieces):

@@ -54,14 +54,23 @@ def test_later_rounds_fetch_only_what_is_missing(source):
 
 def test_requests_of_earlier_rounds_count(source):
     reader = RoundReader(source, b"")
-    first = apart(0, 6, 60 * KIB, 200 * KIB)
+    first = apart(0, 2, 60 * KIB, 200 * KIB)  # 140 KiB between them: more than 120 KiB wanted allow
+    reader.fetch(first[:1])
     reader.fetch(first)
-    assert len(source.rounds[0]) == 6
-    # 8 more would be 14 in all; 2 gaps of 110 KiB lie between a quarter and 45 % of 760 KiB.
-    second = apart(1300 * KIB, 8, 50 * KIB, 160 * KIB)
+    assert list(map(len, source.rounds)) == [1, 1]
+    second = apart(1300 * KIB, 4, 50 * KIB, 160 * KIB)
     reader.fetch([*first, *second])
-    assert len(source.rounds[1]) == AIMED_REQUESTS - 6
+    assert len(source.rounds[2]) == AIMED_REQUESTS - 2
     assert all(reader.take(place) == of_data(place) for place in [*first, *second])
+
+
+def test_a_local_source_reads_little_that_is_not_wanted(source):
+    wanted = apart(0, 8, 60 * KIB, 120 * KIB)
+    RoundReader(source, b"").fetch(wanted)
+    assert len(source.rounds[0]) == AIMED_REQUESTS
+    source.is_local = True
+    RoundReader(source, b"").fetch(wanted)
+    assert len(source.rounds[1]) == 8 - 2  # a quarter of 480 KiB
 
 
 def test_bytes_that_were_wasted_are_not_wasted_again(source):

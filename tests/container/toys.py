@@ -83,11 +83,13 @@ def toy_file(header=None, order=lambda keys: keys) -> bytes:
     return out.getvalue()
 
 
-def forge(header, page, body=b"", rest=b"", first_child=None, metadata=None):
+def forge(header, page, body=b"", rest=b"", first_child=None, metadata=None, pages=None):
     """Return a file whose checksums are right, whatever else is wrong with it.
 
+    `pages` are those of the top segment's children, by default zeros, `body` is what follows them,
     `metadata` are the bytes of the deflated JSON, `first_child` is relative to its true place.
     """
+    body = (bytes(page.child_page_lengths.sum()) if pages is None else pages) + body
     metadata = pack_metadata(header.metadata) if metadata is None else metadata
     columns = pack_columns(page)
     extents = Extents(

@@ -296,16 +296,38 @@ def test_array_that_is_no_raster_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("nodata", "masked", "as_stored", "attribute"),
-    [(None, "float32", "int16", -9999), ("none", "int16", "int16", None)],
+    ("has_void", "nodata", "masked", "attribute"),
+    [
+        (True, None, "float32", -9999),
+        (False, None, "int16", -9999),
+        (False, "none", "int16", None),
+    ],
 )
-def test_whole_numbers_keep_their_type_where_no_value_marks_voids(
-    tmp_path, nodata, masked, as_stored, attribute
+def test_whole_numbers_keep_their_type_where_no_sample_is_void(
+    tmp_path, has_void, nodata, masked, attribute
 ):
-    dem = write_geotiff(tmp_path / "a.tif", terrain_like(20, 17), nodata=-9999)
+    heights = terrain_like(20, 17)
+    if has_void:
+        heights[3, 4] = -9999
+    dem = write_geotiff(tmp_path / "a.tif", heights, nodata=-9999)
     terrainwave.compress(dem, tmp_path / "a.twz", max_error=0, block=32, nodata=nodata)
     with xr.open_dataset(tmp_path / "a.twz", engine="terrainwave") as dataset:
         assert dataset.heights.dtype == masked
+        expected = np.where(heights == -9999, np.nan, heights) if has_void else heights
+        np.testing.assert_array_equal(dataset.heights, expected)
+        assert dataset.heights.encoding.get("_FillValue") == attribute
     with xr.open_dataset(tmp_path / "a.twz", engine="terrainwave", mask_and_scale=False) as raw:
-        assert raw.heights.dtype == as_stored
+        assert raw.heights.dtype == "int16"
         assert raw.heights.attrs.get("_FillValue") == attribute
+
+
+def test_damaged_blocks_of_a_file_without_voids_are_nan(tmp_path):
+    heights = terrain_like(90, 70)
+    path = tmp_path / "a.twz"
+    terrainwave.compress(heights, path, max_error=0, block=32, mesh="none")
+    data = path.read_bytes()
+    path.write_bytes(data[:-9] + bytes(9))
+    with terrainwave.open(path, on_error="mask") as terrain:
+        found = terrain.to_xarray()
+        assert found.dtype == "float32"
+        assert 0 < np.isnan(found.values).sum() < heights.size

@@ -2,6 +2,7 @@
 
 import json
 import warnings
+import zlib
 
 import numpy as np
 import pytest
@@ -11,7 +12,12 @@ from strategies import terrain_like
 from zarr.storage import MemoryStore
 
 import terrainwave
-from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveWarning
+from terrainwave.errors import (
+    CorruptStreamError,
+    InvalidHeightsError,
+    TerrainwaveWarning,
+    UnsupportedVersionError,
+)
 from terrainwave.ext.zarr_codec import TerrainwaveCodec
 
 
@@ -154,12 +160,26 @@ def test_chunk_of_another_shape_or_type_is_refused(other):
         damaged(store, foreign)[...]
 
 
-def test_metadata_name_the_codec_and_only_what_was_chosen():
+def test_a_chunk_of_a_development_build_is_to_be_made_again():
+    _, store = make_array(terrain_like(20, 20), (20, 20))
+    chunk = bytearray(terrainwave.compress_to_bytes(terrain_like(20, 20)))
+    chunk[8] = 1
+    chunk[124:128] = zlib.crc32(chunk[:124]).to_bytes(4, "little")
+    with pytest.raises(
+        UnsupportedVersionError,
+        match="cannot be read: found format version 1, expected 2: made by a development build:"
+        " compress the raster again",
+    ):
+        damaged(store, bytes(chunk))[...]
+
+
+def test_metadata_name_the_codec_what_was_chosen_and_whether_heights_are_stable():
     _, store = make_array(np.zeros((4, 4), np.int16), (4, 4), max_error=0.25)
     (codec,) = json.loads(store._store_dict["zarr.json"].to_bytes())["codecs"]
     assert codec == {"name": "terrainwave", "configuration": {"max_error": 0.25, "stable": True}}
     for stable in (False, True):
         codec = TerrainwaveCodec(max_error=1, nodata=-1, effort="fast", stable=stable)
+        assert codec.to_dict()["configuration"]["stable"] is stable
         assert TerrainwaveCodec.from_dict(codec.to_dict()) == codec
 
 
@@ -319,15 +339,15 @@ def test_every_bit_stays_where_nothing_may_be_lost():
     array[7] = heights[7]
     np.testing.assert_array_equal(bits(array[...]), bits(heights))
     (codec,) = json.loads(store._store_dict["zarr.json"].to_bytes())["codecs"]
-    assert codec["configuration"] == {"max_error": 0}  # which version 1.0 understands
+    assert codec["configuration"] == {"max_error": 0, "stable": True}
 
 
-def test_an_array_of_version_1_0_stays_what_it_was_and_warns_of_parts():
+def test_an_array_without_fixed_steps_stays_what_it_was_and_warns_of_parts():
     heights = five_kinds()["noisy"]
     codec = TerrainwaveCodec(max_error=0.5, stable=False)
     array, store = make_array(heights, (24, 24), codec=codec)
     (written,) = json.loads(store._store_dict["zarr.json"].to_bytes())["codecs"]
-    assert written["configuration"] == {"max_error": 0.5}  # as version 1.0 wrote it
+    assert written["configuration"] == {"max_error": 0.5, "stable": False}
     first = array[...]
     old = zarr.open_array(store)
     np.testing.assert_array_equal(old[...], first)
@@ -335,7 +355,8 @@ def test_an_array_of_version_1_0_stays_what_it_was_and_warns_of_parts():
         old[3] = heights[3] + 20
     assert (old[4:24] != first[4:24]).any()  # what the warning says
     old.resize((40, 60))
-    assert store._store_dict["zarr.json"].to_bytes().count(b"stable") == 0
+    (written,) = json.loads(store._store_dict["zarr.json"].to_bytes())["codecs"]
+    assert written["configuration"]["stable"] is False
 
 
 @pytest.mark.parametrize("layout", LAYOUTS, ids=["chunks", "shards"])

@@ -152,6 +152,41 @@ print(0)
     np.testing.assert_array_equal(np.load(folder / "http.npy"), expected)
 
 
+@pytest.fixture(scope="module")
+def rough(folder):
+    """A file of 16 x 16 units in 1 + 4 segments, too large to be fetched whole."""
+    rng = np.random.default_rng(1)
+    heights = np.add.outer(np.arange(2049) * 3, np.arange(2049)) + rng.integers(0, 90, (2049, 2049))
+    path = folder / "rough.twz"
+    terrainwave.compress(heights.astype(np.int16), path, max_error=0, block=64, mesh="none")
+    with terrainwave.open(path) as terrain:
+        assert len(terrain.container.segment(None).layout.children) == 4
+    assert path.stat().st_size > 3_000_000
+    path.with_name("mark").write_bytes(b"what is asked for between opening and reading")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("place", "most"),
+    [((1000, 300), 3), ((1900, 1900), 3), ((448, 1472), 3), ((600, 600), 3), ((960, 960), 8)],
+)
+def test_a_first_window_by_http_takes_few_requests(rough, place, most):
+    """Three, but where four segments meet, which is the raster's middle."""
+    code = """
+dataset = gdal.Open(asked[0])
+urllib.request.urlopen(asked[1]).read()
+dataset.ReadAsArray(*asked[2])
+print(0)
+"""
+    with SlowServer(rough.parent, latency=0.001, bits_per_second=0) as server:
+        asked = [f"/vsicurl/{server.url(rough.name)}", server.url("mark"), [*place, 128, 128]]
+        by_python("import urllib.request\n" + code, asked, GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR")
+        paths = [exchange.path for exchange in server.log]
+    opening = paths.index("/mark")
+    assert opening <= 2  # GDAL asks for the size first
+    assert 1 <= len(paths) - opening - 1 <= most
+
+
 @pytest.mark.parametrize("box", [(0, 0, 1000, 900), (0, 700, 1091, 1)])
 def test_blocks_are_fetched_together_not_one_by_one(folder, box):
     """A large window, and a line, below which five blocks lie."""

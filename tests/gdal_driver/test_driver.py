@@ -18,7 +18,7 @@ from benchmarks.slow_server import SlowServer
 from terrainwave.write.job import metadata_of
 
 pytestmark = [pytest.mark.full, pytest.mark.gdal]
-GOLDEN = ROOT / "tests" / "golden" / "v1"
+GOLDEN = ROOT / "tests" / "golden" / "v2"
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -78,7 +78,6 @@ def assert_all_levels_are_those_of_terrain(paths, folder):
                 np.testing.assert_allclose(found["transform"], (c, a, b, f, d, e), rtol=1e-15)
 
 
-@pytest.mark.filterwarnings("ignore:the file is of format 1.0")
 def test_golden_files_open_and_all_their_levels_are_terrains(folder):
     assert_all_levels_are_those_of_terrain(sorted(GOLDEN.glob("*.twz")), folder)
 
@@ -187,8 +186,8 @@ def test_the_domain_of_the_format_tells_bound_method_and_levels(kinds, described
     assert json.loads(text)["crs"] == "EPSG:32632"
 
 
-def test_plain_tags_state_no_bound_of_the_raster_that_was_compressed(folder, monkeypatch):
-    tags = {"TERRAINWAVE_MAX_ERROR": "0.0", "STATISTICS_MEAN": "1", "licence": "kept"}
+def test_plain_tags_state_nothing_measured_of_the_raster_that_was_compressed(folder, monkeypatch):
+    tags = {"STATISTICS_MEAN": "1", "licence": "kept"}
     monkeypatch.setattr(
         "terrainwave.write.job.metadata_of", lambda info: metadata_of(info) | {"tags": tags}
     )
@@ -898,13 +897,24 @@ def test_damaged_files_never_end_the_process(folder):
     assert 0 < by_python(DAMAGE, str(folder / "small.twz")) < 600
 
 
-def test_a_file_of_a_later_format_names_the_release_to_get(kinds, folder):
+def of_version(version, kinds, folder):
     data = bytearray(kinds["int16-none"].read_bytes())
-    data[8] = 2
+    data[8] = version
     data[124:128] = zlib.crc32(data[:124]).to_bytes(4, "little")
-    (folder / "later.twz").write_bytes(data)
-    (line,) = error_lines(run("gdalinfo", folder / "later.twz"))
-    assert "format version 2" in line
+    (folder / "other.twz").write_bytes(data)
+    return folder / "other.twz"
+
+
+def test_a_file_of_a_development_build_is_to_be_made_again(kinds, folder):
+    (line,) = error_lines(run("gdalinfo", of_version(1, kinds, folder)))
+    assert line.endswith(
+        "found format version 1, expected 2: made by a development build: compress the raster again"
+    )
+
+
+def test_a_file_of_a_later_format_names_the_release_to_get(kinds, folder):
+    (line,) = error_lines(run("gdalinfo", of_version(3, kinds, folder)))
+    assert "found format version 3, expected 2, which a newer release may know; " in line
     numbers = ".".join(terrainwave.__version__.split(".")[:3])
     assert line.endswith(f"install a terrainwave driver for GDAL newer than {numbers}")
 

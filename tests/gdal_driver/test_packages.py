@@ -11,7 +11,7 @@ from gdal_driver.built import ROOT, error_lines, good, run
 from terrainwave import __version__
 
 pytestmark = [pytest.mark.full, pytest.mark.gdal]
-FILE = ROOT / "tests" / "golden" / "v1" / "rapid-int16-halves.twz"
+FILE = ROOT / "tests" / "golden" / "v2" / "rapid-int16-halves.twz"
 
 
 def make(*arguments):

@@ -1,4 +1,4 @@
-"""Windows that end inside a unit: its first rows alone are decoded (format-rapid.md, R.5)."""
+"""Windows that take rows of a unit: these alone are decoded (format-rapid.md, R.9)."""
 
 from dataclasses import replace
 from functools import cache
@@ -10,9 +10,9 @@ from twz import twz_bytes
 
 from terrainwave import Terrain
 from terrainwave.codec import group
-from terrainwave.codec.group import decode_unit, encode_unit
+from terrainwave.codec.group import decode_unit, encode_unit, rows_above
 from terrainwave.codec.rapid.refiner import RapidRefiner
-from terrainwave.codec.refiner import ALL_ROWS, Decoded, Sides, Validity
+from terrainwave.codec.refiner import ALL_ROWS, Decoded, Rows, Sides, Validity
 from terrainwave.codec.unit_specs import unit_spec
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.parameters import CodecParameters
@@ -20,10 +20,11 @@ from terrainwave.grid.quadtree import Block, Grid
 
 SHAPE = 230, 301
 HEIGHTS = heights_of(SHAPE)
+NOISE = np.random.default_rng(6).integers(-30_000, 30_000, (200, 280)).astype("int16")
 VOIDS = np.random.default_rng(5).random((8, 11)).repeat(29, 0).repeat(28, 1)[:230, :301] < 0.2
 FILES = {
     "all valid": (HEIGHTS.astype("int16"), {}),
-    "three rings": (HEIGHTS.astype("int16"), {"border_rings": 3}),
+    "long payloads": (NOISE, {"block": 64, "max_error": 0}),
     "voids": (np.where(VOIDS, -32768, HEIGHTS).astype("int16"), {"nodata": -32768}),
     # Many heights would decode to the nodata value: sections of exceptions.
     "nodata among heights": (np.where(VOIDS, 7, HEIGHTS | 8).astype("int16"), {"nodata": 7}),
@@ -57,12 +58,12 @@ def test_a_window_of_any_level_that_ends_anywhere_is_that_part_of_the_level(data
 
 @pytest.fixture(name="decoded")
 def _decoded(monkeypatch):
-    """Units that are decoded, with how many rows they have."""
+    """Units that are decoded, with the rows that they have."""
     found = []
 
-    def noting(refiner, spec, parent, payload, n_rows=ALL_ROWS):
-        unit = decode_unit(refiner, spec, parent, payload, n_rows)
-        found.append((spec.level, spec.region.row, spec.region.col, len(unit.heights)))
+    def noting(refiner, spec, parent, payload, rows=ALL_ROWS):
+        unit = decode_unit(refiner, spec, parent, payload, rows)
+        found.append((spec.level, spec.region.row, spec.region.col, unit.rows))
         return unit
 
     monkeypatch.setattr(group, "decode_unit", noting)
@@ -79,9 +80,13 @@ def test_no_more_rows_are_decoded_than_a_window_wants(decoded):
     decoded.clear()
     with Terrain(plain_file(), threads=1, native=False) as terrain:
         terrain.read((64, 64, 10, 20))
-    # Of the unit rows 64 … 73. Its block is rows 32 … 64 of a group, the last ones; that one's is
-    # rows 0 … 32 of the next, the first ones; levels 0 and 1 have no more rows than are wanted.
-    assert decoded == [(0, 0, 0, 15), (1, 0, 0, 29), (2, 0, 0, 33), (3, 0, 0, 65), (4, 64, 64, 10)]
+    # Rows 64 … 73 are the first ten of their unit. They need what its first strip does, ten rows of
+    # its block, which begins at row 32 of a group. The first three strips of that one need 26 rows
+    # of a block that begins at row 0, and so on: all these have one band.
+    assert decoded == [
+        (0, 0, 0, ALL_ROWS), (1, 0, 0, Rows(0, 18)), (2, 0, 0, Rows(0, 26)),
+        (3, 0, 0, Rows(32, 42)), (4, 64, 64, Rows(0, 10)),
+    ]  # fmt: skip
 
 
 def test_a_unit_is_decoded_at_most_twice_in_a_cache_with_room(decoded):
@@ -107,52 +112,65 @@ def test_a_part_of_a_unit_counts_with_the_memory_that_it_keeps():
     with Terrain(plain_file(), threads=1, native=False, cache_bytes=1 << 20) as terrain:
         decoder = terrain.decoder
         terrain.read((64, 64, 10, 20))
-        unit = decoder.unit(Block(3, 1, 1), {Block(3, 1, 1): 10})
-        assert unit.heights.shape == (10, 65)
+        unit = decoder.unit(Block(3, 1, 1), {Block(3, 1, 1): Rows(0, 10)})
+        assert unit.rows == (0, 10)
         assert decoder._cache._size >= 65 * 65 * 4
-
-
-GRID = Grid(129, 129, 32)
 
 
 def lone_unit(target=None, **options):
     """Return a group with neighbours, its parent's block, its payload and what that decodes to."""
-    spec = unit_spec(GRID, CodecParameters(5, -9000, 9000, (1, 0), 1, 0), Block(1, 1, 1))
-    spec = replace(spec, shared=Sides(True, True, True, True), has_fills=False, **options)
-    target = heights_of(spec.region.shape, seed=4) if target is None else target
+    target = heights_of((65, 65), seed=4) if target is None else target
+    grid = Grid(2 * target.shape[0] - 1, 2 * target.shape[1] - 1, target.shape[0] // 2)
+    spec = unit_spec(grid, CodecParameters(5, -9000, 9000, (1, 0), 1, 0), Block(1, 1, 1))
+    spec = replace(spec, shared=Sides(True, True, True, True), **options)
     parent = Decoded(np.ascontiguousarray(target[::2, ::2]), Validity(None))
     refiner = RapidRefiner()
     payload, whole = encode_unit(refiner, spec, parent, target, np.ones(target.shape, dtype=bool))
     return refiner, spec, parent, payload, whole
 
 
-@pytest.mark.parametrize("n_rows", [1, 2, 3, 8, 31, 32, 63, 64])
-def test_the_first_rows_of_a_unit_are_those_of_the_whole(n_rows):
-    refiner, spec, parent, payload, whole = lone_unit()
-    found = decode_unit(refiner, spec, parent, payload, n_rows)
-    assert found.heights.shape == (n_rows, 65)
-    np.testing.assert_array_equal(found.heights, whole.heights[:n_rows])
+@pytest.mark.parametrize(
+    "rows",
+    [(0, 1), (0, 2), (0, 64), (1, 2), (9, 10), (5, 31), (32, 33), (40, 57), (63, 64), (64, 65)],
+)
+@pytest.mark.parametrize("is_long", [False, True])
+def test_rows_of_a_unit_are_those_of_the_whole(rows, is_long):
+    """Whatever its parent has in rows that they do not need."""
+    target = np.random.default_rng(3).integers(-9000, 9000, (65, 65)).astype(np.int32)
+    refiner, spec, parent, payload, whole = lone_unit(target if is_long else None)
+    first, end = rows_above(refiner, spec, payload, Rows(*rows))
+    known = np.full_like(parent.heights, -(2**31))
+    known[first:end] = parent.heights[first:end]
+    found = decode_unit(refiner, spec, parent._replace(heights=known), payload, Rows(*rows))
+    assert found.rows == rows
+    part = slice(*rows)
+    np.testing.assert_array_equal(found.heights[part], whole.heights[part])
 
 
-def test_bytes_after_the_first_rows_are_not_looked_at_and_bytes_within_are():
-    refiner, spec, parent, payload, whole = lone_unit()
-    more = payload + b"more"
-    found = decode_unit(refiner, spec, parent, more, 9)
-    np.testing.assert_array_equal(found.heights, whole.heights[:9])
+def test_bytes_of_other_rows_are_not_looked_at():
+    target = np.random.default_rng(3).integers(-9000, 9000, (257, 257)).astype(np.int32)
+    refiner, spec, parent, payload, whole = lone_unit(target)
+    assert payload[1] >> 3 & 3 == 3  # four bands
+    damaged = payload[:-9] + bytes(9)
+    found = decode_unit(refiner, spec, parent, damaged, Rows(0, 9))
+    np.testing.assert_array_equal(found.heights[:9], whole.heights[:9])
     with pytest.raises(CorruptStreamError):
-        decode_unit(refiner, spec, parent, more)
-    for n_bytes in range(len(payload)):
-        try:
-            found = decode_unit(refiner, spec, parent, payload[:n_bytes], 9)
-        except CorruptStreamError:
-            continue
-        assert n_bytes == 0 or found.heights.shape == (9, 65)
+        decode_unit(refiner, spec, parent, damaged, Rows(250, 257))
 
 
-def test_exceptions_of_the_first_rows_are_the_first_ones():
+def test_the_parent_of_rows_is_decoded_in_part():
+    refiner, spec, _, payload, _ = lone_unit(
+        np.random.default_rng(3).integers(-9000, 9000, (257, 257)).astype(np.int32)
+    )
+    assert rows_above(refiner, spec, payload, Rows(150, 160)) == (62, 90)
+    assert rows_above(refiner, spec, payload, Rows(0, 1)) == (0, 10)
+
+
+def test_exceptions_are_counted_from_the_first_row_on():
     target = np.random.default_rng(8).choice(np.int32([-1, 7]), (65, 65))
     refiner, spec, parent, payload, whole = lone_unit(target, forbidden=(0, 6))
     assert payload[0] & 2  # it has exceptions
-    for n_rows in (5, 20, 64):
-        found = decode_unit(refiner, spec, parent, payload, n_rows)
-        np.testing.assert_array_equal(found.heights, whole.heights[:n_rows])
+    for rows in (Rows(0, 5), Rows(9, 20), Rows(3, 64)):
+        found = decode_unit(refiner, spec, parent, payload, rows)
+        assert found.rows == (0, rows.end)
+        np.testing.assert_array_equal(found.heights[: rows.end], whole.heights[: rows.end])

@@ -1,8 +1,6 @@
-"""Samples of coarse levels are void where the full grid is, in files of both formats."""
+"""Samples of coarse levels are void where the full grid is; what has no voids says so."""
 
 import json
-import re
-import warnings
 
 import numpy as np
 import pytest
@@ -10,23 +8,14 @@ import rasterio
 import reference
 from cases import some
 from click.testing import CliRunner
+from conformance.editor import Editor
 from containers import open_container
-from golden_files import GOLDEN
-from reference_decoder.files import read_file
 from strategies import terrain_like, write_geotiff
 from twz import twz_bytes
 
 import terrainwave
 from terrainwave.cli import main
-from terrainwave.codec import group
-from terrainwave.codec.registry import newer_layout
-from terrainwave.errors import (
-    CorruptStreamError,
-    InvalidArgumentError,
-    TerrainwaveWarning,
-    UnsupportedVersionError,
-)
-from terrainwave.grid.quadtree import Region
+from terrainwave.errors import CorruptStreamError, InvalidArgumentError
 
 NODATA = -32768
 METHODS = ["rapid", "predictive", "cdf97", "cdf53", "store"]
@@ -59,22 +48,15 @@ def own(terrain, level, valid=VALID):
     return valid[::stride, ::stride]
 
 
-def without_warning(action):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        return action()
-
-
 @pytest.mark.large
-@pytest.mark.parametrize("file_format", ["1.0", "1.1"])
 @pytest.mark.parametrize("border_rings", [1, 3])
 @pytest.mark.parametrize("method", METHODS)
-def test_exact_voids_are_those_of_the_full_grid(method, border_rings, file_format):
+def test_exact_voids_are_those_of_the_full_grid(method, border_rings):
     if border_rings == 3 and method == "cdf53":
         return
-    data = made(method, border_rings=border_rings, format=file_format)
+    data = made(method, border_rings=border_rings)
     with terrainwave.open(data, threads=1) as terrain:
-        assert terrain.info().format == file_format
+        assert terrain.info().has_voids
         assert list(terrain.check()) == []
         n_fills = 0
         for level in range(terrain.n_levels):
@@ -88,38 +70,36 @@ def test_exact_voids_are_those_of_the_full_grid(method, border_rings, file_forma
         assert n_fills > 100
 
 
-@pytest.mark.large
+@pytest.mark.parametrize("method", ["rapid", "cdf53"])
+@pytest.mark.parametrize("shape", [SHAPE, (30, 30)], ids=["levels", "one-level"])
+def test_a_file_says_whether_any_sample_is_void(method, shape):
+    part = np.s_[: shape[0], : shape[1]]
+    whole, void = terrain_like(*shape, seed=3).astype("int16"), np.full(shape, NODATA, "int16")
+    one = whole.copy()
+    one[-1, -1] = NODATA
+    for heights, has_voids in ((whole, False), (HEIGHTS[part], True), (one, True), (void, True)):
+        with terrainwave.open(made(method, heights), threads=1) as terrain:
+            assert (terrain.header.has_voids, terrain.info().voids) == (has_voids, "nodata")
+            np.testing.assert_array_equal(terrain.read() == NODATA, heights == NODATA)
+
+
 @pytest.mark.parametrize("method", METHODS)
-def test_heights_are_those_of_a_file_that_does_not_tell(method):
-    # The tables of rapid are by the mean in both: the raster is not rough.
+def test_voids_that_the_header_does_not_tell_are_corrupt(method):
+    container = Editor(made(method))
+    container.header["features"] = 0
     with (
-        terrainwave.open(made(method), threads=1) as new,
-        terrainwave.open(made(method, format="1.0"), threads=1) as old,
+        terrainwave.open(container.bytes(), threads=1) as terrain,
+        pytest.raises(CorruptStreamError, match=r"flags are 0x0[19]|without a payload"),
     ):
-        assert (new.header.has_fills, old.header.has_fills) == (True, False)
-        for level in range(new.n_levels):
-            found, expected = (file.read_with_mask(level=level, voids="any") for file in (new, old))
-            np.testing.assert_array_equal(found[0], expected[0])
-            np.testing.assert_array_equal(found[1], expected[1])
-        assert new.info().n_bytes < 1.02 * old.info().n_bytes
-
-
-def test_what_has_no_voids_is_the_same_in_both_formats():
-    whole = terrain_like(*SHAPE, seed=3)
-    assert made(heights=whole) == made(heights=whole, format="1.0")
-    one_level = HEIGHTS[:30, :30]
-    assert (one_level == NODATA).any()
-    assert made(heights=one_level) == made(heights=one_level, format="1.0")
-    void = np.full(SHAPE, NODATA, "int16")
-    assert made(heights=void) == made(heights=void, format="1.0")
+        terrain.read()
 
 
 @pytest.mark.large
-def test_exact_voids_are_the_default_of_a_file_that_tells_them():
+def test_exact_voids_are_the_default():
     with terrainwave.open(made(), threads=2) as terrain:
         for level in range(terrain.n_levels):
             expected = own(terrain, level)
-            read = without_warning(lambda level=level: terrain.read(level=level, masked=True))
+            read = terrain.read(level=level, masked=True)
             np.testing.assert_array_equal(~np.ma.getmaskarray(read), expected)
             np.testing.assert_array_equal(read.data == NODATA, ~expected)
             row, col, n_rows, n_cols = 3, 1, *(n // 2 for n in expected.shape)
@@ -137,90 +117,40 @@ def test_exact_voids_are_the_default_of_a_file_that_tells_them():
 
 
 def test_samples_beside_voids_are_told_from_fills():
-    for file_format in ("1.0", "1.1"):
-        with terrainwave.open(made(format=file_format), threads=1) as terrain:
-            level = terrain.n_levels - 2
-            filled = terrain.read_with_mask(level=level, voids="any")[1]
-            exact = own(terrain, level)
-            rows, cols = np.nonzero(filled & ~exact)
-            a, _, c, _, e, f = terrain.transform_of(level)[:6]
-            places = np.stack([c + a * (cols + 0.5), f + e * (rows + 0.5)], axis=1)
-            assert np.isnan(terrain.sample(places, level=level, voids="exact")).all()
-            assert np.isfinite(terrain.sample(places, level=level, voids="any")).all()
-            rows, cols = np.nonzero(exact)
-            places = np.stack([c + a * (cols + 0.5), f + e * (rows + 0.5)], axis=1)
-            assert np.isfinite(terrain.sample(places, level=level, voids="exact")).all()
-            if file_format == "1.1":
-                assert np.isnan(terrain.sample([(0.0, 0.0)], level=level)).all()
+    with terrainwave.open(made(), threads=1) as terrain:
+        level = terrain.n_levels - 2
+        filled = terrain.read_with_mask(level=level, voids="any")[1]
+        exact = own(terrain, level)
+        rows, cols = np.nonzero(filled & ~exact)
+        a, _, c, _, e, f = terrain.transform_of(level)[:6]
+        places = np.stack([c + a * (cols + 0.5), f + e * (rows + 0.5)], axis=1)
+        assert np.isnan(terrain.sample(places, level=level)).all()
+        assert np.isfinite(terrain.sample(places, level=level, voids="any")).all()
+        rows, cols = np.nonzero(exact)
+        places = np.stack([c + a * (cols + 0.5), f + e * (rows + 0.5)], axis=1)
+        assert np.isfinite(terrain.sample(places, level=level)).all()
+        assert np.isnan(terrain.sample([(0.0, 0.0)], level=level)).all()
 
 
-def test_an_older_file_says_once_that_it_does_not_tell():
-    with terrainwave.open(made(format="1.0"), threads=1) as terrain:
-        without_warning(terrain.read)  # of the full grid all is known
-        without_warning(lambda: terrain.read(level=-2, voids="any"))
-        without_warning(lambda: terrain.read(level=-2, voids="exact"))
-        with pytest.warns(TerrainwaveWarning, match=r"format 1\.0.*voids 'exact'") as found:
-            heights = terrain.read(level=-2)
-        assert len(found) == 1
-        assert found[0].filename == __file__
-        np.testing.assert_array_equal(heights, terrain.read(level=-2, voids="any"))
-        without_warning(lambda: terrain.read(level=-3))
-    with terrainwave.open(made(heights=terrain_like(*SHAPE, seed=3), format="1.0")) as terrain:
-        without_warning(lambda: terrain.read(level=-2))
-
-
-def test_an_older_files_finest_payloads_are_read_for_their_masks_alone(monkeypatch):
-    data = made(format="1.0")
-    with terrainwave.open(data, threads=1) as terrain:
-        heights, _ = terrain.read_with_mask(level=-2, voids="any")
-        expected = own(terrain, -2)
-
-        def refuse(*_):
-            raise AssertionError("heights were decoded")
-
-        monkeypatch.setattr(group, "decode_unit", refuse)
-        # What the first read has decoded is at hand.
-        found, valid = terrain.read_with_mask(level=-2, voids="exact")
-        np.testing.assert_array_equal(valid, expected)
-        np.testing.assert_array_equal(found, np.where(expected, heights, NODATA))
-
-
-@pytest.mark.parametrize("file_format", ["1.0", "1.1"])
-def test_a_damaged_unit_of_the_full_grid_hides_its_own_samples_alone(file_format):
-    data = bytearray(made("store", format=file_format))
+def test_a_damaged_unit_of_the_full_grid_hides_nothing_of_coarse_levels():
+    data = bytearray(made("store"))
     with open_container(data) as container:
         key = container.grid.blocks(container.grid.k_max - 1)[0]
         (place,) = [at for at in range(len(data)) if data[at:].startswith(container.payload(key))]
-        where = container.grid.group_region(key)
     data[place + 8] ^= 255
     with terrainwave.open(bytes(data), threads=1) as terrain:
-        expected = own(terrain, -2)
-        if file_format == "1.0":
-            with pytest.raises(CorruptStreamError):
-                terrain.read(level=-2, voids="exact")
-            _, valid = terrain.read_with_mask(level=-2, voids="exact", on_error="mask")
-            inside = Region(0, 0, where.n_rows // 2, where.n_cols // 2)
-            assert not valid[: inside.n_rows, : inside.n_cols].any()
-            expected = expected.copy()
-            expected[: where.n_rows // 2 + 1, : where.n_cols // 2 + 1] = False
-            expected[where.n_rows // 2, :] = valid[where.n_rows // 2, :]
-            expected[:, where.n_cols // 2] = valid[:, where.n_cols // 2]
-            np.testing.assert_array_equal(valid, expected)
-        else:
-            _, valid = terrain.read_with_mask(level=-2)
-            np.testing.assert_array_equal(valid, expected)
+        _, valid = terrain.read_with_mask(level=-2)
+        np.testing.assert_array_equal(valid, own(terrain, -2))
 
 
 def test_early_reads_leave_fills_out():
-    for file_format in ("1.0", "1.1"):
-        data = made("cdf53", format=file_format)
-        with terrainwave.open(data, threads=1) as terrain:
-            for level in range(terrain.n_levels):
-                found = terrain.read_early(level=level, quality=0.5, voids="exact")
-                np.testing.assert_array_equal(found.valid, own(terrain, level))
-                found = terrain.read_early(level=level, quality=0.5, voids="any")
-                shift = terrain.n_levels - 1 - level
-                np.testing.assert_array_equal(found.valid, reference.level_mask(VALID, shift))
+    with terrainwave.open(made("cdf53"), threads=1) as terrain:
+        for level in range(terrain.n_levels):
+            found = terrain.read_early(level=level, quality=0.5)
+            np.testing.assert_array_equal(found.valid, own(terrain, level))
+            found = terrain.read_early(level=level, quality=0.5, voids="any")
+            shift = terrain.n_levels - 1 - level
+            np.testing.assert_array_equal(found.valid, reference.level_mask(VALID, shift))
 
 
 def test_other_voids_are_refused():
@@ -265,66 +195,21 @@ def test_geotiffs_of_levels_are_void_where_the_raster_is(tmp_path, kind):
         terrainwave.decompress(file, tmp_path / "other.tif", level=-2, voids="lowest")
 
 
-def test_format_1_0_has_no_bit_and_no_layout_of_1_1(tmp_path):
-    # Rough ground, whose tables have weights or contexts by reach where they may have.
-    rough = np.random.default_rng(1).integers(0, 2, (140, 140)).repeat(3, 0)[:140] * 500
-    rough += np.indices((140, 140)).sum(0)
-    rough[30:60, 70:90] = NODATA
-    rough = rough.astype("int16")
-    with terrainwave.open(made(heights=rough, max_error=0)) as terrain:
-        layout = newer_layout("rapid", terrain.header.file_tables)
-        assert layout, "the raster is not rough enough for the test"
-        assert terrain.header.features == 16 + {3: 8, 5: 32}[layout]
-        assert terrain.info().format == "1.1"
-    data = made(heights=rough, max_error=0, format="1.0")
-    header = read_file(data).header
-    assert header.features == 0
-    with terrainwave.open(data) as terrain:
-        assert newer_layout("rapid", terrain.header.file_tables) == 0
-        assert terrain.info().format == "1.0"
-        np.testing.assert_array_equal(terrain.read(), rough)
-    with pytest.raises(InvalidArgumentError, match=r"found format '1\.2', expected 1\.0 or 1\.1"):
-        made(format="1.2")
-
-
-def test_kept_bits_are_refused_by_name():
-    for name, words in (
-        ("5", "unknown features .*weights"),  # of method store, as the next one
-        ("6", "corrections of method store"),
-        ("7", "unknown features .*zero"),
-    ):
-        with pytest.raises(UnsupportedVersionError, match=words):
-            terrainwave.open(GOLDEN / "v1" / "invalid" / f"feature-kept-{name}.twz")
-
-
-def test_tables_by_reach_without_their_bit_are_of_format_1_1():
-    for name in ("rapid-reach-int16-lossless", "rapid-reach-told-int16"):
-        with terrainwave.open(GOLDEN / "v1" / f"{name}.twz") as terrain:
-            assert terrain.info().format == "1.1"
-
-
-def test_the_command_line_writes_formats_and_shows_voids(tmp_path):
+def test_the_command_line_shows_voids(tmp_path):
     source, file, target = tmp_path / "dem.tif", tmp_path / "dem.twz", tmp_path / "level.tif"
     write_geotiff(source, HEIGHTS, nodata=NODATA)
 
     def run(*arguments):
         done = CliRunner().invoke(main, [*map(str, arguments)])
         assert done.exit_code == 0, done.output + done.stderr
-        return done
+        return done.stdout
 
-    for file_format in ("1.0", "1.1"):
-        more = ["--max-error", 2, "--block", 32, "--no-mesh", "--overwrite"]
-        run("compress", source, file, *more, *(["--format", "1.0"] * (file_format == "1.0")))
-        assert re.search(rf"^format +{re.escape(file_format)}", run("info", file).stdout, re.M)
-        assert json.loads(run("info", file, "--json").stdout)["format"] == file_format
-        for voids in (None, "exact", "any"):
-            options = [] if voids is None else ["--voids", voids]
-            done = run("decompress", file, target, "--level=-2", "--overwrite", *options)
-            is_told = voids is not None or file_format == "1.1"
-            assert ("note: the file is of format 1.0" in done.stderr) != is_told
-            assert ("--voids 'exact'" in done.stderr) != is_told
-            is_exact = voids == "exact" or (voids is None and file_format == "1.1")
-            with rasterio.open(target) as dataset:
-                found = dataset.read_masks(1) > 0
-            expected = VALID[::2, ::2] if is_exact else reference.level_mask(VALID, 1)
-            np.testing.assert_array_equal(found, expected)
+    run("compress", source, file, "--max-error", 2, "--block", 32, "--no-mesh")
+    assert json.loads(run("info", file, "--json"))["has_voids"] is True
+    for voids in (None, "exact", "any"):
+        options = [] if voids is None else ["--voids", voids]
+        run("decompress", file, target, "--level=-2", "--overwrite", *options)
+        with rasterio.open(target) as dataset:
+            found = dataset.read_masks(1) > 0
+        expected = reference.level_mask(VALID, 1) if voids == "any" else VALID[::2, ::2]
+        np.testing.assert_array_equal(found, expected)

@@ -1,15 +1,37 @@
 """What all parts share: errors, numbers, deflate (docs/FORMAT.md §1), text of the document."""
 
 import re
+import struct
 import zlib
+from math import prod
 from pathlib import Path
 
-DOCUMENT = (Path(__file__).parents[2] / "docs" / "FORMAT.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).parents[2]
+DOCUMENT = (ROOT / "docs" / "FORMAT.md").read_text(encoding="utf-8")
 
 
 def fenced(name):
     """Return the text of a fenced block of the document."""
     return re.search(rf"^```{name}\n(.*?)^```", DOCUMENT, re.M | re.S)[1]
+
+
+def annex(name):
+    """Return the bytes of an annex (§15)."""
+    return (ROOT / "src" / "terrainwave" / "annexes" / name).read_bytes()
+
+
+def tables(name, *layout):
+    """Return the tables of an annex as nested lists; `layout` has kind and shape of each."""
+    data, at, found = annex(name), 0, []
+    for kind, *shape in layout:
+        code = f"<{prod(shape)}{kind}"
+        numbers = list(struct.unpack_from(code, data, at))
+        at += struct.calcsize(code)
+        for size in reversed(shape[1:]):
+            numbers = [numbers[i : i + size] for i in range(0, len(numbers), size)]
+        found.append(numbers)
+    assert at == len(data), name
+    return found
 
 
 class CorruptError(Exception):

@@ -110,10 +110,10 @@ def read_stream(pieces, n_stream):
     return stream
 
 
-def parse_payload(payload, tile):
+def parse_payload(file, payload, tile):
     """Return masks by level (None: no section), borders, low, planes and stream."""
     flags, at = payload[0], 1
-    require(flags < 2, "flags of a tile")
+    require(flags <= (file.header.features & 1), "flags of a tile")
     masks = []
     for _ in tile.parts:
         mask = b""
@@ -187,10 +187,11 @@ def decode_stream(head, shape, n_transforms):
 def decode_tile(file, payload, tile, above, above_valid):
     """Return (heights in steps, mask) of each level of a tile, the coarsest first."""
     if not payload:
+        require(file.header.features & 1, "a tile without a payload in a file without voids")
         for part in tile.parts:
             part.own = zeros(part.rows.n, part.cols.n)
         return [(zeros(p.rows.n, p.cols.n), zeros(p.rows.n, p.cols.n)) for p in tile.parts]
-    head = parse_payload(payload, tile)
+    head = parse_payload(file, payload, tile)
     masks, outer, outer_valid = [], tile.head, above_valid
     for part, mask in zip(tile.parts, head.masks, strict=True):
         valid = decode_valid(file, part, mask, outer, outer_valid)

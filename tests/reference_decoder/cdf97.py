@@ -3,16 +3,12 @@
 from types import SimpleNamespace
 
 from reference_decoder import range_coder
-from reference_decoder.basics import at_or_zero, clamp, read_varint, require, zeros
+from reference_decoder.basics import at_or_zero, clamp, read_varint, require, tables, zeros
 from reference_decoder.range_coder import M, Models, bin_of, lg
 
-# The annex of §7.8: numbers alone.
-from terrainwave.codec.cdf97.trained import E_WEIGHTS, STARTS, TERM_WEIGHTS
-
-TERM_WEIGHTS_97, E_WEIGHTS_97 = TERM_WEIGHTS.tolist(), E_WEIGHTS.tolist()
-STARTS_97 = {
-    name: part.tolist() for name, part in zip(("residual", "tree", "border"), STARTS, strict=True)
-}
+TERM_WEIGHTS_97, E_WEIGHTS_97, RESIDUAL_STARTS, TREE_STARTS, BORDER_STARTS = tables(  # §7.8
+    "cdf97.bin", ("h", 16, 4, 19), ("h", 8), ("H", 1527), ("H", 4124), ("H", 2860)
+)
 
 
 def extend(x):
@@ -66,7 +62,7 @@ class BorderDecoder:
         self.reach = (h.border_rings - 1) // 2  # R
         self.unit = unit
         self.decoder = decoder
-        self.models = Models(2860, STARTS_97["border"])
+        self.models = Models(2860, BORDER_STARTS)
         self.valid = valid
         self.parent = parent_heights
         self.heights = heights
@@ -226,7 +222,7 @@ def roughness(n, unit, parent_unit, parent_heights, size):
 
 def decode_coefficients(decoder, sizes, rough, along):
     """Return LL and, for each t and band, the coefficients as grids of nodes (§7.5)."""
-    models = Models(4124, STARTS_97["tree"])
+    models = Models(4124, TREE_STARTS)
     n_transforms = len(sizes) - 1
     coefficients = [{band: zeros(*sizes[t + 1]) for band in BANDS} for t in range(n_transforms)]
     magnitudes = [{band: zeros(*sizes[t + 1]) for band in BANDS} for t in range(n_transforms)]
@@ -359,7 +355,7 @@ def decode_residuals(decoder, n, is_coarse, base, weights, core, heights, known,
 
     `heights` and `known` are those of the region, `core` its place in them.
     """
-    models = Models(1527, STARTS_97["residual"])
+    models = Models(1527, RESIDUAL_STARTS)
     wide = [extended(row) for row in base]
     wide = list(zip(*(extended(column) for column in zip(*wide, strict=True)), strict=True))
     shift = 0
@@ -509,7 +505,7 @@ def decode_cdf97(file, unit, payload, valid, parent_unit, parent_heights):
     core = SimpleNamespace(row=rows.core, col=cols.core)
     if with_residuals:
         weights = TERM_WEIGHTS_97[weight_set]
-        is_coarse = h.features & 2 and unit.level < file.grid.k_max and n > 1
+        is_coarse = h.features & 4 and unit.level < file.grid.k_max and n > 1
         decode_residuals(
             decoder, n, is_coarse, base, weights, core, heights, border.known, is_coded
         )

@@ -11,15 +11,16 @@ import numpy as np
 from reference_decoder.basics import (
     CorruptError,
     UnsupportedError,
-    fenced,
+    annex,
     inflate,
     require,
 )
+from reference_decoder.digests import section_before
 from reference_decoder.grid import Grid
 from reference_decoder.predictive import read_tables
 from reference_decoder.rapid import read_rapid_tables
 
-DICTIONARY = fenced("dictionary").replace("\n", "").encode("ascii")  # §4.6
+DICTIONARY = annex("dictionary.txt")  # §4.6
 
 HEADER = struct.Struct("<8sBBHIQIIBBBBBB2sQQqIiiIdddIIIIII")
 NAMES = (
@@ -35,19 +36,16 @@ DTYPES = {1: "uint8", 3: "uint16", 4: "int16", 6: "int32", 7: "float32", 8: "flo
 
 def read_header(data):
     require(data[:8] == b"\x89TWZ\r\n\x1a\n", "magic")
-    require(len(data) > 8 and data[8] == 1, "format version", UnsupportedError)
+    require(len(data) > 8 and data[8] == 2, "format version", UnsupportedError)
     require(len(data) >= 128, "file ends within the header")
     h = SimpleNamespace(**dict(zip(NAMES, HEADER.unpack(data[:128]), strict=True)))
-    require(h.header_size == 128, "header_size")
+    require(h.header_size >= 128, "header_size")
     require(h.header_crc == zlib.crc32(data[:124]), "header_crc")
     require(h.reserved == 0, "reserved", UnsupportedError)
-    require(not h.features & ~(1 | 2 | 8 | 16 | 32 | 64), "features", UnsupportedError)
-    require(not h.features & 2 or h.method == 1, "a faithful file of another method")
-    require(not h.features & 32 or h.method == 4, "weights of another method", UnsupportedError)
-    require(not h.features & 8 or h.method == 4, "contexts by reach of another method")
+    require(not h.features & ~(1 | 2 | 4 | 8 | 16), "features", UnsupportedError)
+    require(not h.features & 4 or h.method == 1, "a faithful file of another method")
     may_be_corrected = h.method in (2, 4) and h.step > 1
-    require(not h.features & 64 or may_be_corrected, "corrections", UnsupportedError)
-    require(h.features & 40 != 40, "two layouts of the tables")
+    require(not h.features & 8 or may_be_corrected, "corrections", UnsupportedError)
     require(h.padding == b"\0\0", "padding", UnsupportedError)
     require(h.mesh <= 6, "mesh", UnsupportedError)
     require(h.mesh != 6 or h.method == 3, "a mesh by coefficients of another method")
@@ -71,17 +69,32 @@ def read_header(data):
     require(isfinite(h.max_error) and h.max_error >= 0, "max_error")
     require(0 <= h.effective_bound <= h.max_error, "effective_bound")
     require(isfinite(h.rho) and h.rho >= 0, "rho")
-    if h.features & 1:
+    require(some or h.features & 1, "no valid sample in a file without voids")
+    if h.features & 2:
         require(h.dtype in (6, 7, 8) and h.method != 3, "remainders of a dtype or a method")
         require(h.step == 1 and h.effective_bound == 0, "remainders beside a bound")
     else:
         require(h.rho <= h.max_error, "rho")
     require(h.parameters_length <= 2**16, "parameters_length")
     require(1 <= h.top_page_length <= 2**15, "top_page_length")
-    before = 128 + h.metadata_length + h.parameters_length + h.top_page_length
+    before = h.header_size + h.metadata_length + h.parameters_length + h.top_page_length
+    before += 40 if h.features & 16 else 0
     require(before <= h.file_size, "file_size")
     require(len(data) == h.file_size, "size of the file")
     return h
+
+
+def check_optional_sections(data):
+    """§4.8."""
+    names, at = set(), 0
+    while at < len(data):
+        require(len(data) - at >= 12, "an optional section")
+        name, n, crc = struct.unpack("<4sII", data[at : at + 12])
+        require(n <= len(data) - at - 12, "length of an optional section")
+        require(name not in names, "an optional section comes twice")
+        require(zlib.crc32(data[at + 12 : at + 12 + n]) == crc, "crc of an optional section")
+        names.add(name)
+        at += 12 + n
 
 
 def is_number(value):
@@ -238,41 +251,46 @@ def read_file(data):
     """Return header, metadata, grid, payloads by key, and codes and segments by block."""
     data = bytes(data)
     h = read_header(data)
-    at = 128
+    at = h.header_size
+    check_optional_sections(data[128:at])
     metadata = read_metadata(data[at : at + h.metadata_length], h.metadata_crc, DTYPES[h.dtype])
     at += h.metadata_length
     parameters = data[at : at + h.parameters_length]
     require(zlib.crc32(parameters) == h.parameters_crc, "parameters_crc")
     if METHODS[h.method] not in ("predictive", "rapid"):
         require(not parameters, "the method has no parameters", UnsupportedError)
-    require(not h.features & 8 or parameters[:1] == b"\3", "tables that are not by reach")
-    is_told, has_weights = h.features & 32, h.method == 4 and parameters[:1] == b"\5"
-    require(bool(is_told) == has_weights, "weights that the header does not tell, or no weights")
     at += h.parameters_length
 
     grid = Grid(h.n_rows, h.n_cols, 2**h.block_log2, h.border_rings)
-    require(not h.features & 16 or grid.k_max > 0, "fills without coarse levels")
     payloads, codes, segment_of_key, segment_of_block = {}, {}, {}, {}
-    # The segments of one level in file order: head, length of page, length (None: not known).
-    row = [(None, h.top_page_length, None)]
+    # The segments of one level in file order: head, page, length (None: not known).
+    row = [(None, data[at : at + h.top_page_length], None)]
+    at += h.top_page_length
     while row:
         next_row, first_children = [], []
-        for head, page_length, length in row:
+        for head, its_page, length in row:
             layout = segment_layout(grid, head)
             keys, blocks, heads = layout
             segment_of_key |= dict.fromkeys(keys, head)
             segment_of_block |= dict.fromkeys(blocks, head)
-            if page_length == 0:  # absent (§3.4)
+            if not its_page:  # absent (§3.4)
                 payloads |= dict.fromkeys(keys, b"")
                 codes |= dict.fromkeys(blocks, (0, 0, 0, 0))
-                next_row += [(child, 0, 0) for child in heads]
+                next_row += [(child, b"", 0) for child in heads]
                 continue
             start = at
-            first_child, page = read_page(data[at : at + page_length], layout)
+            first_child, page = read_page(its_page, layout)
             require((first_child > 0) == bool(heads), "first_child")
             if heads:
                 first_children.append((first_child, len(next_row)))
-            at += page_length
+            for child, n_page, n in zip(
+                heads, page.child_page_length, page.child_length, strict=True
+            ):
+                require(n_page == 0 or 13 <= n_page <= 2**15, "child_page_length")
+                require((n_page == 0) == (n == 0) and n >= n_page, "child_length")
+                require(len(data) >= at + n_page, "page is cut off")
+                next_row.append((child, data[at : at + n_page], n))
+                at += n_page
             require(not any(page.flags), "flags of a key", UnsupportedError)
             for key in file_order(keys):
                 i = keys.index(key)
@@ -290,18 +308,14 @@ def read_file(data):
                 zip(page.z_min, page.z_max, page.error, page.mesh_error, strict=True),
                 strict=True,
             )
-            require(length is None or at - start == length, "length of a segment")
-            for child, n_page, n in zip(
-                heads, page.child_page_length, page.child_length, strict=True
-            ):
-                require(n_page == 0 or 13 <= n_page <= 2**15, "child_page_length")
-                require((n_page == 0) == (n == 0) and n >= n_page, "child_length")
-                next_row.append((child, n_page, n))
-        # §3.2: the next level of segments begins here and has no gaps.
+            require(length is None or len(its_page) + at - start == length, "length of a segment")
+        # §3.2: the bodies of the next level begin here and have no gaps.
         for first_child, i in first_children:
-            require(first_child == at + sum(n for *_, n in next_row[:i]), "first_child")
+            before = sum(n - len(page) for _, page, n in next_row[:i])
+            require(first_child == at + before, "first_child")
         row = next_row
-    require(at == h.file_size, "bytes after the last section")
+    digests = section_before(data, at) if h.features & 256 else b""
+    require(at + len(digests) == h.file_size, "bytes after the last section")
     return SimpleNamespace(
         header=h,
         parameters=parameters,
@@ -316,6 +330,7 @@ def read_file(data):
         codes=codes,
         segment_of_key=segment_of_key,
         segment_of_block=segment_of_block,
+        digests=digests,
     )
 
 

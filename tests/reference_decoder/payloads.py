@@ -1,7 +1,5 @@
 """Masks and the payload wrapper (docs/FORMAT.md §2.3, §5)."""
 
-from pathlib import Path
-
 import numpy as np
 
 from reference_decoder import range_coder
@@ -11,6 +9,7 @@ from reference_decoder.basics import (
     inflate,
     read_varint,
     require,
+    tables,
     zeros,
 )
 from reference_decoder.cdf97 import decode_cdf97
@@ -20,11 +19,7 @@ from reference_decoder.range_coder import Models
 from reference_decoder.rapid import decode_rapid
 from reference_decoder.store import decode_store
 
-# §5.2
-ANNEX = Path(__file__).parents[2] / "src" / "terrainwave" / "codec" / "masks.bin"
-MASK_ONES = np.frombuffer(ANNEX.read_bytes(), "<u2").tolist()
-MASK_SAMPLES = [MASK_ONES[49 * k : 49 * k + 49] for k in range(16)]
-MASK_GROUPS = [MASK_ONES[784 + 13 * k : 797 + 13 * k] for k in range(7)]
+MASK_SAMPLES, MASK_GROUPS = tables("masks.bin", ("H", 16, 49), ("H", 7, 13))  # §5.2
 DECODERS = {
     "store": decode_store,
     "cdf97": decode_cdf97,
@@ -228,11 +223,12 @@ def decode_payload(file, unit, payload, parent_unit, parent_heights, parent_vali
     h = file.header
     n_rows, n_cols = unit.rows.n, unit.cols.n
     if not payload:
+        require(h.features & 1, "a unit without a payload in a file without voids")
         unit.own = zeros(n_rows, n_cols)
         return zeros(n_rows, n_cols), zeros(n_rows, n_cols), None
     flags, at = payload[0], 1
-    may_have_remainders = h.features & 1 and unit.level == file.grid.k_max
-    known = 3 | (4 if may_have_remainders else 0) | (8 if h.features & 64 else 0)
+    may_have_remainders = h.features & 2 and unit.level == file.grid.k_max
+    known = 2 | h.features & 1 | (4 if may_have_remainders else 0) | h.features & 8
     require(not flags & ~known, "flags of a payload")
     sections = [None] * 4
     for bit in range(4):
@@ -284,7 +280,7 @@ def decode_remainders(section, n_rows, n_cols, h):
 
 
 def decode_corrections(section, unit, n):
-    """§5.5."""
+    """§5.4."""
     n_rows, n_cols = unit.rows.n, unit.cols.n
     decoder, models = range_coder.RangeDecoder(section), Models(170)
     k = max(n.bit_length() - 5, 0)

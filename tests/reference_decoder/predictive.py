@@ -1,25 +1,21 @@
 """Method predictive (docs/format-predictive.md, whose sections are cited as P.n)."""
 
-import base64
-import zlib
 from types import SimpleNamespace
 
-import numpy as np
-
 from reference_decoder import range_coder
-from reference_decoder.basics import UnsupportedError, clamp, corrected, require, zeros
+from reference_decoder.basics import UnsupportedError, clamp, corrected, require, tables, zeros
 from reference_decoder.range_coder import M, Mixers, Models, bin_of, lg
-
-# Annex 1 (P.9): numbers alone.
-from terrainwave.codec.predictive import trained as annex
 
 PLANES = ("HH", "HL", "LH")
 PARITY = {"HH": (1, 1), "HL": (0, 1), "LH": (1, 0)}
 PLANE_OF = {parity: plane for plane, parity in PARITY.items()}
 REACH = 5  # lattice places farther outside are never read
 N_DETAIL_MODELS, N_BORDER_MODELS = 22931, 2860
-STARTS = np.frombuffer(zlib.decompress(base64.b85decode(annex._STARTS)), "<u2").tolist()
-DETAIL_STARTS, BORDER_STARTS = STARTS[:N_DETAIL_MODELS], STARTS[N_DETAIL_MODELS:]
+*STENCILS, WEIGHTS, DETAIL_STARTS, BORDER_STARTS = tables(  # P.9
+    "predictive.bin",
+    ("h", 8, 20), ("h", 8, 20), ("h", 8, 24), ("h", 3, 3, 18),
+    ("H", N_DETAIL_MODELS), ("H", N_BORDER_MODELS),
+)  # fmt: skip
 
 # P.5: places in lattice steps from the sample that is predicted.
 OWN = [(0, -2), (-2, 0), (-2, -2), (-2, 2)]
@@ -65,12 +61,11 @@ LINES = {
 
 def read_tables(parameters):
     """Return stencils by plane and set, and feature weights by plane and class."""
-    numbers = dict(enumerate(PLANES, 1))
-    stencils = {numbers[i]: sets.tolist() for i, sets in annex.STENCILS.items()}
-    weights = {numbers[i]: classes.tolist() for i, classes in annex.E_WEIGHTS.items()}
-    tables = SimpleNamespace(stencils=stencils, weights=weights)
+    stencils = {plane: [*sets] for plane, sets in zip(PLANES, STENCILS, strict=True)}
+    weights = {plane: [*classes] for plane, classes in zip(PLANES, WEIGHTS, strict=True)}
+    found = SimpleNamespace(stencils=stencils, weights=weights)
     if not parameters:
-        return tables
+        return found
     require(parameters[0] == 1, "layout of the parameters", UnsupportedError)
     decoder, models = range_coder.RangeDecoder(parameters[1:]), Models(138)
 
@@ -102,7 +97,7 @@ def read_tables(parameters):
         if decoder.raw(1):
             weights[plane].append([magnitude(2, 4096) for _ in range(18)])
     decoder.end()
-    return tables
+    return found
 
 
 # P.3, P.4: shared lines and corners ---------------------------------------------------------------

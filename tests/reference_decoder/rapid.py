@@ -1,553 +1,285 @@
 """Method rapid (docs/format-rapid.md, whose sections are cited as R.n)."""
 
-import base64
-import zlib
-from types import SimpleNamespace
+from bisect import bisect_right
+from functools import cache
 
-import numpy as np
+from reference_decoder.basics import ceil_div, clamp, corrected, read_varint, require, zeros
+from reference_decoder.predictive import fold
+from reference_decoder.rapid_tables import CORE, ESCAPE, TAPS
 
-from reference_decoder import range_coder
-from reference_decoder.basics import UnsupportedError, clamp, corrected, read_varint, require, zeros
-from reference_decoder.predictive import SharedDecoder, fold
-from reference_decoder.range_coder import Models
-from terrainwave.codec.rapid import trained as annex
-
-# The annexes (R.10): numbers alone.
-from terrainwave.codec.rapid import trained_reach as reach_annex
-
-PLANES = ("HH", "HL", "LH")
-PARITY = {"A": (0, 0), "HH": (1, 1), "HL": (0, 1), "LH": (1, 0)}
-CODES = [
-    np.frombuffer(zlib.decompress(base64.b85decode(codes)), np.uint8).reshape(6, 176, 63).tolist()
-    for codes in (annex._CODES, reach_annex._CODES)
-]
-MEAN, REACH, WEIGHTS = 1, 3, 5
+PARITY = {"HH": (1, 1), "HL": (0, 1), "LH": (1, 0)}
+GOES_ON = 63  # R.9
+# R.7: where ranges are read; bends are at the core's places of A, details at these.
+RANGES = {"HH": [(0, 0)], "HL": [(0, 0), (-1, 0)], "LH": [(0, 0), (0, -1)]}
+DETAILS = {"HH": [], "HL": CORE["HL"][2:], "LH": CORE["LH"][2:] + TAPS["LH"][-4:]}
 
 
-def own(plane):
-    return [(plane, -1, -1), (plane, -1, 0), (plane, -1, 1)]
+class Band:
+    """States, words and raw bits."""
 
+    def __init__(self, states, words, raw):
+        self.states, self.words, self.n_raw = states, words[::-1], len(raw)
+        self.bits, self.n_used = int.from_bytes(raw, "little"), 0
 
-def of(plane, *places):
-    return [(plane, row, col) for row, col in places]
-
-
-# R.6
-TAPS = {
-    "HH": of("A", *((row, col) for row in (-1, 0, 1, 2) for col in (-1, 0, 1, 2))) + own("HH"),
-    "HL": of("A", (0, -1), (0, 0), (0, 1), (0, 2), (-1, 0), (-1, 1), (1, 0), (1, 1))
-    + of("HH", (-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 0), (0, 1), (-2, 0), (1, 0))
-    + own("HL"),
-    "LH": of("A", (-1, 0), (0, 0), (1, 0), (2, 0), (0, -1), (0, 1), (1, -1), (1, 1))
-    + own("LH")
-    + of("HH", (0, -2), (0, -1), (0, 0), (0, 1), (-1, -1), (-1, 0), (1, -1), (1, 0))
-    + of("HL", (0, -1), (0, 0), (1, -1), (1, 0)),
-}
-CORE = {
-    "HH": of("A", (0, 0), (0, 1), (1, 0), (1, 1)),
-    "HL": of("A", (0, 0), (0, 1)) + of("HH", (-1, 0), (0, 0)),
-    "LH": of("A", (0, 0), (1, 0)) + of("HH", (0, -1), (0, 0)),
-}
-# R.7
-BENT = {
-    "HH": [(0, 0), (0, 1), (1, 0), (1, 1)],
-    "HL": [(0, 0), (0, 1)],
-    "LH": [(0, 0), (1, 0)],
-}
-NEAR = {
-    "HH": [],
-    "HL": of("HH", (-1, 0), (0, 0)),
-    "LH": of("HH", (0, -1), (0, 0)) + of("HL", (0, -1), (0, 0), (1, -1), (1, 0)),
-}
-FAR = {
-    "HH": [],
-    "HL": of("HH", (-1, -1), (0, -1), (-1, 1), (0, 1)),
-    "LH": of("HH", (-1, -1), (-1, 0), (1, -1), (1, 0)),
-}
-OF_ERRORS, OF_RANGES = (1, 2, 3, 7, 8), (4, 5, 6)
-# R.10: weights of features
-SHIFTS = [14, 7, 7, 7, 13, 13, 9, 7, 7]
-USUAL = {
-    "HH": [12, 58, 50, 25, 33, 35, 57],
-    "HL": [4, 39, 37, 10, 25, 24, 37, 49, 32],
-    "LH": [4, 35, 19, 18, 22, 22, 35, 48, 23],
-}
-
-
-def lg(x):
-    return x.bit_length() - 1
-
-
-# R.10: tables ------------------------------------------------------------------------------------
-
-
-def value_of_code(g):
-    if g < 32:
-        return g
-    e = ((g - 32) >> 4) + 1
-    return ((16 + g % 16) << e) + (1 << (e - 1))
-
-
-def frequencies(codes, rest):
-    found = [value_of_code(g) for g in codes]
-    found[rest] = 0
-    found[rest] = 2048 - sum(found)
-    require(found[rest] >= 1 and found[0] >= 1, "frequencies of a context")
-    return found
-
-
-def read_rapid_tables(parameters, n):
-    """Return K, stencils by class and plane, features by class, frequencies by context."""
-    family = 0 if n == 1 else 1 if n == 3 else 2
-    numbers = dict(zip(PLANES, (1, 2, 3), strict=True))
-    sets = {plane: annex.STENCILS[i].tolist() for plane, i in numbers.items()}
-    if not parameters:
-        stencils = [{plane: sets[plane][0] for plane in PLANES}] * 4
-        return tables_of(0, 0, family, stencils, [], CODES[0][family])
-    layout = parameters[0]
-    require(layout in (MEAN, REACH, WEIGHTS), "layout of the parameters", UnsupportedError)
-    decoder, models = range_coder.RangeDecoder(parameters[1:]), Models(416)
-
-    def magnitude(group, limit):
-        value = decoder.magnitude(models, 46 * group, 46 * group + 14, 0)
-        require(value <= limit, "number in the parameters")
-        return value
-
-    def changed(code):
-        change = magnitude(8, 127)
-        code += -change if change and decoder.raw(1) else change
-        require(0 <= code <= 127, "code of a weight")
-        return code
-
-    k_max, family = decoder.raw(5), decoder.raw(3)
-    require(family < 6, "family of frequencies")
-    is_by_reach = decoder.raw(1) if layout == WEIGHTS else int(layout == REACH)
-    n_weighted = decoder.raw(2) + 1 if layout == WEIGHTS else 0
-    stencils, weights, before = [], [], USUAL
-    for _ in range(4):
-        stencils.append({})
-        for plane in PLANES:
-            base = decoder.raw(4)
-            require(base < len(sets[plane]), "set of stencils")
-            stencil = list(sets[plane][base])
-            if decoder.raw(1):
-                shift, missing = decoder.raw(3), TAPS[plane].index(CORE[plane][0])
-                for i, tap in enumerate(TAPS[plane]):
-                    if i != missing:
-                        change = magnitude(0 if tap in CORE[plane] else 1, 65_534)
-                        if change and decoder.raw(1):
-                            change = -change
-                        stencil[i] += change << shift
-                stencil[missing] = 0
-                stencil[missing] = 4096 - sum(stencil)
-                require(max(map(abs, stencil)) <= 32_767, "weight of a stencil")
-            stencils[-1][plane] = stencil
-    for _ in range(n_weighted):
-        before = {plane: [changed(code) for code in before[plane]] for plane in PLANES}
-        weights.append({plane: weights_of(before[plane], plane) for plane in PLANES})
-    of_family = CODES[is_by_reach][family]
-    codes, is_own = [list(row) for row in of_family], 0
-    for context in range(176):
-        is_own = decoder.bit(models, 414 + is_own)
-        if not is_own:
-            continue
-        trained, before = of_family[context], 0
-        for symbol in range(63):
-            g = trained[symbol]
-            if symbol != trained.index(max(trained)):
-                before = magnitude((5 if g else 2) + min(before.bit_length(), 2), 127)
-                is_less = before and g and decoder.raw(1)
-                codes[context][symbol] = g - before if is_less else g + before
-                require(0 <= codes[context][symbol] <= 127, "code of a frequency")
-        frequencies(codes[context], trained.index(max(trained)))
-    decoder.end()
-    return tables_of(k_max, is_by_reach, family, stencils, weights, codes)
-
-
-def weights_of(codes, plane):
-    """Return the nine weights of a plane; those of features that it has not are 0."""
-    codes = codes + [0] * (9 - len(codes))
-    weights = [value_of_code(g) << shift for g, shift in zip(codes, SHIFTS, strict=True)]
-    taps = {1: 1, 2: 2, 3: 1, 7: len(NEAR[plane]), 8: len(FAR[plane])}
-    errors = sum(weights[k] * n for k, n in taps.items())
-    ranges = weights[4] + weights[5] + weights[6] * len(BENT[plane])
-    require(8 * errors + ranges < 2**24 - 2**15, "weights of features")
-    return weights
-
-
-def tables_of(k_max, is_by_reach, family, stencils, weights, codes):
-    rests = [row.index(max(row)) for row in CODES[is_by_reach][family]]
-    symbols = []
-    for row, rest in zip(codes, rests, strict=True):
-        slots = []
-        for symbol, f in enumerate(frequencies(row, rest)):
-            slots += [(symbol, f, i) for i in range(f)]
-        symbols.append(slots)
-    widest = max(sum(map(abs, weights)) for row in stencils for weights in row.values())
-    features = annex.FEATURES[family // 3].tolist()
-    for rows, own in zip(features, weights, strict=False):
-        rows[:3] = [own[plane] for plane in PLANES]
-    return SimpleNamespace(
-        k_max=k_max, stencils=stencils, features=features,
-        slots=symbols, widest=widest, is_by_reach=bool(is_by_reach),
-    )  # fmt: skip
-
-
-# R.1, R.8, R.9: streams --------------------------------------------------------------------------
-
-
-class Streams:
-    """States, words and raw bits; past their ends there are zeros."""
-
-    def __init__(self, payload, slots):
-        require(payload and payload[0] < 4, "flags of rapid")
-        self.is_wide = bool(payload[0] & 1)
-        n_states = 1 if payload[0] & 2 else 8
-        n_words, at = read_varint(payload, 1)
-        require(at + 4 * n_states + 2 * n_words <= len(payload), "states and words")
-        numbers = range(at, at + 4 * n_states, 4)
-        self.states = [int.from_bytes(payload[i : i + 4], "little") for i in numbers]
-        at += 4 * n_states
-        numbers = range(at, at + 2 * n_words, 2)
-        self.words = [int.from_bytes(payload[i : i + 2], "little") for i in numbers]
-        self.raw_bytes = payload[at + 2 * n_words :]
-        self.bits = int.from_bytes(self.raw_bytes, "little")
-        self.slots = slots
-        self.n_symbols = self.n_words_used = self.n_bits_used = 0
-
-    def symbol(self, context):
-        k = self.n_symbols % len(self.states)
-        x = self.states[k]
-        s, f, i = self.slots[context][x % 2048]
-        x = f * (x >> 11) + i
-        if x < 65536:
-            at = self.n_words_used
-            x = 65536 * x + (self.words[at] if at < len(self.words) else 0)
-            self.n_words_used += 1
-        self.states[k] = x
-        self.n_symbols += 1
-        return s
-
-    def raw(self, k):
-        value = self.bits >> self.n_bits_used & ((1 << k) - 1)
-        self.n_bits_used += k
-        return value
-
-    def end(self):
-        require(self.n_words_used == len(self.words), "number of words")
-        require(all(x == 65536 for x in self.states), "states at the end")
-        require((self.n_bits_used + 7) // 8 == len(self.raw_bytes), "number of raw bits")
-        require(self.bits >> self.n_bits_used == 0, "filling of the raw bits")
-
-
-class Rows:
-    """R.6, R.7, R.9 for rows of samples whose surroundings are known."""
-
-    def __init__(self, unit, n, low, high, is_by_reach, streams):
-        self.unit = unit
-        self.n, self.low, self.high, self.streams = n, low, high, streams
-        self.is_by_reach = is_by_reach
-        self.r = max(lg(n) - 4, 0)
-        self.most = (1 << (15 + min(lg(n), 4))) - 1
-
-    def scaled(self, weights):
-        found = []
-        for k, v in enumerate(weights):
-            s = lg(self.n) if k in OF_ERRORS else self.r if k in OF_RANGES else 0
-            found.append((((v << s) // (self.n if k else 1)) + 128) >> 8)
+    def symbols(self, entries):
+        """Read a list; None stands for *none* (R.8)."""
+        found = [None] * len(entries)
+        for k, entry in enumerate(entries):
+            if entry is not None:
+                (f, below), i = entry, k % len(self.states)
+                x = self.states[i]
+                y = found[k] = bisect_right(below, x % 4096) - 1
+                x = f[y] * (x >> 12) + x % 4096 - below[y]
+                if x < 65536:
+                    require(self.words, "words of a band end early")
+                    x = x << 16 | self.words.pop()
+                self.states[i] = x
         return found
 
-    def range_features(self, x):
-        return [
-            1, 0, 0, 0, min((max(x.core) - min(x.core)) >> self.r, self.most),
-            min(x.twist >> self.r, self.most), 0, 0, 0,
-        ]  # fmt: skip
+    def raw(self, n):
+        self.n_used += n
+        require(self.n_used <= 8 * self.n_raw, "raw bits of a band end early")
+        return self.bits >> (self.n_used - n) & ((1 << n) - 1)
 
-    def finish(self, x, weights, features):
-        """Clamp P, find w, side and the context of a sample."""
-        x.p = clamp(x.p, 64 * min(x.core), 64 * max(x.core))
-        x.w = (x.p + 32) >> 6
-        n = self.n
-        total = sum(a * b for a, b in zip(weights, features, strict=True))
-        x.e = e = total >> 4
-        b = clamp(2 * lg(e) + (e >> (lg(e) - 1) & 1) - 10, 0, 43) if e >= 32 else 0
-        if n in (1, 3) and (b < 16 or not self.is_by_reach):
-            x.side = x.p - 64 * x.w
-            sigma = min((abs(x.side) * (65536 // (8 * n))) >> 16, 3) if b < 16 else 0
-        else:
-            x.side = 16 * x.sum - x.p
-            if not self.is_by_reach:
-                far, marks = abs(x.side), (4, 11, 24)
-            else:
-                far = 64 * max(x.core) - x.p if x.side < 0 else x.p - 64 * min(x.core)
-                marks = 8, 24, 48
-            s = max(lg(n) - 5, 0)
-            d = min(far >> s, 2**20 - 1) * ((1024 << lg(n)) // n) >> (2 + lg(n) - s)
-            sigma = sum(4 * d > mark * e for mark in marks)
-        x.context = 4 * b + sigma
+    def large(self):
+        """R.9, step 4."""
+        g = self.raw(5)
+        h = self.raw(g + 1)
+        u = (1 << g) - 1 + (h >> 1) + 32
+        return -u if h & 1 else u
 
-    def decode(self, row):
-        """Give the samples of a row, those with `is_coded`, their heights."""
-        for x in row:
-            x.symbol = self.streams.symbol(x.context) if x.is_coded else 31
-        for x in row:
-            kappa = max((x.context >> 3) - 8, 0)
-            d = x.symbol - 31
-            if x.is_coded and (x.symbol == 0 or kappa):
-                if x.symbol == 0:
-                    d = self.streams.raw(33)
-                    d -= (d >> 32) << 33
-                else:
-                    d = (d << kappa) + self.streams.raw(kappa)
-                most = (self.high - self.low) // self.n + 1
-                d = clamp(d, -most, most)
-            x.q = -d if x.side < 0 else d
-            x.height = clamp(x.w + x.q * self.n, self.low, self.high)
-            x.height = corrected(self.unit, x.place, x.height, self.low, self.high)
+    def end(self):
+        """R.1."""
+        require(not self.words, "words of a band are left over")
+        require(all(x == 65536 for x in self.states), "states at the end of a band")
+        require(ceil_div(self.n_used, 8) == self.n_raw, "raw bits of a band are left over")
+        require(self.bits >> self.n_used == 0, "filling of raw bits")
 
 
-# R.3 ---------------------------------------------------------------------------------------------
+def read_payload(payload, n, is_root):
+    """Return narrow, s, k and the bands (R.1)."""
+    rest = payload
 
+    def take(width, count):
+        nonlocal rest
+        part, rest = rest[: width * count], rest[width * count :]
+        require(len(part) == width * count, "payload of rapid is cut off")
+        return [int.from_bytes(part[i : i + width], "little") for i in range(0, len(part), width)]
 
-class Shared(SharedDecoder):
-    """Shared samples; places and their order are those of format-predictive.md."""
+    def varint():
+        nonlocal rest
+        number, end = read_varint(rest, 0)
+        rest = rest[end:]
+        return number
 
-    def __init__(self, file, unit, valid, parent_unit, parent_heights, rows, features):
-        super().__init__(file, unit, None, valid, parent_unit, parent_heights)
-        self.rows_of = rows
-        self.weights = rows.scaled(features)
-
-    def decode_row(self, row):
-        for x in row:
-            x.is_coded = self.is_valid(x.place)
-            self.rows_of.finish(x, self.weights, self.rows_of.range_features(x))
-        self.rows_of.decode(row)
-        for x in row:
-            i, j = x.place
-            self.heights[i][j], self.known[i][j] = x.height, 1
-
-    def decode_shared(self):
-        rows, cols = self.unit.rows, self.unit.cols
-        corners = [
-            place
-            for side in self.lines_of(rows)
-            for other in self.lines_of(cols)
-            for place in ((row, col) for row in side for col in other)
-        ]
-        for i, j in corners:
-            (a, _), (b, _) = self.parents((i, j))
-            self.known[i][j] = 1
-            self.heights[i][j] = self.parent[a][b]  # if it is inherited
-        odd = [place for place in dict.fromkeys(corners) if self.is_odd(place)]
-        for first in range(0, len(odd), 64):
-            row = []
-            for place in odd[first : first + 64]:
-                parent_rows, parent_cols = self.parents(place)
-                core = [self.parent[i][j] for i in parent_rows for j in parent_cols]
-                row.append(
-                    SimpleNamespace(
-                        place=place, core=core, sum=sum(core), p=16 * sum(core),
-                        twist=abs(core[0] - core[1] - core[2] + core[3]),
-                    )
-                )  # fmt: skip
-            self.decode_row(row)
-        for row in dict.fromkeys(row for side in self.lines_of(rows) for row in side):
-            self.decode_line([(row, cols.core + i) for i in range(cols.n_core)], False)
-        for col in dict.fromkeys(col for side in self.lines_of(cols) for col in side):
-            self.decode_line([(rows.core + i, col) for i in range(rows.n_core)], True)
-
-    def decode_line(self, places, is_column):
-        u, v = [], []
-        for place in places[::2]:
-            parent_rows, parent_cols = self.parents(place)
-            u.append(self.parent[parent_rows[0]][parent_cols[0]])
-            v.append(self.parent[parent_rows[-is_column + 1]][parent_cols[is_column]])
-        m = len(u)
-
-        def at(line, k):
-            k = min(1, m - 1) if k < 0 else k
-            return line[k if k < m else max(2 * m - 2 - k, 0)]
-
-        unknown = [k for k, (i, j) in enumerate(places) if not self.known[i][j]]
-        even, odd = ([k for k in unknown if k % 2 == parity] for parity in (0, 1))
-        if self.is_odd_line(places, is_column):
-            t = [a + b for a, b in zip(u, v, strict=True)]
-            self.decode_row(
-                [
-                    SimpleNamespace(
-                        place=places[k], core=[u[k // 2], v[k // 2]], sum=2 * t[k // 2],
-                        p=32 * t[k // 2],
-                        twist=abs(at(t, k // 2 - 1) - 2 * t[k // 2] + at(t, k // 2 + 1)),
-                    )
-                    for k in even
-                ]
-            )  # fmt: skip
-        else:
-            for k in even:
-                i, j = places[k]
-                self.heights[i][j], self.known[i][j] = u[k // 2], 1
-        h = [self.heights[i][j] for i, j in places[::2]]
-        row = []
-        for k in odd:
-            a, b, c, d = core = [at(h, k // 2 + offset) for offset in (-1, 0, 1, 2)]
-            row.append(
-                SimpleNamespace(
-                    place=places[k], core=core, sum=2 * (b + c), p=4 * (9 * (b + c) - a - d),
-                    twist=abs(a - b - c + d),
-                )
-            )  # fmt: skip
-        self.decode_row(row)
-
-    def is_odd_line(self, places, is_column):
-        row, col = places[0]
-        first = self.unit.cols.first + col if is_column else self.unit.rows.first + row
-        return first % 2 == 1
-
-
-# R.5 ---------------------------------------------------------------------------------------------
+    flags = take(1, 1)[0]
+    is_narrow, n_bands = flags & 1, (flags >> 3 & 3) + 1
+    require(flags < 64 and flags >> 1 & 3 < 3, "flags of rapid")
+    require(not is_narrow or n <= 8191, "narrow with a large step")
+    require(not is_root or n_bands == 1, "bands of a root block")
+    shift = 0 if is_narrow else take(1, 1)[0]
+    require(shift <= 30, "shift of levels")
+    v = varint() if flags & 32 else 0
+    sizes = [(varint(), varint()) for _ in range(n_bands)]
+    n_states = (1, 8, 32)[flags >> 1 & 3]
+    bands = [Band(take(4, n_states), take(2, words), take(1, raw)) for words, raw in sizes]
+    require(all(x >= 65536 for band in bands for x in band.states), "states of a band")
+    require(not rest, "bytes after the bands")
+    return is_narrow, shift, -(v >> 1) - 1 if v & 1 else v >> 1, bands
 
 
 class Lattice:
-    """Planes of a lattice, whose errors and heights are read outside as R.5 says."""
+    """The core's samples on multiples of a stride."""
 
-    def __init__(self, unit, stride, heights, known, valid, rows, stencils, features):
-        self.unit, self.stride, self.heights, self.known = unit, stride, heights, known
-        self.valid, self.rows_of, self.stencils = valid, rows, stencils
-        self.weights = {p: rows.scaled(features[k]) for k, p in enumerate(PLANES)}
-        self.shape = [(axis.n_core - 1) // stride + 1 for axis in (unit.rows, unit.cols)]
+    def __init__(self, unit, stride, heights, valid, tables):
+        self.unit, self.stride, self.tables = unit, stride, tables
+        self.heights, self.valid = heights, valid
+        self.n_rows, self.n_cols = ((axis.n - 1) // stride + 1 for axis in (unit.rows, unit.cols))
         self.sizes = {
-            plane: [(n + 1 - odd) >> 1 for n, odd in zip(self.shape, parity, strict=True)]
-            for plane, parity in PARITY.items()
+            p: ((self.n_rows + 1 - a) // 2, (self.n_cols + 1 - b) // 2)
+            for p, (a, b) in PARITY.items()
         }
-        self.errors = {}
-        self.first_row_of = None  # the plane whose row 0 is being coded
+        self.a = [[unit.level_of(z) for z in row[:: 2 * stride]] for row in heights[:: 2 * stride]]
+        self.levels, self.details, self.near = {}, {}, {}  # by plane and place
+        self.class_ = clamp(tables.level - unit.level + stride.bit_length() - 1, 0, 3)  # R.2
+        self.range, self.bend, self.weights = map(cache, (self.range, self.bend, self.weights))
 
     def place(self, plane, i, j):
-        """Place of a plane's sample in the region."""
-        r, c = 2 * i + PARITY[plane][0], 2 * j + PARITY[plane][1]
-        return self.unit.rows.core + r * self.stride, self.unit.cols.core + c * self.stride
+        return tuple((2 * k + odd) * self.stride for k, odd in zip((i, j), PARITY[plane]))
 
-    def a(self, i, j):
-        row, col = (fold(2 * k, n) // 2 for k, n in zip((i, j), self.shape, strict=True))
-        i, j = self.place("A", row, col)
-        return self.heights[i][j]
+    def is_valid(self, plane, i, j):
+        row, col = self.place(plane, i, j)
+        return self.valid[row][col]
 
-    def mean(self, plane, i, j):
-        here, east, south = self.a(i, j), self.a(i, j + 1), self.a(i + 1, j)
-        if plane == "HH":
-            return (here + east + south + self.a(i + 1, j + 1) + 2) >> 2
-        return (here + (east if plane == "HL" else south) + 1) >> 1
+    def level(self, plane, i, j):
+        """R.5."""
+        n_rows, n_cols = self.sizes.get(plane, (0, 0))
+        if n_rows and n_cols:
+            return self.levels[plane, clamp(i, 0, n_rows - 1), clamp(j, 0, n_cols - 1)]
+        return self.a[fold(2 * i, self.n_rows) // 2][fold(2 * j, self.n_cols) // 2]
 
-    def value(self, plane, i, j):
-        if plane == "A":
-            return self.a(i, j)
-        n_rows, n_cols = self.sizes[plane]
-        if n_rows == 0 or n_cols == 0:
-            n = max(self.shape[1] >> 1, 1) if plane == "HH" else 1
-            return self.mean(plane, i, clamp(j, 0, n - 1))
-        if plane == self.first_row_of and i < 0:
-            return self.mean(plane, 0, clamp(j, 0, n_cols - 1))
-        row, col = self.place(plane, clamp(i, 0, n_rows - 1), clamp(j, 0, n_cols - 1))
-        return self.heights[row][col]
+    def range(self, i, j):
+        """R.7."""
+        four = [self.level("A", i + r, j + c) for r in (0, 1) for c in (0, 1)]
+        return max(four) - min(four)
 
-    def error(self, plane, i, j):
-        n_rows, n_cols = self.sizes[plane]
-        if n_rows == 0 or n_cols == 0 or (plane == self.first_row_of and i < 0):
-            return 0
-        return self.errors[plane, clamp(i, 0, n_rows - 1), clamp(j, 0, n_cols - 1)]
+    def bend(self, i, j):
+        """R.7."""
+        a, w, e, n, s = (
+            self.level("A", i + r, j + c) for r, c in ((0, 0), (0, -1), (0, 1), (-1, 0), (1, 0))
+        )
+        return min(abs(w + e - 2 * a) + abs(n + s - 2 * a), 8191)
 
-    def curvature(self, i, j):
-        i, j = (clamp(k, 0, n - 1) for k, n in zip((i, j), self.sizes["A"], strict=True))
-        weights = ((-2, 1), (-1, -4), (0, 6), (1, -4), (2, 1))
-        along = abs(sum(w * self.a(i, j + d) for d, w in weights))
-        down = abs(sum(w * self.a(i + d, j) for d, w in weights))
-        return min((along + down) >> self.rows_of.r, self.rows_of.most)
+    def weights(self, plane):
+        """Return v_0 … v_3 and e (R.7)."""
+        n, s, e = self.unit.n, self.unit.shift, 16
+        c, r, b, g, *_ = self.tables.weights[self.class_][plane]
+        while e > 0 and (max(r, b) << (s + e)) // n >= 32768:
+            e -= 1
+        v1, v2 = (min(((w << (s + e)) // n) >> 2, 8191) for w in (r, b))
+        return (c >> 2) + 1, v1, v2, min(g >> 2, 32767), e
 
-    def decode(self):
-        for t in range(self.sizes["A"][0] + 2):
-            for delay, plane in enumerate(PLANES):
-                i = t - delay
-                if 0 <= i < self.sizes[plane][0] and self.sizes[plane][1]:
-                    self.decode_row(plane, i)
+    def expected(self, plane, i, j, first):
+        """Return E (R.7); `first` is the first row of the band."""
+        v0, v1, v2, v3, e = self.weights(plane)
+        ranges = sum(self.range(i + r, j + c) for r, c in RANGES[plane])
+        bends = sum(self.bend(i + r, j + c) for p, r, c in CORE[plane] if p == "A")
+        places = [(p, i + r, j + c) for p, r, c in DETAILS[plane] if i + r >= first]
+        near = sum(self.near.get(place, 0) for place in places)
+        return ((v1 * ranges + v2 * bends) >> e) + v3 * near + v0
 
-    def decode_row(self, plane, i):
-        self.first_row_of = plane if i == 0 else None
-        row = [self.predict(plane, i, j) for j in range(self.sizes[plane][1])]
-        coded = [x for x in row if not x.is_known]
-        self.rows_of.decode(coded)
-        for x in coded:
-            self.heights[x.place[0]][x.place[1]] = x.height
-        n = self.rows_of.n
-        for j, x in enumerate(row):
-            height = self.heights[x.place[0]][x.place[1]]
-            self.errors[plane, i, j] = min(abs(64 * height - x.p) >> lg(n), 2**18 - 1)
+    def read_details(self, bands):
+        """R.9."""
+        n = ceil_div(max(self.sizes["HL"][0], self.sizes["LH"][0] + 1), 8)
+        for k, band in enumerate(bands):
+            first, end = k * n // len(bands), (k + 1) * n // len(bands)
+            for strip in range(first, end):
+                for plane, (n_rows, n_cols) in self.sizes.items():
+                    begin = 8 * strip - (plane == "LH")
+                    if n_cols:
+                        rows = range(max(begin, 0), min(begin + 8, n_rows))
+                        self.read_batch(band, plane, rows, 8 * first)
+
+    def read_batch(self, band, plane, rows, first):
+        """R.9."""
+        n_cols, tables = self.sizes[plane][1], self.tables
+        entries, joint, split = [], [], []
+        for i in rows:
+            e = [self.expected(plane, i, j, first) for j in range(n_cols)]
+            valid = [self.is_valid(plane, i, j) for j in range(n_cols)]
+            e, valid = [*e, e[-1]], [*valid, False]
+            for j in range(0, n_cols, 2):
+                class_ = class_of(max((e[j] >> 1) + (e[j + 1] >> 1), 1))
+                if not valid[j] and not valid[j + 1]:
+                    entries.append(None)
+                elif class_ < tables.cut:
+                    joint.append((i, j, len(entries)))
+                    entries.append(tables.pairs[class_])
+                else:
+                    for k in (j, j + 1):
+                        class_ = class_of(e[k])
+                        if valid[k]:
+                            split.append((i, k, len(entries), max(class_ - 32, 0) >> 1))
+                        entries.append(tables.samples[class_] if valid[k] else None)
+
+        def put(i, j, d, is_clamped):
+            limit = (self.unit.z_max - self.unit.z_min) // self.unit.n + 1
+            self.details[plane, i, j] = d = clamp(d, -limit, limit) if is_clamped else d
+            if j < n_cols:
+                self.near[plane, i, j] = min(abs(d), 4095)
+
+        symbols, escaped = band.symbols(entries), []  # 1.
+        for i, j, k in joint:
+            if symbols[k] == ESCAPE:
+                escaped += [(i, j), (i, j + 1)]
+            else:
+                put(i, j, symbols[k] // 15 - 7, False)
+                put(i, j + 1, symbols[k] % 15 - 7, False)
+        second = band.symbols([tables.samples[60]] * len(escaped))  # 2.
+        low = [band.raw(b) for *_, b in split]  # 3.
+        for (i, j, k, b), a in zip(split, low):  # 4.
+            goes_on = symbols[k] == GOES_ON
+            u = band.large() if goes_on else symbols[k] - 31
+            put(i, j, (u << b) + a, b or goes_on)
+        for (i, j), y in zip(escaped, second):  # 5.
+            put(i, j, band.large() if y == GOES_ON else y - 31, True)
 
     def predict(self, plane, i, j):
-        x = SimpleNamespace(place=self.place(plane, i, j))
-        x.is_known = self.known[x.place[0]][x.place[1]]
-        x.is_coded = self.valid[x.place[0]][x.place[1]]
-        values = [self.value(p, i + r, j + c) for p, r, c in TAPS[plane]]
-        x.p = (sum(a * b for a, b in zip(self.stencils[plane], values, strict=True)) + 32) >> 6
-        x.core = c = [self.value(p, i + r, j + q) for p, r, q in CORE[plane]]
-        x.sum = sum(c)
-        x.twist = abs(c[0] - c[1] - c[2] + c[3] if plane == "HH" else c[0] + c[1] - c[2] - c[3])
-        features = self.rows_of.range_features(x)
-        features[1] = self.error(plane, i - 1, j)
-        features[2] = self.error(plane, i - 1, j - 1) + self.error(plane, i - 1, j + 1)
-        features[3] = self.error(plane, i - 2, j)
-        features[6] = sum(self.curvature(i + r, j + q) for r, q in BENT[plane])
-        features[7] = sum(self.error(p, i + r, j + q) for p, r, q in NEAR[plane])
-        features[8] = sum(self.error(p, i + r, j + q) for p, r, q in FAR[plane])
-        self.rows_of.finish(x, self.weights[plane], features)
-        return x
+        """Return the prediction and whether it is turned (R.6)."""
+        x = {(p, r, c): self.level(p, i + r, j + c) for p, r, c in TAPS[plane]}
+        core = [x[tap] for tap in CORE[plane]]
+        total = sum(w * v for w, v in zip(self.tables.stencils[self.class_][plane], x.values()))
+        p = clamp(total >> 10, 4 * min(core), 4 * max(core))
+        return (((p << self.unit.shift) + 2) >> 2) + self.unit.origin, self.turned(p, sum(core))
+
+    def predict_known(self, u, k):
+        """The same between samples k and k + 1 of a line (R.3)."""
+        four = a, b, c, d = [u[fold(i, len(u))] for i in range(k - 1, k + 3)]
+        p = clamp((9 * (b + c) - a - d) >> 2, 4 * min(four), 4 * max(four))
+        return (p + 2) >> 2, self.turned(p, 2 * (b + c))
+
+    def turned(self, p, total):
+        return 4 * ((p + 2) >> 2) > p if self.unit.n <= 3 else p > total
+
+    def make_heights(self, parent):
+        """R.3, R.6."""
+        unit, (low, high) = self.unit, self.unit.limits
+        for plane, (n_rows, n_cols) in self.sizes.items():
+            for i, j in ((i, j) for i in range(n_rows) for j in range(n_cols)):
+                row, col = place = self.place(plane, i, j)
+                if plane == "HL" and is_known(unit.rows, row):
+                    height, turned = self.predict_known(parent[i], j)
+                elif plane == "LH" and is_known(unit.cols, col):
+                    height, turned = self.predict_known([line[j] for line in parent], i)
+                else:
+                    height, turned = self.predict(plane, i, j)
+                q = self.details.get((plane, i, j), 0)
+                height = clamp(height + (-q if turned else q) * unit.n, low, high)
+                self.heights[row][col] = height = corrected(unit, place, height, low, high)
+                self.levels[plane, i, j] = unit.level_of(height)
 
 
-def limits(header, widest, is_wide, parent):
-    """R.2: low and high."""
-    if is_wide:
-        return header.z_min, header.z_max
-    most = 2**31 - 64
-    o = 0
-    if parent is not None and max(-header.z_min, header.z_max) * widest > most:
-        o = (min(map(min, parent)) + max(map(max, parent))) >> 1
-    low, high = max(header.z_min, o - most // widest), min(header.z_max, o + most // widest)
-    require(low <= high, "a unit that is not wide has no heights")
-    return low, high
+def is_known(axis, i):
+    """Say whether a row or column is on a shared side (R.3)."""
+    return (i == 0 and axis.shared[0]) or (i == axis.n - 1 and axis.shared[1])
+
+
+def class_of(e):
+    """R.7."""
+    top = e.bit_length() - 1
+    return min(2 * top + (e >> (top - 1) & 1 if top else 0), 59)
 
 
 def decode_rapid(file, unit, payload, valid, parent_unit, parent_heights):
-    """Return the heights of the region, before the wrapper's steps."""
-    tables, n = file.tables, file.header.step
-    streams = Streams(payload, tables.slots)
-    low, high = limits(file.header, tables.widest, streams.is_wide, parent_heights)
-    rows = Rows(unit, n, low, high, tables.is_by_reach, streams)
-    level = unit.key[0] + 1
-
-    def of_class(stride):
-        which = clamp(tables.k_max - level + lg(stride), 0, 3)
-        return tables.stencils[which], tables.features[which]
-
-    if parent_heights is not None:
-        parent = [[clamp(z, low, high) for z in row] for row in parent_heights]
-        shared = Shared(file, unit, valid, parent_unit, parent, rows, of_class(1)[1][3])
-        shared.decode_shared()
-        shared.take_parents()
-        Lattice(unit, 1, shared.heights, shared.known, valid, rows, *of_class(1)).decode()
-        streams.end()
-        return shared.heights
-    heights, known = zeros(unit.rows.n, unit.cols.n), zeros(unit.rows.n, unit.cols.n)
-    stride = 1
-    while stride < max(unit.rows.n_core, unit.cols.n_core) - 1:
-        stride *= 2
-    for i in range(0, unit.rows.n_core, stride):
-        for j in range(0, unit.cols.n_core, stride):
-            heights[i][j] = (low + high) >> 1
-            if valid[i][j]:
-                index = streams.raw(((high - low) // n).bit_length())
-                heights[i][j] = min(low + index * n + (n >> 1), high)
-            heights[i][j] = corrected(unit, (i, j), heights[i][j], low, high)
+    """Return the heights of the region."""
+    z_min, z_max, n = file.header.z_min, file.header.z_max, file.header.step
+    require(file.header.border_rings == 1, "aprons of rapid")  # R.2
+    is_narrow, s, k, bands = read_payload(payload, n, parent_unit is None)
+    o = ((z_min + z_max) >> 1) + (k << (10 + s))
+    require(z_min <= o <= z_max, "origin")
+    low, high = (max(z_min, o - 8191), min(z_max, o + 8191)) if is_narrow else (z_min, z_max)
+    unit.n, unit.shift, unit.origin, unit.limits = n, s, o, (low, high)
+    unit.z_min, unit.z_max = z_min, z_max
+    unit.level_of = lambda z: clamp((z - o) >> s, -8191, 8191)
+    heights, stride = zeros(unit.rows.n, unit.cols.n), 2
+    if parent_unit is None:  # R.4
+        stride, n_bits = 1, ((high - low) // n).bit_length()
+        while stride < max(unit.rows.n, unit.cols.n) - 1:
+            stride *= 2
+    for r in range(0, unit.rows.n, stride):
+        for c in range(0, unit.cols.n, stride):
+            if parent_unit is not None:
+                heights[r][c] = clamp(parent_heights[r // 2][c // 2], low, high)
+                continue
+            z = (low + high) >> 1
+            if valid[r][c]:
+                z = min(low + bands[0].raw(n_bits) * n + (n >> 1), high)
+            heights[r][c] = corrected(unit, (r, c), z, low, high)
     while stride > 1:
         stride //= 2
-        Lattice(unit, stride, heights, known, valid, rows, *of_class(stride)).decode()
-    streams.end()
+        lattice = Lattice(unit, stride, heights, valid, file.tables)
+        lattice.read_details(bands)
+        lattice.make_heights(parent_heights)
+    for band in bands:
+        band.end()
     return heights

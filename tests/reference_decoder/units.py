@@ -90,7 +90,7 @@ def decode(data, level=-1):
 
 
 def decode_with_own(data, level=-1):
-    """Return the same and own samples, which are the valid ones of a file that tells no fills."""
+    """Return the same and own samples."""
     file = read_file(data)
     quanta, mask, remainders, own = decode_quanta(
         file, level if level >= 0 else level + file.grid.k_max + 1

@@ -156,16 +156,6 @@ def test_a_view_of_voids_is_refused():
         terrain.view()
 
 
-def test_a_style_comes_from_where_it_was_with_a_note():
-    from terrainwave.render.look.style import Style
-
-    with pytest.warns(
-        DeprecationWarning, match=r"import Style from terrainwave\.render\.look\.style"
-    ):
-        from terrainwave.render.style import Style as Before
-    assert Before is Style
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [

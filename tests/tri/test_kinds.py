@@ -11,6 +11,7 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mesh_cases import cases, make_case, reader, write_case
+from twz import mesh_of
 
 import terrainwave
 from terrainwave.cli import main
@@ -20,7 +21,6 @@ from terrainwave.errors import CorruptStreamError, InvalidArgumentError, Truncat
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.sections import pack_section, unpack_section
 from terrainwave.read.decoder import unit_key
-from terrainwave.tri.mesh_options import of_former_name
 from terrainwave.tri.stored_kinds import STORED_KINDS
 from terrainwave.tri.zerotree.agreement import border_of
 from terrainwave.verification.mesh_walk import verify_meshes
@@ -170,7 +170,7 @@ def test_meshes_stored_later_are_those_of_compress(kind, tmp_path):
     bare.mkdir()
     plain = write_case(with_kind(case, "none"), bare)
     later = tmp_path / "later.twz"
-    mesh = of_former_name(kind) or kind
+    mesh = mesh_of(kind)
     store_meshes(plain, later, mesh=mesh, original=tmp_path / "case.tif", threads=2)
     assert later.read_bytes() == path.read_bytes()
     # Other meshes over stored ones leave nothing of these.

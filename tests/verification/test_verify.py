@@ -62,10 +62,13 @@ class FakeTerrain:
     def transform(self):
         return self._transform
 
+    def digest(self):
+        return None
+
     def even_blocks(self):
         return None
 
-    def check(self):
+    def check(self, root=None):
         yield from self.problems
 
     def read(self, window=None, *, masked=False, level=-1):

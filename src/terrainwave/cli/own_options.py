@@ -14,16 +14,14 @@ from click.core import ParameterSource
 
 from terrainwave.arguments import one_of
 from terrainwave.cli.options import METHOD
-from terrainwave.cli.output import Command, print_note
+from terrainwave.cli.output import Command
 from terrainwave.codec.method_options import chosen
 from terrainwave.codec.method_options import options_of as options_of_method
-from terrainwave.names import DEFAULT_EFFORT, EFFORTS, MESH_KINDS, METHODS
+from terrainwave.names import DEFAULT_EFFORT, DEFAULT_MESH, EFFORTS, MESH_KINDS, METHODS
 from terrainwave.option_sets import OptionSet, refuse_unknown
-from terrainwave.tri.mesh_options import MeshOptions, of_former_name
 from terrainwave.tri.mesh_options import options_of as options_of_mesh
 
 _ARGUMENTS = "terrainwave.arguments"
-_FORMER = "terrainwave.former"
 
 
 class _Word(NamedTuple):
@@ -37,56 +35,6 @@ class _Word(NamedTuple):
 def own_option(help: str) -> Callable[[Any], Any]:
     """Return the option -o."""
     return click.option("-o", "own", multiple=True, metavar="NAME[=VALUE]", help=help)
-
-
-class MeshKind(click.Choice[str]):
-    """A kind of meshes. Names of 1.0 for kinds with options are taken, with a note."""
-
-    def __init__(self, *more: str) -> None:
-        super().__init__([*MESH_KINDS, *more])
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        """Return the name of the kind, or the options that a former name stands for."""
-        if value == "auto" or isinstance(value, MeshOptions):
-            return value
-        former = of_former_name(value)
-        if former is None:
-            return super().convert(value, param, ctx)
-        words = " ".join(f"-o {name}={getattr(former, name)}" for name in former.names())
-        _note_former(f"--mesh {value}", f"--mesh {former.name} {words}")
-        return former
-
-
-def former_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add what `compress` took in 1.0 instead of -o; it is in no help."""
-    for name, values in (("rate", {}), ("psnr", {}), ("border-rings", {}), ("faithful", _FLAG)):
-        command = click.option(
-            f"--{name}", hidden=True, expose_value=False, callback=_take_former, **values
-        )(command)
-    return command
-
-
-_FLAG: dict[str, Any] = {"is_flag": True}
-
-
-def _take_former(ctx: click.Context, param: click.Parameter, value: Any) -> None:
-    if not value or ctx.resilient_parsing:
-        return
-    name = str(param.name)
-    word, typed = name, param.opts[0]
-    if value is not True:
-        word, typed = f"{name}={value}", f"{typed} {value}"
-    if word == "border_rings=1":
-        _note_former("--border-rings 1", "nothing: 1 is the default")
-        return
-    owners = [method for method in METHODS if name in options_of_method(method).names()]
-    method = f"--method {owners[0]} " if len(owners) == 1 else ""
-    _note_former(param.opts[0], f"{method}-o {word}")
-    ctx.meta.setdefault(_FORMER, []).append(_Word(name, None if value is True else value, typed))
-
-
-def _note_former(former: str, new: str) -> None:
-    print_note(f"{former} works until terrainwave 2.0; write {new}")
 
 
 def with_own_options(own: Sequence[str], options: dict[str, Any]) -> dict[str, Any]:
@@ -106,13 +54,7 @@ def with_own_options(own: Sequence[str], options: dict[str, Any]) -> dict[str, A
     """
     ctx = click.get_current_context()
     words = _words(own)
-    for word in ctx.meta.get(_FORMER, []):
-        if word.name in words:
-            option, other = word.typed.partition(" ")[0], words[word.name].typed
-            raise click.UsageError(f"found {option} and {other}, expected one of them")
-        words[word.name] = word
-    mesh = options.get("mesh") or "auto"
-    of_mesh = options_of_mesh(mesh) if isinstance(mesh, str) else None
+    of_mesh = options_of_mesh(options.get("mesh") or DEFAULT_MESH)
     found: dict[str, Any] = {}
     taken = {name: words.pop(name) for name in list(words) if of_mesh and name in of_mesh.names()}
     if of_mesh is not None and taken:
@@ -173,8 +115,7 @@ def _typed(ctx: click.Context, argument: str) -> str:
     """Return an option of the command as the user has given it, or that it is not given."""
     if ctx.get_parameter_source(argument) is not ParameterSource.COMMANDLINE:
         return f"no `{argument}`"
-    value = ctx.params[argument]
-    return f"`{argument}` {value.former_name if isinstance(value, MeshOptions) else value}"
+    return f"`{argument}` {ctx.params[argument]}"
 
 
 class CommandWithOwnOptions(Command):

@@ -1,4 +1,4 @@
-"""Corrections in the loop: heights that a patch puts back before others read them (FORMAT.md §5.5).
+"""Corrections in the loop: heights that a patch puts back before others read them (FORMAT.md §5.4).
 
 A lossy file reaches multiples of its step from each prediction. Where predictions change, because
 a sample beside has changed, a sample that must stay has its old height no longer among these: the

@@ -25,6 +25,7 @@ from terrainwave.codec.refiner import (
     Heights,
     Mask,
     Refiner,
+    Rows,
     Validity,
     all_void,
     as_direct,
@@ -36,6 +37,8 @@ from terrainwave.grid.remainders import Remainders
 
 MASK_ALL_VALID, MASK_CODED = 0, 1
 _HAS_EXCEPTIONS, _HAS_REMAINDERS, HAS_CORRECTIONS = 0b10, 0b100, 0b1000
+# In the order in which they stand.
+_SECTIONS = MASK_CODED, _HAS_EXCEPTIONS, _HAS_REMAINDERS, HAS_CORRECTIONS
 
 
 def encode_unit(
@@ -59,8 +62,7 @@ def encode_unit(
     remainders : callable, optional
         Returns what decoded heights leave of the originals; with ``spec.remainder_bytes`` only.
     own : ndarray of bool, optional
-        Which samples are valid by themselves; all valid ones by
-        default, as on the finest level.
+        Which samples are valid by themselves; all valid ones by default, as on the finest level.
     kept : ndarray of int32, optional
         With ``spec.has_corrections`` only: heights that must come back as they are, `FREE` where
         any height within the bound of `target` will do.
@@ -117,12 +119,13 @@ def decode_unit(
     spec: GroupSpec,
     parent: Decoded | None,
     payload: bytes,
-    n_rows: int = ALL_ROWS,
+    rows: Rows = ALL_ROWS,
 ) -> Decoded:
     """Undo `encode_unit`. The mask is not to be written to.
 
-    If `n_rows` from the first on are enough, and the refiner is a `DirectRefiner`, a group
-    has no others, and nothing is known of the bytes after them.
+    If some rows are enough, and the refiner is a `DirectRefiner`, a group may have heights in no
+    others (`Decoded.rows`), and the bytes of these may not have been looked at. Of the parent, the
+    rows that `rows_above` names have heights.
 
     Raises
     ------
@@ -130,22 +133,26 @@ def decode_unit(
         If the payload contradicts the format; nothing is read outside of it.
     """
     if not payload:
+        if not spec.has_voids:
+            raise CorruptStreamError("a unit without a payload in a file without voids")
         return _all_void(spec)
-    head = read_head(spec, parent, payload)
+    head = _read_head(spec, parent, payload)
     mask = head.validity.mask
     remainders = None
     if head.remainders:
         remainders = decode_remainders(head.remainders, spec.region.shape, spec.remainder_bytes)
     parent_heights = None if parent is None else parent.heights
     direct, body = as_direct(refiner), payload[head.n_bytes :]
-    is_part = direct is not None and parent is not None and n_rows < spec.region.n_rows
+    if direct is None or parent is None:
+        rows = ALL_ROWS
+    rows = _from_first(rows, head.exceptions)
+    is_part = rows.first > 0 or rows.end < spec.region.n_rows
     corrections = NO_CORRECTIONS
     if head.corrections:
         corrections = decode_corrections(head.corrections, spec)
     if direct is not None:
         heights = new_heights(spec.region.shape)
         labels = None
-        rows = n_rows if is_part else ALL_ROWS
         direct.decode_into(spec, parent_heights, mask, body, heights, corrections, rows)
     else:
         if head.corrections:
@@ -154,10 +161,10 @@ def decode_unit(
         else:
             heights, labels = refiner.decode(spec, parent_heights, mask, body)
         np.clip(heights, spec.z_min, spec.z_max, out=heights)
-    decoded = Decoded(heights, head.validity, labels, remainders)
+    decoded = Decoded(heights, head.validity, labels, remainders, rows if is_part else ALL_ROWS)
     if is_part:
-        decoded = decoded.part((slice(n_rows), slice(None)))
-    heights, mask = decoded.heights, decoded.validity.mask
+        at = slice(rows.first, rows.end)
+        heights, mask = heights[at], None if mask is None else mask[at]
     collides = _collisions(spec, heights, mask)
     n_collisions = 0 if collides is None else int(np.count_nonzero(collides))
     # Raises if there are too many.
@@ -165,6 +172,32 @@ def decode_unit(
     if collides is not None:
         _resolve_collisions(spec, heights, collides, goes_down)
     return decoded
+
+
+def rows_above(refiner: Refiner, spec: GroupSpec, payload: bytes, rows: Rows) -> Rows:
+    """Return which rows of its parent heights `decode_unit` needs for some rows of a group.
+
+    Raises
+    ------
+    CorruptStreamError
+        If the payload begins with what it cannot.
+    """
+    direct = as_direct(refiner)
+    if direct is None:
+        return ALL_ROWS
+    if not payload:
+        return Rows(0, 1)
+    flags, byte_pos, exceptions = payload[0], 1, b""
+    for flag in _SECTIONS:
+        if flags & flag:
+            section, byte_pos = _read_section(payload, byte_pos)
+            exceptions = section if flag == _HAS_EXCEPTIONS else exceptions
+    return direct.rows_above(spec, payload[byte_pos:], _from_first(rows, exceptions))
+
+
+def _from_first(rows: Rows, exceptions: bytes) -> Rows:
+    """Return rows, from the first on if there are exceptions: these are counted from there."""
+    return Rows(0, rows.end) if exceptions else rows
 
 
 class Head(NamedTuple):
@@ -177,10 +210,8 @@ class Head(NamedTuple):
     n_bytes: int
 
 
-def read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Head:
+def _read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Head:
     """Read what stands before the heights of a payload, which is not empty.
-
-    Of the parent the validity is enough.
 
     Raises
     ------
@@ -188,14 +219,16 @@ def read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Head:
         If it contradicts the format.
     """
     flags = payload[0]
-    known = MASK_CODED | _HAS_EXCEPTIONS | (_HAS_REMAINDERS if spec.remainder_bytes else 0)
+    known = _HAS_EXCEPTIONS | (_HAS_REMAINDERS if spec.remainder_bytes else 0)
+    if spec.has_voids:
+        known |= MASK_CODED
     if spec.has_corrections:
         known |= HAS_CORRECTIONS
     if flags & ~known:
         raise CorruptStreamError(f"a unit's flags are {flags:#04x}; reserved bits must be 0")
     byte_pos = 1
     sections = {}
-    for flag in (MASK_CODED, _HAS_EXCEPTIONS, _HAS_REMAINDERS, HAS_CORRECTIONS):
+    for flag in _SECTIONS:
         sections[flag] = b""
         if flags & flag:
             sections[flag], byte_pos = _read_section(payload, byte_pos)

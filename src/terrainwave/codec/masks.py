@@ -12,12 +12,12 @@ them. Of fills only those are coded that lie beside no own sample: few.
 """
 
 from functools import cache
-from importlib import resources
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.annexes import read_tables
 from terrainwave.codec.memory import new_heights
 from terrainwave.codec.refiner import ALL_VALID, Mask, Validity, as_array
 from terrainwave.coding.borrowed import borrowed
@@ -45,6 +45,12 @@ _ALL_OWN, _UNIFORM, _FEW, _MANY = 0, 1, 2, 3
 N_MODELS = _GROUPS + 12
 # Sets of frequencies: of samples, and of groups and fills.
 N_SETS, N_GROUP_SETS = 16, 7
+# The file, which tools/train_masks.py writes.
+ANNEX = "masks.bin"
+LAYOUT = np.dtype([
+    ("samples", "<u2", (N_SETS, FIRST_OF_GROUPS)),
+    ("groups", "<u2", (N_GROUP_SETS, N_MODELS - FIRST_OF_GROUPS)),
+])  # fmt: skip
 # Instead, a section may bring frequencies of its own: a byte for each model, in steps of 16.
 _OWN_FREQS = N_GROUP_SETS * N_SETS
 _FREQ_STEP = 16
@@ -115,13 +121,10 @@ _NO_CODER = _Coder(*(np.zeros(n, kind) for n, kind in ((1, "u4"), (1, "u2"), (1,
 def frequencies() -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
     """Return the frequencies of a 1 by set and model: of samples, and of groups and fills.
 
-    The file has those of 49 samples' models for each of 16 sets, then those of 13 others for each
-    of 7 sets, as uint16, little-endian; each is one of 1 … 4095 of 4096.
+    Each is one of 1 … 4095 of 4096.
     """
-    data = resources.files("terrainwave.codec").joinpath("masks.bin").read_bytes()
-    numbers = np.frombuffer(data, dtype="<u2").astype(np.uint32)
-    n_samples = N_SETS * _FILL
-    return numbers[:n_samples].reshape(N_SETS, -1), numbers[n_samples:].reshape(N_GROUP_SETS, -1)
+    tables = read_tables(ANNEX, LAYOUT)
+    return tables["samples"].astype(np.uint32), tables["groups"].astype(np.uint32)
 
 
 def encode_validity(

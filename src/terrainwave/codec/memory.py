@@ -71,3 +71,25 @@ class _Recycler:
 
 
 new_heights = _Recycler().heights
+
+
+def flat(heights: Heights) -> tuple[Heights, int]:
+    """Return a flat array that begins with heights, and how far apart their rows lie in it.
+
+    A part of a unit is not copied: its memory is that of `new_heights`.
+    """
+    owner = heights.base
+    if heights.flags.c_contiguous:
+        return heights.ravel(), heights.shape[1]
+    if isinstance(owner, np.ndarray) and (owner.ndim, owner.dtype) == (1, heights.dtype):
+        row_spacing, col_spacing = (size // owner.itemsize for size in heights.strides)
+        if owner.flags.c_contiguous and col_spacing == 1:
+            first = (_address(heights) - _address(owner)) // owner.itemsize
+            return owner[first:], row_spacing
+    copied = new_heights(heights.shape)
+    copied[:] = heights
+    return copied.ravel(), heights.shape[1]
+
+
+def _address(heights: Heights) -> int:
+    return int(heights.__array_interface__["data"][0])

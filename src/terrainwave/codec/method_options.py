@@ -3,10 +3,9 @@
 Each method has a class of its own, which its line in `names.METHODS` names.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from terrainwave.arguments import check_choice, check_effort, shown
 from terrainwave.errors import InvalidArgumentError
@@ -19,7 +18,7 @@ from terrainwave.names import (
     SMALLEST_METHOD,
     Method,
 )
-from terrainwave.option_sets import OptionSet, refuse_unknown, whole
+from terrainwave.option_sets import OptionSet, whole
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,23 +113,6 @@ def chosen(method: object, effort: str) -> MethodChoice:
 def _choice(own: MethodOptions, effort: str, reason: str) -> MethodChoice:
     stays = own.must_stay or own.method == PLAIN_METHOD
     return MethodChoice(own, effort, reason, None if stays else PLAIN_METHOD)
-
-
-def chosen_with(method: object, effort: str, given: Mapping[str, Any]) -> tuple[MethodOptions, str]:
-    """Return the chosen method's options, some given one by one, and the effort files state.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the method has no such option.
-    """
-    own, stated, _, _ = chosen(method, effort)
-    for name in given:
-        if name not in own.names():
-            asked = method if isinstance(method, str) else own.name
-            sets = [options_of(each) for each in METHODS]
-            refuse_unknown(name, "method", sets, given=f"`{name}`", found=f"`method` {asked}")
-    return replace(own, **given), stated
 
 
 def with_method(own: MethodOptions, method: Method) -> MethodOptions:

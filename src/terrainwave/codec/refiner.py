@@ -17,8 +17,6 @@ from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.remainders import Remainders
 from terrainwave.grid.sample_windows import HeightsOf, MaskOf
 
-# Of a unit: more than any has.
-ALL_ROWS = 1 << 31
 Heights = NDArray[np.int32]
 Mask = NDArray[np.bool_]
 Labels = NDArray[np.uint8]
@@ -35,6 +33,14 @@ class Sides(NamedTuple):
     right: bool
 
 
+class Rows(NamedTuple):
+    """Rows of a unit: the first, and the one after the last, if there are as many."""
+
+    first: int
+    end: int
+
+
+ALL_ROWS = Rows(0, 1 << 31)
 NOT_SHARED = Sides(False, False, False, False)
 
 
@@ -144,12 +150,14 @@ class Decoded(NamedTuple):
     a group these are the samples of the parent block inside the raster, without apron. None where
     the method has no details (`store`, raw units) or nothing is valid: nothing is known then.
     `remainders`: what makes the heights exact (`grid.remainders`); None where all are 0.
+    `rows`: those that have heights; in others `heights` has anything, all else is known.
     """
 
     heights: Heights
     validity: Validity
     labels: Labels | None = None
     remainders: Remainders | None = None
+    rows: Rows = ALL_ROWS
 
     @property
     def mask(self) -> Mask:
@@ -158,19 +166,17 @@ class Decoded(NamedTuple):
 
     @property
     def own_mask(self) -> Mask:
-        """Return which samples are valid by themselves, or all valid ones if a file does not tell.
-
-        An array.
-        """
+        """Return which samples are valid by themselves, as an array."""
         return as_array(self.validity.own_mask, self.heights.shape)
 
     @property
     def nbytes(self) -> int:
         """Return the bytes of the arrays."""
-        return sum(part.nbytes for part in self if part is not None)
+        parts = self.heights, self.validity, self.labels, self.remainders
+        return sum(part.nbytes for part in parts if part is not None)
 
     def part(self, at: tuple[slice, slice]) -> "Decoded":
-        """Return some of the samples, without the zero trees; views."""
+        """Return some of the samples, those of `rows`, without the zero trees; views."""
         rest = None if self.remainders is None else self.remainders[at]
         return Decoded(self.heights[at], self.validity.part(at), None, rest)
 
@@ -237,12 +243,22 @@ class DirectRefiner(CorrectingRefiner, Protocol):
 
     def decode_into(
         self, spec: GroupSpec, parent: Heights | None, mask: Mask | None, payload: bytes,
-        out: Heights, corrections: Corrections = NO_CORRECTIONS, n_rows: int = ALL_ROWS,
+        out: Heights, corrections: Corrections = NO_CORRECTIONS, rows: Rows = ALL_ROWS,
     ) -> None:  # fmt: skip
         """Do as `decode`; `out` is contiguous and has the shape of ``spec.region``.
 
-        Of a group, `n_rows` from the first on are enough: what follows in `payload` may be left,
-        and any heights in the rows below.
+        Of a group, some rows are enough: what `payload` has of others may be left, there may be any
+        heights in them, and in rows of `parent` that `rows_above` does not name.
+        """
+        ...
+
+    def rows_above(self, spec: GroupSpec, payload: bytes, rows: Rows) -> Rows:
+        """Return which rows of its parent heights some rows of a group need.
+
+        Raises
+        ------
+        CorruptStreamError
+            If the payload begins with what it cannot.
         """
         ...
 
@@ -273,13 +289,11 @@ class FittingRefiner(Refiner, Protocol):
         heights: HeightsOf,
         mask: MaskOf,
         *,
-        may_have_reach: bool = True,
         each: Each = map,
     ) -> "FittingRefiner":
         """Return a refiner with tables fitted to a raster, the same ones on every machine.
 
-        `heights` and `mask` return targets and validity of a region of a level; `may_have_reach`
-        says whether tables may be such that readers of format 1.0 don't know them. Work is shared
-        out by `each`, which changes nothing of the result.
+        `heights` and `mask` return targets and validity of a region of a level. Work is shared out
+        by `each`, which changes nothing of the result.
         """
         ...

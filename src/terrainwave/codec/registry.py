@@ -3,8 +3,8 @@
 from importlib import import_module
 
 from terrainwave.codec.refiner import Refiner
-from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
-from terrainwave.names import METHODS, REACH_LAYOUT, WEIGHTS_LAYOUT
+from terrainwave.errors import UnsupportedVersionError
+from terrainwave.names import METHODS
 
 
 def refiner_by_name(name: str, file_tables: bytes = b"") -> Refiner:
@@ -31,36 +31,6 @@ def refiner_by_name(name: str, file_tables: bytes = b"") -> Refiner:
     made = getattr(import_module(f"terrainwave.codec.{module}"), kind)
     refiner: Refiner = made(file_tables) if method.has_file_tables else made()
     return refiner
-
-
-def newer_layout(name: str, file_tables: bytes) -> int:
-    """Return the layout of a file's tables if readers of format 1.0 don't know it, else 0."""
-    layout = file_tables[0] if METHODS[name].has_reach and file_tables else 0
-    return layout if layout in (REACH_LAYOUT, WEIGHTS_LAYOUT) else 0
-
-
-def check_layout(name: str, file_tables: bytes, told: int) -> None:
-    """Refuse tables of another layout than the header says.
-
-    `told` is the layout that a feature bit stands for, 0 without one. Files with contexts by reach
-    that do not say so are older than their bit, and sound.
-
-    Raises
-    ------
-    CorruptStreamError
-        If the header says what the tables are not, or not that they have weights.
-    """
-    layout = newer_layout(name, file_tables)
-    if told == REACH_LAYOUT and layout != told:
-        raise CorruptStreamError("the header says that contexts are by reach, the tables do not")
-    if told == WEIGHTS_LAYOUT and layout != told:
-        raise CorruptStreamError(
-            "the header says that the tables have weights of features, and they have none"
-        )
-    if told != WEIGHTS_LAYOUT and layout == WEIGHTS_LAYOUT:
-        raise CorruptStreamError(
-            "the tables have weights of features, and the header does not say so"
-        )
 
 
 def check_file_tables(name: str, file_tables: bytes) -> None:

@@ -1,7 +1,7 @@
 """Segments and arrays on storage that several machines share, until a file is put together.
 
-A segment is stored in the file's own form (FORMAT.md §3.2): page, then payloads and meshes. Its
-page's `first_child` is 0, as nobody knows offsets in the file yet.
+A segment is stored as its page, then its payloads and meshes in the file's own order (FORMAT.md
+§3.2). Its page's `first_child` is 0, as nobody knows offsets in the file yet.
 
 Of an object store only put, get, head and delete of known names are needed. A put that fails is
 repeated, and what is not there yet is asked for again, so the store may be slow to show it.
@@ -67,17 +67,19 @@ class StoredSegment(NamedTuple):
     page_length: int
     length: int
 
-    def chunks(self) -> Iterator[bytes]:
-        """Yield the page, then payloads and meshes, at most 16 MiB in memory at a time."""
+    def page(self) -> bytes:
+        """Return the page."""
+        return b"".join(self._read(0, self.page_length))
+
+    def sections(self) -> Iterator[bytes]:
+        """Yield payloads and meshes, at most 16 MiB in memory at a time."""
+        return self._read(self.page_length, self.length)
+
+    def _read(self, first: int, end: int) -> Iterator[bytes]:
         entry = _Entry(self.path, Meter())
         try:
-            first = max(self.page_length, min(_CHUNK, self.length))
-            data = entry.read(self.offset, first)
-            yield data[: self.page_length]
-            yield data[self.page_length :]
-            end = self.offset + self.length
-            for start in range(self.offset + first, end, _CHUNK):
-                yield entry.read(start, min(_CHUNK, end - start))
+            for start in range(first, end, _CHUNK):
+                yield entry.read(self.offset + start, min(_CHUNK, end - start))
         finally:
             entry.close()
 
@@ -376,8 +378,8 @@ class StoredSegments:
         if place.length:
             data = self._source(place.path).read(place.offset, place.page_length)
             page = unpack_page(data, layout, f"the page of {describe_head(head)}")
-        end = place.offset + place.length
-        return segment_of_page(head, layout, page, place.offset, place.page_length, end)
+        start = place.offset + place.page_length
+        return segment_of_page(head, layout, page, start, has_pages=False)
 
     def _source(self, path: str) -> _Entry:
         return self._sources.get_or_make(path, lambda: self._depot.open(path))

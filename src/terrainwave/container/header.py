@@ -20,18 +20,11 @@ from terrainwave.errors import (
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid
 from terrainwave.grid.quantum import Quantizer
-from terrainwave.names import (
-    FORMATS,
-    MESHES,
-    METHODS,
-    REACH_LAYOUT,
-    UNBOUNDED_MESHES,
-    WEIGHTS_LAYOUT,
-)
+from terrainwave.names import MESHES, METHODS, UNBOUNDED_MESHES
 
 MAGIC = b"\x89TWZ\r\n\x1a\n"  # as PNG's: a text-mode or 7-bit copy damages it visibly
-FORMAT_VERSION = 1
-HEADER_SIZE = 128
+FORMAT_VERSION = 2
+HEADER_SIZE = 128  # without optional sections
 MEDIA_TYPE = "application/vnd.terrainwave"  # FORMAT.md §14
 # How messages of `UnsupportedVersionError` end (FORMAT.md §12.1).
 NEWER = ": install a newer terrainwave"
@@ -39,28 +32,17 @@ NEWER = ": install a newer terrainwave"
 _METHOD_NAMES = {method.number: method.name for method in METHODS.values()}
 # Codes 2 (int8) and 5 (uint32) are reserved.
 DTYPE_CODES = {"uint8": 1, "uint16": 3, "int16": 4, "int32": 6, "float32": 7, "float64": 8}
+# Samples of the full grid may be void (FORMAT.md §5.2).
+HAS_VOIDS = 1
 # Remainders make every height of the full grid exact (FORMAT.md §5.3).
-HAS_REMAINDERS = 1
+HAS_REMAINDERS = 2
 # The file follows the paper of its method (FORMAT.md §7.9).
-IS_FAITHFUL = 2
-# Bit 2 stays unused: an invalid file of the conformance set has it.
-# The tables of rapid have contexts by reach (format-rapid.md R.10, layout 3).
-HAS_REACH = 8
-# Payloads tell which samples of coarse levels are fills (FORMAT.md §5.4).
-HAS_FILLS = 16
-# The tables of rapid have weights of features (format-rapid.md R.10, layout 5).
-HAS_WEIGHTS = 32
-# Payloads put heights back in the loop, so that patches move no others (FORMAT.md §5.5).
-HAS_CORRECTIONS = 64
-KNOWN_FEATURES = (
-    HAS_REMAINDERS | IS_FAITHFUL | HAS_REACH | HAS_FILLS | HAS_WEIGHTS | HAS_CORRECTIONS
-)
-# The bit of each layout of rapid's tables that readers of format 1.0 don't know.
-LAYOUT_FEATURES = {REACH_LAYOUT: HAS_REACH, WEIGHTS_LAYOUT: HAS_WEIGHTS}
-# What readers of format 1.0 know: all else needs one of 1.1.
-_FIRST_FEATURES = HAS_REMAINDERS | IS_FAITHFUL
-# Bits that format 1.1 keeps for what nobody has coded yet (FORMAT.md §4.7).
-_RESERVED_FEATURES = {32: "weights of features, of method rapid alone", 128: "signs of zero"}
+IS_FAITHFUL = 4
+# Payloads put heights back in the loop, so that patches move no others (FORMAT.md §5.4).
+HAS_CORRECTIONS = 8
+# The file ends with digests of its heights (FORMAT.md §4.9).
+HAS_DIGESTS = 16
+KNOWN_FEATURES = HAS_VOIDS | HAS_REMAINDERS | IS_FAITHFUL | HAS_CORRECTIONS | HAS_DIGESTS
 
 MAX_SIDE = 2**31
 MAX_SAMPLES = 2**50
@@ -72,10 +54,13 @@ MAX_Z = 2**30  # so that z ± a step's half and differences of two heights fit i
 MAX_STEP = 2**31 - 1
 MAX_METADATA = 2**20  # both deflated and inflated
 MAX_PARAMETERS = 2**16
+SMALLEST_DIGESTS = 40  # the section of one digest (FORMAT.md §4.9)
 MAX_PAGE = 2**15  # an inflated page has at most 5.9 kB (FORMAT.md §10)
 
 _LAYOUT = struct.Struct("<8s B B H I Q I I B B B B B B 2s Q Q q I i i I d d d I I I I I")
 _CRC = struct.Struct("<I")
+# Of an optional section: name, bytes of its content, their checksum (FORMAT.md §4.8).
+_SECTION = struct.Struct("<4s I I")
 
 
 @dataclass(frozen=True)
@@ -115,8 +100,8 @@ class Header:
     mesh_tolerance : int
         Its tolerance on the finest level, in 1/16 quanta; 0 without meshes.
     features : int
-        Must-understand mask: a sum of `HAS_REMAINDERS`, `IS_FAITHFUL`, `HAS_REACH`, `HAS_FILLS`,
-        `HAS_WEIGHTS`, `HAS_CORRECTIONS`.
+        Must-understand mask: a sum of `HAS_VOIDS`, `HAS_REMAINDERS`, `IS_FAITHFUL`,
+        `HAS_CORRECTIONS`, `HAS_DIGESTS`.
     metadata : dict
         The JSON metadata (`container.metadata`).
     file_tables : bytes
@@ -160,9 +145,9 @@ class Header:
         return bool(self.features & IS_FAITHFUL)
 
     @property
-    def has_fills(self) -> bool:
-        """Say whether payloads tell which samples of coarse levels are fills."""
-        return bool(self.features & HAS_FILLS)
+    def has_voids(self) -> bool:
+        """Say whether samples of the full grid may be void; without, all are known to be valid."""
+        return bool(self.features & HAS_VOIDS)
 
     @property
     def has_corrections(self) -> bool:
@@ -170,13 +155,13 @@ class Header:
         return bool(self.features & HAS_CORRECTIONS)
 
     @property
-    def format(self) -> str:
-        """Return the first version of the format whose readers know all that the file uses."""
-        return FORMATS[bool(self.features & ~_FIRST_FEATURES)]
+    def has_digests(self) -> bool:
+        """Say whether the file ends with digests of its heights."""
+        return bool(self.features & HAS_DIGESTS)
 
     @property
     def moved(self) -> int:
-        """Return by how much patches or a file before may have moved heights, in quanta.
+        """Return by how much a file before may have moved heights, in quanta.
 
         A share of the bound.
         """
@@ -184,9 +169,16 @@ class Header:
         return int(cast(float, found)) if found is not None else 0
 
     @property
+    def bound_side(self) -> str:
+        """Return on which side of originals heights may lie: both, above or below."""
+        found = self.metadata.get("bound")
+        return str(found) if found in ("above", "below") else "both"
+
+    @property
     def coded_error(self) -> int:
         """Return how far decoded heights may be from the quantised originals, in quanta."""
-        return (self.step >> 1) + self.moved
+        n_sides = 1 if self.bound_side == "both" else 2
+        return n_sides * (self.step >> 1) + self.moved
 
     @property
     def quanta_error(self) -> float:
@@ -237,7 +229,7 @@ class Header:
             self.border_rings,
             self.effort,
             is_faithful=self.is_faithful,
-            has_fills=self.has_fills,
+            has_voids=self.has_voids,
             has_corrections=self.has_corrections,
         )
 
@@ -252,11 +244,12 @@ class Extents:
     parameters_length: int
     parameters_crc: int
     top_page_length: int
+    header_size: int = HEADER_SIZE
 
     @property
     def parameters_start(self) -> int:
         """Return the offset of the method's parameters."""
-        return HEADER_SIZE + self.metadata_length
+        return self.header_size + self.metadata_length
 
     @property
     def top_start(self) -> int:
@@ -286,7 +279,7 @@ def pack_header(header: Header, extents: Extents) -> bytes:
         MAGIC,
         FORMAT_VERSION,
         0,
-        HEADER_SIZE,
+        extents.header_size,
         header.features,
         extents.file_size,
         header.n_rows,
@@ -369,8 +362,8 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
     (method, dtype, effort, mesh, padding, numerator, denominator, base) = fields[10:18]
     (step, z_min, z_max, metadata_length, max_error, effective_bound, rho) = fields[18:25]
     (metadata_crc, parameters_length, parameters_crc, top_page_length, mesh_tolerance) = fields[25:]
-    if size != HEADER_SIZE:
-        raise CorruptStreamError(f"header size {size} instead of {HEADER_SIZE} (byte 10)")
+    if size < HEADER_SIZE:
+        raise CorruptStreamError(f"header size {size}, less than {HEADER_SIZE} (byte 10)")
     if stored != zlib.crc32(body):
         raise CorruptStreamError("checksum of the header does not match")
     if reserved or padding != bytes(2):
@@ -409,8 +402,9 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
         features=features,
     )
     extents = Extents(
-        file_size, metadata_length, metadata_crc, parameters_length, parameters_crc, top_page_length
-    )
+        file_size, metadata_length, metadata_crc, parameters_length, parameters_crc,
+        top_page_length, size,
+    )  # fmt: skip
     for problem in _violations(header, extents):
         raise problem.error(problem.text)
     return header, extents
@@ -422,15 +416,41 @@ def _check_version(data: bytes, stored: int) -> None:
     if version == FORMAT_VERSION:
         return
     first = data[:8] + bytes([FORMAT_VERSION]) + data[9 : _LAYOUT.size]
-    if stored == zlib.crc32(first):  # newer headers have checksums of their own version
+    if stored == zlib.crc32(first):  # headers have checksums of their own version
         raise CorruptStreamError(
             f"byte 8 is damaged: it says format version {version}, and the checksum is that of"
             f" version {FORMAT_VERSION}"
         )
-    advice = NEWER if version > FORMAT_VERSION else ", which no release has written"
+    advice = NEWER
+    if version < FORMAT_VERSION:
+        advice = ": made by a development build: compress the raster again"
     raise UnsupportedVersionError(
-        f"format version {version}{advice}; this terrainwave reads version {FORMAT_VERSION}"
+        f"found format version {version}, expected {FORMAT_VERSION}{advice}"
     )
+
+
+def check_optional_sections(data: bytes) -> None:
+    """Check the sections at the end of a header, whose contents no reader needs (FORMAT.md §4.8).
+
+    Raises
+    ------
+    CorruptStreamError
+        If they do not fill `data`, a name comes twice, or a checksum does not match.
+    """
+    names, at = set[bytes](), 0
+    while at < len(data):
+        start = at + _SECTION.size
+        if start > len(data):
+            raise CorruptStreamError("the head of an optional section is cut short")
+        name, length, stored = _SECTION.unpack_from(data, at)
+        at = start + length
+        if at > len(data):
+            raise CorruptStreamError(f"the optional section {name!r} reaches beyond the header")
+        if name in names:
+            raise CorruptStreamError(f"the optional section {name!r} comes twice")
+        if stored != zlib.crc32(data[start:at]):
+            raise CorruptStreamError(f"the checksum of the optional section {name!r} is wrong")
+        names.add(name)
 
 
 @dataclass(frozen=True)
@@ -449,12 +469,8 @@ def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
 def _violations_of_grid(header: Header) -> Iterator[_Violation]:
     """Yield what is wrong with samples, method, quantum and bounds; features that are unknown."""
     unknown = header.features & ~KNOWN_FEATURES
-    if not METHODS[header.method].has_reach:  # kept for whatever such methods may need
-        unknown |= header.features & HAS_WEIGHTS
     if unknown:
-        names = [name for bit, name in _RESERVED_FEATURES.items() if unknown & bit]
-        what = f" ({', '.join(names)})" if names else ""
-        yield _Violation(f"unknown features {unknown:#x}{what}{NEWER}", UnsupportedVersionError)
+        yield _Violation(f"unknown features {unknown:#x}{NEWER}", UnsupportedVersionError)
     for name, side in (("n_rows", header.n_rows), ("n_cols", header.n_cols)):
         if not 1 <= side <= MAX_SIDE:
             yield _Violation(f"{name} is {side}, not 1 ... 2^31")
@@ -464,7 +480,7 @@ def _violations_of_grid(header: Header) -> Iterator[_Violation]:
         yield _Violation(f"block is {header.block}, not 32 ... 1024")
     if header.border_rings not in (1, 3):
         yield _Violation(f"border_rings is {header.border_rings}, not 1 or 3")
-    if header.border_rings != 1 and METHODS[header.method].is_tiled:
+    if header.border_rings != 1 and not METHODS[header.method].has_rings:
         yield _Violation(f"border_rings is {header.border_rings}, not 1, of method {header.method}")
     if not 0 <= header.effort <= MAX_EFFORT:
         yield _Violation(f"effort is {header.effort}, not 0 ... 9{NEWER}", UnsupportedVersionError)
@@ -491,14 +507,10 @@ def _violations_of_grid(header: Header) -> Iterator[_Violation]:
 
 def _violations_of_features(header: Header) -> Iterator[_Violation]:
     """Yield features that do not go together, or not with the method."""
-    if header.features & HAS_REACH and header.features & HAS_WEIGHTS:
-        yield _Violation("two layouts of the tables: contexts by reach and weights")
-    if header.features & HAS_REACH and not METHODS[header.method].has_reach:
-        yield _Violation(f"contexts by reach of method {header.method}, which has none")
     if header.is_faithful and not METHODS[header.method].may_be_faithful:
         yield _Violation(f"a faithful file of method {header.method}, which has none")
-    if header.has_fills and header.grid.k_max == 0:
-        yield _Violation("fills of coarse levels in a file without any")
+    if header.z_min > header.z_max and not header.has_voids:
+        yield _Violation("no sample is valid, and none may be void")
     if header.has_corrections and (not METHODS[header.method].is_patchable or header.step == 1):
         what = f"corrections of method {header.method} and step {header.step}"
         yield _Violation(f"{what}{NEWER}", UnsupportedVersionError)
@@ -526,5 +538,6 @@ def _violations_of_sizes(header: Header, extents: Extents) -> Iterator[_Violatio
     if not 1 <= extents.top_page_length <= MAX_PAGE:
         yield _Violation(f"top page of {extents.top_page_length} bytes, not 1 ... 2^15")
     end = extents.top_start + extents.top_page_length
+    end += SMALLEST_DIGESTS * header.has_digests
     if not end <= extents.file_size < 2**63:
         yield _Violation(f"file size {extents.file_size} does not hold the first {end} bytes")

@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterator
 from typing import NoReturn, cast
 
+from terrainwave.annexes import read_annex
 from terrainwave.coding.deflate import deflate, inflate
-from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.container.header import MAX_METADATA
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveError
 
@@ -42,7 +42,7 @@ def pack_metadata(metadata: dict[str, object]) -> bytes:
         raise InvalidHeightsError(f"metadata cannot be stored: {error}") from None
     if len(text) > MAX_METADATA:
         raise InvalidHeightsError(f"metadata of {len(text)} bytes, more than 1 MiB")
-    packed = deflate(text, DICTIONARY)
+    packed = deflate(text, read_annex("dictionary.txt"))
     if len(packed) > MAX_METADATA:
         raise InvalidHeightsError("metadata is more than 1 MiB")
     try:
@@ -60,7 +60,7 @@ def unpack_metadata(packed: bytes) -> dict[str, object]:
     CorruptStreamError
         If it is not one JSON object as FORMAT.md §4.2 wants it.
     """
-    data = inflate(packed, MAX_METADATA, "metadata", DICTIONARY)
+    data = inflate(packed, MAX_METADATA, "metadata", read_annex("dictionary.txt"))
     try:
         text = data.decode("utf-8")
     except UnicodeDecodeError as error:

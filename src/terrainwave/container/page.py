@@ -93,10 +93,10 @@ class Page:
         z_min, z_max, error and mesh error of each block, opaque here.
     child_page_lengths : ndarray of uint32, shape (n_children,)
     child_lengths : ndarray of uint64, shape (n_children,)
-        Whole segment: page, payloads, meshes. 0 if the segment is absent.
+        Page and body of a child. 0 if the segment is absent.
     first_child : int
-        File offset at which the child segments begin; they follow each other without gaps. 0
-        if the layout has no children.
+        File offset at which the bodies of the child segments begin; they follow each other without
+        gaps. 0 if the layout has no children.
     """
 
     payload_lengths: NDArray[np.uint32]
@@ -110,21 +110,34 @@ class Page:
     first_child: int = 0
 
     @property
-    def body_length(self) -> int:
+    def sections_length(self) -> int:
         """Return the number of bytes of all payloads and meshes."""
         return int(self.payload_lengths.sum(dtype=np.int64) + self.mesh_lengths.sum(dtype=np.int64))
 
     @property
+    def body_length(self) -> int:
+        """Return the number of bytes of the body: the pages of children, payloads and meshes."""
+        return int(self.child_page_lengths.sum(dtype=np.int64)) + self.sections_length
+
+    @property
+    def child_body_lengths(self) -> list[int]:
+        """Return the number of bytes of the body of each child."""
+        # Not numpy's difference: untrusted uint64 could wrap.
+        pages = self.child_page_lengths.tolist()
+        return [
+            length - page for length, page in zip(self.child_lengths.tolist(), pages, strict=True)
+        ]
+
+    @property
     def children_end(self) -> int:
-        """Return the file offset after the last child segment."""
-        # Not numpy's sum: untrusted uint64 could wrap.
-        return self.first_child + sum(int(length) for length in self.child_lengths)
+        """Return the file offset after the last child's body."""
+        return self.first_child + sum(self.child_body_lengths)
 
     @property
     def is_empty(self) -> bool:
         """Say whether nothing is lost if the segment is left out (FORMAT.md §3.4)."""
         return not (
-            self.body_length or self.flags.any() or self.codes.any() or self.child_lengths.any()
+            self.sections_length or self.flags.any() or self.codes.any() or self.child_lengths.any()
         )
 
 
@@ -304,11 +317,14 @@ def file_order(keys: Sequence[Block]) -> list[int]:
     return [*first, *chain.from_iterable(below.values()), *reversed(fourth)]
 
 
-def payload_starts(page: Page, layout: PageLayout, body_start: int) -> Sequence[int]:
-    """Return the file offset of each key's payload; its mesh follows it (FORMAT.md §3.2)."""
+def payload_starts(page: Page, layout: PageLayout, start: int) -> Sequence[int]:
+    """Return the offset of each key's payload from that of the first in the file (FORMAT.md §3.2).
+
+    The mesh of a key follows its payload.
+    """
     order = layout.order
     lengths = (page.payload_lengths.astype(np.int64) + page.mesh_lengths)[order]
     starts = np.empty(len(order), dtype=np.int64)
-    starts[order] = body_start + np.cumsum(lengths) - lengths
+    starts[order] = start + np.cumsum(lengths) - lengths
     offsets: list[int] = starts.tolist()
     return offsets

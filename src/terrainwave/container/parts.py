@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-from terrainwave.container.header import HEADER_SIZE
 from terrainwave.container.reader import Container
 
 
@@ -12,8 +11,9 @@ class Parts:
 
     Parameters
     ----------
-    metadata, tables, index, meshes : int
-        The header with the metadata; the method's parameters; all index pages; stored meshes.
+    metadata, tables, index, meshes, digests : int
+        The header with the metadata; the method's parameters; all index pages; stored meshes;
+        digests of heights.
     heights : tuple of int
         Payloads of each level, the coarsest first; one number where they hold several levels.
     """
@@ -23,6 +23,7 @@ class Parts:
     index: int
     heights: tuple[int, ...]
     meshes: int
+    digests: int
 
 
 def parts_of(container: Container) -> Parts:
@@ -38,9 +39,10 @@ def parts_of(container: Container) -> Parts:
             # The key of a group is the block above it; that of a root lies on level -1.
             heights[key.level + 1] += length
     return Parts(
-        HEADER_SIZE + extents.metadata_length,
+        extents.parameters_start,
         extents.parameters_length,
         index,
         tuple(heights),
         meshes,
+        container.digests_place().length,
     )

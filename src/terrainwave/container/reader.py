@@ -13,7 +13,20 @@ from functools import partial
 from typing import Any
 
 from terrainwave.cache import Cache
-from terrainwave.container.header import Extents, Header, unpack_header
+from terrainwave.container.digests import (
+    TAIL_LENGTH,
+    DigestTree,
+    section_length,
+    unpack_digests,
+)
+from terrainwave.container.header import (
+    HEADER_SIZE,
+    SMALLEST_DIGESTS,
+    Extents,
+    Header,
+    check_optional_sections,
+    unpack_header,
+)
 from terrainwave.container.metadata import unpack_metadata
 from terrainwave.container.page import (
     describe_head,
@@ -22,7 +35,7 @@ from terrainwave.container.page import (
     page_layout,
     unpack_page,
 )
-from terrainwave.container.segment import Segment, page_and_payloads, segment_of_page
+from terrainwave.container.segment import Segment, segment_of_page
 from terrainwave.container.sources.byte_source import ByteSource
 from terrainwave.container.sources.cut_file import CutFile
 from terrainwave.container.sources.ranges import ByteRange
@@ -90,28 +103,36 @@ class Container:
         end = extents.top_start + extents.top_page_length
         if end > len(start):
             start += source.read(len(start), end - len(start))
+        check_optional_sections(start[HEADER_SIZE : extents.header_size])
         self._start = start
         self.extents: Extents = extents
         self.header: Header = _with_sections(header, extents, start)
         self.grid: Grid = self.header.grid
         self._top = self._unpack_top(start[extents.top_start : end])
 
+    @property
+    def _segments_end(self) -> int:
+        """Return where the segments end; before digests, where they end at the latest."""
+        return self.extents.file_size - SMALLEST_DIGESTS * self.header.has_digests
+
     def _unpack_top(self, data: bytes) -> Segment:
         start = self.extents.top_start
         layout = page_layout(self.grid, None)
         page = unpack_page(data, layout, f"the page of {describe_head(None)}")
-        end = start + len(data) + page.body_length
-        if end > self.extents.file_size:
+        segment = segment_of_page(None, layout, page, start + len(data))
+        end = segment.end
+        if end > self._segments_end:
             raise CorruptStreamError("the top segment reaches beyond the end of the file")
         last = page.children_end if layout.children else end
         if layout.children and page.first_child != end:
             raise CorruptStreamError("the first segment does not follow the top segment")
         n_levels_below = self.grid.k_max - self.grid.top_levels
-        if last != self.extents.file_size and n_levels_below <= SEGMENT_LEVELS:
+        is_exact = not self.header.has_digests  # else `check` finds where they begin
+        if is_exact and last != self._segments_end and n_levels_below <= SEGMENT_LEVELS:
             raise CorruptStreamError("the segments do not fill the file")
-        if last > self.extents.file_size:
+        if last > self._segments_end:
             raise CorruptStreamError("a segment reaches beyond the end of the file")
-        return segment_of_page(None, layout, page, start, len(data), end)
+        return segment
 
     # Index
 
@@ -171,20 +192,20 @@ class Container:
         """Check a page against its parent's and return its segment (FORMAT.md §3.5)."""
         layout = page_layout(self.grid, head)
         start, length = parent.child_range(head)
-        if not length:
-            return segment_of_page(head, layout, empty_page(layout), start, 0, start)
+        if not data:
+            return segment_of_page(head, layout, empty_page(layout), start)
         name = describe_head(head)
         page = unpack_page(data, layout, f"the page of {name}")
-        if len(data) + page.body_length != length:
+        if page.body_length != length:
             raise CorruptStreamError(
-                f"{name} has {len(data) + page.body_length} bytes, its parent says {length}"
+                f"the body of {name} has {page.body_length} bytes, its parent says {length}"
             )
         # Strictly onward, so that no chain of pages ever comes back to a byte.
         if layout.children and page.first_child < parent.page.children_end:
             raise CorruptStreamError(f"the child segments of {name} overlap others")
-        if layout.children and page.children_end > self.extents.file_size:
+        if layout.children and page.children_end > self._segments_end:
             raise CorruptStreamError(f"a child of {name} reaches beyond the end of the file")
-        return segment_of_page(head, layout, page, start, len(data), start + length)
+        return segment_of_page(head, layout, page, start)
 
     def _head_of(self, key: Block) -> Block | None:
         if key.is_root_key:
@@ -204,7 +225,7 @@ class Container:
             segment = self.segment(waiting.pop())
             yield segment
             children = segment.layout.children
-            waiting += [child for child in children if segment.child_range(child).length]
+            waiting += [child for child in children if segment.page_range(child).length]
 
     # Payloads
 
@@ -224,34 +245,29 @@ class Container:
         Notes
         -----
         Each missing level of index pages takes one round of requests, which also brings payloads
-        whose place is known by then and wanted ones next to the pages; one more round brings the
-        rest. Which gaps are read is decided for all rounds together (`container.sources.ranges`).
+        whose place is known by then; one more round brings the rest. Which gaps are read is decided
+        for all rounds together (`container.sources.ranges`).
         """
         heads = {key: self._head_of(key) for key in keys}
-        wanted: dict[Block | None, set[Block]] = {}
-        for key, head in heads.items():
-            wanted.setdefault(head, set()).add(key)
-        known = self._known_segments(wanted)
+        known = self._known_segments(heads.values())
         reader = self.rounds()
         pages: list[ByteRange] = []
         with self._blaming_change():
-            while missing := self._next_segments(wanted, known):
-                spans = [
-                    page_and_payloads(
-                        parent, head, page_layout(self.grid, head), wanted.get(head, ())
-                    )
-                    for head, parent in missing.items()
-                ]
-                reader.fetch([*pages, *spans, *_payload_places(heads, known).values()])
-                loaded: dict[Block | None, Segment] = {}
-                for head, parent in missing.items():
-                    pages.append(parent.page_range(head))
-                    loaded[head] = self._unpack_segment(head, parent, reader.take(pages[-1]))
+            while missing := self._next_segments(heads.values(), known):
+                places = {head: parent.page_range(head) for head, parent in missing.items()}
+                here = {head: place for head, place in places.items() if reader.has(place)}
+                if not here:  # else they may tell more of what is to be fetched
+                    pages += places.values()
+                    reader.fetch([*pages, *_payload_places(heads, known).values()])
+                loaded: dict[Block | None, Segment] = {
+                    head: self._unpack_segment(head, missing[head], reader.take(place))
+                    for head, place in (here or places).items()
+                }
                 self._keep(loaded)
                 known.update(loaded)
-            places = _payload_places(heads, known)
-            reader.fetch([*pages, *places.values()])
-            payloads = {key: reader.take(place) for key, place in places.items()}
+            of_payloads = _payload_places(heads, known)
+            reader.fetch([*pages, *of_payloads.values()])
+            payloads = {key: reader.take(place) for key, place in of_payloads.items()}
             n_bytes = sum(map(len, payloads.values()))
             _log.debug("read %d payloads, %d bytes", len(keys), n_bytes)
             for key, head in heads.items():
@@ -339,6 +355,38 @@ class Container:
             for key, head in zip(keys, heads, strict=True)
         ]
 
+    # Digests
+
+    def digests_place(self) -> ByteRange:
+        """Return where digests lie, which end the file; of length 0 where it has none.
+
+        Raises
+        ------
+        CorruptStreamError
+            If they would reach into the segments.
+        """
+        size = self.extents.file_size
+        if not self.header.has_digests:
+            return ByteRange(size, 0)
+        length = section_length(self.source.read(size - TAIL_LENGTH, TAIL_LENGTH))
+        if not SMALLEST_DIGESTS <= length <= size - self._top.end:
+            raise CorruptStreamError(f"digests of {length} bytes do not fit behind the segments")
+        return ByteRange(size - length, length)
+
+    def digests(self) -> DigestTree | None:
+        """Return the digests of the file's heights; None if it has none.
+
+        Raises
+        ------
+        CorruptStreamError
+            If they are damaged.
+        """
+        if not self.header.has_digests:
+            return None
+        with self._blaming_change():
+            data = self.source.read(*self.digests_place())
+            return unpack_digests(data, (self.header.n_rows, self.header.n_cols))
+
     # Check of the whole file
 
     def check(self) -> Iterator[str]:
@@ -350,16 +398,17 @@ class Container:
         index pages of one level; of the finest, where most are, only one.
         """
         yield from self._check_payloads(self._top)
-        byte_pos, end, layer = self._top.start, self._top.end, [self._top]
+        byte_pos, end, layer = self._top.end, self._top.end, [self._top]
         while layer:
             byte_pos, parents, layer = max(byte_pos, end), layer, []
             for parent, child in ((one, child) for one in parents for child in one.layout.children):
-                start, length = parent.child_range(child)
-                if not length:
+                if not parent.page_range(child).length:
                     continue
+                start, length = parent.child_range(child)
                 # Also keeps the walk finite: each byte is visited at most once.
                 if start != byte_pos:
-                    yield f"{describe_head(child)} begins at byte {start}, not {byte_pos}"
+                    name = f"the body of {describe_head(child)}"
+                    yield f"{name} begins at byte {start}, not {byte_pos}"
                     if start < byte_pos:
                         continue
                 byte_pos = start + length
@@ -373,8 +422,13 @@ class Container:
                 if segment.layout.children:
                     layer.append(segment)
         byte_pos = max(byte_pos, end)
-        if byte_pos != self.extents.file_size:
-            yield f"the segments end at byte {byte_pos} of {self.extents.file_size}"
+        try:
+            place = self.digests_place()
+        except CorruptStreamError as error:
+            yield str(error)
+            return
+        if byte_pos != place.offset:
+            yield f"the segments end at byte {byte_pos} of {place.offset}"
 
     def _check_payloads(self, segment: Segment) -> Iterator[str]:
         batch: list[int] = []

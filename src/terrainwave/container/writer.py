@@ -5,13 +5,22 @@ import threading
 import zlib
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import count
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
 from terrainwave.container.depot import Depot, StoredSegment
-from terrainwave.container.header import HEADER_SIZE, MAX_PAGE, Extents, Header, pack_header
+from terrainwave.container.digests import DigestTree
+from terrainwave.container.header import (
+    HAS_DIGESTS,
+    HEADER_SIZE,
+    MAX_PAGE,
+    Extents,
+    Header,
+    pack_header,
+)
 from terrainwave.container.metadata import pack_metadata
 from terrainwave.container.page import (
     N_CODES,
@@ -39,14 +48,23 @@ Segments = Mapping[Block | None, SegmentSpool | LikeSegment | StoredSegment | No
 
 
 class _Extent(NamedTuple):
-    """What must be known of a segment before any byte is written; an absent one is all zero."""
+    """What must be known of a segment before any byte is written; an absent one is all zero.
+
+    `body_length` counts the pages of its children, `sections_length` payloads and meshes alone.
+    """
 
     columns: bytes
     page_length: int
-    length: int
+    body_length: int
+    sections_length: int
+
+    @property
+    def length(self) -> int:
+        """Return the bytes of page and body."""
+        return self.page_length + self.body_length
 
 
-_ABSENT = _Extent(b"", 0, 0)
+_ABSENT = _Extent(b"", 0, 0, 0)
 _Extents = defaultdict[Block | None, _Extent]
 
 
@@ -58,7 +76,7 @@ def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
     out_file : binary file object
         Only written to, in order.
     header : Header
-        With its metadata and parameters.
+        With its metadata and parameters. Digests follow later (`append_digests`).
     segments : mapping of Block or None to SegmentSpool, LikeSegment, StoredSegment or None
         One for each of ``header.grid.segment_heads()``, complete; None for one that is void, and
         nothing for those below it.
@@ -97,30 +115,68 @@ def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
     metadata = pack_metadata(header.metadata)
     top_start = HEADER_SIZE + len(metadata) + len(header.file_tables)
     extents = Extents(
-        file_size=top_start + sum(part.length for part in parts.values()),
+        file_size=top_start + parts[None].page_length + sum(p.body_length for p in parts.values()),
         metadata_length=len(metadata),
         metadata_crc=zlib.crc32(metadata),
         parameters_length=len(header.file_tables),
         parameters_crc=zlib.crc32(header.file_tables),
         top_page_length=parts[None].page_length,
     )
+    header = replace(header, features=header.features & ~HAS_DIGESTS)
     first = pack_header(header, extents)
+    # The bodies of this level's segments, then those of their children.
+    first_children: dict[Block | None, int] = {}
+    child_start = top_start + parts[None].page_length
+    for heads in levels:
+        child_start += sum(parts[head].body_length for head in heads)
+        cursor = child_start
+        for head in heads:
+            if children := _children(grid, head):
+                first_children[head] = cursor
+                cursor += sum(parts[child].body_length for child in children)
     with storage_errors(f"cannot write {getattr(out_file, 'name', 'the file')}"):
         out_file.write(first + metadata + header.file_tables)
-        child_start = top_start
+        out_file.write(_page_bytes(None, segments, parts[None], first_children.get(None, 0)))
         for heads in levels:
-            # The children of this level's segments follow its last one.
-            child_start += sum(parts[head].length for head in heads)
-            cursor = child_start
             for head in heads:
-                children = _children(grid, head)
-                if parts[head].length:
-                    first_child = cursor if children else 0
-                    for chunk in _chunks(grid, head, segments, parts[head], first_child):
+                for child in _children(grid, head):
+                    if parts[child].page_length:
+                        first_child = first_children.get(child, 0)
+                        out_file.write(_page_bytes(child, segments, parts[child], first_child))
+                if parts[head].sections_length:
+                    for chunk in _sections(grid, head, segments):
                         out_file.write(chunk)
-                cursor += sum(parts[child].length for child in children)
         out_file.flush()
     return extents
+
+
+def append_digests(
+    out_file: BinaryIO, header: Header, extents: Extents, digests: DigestTree
+) -> None:
+    """End a file that `assemble` has written with the digests of its heights.
+
+    Parameters
+    ----------
+    out_file : binary file object
+        The file from its first byte on; one that can seek.
+    header, extents : Header, Extents
+        The file's; `extents` as `assemble` returned them.
+
+    Raises
+    ------
+    StorageError
+        If the disk is full.
+    """
+    section = digests.pack()
+    header = replace(header, features=header.features | HAS_DIGESTS)
+    extents = replace(extents, file_size=extents.file_size + len(section))
+    with storage_errors(f"cannot write {getattr(out_file, 'name', 'the file')}"):
+        out_file.seek(0, os.SEEK_END)
+        out_file.write(section)
+        out_file.seek(0)
+        out_file.write(pack_header(header, extents))
+        out_file.seek(0, os.SEEK_END)
+        out_file.flush()
 
 
 _NUMBERS = count()  # of stores of this process
@@ -149,10 +205,11 @@ class SegmentStore:
                 # Not "ab": after a failed write, the next one begins where the good bytes end.
                 with open(self._path, "r+b" if self._end else "wb") as file:
                     file.seek(self._end)
-                    for chunk in _chunks(self._grid, head, {head: spool}, part, 0):
+                    file.write(_page_bytes(head, {head: spool}, part, 0))
+                    for chunk in _sections(self._grid, head, {head: spool}):
                         file.write(chunk)
-            stored = StoredSegment(self._path, self._end, part.page_length, part.length)
-            self._end += part.length
+            stored = _stored(self._path, self._end, part)
+            self._end += stored.length
         spool.close()
         return stored
 
@@ -175,10 +232,11 @@ def store_segments(
     with depot.create(name) as file:
         for head in heads:
             part = parts[head]
-            places[head] = StoredSegment(depot.path(name), offset, part.page_length, part.length)
-            offset += part.length
+            places[head] = _stored(depot.path(name), offset, part)
+            offset += places[head].length
             if part.length:
-                for chunk in _chunks(grid, head, spools, part, 0):
+                file.write(_page_bytes(head, spools, part, 0))
+                for chunk in _sections(grid, head, spools):
                     file.write(chunk)
     lengths = [(place.page_length, place.length) for place in places.values()]
     depot.save(_index_name(name), lengths=np.array(lengths, dtype=np.uint64))
@@ -213,17 +271,25 @@ def _index_name(name: str) -> str:
     return f"{name}.index"
 
 
-def _chunks(
-    grid: Grid, head: Block | None, segments: Segments, part: _Extent, first_child: int
-) -> Iterator[bytes]:
-    """Yield the bytes of a segment whose children begin at `first_child` of the file."""
+def _stored(path: str, offset: int, part: _Extent) -> StoredSegment:
+    """Return where a segment lies of which page, payloads and meshes are stored."""
+    return StoredSegment(path, offset, part.page_length, part.page_length + part.sections_length)
+
+
+def _page_bytes(head: Block | None, segments: Segments, part: _Extent, first_child: int) -> bytes:
+    """Return the page of a segment whose children's bodies begin at `first_child` of the file."""
+    segment = segments[head]
+    if isinstance(segment, StoredSegment):
+        return with_first_child(segment.page(), first_child)
+    return pack_page(part.columns, first_child)
+
+
+def _sections(grid: Grid, head: Block | None, segments: Segments) -> Iterator[bytes]:
+    """Yield the payloads and meshes of a segment in the order of the file."""
     there, segment = _resolved(head, segments)
     if isinstance(segment, StoredSegment):
-        stored = segment.chunks()
-        yield with_first_child(next(stored), first_child)
-        yield from stored
+        yield from segment.sections()
     elif segment is not None:
-        yield pack_page(part.columns, first_child)
         yield from segment.chunks(page_layout(grid, there).keys_in_file)
 
 
@@ -261,9 +327,11 @@ class _Preparation:
         there, segment = _resolved(head, self._segments)
         if segment is None:
             return _ABSENT
-        if isinstance(segment, StoredSegment):
-            return _Extent(b"", segment.page_length, segment.length)
         children = tuple(self._parts[child] for child in _children(self._grid, head))
+        if isinstance(segment, StoredSegment):
+            n_sections = segment.length - segment.page_length
+            n_pages = sum(child.page_length for child in children)
+            return _Extent(b"", segment.page_length, n_pages + n_sections, n_sections)
         if there == head:
             return self._made(there, segment, children)
         if (there, children) not in self._like:
@@ -280,7 +348,7 @@ class _Preparation:
         length = page_length(columns)
         if length > MAX_PAGE:
             raise AssertionError(f"page of {length} bytes")
-        return _Extent(columns, length, length + page.body_length)
+        return _Extent(columns, length, page.body_length, page.sections_length)
 
 
 def _page(grid: Grid, layout: PageLayout, spool: SegmentSpool, children: Sequence[_Extent]) -> Page:

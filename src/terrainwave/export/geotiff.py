@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from terrainwave.arguments import (
     AS_IS,
+    EXACT,
     GEOTIFF_ENDINGS,
     HEIGHT_TILE_ENDINGS,
     MASK,
@@ -157,7 +158,7 @@ def decompress(
             n_cols=region.n_cols,
             transform=terrain.transform_of(level, region)[:6],
         )
-        wanted = None if voids is None else str(voids)
+        wanted = EXACT if voids is None else str(voids)
 
         def read(part: Region) -> _Samples:
             if quality is None:

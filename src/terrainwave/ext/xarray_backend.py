@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from xarray.backends import BackendArray, BackendEntrypoint
 from xarray.core import indexing
 
-from terrainwave.arguments import is_twz_name
+from terrainwave.arguments import MASK, is_twz_name
 from terrainwave.errors import TerrainwaveWarning
 from terrainwave.file import TerrainFile
 from terrainwave.file.described import DEFAULT_CACHE_BYTES
@@ -155,7 +155,7 @@ def terrain_dataset(
         "grid_mapping": GRID_MAPPING,
     }
     if not mask_and_scale:
-        if raster.mask_kind == "mask" and packing.fill is None:
+        if packing.fill is None and _may_have_voids(terrain):
             warnings.warn(
                 f"{terrain.name}: voids read as {raster.void_value}, as any height does, since all"
                 f" numbers of {terrain.dtype} may be heights: mask_and_scale=True has NaN",
@@ -196,12 +196,18 @@ def _packing(terrain: TerrainFile) -> _Packing:
     is_scaled = (raster.scale, raster.offset) != (1.0, 0.0)
     fields: dict[str, Any] = {}
     fill = _fill_value(terrain)
-    # An integer type without voids needs no value for them, unless it is read as floats.
-    if fill is not None and (raster.mask_kind != "none" or is_scaled):
+    # What has no voids needs no value for them, unless it declares one or is read as floats.
+    is_needed = _may_have_voids(terrain) or raster.mask_kind in ("nodata", "nan") or is_scaled
+    if fill is not None and is_needed:
         fields["_FillValue"] = fill
     if is_scaled:
         fields |= {"scale_factor": raster.scale, "add_offset": raster.offset}
     return _Packing(fields, fill)
+
+
+def _may_have_voids(terrain: TerrainFile) -> bool:
+    """Say whether samples may be void: the file has voids, or damaged blocks are read as such."""
+    return terrain.header.has_voids or terrain.on_error == MASK
 
 
 def _fill_value(terrain: TerrainFile) -> np.generic | None:
@@ -284,7 +290,7 @@ class _LazyHeights(_LazyGrid):
         self._terrain = terrain
         self._level = level
         self._is_scaled = mask_and_scale and (raster.scale, raster.offset) != (1.0, 0.0)
-        self._is_masked = mask_and_scale and raster.mask_kind != "none"
+        self._is_masked = mask_and_scale and _may_have_voids(terrain)
         self.shape = terrain.level_shape(level)
         self.dtype = terrain.dtype
         if self._is_scaled:

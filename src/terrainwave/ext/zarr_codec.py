@@ -25,6 +25,7 @@ from terrainwave.errors import (
     InvalidHeightsError,
     TerrainwaveError,
     TerrainwaveWarning,
+    UnsupportedVersionError,
 )
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quantum import as_fraction
@@ -59,7 +60,7 @@ class TerrainwaveCodec(ArrayBytesCodec):
         Keep `max_error` however often chunks are written in parts, appended to or copied: heights
         are rounded to fixed steps, and what a write does not touch stays as it is, bit for bit.
         Without it the bound holds for chunks that are written once and as a whole, and these are
-        smaller (docs/integrations.md); so are the chunks of arrays whose metadata do not say it.
+        smaller (docs/integrations.md).
 
     Raises
     ------
@@ -101,7 +102,7 @@ class TerrainwaveCodec(ArrayBytesCodec):
         object.__setattr__(self, "max_error", max_error)
         object.__setattr__(self, "nodata", nodata)
         object.__setattr__(self, "effort", effort)
-        # Without loss nothing ever moves: arrays say nothing that older versions do not know.
+        # Without loss nothing ever moves.
         object.__setattr__(self, "stable", stable or max_error == 0)
 
     @classmethod
@@ -115,18 +116,15 @@ class TerrainwaveCodec(ArrayBytesCodec):
                 f"found {given} in the metadata of the codec {CODEC_NAME}, expected max_error and,"
                 " if need be, nodata, effort and stable"
             )
-        # Arrays of version 1.0 have no such key, and keep what they were made with.
-        return cls(**{"stable": False} | configuration)
+        return cls(**configuration)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the codec's entry in array metadata."""
-        configuration: dict[str, Any] = {"max_error": self.max_error}
+        configuration: dict[str, Any] = {"max_error": self.max_error, "stable": self.stable}
         if self.nodata is not None:
             configuration["nodata"] = self.nodata
         if self.effort != "default":
             configuration["effort"] = self.effort
-        if self.stable and self.max_error > 0:
-            configuration["stable"] = True
         return {"name": CODEC_NAME, "configuration": configuration}
 
     def validate(self, *, shape: tuple[int, ...], dtype: Any, chunk_grid: Any) -> None:
@@ -206,7 +204,9 @@ class TerrainwaveCodec(ArrayBytesCodec):
                     )
                 heights = terrain.read(max_bytes=math.prod(shape) * dtype.itemsize)
         except TerrainwaveError as error:
-            raise type(error)(f"a chunk of the codec {CODEC_NAME} is damaged: {error}") from error
+            is_other = isinstance(error, UnsupportedVersionError)
+            what = "cannot be read" if is_other else "is damaged"
+            raise type(error)(f"a chunk of the codec {CODEC_NAME} {what}: {error}") from error
         decoded = heights.astype(dtype, copy=False).reshape(chunk_spec.shape)
         prototype: Any = chunk_spec.prototype  # its protocol of arrays is narrower than numpy's
         return prototype.nd_buffer.from_ndarray_like(decoded)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.arguments import (
+    EXACT,
     ON_ERROR,
     VOIDS,
     check_choice,
@@ -101,10 +102,8 @@ class TerrainFile(DescribedFile):
             str(self.name),
             self.header,
             self.n_threads,
-            self.container.payloads,
             lambda: self.decoder,
             self._native(),
-            may_have_voids=self._raster.mask_kind != "none",
         )
 
     @property
@@ -149,7 +148,7 @@ class TerrainFile(DescribedFile):
         resampling: str = "nearest",
         masked: bool = False,
         on_error: str | None = None,
-        voids: str | None = None,
+        voids: str = EXACT,
         max_bytes: int = DEFAULT_MAX_BYTES,
     ) -> RasterHeights:
         """Read heights in the file's dtype; voids have the nodata value, NaN or 0.
@@ -179,12 +178,10 @@ class TerrainFile(DescribedFile):
         on_error : str
             ``"raise"``, or ``"mask"``: damaged blocks are void (`lost` lists them), and the rest
             is returned. Default: as the file was opened.
-        voids : str, optional
+        voids : str
             Which samples of a coarse level are void. ``"exact"``: those where the full grid is
             void. ``"any"``: only those with nothing valid around them; others have a fill, a height
-            from around them, as meshes need it. Default: exact for files of format 1.1, otherwise
-            any, with one warning. For exact voids of an older file, the finest masks of the window
-            are read, too.
+            from around them, as meshes need it.
         max_bytes : int
             Refuse a larger result.
 
@@ -216,7 +213,7 @@ class TerrainFile(DescribedFile):
                 raise InvalidArgumentError(
                     f"found `out_shape` {shown(out_shape)}, expected at least (1, 1)"
                 )
-        _check_voids(voids)
+        check_choice("voids", voids, VOIDS)
         asked = self.checked_window(window, bounds=bounds, level=level)
         index, region = asked.level, asked.region
         self._check_size(out_shape or region.shape, max_bytes)
@@ -247,14 +244,14 @@ class TerrainFile(DescribedFile):
         *,
         level: int = -1,
         on_error: str | None = None,
-        voids: str | None = None,
+        voids: str = EXACT,
     ) -> tuple[RasterHeights, NDArray[np.bool_]]:
         """Return heights and validity of a window of a level; arguments as in `read`.
 
         For rasters whose voids are marked by a mask: their heights alone do not show voids.
         """
         on_error = self._settled(on_error)
-        _check_voids(voids)
+        check_choice("voids", voids, VOIDS)
         asked = self.checked_window(window, level=level)
         return self._filled(*self._levels.read(asked.level, asked.region, on_error, voids))
 
@@ -289,7 +286,7 @@ class TerrainFile(DescribedFile):
         quality: float,
         level: int = -1,
         on_error: str | None = None,
-        voids: str | None = None,
+        voids: str = EXACT,
     ) -> EarlyHeights:
         """Return the best heights of a window for a number of bits per sample.
 
@@ -308,7 +305,7 @@ class TerrainFile(DescribedFile):
             if `quality` is out of range.
         """
         on_error = self._settled(on_error)
-        _check_voids(voids)
+        check_choice("voids", voids, VOIDS)
         quality = checked_number("quality", quality, above=0)
         asked, method = self.checked_window(window, level=level), self.header.method
         if not METHODS[method].is_cuttable:
@@ -330,7 +327,7 @@ class TerrainFile(DescribedFile):
         points: Iterable[tuple[float, float]] | NDArray[np.float64],
         *,
         level: int = -1,
-        voids: str | None = None,
+        voids: str = EXACT,
     ) -> NDArray[np.float64]:
         """Return bilinear heights at world coordinates, in physical units.
 
@@ -349,7 +346,7 @@ class TerrainFile(DescribedFile):
             holds at samples, not between them.
         """
         places = places_of(points)
-        _check_voids(voids)
+        check_choice("voids", voids, VOIDS)
         index, turn = self.level_index(level), longitude_turn(self.crs)
         if turn is not None:
             places = turn.near(places, self.bounds)
@@ -373,7 +370,7 @@ class TerrainFile(DescribedFile):
         return heights
 
     def _heights_at(
-        self, level: int, rows: NDArray[np.float64], cols: NDArray[np.float64], voids: str | None
+        self, level: int, rows: NDArray[np.float64], cols: NDArray[np.float64], voids: str
     ) -> NDArray[np.float64]:
         """Return bilinear heights at fractional samples; NaN outside the outermost and in voids."""
         n_rows, n_cols = self.grid.level_shape(level)
@@ -413,11 +410,30 @@ class TerrainFile(DescribedFile):
             return None
         return EvenBlocks(self.container, self.decoder)
 
-    def check(self) -> Iterator[str]:
-        """Check all checksums and decode every unit; yield what is wrong, in plain words."""
+    def digest(self) -> str | None:
+        """Return the root of the file's digests, 64 hexadecimal digits; None if it has none.
+
+        It stands for all decoded heights of the full grid, which samples are void, and where the
+        heights lie: size, type, CRS, transform, units, scale and offset (FORMAT.md §4.9). How a
+        file is coded does not change it. Nothing is decoded: `verify` compares heights with it.
+
+        Raises
+        ------
+        CorruptStreamError
+            If the digests are damaged.
+        """
+        tree = self.container.digests()
+        return None if tree is None else tree.root(self.header)
+
+    def check(self, root: str | None = None) -> Iterator[str]:
+        """Check all checksums and decode every unit; yield what is wrong, in plain words.
+
+        Heights are compared with the file's digests, if it has some, and with `root`, a root as
+        `digest` returns it.
+        """
         from terrainwave.read.check import check_units
 
-        return check_units(self.container, self.decoder)
+        return check_units(self.container, self.decoder, root)
 
     def _check_size(self, shape: tuple[int, int], max_bytes: int) -> None:
         n_bytes = int(shape[0]) * int(shape[1]) * self.dtype.itemsize
@@ -426,12 +442,6 @@ class TerrainFile(DescribedFile):
                 f"the window holds {shape[0]} x {shape[1]} samples, {n_bytes:,} bytes; more than"
                 f" max_bytes = {max_bytes:,}: read a smaller window or a coarser level"
             )
-
-
-def _check_voids(voids: str | None) -> None:
-    """Refuse what is neither None nor one of `VOIDS`."""
-    if voids is not None:
-        check_choice("voids", voids, VOIDS)
 
 
 def _with_valid(

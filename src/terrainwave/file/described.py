@@ -20,14 +20,13 @@ from terrainwave.arguments import (
     checked_whole,
     in_one_line,
 )
-from terrainwave.codec.registry import check_file_tables, check_layout
+from terrainwave.codec.registry import check_file_tables
 from terrainwave.container.codes import UNMEASURED, decode_error, decode_range
-from terrainwave.container.header import LAYOUT_FEATURES, Header
+from terrainwave.container.header import Header
 from terrainwave.container.parts import Parts, parts_of
 from terrainwave.container.reader import Container
 from terrainwave.container.sources.addresses import display_name
 from terrainwave.container.sources.opening import open_source
-from terrainwave.file.callable_transform import CallableTransform
 from terrainwave.grid.affine import bounds, coordinates, is_turned, of_level, pixel_size
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import Quantizer
@@ -63,10 +62,7 @@ class DescribedFile:
         try:
             self.container = Container(self._source, may_be_cut=on_error == MASK)
             header = self.container.header
-            bits = LAYOUT_FEATURES.items()
-            told = sum(layout for layout, bit in bits if header.features & bit)
             check_file_tables(header.method, header.file_tables)
-            check_layout(header.method, header.file_tables, told)
             # Null means the same as a key that is missing (FORMAT.md §4.2).
             known = {name: value for name, value in header.metadata.items() if value is not None}
             known |= {"n_rows": header.n_rows, "n_cols": header.n_cols, "dtype": header.dtype}
@@ -171,8 +167,7 @@ class DescribedFile:
     def max_error(self) -> float:
         """Return the bound that was asked for, in physical units (after scale and offset).
 
-        It includes how far patches of version 1.0 may have moved heights, and the bound of an
-        earlier lossy file that the heights came from.
+        It includes the bound of an earlier lossy file that the heights came from.
         """
         return self.header.max_error * abs(self._raster.scale)
 
@@ -218,10 +213,9 @@ class DescribedFile:
         """Return the affine transform of the full grid, as rasterio's datasets have it.
 
         x = a col + b row + c and y = d col + e row + f at pixel corners. `transform_of` gives that
-        of levels and windows. ``transform(level, window)`` still works until 2.0, with a
-        DeprecationWarning.
+        of levels and windows.
         """
-        return CallableTransform.made(self._raster.transform, self.transform_of)
+        return Affine(*self._raster.transform)
 
     def transform_of(self, level: int = -1, window: Any = None) -> Affine:
         """Return the affine transform of a level, or of a window of it.

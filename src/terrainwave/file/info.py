@@ -5,10 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from terrainwave.codec.registry import newer_layout
-from terrainwave.container.header import Header
 from terrainwave.file.described import DescribedFile
-from terrainwave.names import EFFORTS, FORMATS
+from terrainwave.names import EFFORTS
 from terrainwave.raster_io.earlier_loss import earlier_files
 
 
@@ -16,18 +14,19 @@ from terrainwave.raster_io.earlier_loss import earlier_files
 class Info:
     """Summary of a .twz file; errors are in physical units.
 
-    `format` is the first version of the format whose readers can read the file.
     `faithful` says whether the file was made with `faithful=True` (`Cdf97`).
     `float_error` is how much more than `max_error` stored floats may differ: one float spacing if
     they stand for decimal numbers and the file is not strict, otherwise 0.
-    `moved_error` is the part of `effective_error` that comes from patches or an earlier file.
+    `bound` is the side of the original on which heights lie: ``"both"``, ``"above"`` (none is below
+    its original) or ``"below"``.
+    `moved_error` is the part of `effective_error` that comes from an earlier file.
     `earlier` lists the .twz files that the heights went through before: ``"file"`` and its bound
     from the original, ``"max_error"``.
     `units` is the unit of heights, and `units_from` its origin: the ``"band"`` or the ``"CRS"``.
     `units_of_crs` is the unit of the CRS's vertical axis, if the band names another one.
     `heights_are` is what the numbers are: ``"height"``, ``"depth"`` or ``"radius"``.
     `voids` is how the source marks voids: ``"none"``, a ``"nodata"`` value, ``"nan"`` or a
-    ``"mask"``. The source may mark voids and have none.
+    ``"mask"``. `has_voids` says whether any sample may be void: False means that none is.
     """
 
     path: str
@@ -39,6 +38,7 @@ class Info:
     ratio: float
     max_error: float
     effective_error: float
+    bound: str
     quantum: float
     rounding_error: float
     float_error: float
@@ -49,7 +49,6 @@ class Info:
     heights_are: str
     method: str
     effort: str
-    format: str
     faithful: bool
     block: int
     border_rings: int
@@ -70,6 +69,7 @@ class Info:
     minimum: float | None
     maximum: float | None
     voids: str
+    has_voids: bool
     tags: dict[str, str]
     band_tags: dict[str, str]
     color_interpretation: str | None
@@ -105,6 +105,7 @@ def info_of(terrain: DescribedFile) -> Info:
         ratio=n_samples * terrain.dtype.itemsize / terrain.container.source.size,
         max_error=terrain.max_error,
         effective_error=terrain.effective_error,
+        bound=header.bound_side,
         quantum=quantum,
         rounding_error=terrain.quantizer.rho * abs(raster.scale),
         float_error=float_error * abs(raster.scale),
@@ -115,7 +116,6 @@ def info_of(terrain: DescribedFile) -> Info:
         heights_are=terrain.height_unit.word,
         method=header.method,
         effort=EFFORTS[min(header.effort, len(EFFORTS) - 1)],
-        format=format_of(header),
         faithful=header.is_faithful,
         block=header.block,
         border_rings=header.border_rings,
@@ -136,17 +136,9 @@ def info_of(terrain: DescribedFile) -> Info:
         minimum=min(physical) if has_heights else None,
         maximum=max(physical) if has_heights else None,
         voids=raster.mask_kind,
+        has_voids=header.has_voids,
         tags=dict(raster.tags),
         band_tags=dict(raster.band_tags),
         color_interpretation=raster.color_interpretation,
         earlier=tuple(file._asdict() for file in earlier_files(header.metadata)),
     )
-
-
-def format_of(header: Header) -> str:
-    """Return the first version of the format whose readers know all that a file uses.
-
-    Tables by reach are older than their feature bit.
-    """
-    is_newer = newer_layout(header.method, header.file_tables) > 0
-    return FORMATS[-1] if is_newer else header.format

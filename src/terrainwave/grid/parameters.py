@@ -20,9 +20,9 @@ class CodecParameters:
     remainder_bytes: int = 0
     # Whether the file follows its method's paper (FORMAT.md §7.9).
     is_faithful: bool = False
-    # Whether the file tells which samples of coarse levels are fills (FORMAT.md §5.4).
-    has_fills: bool = False
-    # Whether payloads may put heights back in the loop (FORMAT.md §5.5).
+    # Whether samples may be void (FORMAT.md §5.2).
+    has_voids: bool = True
+    # Whether payloads may put heights back in the loop (FORMAT.md §5.4).
     has_corrections: bool = False
 
     @property
@@ -39,7 +39,7 @@ class CodecParameters:
         effort: int,
         *,
         is_faithful: bool = False,
-        has_fills: bool = False,
+        has_voids: bool = True,
         has_corrections: bool = False,
     ) -> Self:
         """Return the parameters of heights with a nodata value, in raw units, if there is one."""
@@ -52,6 +52,6 @@ class CodecParameters:
             effort=effort,
             remainder_bytes=quantizer.remainder_bytes,
             is_faithful=is_faithful,
-            has_fills=has_fills,
+            has_voids=has_voids,
             has_corrections=has_corrections,
         )

@@ -317,7 +317,7 @@ class _Extractor(Generic[Made]):
 
     def _simplify_outlines(self, max_triangles: int) -> None:
         """Keep so much of the outlines of voids as a budget of triangles has room for."""
-        if self._terrain.raster_info.mask_kind == "none":
+        if not self._terrain.header.has_voids:
             return
         area, decoder = self._area, self._terrain.decoder
         n_edges = max_triangles // _OUTLINE_SHARE

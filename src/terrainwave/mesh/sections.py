@@ -189,7 +189,7 @@ def mesher_of(
         samples or file.decoder,
         lambda block: file.container.codes(block)[2],
         header.mesh_tolerance,
-        has_voids=file.raster_info.mask_kind != "none",
+        has_voids=header.has_voids,
         kind=header.mesh,
         part=parts_of_blocks(file.grid, file.container.mesh),
         trees=trees or tree_source(header.mesh, file.decoder),

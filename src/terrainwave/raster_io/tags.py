@@ -12,11 +12,8 @@ PLAIN_COLORS = ("gray", "undefined", "alpha", "palette")
 # A domain that GDAL's commands do not copy. They copy plain tags to rasters that were resampled or
 # computed, for which a bound does not hold.
 DOMAIN = "TERRAINWAVE"
-# A field of its own; what versions before 1.1 stated of heights among plain tags; and what was
-# measured before heights were rounded.
-_OWN = (
-    "AREA_OR_POINT", "TERRAINWAVE_MAX_ERROR", "TERRAINWAVE_METHOD", "TERRAINWAVE_OVERVIEWS",
-)  # fmt: skip
+# A field of its own, and what was measured before heights were rounded.
+_OWN = "AREA_OR_POINT"
 _MEASURED = "STATISTICS_"
 # What rasterio's `update_tags` takes for something else.
 _RESERVED = ("ns", "bidx")
@@ -62,7 +59,7 @@ def is_statistic(name: str) -> bool:
 
 
 def _is_own(name: str) -> bool:
-    return name.upper() in _OWN or is_statistic(name)
+    return name.upper() == _OWN or is_statistic(name)
 
 
 def _size(text: str) -> int:

@@ -1,28 +1,39 @@
-"""Whether every checksum of a file holds, every unit decodes, and neighbours agree."""
+"""Whether checksums hold, every unit decodes, neighbours agree, and digests are the heights'."""
 
 from collections.abc import Iterator
+from itertools import product
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from terrainwave.codec.refiner import ALL_VALID, Decoded
+from terrainwave.container.digests import TILE, Place, TileDigests, tile_digests
 from terrainwave.container.reader import Container
 from terrainwave.errors import CorruptStreamError
-from terrainwave.grid.quadtree import Block, Grid
+from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid, Region
 from terrainwave.read.coded import Content, EvenBlocks
 from terrainwave.read.decoder import TreeDecoder, unit_name
-from terrainwave.read.window_reader import exact_heights
+from terrainwave.read.window_reader import WindowReader, exact_heights
 
 
-def check_units(container: Container, decoder: TreeDecoder) -> Iterator[str]:
+def check_units(
+    container: Container, decoder: TreeDecoder, root: str | None = None
+) -> Iterator[str]:
     """Check all checksums and decode every unit; yield what is wrong, in plain words.
 
-    At the end, how much of each level is lost, if anything is.
+    Digests are compared with the heights, and with `root` the root of these with that one. At the
+    end, how much of each level is lost, if anything is.
     """
     yield from container.check()
     even, lost, sound = EvenBlocks(container, decoder), list[Block](), set[Content]()
     seams = _Seams(decoder, even)
+    has_digests = root is not None or container.header.has_digests
+    digests = _Digests(container, decoder, even) if has_digests else None
     for key in container.grid.root_keys():
-        yield from _check_below(container, decoder, seams, even, key, lost, sound)
+        yield from _check_below(container, decoder, seams, even, digests, key, lost, sound)
+    if digests is not None and not lost:
+        yield from digests.problems(root)
     yield from _shares(container.grid, lost)
 
 
@@ -47,6 +58,7 @@ def _check_below(
     decoder: TreeDecoder,
     seams: "_Seams",
     even: EvenBlocks,
+    digests: "_Digests | None",
     key: Block,
     lost: list[Block],
     sound: set[Content],
@@ -55,6 +67,8 @@ def _check_below(
     try:
         content = None if key.is_root_key else even.content(key)
         if content in sound and _is_beside(even, key, sound):
+            if digests is not None and content is not None:
+                digests.repeat(key, content)
             return
         if even.of_unit(key) is None:
             _check_heights(container, decoder.unit(key))
@@ -62,6 +76,8 @@ def _check_below(
         lost.append(key)
         yield str(exc)
         return  # what lies below cannot be decoded either
+    if digests is not None and content is not None:
+        digests.begin()
     problems = list(seams.differences(key))
     for block in container.grid.key_blocks(key):
         if block.level == container.grid.k_max:
@@ -69,10 +85,105 @@ def _check_below(
         if _is_absent(container, decoder, block):
             problems += seams.differences_of_absent(container, block)
         else:
-            problems += _check_below(container, decoder, seams, even, block, lost, sound)
-    if content is not None and not problems:
-        sound.add(content)
+            problems += _check_below(container, decoder, seams, even, digests, block, lost, sound)
+    if digests is not None:
+        digests.take(key)
+    if content is not None:
+        if digests is not None:
+            digests.learn(key, content)
+        if not problems:
+            sound.add(content)
     yield from problems
+
+
+class _Digests:
+    """Digests of tiles of the full grid, each made when the last unit of the tile is checked."""
+
+    def __init__(self, container: Container, decoder: TreeDecoder, even: EvenBlocks) -> None:
+        self._container = container
+        self._decoder = decoder
+        self._even = even
+        header, self._grid = container.header, container.grid
+        self._tiles = TileDigests((header.n_rows, header.n_cols))
+        self._windows = WindowReader("", self._grid, header.quantizer, 1)
+        # Tiles of the segment that is being learnt, and of segments by their content.
+        self._recent: dict[Place, bytes] | None = None
+        self._known: dict[Content, dict[Place, bytes]] = {}
+
+    def take(self, key: Block) -> None:
+        """Digest the tiles whose last samples a unit of the full grid holds."""
+        grid = self._grid
+        if key.level + 1 != grid.k_max:
+            return
+        n_units = (1, 1) if key.is_root_key else grid.level_blocks(key.level)
+        rows = _tiles_ending_in(key.row, grid.n_rows, 2 * grid.block, n_units[0])
+        cols = _tiles_ending_in(key.col, grid.n_cols, 2 * grid.block, n_units[1])
+        for row, col in product(rows, cols):
+            whole = Region(0, 0, grid.n_rows, grid.n_cols)
+            region = Region(row * TILE, col * TILE, TILE, TILE).intersect(whole)
+            tiles = tile_digests(region, *self._heights(key, region))
+            self._tiles.add(tiles)
+            if self._recent is not None:
+                self._recent |= tiles
+
+    def _heights(self, key: Block, region: Region) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Return raw heights and validity of a tile that ends in a unit."""
+        level = self._grid.k_max
+        height = self._even.of_unit(key)
+        if height is not None:
+            units = self._decoder.keys(level, region)
+            if all(self._even.of_unit(unit) == height for unit in units):
+                raw = self._container.header.quantizer.dequantize(np.array([[height]], np.int32))
+                return np.broadcast_to(raw, region.shape), np.ones(region.shape, np.bool_)
+        raw, void = self._windows.read(self._decoder, level, region, is_own=False)
+        return raw, np.ones(region.shape, dtype=np.bool_) if void is None else ~void
+
+    def begin(self) -> None:
+        """Begin a finest segment that others may be like."""
+        self._recent = {}
+
+    def learn(self, head: Block, content: Content) -> None:
+        """Keep the tiles of the segment that ends here, for others with its content."""
+        self._known[content] = self._moved(self._recent or {}, head, -1)
+        self._recent = None
+
+    def repeat(self, head: Block, content: Content) -> None:
+        """Take in the tiles of a segment that decodes to what another one did."""
+        self._tiles.add(self._moved(self._known[content], head, 1))
+
+    def _moved(self, tiles: dict[Place, bytes], head: Block, sign: int) -> dict[Place, bytes]:
+        """Return tiles with places counted from a segment's corner (-1), or from the raster's."""
+        n_tiles = sign * (self._grid.block << SEGMENT_LEVELS) // TILE
+        down, right = head.row * n_tiles, head.col * n_tiles
+        return {(row + down, col + right): digest for (row, col), digest in tiles.items()}
+
+    def problems(self, root: str | None) -> Iterator[str]:
+        """Compare with the file's digests, and with a root."""
+        tree = self._tiles.tree()
+        try:
+            stored = self._container.digests()
+        except CorruptStreamError as error:
+            yield str(error)
+            stored = None
+        if stored is not None:
+            for leaf in tree.differences(stored):
+                yield (
+                    f"heights of {leaf.n_rows} x {leaf.n_cols} samples from row {leaf.row}, column"
+                    f" {leaf.col} are not those of their digest"
+                )
+        found = tree.root(self._container.header)
+        if root is not None and found != root:
+            yield f"the root of the heights is {found}, expected {root}"
+
+
+def _tiles_ending_in(index: int, n_samples: int, side: int, n_units: int) -> Iterator[int]:
+    """Yield the tiles along one axis whose last sample belongs to a unit of `side` cells."""
+    first = 0 if n_units == 1 else index * side // TILE
+    last = n_samples - 1 if index + 1 == n_units else (index + 1) * side
+    for tile in range(first, last // TILE + 1):
+        end = min((tile + 1) * TILE, n_samples) - 1
+        if min(end // side, n_units - 1) == index:
+            yield tile
 
 
 def _check_heights(container: Container, unit: Decoded) -> None:

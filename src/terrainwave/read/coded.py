@@ -132,13 +132,13 @@ class EvenBlocks:
         if not is_finest or not self._are_apart or not grid.is_inside(head):
             return None
         segment = self._container.segment(head)
-        n_bytes = segment.page.body_length
+        n_bytes = segment.page.sections_length
         if not 0 < n_bytes <= _MOST_BYTES:
             return None
         height = self.of_block(head)
         if height is None:
             return None
-        payloads = self._container.source.read(segment.body_start, n_bytes)
+        payloads = self._container.source.read(segment.sections_start, n_bytes)
         page = segment.page
         return Content(
             height, page.payload_lengths.tobytes(), page.payload_crcs.tobytes(), payloads

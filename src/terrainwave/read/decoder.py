@@ -14,6 +14,7 @@ from terrainwave.codec.refiner import (
     Heights,
     Mask,
     Refiner,
+    Rows,
     Validity,
     as_direct,
 )
@@ -27,29 +28,33 @@ from terrainwave.read.fetched import FetchedPayloads, Payloads
 _MAX_SPECS = 1024
 # Units of scattered samples whose payloads are fetched in one call.
 _AT_A_TIME = 64
-# Of which units so many first rows are enough; of others, all are wanted.
-Beginnings = Mapping[Block, int]
-NONE_BEGUN: Beginnings = {}
+# Of which units some rows are enough; of others, all are wanted.
+RowsOf = Mapping[Block, Rows]
+WHOLE: RowsOf = {}
 
 
 class UnitSource(Protocol):
     """Where a `TreeDecoder` has units from.
 
     `are_apart` says that one unit can be decoded, and forgotten, without work for others;
-    `ends_early` that the first rows of one can be decoded alone.
+    `has_parts` that rows of one can be decoded without the others.
     """
 
     are_apart: bool
-    ends_early: bool
+    has_parts: bool
 
     def prefetch(
-        self, units: "TreeDecoder", keys: Sequence[Block], begun: Beginnings = NONE_BEGUN
+        self, units: "TreeDecoder", keys: Sequence[Block], rows: RowsOf = WHOLE
     ) -> list[Block]:
-        """Do as `TreeDecoder.prefetch`."""
+        """Fetch the payloads of units that are not at hand; return these (`TreeDecoder`)."""
         ...
 
-    def decode(self, units: "TreeDecoder", key: Block, begun: Beginnings = NONE_BEGUN) -> Decoded:
-        """Decode a unit, or so many rows of it; `units` has those above it."""
+    def rows_above(self, units: "TreeDecoder", key: Block, rows: Rows) -> Rows:
+        """Return which rows of its parent heights a unit needs for some of its own."""
+        ...
+
+    def decode(self, units: "TreeDecoder", key: Block, rows: RowsOf = WHOLE) -> Decoded:
+        """Decode a unit, or some rows of it; `units` has those above it."""
         ...
 
 
@@ -60,7 +65,10 @@ class Groups:
     ----------
     decode : callable
         Decodes a payload: of the unit of a spec, below a block, None for a root block. Its last
-        argument is how many rows are enough, if the source `ends_early`.
+        argument is which rows are enough.
+    rows_above : callable, optional
+        Returns which rows of a block it takes to decode some rows of a payload below; without it
+        all units are decoded whole.
     """
 
     are_apart = True
@@ -68,22 +76,23 @@ class Groups:
     def __init__(
         self,
         payloads: Payloads,
-        decode: Callable[[GroupSpec, Decoded | None, bytes, int], Decoded],
+        decode: Callable[[GroupSpec, Decoded | None, bytes, Rows], Decoded],
         *,
-        ends_early: bool = False,
+        rows_above: Callable[[GroupSpec, bytes, Rows], Rows] | None = None,
     ) -> None:
         self._fetched = FetchedPayloads(payloads)
         self._decode = decode
-        self.ends_early = ends_early
+        self._rows_above = rows_above
+        self.has_parts = rows_above is not None
 
     def prefetch(
-        self, units: "TreeDecoder", keys: Sequence[Block], begun: Beginnings = NONE_BEGUN
+        self, units: "TreeDecoder", keys: Sequence[Block], rows: RowsOf = WHOLE
     ) -> list[Block]:
         """Fetch the payloads of units that are not at hand (`TreeDecoder.prefetch`)."""
         missing: dict[Block, None] = {}
         for key in keys:
             chain = []
-            while key not in missing and units.is_wanting(key, begun.get(key, ALL_ROWS)):
+            while key not in missing and units.is_wanting(key, rows.get(key, ALL_ROWS)):
                 chain.append(key)
                 if key.is_root_key:
                     break
@@ -92,13 +101,23 @@ class Groups:
         self._fetched.fetch(list(missing))
         return list(missing)
 
-    def decode(self, units: "TreeDecoder", key: Block, begun: Beginnings = NONE_BEGUN) -> Decoded:
-        """Decode a unit, or so many rows of it."""
-        parent = None if key.is_root_key else units.block(key, begun)
+    def rows_above(self, units: "TreeDecoder", key: Block, rows: Rows) -> Rows:
+        """Return which rows of its parent heights a unit needs; all if its payload is not here."""
+        payload = self._fetched.peek(key)
+        if payload is None or self._rows_above is None:
+            return ALL_ROWS
+        try:
+            return self._rows_above(units.spec(key), payload, rows)
+        except CorruptStreamError:  # which `decode` reports
+            return ALL_ROWS
+
+    def decode(self, units: "TreeDecoder", key: Block, rows: RowsOf = WHOLE) -> Decoded:
+        """Decode a unit, or some rows of it."""
+        parent = None if key.is_root_key else units.block(key, rows)
         spec = units.spec(key)
         payload = self._fetched.take(key)
         try:
-            return self._decode(spec, parent, payload, begun.get(key, ALL_ROWS))
+            return self._decode(spec, parent, payload, rows.get(key, ALL_ROWS))
         except CorruptStreamError as exc:
             raise type(exc)(f"{unit_name(key)} is damaged: {exc}") from exc
 
@@ -106,12 +125,17 @@ class Groups:
 def groups_by(refiner: Refiner, payloads: Payloads) -> Groups:
     """Return the units that a refiner decodes."""
 
-    def decode(spec: GroupSpec, parent: Decoded | None, payload: bytes, n_rows: int) -> Decoded:
+    def decode(spec: GroupSpec, parent: Decoded | None, payload: bytes, rows: Rows) -> Decoded:
         from terrainwave.codec.group import decode_unit  # numba, which not every reader needs
 
-        return decode_unit(refiner, spec, parent, payload, n_rows)
+        return decode_unit(refiner, spec, parent, payload, rows)
 
-    return Groups(payloads, decode, ends_early=as_direct(refiner) is not None)
+    def above(spec: GroupSpec, payload: bytes, rows: Rows) -> Rows:
+        from terrainwave.codec.group import rows_above
+
+        return rows_above(refiner, spec, payload, rows)
+
+    return Groups(payloads, decode, rows_above=None if as_direct(refiner) is None else above)
 
 
 class TreeDecoder:
@@ -126,75 +150,87 @@ class TreeDecoder:
         self._cache: Cache[Block, Decoded] = Cache(cache_bytes, size_of=_n_bytes)
         self._specs: Cache[Block, GroupSpec] = Cache(_MAX_SPECS)
 
-    def prefetch(self, keys: Sequence[Block], begun: Beginnings = NONE_BEGUN) -> list[Block]:
+    def prefetch(self, keys: Sequence[Block]) -> list[Block]:
         """Fetch the payloads that decoding `keys` will need, in one call.
 
         Returns the units that are not at hand, of the keys and all above them, each after those
         above it. A damaged payload is left for `unit` to report, so that it costs no other unit.
         """
-        return self.source.prefetch(self, keys, begun)
+        return self.source.prefetch(self, keys)
 
-    def beginnings(self, level: int, region: Region) -> Beginnings:
-        """Return of which units the first rows are enough to read a region of a level.
+    def prefetch_for(self, keys: Sequence[Block], region: Region) -> tuple[list[Block], RowsOf]:
+        """Do as `prefetch` for a region of their level; also return which rows of units are enough.
 
-        None are where the region takes whole units, or nearly: such a reader goes on below it. And
+        None are where the region takes whole units, or nearly: such a reader goes on beside it. And
         a unit of which most rows are wanted is decoded to its end, which is checked there.
         """
-        keys = units_of(self.grid, level, region)
-        last = region.row + region.n_rows - 1
-        found: dict[Block, int] = {}
-        if not self.source.ends_early or not keys:
-            return found
-        if self._rows_up_to(keys[-1], last) == ALL_ROWS:
-            return found
-        wanted = {key: self._rows_up_to(key, last) for key in keys}
-        while wanted:
-            found.update(wanted)
-            above: dict[Block, int] = {}
-            for key in wanted:
-                outer = self.spec(key).parent_region
-                if outer is not None:
-                    parent = unit_key(key)
-                    n_rows = self._rows_up_to(parent, outer.row + outer.n_rows - 1)
-                    above[parent] = max(above.get(parent, 0), n_rows)
-            wanted = above
-        return found
+        wanted: dict[Block, Rows] = {}
+        if self.source.has_parts:
+            wanted = {key: self._rows_in(key, region) for key in keys}
+            if all(rows == ALL_ROWS for rows in wanted.values()):
+                wanted = {}
+        needed = self.source.prefetch(self, keys, wanted)
+        # Those of a level before those above it.
+        for key in sorted(needed if wanted else [], key=lambda key: -key.level):
+            rows = wanted[key] = self._whole_if_most(key, wanted.get(key, ALL_ROWS))
+            outer = self.spec(key).parent_region
+            if outer is None:
+                continue
+            above = ALL_ROWS if rows == ALL_ROWS else self.source.rows_above(self, key, rows)
+            parent = unit_key(key)
+            first = outer.row - self.spec(parent).region.row
+            other = wanted.get(parent, Rows(ALL_ROWS.end, 0))
+            wanted[parent] = Rows(
+                min(first + above.first, other.first),
+                max(first + min(above.end, outer.n_rows), other.end),
+            )
+        return needed, wanted
 
-    def _rows_up_to(self, key: Block, last: int) -> int:
-        """Return how many rows of a unit it takes to have row `last` of its level."""
-        region = self.spec(key).region
-        n_rows = last - region.row + 1
-        return ALL_ROWS if key.is_root_key or 4 * n_rows > 3 * region.n_rows else n_rows
+    def _rows_in(self, key: Block, region: Region) -> Rows:
+        """Return which rows of a unit lie in a region of its level."""
+        here = self.spec(key).region
+        first = max(region.row - here.row, 0)
+        return self._whole_if_most(key, Rows(first, region.row + region.n_rows - here.row))
 
-    def _has_rows(self, key: Block, unit: Decoded, n_rows: int) -> bool:
-        return unit.heights.shape[0] >= min(n_rows, self.spec(key).region.n_rows)
+    def _whole_if_most(self, key: Block, rows: Rows) -> Rows:
+        n_rows = self.spec(key).region.n_rows
+        is_most = 4 * (min(rows.end, n_rows) - rows.first) > 3 * n_rows
+        # No unit is decoded a third time.
+        is_again = self._cache.get(key) is not None and not self._is_here(key, rows)
+        return ALL_ROWS if key.is_root_key or is_most or is_again else rows
 
-    def is_wanting(self, key: Block, n_rows: int = ALL_ROWS) -> bool:
-        """Say whether rows of a unit are neither here nor being decoded by another thread."""
+    def _is_here(self, key: Block, rows: Rows) -> bool:
         found = self._cache.get(key)
-        is_here = found is not None and self._has_rows(key, found, n_rows)
-        return not is_here and not self._cache.is_coming(key)
+        return found is not None and self._has_rows(key, found, rows)
 
-    def unit(self, key: Block, begun: Beginnings = NONE_BEGUN) -> Decoded:
-        """Return the decoded unit `key`; its ancestors are decoded as needed.
+    def _has_rows(self, key: Block, unit: Decoded, rows: Rows) -> bool:
+        end = min(rows.end, self.spec(key).region.n_rows)
+        return unit.rows.first <= rows.first and end <= unit.rows.end
+
+    def is_wanting(self, key: Block, rows: Rows = ALL_ROWS) -> bool:
+        """Say whether rows of a unit are neither here nor being decoded by another thread."""
+        return not self._is_here(key, rows) and not self._cache.is_coming(key)
+
+    def unit(self, key: Block, rows: RowsOf = WHOLE) -> Decoded:
+        """Return the decoded unit `key`, or some rows of it; what is above is decoded as needed.
 
         Raises
         ------
         CorruptStreamError
             If its payload or one above it is damaged; the message names the unit.
         """
-        n_rows = begun.get(key, ALL_ROWS)
+        own = rows.get(key, ALL_ROWS)
         found = self._cache.get(key)
         if found is not None:
-            if self._has_rows(key, found, n_rows):
+            if self._has_rows(key, found, own):
                 return found
-            # No unit is decoded a third time.
-            n_rows, begun = ALL_ROWS, {**begun, key: ALL_ROWS}
+            # No unit is decoded a third time. Whole, it needs all that is above.
+            own, rows = ALL_ROWS, WHOLE
         # Ancestors never wait for descendants.
         return self._cache.get_or_make(
             key,
-            lambda: self.source.decode(self, key, begun),
-            lambda unit: self._has_rows(key, unit, n_rows),
+            lambda: self.source.decode(self, key, rows),
+            lambda unit: self._has_rows(key, unit, own),
         )
 
     def put(self, key: Block, unit: Decoded) -> None:
@@ -210,25 +246,25 @@ class TreeDecoder:
         return units_of(self.grid, level, region)
 
     def part(
-        self, key: Block, region: Region, begun: Beginnings = NONE_BEGUN
+        self, key: Block, region: Region, rows: RowsOf = WHOLE
     ) -> tuple[tuple[slice, slice], Decoded]:
         """Return the part of a unit inside a region of its level, and where it lies in the region.
 
         The arrays are views.
         """
         spec = self.spec(key)
-        return _part(self.unit(key, begun), spec, spec.core.intersect(region), region)
+        return _part(self.unit(key, rows), spec, spec.core.intersect(region), region)
 
     def shared(self, key: Block, other: Block) -> Decoded:
         """Return a copy of what a unit holds of the samples that another one holds as well."""
         here = self.spec(key).region
         common = here.intersect(self.spec(other).region)
-        heights, validity, _, rest = self.unit(key).part(common.slices_in(here))
-        rest = None if rest is None else rest.copy()
-        return Decoded(heights.copy(), validity.copy(), None, rest)
+        found = self.unit(key).part(common.slices_in(here))
+        rest = None if found.remainders is None else found.remainders.copy()
+        return Decoded(found.heights.copy(), found.validity.copy(), None, rest)
 
     def part_once(
-        self, key: Block, region: Region, begun: Beginnings = NONE_BEGUN
+        self, key: Block, region: Region, rows: RowsOf = WHOLE
     ) -> tuple[tuple[slice, slice], Decoded]:
         """Return `part`, for a reader of a whole region.
 
@@ -240,8 +276,8 @@ class TreeDecoder:
         n_rows, n_cols = spec.core.shape
         is_all = here.n_rows >= n_rows - 1 and here.n_cols >= n_cols - 1 and spec.is_finest
         if not is_all or not self.source.are_apart or self._cache.get(key) is not None:
-            return self.part(key, region, begun)
-        return _part(self.source.decode(self, key, begun), spec, here, region)
+            return self.part(key, region, rows)
+        return _part(self.source.decode(self, key, rows), spec, here, region)
 
     def window(self, level: int, region: Region) -> tuple[Heights, Mask]:
         """Return decoded heights and validity of any region inside a level."""
@@ -284,11 +320,11 @@ class TreeDecoder:
                 rest[0, here] = unit.remainders[at]
         return Decoded(heights, Validity.of(mask, own), None, rest)
 
-    def block(self, block: Block, begun: Beginnings = NONE_BEGUN) -> Decoded:
+    def block(self, block: Block, rows: RowsOf = WHOLE) -> Decoded:
         """Return the decoded heights of a block, with its apron if the file has one."""
         key = unit_key(block)
         spec = self.spec(key)
-        return block_of_unit(self.grid, spec, self.unit(key, begun), block)
+        return block_of_unit(self.grid, spec, self.unit(key, rows), block)
 
 
 def _n_bytes(unit: Decoded) -> int:

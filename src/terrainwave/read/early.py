@@ -63,7 +63,7 @@ class EarlyPayloads:
 
     def __init__(self, container: Container, keys: Iterable[Block], max_bytes: int) -> None:
         self._container = container
-        self._layout = TileLayout(container.grid, container.header.has_fills)
+        self._layout = TileLayout(container.grid, container.header.has_voids)
         self.n_bytes = 0
         parts = self._read_heads(self._tiles_above(keys))
         position = _search(parts.values(), max_bytes)

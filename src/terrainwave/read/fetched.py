@@ -62,6 +62,11 @@ class FetchedPayloads:
         while self._n_bytes > _MAX_BYTES:
             self._n_bytes -= len(self._here.pop(next(iter(self._here))))
 
+    def peek(self, key: Block) -> bytes | None:
+        """Return a payload that is here, which stays; None if it is not."""
+        with self._lock:
+            return self._here.get(key)
+
     def take(self, key: Block) -> bytes:
         """Return a payload, which is not kept; fetched now unless it is here or on its way.
 

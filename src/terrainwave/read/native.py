@@ -30,7 +30,7 @@ _log = logging.getLogger(__name__)
 
 PACKAGE = "terrainwave_native"
 SWITCH = "TERRAINWAVE_NATIVE"  # 0 in the environment: not used
-ABI = 2  # PYTHON_ABI of native/python/shim.c
+ABI = 3  # PYTHON_ABI of native/python/shim.c
 
 _N_POINTERS = 5  # of twz_allocator, and of twz_locks
 
@@ -71,7 +71,7 @@ class _Range(ctypes.Structure):
     _fields_ = [
         ("offset", ctypes.c_uint64),
         ("length", ctypes.c_uint64),
-        ("likely", ctypes.c_uint64),
+        ("is_page", ctypes.c_uint64),
         ("reserved", ctypes.c_uint64),
     ]
 
@@ -101,6 +101,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "twz_window_need": (_POINTER, _RANGES, _SIZE, _N),
     "twz_window_feed": (_POINTER, ctypes.c_uint64, ctypes.c_char_p, _SIZE),
     "twz_window_decode": (_POINTER, _POINTER),
+    "twz_window_decode_into": (_POINTER, _POINTER, _POINTER, _STRIDE, _POINTER, _STRIDE),
     "twz_window_read": (_POINTER, _POINTER, _STRIDE, _POINTER, _STRIDE),
     "twz_window_read_own": (_POINTER, _POINTER, _STRIDE),
     "twz_pool_new": (_SIZE, _HANDLE),
@@ -156,11 +157,13 @@ class Library:
         assert made.value is not None
         return made.value
 
-    def needed(self, name: str, handle: int) -> list[ByteRange]:
-        """Return which bytes a file or a window needs next."""
+    def needed(self, name: str, handle: int) -> list[tuple[ByteRange, bool]]:
+        """Return which bytes a file or a window needs next, and which of them are index pages."""
         ranges, n = (_Range * _MOST_RANGES)(), ctypes.c_size_t()
         self.call(name, handle, ranges, _MOST_RANGES, ctypes.byref(n))
-        return [ByteRange(part.offset, part.length) for part in ranges[: n.value]]
+        return [
+            (ByteRange(part.offset, part.length), part.is_page == 1) for part in ranges[: n.value]
+        ]
 
 
 @cache
@@ -354,10 +357,14 @@ class NativeFile:
             missing = list(dict.fromkeys(part for _, parts in wanted for part in parts))
             if not missing:
                 return
-            rounds.fetch(missing)
+            # Pages that are here may tell more of what is to be fetched.
+            known = {part for part, is_page in missing if is_page and rounds.has(part)}
+            if not known:
+                rounds.fetch([part for part, _ in missing])
             for one, parts in wanted:
-                for part in parts:
-                    self._library.call(feed, one, part.offset, rounds.take(part), part.length)
+                for part, _ in parts:
+                    if part in known or not known:
+                        self._library.call(feed, one, part.offset, rounds.take(part), part.length)
 
     def read(
         self, level: int, region: Region, *, is_own: bool
@@ -459,22 +466,31 @@ class NativeFile:
     def _decode(
         self, handles: _Handles, window: int, level: int, heights: NDArray[Any], *, is_own: bool
     ) -> NDArray[np.bool_]:
-        """Decode a window that has its bytes; fill `heights` and return what is valid."""
+        """Decode a window that has its bytes; fill `heights` and return what is valid.
+
+        Of a large one nothing is kept: its units are decoded where the samples are wanted.
+        """
         library = self._library
+        # On the full grid, and where the file does not tell fills, what is valid is so by itself.
+        is_own &= self._header.has_voids and level < self._header.grid.k_max
+        valid = np.empty(heights.shape, dtype=np.bool_)
+        out = heights.ctypes.data, heights.strides[0], valid.ctypes.data, 0
+        given: tuple[int, ...] = out
+        name = "twz_window_decode_into"
+        if is_own or heights.size < 4 * self._side(level) ** 2:
+            name, given = "twz_window_decode", ()
         if handles.workers is not None and handles.pool_lock.acquire(blocking=False):
             try:
-                library.call("twz_window_decode", window, handles.workers)
+                library.call(name, window, handles.workers, *given)
             finally:
                 handles.pool_lock.release()
         else:
-            library.call("twz_window_decode", window, None)
-        # On the full grid, and where the file does not tell fills, what is valid is so by itself.
-        is_own &= self._header.has_fills and level < self._header.grid.k_max
-        valid = np.empty(heights.shape, dtype=np.bool_)
-        to, stride = heights.ctypes.data, heights.strides[0]
-        library.call(
-            "twz_window_read", window, to, stride, None if is_own else valid.ctypes.data, 0
-        )
+            library.call(name, window, None, *given)
+        if not given:
+            to, stride, shown, shown_stride = out
+            library.call(
+                "twz_window_read", window, to, stride, None if is_own else shown, shown_stride
+            )
         if is_own:
             library.call("twz_window_read_own", window, valid.ctypes.data, 0)
         return valid
@@ -486,7 +502,7 @@ class _Rounds:
     def __init__(self, container: Container) -> None:
         self._reader = container.rounds()
         self._known: list[ByteRange] = []
-        self.take = self._reader.take
+        self.take, self.has = self._reader.take, self._reader.has
 
     def fetch(self, wanted: Sequence[ByteRange]) -> None:
         """Fetch what is not here yet of what is wanted."""

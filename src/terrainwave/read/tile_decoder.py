@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from terrainwave.cache import Cache
 from terrainwave.codec.cdf53.refiner import LevelHeights, decode_tile
 from terrainwave.codec.cdf53.tile_layout import TileLayout, TileSpec
-from terrainwave.codec.refiner import Decoded, Refiner, as_array
+from terrainwave.codec.refiner import ALL_ROWS, Decoded, Refiner, Rows, as_array
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.coding.lifting53 import forward_transform, places_of
 from terrainwave.container.header import Header
@@ -18,8 +18,8 @@ from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.names import METHODS, methods_that
 from terrainwave.read.decoder import (
-    NONE_BEGUN,
-    Beginnings,
+    WHOLE,
+    RowsOf,
     TreeDecoder,
     groups_by,
     unit_key,
@@ -43,7 +43,7 @@ class Tiles:
     """
 
     are_apart = False
-    ends_early = False
+    has_parts = False
 
     def __init__(
         self,
@@ -55,7 +55,7 @@ class Tiles:
     ) -> None:
         self._grid = grid
         self._parameters = parameters
-        self._layout = TileLayout(grid, parameters.has_fills)
+        self._layout = TileLayout(grid, parameters.has_voids)
         self._fetched = FetchedPayloads(payloads)
         self._decode = decode
         self._tiles: Cache[Block, Tile] = Cache(cache_bytes, size_of=_n_bytes)
@@ -67,7 +67,7 @@ class Tiles:
         self,
         units: TreeDecoder,  # noqa: ARG002
         keys: Sequence[Block],
-        begun: Beginnings = NONE_BEGUN,  # noqa: ARG002
+        rows: RowsOf = WHOLE,  # noqa: ARG002
     ) -> list[Block]:
         """Fetch the payloads of the tiles that decoding `keys` will need, in one call.
 
@@ -82,11 +82,15 @@ class Tiles:
         self._fetched.fetch(list(needed))
         return []
 
+    def rows_above(self, units: TreeDecoder, key: Block, rows: Rows) -> Rows:  # noqa: ARG002
+        """Return all rows."""
+        return ALL_ROWS
+
     def decode(
         self,
         units: TreeDecoder,
         key: Block,
-        begun: Beginnings = NONE_BEGUN,  # noqa: ARG002
+        rows: RowsOf = WHOLE,  # noqa: ARG002
     ) -> Decoded:
         """Return a unit, cut from its tile."""
         tile_key = self._layout.key_of(key)

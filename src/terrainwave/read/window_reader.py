@@ -16,7 +16,7 @@ from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.grid.remainders import restored
-from terrainwave.read.decoder import Beginnings, TreeDecoder, unit_key
+from terrainwave.read.decoder import RowsOf, TreeDecoder, unit_key
 from terrainwave.read.lost import LostUnits
 
 _log = logging.getLogger(__name__)
@@ -78,11 +78,10 @@ class WindowReader:
             voids = _Filled(heights, void_value)
             if on_error == "mask":
                 heights[:] = void_value
-        begun = decoder.beginnings(level, region)
 
-        def fill(key: Block) -> None:
+        def fill(key: Block, rows: RowsOf) -> None:
             try:
-                there, unit = decoder.part_once(key, region, begun)
+                there, unit = decoder.part_once(key, region, rows)
                 self._fill(unit, heights[there])
                 voids.note(there, unit.validity.own_mask if is_own else unit.validity.mask)
             except CorruptStreamError as error:
@@ -95,13 +94,14 @@ class WindowReader:
         _log.debug("level %d, window %s: %d units", level, tuple(region), len(keys))
         for first in range(0, len(keys), _BATCH):
             batch = keys[first : first + _BATCH]
-            needed = list(dict.fromkeys([*decoder.prefetch(batch, begun), *batch]))
+            missing, rows = decoder.prefetch_for(batch, region)
             # What is above one unit is a chain, in which threads would only wait for one another.
             if len(batch) == 1 or self._n_threads == 1:
                 for key in batch:
-                    fill(key)
+                    fill(key, rows)
             else:
-                self._run(_fill_or_decode(decoder, set(batch), fill, begun), needed)
+                needed = list(dict.fromkeys([*missing, *batch]))
+                self._run(_fill_or_decode(decoder, set(batch), fill, rows), needed)
         return heights, voids.marked
 
     def samples(
@@ -234,16 +234,19 @@ class _Filled(NamedTuple):
 
 
 def _fill_or_decode(
-    decoder: TreeDecoder, keys: set[Block], fill: Callable[[Block], None], begun: Beginnings
+    decoder: TreeDecoder,
+    keys: set[Block],
+    fill: Callable[[Block, RowsOf], None],
+    rows: RowsOf,
 ) -> Callable[[Block], None]:
     """Return a function that fills `keys` and decodes what is above them."""
 
     def work(key: Block) -> None:
         if key in keys:
-            fill(key)
+            fill(key, rows)
         else:
             # What is damaged above a key is reported with it.
             with contextlib.suppress(CorruptStreamError):
-                decoder.unit(key, begun)
+                decoder.unit(key, rows)
 
     return work

@@ -5,7 +5,7 @@ from importlib import import_module
 
 from terrainwave.arguments import check_choice, shown
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.names import DEFAULT_MESH, MESH_KINDS, MESHES, Method
+from terrainwave.names import DEFAULT_MESH, MESH_KINDS, Method
 from terrainwave.option_sets import OptionSet
 
 
@@ -14,11 +14,6 @@ class MeshOptions(OptionSet):
     """Options of one kind of meshes."""
 
     argument = "mesh"
-
-    @property
-    def former_name(self) -> str:
-        """Return the name that the kind with these options had in 1.0."""
-        return "-".join([self.name, *(str(getattr(self, name)) for name in self.names())])
 
     def stored(self, method: Method, *, is_faithful: bool) -> str:
         """Return the kind of meshes that a file of a method holds, as `names.MESHES` has it.
@@ -75,13 +70,3 @@ def stored_mesh(mesh: str | MeshOptions, method: Method, *, is_faithful: bool) -
             return DEFAULT_MESH if mesh == "auto" else mesh
         mesh = kind()
     return mesh.stored(method, is_faithful=is_faithful)
-
-
-def of_former_name(mesh: str) -> MeshOptions | None:
-    """Return the options that the name of a stored kind stands for; None if it is no such name."""
-    name, _, value = mesh.partition("-")
-    kind = options_of(name)
-    if kind is None or not value or mesh not in MESHES:
-        return None
-    (option,) = kind.names()
-    return kind(**{option: value})

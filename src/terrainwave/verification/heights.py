@@ -8,6 +8,7 @@ have these heights. Memory holds a few windows.
 
 import math
 import os
+import re
 import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
@@ -27,8 +28,14 @@ from terrainwave.arguments import (
     checked_path,
     checked_whole,
     nodata_choice,
+    shown,
 )
-from terrainwave.errors import InvalidArgumentError, TerrainwaveError, TerrainwaveWarning
+from terrainwave.errors import (
+    CorruptStreamError,
+    InvalidArgumentError,
+    TerrainwaveError,
+    TerrainwaveWarning,
+)
 from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS
 from terrainwave.place.meaning import check_kind
@@ -83,6 +90,8 @@ class VerifyReport:
     window : tuple of int or None
         (row, col, n_rows, n_cols): the part of the file that was compared, with `part`; None
         without it.
+    root : str or None
+        The root of the file's digests, as `Terrain.digest` returns it.
     """
 
     path: str
@@ -96,6 +105,7 @@ class VerifyReport:
     mesh: "MeshReport | None" = None
     earlier: tuple[dict[str, Any], ...] = ()
     window: tuple[int, int, int, int] | None = None
+    root: str | None = None
 
     @property
     def ok(self) -> bool:
@@ -117,6 +127,7 @@ def verify(
     heights_are: str | None = None,
     part: bool = False,
     mesh: bool = False,
+    root: str | None = None,
     threads: int | None = None,
     progress: ProgressCallback | None = None,
 ) -> VerifyReport:
@@ -125,7 +136,10 @@ def verify(
     With `original`: every sample must be within the bound, void where the original is void and
     only there, and size, type, nodata, CRS, transform, units, scale and offset must be the same.
     Heights of another size, type or unit are not compared.
-    Without: all checksums are checked and every block of every level is decoded.
+    Without: all checksums are checked, every block of every level is decoded, and heights are
+    compared with the file's digests, if it has some. That finds damage. It does not show that the
+    file is the one that was published: whoever changes heights can change digests, too. For that,
+    give its `root`.
 
     Parameters
     ----------
@@ -148,6 +162,9 @@ def verify(
     mesh : bool
         Check all meshes too: each covers its area once, without gaps, folds and T-junctions;
         neighbours fit; and no sample is further from a mesh than the mesh states.
+    root : str, optional
+        The published root of the heights (`Terrain.digest`), 64 hexadecimal digits: without
+        `original`. The file need not have digests.
     threads : int, optional
         Threads that decode; the number of processors by default.
     progress : callable, optional
@@ -161,7 +178,7 @@ def verify(
     Raises
     ------
     InvalidArgumentError
-        If `part` comes without `original`, or with `mesh`.
+        If `part` comes without `original`, or with `mesh`; or `root` with `original`.
     TerrainwaveError
         If one of the files cannot be opened at all.
 
@@ -182,6 +199,7 @@ def verify(
             f"found `part` {'with `mesh`' if mesh else 'without `original`'}, expected `part` with"
             " the raster of a part of the file: only its heights are compared"
         )
+    root = _checked_root(root, original)
     check_callback(progress)
     max_error = checked_error("max_error", max_error)
     band = checked_whole("band", band, least=1)
@@ -196,7 +214,7 @@ def verify(
     on_error = RAISE if original is not None else MASK
     with Terrain(twz, threads=threads, on_error=on_error) as terrain:
         if original is None:
-            problems = tuple(_problems_of_bytes(terrain))
+            problems = tuple(_problems_of_bytes(terrain, root))
             bound = _bound(terrain, max_error)
             report = _report(terrain, twz, None, bound, None, problems)
             return _with_meshes(report, terrain, None, progress) if mesh else report
@@ -218,12 +236,26 @@ def verify(
             return _with_meshes(report, terrain, raster.read, progress)
 
 
-def _problems_of_bytes(terrain: Any) -> Iterator[str]:
+def _checked_root(root: Any, original: Any) -> str | None:
+    """Return a root in small letters."""
+    if root is None:
+        return None
+    if original is not None:
+        raise InvalidArgumentError(
+            "found `root` with `original`, expected one of them: the root stands for the file's"
+            " heights, not for the original's"
+        )
+    if not isinstance(root, str) or not re.fullmatch("[0-9a-fA-F]{64}", root):
+        raise InvalidArgumentError(f"found `root` {shown(root)}, expected 64 hexadecimal digits")
+    return root.lower()
+
+
+def _problems_of_bytes(terrain: Any, root: str | None) -> Iterator[str]:
     """Yield what is wrong with a file by itself, each once; of many problems the first and last."""
     missing, n_bytes = terrain.container.n_missing, terrain.container.extents.file_size
     if missing:
         yield f"the file has {n_bytes - missing:,} of its {n_bytes:,} bytes"
-    problems = list(dict.fromkeys(terrain.check()))
+    problems = list(dict.fromkeys(terrain.check(root)))
     # How much of each level is lost comes last.
     n_left_out = len(problems) - _MOST_LISTED - terrain.n_levels
     if n_left_out > 0:
@@ -269,7 +301,16 @@ def _report(
         problems=problems,
         is_strict=is_strict,
         earlier=terrain.info().earlier,
+        root=_root(terrain),
     )
+
+
+def _root(terrain: Any) -> str | None:
+    try:
+        found: str | None = terrain.digest()
+    except CorruptStreamError:
+        return None  # a check of the file says so
+    return found
 
 
 class _Comparison:
@@ -458,7 +499,7 @@ class _Signs:
             yield (
                 f"{samples} 0.0 in one of the two and -0.0 in the other, the first at row"
                 f" {self._first[0]}, column {self._first[1]}, though `max_error` 0 keeps every bit:"
-                " files made before version 1.1 kept the number alone; compress the original again"
+                " compress the original again"
             )
 
 

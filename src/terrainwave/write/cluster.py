@@ -19,6 +19,7 @@ import numpy as np
 
 from terrainwave.codec.refiner import Heights, Mask, Refiner
 from terrainwave.container.depot import Depot, StoredSegment
+from terrainwave.container.digests import TILE, TileDigests
 from terrainwave.container.page import N_CODES
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.writer import store_segments
@@ -166,15 +167,16 @@ class DistributedPasses:
         n_bytes = sink.n_bytes + below.n_bytes + len(site.file_tables)
         return Coded(site.file_tables, {**sink.spools, **segments}, n_bytes, job)
 
-    def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> float:
-        """Decode the file from disk and compare every sample; return the largest error."""
+    def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> tuple[float, TileDigests]:
+        """Decode the file, compare every sample; return the largest error and digests of tiles."""
         assert not isinstance(path, bytes)  # what has a client is written to disk
         site = Site(self.raster, self.depot, job, self.level, job.options.named_method.name)
-        tasks = {region: (site, os.path.abspath(path), region) for region in self._own_regions()}
-        largest = 0.0
-        for _, error in self._run("proving", prove_region, tasks):
-            largest = max(largest, error)
-        return measured_error(largest, job.quantizer)
+        tasks = {region: (site, os.path.abspath(path), region) for region in self._proof_regions()}
+        largest, tiles = 0.0, TileDigests((self.grid.n_rows, self.grid.n_cols))
+        for _, result in self._run("proving", prove_region, tasks):
+            largest = max(largest, result.error)
+            tiles.add(result.tiles)
+        return measured_error(largest, job.quantizer), tiles
 
     def close(self) -> None:
         """Delete what tasks have left in the depot."""
@@ -210,6 +212,13 @@ class DistributedPasses:
 
     def _own_regions(self) -> list[Region]:
         return [own_region(self.grid, head) for head in self.grid.blocks(self.level)]
+
+    def _proof_regions(self) -> list[Region]:
+        """Return regions of whole tiles of digests, none smaller than those of other tasks."""
+        level = self.level
+        while level and self.grid.block * self.grid.stride(level) < TILE:
+            level -= 1
+        return [own_region(self.grid, head) for head in self.grid.blocks(level)]
 
     # Levels
 
@@ -346,7 +355,7 @@ class DistributedPasses:
             )
         sink.set_meshes(sections)
         self._store_top(site, TOP, sink)
-        rounds = self._agree(site) if job.options.mesh in STORED_KINDS else {}
+        rounds = self._agree(site) if job.options.mesh_kind in STORED_KINDS else {}
         tasks = {head: (site, head, rounds.get(head)) for head in grid.blocks(site.level)}
         segments: dict[Block | None, StoredSegment] = {}
         errors: dict[Block, int] = {}

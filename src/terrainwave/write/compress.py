@@ -36,12 +36,11 @@ from terrainwave.container.targets.publication import (
 )
 from terrainwave.container.targets.unfinished import Part, only_writer
 from terrainwave.container.targets.upload import uploaded
-from terrainwave.container.writer import assemble
+from terrainwave.container.writer import append_digests, assemble
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.file.raster import raster_source
 from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Grid
-from terrainwave.names import FORMATS
 from terrainwave.place.units import height_unit
 from terrainwave.progress import ProgressCallback, Reporter, TaskCallback
 from terrainwave.raster_io.dataset import refuse_raster
@@ -54,7 +53,7 @@ from terrainwave.write.cluster import (
     shared_raster,
     task_level,
 )
-from terrainwave.write.compress_options import Options, taking_former
+from terrainwave.write.compress_options import Options
 from terrainwave.write.earlier import earlier_of, for_heights_of
 from terrainwave.write.job import Job, fixed_steps, settled
 from terrainwave.write.local import LocalPasses
@@ -88,7 +87,6 @@ class CompressResult:
     notes: list[str] = field(default_factory=list)
 
 
-@taking_former("rate", "psnr", "border_rings", "faithful")
 def compress(
     src: Any,
     dst: str | os.PathLike[str],
@@ -107,8 +105,8 @@ def compress(
     height_range: tuple[float, float] | None = None,
     strict: bool = False,
     stable: bool = False,
-    format: str = FORMATS[-1],
     keep_origin: bool = False,
+    digest: bool | None = None,
     temp_dir: str | os.PathLike[str] | None = None,
     verify: bool = True,
     threads: int | None = None,
@@ -195,13 +193,13 @@ def compress(
         whole or in parts, with the same bound, they do not change. The bound holds as with
         `strict`. Files become larger (docs/integrations.md). Not with method cdf53, nor with
         ``Cdf97(faithful=True)``.
-    format : str
-        ``"1.1"``, or ``"1.0"`` for files that version 1.0.0 can read. A file has format 1.1 only
-        if it uses its additions: in files with voids, marks of fills on coarse levels; in files of
-        rapid, other contexts and weights, which make them some per cent smaller.
     keep_origin : bool
         Store a digest of the heights and these options in the metadata, by which
         ``compress --skip-existing`` recognises the file. ``compress --to`` always does.
+    digest : bool, optional
+        Store digests (SHA-256) of the decoded heights: `Terrain.digest` gives the one that stands
+        for all heights and where they lie, `verify` compares it. 40 bytes, and 32 more for each
+        4096 x 4096 samples. By default as `verify`, whose decoding they come from.
     temp_dir : path, optional
         Directory for large temporary data; by default beside `dst`. With `client`, a path or a URL
         that fsspec can write to and that all workers can use.
@@ -255,8 +253,8 @@ def compress(
         height_range=height_range,
         strict=strict,
         stable=stable,
-        format=format,
         keep_origin=keep_origin,
+        digest=digest,
         verify=verify,
         threads=threads,
     )
@@ -282,10 +280,7 @@ def compress(
     name = os.fspath(dst)
     is_url = "://" in name
     if is_url and cluster is not None:
-        raise InvalidArgumentError(
-            f"found a client and {display_name(name)} as `dst`, expected a path that all workers"
-            " can use"
-        )
+        raise _url_beside_client(name)
     of_source: dict[str, Any] = {"band": band, "nodata": nodata, "georeference": georeference}
     of_source["heights_are"] = heights_are
     coded = [options.to_metadata(), keep_origin]
@@ -316,7 +311,6 @@ def compress(
     )
 
 
-@taking_former()
 def compress_to_bytes(
     src: Any,
     *,
@@ -330,14 +324,14 @@ def compress_to_bytes(
     mesh: str | MeshOptions = "none",
     strict: bool = False,
     stable: bool = False,
-    format: str = FORMATS[-1],
+    digest: bool = False,
     verify: bool = True,
     threads: int | None = None,
 ) -> bytes:
     """Compress to bytes instead of a file; `Terrain` opens them as it opens a file.
 
     For arrays that fit into memory: chunks of a store, cells of a database. Options, bound and
-    errors are those of `compress`, except that `mesh` is ``"none"`` by default.
+    errors are those of `compress`, except that `mesh` is ``"none"`` and `digest` False by default.
     """
     options = Options(
         max_error=max_error,
@@ -347,7 +341,7 @@ def compress_to_bytes(
         mesh=mesh,
         strict=strict,
         stable=stable,
-        format=format,
+        digest=digest,
         verify=verify,
         threads=threads,
     )
@@ -368,6 +362,14 @@ def _refuse_tasks(task_samples: int | None, on_task: TaskCallback | None) -> Non
     if task_samples is not None or on_task is not None:
         found = "`on_task`" if task_samples is None else f"`task_samples` {task_samples}"
         raise InvalidArgumentError(f"found {found} without a client, expected both or none of them")
+
+
+def _url_beside_client(name: str) -> InvalidArgumentError:
+    """Return the error for a target that workers cannot write to."""
+    return InvalidArgumentError(
+        f"found a client and {display_name(name)} as `dst`, expected a path that all workers can"
+        " use"
+    )
 
 
 def _refuse_tiles(options: Options) -> None:
@@ -462,10 +464,14 @@ def _write(
             if coded.job.options.named_method != options.named_method:
                 notes.append("the heights do not compress: stored as they are")
             job = coded.job
-            assemble(file, job.header(coded.file_tables), coded.segments)
+            header = job.header(coded.file_tables)
+            extents = assemble(file, header, coded.segments)
             measured = None
             if options.verify:
-                measured = passes.prove(path or cast(io.BytesIO, file).getvalue(), job)
+                finished = path or cast(io.BytesIO, file).getvalue()
+                measured, tiles = passes.prove(finished, job)
+                if options.makes_digests:
+                    append_digests(file, header, extents, tiles.tree())
             coded.close()
     scale = abs(source.info.scale)
     moved = job.moved_error * scale

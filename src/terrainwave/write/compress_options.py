@@ -1,14 +1,10 @@
 """`Options`: what `compress` is asked for, checked where it is made and handed on whole."""
 
-import functools
-import warnings
-from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 from terrainwave.arguments import (
     BLOCKS,
-    check_choice,
     check_flags,
     checked_error,
     checked_number,
@@ -16,30 +12,18 @@ from terrainwave.arguments import (
     checked_whole,
     shown,
 )
-from terrainwave.codec.method_options import (
-    MethodChoice,
-    MethodOptions,
-    chosen,
-    chosen_with,
-    with_method,
-)
+from terrainwave.codec.method_options import MethodChoice, MethodOptions, chosen, with_method
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.names import (
-    DEFAULT_EFFORT,
-    DEFAULT_MESH,
-    EFFORTS,
-    FORMATS,
-    Method,
-    methods_that,
-)
-from terrainwave.tri.mesh_options import MeshOptions, check_mesh, of_former_name, stored_mesh
+from terrainwave.names import DEFAULT_EFFORT, DEFAULT_MESH, EFFORTS, Method, methods_that
+from terrainwave.tri.mesh_options import MeshOptions, check_mesh, stored_mesh
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
     """Options of `compress`, which says what they mean.
 
-    Once made, `method` is the method's own options and `mesh` the kind of meshes that files hold.
+    Once made, `method` is the method's own options, and `mesh_kind` the kind of meshes that files
+    hold, as `names.MESHES` has it.
 
     Raises
     ------
@@ -57,10 +41,11 @@ class Options:
     height_range: tuple[float, float] | None = None
     strict: bool = False
     stable: bool = False
-    format: str = FORMATS[-1]
     keep_origin: bool = False
+    digest: bool | None = None
     verify: bool = True
     threads: int | None = None
+    mesh_kind: str = ""
     choice: MethodChoice = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -78,12 +63,18 @@ class Options:
             settled["threads"] = checked_threads(self.threads)
         flags = [field.name for field in fields(self) if isinstance(field.default, bool)]
         check_flags(**{name: getattr(self, name) for name in flags})
-        check_choice("format", self.format, FORMATS)
+        if self.digest is not None:
+            check_flags(digest=self.digest)
+        if self.digest and not self.verify:
+            raise InvalidArgumentError(
+                "found `digest` without `verify`, expected both: digests are those of heights that"
+                " the proof decodes"
+            )
         choice = chosen(self.method, self.effort)
         settled |= {"method": choice.own, "effort": choice.effort, "choice": choice}
-        if not _is_settled(self.mesh):
+        if not self.mesh_kind:
             check_mesh(self.mesh, or_none=True)
-            settled["mesh"] = stored_mesh(
+            settled["mesh_kind"] = stored_mesh(
                 self.mesh, choice.own.method, is_faithful=getattr(choice.own, "faithful", False)
             )
         for name, value in settled.items():
@@ -127,7 +118,7 @@ class Options:
         """Return what files are made differently by, or checked; plain values for JSON."""
         values = {field.name: getattr(self, field.name) for field in fields(self) if field.init}
         values |= {name: getattr(self, name) for name in _OF_METHODS}
-        values["method"] = self.named_method.name
+        values |= {"method": self.named_method.name, "mesh": values.pop("mesh_kind")}
         return {
             name: value
             for name, value in values.items()
@@ -137,18 +128,12 @@ class Options:
 
     def with_method(self, method: Method, mesh: str) -> "Options":
         """Return the options with another method and other stored meshes; all else stays."""
-        return replace(self, method=with_method(self.choice.own, method), mesh=mesh)
+        return replace(self, method=with_method(self.choice.own, method), mesh_kind=mesh)
 
     @property
     def named_method(self) -> Method:
         """Return the method."""
         return self.choice.own.method
-
-    @property
-    def mesh_kind(self) -> str:
-        """Return the kind of meshes that files hold, as `names.MESHES` has it."""
-        assert isinstance(self.mesh, str)
-        return self.mesh
 
     @property
     def measures_meshes(self) -> bool:
@@ -195,9 +180,9 @@ class Options:
         return checked_threads(self.threads)
 
     @property
-    def may_be_new(self) -> bool:
-        """Return whether files may use what readers of the first format do not know."""
-        return self.format != FORMATS[0]
+    def makes_digests(self) -> bool:
+        """Say whether the file gets digests of its heights."""
+        return self.verify if self.digest is None else self.digest
 
     @property
     def notes(self) -> list[str]:
@@ -244,67 +229,3 @@ def _checked_range(found: Any) -> tuple[float, float]:
             f"found `height_range` from {low:g} to {high:g}, expected the lower one first"
         )
     return low, high
-
-
-def _is_settled(mesh: str | MeshOptions) -> bool:
-    return isinstance(mesh, str) and of_former_name(mesh) is not None
-
-
-# Arguments that `compress` had in 1.0 and that went to the options of methods, with their defaults.
-_FORMER = {"rate": None, "psnr": None, "border_rings": 1, "faithful": False}
-Arguments = ParamSpec("Arguments")
-Result = TypeVar("Result")
-
-
-def taking_former(
-    *names: str,
-) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
-    """Let a function go on taking arguments and meshes in the way of 1.0, until 2.0.
-
-    Each warns (DeprecationWarning) and names the new way. The signature has the new way alone.
-
-    Parameters
-    ----------
-    names : str
-        Arguments that the function had, of `_FORMER`.
-    """
-
-    def decorate(call: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-        @functools.wraps(call)
-        def with_former(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
-            former = {name: kwargs.pop(name) for name in names if name in kwargs}
-            arguments: dict[str, Any] = dict(kwargs)
-            for hint in [*_move_to_method(arguments, former), *_move_to_mesh(arguments)]:
-                warnings.warn(hint, DeprecationWarning, stacklevel=2)
-            return call(*args, **arguments)
-
-        return with_former
-
-    return decorate
-
-
-def _move_to_method(arguments: dict[str, Any], former: Mapping[str, Any]) -> Iterator[str]:
-    """Put former arguments into the options of `method`; yield what to tell who gave them."""
-    if not former:
-        return
-    given = {name: value for name, value in former.items() if not _is_default(name, value)}
-    way = "leave out what is the default"
-    if given:
-        effort = arguments.get("effort", DEFAULT_EFFORT)
-        own, stated = chosen_with(arguments.get("method", "auto"), effort, given)
-        arguments |= {"method": own, "effort": stated}
-        way = f"write method={own.call()}"
-    yield f"{' and '.join(former)}: until terrainwave 2.0; {way}"
-
-
-def _is_default(name: str, value: object) -> bool:
-    return type(value) is type(_FORMER[name]) and value == _FORMER[name]
-
-
-def _move_to_mesh(arguments: dict[str, Any]) -> Iterator[str]:
-    """Put the former name of a mesh into options; yield what to tell who gave it."""
-    mesh = arguments.get("mesh")
-    own = of_former_name(mesh) if isinstance(mesh, str) else None
-    if own is not None:
-        arguments["mesh"] = own
-        yield f"mesh={mesh!r}: until terrainwave 2.0; write mesh={own.call()}"

@@ -77,14 +77,7 @@ def fitted_refiner(job: Job, heights: HeightsOf, mask: MaskOf, crew: Crew) -> tu
     refiner = refiner_by_name(job.options.named_method.name)
     if not isinstance(refiner, FittingRefiner) or not job.n_valid:
         return refiner, b""
-    fitted = refiner.fitted(
-        job.grid,
-        job.parameters.step,
-        heights,
-        mask,
-        may_have_reach=job.options.may_be_new,
-        each=crew.map,
-    )
+    fitted = refiner.fitted(job.grid, job.parameters.step, heights, mask, each=crew.map)
     return fitted, fitted.file_tables
 
 
@@ -435,7 +428,7 @@ class TreeEncoder(UnitEncoder):
         """Return the payload of a unit and what it decodes to."""
         rest = partial(self._pyramid.remainders, spec.region) if spec.remainder_bytes else None
         own = None
-        if spec.has_fills and not spec.is_finest:
+        if spec.has_voids and not spec.is_finest:
             own = self._pyramid.own(spec.level, spec.region)
         kept = self.kept(key, spec, target, mask)
         return encode_unit(self._refiner, spec, parent, target, mask, rest, own, kept)

@@ -12,12 +12,10 @@ from typing import Any
 import numpy as np
 
 from terrainwave._version import __version__
-from terrainwave.codec.registry import newer_layout
 from terrainwave.container.header import (
-    HAS_FILLS,
     HAS_REMAINDERS,
+    HAS_VOIDS,
     IS_FAITHFUL,
-    LAYOUT_FEATURES,
     Header,
 )
 from terrainwave.container.metadata import EARLIER, MAX_MOVED, ORIGIN
@@ -141,12 +139,6 @@ class Job:
         return self.n_valid < self.grid.n_rows * self.grid.n_cols
 
     @property
-    def has_fills(self) -> bool:
-        """Say whether the file tells which samples of coarse levels are fills."""
-        is_mixed = 0 < self.n_valid and self.has_voids
-        return is_mixed and self.grid.k_max > 0
-
-    @property
     def may_repeat(self) -> bool:
         """Say whether like segments have the same codes: nothing is measured across their borders.
 
@@ -174,7 +166,7 @@ class Job:
     def mesh_tolerance(self) -> int:
         """Return the tolerance of the finest meshes in 1/16 quanta, rounded down; 0 without."""
         quantizer = self.quantizer
-        if self.options.mesh == "none":
+        if self.options.mesh_kind == "none":
             return 0
         if self.options.mesh_error is None:
             stated = self.effective_error + self.moved_error
@@ -193,7 +185,7 @@ class Job:
             options.border_rings,
             options.effort_number,
             is_faithful=options.faithful,
-            has_fills=self.has_fills,
+            has_voids=self.has_voids,
         )
 
     def header(self, file_tables: bytes) -> Header:
@@ -225,10 +217,9 @@ class Job:
             effective_bound=min(self.effective_error, self.raw_bound)
             + (0.0 if quantizer.remainder_bytes else self.moved_error),
             rho=quantizer.rho,
-            features=(HAS_REMAINDERS if quantizer.remainder_bytes else 0)
-            | (IS_FAITHFUL if options.faithful else 0)
-            | LAYOUT_FEATURES.get(newer_layout(options.named_method.name, file_tables), 0)
-            | (HAS_FILLS if self.has_fills else 0),
+            features=(HAS_VOIDS if self.has_voids else 0)
+            | (HAS_REMAINDERS if quantizer.remainder_bytes else 0)
+            | (IS_FAITHFUL if options.faithful else 0),
             mesh=options.mesh_kind,
             mesh_tolerance=self.mesh_tolerance,
             metadata={**metadata, "software": f"terrainwave {__version__}"},

@@ -4,6 +4,7 @@ import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from terrainwave.container.digests import TileDigests
 from terrainwave.container.targets.kept import Kept
 from terrainwave.grid.crew import Crew
 from terrainwave.grid.quantum import HeightScan
@@ -63,8 +64,8 @@ class LocalPasses:
         """Code all units into one spool per segment."""
         return encode(job, self.windows, self.directory, self.executor, self.reporter, self.kept)
 
-    def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> float:
-        """Decode the file from disk and compare every sample; return the largest error."""
+    def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> tuple[float, TileDigests]:
+        """Decode the file, compare every sample; return the largest error and digests of tiles."""
         return prove(path, job, self.windows, self.executor, self.reporter, self.kept)
 
     def close(self) -> None:

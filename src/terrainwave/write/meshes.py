@@ -18,7 +18,7 @@ from terrainwave.container.page import N_CODES
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.targets.publication import publish, refuse_own_source, scratch_directory
 from terrainwave.container.targets.unfinished import only_writer
-from terrainwave.container.writer import assemble
+from terrainwave.container.writer import append_digests, assemble
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.file import TerrainFile
 from terrainwave.grid.crew import Crew
@@ -30,14 +30,12 @@ from terrainwave.names import METHODS
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.tri.mesh_options import MeshOptions, check_mesh, stored_mesh
-from terrainwave.write.compress_options import taking_former
 from terrainwave.write.job import default_mesh_error, scale_of
 from terrainwave.write.patching.merged import check_units, original_source
 
 _log = logging.getLogger(__name__)
 
 
-@taking_former()
 def store_meshes(
     src: str | os.PathLike[str],
     dst: str | os.PathLike[str],
@@ -110,7 +108,7 @@ def store_meshes(
             terrain.decoder,
             lambda block: container.codes(block)[2],
             header.mesh_tolerance,
-            has_voids=terrain.raster_info.mask_kind != "none",
+            has_voids=header.has_voids,
             kind=header.mesh,
             executor=executor,
             on_samples=reporter.counter("making meshes", *size),
@@ -120,7 +118,10 @@ def store_meshes(
         errors = measure_meshes(grid, mesher, originals, executor, count, lost)
         codes = mesher.error_codes(errors, lost, by_recursion=header.is_faithful)
         spools = _copied(terrain, codes, directory, sections)
-        assemble(part.file, header, spools)
+        extents = assemble(part.file, header, spools)
+        digests = container.digests()
+        if digests is not None:  # of heights, which stay
+            append_digests(part.file, header, extents, digests)
         for spool in spools.values():
             spool.close()
         _log.info("%s: stored meshes of kind %s", dst, header.mesh)

@@ -74,7 +74,7 @@ def difference(
             return "its numbers mean something else"
     if origin != origin_of(asked, scan):
         return "it was made of other heights"
-    # Earlier versions had another rule for the default.
+    # Another version may have another rule for the default.
     if asked.max_error is None and not files and not asked.is_embedded:
         job, _ = settled(asked, scan, info)
         if job.raw_bound != header.max_error:

@@ -7,7 +7,7 @@ sample whose prediction is as it was gets its old height again, as only one mult
 within the bound. All other payloads are copied.
 
 Beyond the new raster the target is the original, if it is given, else the stored height, which must
-come back as it is: where predictions have changed, corrections put it back (FORMAT.md §5.5,
+come back as it is: where predictions have changed, corrections put it back (FORMAT.md §5.4,
 docs/decisions/0023).
 """
 
@@ -23,17 +23,21 @@ from typing import Any
 import numpy as np
 
 from terrainwave.arguments import check_flags, check_local, checked_path, checked_threads
-from terrainwave.container.header import HAS_CORRECTIONS as CORRECTIONS_FEATURE
-from terrainwave.container.header import Header
+from terrainwave.container.digests import DigestTree, TileDigests, tile_digests
+from terrainwave.container.header import HAS_CORRECTIONS, HAS_VOIDS, Header
 from terrainwave.container.metadata import EARLIER, without_origin
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.targets.kept import Kept
 from terrainwave.container.targets.publication import publish, refuse_own_source
 from terrainwave.container.targets.unfinished import only_writer
-from terrainwave.container.writer import assemble
-from terrainwave.errors import BoundViolationError, InvalidHeightsError, TerrainwaveWarning
+from terrainwave.container.writer import append_digests, assemble
+from terrainwave.errors import (
+    BoundViolationError,
+    CorruptStreamError,
+    InvalidHeightsError,
+    TerrainwaveWarning,
+)
 from terrainwave.file import TerrainFile
-from terrainwave.file.info import format_of
 from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS, methods_that
@@ -42,12 +46,15 @@ from terrainwave.raster_io.geotiff.sidecar import forget_measured
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.undeclared_voids import note_on_undeclared
 from terrainwave.write.passes.proof import (
+    NOTHING,
     OUR_FAULT,
+    Proved,
     allowed_error,
     compare_window,
     measured_error,
     proof_shares,
     proven_shares,
+    together,
 )
 from terrainwave.write.passes.resuming import KeptUnits, run_directory, taken_up
 from terrainwave.write.patching.index import PatchedIndex
@@ -64,10 +71,8 @@ class PatchResult:
 
     `effective_error` is the bound that the file now states. No height is further than
     `measured_error` from its original. It is measured where originals are known (the new raster,
-    and `original`); for other blocks it is the error that the file states. `moved_error`, how far
-    heights outside the new raster have moved, is always 0 (patches of version 1.0 moved them).
-    `format` is the first version of the format whose readers can read the file now. `notes` say
-    what a user should know.
+    and `original`); for other blocks it is the error that the file states. `notes` say what a user
+    should know.
     """
 
     path: str
@@ -76,9 +81,7 @@ class PatchResult:
     n_copied: int
     effective_error: float
     measured_error: float
-    moved_error: float
     units: str | None
-    format: str
     notes: list[str] = field(default_factory=list)
 
 
@@ -165,13 +168,7 @@ def patch(
         ) as (directory, kept),
         Crew(n_threads) as executor,
     ):
-        method = METHODS[terrain.header.method]
-        if not method.is_patchable:
-            fit = methods_that(lambda method: method.is_patchable)
-            raise InvalidHeightsError(
-                f"{path} has method {method.name}; only files of method {fit} can be patched:"
-                " compress the whole raster again"
-            )
+        _refuse_unfit(path, terrain.header)
         notes = note_on_undeclared(source)
         for note in notes:
             warnings.warn(note, TerrainwaveWarning, stacklevel=2)
@@ -182,15 +179,16 @@ def patch(
         n_recoded, n_copied = patcher.code()
         if patcher.is_changed:
             with publish(final, overwrite=True, is_update=True) as part:
-                assemble(part.file, patcher.header, patcher.sink.spools)
-                error = patcher.prove(part.path)
+                extents = assemble(part.file, patcher.header, patcher.sink.spools)
+                error, digests = patcher.prove(part.path)
+                if digests is not None:
+                    append_digests(part.file, patcher.header, extents, digests)
             notes += forget_measured(path)
         else:
-            error = patcher.prove(final)
+            error, _ = patcher.prove(final)
         patcher.close()
         _log.info("%s: coded %d units, kept %d", path, n_recoded, n_copied)
         scale = abs(terrain.raster_info.scale)
-        before, after = (format_of(header) for header in (terrain.header, patcher.header))
     return PatchResult(
         path=os.fspath(path),
         n_bytes=os.path.getsize(final),
@@ -198,23 +196,25 @@ def patch(
         n_copied=n_copied,
         effective_error=patcher.header.effective_bound * scale,
         measured_error=max(error, patcher.stated_error) * scale,
-        moved_error=0.0,
         units=terrain.units,
-        format=after,
-        notes=[
-            *merged.notes,
-            *notes,
-            *([] if after == before else [_note_on_format(before, after)]),
-            *taken_up(kept),
-        ],
+        notes=[*merged.notes, *notes, *taken_up(kept)],
     )
 
 
-def _note_on_format(before: str, after: str) -> str:
-    return (
-        f"the file is of format {after} now, and was of {before}, whose readers refuse it; patched"
-        " with the original it keeps its format (docs/patching.md)"
-    )
+def _refuse_unfit(path: str | os.PathLike[str], header: Header) -> None:
+    """Raise `InvalidHeightsError` for a file that cannot be patched."""
+    method = METHODS[header.method]
+    if not method.is_patchable:
+        fit = methods_that(lambda method: method.is_patchable)
+        raise InvalidHeightsError(
+            f"{path} has method {method.name}; only files of method {fit} can be patched:"
+            " compress the whole raster again"
+        )
+    if header.bound_side != "both":
+        raise InvalidHeightsError(
+            f"{path} has heights {header.bound_side} the originals only, which a patch would not"
+            " keep: compress the whole raster again"
+        )
 
 
 # What the metadata say of losses before: known again where a patch covers all.
@@ -246,7 +246,7 @@ class _Patcher:
             quantizer,
             self._grid,
             kind=terrain.pyramid,
-            has_voids=terrain.raster_info.mask_kind != "none",
+            has_voids=merged.has_voids,
             directory=directory,
             executor=executor,
         )
@@ -265,9 +265,9 @@ class _Patcher:
         )  # fmt: skip
         stats = encoder.run(self._executor)
         self.header = self._bounded_header()
-        features = self.header.features & ~CORRECTIONS_FEATURE
-        if encoder.has_corrections:
-            features |= CORRECTIONS_FEATURE
+        features = self.header.features & ~HAS_CORRECTIONS
+        features |= HAS_VOIDS if self._merged.has_voids else 0
+        features |= HAS_CORRECTIONS if encoder.has_corrections else 0
         self.header = replace(self.header, features=features)
         index = PatchedIndex(
             self._terrain, self.header, self._merged, self._pyramid, self.sink, self._executor,
@@ -284,7 +284,7 @@ class _Patcher:
         old = replace(old, metadata=without_origin(old.metadata))
         if not old.moved or not self._merged.covers(Region(0, 0, *self._terrain.shape)):
             return old
-        # What earlier patches have moved is known again.
+        # What was lost before is known again.
         metadata = {key: value for key, value in old.metadata.items() if key not in _OF_BEFORE}
         bound = old.quantizer.effective_error
         return replace(
@@ -303,11 +303,20 @@ class _Patcher:
         shape = self._grid.n_rows * self._grid.n_cols
         return self._reporter.counter(stage, shape, self._terrain.dtype.itemsize)
 
-    def prove(self, path: str | os.PathLike[str]) -> float:
-        """Decode the result; return the largest error where the new raster is, in raw units.
+    def prove(self, path: str | os.PathLike[str]) -> tuple[float, DigestTree | None]:
+        """Decode the result.
+
+        Returns
+        -------
+        error : float
+            The largest where the new raster is, in raw units.
+        digests : DigestTree or None
+            The digests of all heights, if the file has digests.
 
         Raises
         ------
+        CorruptStreamError
+            If the file's digests were not those of its heights before.
         BoundViolationError
             If a sample is further than the bound from the new raster, or one elsewhere is not what
             it was.
@@ -317,24 +326,44 @@ class _Patcher:
         count = self._count("proving")
         with TerrainFile(path, threads=1, native=False) as result:
 
-            def compare(region: Region) -> float:
+            def compare(region: Region) -> Proved:
                 part = region.intersect(self._merged.place)
-                largest = 0.0
+                found = NOTHING
                 if part.n_rows and part.n_cols:
-                    largest = compare_window(result, self._merged, part, allowed)
+                    found = compare_window(result, self._merged, part, allowed, False)
                 if part != region:
                     self._compare_rest(result, region)
+                if self.header.has_digests:
+                    tiles = tile_digests(region, *result.read_with_mask(region))
+                    found = found._replace(tiles=tiles)
                 count(region.n_rows * region.n_cols)
-                return largest
+                return found
 
-            def compare_all(share: list[Region]) -> float:
-                return max(map(compare, share))
+            def compare_all(share: list[Region]) -> Proved:
+                return together(map(compare, share))
 
             shares = proof_shares(self._grid)
             compared = partial(self._executor.map, compare_all)
-            proven = proven_shares(path, shares, compared, self._kept)
-            largest = max(error for _, error in proven)
-        return measured_error(largest, quantizer)
+            largest, tiles = 0.0, TileDigests(self._terrain.shape)
+            for _, found in proven_shares(path, shares, compared, self._kept):
+                largest = max(largest, found.error)
+                tiles.add(found.tiles)
+        return measured_error(largest, quantizer), self._new_digests(tiles.tree())
+
+    def _new_digests(self, found: DigestTree) -> DigestTree | None:
+        """Return the digests found, if the file has some: beyond the new raster they stay."""
+        before = self._terrain.container.digests()
+        if before is None:
+            return None
+        place = self._merged.place
+        for leaf in found.differences(before):
+            if not all(leaf.intersect(place).shape):
+                raise CorruptStreamError(
+                    f"the digest of {leaf.n_rows} x {leaf.n_cols} samples from row {leaf.row},"
+                    f" column {leaf.col} is not that of their heights, which the new raster does"
+                    " not cover: check the file (terrainwave verify)"
+                )
+        return found
 
     def _compare_rest(self, result: TerrainFile, region: Region) -> None:
         """Raise unless samples that the new raster does not cover are what they were."""

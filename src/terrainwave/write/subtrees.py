@@ -53,7 +53,14 @@ from terrainwave.write.boxes import (
 )
 from terrainwave.write.encoder import Stats, TreeEncoder
 from terrainwave.write.job import Job
-from terrainwave.write.passes.proof import Comparison, allowed_error, shares_in_turns, unproved
+from terrainwave.write.passes.proof import (
+    Comparison,
+    Proved,
+    allowed_error,
+    shares_in_turns,
+    together,
+    unproved,
+)
 from terrainwave.write.pyramid import Pyramid, SubtreeRegion
 
 _CACHE_BYTES = 64 << 20
@@ -405,7 +412,7 @@ def finish_subtree(site: Site, head: Block, last_round: int | None) -> FinishedS
         return parts_of_blocks(grid, section)
 
     with _bench(site.raster) as bench, _stored_mesher(site, parts) as (mesher, stored):
-        if site.job.options.mesh in STORED_KINDS:
+        if site.job.options.mesh_kind in STORED_KINDS:
             state = BorderState.from_arrays(
                 site.depot.load(_state_name(site, head, last_round or 0))
             )
@@ -455,8 +462,8 @@ def _finished_spools(
 # Pass C
 
 
-def prove_region(site: Site, path: str | os.PathLike[str], region: Region) -> float:
-    """Return the largest difference between a finished file and the raster, in raw units.
+def prove_region(site: Site, path: str | os.PathLike[str], region: Region) -> Proved:
+    """Return the largest difference between a finished file and the raster, and digests of tiles.
 
     Raises
     ------
@@ -469,6 +476,6 @@ def prove_region(site: Site, path: str | os.PathLike[str], region: Region) -> fl
         site.raster.open() as source,
         TerrainFile(path, threads=1, cache_bytes=_CACHE_BYTES, native=False) as terrain,
     ):
-        comparison = Comparison(terrain, source, allowed)
+        comparison = Comparison(terrain, source, allowed, job.options.makes_digests)
         shares = shares_in_turns(site.grid, unproved(terrain, source, site.grid, region))
-        return max(map(comparison.all, shares), default=0.0)
+        return together(map(comparison.all, shares))

@@ -54,7 +54,7 @@ def encode_tiles(
     coder = TileCoder(pyramid)
     if not options.is_embedded:
         return TileEncoder(job.grid, parameters, pyramid, coder, sink, on_samples).run(executor)
-    layout = TileLayout(job.grid, parameters.has_fills)
+    layout = TileLayout(job.grid, parameters.has_voids)
     with closing(EmbeddedSource(coder, layout, directory)) as source:
         source.code(executor, on_samples)
         if options.rate is not None:
@@ -92,7 +92,7 @@ class TileEncoder(UnitEncoder):
         on_samples: Callable[[int], None],
     ) -> None:
         super().__init__(grid, parameters, pyramid, sink, on_samples)
-        self._layout = TileLayout(grid, parameters.has_fills)
+        self._layout = TileLayout(grid, parameters.has_voids)
         self._source = source
         # Decoded tiles with units to come, and how many; the heads of tiles to come.
         self._tiles: dict[Block, list[LevelHeights]] = {}

@@ -6,7 +6,7 @@
 import sys
 from pathlib import Path
 
-__version__ = "1.1.0.dev0"
+__version__ = "1.0.0.dev0"
 
 _SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 LIBRARY = Path(__file__).with_name(f"libterrainwave{_SUFFIX}")

@@ -37,8 +37,6 @@ from terrainwave.cli.output import (
 )
 from terrainwave.cli.own_options import (
     CommandWithOwnOptions,
-    MeshKind,
-    former_options,
     own_option,
     with_own_options,
 )
@@ -50,7 +48,7 @@ from terrainwave.names import (
     DEFAULT_MESH,
     DEFAULT_METHOD,
     EFFORTS,
-    FORMATS,
+    MESH_KINDS,
     SMALLEST_METHOD,
 )
 from terrainwave.place.meaning import KINDS
@@ -77,8 +75,8 @@ from terrainwave.progress import ProgressCallback
 @click.option(
     "--effort", type=click.Choice(EFFORTS), default=DEFAULT_EFFORT, show_default=True, help=EFFORT
 )
-@click.option("--mesh", type=MeshKind("none"), default=DEFAULT_MESH, show_default=True,
-              help="Kind of the meshes of all blocks.")  # fmt: skip
+@click.option("--mesh", type=click.Choice([*MESH_KINDS, "none"]), default=DEFAULT_MESH,
+              show_default=True, help="Kind of the meshes of all blocks.")  # fmt: skip
 @own_option(
     "Set an option of the method or of the kind of meshes. To list them, add"
     " --method METHOD or --mesh KIND before --help."
@@ -118,13 +116,6 @@ from terrainwave.progress import ProgressCallback
 )
 @click.option("--block", type=BlockSide(), default=256, show_default=True,
               help="Cells on each side of a block.")  # fmt: skip
-@click.option(
-    "--format",
-    type=click.Choice(FORMATS),
-    default=FORMATS[-1],
-    show_default=True,
-    help=f"Format of the file; terrainwave 1.0 reads {FORMATS[0]} only.",
-)
 @click.option("--nodata", type=Nodata(),
               help="Value that marks voids, besides the raster's own; only:V replaces"
                    " that, none drops it.")  # fmt: skip
@@ -140,6 +131,12 @@ from terrainwave.progress import ProgressCallback
     type=click.Choice(KINDS),
     help="What the numbers are. Depths and radii (distances from the centre of the body) are stored"
     " as they are and turned on the globe, in meshes and views. Default: as the raster says.",
+)
+@click.option(
+    "--digest/--no-digest",
+    default=None,
+    help="Store digests (SHA-256) of the heights, by which verify finds any change; info prints"
+    " their root. Default: yes, unless --no-verify.",
 )
 @click.option("--no-verify", is_flag=True, help="Do not decode and compare every sample.")
 @resumable
@@ -157,7 +154,6 @@ from terrainwave.progress import ProgressCallback
     " attempts), and print a table of the passes.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-@former_options
 @batched
 @writing
 def compress(

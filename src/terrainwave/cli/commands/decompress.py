@@ -81,10 +81,10 @@ if TYPE_CHECKING:
 @click.option(
     "--voids",
     metavar="exact|any|lowest|fill|HEIGHT",
-    help="Voids in the GeoTIFF of a coarse level: exact, where the full grid is void (default, if"
-    " the file has this), or any, only where all samples around are void; other samples then have"
-    " the height of their neighbours. Height of voids in a height tile: lowest (default), fill"
-    " (that of their neighbours) or a number.",
+    help="Voids in the GeoTIFF of a coarse level: exact, where the full grid is void (default), or"
+    " any, only where all samples around are void; other samples then have the height of their"
+    " neighbours. Height of voids in a height tile: lowest (default), fill (that of their"
+    " neighbours) or a number.",
 )
 @click.option(
     "--on-error",

@@ -61,18 +61,19 @@ def info(file: str, as_json: bool, stac: bool, threads: int | None, **more: Any)
     if as_json:
         print_json(summary.to_dict() | found.to_dict())
         return
-    print_table(_info_rows(summary, found.n_voids))
+    print_table(_info_rows(summary, found))
     found.print(summary)
 
 
 @dataclass(frozen=True)
 class _Found:
-    """What options ask for; None where they do not."""
+    """What options ask for, None where they do not; and the root of the digests, if any."""
 
     parts: Any
     level_errors: Any
     n_voids: int | None
     meshes: Any
+    root: str | None
 
     @classmethod
     def of(
@@ -87,6 +88,7 @@ class _Found:
             level_errors=None if errors is None else level_errors(terrain, errors),
             n_voids=terrain.count_voids() if voids else None,
             meshes=mesh_levels(terrain) if meshes else None,
+            root=terrain.digest(),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -97,6 +99,7 @@ class _Found:
             "level_errors": None if errors is None else errors.heights,
             "level_mesh_errors": None if errors is None else errors.meshes,
             "n_voids": self.n_voids,
+            "root": self.root,
             "meshes": None if self.meshes is None else [level._asdict() for level in self.meshes],
         }
         return {name: value for name, value in fields.items() if value is not None}
@@ -122,8 +125,9 @@ def files_before(earlier: Any) -> str:
 def _voids_in_words(info: Any, n_voids: int | None) -> str:
     if info.minimum is None:
         return "all samples"
+    if not info.has_voids:
+        return "none"
     kind = {
-        "none": "none",
         "nodata": f"marked by the value {info.nodata}",
         "nan": "marked by NaN",
         "mask": "marked by a mask",
@@ -139,7 +143,7 @@ def _print_parts(parts: Any) -> None:
     rows += [("index", parts.index), ("heights", sum(parts.heights))]
     if len(parts.heights) > 1:
         rows += [(f"  level {level}", size) for level, size in enumerate(parts.heights)]
-    rows.append(("meshes", parts.meshes))
+    rows += [("meshes", parts.meshes), ("digests", parts.digests)]
     total = sum(size for name, size in rows if not name.startswith(" "))
     print_grid(
         ["part", "bytes", "share"],
@@ -171,7 +175,7 @@ def _print_level_errors(shapes: Any, errors: Any) -> None:
     print_grid(heads[: 3 + len(columns)], rows)
 
 
-def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
+def _info_rows(info: Any, found: _Found) -> list[tuple[str, object]]:
     unit = unit_behind(info.units)
     crs = crs_name(info.crs)
     if crs != info.crs and info.crs:
@@ -194,23 +198,22 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
         ("bits/sample", f"{info.bits_per_sample:.4g}, {info.ratio:.4g} times smaller than raw"),
         (
             "max error",
-            f"asked {info.max_error:.6g}, holds {info.effective_error:.6g}{unit}{floats}",
+            f"asked {info.max_error:.6g}, holds {info.effective_error:.6g}{unit}{floats}"
+            + _SIDES[info.bound],
         ),
         (
             "moved",
-            f"{info.moved_error:.6g}{unit} of it from patches or an earlier file"
-            if info.moved_error
-            else "",
+            f"{info.moved_error:.6g}{unit} of it from an earlier file" if info.moved_error else "",
         ),
         ("made from", files_before(info.earlier)),
         ("quantum", f"{info.quantum:.6g}{unit}"),
         ("heights", extent + _MEANINGS[info.heights_are]),
         ("unit", _unit_in_words(info)),
-        ("voids", _voids_in_words(info, n_voids)),
+        ("voids", _voids_in_words(info, found.n_voids)),
         ("method", f"{info.method}, {way}, border rings {info.border_rings}"),
-        ("format", info.format),
         ("block", f"{info.block} x {info.block} cells"),
         ("mesh", info.mesh if info.mesh == "none" else f"{info.mesh}, {tolerance}"),
+        ("root of heights", found.root or ""),
         ("levels", f"{info.n_levels}: {levels}"),
         ("nodata", "none" if info.nodata is None else info.nodata),
         ("CRS", crs),
@@ -227,6 +230,11 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
     return [(name, value) for name, value in rows if value != ""]
 
 
+_SIDES = {
+    "both": "",
+    "above": "; no height is below its original",
+    "below": "; no height is above its original",
+}
 _MEANINGS = {
     "height": "",
     "depth": " (depths: they go down)",

@@ -35,11 +35,11 @@ from terrainwave.cli.output import (
 )
 from terrainwave.cli.own_options import (
     CommandWithOwnOptions,
-    MeshKind,
     own_option,
     with_own_options,
 )
 from terrainwave.errors import InvalidArgumentError
+from terrainwave.names import DEFAULT_MESH, MESH_KINDS
 
 # What --store takes, what it shares with meshes in files of their own, and what these take that
 # have a goal.
@@ -132,7 +132,11 @@ _OF_ONE_MESH = {"max_triangles", "level", "loose"}
     is_flag=True,
     help="Make a copy of FILE with meshes stored in it; TARGET is a .twz.",
 )
-@click.option("--mesh", type=MeshKind(), help="With --store: kind of the meshes. Default: halves.")
+@click.option(
+    "--mesh",
+    type=click.Choice(MESH_KINDS),
+    help="With --store: kind of the meshes. Default: halves.",
+)
 @own_option(
     "With --store: set an option of the kind of meshes. To list them, name it: --mesh KIND --help."
 )
@@ -208,7 +212,7 @@ def _store_meshes(
 ) -> None:
     import terrainwave
 
-    options |= with_own_options(own, {"mesh": mesh or "auto"})
+    options |= with_own_options(own, {"mesh": mesh or DEFAULT_MESH})
     check_ending(target, TWZ_ENDINGS)
     announce_compiling(quiet=quiet)
     with reading(file), Bar(quiet=quiet) as bar:

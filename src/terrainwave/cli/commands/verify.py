@@ -43,6 +43,11 @@ from terrainwave.progress import ProgressCallback
 @click.option("--part", is_flag=True,
               help="ORIGINAL covers a part of FILE, such as the raster of a patch: compare that"
               " part only.")  # fmt: skip
+@click.option(
+    "--root",
+    metavar="HEX",
+    help="Published root of FILE's heights, as info prints it: without ORIGINAL.",
+)
 @click.option("--mesh", is_flag=True, help="Check errors, borders and coverage of all meshes, too.")
 @THREADS_OPTION
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing; the exit status is the result.")
@@ -81,13 +86,17 @@ def _verify(
         _refuse_unfit_without_original(ctx)
     file = Input().convert(path, None, ctx)
     raster = None if original is None else Input().convert(original, None, ctx)
+    if original is not None and options["root"] is not None:
+        raise click.UsageError(
+            "found --root and ORIGINAL, expected one of them: the root stands for FILE's heights"
+        )
     announce_compiling(quiet=quiet)
     with reading(file), Bar(quiet=quiet) as bar:
         report = terrainwave.verify(file, raster, progress=bar, **options)
     if as_json:
         print_json(report.to_dict())
     elif not quiet:
-        _print_report(report)
+        _print_report(report, options["root"])
     finish(int(not report.ok))
 
 
@@ -141,6 +150,8 @@ def _verify_all(
         )
 
     _refuse_meshes_of_a_part(**options)
+    if options["root"] is not None:
+        raise click.UsageError("found --root and several files, expected one FILE")
     if originals is None:
         _refuse_unfit_without_original(click.get_current_context())
     announce_compiling(quiet=quiet)
@@ -153,7 +164,7 @@ def _verify_all(
     )  # fmt: skip
 
 
-def _print_report(report: Any) -> None:
+def _print_report(report: Any, root: str | None) -> None:
     from terrainwave.verification.original import place_text
 
     for problem in report.problems:
@@ -179,11 +190,22 @@ def _print_report(report: Any) -> None:
         print_note("no height was compared: there is none that is valid in both")
     if report.original is None:
         click.echo("no heights compared: give the ORIGINAL raster for that")
+        if report.ok and (root or report.root):
+            click.echo(_digests_in_words(report.root, root))
         if report.earlier:
             click.echo(f"made from {files_before(report.earlier)}")
     if report.mesh is not None:
         _print_meshes(report.mesh)
     click.echo("ok" if report.ok else "not ok")
+
+
+def _digests_in_words(own: str | None, published: str | None) -> str:
+    if published is not None:
+        return "the heights and where they lie are those of the published root"
+    return (
+        f"consistent: the heights are those of the file's own digests, root {own} (--root compares"
+        " with a published root)"
+    )
 
 
 def _print_meshes(report: Any) -> None:

@@ -179,7 +179,7 @@ def unpack_head(spec: TileSpec, payload: bytes) -> tuple[TileHead, int]:
     if not payload:
         raise TruncatedStreamError("a tile has no head")
     flags = payload[0]
-    if flags & ~HAS_MASKS:
+    if flags & ~(HAS_MASKS if spec.has_voids else 0):
         raise CorruptStreamError(f"a tile's flags are {flags:#04x}; reserved bits must be 0")
     pos = 1
     masks = []
@@ -284,6 +284,8 @@ def decode_tile(
         If the bytes contradict the format.
     """
     if not payload:
+        if not spec.has_voids:
+            raise CorruptStreamError("a tile without a payload in a file without voids")
         return [
             LevelHeights(region, np.zeros(region.shape, dtype=np.int32), all_void(region.shape))
             for region in spec.regions

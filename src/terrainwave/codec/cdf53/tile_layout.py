@@ -23,8 +23,8 @@ class TileSpec:
 
     `first` … `last` are the levels it holds and `regions` its samples on each; `outer` is its
     head's block; `held` says which of its sides border on other tiles (sum of
-    `lifting53.HELD_TOP` …), `n_below` how many levels are finer than `last`; `has_fills` says
-    whether the file tells which samples of coarse levels are fills.
+    `lifting53.HELD_TOP` …), `n_below` how many levels are finer than `last`; `has_voids` says
+    whether samples may be void.
     """
 
     key: Block
@@ -35,7 +35,7 @@ class TileSpec:
     held: int
     n_transforms: int
     n_below: int
-    has_fills: bool = False
+    has_voids: bool = True
 
     @property
     def region(self) -> Region:
@@ -57,7 +57,7 @@ class TileLayout:
     """How the units of a grid are gathered into tiles."""
 
     grid: Grid
-    has_fills: bool = False
+    has_voids: bool = True
 
     @cached_property
     def depth(self) -> int:
@@ -137,7 +137,7 @@ class TileLayout:
             held=held,
             n_transforms=self._root_transforms() if key.is_root_key else self.depth,
             n_below=grid.k_max - last,
-            has_fills=self.has_fills,
+            has_voids=self.has_voids,
         )
 
     def _root_transforms(self) -> int:

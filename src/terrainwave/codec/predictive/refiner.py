@@ -192,7 +192,6 @@ class PredictiveRefiner:
         heights: HeightsOf,
         mask: MaskOf,
         *,
-        may_have_reach: bool = True,  # noqa: ARG002, as all readers know these tables
         each: Each = map,  # noqa: ARG002, as this takes little beside coding
     ) -> "PredictiveRefiner":
         """Return a refiner with tables fitted to a raster, where they are worth their bytes.

@@ -1,4 +1,4 @@
-"""Choose and fit the tables of a file of method `rapid` (encoder only).
+"""Choose and fit the tables of a file (encoder only).
 
 A few windows of the full grid, chosen by position alone, stand for the raster. Stencils follow from
 them open loop (`fit_stencils`); then they are coded as if each were a file of its own, and the
@@ -7,207 +7,79 @@ symbols counted. All in whole numbers: the same raster gives the same tables eve
 
 from dataclasses import replace
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.planes import FileStencil
-from terrainwave.codec.rapid import trained
-from terrainwave.codec.rapid.coder import UnitCoder
 from terrainwave.codec.rapid.file_tables import (
-    CODE_OF_FREQ,
-    FREQ_OF_CODE,
-    N_CLASSES,
-    PLANES,
+    EXISTS,
+    LEAST,
+    MOST_K,
+    N_FAMILIES,
+    N_KINDS_OF_STEPS,
+    NUMBER_OF_CODE,
+    RESTS,
     FileTables,
-    Tables,
-    default_codes,
-    default_freqs,
-    rest_symbols,
+    annex,
+    codes_of,
+    family_of,
+    freqs_of,
+    plain_tables,
+    stencils_from,
 )
 from terrainwave.codec.rapid.fit_stencils import COST_UNIT, candidates, stencils_cost
-from terrainwave.codec.rapid.fit_weights import fit_magnitude, weights_bits
-from terrainwave.codec.rapid.fit_weights.samples import Counter, Seen, look_at
-from terrainwave.codec.rapid.magnitude import N_CONTEXTS
-from terrainwave.codec.rapid.symbols import ESCAPE, ESCAPE_BITS, N_SYMBOLS, low_bits
-from terrainwave.codec.rapid.trained import N_STEPS, family_of
+from terrainwave.codec.rapid.fit_weights import (
+    Counts,
+    Observer,
+    count_by_class,
+    fit_magnitude,
+    gathered,
+)
+from terrainwave.codec.rapid.symbols import (
+    ESCAPED,
+    N_CLASSES,
+    N_SLOTS,
+    N_SYMBOLS,
+    N_TABLES,
+    PAIR_ESCAPE,
+    PAIR_LIMIT,
+    SINGLE_ESCAPE,
+    SINGLE_LIMIT,
+    SINGLES,
+    SLOT_BITS,
+    STEP_CLASS,
+    Frequencies,
+)
+from terrainwave.codec.rapid.tables import Tables
+from terrainwave.codec.rapid.unit import UnitCoder
 from terrainwave.codec.refiner import Each, GroupSpec, Heights, Mask
-from terrainwave.coding.rans import N_SLOTS, SYMBOL_BITS
 from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.sample_windows import HeightsOf, MaskOf, spread_windows
+
+Whole = NDArray[np.int64]
+_Coder = TypeVar("_Coder", bound=UnitCoder)
 
 # Samples a side of a window, and samples of the raster for one; from 2 to 16 windows in all.
 _WINDOW = 257
 _SHARE = 1 << 17
 _LEAST_WINDOWS, _MOST_WINDOWS = 2, 16
-# Where there are more than 4, so many samples a side of at most 4 decide on stencils.
-_MOST_WHOLE, _FEW, _MOST_DECIDING = 4, 129, 4
-# And at most so many on weights of features and on contexts.
+# So many samples a side of at most so many windows decide on stencils.
+_FEW, _MOST_DECIDING = 193, 4
+# And at most so many on weights, family and cut.
 _MOST_LOOKED_AT = 4
 _MIN_SAMPLES = 300
-_COST_OF_NONE = COST_UNIT * (11 + ESCAPE_BITS)  # of a symbol that takes an escape
-_FREQ_BITS = 3
-# A context starts from its trained frequencies as if it had been seen so often.
+# Bits of what a symbol of a sample says no more, about; and of two samples of a pair without one.
+_BEYOND_BITS, _ESCAPED_BITS = 11, 10
+# A table starts from its trained frequencies as if it had been seen so often.
 _PRIOR = 240
-_RAREST = N_SLOTS * ESCAPE_BITS * 2 // 3
-_SAVED_BY_REACH = 1 / 256
-# Bits of the samples that a weight is fitted to, which it saves by chance.
-_SAVED_BY_CHANCE = 0.5
-_SAVED_BY_WEIGHTS = 1 / 1024
-
-
-def fit_tables(
-    grid: Grid, step: int, heights: HeightsOf, mask: MaskOf, *,
-    may_have_reach: bool = True, each: Each = map,
-) -> FileTables:  # fmt: skip
-    """Return the tables for a raster; `heights` and `mask` return a region of a level.
-
-    Windows are coded by `each`, side by side.
-    """
-    n_windows = min(max(grid.n_rows * grid.n_cols // _SHARE, _LEAST_WINDOWS), _MOST_WINDOWS)
-    windows, masks = spread_windows(grid, heights, mask, _WINDOW, n_windows)
-    defaults = ((FileStencil(0),) * len(PLANES),) * N_CLASSES
-    tables = FileTables(grid.k_max, family_of(step), defaults, {})
-    if int(np.count_nonzero(masks)) < _MIN_SAMPLES:
-        return tables
-    share = grid.n_rows * grid.n_cols / masks.size
-    best, plain = best_tables(
-        tables, windows, masks, step, share, may_have_reach=may_have_reach, each=each
-    )
-    whole = _Sample(windows, masks, step, share)
-    fitted, cost = _fitted(best, whole, each)
-    # A raster of few windows has about their sides, which may cost more than is saved inside.
-    if best is not plain and len(windows) <= _MOST_WHOLE:
-        other, cost_of_plain = _fitted(plain, whole, each)
-        if cost + COST_UNIT * weights_bits(best.weights) >= cost_of_plain:
-            return other
-    return fitted
-
-
-def best_tables(
-    tables: FileTables,
-    windows: Heights,
-    masks: Mask,
-    step: int,
-    share: float,
-    *,
-    may_have_reach: bool = True,
-    each: Each = map,
-) -> tuple[FileTables, FileTables]:
-    """Return tables with the stencils, then the family, that make parts of the windows smallest.
-
-    And the best of those without weights of features of their own, which may be the same.
-    """
-    every = np.s_[:: -(-len(windows) // _MOST_DECIDING)]
-    few = (every, *np.s_[:_FEW, :_FEW]) if len(windows) > _MOST_WHOLE else (every,)
-    some = _Sample(windows[few], masks[few], step, share * windows.size / windows[few].size, True)
-    least = np.inf
-    for stencils in dict.fromkeys(candidates(windows, masks, step, share, each)):
-        other = tables._replace(stencils=stencils)
-        cost = _fitted(other, some, each)[1]
-        if cost < least:
-            best, least = other, cost
-    return _with_contexts(
-        best, _look(best, _Sample(windows, masks, step, share), each), may_have_reach
-    )
-
-
-class _Looked(NamedTuple):
-    """Samples of windows that were coded, what counts their symbols, and what they stand for.
-
-    `share` is how many samples of the raster one that is counted stands for, `alone` how many one
-    of those that weights are fitted to.
-    """
-
-    seen: Seen
-    counter: Counter
-    step: int
-    share: float
-    alone: float
-    each: Each
-
-    def costs(self, tables: list[FileTables]) -> list[float]:
-        """Return about what the file costs with each of these tables (`cost`)."""
-        return list(self.each(self.cost, tables))
-
-    def cost(self, tables: FileTables) -> float:
-        """Return about what the file costs with tables of the same stencils, in 1/64 bit."""
-        cost = fit_codes(tables.family, self.counter.counts(Tables(tables)), self.share)[1]
-        if tables.weights is None:
-            return cost
-        # Some of what they save of the samples that they were fitted to is chance.
-        by_chance = _SAVED_BY_CHANCE * tables.weights.size * self.alone
-        return cost + COST_UNIT * (weights_bits(tables.weights) + by_chance)
-
-
-def _look(tables: FileTables, sample: "_Sample", each: Each) -> _Looked:
-    """Code some of the windows with tables and look at their samples."""
-    every = np.s_[:: -(-len(sample.windows) // _MOST_LOOKED_AT)]
-    windows, masks, read = sample.windows[every], sample.masks[every], Tables(tables)
-    if sample.step > 1:
-        some = _Sample(windows, masks, sample.step, sample.share, is_inner=True)
-        windows = np.stack(_coded(read, some, each)[1])
-    seen = look_at(windows, masks, read, sample.step, each)
-    counter = Counter(seen, sample.step)
-    n_samples = sample.share * sample.windows.size / windows.size * np.count_nonzero(masks)
-    share, alone = (n_samples / max(n, 1) for n in (counter.n_counted, counter.n_samples))
-    return _Looked(seen, counter, sample.step, share, alone, each)
-
-
-def _with_contexts(
-    tables: FileTables, looked: _Looked, may_have_reach: bool
-) -> tuple[FileTables, FileTables]:
-    """Return tables with the family, and the weights, by which the file gets smallest.
-
-    And the best of those without weights of their own.
-    """
-    families = _families(tables)[: 4 if may_have_reach else 2]
-    plain, featured, *by_reach = looked.costs([tables._replace(family=own) for own in families])
-    # Other features, then what takes a reader of format 1.1: other contexts, which take a little
-    # longer to decode, and weights of the file's own.
-    has_others = featured < plain
-    best, least = tables._replace(family=families[has_others]), min(plain, featured)
-    if may_have_reach:
-        cost = by_reach[has_others]
-        if cost < least * (1 - _SAVED_BY_REACH):
-            best, least = best._replace(family=families[2 + has_others]), cost
-        return _with_weights(best, least, looked), best
-    return best, best
-
-
-def _families(tables: FileTables) -> list[int]:
-    """Return the families of a step: with each table of features by the mean, then by reach."""
-    first, reach = tables.family % N_STEPS, trained.N_FAMILIES
-    return [first, first + N_STEPS, first + reach, first + N_STEPS + reach]
-
-
-def _with_weights(tables: FileTables, least: float, looked: _Looked) -> FileTables:
-    """Return tables with weights of features of their own if the file costs less than `least`.
-
-    With the trained frequencies and contexts that suit them; of all classes, or the finest alone.
-    """
-    weights = fit_magnitude(looked.seen, Tables(tables), looked.step)
-    if weights is None:
-        return tables
-    best, smallest, reach = tables, np.inf, trained.N_FAMILIES
-    families = _families(tables)
-    for some_classes in ((N_CLASSES,), (2, 1)):
-        others = [
-            tables._replace(family=family, weights=weights[:n_classes])
-            for n_classes in some_classes
-            for family in families
-        ]
-        for other, cost in zip(others, looked.costs(others), strict=True):
-            if tables.family >= reach:  # the file takes a reader of format 1.1 anyway
-                most = least
-            else:
-                is_more = other.family >= reach
-                most = least * (1 - (_SAVED_BY_REACH if is_more else _SAVED_BY_WEIGHTS))
-            if cost < min(most, smallest):
-                best, smallest = other, cost
-        families = [best.family]
-    return best
+# Pairs as rare as this share of a slot take the escape, in hundredths.
+_RARE = 45
+# Bits that a code must save to be another than the trained one, of those of weights and of all.
+_KEPT_BITS, _OWN_BITS = 3.0, 8.0
+_WEIGHT_BITS, _BY_CHANCE = 3.0, 0.5
+# No pair above this class: its escapes would cost more.
+_MOST_CUT = STEP_CLASS + 6
 
 
 class _Sample(NamedTuple):
@@ -220,105 +92,254 @@ class _Sample(NamedTuple):
     masks: Mask
     step: int
     share: float
-    is_inner: bool = False
+
+    def part(self, of: Any) -> "_Sample":
+        """Return some of the windows, or parts of them."""
+        windows, masks = self.windows[of], self.masks[of]
+        n, of_part = int(np.count_nonzero(self.masks)), int(np.count_nonzero(masks))
+        return _Sample(windows, masks, self.step, self.share * n / max(of_part, 1))
 
 
-def _fitted(tables: FileTables, sample: _Sample, each: Each) -> tuple[FileTables, float]:
-    """Return tables with frequencies, and about what the file costs with them, in 1/64 bit."""
-    symbols = _coded(Tables(tables), sample, each)[0]
-    share = sample.share * np.count_nonzero(sample.masks) / max(int(symbols.sum()), 1)
-    codes, cost = fit_codes(tables.family, symbols, share)
-    return tables._replace(codes=codes), cost + stencils_cost(tables.stencils)
+def fit_tables(
+    grid: Grid, step: int, heights: HeightsOf, mask: MaskOf, *, each: Each = map
+) -> FileTables:
+    """Return the tables for a raster; `heights` and `mask` return a region of a level.
+
+    Windows are coded by `each`, side by side.
+    """
+    n_windows = min(max(grid.n_rows * grid.n_cols // _SHARE, _LEAST_WINDOWS), _MOST_WINDOWS)
+    windows, masks = spread_windows(grid, heights, mask, _WINDOW, n_windows)
+    tables = plain_tables(min(grid.k_max, MOST_K), family_of(step))
+    if int(np.count_nonzero(masks)) < _MIN_SAMPLES:
+        return tables
+    return fit_windows(
+        tables, _Sample(windows, masks, step, grid.n_rows * grid.n_cols / masks.size), each
+    )
 
 
-# Counts and frequencies -------------------------------------------------------------------------
+def fit_windows(tables: FileTables, sample: _Sample, each: Each = map) -> FileTables:
+    """Return tables fitted to windows, from those of a family on."""
+    tables = _with_stencils(tables, sample, each)
+    every = -(-len(sample.windows) // _MOST_LOOKED_AT)
+    tables, counts = with_weights(tables, sample.part(np.s_[::every]), each)
+    others = np.arange(len(sample.windows)) % every > 0
+    if others.any():
+        counts = counts + count(tables, sample.part(others), each)
+    codes, _ = fit_codes(tables, counts, sample.share)
+    return tables._replace(codes=codes)
 
 
-def count(
-    tables: FileTables, windows: Heights, masks: Mask, step: int, *,
-    is_inner: bool = False, each: Each = map,
-) -> NDArray[np.int64]:  # fmt: skip
-    """Code windows; return how often each symbol came: shape (N_CONTEXTS, N_SYMBOLS)."""
-    return _coded(Tables(tables), _Sample(windows, masks, step, 1.0, is_inner), each)[0]
+def _with_stencils(tables: FileTables, sample: _Sample, each: Each) -> FileTables:
+    """Return tables with the stencils that make parts of the windows smallest."""
+    every = -(-len(sample.windows) // _MOST_DECIDING)
+    some = sample.part(np.s_[::every, :_FEW, :_FEW])
+    tried = dict.fromkeys(candidates(sample.windows, sample.masks, sample.step, sample.share, each))
+    best, least = tables, np.inf
+    for stencils in tried:
+        other = tables._replace(stencils=stencils)
+        cost = fit_codes(other, count(other, some, each), some.share)[1] + stencils_cost(stencils)
+        if cost < least:
+            best, least = other, cost
+    return best
+
+
+def with_weights(tables: FileTables, sample: _Sample, each: Each = map) -> tuple[FileTables, Whole]:
+    """Return tables with the family, weights and cut by which windows get smallest.
+
+    And how often each symbol comes in these windows then.
+    """
+    seen = gathered([coder.samples for coder, _ in _coded(Observer, tables, sample, each)])
+    first, step, least = tables.family, sample.step, np.inf
+    fitted = fit_magnitude(seen, tables.weights, step)
+    n_changes = int(np.count_nonzero(fitted != tables.weights))
+    for weights, n_own, families in (
+        (tables.weights, 0, [first]),
+        (fitted, n_changes, range(first, N_FAMILIES, N_KINDS_OF_STEPS)),
+    ):
+        # Some of what fitted weights save of the samples that they were fitted to is chance.
+        n_bits = n_own * (_WEIGHT_BITS + _BY_CHANCE * sample.share)
+        by_class = count_by_class(seen, NUMBER_OF_CODE[weights], step)
+        for family in families:
+            cut = best_cut(by_class, family)
+            other = tables._replace(family=family, weights=weights, cut=cut)
+            counts = counts_of(by_class, cut)
+            cost = fit_codes(other, counts, sample.share)[1] + COST_UNIT * n_bits
+            if cost < least:
+                best, least = (other, counts), cost
+    return best
+
+
+# Counts -----------------------------------------------------------------------------------------
+
+
+def _for_counts(tables: FileTables) -> Tables:
+    """Return tables by which encoders log symbols: every pair has one."""
+    every, none = EXISTS.astype(np.uint32), np.zeros(1, dtype=np.uint32)
+    weights = NUMBER_OF_CODE[tables.weights]
+    frequencies = Frequencies(tables.cut, none, every, every)
+    return Tables(tables.k_max, stencils_from(tables), weights, frequencies)
 
 
 def _coded(
-    tables: Tables, sample: "_Sample", each: Each
-) -> tuple[NDArray[np.int64], list[Heights]]:
-    """Code windows as root blocks; return how often each symbol came, and the decoded heights."""
-    coder = UnitCoder(tables)
+    kind: type[_Coder], tables: FileTables, sample: _Sample, each: Each
+) -> list[tuple[_Coder, Whole]]:
+    """Code windows as root blocks; return of each its coder, and how often each symbol came."""
+    read = _for_counts(tables)
 
-    def code(window: tuple[Heights, Mask]) -> tuple[NDArray[np.int64], Heights]:
-        target, mask = window
-        counts = np.zeros((2, N_CONTEXTS << SYMBOL_BITS), dtype=np.int64)
-        if not mask.any():  # fills alone, which may be far from all heights
-            return counts, target
-        low, high = int(target.min()), int(target.max())
-        spec = GroupSpec.alone(Region(0, 0, *target.shape), sample.step, low, high)
-        spec = replace(spec, level=tables.k_max)
-        whole = None if mask.all() else mask
-        return counts, coder.count(spec, target, whole, counts, is_inner=sample.is_inner)
+    def code(window: tuple[Heights, Mask]) -> tuple[_Coder, Whole]:
+        (target, mask), coder = window, kind(read)
+        counts = np.zeros((N_TABLES, N_SYMBOLS), dtype=np.int64)
+        if mask.any():  # else fills alone, which may be far from all heights
+            low, high = int(target.min()), int(target.max())
+            spec = GroupSpec.alone(Region(0, 0, *target.shape), sample.step, low, high)
+            spec = replace(spec, level=tables.k_max)
+            coder.count(spec, None, target, None if mask.all() else mask, counts)
+        return coder, counts
 
-    found = list(each(code, list(zip(sample.windows, sample.masks, strict=True))))
-    counts = np.add.reduce([own for own, _ in found]).sum(0)
-    by_context = counts.reshape(N_CONTEXTS, 1 << SYMBOL_BITS)[:, :N_SYMBOLS]
-    return np.ascontiguousarray(by_context), [heights for _, heights in found]
+    return list(each(code, list(zip(sample.windows, sample.masks, strict=True))))
+
+
+def count(tables: FileTables, sample: _Sample, each: Each = map) -> Whole:
+    """Code windows; return how often each symbol came: shape (N_TABLES, N_SYMBOLS)."""
+    total: Whole = np.add.reduce([own for _, own in _coded(UnitCoder, tables, sample, each)])
+    return total
+
+
+def counts_of(counts: Counts, cut: int) -> Whole:
+    """Return how often each symbol comes with a cut, as `count` does."""
+    found = np.zeros((N_TABLES, N_SYMBOLS), dtype=np.int64)
+    found[:cut, : PAIR_ESCAPE + 1] = counts.pairs[:cut]
+    found[SINGLES : SINGLES + N_CLASSES, : SINGLE_ESCAPE + 1] = counts.singles[cut:].sum(0)
+    found[ESCAPED, : SINGLE_ESCAPE + 1] = counts.escaped[:cut].sum(0)
+    return found
+
+
+def best_cut(counts: Counts, family: int) -> int:
+    """Return the cut by which symbols cost least with the frequencies of a family."""
+    costs = _cost_table()[trained_freqs(family)]
+    costs[:N_CLASSES] = np.where(
+        trained_freqs(family)[:N_CLASSES] > 0, costs[:N_CLASSES], _cost_of_none(costs)[:, None]
+    )
+    of_pairs = (counts.pairs * costs[:N_CLASSES, : PAIR_ESCAPE + 1]).sum(1)
+    escaped = costs[ESCAPED, : SINGLE_ESCAPE + 1].copy()
+    escaped[SINGLE_ESCAPE] += COST_UNIT * _BEYOND_BITS
+    of_pairs += (counts.escaped * escaped).sum(1)
+    singles = costs[SINGLES : SINGLES + N_CLASSES, : SINGLE_ESCAPE + 1].copy()
+    singles[:, SINGLE_ESCAPE] += COST_UNIT * _BEYOND_BITS
+    singles += COST_UNIT * _raw_bits()[SINGLES : SINGLES + N_CLASSES, None]
+    of_singles = (counts.singles * singles).sum((1, 2))
+    totals = np.concatenate([[0], np.cumsum(of_pairs - of_singles)])
+    return int(totals[: _MOST_CUT + 1].argmin())
+
+
+# Frequencies ------------------------------------------------------------------------------------
 
 
 @cache
-def _cost_table() -> NDArray[np.int64]:
+def _cost_table() -> Whole:
     """Return -64 log2 of frequencies, rounded; none lies so near a half that machines differ."""
     freqs = np.arange(1, N_SLOTS + 1)
-    costs = np.rint(COST_UNIT * (np.log2(N_SLOTS) - np.log2(freqs))).astype(np.int64)
-    return np.concatenate([[_COST_OF_NONE], costs])
+    costs = np.rint(COST_UNIT * (SLOT_BITS - np.log2(freqs))).astype(np.int64)
+    return np.concatenate([[0], costs])
 
 
 @cache
-def _raw_bits() -> NDArray[np.int64]:
-    """Return how many low bits of a detail are raw, by context."""
-    return np.array([low_bits(context) for context in range(N_CONTEXTS)], dtype=np.int64)
+def _raw_bits() -> Whole:
+    """Return how many raw bits the samples of a table have."""
+    classes = np.arange(N_TABLES) - SINGLES
+    is_single = (classes >= 0) & (classes < N_CLASSES)
+    return np.where(is_single, np.maximum(classes - (STEP_CLASS + 4), 0) >> 1, 0)
 
 
-def fit_codes(
-    family: int, counts: NDArray[np.int64], share: float
-) -> tuple[dict[int, NDArray[np.int64]], float]:
-    """Return the codes of the contexts whose own frequencies are worth their bytes, and the cost.
+def _cost_of_none(costs: Whole) -> Whole:
+    """Return about what a pair without a symbol costs, by class of pairs."""
+    return costs[:N_CLASSES, PAIR_ESCAPE] + COST_UNIT * _ESCAPED_BITS
+
+
+def trained_freqs(family: int) -> Whole:
+    """Return the frequencies of a family, shape (N_TABLES, N_SYMBOLS)."""
+    return freqs_of(annex().codes[family])
+
+
+def fit_codes(tables: FileTables, counts: Whole, share: float) -> tuple[dict[int, Whole], float]:
+    """Return the codes of the tables whose own frequencies are worth their bytes, and the cost.
 
     The cost is about that of the whole file in 1/64 bit, `share` times what was counted.
     """
-    usual = default_freqs(family)
-    codes = codes_for(counts * N_SLOTS + _PRIOR * usual, family)
-    freqs = FREQ_OF_CODE[codes]
-    rest = rest_symbols(family)
-    every = np.arange(N_CONTEXTS)
-    freqs[every, rest] = 0
-    freqs[every, rest] = N_SLOTS - freqs.sum(1)
-    before, after = ((counts * _cost_table()[f]).sum(1) * share for f in (usual, freqs))
-    changes = np.abs(codes - default_codes(family))
+    counts = counts.copy()
+    usual = annex().codes[tables.family]
+    pairs_and_singles = np.flatnonzero(counts.any(1) & (np.arange(N_TABLES) != ESCAPED))
+    codes, freqs, cost = _own_codes(usual, counts, pairs_and_singles, share)
+    # Pairs without a slot come as two samples.
+    pairs = pairs_and_singles < tables.cut
+    for row, table in zip(freqs[pairs], pairs_and_singles[pairs].tolist(), strict=True):
+        for symbol in np.flatnonzero((row == 0) & (counts[table] > 0)):
+            for side in divmod(int(symbol), 2 * PAIR_LIMIT + 1):
+                counts[ESCAPED, side - PAIR_LIMIT + SINGLE_LIMIT] += counts[table, symbol]
+    escaped = np.flatnonzero(counts.any(1) & (np.arange(N_TABLES) == ESCAPED))
+    own, _, more = _own_codes(usual, counts, escaped, share)
+    n_beyond = counts[SINGLES:, SINGLE_ESCAPE].sum()
+    n_raw = (counts.sum(1) * _raw_bits()).sum() + n_beyond * _BEYOND_BITS
+    return {**codes, **own}, cost + more + float(n_raw) * COST_UNIT * share
+
+
+def _own_codes(
+    usual: Whole, counts: Whole, tables: Whole, share: float
+) -> tuple[dict[int, Whole], Whole, float]:
+    """Return the codes of tables that are worth their bytes, the frequencies of all, and costs."""
+    counts, usual = counts[tables], usual[tables]
+    usual_freqs = freqs_of(usual, tables)
+    weights = counts * N_SLOTS + _PRIOR * usual_freqs
+    codes = _near_usual(codes_for(weights, tables), usual, usual_freqs, counts, tables, share)
+    freqs = freqs_of(codes, tables)
+    changes = np.abs(codes - usual)
     sizes = np.frexp(changes.astype(np.float64))[1]  # bits of each change
-    n_bits = 2 + np.where(changes == 0, 1, 1 + _FREQ_BITS + sizes).sum(1)
+    n_bits = _OWN_BITS + np.where(changes == 0, 0.25, 2 + sizes + _KEPT_BITS / 2).sum(1)
+    before, after = (_cost(own, counts, tables) * share for own in (usual_freqs, freqs))
     after = after + COST_UNIT * n_bits
-    is_own = (counts.sum(1) > 0) & (before > after)
-    n_escapes = counts[:, ESCAPE]
-    n_raw = ((counts.sum(1) - n_escapes) * _raw_bits() + n_escapes * ESCAPE_BITS).sum()
-    cost = float(np.cumsum(np.where(is_own, after, before))[-1] + n_raw * COST_UNIT * share)
-    return {int(context): codes[context] for context in np.flatnonzero(is_own)}, cost
+    is_own = before > after
+    cost = float(np.cumsum(np.append(np.where(is_own, after, before), 0.0))[-1])
+    found = {int(tables[k]): codes[k] for k in np.flatnonzero(is_own)}
+    return found, np.where(is_own[:, None], freqs, usual_freqs), cost
 
 
-def codes_for(weights: NDArray[np.int64], family: int) -> NDArray[np.int64]:
-    """Return codes of frequencies in proportion to `weights`, of each context N_SLOTS in all."""
-    rest = rest_symbols(family)
-    every = np.arange(N_CONTEXTS)
+def _cost(freqs: Whole, counts: Whole, tables: Whole) -> Whole:
+    """Return what the symbols of tables cost; pairs without a slot that of the escape and more."""
+    costs = _cost_table()[freqs]
+    of_none = costs[:, PAIR_ESCAPE] + COST_UNIT * _ESCAPED_BITS
+    costs = np.where((freqs == 0) & (tables < SINGLES)[:, None], of_none[:, None], costs)
+    total: Whole = (counts * costs).sum(1)
+    return total
+
+
+def _near_usual(
+    codes: Whole, usual: Whole, usual_freqs: Whole, counts: Whole, tables: Whole, share: float
+) -> Whole:
+    """Return codes of which those are the usual ones that save less than their change costs."""
+    freqs = np.maximum(NUMBER_OF_CODE[codes] + LEAST[tables], 1).astype(np.float64)
+    apart = (usual_freqs - freqs) / freqs
+    saved = counts * (apart * apart * 0.72)
+    totals = counts.sum(1)[:, None] / N_SLOTS
+    saved = np.where(codes == 0, totals * (usual_freqs * 1.44), saved)
+    saved = np.where(usual_freqs == 0, counts * 8.0, saved)
+    return _fitting(np.where(saved * share < _KEPT_BITS, usual, codes), tables)
+
+
+def codes_for(weights: Whole, tables: Whole) -> Whole:
+    """Return codes of frequencies in proportion to `weights`, of each table N_SLOTS in all."""
     total = np.maximum(weights.sum(1, keepdims=True), 1)
-    freqs = (2 * weights * N_SLOTS + total) // (2 * total)
-    # A symbol that comes once in so many is cheaper with the least frequency than by escapes: it
-    # saves their bits and costs the others 1.44 / N_SLOTS each.
-    freqs = np.maximum(freqs, weights * _RAREST > total)
-    freqs[:, ESCAPE] = np.maximum(freqs[:, ESCAPE], 1)
-    codes = CODE_OF_FREQ[np.minimum(freqs, N_SLOTS - 1)]
-    codes[every, rest] = 0
-    for context in np.flatnonzero(FREQ_OF_CODE[codes].sum(1) > N_SLOTS - 1):
-        while FREQ_OF_CODE[codes[context]].sum() > N_SLOTS - 1:
-            codes[context, codes[context].argmax()] -= 1
-    codes[every, rest] = default_codes(family)[every, rest]
+    # Weights are at most 2**45 or so.
+    freqs = (weights * N_SLOTS + total * (100 - _RARE) // 100) // total
+    return _fitting(codes_of(np.maximum(freqs - LEAST[tables], 0)), tables)
+
+
+def _fitting(codes: Whole, tables: Whole) -> Whole:
+    """Return codes that leave their rest symbols something: the largest ones are less."""
+    codes = np.where(EXISTS[tables], codes, 0)
+    every = np.arange(len(codes))
+    codes[every, RESTS[tables]] = 0
+    sums = (NUMBER_OF_CODE[codes] + LEAST[tables]).sum(1)
+    for k in np.flatnonzero(sums >= N_SLOTS):
+        while (NUMBER_OF_CODE[codes[k]] + LEAST[tables[k]]).sum() >= N_SLOTS:
+            codes[k, codes[k].argmax()] -= 1
     return codes

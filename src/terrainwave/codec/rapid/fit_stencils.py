@@ -1,4 +1,4 @@
-"""Choose and fit the stencils of a file of method `rapid` (encoder only).
+"""Choose and fit the stencils of a file (encoder only).
 
 Open loop: samples of the raster itself stand for decoded ones, with noise as quantising adds it.
 All sums are of whole numbers below 2**53, held in float64: they are exact in whatever order a
@@ -13,9 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.planes import WHOLE, FileStencil, parity
-from terrainwave.codec.rapid import trained
-from terrainwave.codec.rapid.file_tables import N_CLASSES, PLANES, SHIFTS, core_taps, missing_tap
-from terrainwave.codec.rapid.layout import MAX_TAPS, TAPS
+from terrainwave.codec.rapid.file_tables import (
+    MOST_TAPS,
+    PLANES,
+    annex,
+    core_taps,
+    missing_tap,
+)
+from terrainwave.codec.rapid.layout import HH, MAX_SUM, N_LEVEL_CLASSES, TAPS
 from terrainwave.codec.refiner import Each, Heights, Mask
 
 Reals = NDArray[np.float64]
@@ -23,10 +28,10 @@ Stencils = tuple[tuple[FileStencil, ...], ...]
 
 # Levels below the full grid of each class, and how many samples are taken of a plane there.
 CLASS_DEPTHS = ((0,), (1,), (2,), (3, 4))
-_WANTED = (3072, 2048, 1536, 1536)
+_WANTED = (8192, 4096, 2048, 1536)
 # Products of so many samples at a time are small enough for BLAS to use one thread.
 _AT_A_TIME = 128
-_JUDGED = 1024  # samples that stencils are compared by
+_JUDGED = 2048  # samples that stencils are compared by
 _MIN_SAMPLES = 256
 _MARGIN = 4  # no tap is further away, in samples of the lattice
 # Samples are whole numbers of 1/64 step, at most 2**17; scaled by their influence at most 2**20.
@@ -36,8 +41,11 @@ _INFLUENCE = 1 << 20
 # One sample of so many in each turn of a fit: early turns only find the weights of the samples.
 _EVERY_OF_TURN = (4, 2, 1)
 # Of the noise of decoded samples that an open loop estimates, what is tried.
-_TIMES_NOISE = (0.5, 1.5, 4.0)
-_MAX_WANTED, _FAR = 28000, 1e6  # the last weight follows from the others, rounded
+_TIMES_NOISE = (0.3, 1.0)
+# The last weight follows from the others, rounded.
+_MAX_WANTED, _MOST_IN_ALL, _FAR = 28000, MAX_SUM - (1 << 13), 1e6
+# Deltas of a file are whole numbers of 2**shift.
+_SHIFTS = (0, 2, 3, 4, 5)
 # Costs are in 1/64 bit.
 COST_UNIT = 64
 _BITS_OF_ONE = 127 << 23  # of float32
@@ -47,7 +55,7 @@ _WORTH = 1.5
 
 
 class FitSamples(NamedTuple):
-    """Taps less the core's mean, then what they are to predict: shape (n, MAX_TAPS + 1).
+    """Taps less the core's mean, then what they are to predict: shape (n, MOST_TAPS + 1).
 
     In whole 1/64 steps. Each stands for `every` samples of the windows.
     """
@@ -58,7 +66,7 @@ class FitSamples(NamedTuple):
     @property
     def goals(self) -> Reals:
         """Return what taps are to predict."""
-        return self.values[:, MAX_TAPS]
+        return self.values[:, MOST_TAPS]
 
 
 def candidates(
@@ -74,7 +82,7 @@ def candidates(
     share : float
         How many samples of the raster one of the windows stands for.
     """
-    keys = [(which, plane) for which in range(N_CLASSES) for plane in PLANES]
+    keys = [(which, plane) for which in range(N_LEVEL_CLASSES) for plane in PLANES]
     gathered = each(lambda key: gather(key[1], windows, masks, key[0], step), keys)
     samples = {key: found for key, found in zip(keys, gathered, strict=True) if found is not None}
     some = {key: judged(found) for key, found in samples.items()}
@@ -98,7 +106,7 @@ def _stencils(chosen: dict[tuple[int, int], FileStencil]) -> Stencils:
     """Return stencils by class and plane; the first trained one where none was chosen."""
     return tuple(
         tuple(chosen.get((which, plane), FileStencil(0)) for plane in PLANES)
-        for which in range(N_CLASSES)
+        for which in range(N_LEVEL_CLASSES)
     )
 
 
@@ -122,13 +130,13 @@ def gather(plane: int, windows: Heights, masks: Mask, which: int, step: int) -> 
         return None
     n_found -= n_found % _AT_A_TIME
     near_heights = np.concatenate(found)[:n_found]
-    values = np.zeros((n_found, MAX_TAPS + 1), dtype=np.float64)
-    values[:, :n_taps], values[:, MAX_TAPS] = near_heights[:, :n_taps], near_heights[:, n_taps]
+    values = np.zeros((n_found, MOST_TAPS + 1), dtype=np.float64)
+    values[:, :n_taps], values[:, MOST_TAPS] = near_heights[:, :n_taps], near_heights[:, n_taps]
     first, second, third, fourth = values[:, np.flatnonzero(core_taps(plane))].T
     # Quarters of quanta, so that no sum is rounded; of taps that a plane has not, nothing is used.
     values -= (0.25 * (first + second + third + fourth))[:, None]
     values *= _FINE / step
-    values[:, n_taps:MAX_TAPS] = 0
+    values[:, n_taps:MOST_TAPS] = 0
     np.rint(values, out=values)
     np.clip(values, -_MOST, _MOST, out=values)
     return FitSamples(values, n_places / n_found)
@@ -179,9 +187,9 @@ def _offsets(plane: int) -> NDArray[np.int64]:
 def _errors(samples: FitSamples, weights: NDArray[np.int64]) -> Reals:
     """Return the errors of weights, shape (sets, taps), in steps: shape (sets, n)."""
     n_sets, n_taps = weights.shape
-    parts = samples.values.reshape(-1, _AT_A_TIME, MAX_TAPS + 1)
+    parts = samples.values.reshape(-1, _AT_A_TIME, MOST_TAPS + 1)
     sums = np.matmul(weights.astype(np.float64), parts[:, :, :n_taps].transpose(0, 2, 1))
-    errors: Reals = parts[:, None, :, MAX_TAPS] * WHOLE - sums
+    errors: Reals = parts[:, None, :, MOST_TAPS] * WHOLE - sums
     errors *= 1.0 / (WHOLE * _FINE)
     return errors.transpose(1, 0, 2).reshape(n_sets, -1)
 
@@ -229,14 +237,14 @@ def fit_weights(
 ) -> list[dict[tuple[int, int], NDArray[np.int64]]]:
     """Return for each noise weights fitted to samples, by class and plane.
 
-    A robust least-squares fit: after the first turn, samples count by 1 / (|error| + 1/2)**1.5.
+    A robust least-squares fit: after the first turn, samples count by 1 / (|error| + 1/2).
     Weights apply to heights less the core's mean; what they lack to a sum of 1 is shared by the
     core, and quantising adds noise to every tap: hence the penalty on the squared sum of the
     weights that result. Without weights that cannot be stored.
     """
     keys = list(samples)
-    is_core = np.zeros((len(keys), MAX_TAPS))
-    has_tap = np.zeros((len(keys), MAX_TAPS))
+    is_core = np.zeros((len(keys), MOST_TAPS))
+    has_tap = np.zeros((len(keys), MOST_TAPS))
     for index, (_, plane) in enumerate(keys):
         is_core[index, : len(TAPS[plane])] = core_taps(plane)
         has_tap[index, : len(TAPS[plane])] = 1
@@ -245,7 +253,7 @@ def fit_weights(
         before = [None] * len(keys) if wanted is None else list(wanted)
         tasks = zip(samples.values(), before, [every] * len(keys), strict=True)
         found = list(each(lambda task: _normal(*task), tasks))
-        systems = np.array([own for own, _ in found]).reshape(-1, MAX_TAPS, MAX_TAPS + 1)
+        systems = np.array([own for own, _ in found]).reshape(-1, MOST_TAPS, MOST_TAPS + 1)
         totals = np.array([total for _, total in found])
         middle = noises[len(noises) // 2]
         wanted = _weights(systems, totals * middle, is_core, has_tap)
@@ -260,9 +268,9 @@ def fit_weights(
         {
             key: weights.astype(np.int64)
             for key, weights in zip(keys, wanted, strict=True)
-            if np.abs(weights).max() < _MAX_WANTED
+            if np.abs(weights).max() < _MAX_WANTED and np.abs(weights).sum() < _MOST_IN_ALL
         }
-        for wanted in of_all.reshape(n, len(keys), MAX_TAPS)
+        for wanted in of_all.reshape(n, len(keys), MOST_TAPS)
     ]
 
 
@@ -276,18 +284,17 @@ def _normal(samples: FitSamples, weights: Reals | None, every: int) -> tuple[Rea
     some = samples._replace(values=samples.values[: n_parts * _AT_A_TIME * every : every])
     if weights is None:
         size = np.abs(some.goals) * (1.0 / _FINE) + 0.5
-        influence = 1.0 / size
     else:
         some = some._replace(values=np.ascontiguousarray(some.values))
         size = np.abs(_errors(some, weights.astype(np.int64)[None])[0]) + 0.5
-        influence = 1.0 / (size * np.sqrt(size))
+    influence = 1.0 / size
     both = some.values * np.sqrt(influence)[:, None]
     largest = max(float(both.max()), -float(both.min()))
     shift = min(_MOST_SCALED_BITS - int(np.frexp(largest)[1]), _MOST_SCALED_BITS)
     both *= 2.0**shift
     np.rint(both, out=both)
-    parts = both.reshape(-1, _AT_A_TIME, MAX_TAPS + 1)
-    products: Reals = np.matmul(parts[:, :, :MAX_TAPS].transpose(0, 2, 1), parts).sum(0)
+    parts = both.reshape(-1, _AT_A_TIME, MOST_TAPS + 1)
+    products: Reals = np.matmul(parts[:, :, :MOST_TAPS].transpose(0, 2, 1), parts).sum(0)
     unit = float(np.ldexp(float(_FINE), shift))
     total = float(np.rint(influence * _INFLUENCE).sum()) / _INFLUENCE
     return products, total * unit * unit
@@ -296,15 +303,15 @@ def _normal(samples: FitSamples, weights: Reals | None, every: int) -> tuple[Rea
 def _weights(systems: Reals, penalties: Reals, is_core: Reals, has_tap: Reals) -> Reals:
     """Return the whole weights in 1/4096 that solve normal equations with a penalty."""
     systems = systems.copy()
-    diagonal = np.arange(MAX_TAPS)
+    diagonal = np.arange(MOST_TAPS)
     traces = np.cumsum(systems[:, diagonal, diagonal], axis=1)[:, -1]
     part = 0.25 * penalties[:, None]
-    systems[:, :, MAX_TAPS] -= part * (is_core - 1.0)
-    systems[:, :, :MAX_TAPS] += part[:, :, None] * (1.0 - is_core[:, :, None] - is_core[:, None])
+    systems[:, :, MOST_TAPS] -= part * (is_core - 1.0)
+    systems[:, :, :MOST_TAPS] += part[:, :, None] * (1.0 - is_core[:, :, None] - is_core[:, None])
     systems[:, diagonal, diagonal] += (penalties + 1e-7 * traces)[:, None] + 1e-12
     # Taps that a plane does not have.
     systems *= has_tap[:, :, None]
-    systems[:, :, :MAX_TAPS] *= has_tap[:, None]
+    systems[:, :, :MOST_TAPS] *= has_tap[:, None]
     systems[:, diagonal, diagonal] += 1.0 - has_tap
     solution = _solved(systems)
     with np.errstate(invalid="ignore", over="ignore"):
@@ -342,10 +349,9 @@ def _bits_of(deltas: NDArray[np.int64]) -> NDArray[np.int64]:
     return bits
 
 
-@cache
 def _trained(plane: int) -> NDArray[np.int64]:
     """Return the trained weights of a plane."""
-    return trained.STENCILS[plane].astype(np.int64)
+    return annex().stencils[plane - HH, :, : len(TAPS[plane])].astype(np.int64)
 
 
 def _cheapest(
@@ -362,7 +368,7 @@ def _cheapest(
     coarsest.
     """
     known = _trained(plane)[base]
-    rounding = np.array(SHIFTS, dtype=np.int64)[:, None]
+    rounding = np.array(_SHIFTS, dtype=np.int64)[:, None]
     tried = []
     for wanted in fitted:
         deltas = np.zeros((1 + len(rounding), len(known)), dtype=np.int64)

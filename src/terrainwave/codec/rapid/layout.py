@@ -1,230 +1,163 @@
-"""The workspace of `rapid`: where planes and rows lie in one flat array (format-rapid.md, R.5).
+"""Planes of a unit and the samples that predict each of them.
 
-Row slices and array arguments cost reference counts, about 1 µs a row in compiled code. So all
-planes of a lattice and all row buffers are one array `m`, of int32 or int64, and everything in it
-is a place: an unsigned number. Places of neighbours differ by constants, which compilers turn into
-plain vector loads.
-
-Of each plane only the rows around those being coded are kept, `N_ROWS` of them; when the last one
-is used up, the latest move to the front. Row `i` of a plane is in slot ``i - base + ROWS_ABOVE``.
+The even rows and columns of a unit are its parent's samples (plane A). The others are coded plane
+by plane: HH (odd row, odd column), HL (even row, odd column), LH (odd row, even column), each from
+A and from planes before it, none from its own samples. So each plane is one pass over arrays.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.planes import HH, HL, LH, A
+A, HH, HL, LH = 0, 1, 2, 3
+N_PLANES = 3
+# Samples around each plane that taps and features reach.
+PAD = 4
+# Heights of planes are kept within this, less the origin and shifted: their quarters fit int16.
+LIMIT = 8191
+WEIGHT_BITS = 12
+MAX_WEIGHT = (1 << 15) - 1
+# A stencil's absolute weights have at most this sum: no sum of a prediction reaches 2**31.
+MAX_SUM = 1 << 18
+# Classes of levels that have stencils and weights of their own; the last one is of all coarser.
+N_LEVEL_CLASSES = 4
+# Rows of a plane that are coded together. Those of LH lie one row further up: they see HL below.
+STRIP_ROWS = 8
 
-PAD = 4  # samples kept free beside each row; taps reach at most 3 past its end
-ROWS_ABOVE, ROWS_BELOW = 4, 3  # rows that stay reachable above and below the one at hand
-# Widest lattice: two blocks of 1024 cells have planes of 1025. Consecutive rows of usual blocks
-# then lie in different sets of a cache of 64 sets of 64 bytes.
-MAX_COLS = 1025
-STRIDE = 1296
-N_ROWS = 40
-PLANE = N_ROWS * STRIDE
-ERRORS = 3  # the errors of plane p are plane p + ERRORS
-BENDS = 7
-_ROW_BUFFERS = 8 * PLANE
-
-
-class _Rows:
-    """Hands out places of row buffers, one after the other."""
-
-    def __init__(self) -> None:
-        self.n = 0
-
-    def take(self) -> np.uint64:
-        self.n += 1
-        return np.uint64(_ROW_BUFFERS + (self.n - 1) * STRIDE + PAD)
-
-
-_rows = _Rows()
-PREDICTED = _rows.take()  # in 1/64 quanta
-WHOLE = _rows.take()  # the prediction rounded to quanta
-SIDE = _rows.take()  # its sign: towards which side errors are likelier
-LEAST = _rows.take()  # of the core
-MOST = _rows.take()
-SUM = _rows.take()
-TWIST = _rows.take()
-EXPECTED = _rows.take()  # the expected magnitude
-CONTEXT = _rows.take()
-SYMBOL = _rows.take()
-DETAIL = _rows.take()  # towards `SIDE`
-GOAL = _rows.take()
-VALID = _rows.take()
-N_LOW = _rows.take()  # raw bits of a detail
-LINE = _rows.take()
-RESULT = _rows.take()
-_weights = _rows.take()
-WORKSPACE_SIZE = _ROW_BUFFERS + _rows.n * STRIDE
-
-MAX_TAPS = 23
-N_FEATURES = 9
-ON_LINE = 4  # features of lines stand after those of the planes
-
-
-def place(plane: int, row: int, col: int) -> np.uint64:
-    """Return where a plane's sample lies, counted from the corner of a row's neighbourhood."""
-    return np.uint64(plane * PLANE + (row + ROWS_ABOVE) * STRIDE + col + PAD)
-
-
-def _own(plane: int) -> tuple[tuple[int, int, int], ...]:
-    return ((plane, -1, -1), (plane, -1, 0), (plane, -1, 1))
-
-
-# Taps of the stencils as (plane, row, column), rows and columns those of planes (R.6).
-TAPS = {
-    HH: (*((A, row, col) for row in (-1, 0, 1, 2) for col in (-1, 0, 1, 2)), *_own(HH)),
-    HL: (
-        *((A, 0, -1), (A, 0, 0), (A, 0, 1), (A, 0, 2)),
-        *((A, -1, 0), (A, -1, 1), (A, 1, 0), (A, 1, 1)),
-        *((HH, -1, -1), (HH, -1, 0), (HH, -1, 1), (HH, 0, -1), (HH, 0, 0), (HH, 0, 1)),
-        *((HH, -2, 0), (HH, 1, 0)),
-        *_own(HL),
-    ),
-    LH: (
-        *((A, -1, 0), (A, 0, 0), (A, 1, 0), (A, 2, 0)),
-        *((A, 0, -1), (A, 0, 1), (A, 1, -1), (A, 1, 1)),
-        *_own(LH),
-        *((HH, 0, -2), (HH, 0, -1), (HH, 0, 0), (HH, 0, 1)),
-        *((HH, -1, -1), (HH, -1, 0), (HH, 1, -1), (HH, 1, 0)),
-        *((HL, 0, -1), (HL, 0, 0), (HL, 1, -1), (HL, 1, 0)),
-    ),
-}
-# The four nearest samples that are known before a plane is coded.
-CORES = {
-    HH: ((A, 0, 0), (A, 0, 1), (A, 1, 0), (A, 1, 1)),
-    HL: ((A, 0, 0), (A, 0, 1), (HH, -1, 0), (HH, 0, 0)),
-    LH: ((A, 0, 0), (A, 1, 0), (HH, 0, -1), (HH, 0, 0)),
-}
-_E_HH, _E_HL, _E_LH = HH + ERRORS, HL + ERRORS, LH + ERRORS
-# Features in the order of the weights; those of errors and those of ranges have different units.
-F_CONST, F_NORTH, F_DIAGONAL, F_NORTH_2, F_RANGE, F_TWIST, F_BEND, F_NEAR, F_FAR = range(9)
-
-
-def _above(plane: int) -> dict[int, tuple[tuple[int, int, int], ...]]:
-    """Return the errors of the same plane that features add up."""
-    return {
-        F_NORTH: ((plane, -1, 0),),
-        F_DIAGONAL: ((plane, -1, -1), (plane, -1, 1)),
-        F_NORTH_2: ((plane, -2, 0),),
-    }
-
-
-# What features add up: errors of the plane and of those before, curvatures of plane A.
-FEATURE_TAPS = {
-    HH: {
-        **_above(_E_HH),
-        F_BEND: ((BENDS, 0, 0), (BENDS, 0, 1), (BENDS, 1, 0), (BENDS, 1, 1)),
-    },
-    HL: {
-        **_above(_E_HL),
-        F_BEND: ((BENDS, 0, 0), (BENDS, 0, 1)),
-        F_NEAR: ((_E_HH, -1, 0), (_E_HH, 0, 0)),
-        F_FAR: ((_E_HH, -1, -1), (_E_HH, 0, -1), (_E_HH, -1, 1), (_E_HH, 0, 1)),
-    },
-    LH: {
-        **_above(_E_LH),
-        F_BEND: ((BENDS, 0, 0), (BENDS, 1, 0)),
-        F_NEAR: (
-            *((_E_HH, 0, -1), (_E_HH, 0, 0)),
-            *((_E_HL, 0, -1), (_E_HL, 0, 0), (_E_HL, 1, -1), (_E_HL, 1, 0)),
-        ),
-        F_FAR: ((_E_HH, -1, -1), (_E_HH, -1, 0), (_E_HH, 1, -1), (_E_HH, 1, 0)),
-    },
-}
-
-# Kernels take a stencil's taps, then those of features, in their order.
-N_STENCIL_TAPS = tuple(np.uint64(len(TAPS.get(plane, ()))) for plane in range(4))
-FEATURE_ORDER = (F_NORTH, F_DIAGONAL, F_NORTH_2, F_BEND, F_NEAR, F_FAR)
-
-
-def _tap_places() -> NDArray[np.uint64]:
-    """Return the places of all taps, by plane."""
-    taps = [
-        [*TAPS[plane], *(tap for f in FEATURE_ORDER for tap in FEATURE_TAPS[plane].get(f, ()))]
-        if plane in TAPS
-        else []
-        for plane in range(4)
-    ]
-    places = np.zeros((4, max(map(len, taps))), dtype=np.uint64)
-    for plane, own in enumerate(taps):
-        places[plane, : len(own)] = [place(*tap) for tap in own]
-    return places
-
-
-TAP_PLACES = _tap_places()
-# The core: twist is |first + second - third - fourth|.
-CORE_PLACES = np.array(
-    [
-        (place(0, 0, 0),) * 4,
-        tuple(place(*CORES[HH][k]) for k in (0, 3, 1, 2)),
-        tuple(place(*tap) for tap in CORES[HL]),
-        tuple(place(*tap) for tap in CORES[LH]),
+# Taps (plane, row, column) from the sample's place in its plane.
+TAPS: dict[int, list[tuple[int, int, int]]] = {
+    HH: [(A, row, col) for row in (-1, 0, 1, 2) for col in (-1, 0, 1, 2)],
+    HL: [
+        *((A, row, col) for row in (-1, 0, 1) for col in (-1, 0, 1, 2)),
+        *((HH, -2, 0), (HH, -1, -1), (HH, -1, 0), (HH, -1, 1)),
+        *((HH, 0, -1), (HH, 0, 0), (HH, 0, 1), (HH, 1, 0)),
     ],
-    dtype=np.uint64,
+    LH: [
+        *((A, row, col) for row in (-1, 0, 1, 2) for col in (-1, 0, 1)),
+        *((HH, -1, -1), (HH, -1, 0), (HH, 0, -2), (HH, 0, -1)),
+        *((HH, 0, 0), (HH, 0, 1), (HH, 1, -1), (HH, 1, 0)),
+        *((HL, 0, -1), (HL, 0, 0), (HL, 1, -1), (HL, 1, 0)),
+    ],
+}
+# The four nearest known samples: a prediction stays between them.
+CORES: dict[int, list[tuple[int, int, int]]] = {
+    HH: [(A, 0, 0), (A, 0, 1), (A, 1, 0), (A, 1, 1)],
+    HL: [(A, 0, 0), (A, 0, 1), (HH, -1, 0), (HH, 0, 0)],
+    LH: [(A, 0, 0), (A, 1, 0), (HH, 0, -1), (HH, 0, 0)],
+}
+N_TAPS = {plane: len(taps) for plane, taps in TAPS.items()}
+
+
+class Runs(NamedTuple):
+    """Taps side by side, two at a time: where the first of each lies, and which taps they are.
+
+    There is an even number of runs, so that a pass over a row adds four taps.
+    """
+
+    planes: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    cols: NDArray[np.int64]
+    first: NDArray[np.int64]  # numbers of taps; -1: none
+    second: NDArray[np.int64]
+
+
+def _runs(taps: list[tuple[int, int, int]]) -> Runs:
+    runs, left = [], {tap: number for number, tap in enumerate(taps)}
+    while left:
+        plane, row, col = tap = next(iter(left))
+        number = left.pop(tap)
+        runs.append((plane, row, col, number, left.pop((plane, row, col + 1), -1)))
+    if len(runs) % 2:
+        runs.append((A, 0, 0, -1, -1))
+    return Runs(*np.array(runs, dtype=np.int64).T.copy())
+
+
+RUNS = {plane: _runs(taps) for plane, taps in TAPS.items()}
+# Their planes, rows and columns, as `RUNS` has those of taps.
+CORE_ARRAYS = tuple(
+    tuple(np.array(CORES[plane], dtype=np.int64).T.copy()) for plane in (HH, HL, LH)
 )
 
-# In the workspace from `WEIGHTS` on: of each plane, then of lines, the weights of its stencil's
-# taps, then from `OF_FEATURES` on those of features.
-OF_FEATURES = np.uint64(MAX_TAPS)
-N_WEIGHTS = MAX_TAPS + N_FEATURES
-WEIGHTS = tuple(np.uint64(int(_weights) + N_WEIGHTS * plane) for plane in range(ON_LINE + 1))
-# After them, shift counts. Of 32 bits and less than 32, they let compilers shift 32 bits, where
-# others would be shifts of 64, of which most processors have no vectors.
-RANGE_SHIFT, ERROR_SHIFT, SIDE_SHIFT, END_SHIFT = (
-    np.uint64(int(WEIGHTS[ON_LINE]) + N_WEIGHTS + k) for k in range(4)
-)
-SHIFT_MASK = 31
+
+def run_weights(plane: int, weights: NDArray[np.int64]) -> NDArray[np.int16]:
+    """Return the weights of a plane's taps by run, shape (n_runs, 2)."""
+    both = np.append(weights[: N_TAPS[plane]], 0)
+    runs = RUNS[plane]
+    return np.stack([both[runs.first], both[runs.second]], axis=1).astype(np.int16)
 
 
-class Scale(NamedTuple):
-    """What follows from the step and the range of heights (R.4)."""
+def plane_shape(plane: int, shape: tuple[int, int]) -> tuple[int, int]:
+    """Return rows and columns of a plane of a lattice."""
+    n_rows, n_cols = shape
+    odd_row, odd_col = plane in (HH, LH), plane in (HH, HL)
+    return (n_rows + (not odd_row)) // 2, (n_cols + (not odd_col)) // 2
 
+
+class Lattice(NamedTuple):
+    """Numbers that kernels know of a lattice: a group, or every so many samples of a root block.
+
+    Heights are within ``low`` ... ``high``, details within ±most. Planes hold
+    ``(height - origin) >> shift``, and no more than heights without a shift if it `is_narrow`.
+    """
+
+    n_rows: int
+    n_cols: int
     step: int
-    error_shift: int
-    range_shift: int
-    most_range: int
-    side_shift: int
-    side_scale: int
-    far_scale: int
-    is_fine: bool
-    is_by_reach: bool
-    most_detail: int
     low: int
     high: int
-
-
-def arranged_weights(
-    stencils: NDArray[np.int64], features: NDArray[np.int64], scale: Scale
-) -> NDArray[np.int64]:
-    """Return the weights of a lattice as the workspace has them, from ``WEIGHTS[HH]`` on.
-
-    Parameters
-    ----------
-    stencils : ndarray of int64, shape (3, MAX_TAPS)
-    features : ndarray of int64, shape (4, N_FEATURES)
-        Of the planes, then of lines.
-    """
-    weights = np.zeros((ON_LINE, N_WEIGHTS), dtype=np.int64)
-    weights[:LH, :MAX_TAPS] = stencils
-    weights[:, MAX_TAPS:] = features
-    end_shift = 2 + scale.error_shift - scale.side_shift
-    shifts = [scale.range_shift, scale.error_shift, scale.side_shift, end_shift]
-    return np.concatenate([weights.ravel(), np.array(shifts, dtype=np.int64)])
+    most: int
+    origin: int
+    shift: int
+    is_narrow: bool
+    has_void: bool
 
 
 class Workspace(NamedTuple):
-    """The arrays that a thread codes in, one unit after the other."""
+    """Arrays that lattices take turns with, of at most `side` samples a side in each plane."""
 
-    m: NDArray[Any]  # int32 or int64
-    reals: NDArray[np.float32]
-    bits_of_reals: NDArray[np.int32]
+    side: int
+    planes: NDArray[np.int16]  # with PAD samples outside; A, HH, HL, LH
+    ranges: NDArray[np.int16]  # of cells of A, and bends of its samples, with one more outside
+    bends: NDArray[np.int16]
+    near: NDArray[np.int16]  # magnitudes of details of HH and HL, with one more outside
+    details: NDArray[np.int32]  # of HH, HL, LH, rows without a gap but of an even length
+    both: NDArray[np.int64]  # the same memory: two details, the first in the lower half
+    predicted: NDArray[np.int32]  # of a row, and what follows
+    sides: NDArray[np.int32]
+    heights: NDArray[np.int32]
+    expected: NDArray[np.int32]
+    floats: NDArray[np.float32]
+    bits: NDArray[np.int32]  # the same memory
+    pairs: NDArray[np.int8]  # of a strip, and what follows
+    singles: NDArray[np.int8]
+    entries: NDArray[np.uint8]
+    symbols: NDArray[np.uint8]
+    more: NDArray[np.int32]
 
 
-def new_workspace(dtype: type[np.int32] | type[np.int64]) -> Workspace:
-    """Return a workspace for heights of 32 or 64 bits."""
-    reals = np.zeros(STRIDE, dtype=np.float32)
-    return Workspace(np.zeros(WORKSPACE_SIZE, dtype=dtype), reals, reals.view(np.int32))
+def new_workspace(side: int) -> Workspace:
+    """Return memory for planes of so many samples a side."""
+    wide, n = side + 2 * PAD, STRIP_ROWS * (side + 1)
+    details = np.zeros((N_PLANES, (side + 1) * side // 2 + side), dtype=np.int64)
+    floats = np.zeros(side + 1, dtype=np.float32)
+    return Workspace(
+        side=side,
+        planes=np.zeros((1 + N_PLANES, wide, wide + 1), dtype=np.int16),
+        ranges=np.zeros((side + 2, side + 2), dtype=np.int16),
+        bends=np.zeros((side + 2, side + 2), dtype=np.int16),
+        near=np.zeros((2, side + 2, side + 2), dtype=np.int16),
+        details=details.view(np.int32),
+        both=details,
+        predicted=np.zeros(side, dtype=np.int32),
+        sides=np.zeros(side, dtype=np.int32),
+        heights=np.zeros(side, dtype=np.int32),
+        expected=np.zeros(side + 1, dtype=np.int32),
+        floats=floats,
+        bits=floats.view(np.int32),
+        pairs=np.zeros(n // 2, dtype=np.int8),
+        singles=np.zeros(n, dtype=np.int8),
+        entries=np.zeros(n + 1, dtype=np.uint8),
+        symbols=np.zeros(n + 1, dtype=np.uint8),
+        more=np.zeros(n + 1, dtype=np.int32),
+    )

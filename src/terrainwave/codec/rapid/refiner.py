@@ -1,14 +1,8 @@
 """The `rapid` method, with tables of the file (docs/format-rapid.md)."""
 
-from functools import lru_cache
-
-from terrainwave.codec.rapid.coder import UnitCoder
-from terrainwave.codec.rapid.file_tables import (
-    FileTables,
-    Tables,
-    pack_file_tables,
-    parse_file_tables,
-)
+from terrainwave.codec.rapid.file_tables import pack_file_tables, tables_of
+from terrainwave.codec.rapid.tables import Tables
+from terrainwave.codec.rapid.unit import UnitCoder
 from terrainwave.codec.refiner import Each
 from terrainwave.grid.quadtree import Grid
 from terrainwave.grid.sample_windows import HeightsOf, MaskOf
@@ -19,20 +13,16 @@ class RapidRefiner(UnitCoder):
 
     name = "rapid"
 
-    def __init__(self, file_tables: bytes = b"", tables: FileTables | None = None) -> None:
-        """Take a file's tables from their bytes, unless they are known."""
-        super().__init__(_tables_of(file_tables) if tables is None else Tables(tables))
+    def __init__(self, file_tables: bytes = b"") -> None:
+        """Take a file's tables as their bytes."""
         self.file_tables = file_tables
 
+    def tables(self, step: int) -> Tables:
+        """Return the file's tables; those who open it again find them."""
+        return tables_of(self.file_tables, step)
+
     def fitted(
-        self,
-        grid: Grid,
-        step: int,
-        heights: HeightsOf,
-        mask: MaskOf,
-        *,
-        may_have_reach: bool = True,
-        each: Each = map,
+        self, grid: Grid, step: int, heights: HeightsOf, mask: MaskOf, *, each: Each = map
     ) -> "RapidRefiner":
         """Return a refiner with tables fitted to a raster.
 
@@ -40,11 +30,4 @@ class RapidRefiner(UnitCoder):
         """
         from terrainwave.codec.rapid.fit import fit_tables
 
-        tables = fit_tables(grid, step, heights, mask, may_have_reach=may_have_reach, each=each)
-        return RapidRefiner(pack_file_tables(tables), tables)
-
-
-@lru_cache(maxsize=8)
-def _tables_of(file_tables: bytes) -> Tables:
-    """Return the tables of a file; those who open it again find them, and what decoders made."""
-    return parse_file_tables(file_tables)
+        return RapidRefiner(pack_file_tables(fit_tables(grid, step, heights, mask, each=each)))

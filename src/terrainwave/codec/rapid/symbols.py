@@ -1,254 +1,376 @@
-"""Details of one row: symbols, raw bits, heights; written or read (format-rapid.md, R.7-R.9)."""
+"""Details of a unit: classes by what is known before any height, symbols, raw bits.
+
+A *list* has one entry for each pair of samples of rows side by side, or two where the pair's class
+is above the file's cut. An entry is the number of a table of frequencies: pairs have those below
+SINGLES, samples of their own those from it on. Entry k of a list uses state k mod n_states.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.rapid.layout import (
-    CONTEXT,
-    DETAIL,
-    ERROR_SHIFT,
-    ERRORS,
-    GOAL,
-    N_LOW,
-    PLANE,
-    PREDICTED,
-    SHIFT_MASK,
-    SIDE,
-    STRIDE,
-    SYMBOL,
-    VALID,
-    WHOLE,
-)
-from terrainwave.codec.rapid.magnitude import MOST_ERROR
-from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
-from terrainwave.coding.rans import N_STATES, SYMBOL_BITS, decode_row, decode_symbol
+from terrainwave.coding.borrowed import borrowed
+from terrainwave.coding.jit import kernel, kernel_part
 
-# Symbols: an escape, then the upper parts of details, -30 … 31.
-ESCAPE, ZERO, N_SYMBOLS = 0, 31, 63
-ESCAPE_BITS = 33
-_FREQ_MASK, _SYMBOL_MASK = np.uint32(0xFFFF), (1 << SYMBOL_BITS) - 1
-_MASK32 = np.uint64(0xFFFFFFFF)
-# Contexts from this one on have low bits (bin 18 is the first).
-_FIRST_RAW = 4 * 18
-_LAST_WITHOUT = 8
-# What a row may read past the end: a word and an escape for each sample.
-SPARE_WORDS = STRIDE
-SPARE_BITS = STRIDE * (ESCAPE_BITS + 7)
+SLOT_BITS = 12
+N_SLOTS = 1 << SLOT_BITS
+N_SYMBOLS = 256
+STATE_START = 1 << 16
+MOST_STATES = 32
+# Classes are two for each doubling of the expected magnitude E, in 2**-14 steps; class 28: a step.
+N_CLASSES = 60
+STEP_BITS = 14
+STEP_CLASS = 2 * STEP_BITS
+# Tables: pairs by class, then samples by class.
+SINGLES, N_TABLES = 64, 128
+# What is not coded (void, or known before): two details of 0, or one.
+NO_PAIR, NO_SINGLE = 63, 127
+# Samples of pairs that have no symbol.
+ESCAPED = 126
+HIDDEN = -1
+# Symbols of pairs: (a + 7) 15 + b + 7, and one that says that both come as samples; of samples:
+# d + 31, and one that says that more bits follow.
+PAIR_LIMIT, SINGLE_LIMIT = 7, 31
+PAIR_ESCAPE, SINGLE_ESCAPE = 225, 63
+_SIDE = 2 * PAIR_LIMIT + 1
+NOTHING = (_SIDE * _SIDE) // 2
+# Samples above this class have raw bits: one more for each two classes.
+_RAW_CLASS = STEP_CLASS + 4
+# Details as large as this say no more of those beside them.
+MOST_NEAR = 4095
+_LENGTH_BITS = 5
 
-# Indices into `Streams.places`.
-WORD_POS, BIT_POS, COUNT = 0, 1, 2
+# Places in a unit's streams.
+WORD, BIT, N_LOGGED, IS_BAD = 0, 1, 2, 3
+
+
+def _values() -> NDArray[np.int64]:
+    """Return details of symbols as the halves of 64 bits, lower first, shape (4, 256).
+
+    Rows: both of a pair; the first of two samples; nothing; the second of two.
+    """
+    values = np.zeros((4, N_SYMBOLS), dtype=np.int64)
+    pairs = np.arange(_SIDE * _SIDE)
+    first, second = pairs // _SIDE - PAIR_LIMIT, pairs % _SIDE - PAIR_LIMIT
+    values[0, : len(pairs)] = (first & 0xFFFFFFFF) | second << 32
+    samples = np.arange(SINGLE_ESCAPE + 1) - SINGLE_LIMIT
+    values[1, : len(samples)] = samples & 0xFFFFFFFF
+    values[3, : len(samples)] = samples << 32
+    return values
+
+
+VALUES = _values()
+# The value of SINGLE_ESCAPE, which no other symbol has.
+_GOES_ON = SINGLE_LIMIT + 1
+
+
+class Log(NamedTuple):
+    """What an encoder writes down before it knows the first state."""
+
+    tables: NDArray[np.uint8]
+    symbols: NDArray[np.uint8]
+    states: NDArray[np.uint8]  # of MOST_STATES: of fewer, the remainder
 
 
 class Streams(NamedTuple):
-    """What a unit's symbols and raw bits are read from, or what they are logged in.
+    """What kernels read or write of a band of strips; `raw` has bits, the lowest first."""
 
-    Decoding uses `slots`, `words`, `n_words`, `states`, `n_states`; encoding `freqs` and the logs.
-    `n_bits` of raw bits can be there; the arrays have as much to spare as a row may read.
+    states: NDArray[np.uint32]
+    words: NDArray[np.uint16]
+    raw: NDArray[np.uint32]
+    log: Log
+    places: NDArray[np.int64]
+
+
+class Frequencies(NamedTuple):
+    """Tables as kernels read them.
+
+    ``slots[table << SLOT_BITS | slot]`` is ``symbol | (frequency - 1) << 8 | place << 20``, `place`
+    that of the slot among those of the symbol. ``freqs[table, symbol]`` and the sum of those before
+    it, ``starts``, are for encoders. Pairs of classes from `cut` on are two samples each.
     """
 
-    places: NDArray[np.int64]
+    cut: int
     slots: NDArray[np.uint32]
-    words: NDArray[np.uint16]
-    n_words: int
-    states: NDArray[np.uint64]
-    n_states: int
-    raw: NDArray[np.uint32]
-    n_bits: int
     freqs: NDArray[np.uint32]
-    contexts_log: NDArray[np.uint8]
-    symbols_log: NDArray[np.uint8]
+    starts: NDArray[np.uint32]
 
 
-@inlined_kernel
-def low_bits(context):
-    """Return how many low bits of a detail are raw."""
-    return max((context >> 3) - _LAST_WITHOUT, 0)
+def frequencies_of(cut: int, freqs: NDArray[np.int64]) -> Frequencies:
+    """Return tables from frequencies, shape (N_TABLES, N_SYMBOLS); rows sum to N_SLOTS or 0."""
+    freqs = freqs.copy()
+    # Decoders go through these without a change of any state.
+    freqs[[NO_PAIR, NO_SINGLE]] = 0
+    freqs[freqs.sum(1) == 0, NOTHING] = N_SLOTS
+    starts = np.cumsum(freqs, 1) - freqs
+    own = np.arange(N_SYMBOLS) + ((freqs - 1) << 8) - (starts << 20)
+    slots = np.repeat((own & 0xFFFFFFFF).astype(np.uint32).ravel(), freqs.ravel())
+    slots += np.tile(np.arange(N_SLOTS, dtype=np.uint32) << np.uint32(20), N_TABLES)
+    return Frequencies(cut, slots, freqs.astype(np.uint32), starts.astype(np.uint32))
+
+
+@kernel_part
+def _list_entries(pairs, singles, n_pairs, cut, entries):
+    """Write the entries of a list; return how many there are."""
+    n, one = np.uint64(0), np.uint64(1)
+    for k in range(np.uint64(n_pairs)):
+        # Nothing branches by the class, which no processor foresees.
+        own, j = np.int64(pairs[k]), k + k
+        is_single = np.uint64(own >= cut)
+        first, second = SINGLES | np.int64(singles[j]), SINGLES | np.int64(singles[j + one])
+        entries[n] = np.uint8((first & 127) if is_single else own & 63)
+        entries[n + one] = np.uint8(second & 127)
+        n += one + is_single
+    return np.int64(n)
+
+
+@kernel_part
+def _raw_bits(single):
+    """Return how many raw bits a sample has that is coded by itself."""
+    return max(np.int64(single) - _RAW_CLASS, 0) >> 1
+
+
+@kernel_part
+def _take(raw, places, n):
+    """Return the next n raw bits, at most 32; past the end any."""
+    bit = places[BIT]
+    places[BIT] = bit + n
+    at = np.uint64(min(bit >> 5, raw.shape[0] - 2))
+    both = np.uint64(raw[at]) | np.uint64(raw[at + np.uint64(1)]) << np.uint64(32)
+    mask = (np.uint64(1) << np.uint64(n)) - np.uint64(1)
+    return np.int64((both >> np.uint64(bit & 31)) & mask)
 
 
 @kernel
-def code_details(m, at, n, to, is_encoding, has_void, scale, s):
-    """Encode or decode the `n` samples of a row from column `at` on; heights go to place `to`.
+def read_entries(entries, n, slots, streams, symbols):
+    """Read the symbols of a list. Past the last word, the last ones are read again."""
+    entries, slots, symbols = borrowed((entries, slots, symbols))
+    states, words, _, _, places = borrowed(streams)
+    at, most = np.uint64(places[WORD]), np.uint64(words.shape[0] - MOST_STATES)
+    # Unsigned, so that no index needs to be checked for a sign; without a branch, which no
+    # processor would foresee. A state is at most N_SLOTS * (2**20 - 1) + N_SLOTS - 1 < 2**32.
+    mask, n = np.uint64(states.shape[0] - 1), np.uint64(n)
+    first = np.uint64(0)
+    while first < n:
+        if at > most:
+            places[IS_BAD] = 1
+            at = most
+        last = min(first + np.uint64(MOST_STATES), n)
+        for k in range(first, last):
+            state = states[k & mask]
+            table = np.uint64(entries[k]) << np.uint64(SLOT_BITS)
+            found = slots[table | np.uint64(state & np.uint32(N_SLOTS - 1))]
+            whole = state >> np.uint32(SLOT_BITS)
+            freq = (found >> np.uint32(8)) & np.uint32(N_SLOTS - 1)
+            state = freq * whole + whole + (found >> np.uint32(20))
+            symbols[k] = np.uint8(found & np.uint32(255))
+            is_short = state < np.uint32(STATE_START)
+            longer = (state << np.uint32(16)) | np.uint32(words[at])
+            states[k & mask] = longer if is_short else state
+            at += np.uint64(is_short)
+        first = last
+    places[WORD] = np.int64(at)
 
-    When encoding, `GOAL` holds what to approximate. With `has_void`, `VALID` says which samples
-    have a symbol.
+
+@kernel_part
+def _beyond(raw, places):
+    """Return what a symbol says no more: a signed number beyond SINGLE_LIMIT, below 2**33."""
+    length = _take(raw, places, _LENGTH_BITS)
+    rest = _take(raw, places, length + 1)
+    beyond = (np.int64(1) << length) - 1 + (rest >> 1) + SINGLE_LIMIT + 1
+    return -beyond if rest & 1 else beyond
+
+
+@kernel_part
+def _expand(pairs, n_pairs, cut, symbols, values, both, more):
+    """Fill the details that symbols stand for; return how many pairs have none, first in `more`."""
+    k, n_escaped, one = np.uint64(0), np.uint64(0), np.uint64(1)
+    for pair in range(np.uint64(n_pairs)):
+        is_single = np.uint64(np.int64(pairs[pair]) >= cut)
+        symbol, other = np.uint64(symbols[k]), np.uint64(symbols[k + is_single])
+        k += one + is_single
+        both[pair] = values[is_single, symbol] | values[np.uint64(2) + is_single, other]
+        more[n_escaped] = pair + pair
+        n_escaped += np.uint64(symbol == np.uint64(PAIR_ESCAPE))
+    return np.int64(n_escaped)
+
+
+@kernel_part
+def _complete(pairs, singles, n_pairs, cut, streams, details, more, most):
+    """Read the raw bits of samples coded by themselves, and what is beyond their symbols.
+
+    A detail is below 2**33 << 13 before it is brought within ±most, which fits 32 bits.
     """
-    if is_encoding:
-        _quantize(m, at, n, has_void, scale)
-        _log_symbols(m, at, n, has_void, s.places, s.freqs, s.contexts_log, s.symbols_log)
-    else:
-        _read_symbols(
-            m, at, n, has_void, s.places, s.slots, s.words, s.n_words, s.states, s.n_states,
-        )  # fmt: skip
-    has_raw, has_escape = _find_raw(m, at, n)
-    if has_raw:
-        most = np.int64(scale.most_detail)
-        _code_raw(m, at, n, is_encoding, has_escape, most, s.places, s.raw, s.n_bits)
-    _fill_heights(m, at, n, to, scale)
+    raw, places = streams.raw, streams.places
+    n_beyond = 0
+    for pair in range(n_pairs):
+        if pairs[pair] < cut:
+            continue
+        for i in range(2 * pair, 2 * pair + 2):
+            n_bits = _raw_bits(singles[i])
+            goes_on = details[i] == _GOES_ON
+            if n_bits == 0 and not goes_on:
+                continue
+            low = _take(raw, places, n_bits)
+            detail = (np.int64(details[i]) << n_bits) | low
+            # Raw bits of those that go on wait in their place.
+            details[i] = np.int32(low if goes_on else min(max(detail, -most), most))
+            more[n_beyond] = i
+            n_beyond += goes_on
+    for k in range(n_beyond):
+        i = more[k]
+        detail = (_beyond(raw, places) << _raw_bits(singles[i])) | np.int64(details[i])
+        details[i] = np.int32(min(max(detail, -most), most))
+
+
+@kernel
+def read_strip(memory, pairs, singles, both, details, most, frequencies, values, streams):
+    """Read the details of a list, two for each pair; none of many bits is beyond ±most.
+
+    The list; a list of the samples of pairs that have no symbol; the raw bits of samples coded by
+    themselves; what is beyond the symbols of these; the same of samples of pairs.
+    """
+    pairs, singles, both, details = borrowed((pairs, singles, both, details))
+    entries, symbols, more = borrowed(memory)
+    streams = borrowed(streams)
+    cut, slots = frequencies.cut, frequencies.slots
+    n_pairs = pairs.shape[0]
+    n = _list_entries(pairs, singles, n_pairs, cut, entries)
+    read_entries(entries, n, slots, streams, symbols)
+    n_escaped = _expand(pairs, n_pairs, cut, symbols, values, both, more)
+    # Samples of pairs without a symbol are at the end of `more`, as others are put at its start.
+    first = more.shape[0] - n_escaped
+    for k in range(n_escaped - 1, -1, -1):
+        more[first + k] = more[k]
+    if n_escaped:
+        for k in range(2 * n_escaped):
+            entries[k] = ESCAPED
+        read_entries(entries, 2 * n_escaped, slots, streams, symbols)
+    if n > n_pairs:
+        _complete(pairs, singles, n_pairs, cut, streams, details, more, most)
+    for k in range(2 * n_escaped):
+        i = more[first + (k >> 1)] + (k & 1)
+        detail = np.int64(np.int32(values[1, symbols[k]]))
+        if detail == _GOES_ON:
+            detail = _beyond(streams.raw, streams.places)
+        details[i] = np.int32(min(max(detail, -most), most))
 
 
 @kernel_part
-def _read_symbols(m, at, n, has_void, places, slots, words, n_words, states, n_states):
-    """Decode `SYMBOL`, and `DETAIL` but for raw bits."""
-    cast = m.dtype.type
-    start, count = min(places[WORD_POS], n_words), places[COUNT]
-    contexts, symbols, valid = at + CONTEXT, at + SYMBOL, at + VALID
-    if has_void:
-        # What a void has no symbol for: a detail of 0, and no raw bits.
-        for j in range(n):
-            m[symbols + j] = ZERO
-            m[contexts + j] = m[contexts + j] if m[valid + j] != 0 else 0
-    n_all, end, j = np.int64(n), np.int64(start), np.int64(0)
-    while j < n_all:
-        first, j = j, n_all
-        if has_void:
-            while first < n_all and m[valid + np.uint64(first)] == 0:
-                first += 1
-            j = first
-            while j < n_all and m[valid + np.uint64(j)] != 0:
-                j += 1
-        if n_states == N_STATES:
-            skipped = np.uint64(first)
-            end = decode_row(
-                m, contexts + skipped, symbols + skipped, j - first, slots, words, end, states,
-                count,
-            )  # fmt: skip
+def _put(raw, places, value, n):
+    bit = places[BIT]
+    shifted = np.uint64(value) << np.uint64(bit & 31)
+    raw[bit >> 5] |= np.uint32(shifted & np.uint64(0xFFFFFFFF))
+    raw[(bit >> 5) + 1] |= np.uint32(shifted >> np.uint64(32))
+    places[BIT] = bit + n
+
+
+@kernel_part
+def _log(log, places, table, symbol, state):
+    at = places[N_LOGGED]
+    log.tables[at], log.symbols[at], log.states[at] = table, symbol, state
+    places[N_LOGGED] = at + 1
+
+
+@kernel_part
+def _pair_symbol(table, first, second, freqs):
+    """Return the symbol of two details; PAIR_ESCAPE where there is none, or it has no slot."""
+    if max(abs(first), abs(second)) > PAIR_LIMIT:
+        return PAIR_ESCAPE
+    symbol = (first + PAIR_LIMIT) * _SIDE + second + PAIR_LIMIT
+    return symbol if freqs[table, symbol] else PAIR_ESCAPE
+
+
+@kernel_part
+def _is_escaped(pair, cut, details, j, freqs):
+    """Say whether a pair of details has no symbol."""
+    is_pair = pair != HIDDEN and pair < cut
+    return is_pair and _pair_symbol(pair, details[j], details[j + 1], freqs) == PAIR_ESCAPE
+
+
+@kernel_part
+def _single_symbol(value):
+    return SINGLE_ESCAPE if abs(value) > SINGLE_LIMIT else value + SINGLE_LIMIT
+
+
+@kernel_part
+def _put_beyond(raw, places, value):
+    """Write what the symbol of a value says no more, if there is anything."""
+    beyond = abs(value) - SINGLE_LIMIT - 1
+    if beyond >= 0:
+        length = 0
+        while (np.int64(1) << (length + 1)) - 1 <= beyond:
+            length += 1
+        _put(raw, places, length, _LENGTH_BITS)
+        rest = (beyond - ((np.int64(1) << length) - 1)) << 1 | np.int64(value < 0)
+        _put(raw, places, rest, length + 1)
+
+
+@kernel
+def log_strip(pairs, singles, details, frequencies, streams):
+    """Log a list as `read_strip` reads it."""
+    cut, freqs = frequencies.cut, frequencies.freqs
+    log, raw, places = streams.log, streams.raw, streams.places
+    k, n_escaped = 0, 0
+    for pair in range(pairs.shape[0]):
+        j = 2 * pair
+        if pairs[pair] == HIDDEN:
+            k += 1
+        elif pairs[pair] < cut:
+            symbol = _pair_symbol(pairs[pair], details[j], details[j + 1], freqs)
+            _log(log, places, pairs[pair], symbol, k % MOST_STATES)
+            k += 1
         else:
-            place = np.uint64(end)
-            for k in range(first, j):
-                place = decode_symbol(m, contexts, symbols, k, slots, words, place, states, 0)
-            end = np.int64(place)
-        count += j - first
-    places[COUNT] = count
-    places[WORD_POS] += end - start
-    for j in range(n):
-        symbol = cast(m[symbols + j] & _SYMBOL_MASK)
-        m[symbols + j] = symbol
-        m[DETAIL + at + j] = symbol - ZERO
+            for i in range(j, j + 2):
+                if singles[i] != HIDDEN:
+                    symbol = _single_symbol(details[i] >> _raw_bits(singles[i]))
+                    _log(log, places, SINGLES | singles[i], symbol, k % MOST_STATES)
+                k += 1
+    for pair in range(pairs.shape[0]):
+        if _is_escaped(pairs[pair], cut, details, 2 * pair, freqs):
+            for i in range(2 * pair, 2 * pair + 2):
+                _log(log, places, ESCAPED, _single_symbol(details[i]), n_escaped % MOST_STATES)
+                n_escaped += 1
+    for pair in range(pairs.shape[0]):
+        for i in range(2 * pair, 2 * pair + 2):
+            if pairs[pair] >= cut and singles[i] != HIDDEN:
+                n_bits = _raw_bits(singles[i])
+                _put(raw, places, details[i] & ((np.int64(1) << n_bits) - 1), n_bits)
+    for pair in range(pairs.shape[0]):
+        for i in range(2 * pair, 2 * pair + 2):
+            if pairs[pair] >= cut and singles[i] != HIDDEN:
+                _put_beyond(raw, places, np.int64(details[i]) >> _raw_bits(singles[i]))
+    for pair in range(pairs.shape[0]):
+        for i in range(2 * pair, 2 * pair + 2):
+            if _is_escaped(pairs[pair], cut, details, 2 * pair, freqs):
+                _put_beyond(raw, places, np.int64(details[i]))
 
 
-@kernel_part
-def _quantize(m, at, n, has_void, scale):
-    """Fill `DETAIL` from `GOAL`."""
-    cast = m.dtype.type
-    if has_void:
-        for j in range(n):
-            k = at + j
-            m[GOAL + k] = m[GOAL + k] if m[VALID + k] != 0 else m[WHOLE + k]
-    half, inverse = scale.step >> 1, 1.0 / scale.step
-    for j in range(n):
-        k = at + j
-        distance = cast(m[GOAL + k] - m[WHOLE + k])
-        # A quotient is at least 0.5 / step away from a whole number: rounding can't matter.
-        size = cast(np.int64((np.float64(abs(distance)) + (half + 0.5)) * inverse))
-        flips = (distance < 0) != (m[SIDE + k] < 0)
-        m[DETAIL + k] = cast(-size) if flips else size
+@kernel
+def encode_log(streams, frequencies, words):
+    """Encode what has been logged, from its end on; return how many words end `words`."""
+    log, states = streams.log, streams.states
+    freqs, starts = frequencies.freqs, frequencies.starts
+    at = words.shape[0]
+    for k in range(streams.places[N_LOGGED] - 1, -1, -1):
+        table, symbol = log.tables[k], log.symbols[k]
+        lane = log.states[k] & (states.shape[0] - 1)
+        freq, start = np.uint64(freqs[table, symbol]), np.uint64(starts[table, symbol])
+        state = np.uint64(states[lane])
+        if state >= freq << np.uint64(32 - SLOT_BITS):
+            at -= 1
+            words[at] = np.uint16(state & np.uint64(0xFFFF))
+            state >>= np.uint64(16)
+        quotient = state // freq
+        states[lane] = np.uint32(
+            (quotient << np.uint64(SLOT_BITS)) + state - quotient * freq + start
+        )
+    return words.shape[0] - at
 
 
-@kernel_part
-def _log_symbols(m, at, n, has_void, places, freqs, contexts_log, symbols_log):
-    """Fill `SYMBOL` from `DETAIL`, and log the symbols."""
-    cast = m.dtype.type
-    count = places[COUNT]
-    for j in range(n):
-        k = at + j
-        context = m[CONTEXT + k]
-        upper = cast(m[DETAIL + k] >> cast(low_bits(context)))
-        is_near = (upper > -ZERO) and (upper <= ZERO)
-        symbol = upper + ZERO if is_near else ESCAPE
-        own = freqs[np.uint64(context << SYMBOL_BITS) + np.uint64(symbol)]
-        symbol = symbol if (own & _FREQ_MASK) > 0 else ESCAPE
-        if not has_void or m[VALID + k] != 0:
-            m[SYMBOL + k] = symbol
-            contexts_log[count], symbols_log[count] = context, symbol
-            count += 1
-        else:
-            m[SYMBOL + k], m[CONTEXT + k] = ZERO, 0
-    places[COUNT] = count
-
-
-@kernel_part
-def _find_raw(m, at, n):
-    """Return whether a row has raw bits, and whether it has an escape."""
-    most, least = m[CONTEXT + at], m[SYMBOL + at]
-    for j in range(n):
-        most = max(most, m[CONTEXT + at + j])
-        least = min(least, m[SYMBOL + at + j])
-    has_escape = least == ESCAPE
-    return has_escape or most >= _FIRST_RAW, has_escape
-
-
-@kernel_part
-def _code_raw(m, at, n, is_encoding, has_escape, most, places, raw, n_bits):
-    """Write or read the raw bits of a row and complete `DETAIL`; an escape is at most `most`."""
-    cast = m.dtype.type
-    start = min(places[BIT_POS], n_bits)
-    for j in range(n):
-        k = at + j
-        is_escape = m[SYMBOL + k] == ESCAPE
-        m[N_LOW + k] = cast(ESCAPE_BITS) if is_escape else cast(low_bits(m[CONTEXT + k]))
-    bit_pos = start
-    for j in range(n):
-        k = at + j
-        n_low, detail = np.int64(m[N_LOW + k]), np.int64(m[DETAIL + k])
-        if is_encoding:
-            if n_low > 0:
-                _write_bits(raw, bit_pos, detail & ((np.int64(1) << n_low) - 1))
-        else:
-            # Without a branch, which would often be foretold wrongly.
-            m[DETAIL + k] = cast(detail << n_low | _read_bits(raw, bit_pos, n_low))
-        bit_pos += n_low
-    if has_escape and not is_encoding:
-        after = start
-        sign = np.int64(1) << (ESCAPE_BITS - 1)
-        for j in range(n):
-            k = at + j
-            if m[SYMBOL + k] == ESCAPE:
-                detail = (_read_bits(raw, after, ESCAPE_BITS) ^ sign) - sign
-                m[DETAIL + k] = cast(min(max(detail, -most), most))
-            after += np.int64(m[N_LOW + k])
-    places[BIT_POS] += bit_pos - start
-
-
-@kernel_part
-def _fill_heights(m, at, n, to, scale):
-    """Fill heights from place `to` on, from predictions and details."""
-    cast = m.dtype.type
-    step, low, high = cast(scale.step), cast(scale.low), cast(scale.high)
-    # From one end of the range past the other: a larger detail, of a corrupt file, ends there too.
-    least, most = cast(-scale.most_detail), cast(scale.most_detail)
-    for j in range(n):
-        k = at + j
-        detail = min(max(m[DETAIL + k], least), most)
-        detail = -detail if m[SIDE + k] < 0 else detail
-        height = cast(m[WHOLE + k] + cast(detail * step))
-        m[to + k] = min(max(height, low), high)
-
-
-@kernel_part
-def note_errors(m, n, own):
-    """Fill the errors of a row whose heights begin at `own`."""
-    cast, shift = m.dtype.type, m[ERROR_SHIFT] & SHIFT_MASK
-    to = own + np.uint64(ERRORS * PLANE)
-    for j in range(n):
-        error = cast(abs(cast(64 * m[own + j] - m[PREDICTED + j])))
-        m[to + j] = min(cast(error >> shift), cast(MOST_ERROR))
-
-
-@kernel_part
-def _read_bits(raw, bit_pos, n):
-    """Return `n` <= 33 bits from a bit on, the first one lowest."""
-    at = np.uint64(bit_pos >> 5)
-    both = np.uint64(raw[at]) | np.uint64(raw[at + np.uint64(1)]) << np.uint64(32)
-    shifted = both >> np.uint64(bit_pos & 31)
-    return np.int64(shifted & ((np.uint64(1) << np.uint64(n)) - np.uint64(1)))
-
-
-@kernel_part
-def _write_bits(raw, bit_pos, bits):
-    """Put bits, at most 33, where all following ones are still 0."""
-    at = np.uint64(bit_pos >> 5)
-    both = np.uint64(bits) << np.uint64(bit_pos & 31)
-    raw[at] |= np.uint32(both & _MASK32)
-    raw[at + np.uint64(1)] |= np.uint32(both >> np.uint64(32))
+@kernel
+def count_log(log, n, counts):
+    """Count the symbols that have been logged; `counts` as `Frequencies.freqs`."""
+    for k in range(n):
+        counts[log.tables[k], log.symbols[k]] += 1

@@ -105,7 +105,9 @@ class MergingSource:
 
 
 class FileSource(MergingSource):
-    """A local file."""
+    """A local file; `is_local` says that a request costs little."""
+
+    is_local = True
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.name = os.fspath(path)

@@ -21,6 +21,11 @@ class CutFile:
         self._source = source
         self.size = size
 
+    @property
+    def is_local(self) -> bool:
+        """Say whether a request costs little."""
+        return bool(getattr(self._source, "is_local", False))
+
     def read(self, offset: int, length: int) -> bytes:
         """Return the bytes of a range."""
         return self.read_many([ByteRange(offset, length)])[0]

@@ -2,7 +2,8 @@
 
 A request to a server a hundred milliseconds away costs as much time as some 500 KiB, and storage
 is billed by the request. So gaps between wanted ranges are bridged, the shortest first: this gives
-the fewest requests that a number of unwanted bytes can buy.
+the fewest requests that a number of unwanted bytes can buy. `native/gdal/source.cpp` and
+`js/src/source.js` do the same.
 """
 
 from bisect import bisect_right, insort
@@ -10,14 +11,14 @@ from collections.abc import Iterator, Sequence
 from itertools import accumulate
 from typing import NamedTuple
 
-MAX_GAP = 512 * 1024
+MAX_GAP = 1024 * 1024
 MAX_REQUEST = 16 * 1024 * 1024
-# What a window should take, in all rounds (docs/decisions/0003).
-AIMED_REQUESTS = 12
-# Bytes in gaps, as a share of what is wanted: to be bridged in any case, and where that makes
-# requests as few as is aimed at. Where little is wanted, 64 KiB in any case.
-_WASTE, _MOST_WASTE = 0.25, 0.45
-_FREE_WASTE = 64 * 1024
+# What a window should take, in all rounds (docs/decisions/0010).
+AIMED_REQUESTS = 3
+# Bytes in gaps, as a share of what is wanted: to be bridged in any case, and while requests are
+# more than is aimed at. Where little is wanted, 64 and 512 KiB in any case.
+_WASTE, _MOST_WASTE = 0.25, 1.5
+_FREE_WASTE, _MOST_FREE_WASTE = 64 * 1024, 512 * 1024
 
 
 class ByteRange(NamedTuple):
@@ -36,7 +37,7 @@ class Budget(NamedTuple):
     """What the requests of one round may cost.
 
     `n_requests` is how many are aimed at; `waste` are bytes in gaps to bridge in any case,
-    `most_waste` where requests become so few by it.
+    `most_waste` while requests are more.
     """
 
     n_requests: int
@@ -55,7 +56,7 @@ def budget_of(n_wanted: int, n_requests: int = 0, n_wasted: int = 0) -> Budget:
         Requests made and unwanted bytes fetched in earlier rounds.
     """
     waste = max(_FREE_WASTE, int(_WASTE * n_wanted))
-    most_waste = max(_FREE_WASTE, int(_MOST_WASTE * n_wanted))
+    most_waste = max(_MOST_FREE_WASTE, int(_MOST_WASTE * n_wanted))
     return Budget(AIMED_REQUESTS - n_requests, waste - n_wasted, most_waste - n_wasted)
 
 
@@ -69,7 +70,7 @@ class MergedRange(NamedTuple):
 def merge_ranges(ranges: Sequence[ByteRange], budget: Budget | None = None) -> list[MergedRange]:
     """Return requests that cover `ranges`, in order of place, up to 16 MiB in one.
 
-    The shortest gaps are bridged, none above 512 KiB, within `budget`; by default that of these
+    The shortest gaps are bridged, none above 1 MiB, within `budget`; by default that of these
     ranges alone. Empty ranges need no request.
     """
     order = [number for number in range(len(ranges)) if ranges[number].length]
@@ -105,10 +106,9 @@ def _gaps_to_bridge(runs: Sequence[ByteRange], budget: Budget) -> set[int]:
     gaps = [(runs[number].offset - runs[number - 1].end, number) for number in range(1, len(runs))]
     shortest = [(gap, number) for gap, number in sorted(gaps) if gap <= MAX_GAP]
     costs = list(accumulate(gap for gap, _ in shortest))
-    n_bridged = bisect_right(costs, budget.waste)
-    n_aimed = len(runs) - budget.n_requests
-    if n_bridged < n_aimed <= len(costs) and costs[n_aimed - 1] <= budget.most_waste:
-        n_bridged = n_aimed
+    n_aimed = len(runs) - max(budget.n_requests, 1)
+    n_bridged = min(n_aimed, bisect_right(costs, budget.most_waste))
+    n_bridged = max(n_bridged, bisect_right(costs, budget.waste))
     return {number for _, number in shortest[:n_bridged]}
 
 

@@ -32,12 +32,19 @@ class RoundReader:
         n_wanted = sum(place.length for place in wanted)
         n_useful = n_wanted - sum(part.length for part in missing)
         n_wasted = max(0, self._n_read - n_useful)
-        merged = merge_ranges(missing, budget_of(n_wanted, self._n_requests, n_wasted))
+        budget = budget_of(n_wanted, self._n_requests, n_wasted)
+        if getattr(self._source, "is_local", False):
+            budget = budget._replace(most_waste=budget.waste)
+        merged = merge_ranges(missing, budget)
         spans = [span for span, _ in merged]
         for span, data in zip(spans, self._source.read_spans(spans), strict=True):
             self._fetched.add(span.offset, data)
             self._n_read += span.length
         self._n_requests += len(spans)
+
+    def has(self, place: ByteRange) -> bool:
+        """Say whether a range need not be fetched."""
+        return not self._fetched.missing(place)
 
     def take(self, place: ByteRange) -> bytes:
         """Return the bytes of a range that was wanted."""

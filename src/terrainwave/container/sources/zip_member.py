@@ -38,6 +38,11 @@ class MemberSource(MergingSource):
         """Return the replies so far, for those who wait."""
         return int(getattr(self._archive, "n_replies", 0))
 
+    @property
+    def is_local(self) -> bool:
+        """Say whether a request costs little."""
+        return bool(getattr(self._archive, "is_local", False))
+
     def _read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
         return self._archive.read_spans(
             [ByteRange(self._start + span.offset, span.length) for span in spans]

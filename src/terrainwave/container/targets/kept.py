@@ -145,10 +145,16 @@ class Kept:
 
     def tick(self, name: str, values: Callable[[], dict[str, Any]]) -> None:
         """Keep a record of work that goes on, unless one was kept just now."""
-        now = time.monotonic()
-        if self._file is not None and now - self._ticked.setdefault(name, now) >= TICK:
-            self._ticked[name] = now
+        if self.is_due(name):
             self.put(name, values())
+
+    def is_due(self, name: str) -> bool:
+        """Say whether it is time for a record of work that goes on; it then counts as kept."""
+        now = time.monotonic()
+        if self._file is None or now - self._ticked.setdefault(name, now) < TICK:
+            return False
+        self._ticked[name] = now
+        return True
 
     def path(self, name: str) -> Path | None:
         """Return where an array lies; None if nothing is kept."""

@@ -5,11 +5,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from itertools import islice
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.container.digests import TILE, Place, TileDigests, tile_digests
 from terrainwave.container.targets.kept import Kept, digest_of_file
 from terrainwave.errors import BoundViolationError
 from terrainwave.file import TerrainFile
@@ -27,7 +28,7 @@ OUR_FAULT = (
     " with the raster. Nothing was written"
 )
 # Samples per side of the windows that are compared, where groups are smaller than that.
-_PROOF_SIDE = 512
+_PROOF_SIDE = TILE
 _CACHE_BYTES = 64 << 20
 # So many windows give too few shares to keep threads busy.
 _FEW = 16
@@ -35,6 +36,25 @@ _FEW = 16
 _BATCH, _SHARES = 4096, 1024
 Share = Sequence[Region | Block]
 ShareT = TypeVar("ShareT", bound=Share)
+
+
+class Proved(NamedTuple):
+    """Largest error of what was compared, in raw units, and the digests of its tiles."""
+
+    error: float
+    tiles: dict[Place, bytes]
+
+
+NOTHING = Proved(0.0, {})
+
+
+def together(found: Iterable[Proved]) -> Proved:
+    """Return the results of several parts as one."""
+    largest, tiles = 0.0, dict[Place, bytes]()
+    for one in found:
+        largest = max(largest, one.error)
+        tiles |= one.tiles
+    return Proved(largest, tiles)
 
 
 def proof_windows(grid: Grid, within: Region | None = None) -> list[Region]:
@@ -130,32 +150,35 @@ class Comparison:
 
     Below a block of one height, units and finest segments with neighbours on all sides decode to
     what others of the same bytes do (`EvenBlocks`): the first of them is decoded, the others are
-    compared with its bytes.
+    compared with its bytes. Tiles are digested if `has_digests`.
     """
 
-    def __init__(self, terrain: TerrainFile, source: SourceWindows, allowed: float) -> None:
+    def __init__(
+        self, terrain: TerrainFile, source: SourceWindows, allowed: float, has_digests: bool
+    ) -> None:
         self._terrain = terrain
         self._source = source
         self._allowed = allowed
+        self._has_digests = has_digests
         self._even = EvenBlocks(terrain.container, terrain.decoder)
-        self._known: dict[tuple[Content, bytes], float] = {}
+        # Of tiles the places are those of the first block.
+        self._known: dict[tuple[Content, bytes], tuple[Block, Proved]] = {}
 
-    def windows(self, windows: Iterable[Region]) -> float:
-        """Return the largest error in windows, in raw units (`compare_window`)."""
-        return max(
-            (compare_window(self._terrain, self._source, one, self._allowed) for one in windows),
-            default=0.0,
+    def windows(self, windows: Iterable[Region]) -> Proved:
+        """Compare windows (`compare_window`)."""
+        return together(
+            compare_window(self._terrain, self._source, one, self._allowed, self._has_digests)
+            for one in windows
         )
 
-    def all(self, whole: Iterable[Region | Block]) -> float:
-        """Return the largest error in windows and blocks, as `unproved` yields them."""
-        errors = (
+    def all(self, whole: Iterable[Region | Block]) -> Proved:
+        """Compare windows and blocks, as `unproved` yields them."""
+        return together(
             self.block(one) if isinstance(one, Block) else self.windows([one]) for one in whole
         )
-        return max(errors, default=0.0)
 
-    def block(self, block: Block) -> float:
-        """Return the largest error below a block of whose every sample the source has one height.
+    def block(self, block: Block) -> Proved:
+        """Compare all below a block of whose every sample the source has one height.
 
         Raises
         ------
@@ -169,20 +192,35 @@ class Comparison:
             return self._below(block, raw)
         known = content, raw.tobytes()
         if known not in self._known:
-            self._known[known] = self._below(block, raw)
-        return self._known[known]
+            self._known[known] = block, self._below(block, raw)
+        first, found = self._known[known]
+        n_tiles = region.n_rows // TILE
+        down, right = (block.row - first.row) * n_tiles, (block.col - first.col) * n_tiles
+        tiles = {(row + down, col + right): digest for (row, col), digest in found.tiles.items()}
+        return found._replace(tiles=tiles)
 
-    def _below(self, block: Block, raw: NDArray[np.generic]) -> float:
-        """Return the largest error below a block on which all originals are as the one of `raw`."""
+    def _below(self, block: Block, raw: NDArray[np.generic]) -> Proved:
+        """Compare all below a block on which all originals are as the one of `raw`."""
         grid, quantizer = self._terrain.grid, self._terrain.quantizer
         heights = None if quantizer.remainder_bytes else self._even.below(block)
         if heights is not None:
             decoded = quantizer.dequantize(np.array([[*heights]], dtype=np.int32))
             errors = np.abs(decoded.astype(np.float64) - raw.astype(np.float64))
-            if errors.max() <= self._allowed:
-                return float(errors.max())
+            is_good = errors.max() <= self._allowed
+            if is_good and not self._has_digests:
+                return Proved(float(errors.max()), {})
+            if is_good and len(heights) == 1:
+                return Proved(float(errors.max()), _even_tiles(_own_samples(grid, block), decoded))
         side = _side_of(grid)
         return self.windows(_own_samples(grid, block).tiles(side, side))
+
+
+def _even_tiles(region: Region, height: NDArray[np.generic]) -> dict[Place, bytes]:
+    """Return the digests of tiles that have one height, of an array of shape (1, 1)."""
+    shape = TILE, TILE
+    valid = np.ones(shape, dtype=np.bool_)
+    one = tile_digests(Region(0, 0, *shape), np.broadcast_to(height, shape), valid)[0, 0]
+    return {(row // TILE, col // TILE): one for row, col, _, _ in region.tiles(TILE, TILE)}
 
 
 def _side_of(grid: Grid) -> int:
@@ -190,9 +228,9 @@ def _side_of(grid: Grid) -> int:
 
 
 def compare_window(
-    terrain: TerrainFile, source: SourceWindows, region: Region, allowed: float
-) -> float:
-    """Return the largest error in a window, in raw units.
+    terrain: TerrainFile, source: SourceWindows, region: Region, allowed: float, has_digests: bool
+) -> Proved:
+    """Return the largest error in a window, and the digests of its tiles if `has_digests`.
 
     Raises
     ------
@@ -207,7 +245,7 @@ def compare_window(
             f"the decoded mask differs from the source's at row {row}, column {col}; {OUR_FAULT}"
         )
     if not valid.any():
-        return 0.0
+        return NOTHING
     if terrain.quantizer.remainder_bytes:
         _compare_bits(raw, decoded, valid, region)
     largest = _largest_error(raw, decoded, valid)
@@ -218,7 +256,7 @@ def compare_window(
             f"the decoded height at row {at[0]}, column {at[1]} is {largest:g} off, more than"
             f" {allowed:g}; {OUR_FAULT}"
         )
-    return largest
+    return Proved(largest, tile_digests(region, decoded, valid) if has_digests else {})
 
 
 def _compare_bits(
@@ -281,26 +319,62 @@ def shares_in_turns(grid: Grid, whole: Iterator[Region | Block]) -> Iterator[Sha
 def proven_shares(
     path: str | os.PathLike[str] | bytes,
     shares: Iterable[ShareT],
-    compare: Callable[[list[ShareT]], Iterable[float]],
+    compare: Callable[[list[ShareT]], Iterable[Proved]],
     kept: Kept,
-) -> Iterator[tuple[ShareT, float]]:
-    """Yield shares of a file with their errors, those that an earlier run has compared first.
+) -> Iterator[tuple[ShareT, Proved]]:
+    """Yield shares of a file with their results, those that an earlier run has compared first.
 
-    These have the largest error of them all. `compare` makes those of the others, in order.
+    The first of these has the result of them all. `compare` makes those of the others, in order.
     """
-    shares, name, done, largest = iter(shares), None, 0, 0.0
+    shares, kept_proof = iter(shares), None
     if kept.is_on and not isinstance(path, bytes):
-        name = f"proof/{digest_of_file(path)}"
-        found = kept.get(name) or {"done": 0, "largest": 0.0}
-        done, largest = found["done"], found["largest"]
-    for share in islice(shares, done):
-        yield share, largest
+        kept_proof = _KeptProof(kept, f"proof/{digest_of_file(path)}")
+        found = kept_proof.found()
+        for share in islice(shares, kept_proof.done):
+            yield share, found
+            found = NOTHING
     while batch := list(islice(shares, _SHARES)):
-        for share, error in zip(batch, compare(batch), strict=True):
-            yield share, error
-            done, largest = done + 1, max(largest, error)
-            if name is not None:
-                kept.tick(name, lambda: {"done": done, "largest": largest})  # noqa: B023
+        for share, result in zip(batch, compare(batch), strict=True):
+            yield share, result
+            if kept_proof is not None:
+                kept_proof.add(result)
+
+
+class _KeptProof:
+    """Results of shares, kept in records that follow each other."""
+
+    def __init__(self, kept: Kept, name: str) -> None:
+        self._kept = kept
+        self._name = name
+        self._n_records = 0
+        self._waiting = NOTHING
+        self.done = 0
+
+    def found(self) -> Proved:
+        """Return what earlier runs have found; `done` shares are compared."""
+        all_found = []
+        while (record := self._kept.get(self._record)) is not None:
+            places, data = record["places"], self._kept.data(self._record)
+            tiles = {(row, col): data[32 * n : 32 * (n + 1)] for n, (row, col) in enumerate(places)}
+            all_found.append(Proved(record["largest"], tiles))
+            self.done = record["done"]
+            self._n_records += 1
+        return together(all_found)
+
+    @property
+    def _record(self) -> str:
+        return f"{self._name}/{self._n_records}"
+
+    def add(self, result: Proved) -> None:
+        """Take in the next share; keep a record unless one was kept just now."""
+        self._waiting = together([self._waiting, result])
+        self.done += 1
+        if self._kept.is_due(self._name):
+            error, tiles = self._waiting
+            values = {"done": self.done, "largest": error, "places": list(tiles)}
+            self._kept.put(self._record, values, b"".join(tiles.values()))
+            self._n_records += 1
+            self._waiting = NOTHING
 
 
 def prove(
@@ -310,10 +384,11 @@ def prove(
     executor: Executor,
     reporter: Reporter,
     kept: Kept,
-) -> float:
-    """Decode the file from disk and compare every sample and the mask; return the largest error.
+) -> tuple[float, TileDigests]:
+    """Decode the file from disk and compare every sample and the mask.
 
-    Shares that an earlier run has compared in a file of the same bytes are not compared again.
+    Return the largest error, and the digests of tiles if the file is to have them. Shares that an
+    earlier run has compared in a file of the same bytes are not compared again.
 
     Raises
     ------
@@ -322,16 +397,17 @@ def prove(
     """
     grid = job.grid
     allowed = allowed_error(job.quantizer, job.raw_bound, job.effective_error)
-    largest = 0.0
+    largest, tiles = 0.0, TileDigests((grid.n_rows, grid.n_cols))
     with TerrainFile(path, threads=1, cache_bytes=_CACHE_BYTES, native=False) as terrain:
-        comparison = Comparison(terrain, source, allowed)
+        comparison = Comparison(terrain, source, allowed, job.options.makes_digests)
         whole = unproved(terrain, source, grid)
         total = grid.n_rows * grid.n_cols
         count = reporter.counter("proving", total, np.dtype(job.info.dtype).itemsize)
         compare = partial(executor.map, comparison.all)
         shares = shares_in_turns(grid, whole)
-        for share, error in proven_shares(path, shares, compare, kept):
-            largest = max(largest, error)
+        for share, result in proven_shares(path, shares, compare, kept):
+            largest = max(largest, result.error)
+            tiles.add(result.tiles)
             count(sum(_n_samples(grid, one) for one in share))
         count(total)  # what is void
-    return measured_error(largest, job.quantizer)
+    return measured_error(largest, job.quantizer), tiles

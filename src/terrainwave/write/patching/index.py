@@ -132,7 +132,7 @@ class PatchedIndex:
             decoder,
             lambda block: errors.get(block, 0),
             header.mesh_tolerance,
-            has_voids=self._terrain.raster_info.mask_kind != "none",
+            has_voids=self._header.has_voids,
             kind=header.mesh,
             executor=self._executor,
             on_samples=self._counter("making meshes"),

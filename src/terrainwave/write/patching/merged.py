@@ -92,8 +92,8 @@ def place_of(info: RasterInfo, new: RasterInfo) -> Region:
 class Merged:
     """The new raster where it is; elsewhere the original, or the file's decoded heights.
 
-    `place` is where heights are known by more than the file: everywhere, with an original. `notes`
-    say what was taken for granted.
+    `place` is where heights are known by more than the file: everywhere, with an original.
+    `has_voids` says whether samples may be void in it. `notes` say what was taken for granted.
 
     Raises
     ------
@@ -106,6 +106,7 @@ class Merged:
     ) -> None:
         self._terrain = terrain
         self._source = source
+        self.has_voids = terrain.header.has_voids
         sources = [source] if original is None else [source, original]
         self.notes = [*filter(None, (check_units(terrain, one) for one in sources))]
         self._new_place = place_of(terrain.raster_info, source.info)
@@ -213,7 +214,9 @@ class Merged:
         """Return the valid heights of a raster's samples; raise unless the file can tell them."""
         quantizer, info = self._terrain.quantizer, self._terrain.raster_info
         taken = valid & which
-        if info.mask_kind == "none" and not valid[which].all():
+        is_any_void = not valid[which].all()
+        self.has_voids |= is_any_void
+        if info.mask_kind == "none" and is_any_void:
             raise InvalidHeightsError(
                 f"{name} has voids, and the file has no way to mark them: compress the whole raster"
                 " again"

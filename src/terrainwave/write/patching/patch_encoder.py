@@ -36,7 +36,9 @@ class PatchEncoder(TreeEncoder):
         self._corrects = header.step > 1 and (header.has_corrections or merged.is_open)
         # Whether any unit has corrections.
         self.has_corrections = False
-        parameters = replace(header.codec_parameters, has_corrections=self._corrects)
+        parameters = replace(
+            header.codec_parameters, has_voids=merged.has_voids, has_corrections=self._corrects
+        )
         super().__init__(terrain.grid, refiner, parameters, *rest, **options)
 
     def code_unit(
@@ -87,7 +89,7 @@ class PatchEncoder(TreeEncoder):
         if not np.array_equal(old.mask, mask):
             return False
         own = self._pyramid.own(spec.level, spec.region)
-        if spec.has_fills and not np.array_equal(old.own_mask, own):
+        if spec.has_voids and not np.array_equal(old.own_mask, own):
             return False
         if spec.remainder_bytes:
             rest = self._pyramid.remainders(spec.region, old.heights)

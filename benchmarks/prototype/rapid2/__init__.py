@@ -1,1 +1,0 @@
-"""The next default method: all details before any height (step 26)."""

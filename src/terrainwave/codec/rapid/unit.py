@@ -1,0 +1,508 @@
+"""Units of heights as payloads: details, then heights (docs/format-rapid.md)."""
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.codec.corrections import correct
+from terrainwave.codec.memory import Spares, flat, new_heights
+from terrainwave.codec.rapid.details import code_details
+from terrainwave.codec.rapid.layout import (
+    CORE_ARRAYS,
+    HH,
+    HL,
+    LH,
+    LIMIT,
+    N_PLANES,
+    RUNS,
+    Lattice,
+    Workspace,
+    new_workspace,
+    run_weights,
+)
+from terrainwave.codec.rapid.needed import band_strips, needed_for
+from terrainwave.codec.rapid.prediction import (
+    Aim,
+    Parent,
+    code_heights,
+    load_parent,
+)
+from terrainwave.codec.rapid.symbols import (
+    BIT,
+    IS_BAD,
+    MOST_STATES,
+    N_LOGGED,
+    STATE_START,
+    VALUES,
+    WORD,
+    Frequencies,
+    Log,
+    Streams,
+    count_log,
+    encode_log,
+)
+from terrainwave.codec.rapid.tables import Tables, weights_of
+from terrainwave.codec.refiner import (
+    ALL_ROWS,
+    FREE,
+    NO_CORRECTIONS,
+    Corrections,
+    GroupSpec,
+    Heights,
+    Labels,
+    Mask,
+    Rows,
+)
+from terrainwave.codec.varint import decode_varint, encode_varint
+from terrainwave.errors import CorruptStreamError, TruncatedStreamError
+
+_NARROW, _STATES, _BANDS, _HAS_ORIGIN, _DEFINED = 1, 1, 3, 32, 63
+_N_STATES = (1, 8, MOST_STATES)
+# A payload of fewer words has fewer states: each takes two bytes.
+_WORDS_OF_STATES = (0, 1 << 7, 1 << 11)
+_MOST_SHIFT = 30
+_MOST_DETAIL = 2**31 - 1
+# Origins are the middle of the range of heights, or 2**10 such numbers as planes hold, from there.
+_ORIGIN_BITS = 10
+# A payload has a part that can be read alone, for windows, for so many bytes.
+_BYTES_OF_BAND, _MOST_BANDS = 1 << 14, 4
+_SPARE_RAW = 2
+# Symbols of what is not of the samples: odd ends of rows.
+_ROOM = 1 << 13
+_NONE_KNOWN = (False, False, False, False)
+_NO_HEIGHTS = np.zeros((1, 1), dtype=np.int32)
+_NO_MASK = np.ones((1, 1), dtype=np.uint8)
+_NO_RAW = np.zeros(_SPARE_RAW, dtype=np.uint32)
+_NO_WORDS = np.zeros(MOST_STATES, dtype=np.uint16)
+_NO_LOG = Log(*(np.zeros(1, dtype=np.uint8) for _ in range(3)))
+
+
+class _Memory:
+    """A workspace that grows with what is coded in it."""
+
+    def __init__(self) -> None:
+        self._workspace = new_workspace(0)
+
+    def of(self, shape: tuple[int, int]) -> Workspace:
+        """Return arrays for lattices of this shape."""
+        side = (max(shape) + 1) // 2
+        if side > self._workspace.side:
+            self._workspace = new_workspace(side)
+        return self._workspace
+
+
+_MEMORY = Spares(_Memory)
+
+
+class _Head(NamedTuple):
+    """What a payload says before its bands; `sizes` are words and bytes of raw bits of each."""
+
+    is_narrow: bool
+    shift: int
+    number: int  # of the origin, 0 in the middle of the range of heights
+    n_states: int
+    sizes: list[tuple[int, int]]
+    n_bytes: int
+
+    def origin(self, spec: GroupSpec) -> int:
+        """Return the height that those in planes are less."""
+        return ((spec.z_min + spec.z_max) >> 1) + (self.number << (_ORIGIN_BITS + self.shift))
+
+    def limits(self, spec: GroupSpec) -> tuple[int, int]:
+        """Return the lowest and the highest height; the origin lies between them."""
+        if not self.is_narrow:
+            return spec.z_min, spec.z_max
+        origin = self.origin(spec)
+        return max(spec.z_min, origin - LIMIT), min(spec.z_max, origin + LIMIT)
+
+
+class _Unit(NamedTuple):
+    """A unit that is coded: what all of its lattices have in common."""
+
+    spec: GroupSpec
+    head: _Head
+    target: Heights | None
+    valid: NDArray[np.uint8] | None
+    corrections: Corrections
+    bands: list[Streams]
+    memory: _Memory
+
+    def aim(self, stride: int) -> Aim:
+        """Return what concerns every so many samples, as kernels take it."""
+        part = np.s_[::stride, ::stride]
+        return Aim(
+            _NO_HEIGHTS if self.target is None else np.ascontiguousarray(self.target[part]),
+            _NO_MASK if self.valid is None else np.ascontiguousarray(self.valid[part]),
+            *(np.ascontiguousarray(array[part]).ravel() for array in self.corrections),
+        )
+
+    def keep_added(self, stride: int, aim: Aim) -> None:
+        """Keep the corrections of every so many samples that an encoder found."""
+        if aim.added.size and stride > 1:
+            part = self.corrections.added[::stride, ::stride]
+            part[:] = aim.added.reshape(part.shape)
+
+
+_Stencils = tuple[tuple[Any, ...], ...]
+
+
+@lru_cache(maxsize=32)
+def _arranged(stencils: bytes) -> _Stencils:
+    """Return the stencils of the planes, shape (3, 24), as kernels take them."""
+    weights = np.frombuffer(stencils, dtype=np.int64).reshape(N_PLANES, -1)
+    return tuple(
+        (tuple(RUNS[plane][:3]), run_weights(plane, own), core)
+        for plane, own, core in zip((HH, HL, LH), weights, CORE_ARRAYS, strict=True)
+    )
+
+
+class UnitCoder:
+    """Codes units with tables; see `DirectRefiner` for what its functions promise."""
+
+    def __init__(self, tables: Tables) -> None:
+        self._tables = tables
+
+    def tables(self, step: int) -> Tables:  # noqa: ARG002
+        """Return the tables that units of a step are coded by."""
+        return self._tables
+
+    def encode(
+        self,
+        spec: GroupSpec,
+        parent: Heights | None,
+        target: Heights,
+        mask: Mask | None,
+        corrections: Corrections = NO_CORRECTIONS,
+    ) -> tuple[bytes, Heights, Labels | None]:
+        """Return the payload and the heights `decode` makes of it."""
+        out = new_heights(spec.region.shape)
+        with _MEMORY.lent() as memory:
+            unit = _new_unit(spec, parent, target, mask, corrections, memory)
+            lattice = self._code(unit, parent, ALL_ROWS, out)
+            payload = self._pack(unit)
+            n_bands = min(1 + len(payload) // _BYTES_OF_BAND, _MOST_BANDS)
+            if parent is not None and lattice is not None and n_bands > 1:
+                unit = unit._replace(bands=[_new_streams(out.size) for _ in range(n_bands)])
+                self._code_details(unit, 1, lattice, band_strips(lattice.n_rows, n_bands))
+                payload = self._pack(unit)
+        return payload, out, None
+
+    def count(
+        self,
+        spec: GroupSpec,
+        parent: Heights | None,
+        target: Heights,
+        mask: Mask | None,
+        counts: NDArray[np.int64],
+    ) -> Heights:
+        """Count the symbols of a unit in `counts`, shape (N_TABLES, N_SYMBOLS); return heights."""
+        out = new_heights(spec.region.shape)
+        with _MEMORY.lent() as memory:
+            unit = _new_unit(spec, parent, target, mask, NO_CORRECTIONS, memory)
+            self._code(unit, parent, ALL_ROWS, out)
+        streams = unit.bands[0]
+        count_log(streams.log, int(streams.places[N_LOGGED]), counts)
+        return out
+
+    def decode(
+        self,
+        spec: GroupSpec,
+        parent: Heights | None,
+        mask: Mask | None,
+        payload: bytes,
+        corrections: Corrections = NO_CORRECTIONS,
+    ) -> tuple[Heights, Labels | None]:
+        """Rebuild the heights of ``spec.region``.
+
+        Raises
+        ------
+        CorruptStreamError
+            If the payload contradicts format-rapid.md; `TruncatedStreamError` if it is too short.
+        """
+        out = new_heights(spec.region.shape)
+        self.decode_into(spec, parent, mask, payload, out, corrections)
+        return out, None
+
+    def decode_into(
+        self,
+        spec: GroupSpec,
+        parent: Heights | None,
+        mask: Mask | None,
+        payload: bytes,
+        out: Heights,
+        corrections: Corrections = NO_CORRECTIONS,
+        rows: Rows = ALL_ROWS,
+    ) -> None:
+        """Rebuild the heights of ``spec.region`` in `out`; see `decode` and `DirectRefiner`."""
+        rows = ALL_ROWS if parent is None else rows
+        head = _read_head(spec, payload)
+        bands = _read_bands(head, payload)
+        with _MEMORY.lent() as memory:
+            unit = _Unit(spec, head, None, _as_bytes(mask), corrections, bands, memory)
+            self._code(unit, parent, rows, out)
+        read = needed_for(out.shape, rows, len(bands)).strips
+        all_ = band_strips(out.shape[0], len(bands))
+        for k, (streams, (_, n_raw)) in enumerate(zip(bands, head.sizes, strict=True)):
+            _check_end(streams, n_raw, is_part=read[k] != all_[k])
+
+    def rows_above(self, spec: GroupSpec, payload: bytes, rows: Rows) -> Rows:
+        """Return which rows of its parent heights a group needs; see `DirectRefiner`."""
+        n_bands = len(_read_head(spec, payload).sizes)
+        return Rows(*needed_for(spec.core.shape, rows, n_bands).parent)
+
+    def _code(
+        self, unit: _Unit, parent: Heights | None, rows: Rows, out: Heights
+    ) -> Lattice | None:
+        """Encode a unit, or decode rows of it; return its lattice, the last one of a root block."""
+        spec = unit.spec
+        if parent is not None:
+            source, pitch = flat(parent)
+            above = Parent(source, 0, pitch, 1)
+            return self._code_lattice(unit, 1, above, tuple(spec.shared), rows, out)
+        stride, lattice = 1, None
+        while stride < max(out.shape) - 1:
+            stride *= 2
+        for row in range(0, out.shape[0], stride):
+            for col in range(0, out.shape[1], stride):
+                _code_corner(unit, out, row, col)
+        while stride > 1:
+            above = Parent(out.ravel(), 0, stride * out.shape[1], stride)
+            stride >>= 1
+            part = out[::stride, ::stride]
+            own = np.empty(part.shape, dtype=np.int32)
+            lattice = self._code_lattice(unit, stride, above, _NONE_KNOWN, rows, own)
+            part[:] = own
+        return lattice
+
+    def _code_lattice(
+        self, unit: _Unit, stride: int, parent: Parent, known: tuple[bool, ...], rows: Rows,
+        out: Heights,
+    ) -> Lattice:  # fmt: skip
+        """Code the lattice of every so many samples of a unit."""
+        spec, head = unit.spec, unit.head
+        low, high = head.limits(spec)
+        most = (spec.z_max - spec.z_min) // spec.step + 1
+        lattice = Lattice(
+            out.shape[0], out.shape[1], spec.step, low, high, min(most, _MOST_DETAIL),
+            head.origin(spec), head.shift, head.is_narrow, unit.valid is not None,
+        )  # fmt: skip
+        aim = unit.aim(stride)
+        work = unit.memory.of(out.shape)
+        needed = needed_for(out.shape, rows, len(unit.bands))
+        load_parent(parent, lattice, needed.parent, needed.features, work)
+        tables = self.tables(spec.step)
+        which = tables.level_class(spec.level - (stride.bit_length() - 1))
+        if unit.target is None:
+            self._code_details(unit, stride, lattice, needed.strips)
+        code_heights(
+            unit.target is not None, aim, lattice, work, parent, known,
+            _arranged(tables.stencils[which].tobytes()), needed.planes, out,
+        )  # fmt: skip
+        if unit.target is not None:
+            unit.keep_added(stride, aim)
+            self._code_details(unit, stride, lattice, needed.strips)
+            self._see(which, lattice, work, aim.valid)
+        return lattice
+
+    def _see(self, which: int, lattice: Lattice, work: Workspace, valid: NDArray[np.uint8]) -> None:
+        """Look at a lattice of a class of levels that has been encoded (`fit_weights`)."""
+
+    def _code_details(
+        self, unit: _Unit, stride: int, lattice: Lattice, strips: list[tuple[int, int]]
+    ) -> None:
+        tables = self.tables(unit.spec.step)
+        which = tables.level_class(unit.spec.level - (stride.bit_length() - 1))
+        made = weights_of(tables.weights[which], lattice.step, lattice.shift)
+        valid, work = unit.aim(stride).valid, unit.memory.of((lattice.n_rows, lattice.n_cols))
+        for streams, own in zip(unit.bands, strips, strict=True):
+            if own[0] < own[1]:
+                code_details(
+                    unit.target is not None, lattice, work, valid, own, made,
+                    tables.frequencies, VALUES, streams,
+                )  # fmt: skip
+
+    def _pack(self, unit: _Unit) -> bytes:
+        head, flags = unit.head, 0
+        frequencies = self.tables(unit.spec.step).frequencies
+        parts = [b"" if head.is_narrow else bytes([head.shift])]
+        if head.number:
+            flags |= _HAS_ORIGIN
+            parts.append(
+                encode_varint(2 * head.number if head.number > 0 else -2 * head.number - 1)
+            )
+        coded = [_words(streams, MOST_STATES, frequencies) for streams in unit.bands]
+        n_words = max(len(words) for words, _ in coded)
+        which = sum(n_words >= least for least in _WORDS_OF_STATES) - 1
+        if _N_STATES[which] != MOST_STATES:
+            coded = [_words(streams, _N_STATES[which], frequencies) for streams in unit.bands]
+        flags |= head.is_narrow * _NARROW | which << _STATES | (len(coded) - 1) << _BANDS
+        contents = []
+        for streams, (words, states) in zip(unit.bands, coded, strict=True):
+            n_raw = (int(streams.places[BIT]) + 7) // 8
+            parts += [encode_varint(len(words)), encode_varint(n_raw)]
+            raw = streams.raw[: (n_raw + 3) // 4].astype("<u4").tobytes()[:n_raw]
+            contents += [states.astype("<u4").tobytes(), words.astype("<u2").tobytes(), raw]
+        return b"".join([bytes([flags]), *parts, *contents])
+
+
+def _words(
+    streams: Streams, n_states: int, frequencies: Frequencies
+) -> tuple[NDArray[np.uint16], NDArray[np.uint32]]:
+    """Return what has been logged as words, and the states that decoders begin with."""
+    states = np.full(n_states, STATE_START, dtype=np.uint32)
+    words = np.empty(int(streams.places[N_LOGGED]), dtype=np.uint16)
+    n_words = encode_log(streams._replace(states=states), frequencies, words)
+    return words[len(words) - n_words :], states
+
+
+def _as_bytes(mask: Mask | None) -> NDArray[np.uint8] | None:
+    """Return validity as kernels read it; None where all samples are valid."""
+    return None if mask is None else np.ascontiguousarray(mask).view(np.uint8)
+
+
+def _new_streams(n: int) -> Streams:
+    """Return where to log `n` samples: three symbols for each two, and 50 raw bits for each."""
+    room = 2 * n + _ROOM
+    log = Log(*(np.empty(room, dtype=np.uint8) for _ in range(3)))
+    raw, places = np.zeros(2 * room, dtype=np.uint32), np.zeros(4, dtype=np.int64)
+    return Streams(np.zeros(MOST_STATES, dtype=np.uint32), _NO_WORDS, raw, log, places)
+
+
+def _new_unit(
+    spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask | None,
+    corrections: Corrections, memory: _Memory,
+) -> _Unit:  # fmt: skip
+    """Return a unit to be encoded: by 16 bits if its heights, and what may be asked for, fit."""
+    kept = corrections.kept[corrections.kept != FREE]
+    seen = [part for part in (target if mask is None else target[mask], parent, kept)
+            if part is not None and part.size]  # fmt: skip
+    middle = (spec.z_min + spec.z_max) >> 1
+    least = min((int(part.min()) for part in seen), default=middle)
+    most = max((int(part.max()) for part in seen), default=middle)
+    head = next(
+        head
+        for shift in range(_MOST_SHIFT + 1)
+        for head in _heads(spec, least, most, shift)
+        if head is not None
+    )
+    target = np.ascontiguousarray(target)
+    bands = [_new_streams(target.size)]
+    return _Unit(spec, head, target, _as_bytes(mask), corrections, bands, memory)
+
+
+def _heads(spec: GroupSpec, least: int, most: int, shift: int) -> list[_Head]:
+    """Return what a payload of so large a shift may begin with; nothing if heights do not fit."""
+    middle, bits = (spec.z_min + spec.z_max) >> 1, _ORIGIN_BITS + shift
+    offset = ((least + most) >> 1) - middle
+    # Towards the middle, so that an origin stays within the range of heights.
+    nearest = offset >> bits if offset >= 0 else -(-offset >> bits)
+    found = []
+    for number in (0, nearest):
+        origin = middle + (number << bits)
+        far = max(most - origin, origin - least)
+        is_narrow = shift == 0 and far + spec.half <= LIMIT and spec.step <= LIMIT
+        if far >> shift <= LIMIT:
+            found.append(_Head(is_narrow, shift, number, MOST_STATES, [], 0))
+    return sorted(found, key=lambda head: not head.is_narrow)
+
+
+def _read_head(spec: GroupSpec, payload: bytes) -> _Head:
+    if not payload:
+        raise TruncatedStreamError("the payload is empty")
+    flags, at = payload[0], 1
+    which, n_bands = flags >> _STATES & 3, (flags >> _BANDS & 3) + 1
+    if flags & ~_DEFINED or which >= len(_N_STATES):
+        raise CorruptStreamError(f"payload flags {flags:#x} are not defined")
+    is_narrow = bool(flags & _NARROW)
+    if is_narrow and spec.step > LIMIT:
+        raise CorruptStreamError(
+            f"a narrow unit with a step of {spec.step}, expected {LIMIT} at most"
+        )
+    if spec.parent_region is None and n_bands > 1:
+        raise CorruptStreamError(f"a root block of {n_bands} bands, expected 1")
+    shift = number = 0
+    if not is_narrow:
+        if len(payload) < 2:
+            raise TruncatedStreamError("the payload ends before its shift")
+        shift, at = payload[1], 2
+        if shift > _MOST_SHIFT:
+            raise CorruptStreamError(f"a shift of {shift} bits, expected {_MOST_SHIFT} at most")
+    if flags & _HAS_ORIGIN:
+        number, at = decode_varint(payload, at)
+        number = number >> 1 if number % 2 == 0 else -(number >> 1) - 1
+    sizes = []
+    for _ in range(n_bands):
+        n_words, at = decode_varint(payload, at)
+        n_raw, at = decode_varint(payload, at)
+        sizes.append((n_words, n_raw))
+    head = _Head(is_narrow, shift, number, _N_STATES[which], sizes, at)
+    if not spec.z_min <= head.origin(spec) <= spec.z_max:
+        raise CorruptStreamError(
+            f"an origin of {head.origin(spec)}, expected one from {spec.z_min} to {spec.z_max}"
+        )
+    return head
+
+
+def _read_bands(head: _Head, payload: bytes) -> list[Streams]:
+    at, bands = head.n_bytes, []
+    needed = at + sum(4 * head.n_states + 2 * n_words + n_raw for n_words, n_raw in head.sizes)
+    if needed != len(payload):
+        kind = TruncatedStreamError if needed > len(payload) else CorruptStreamError
+        raise kind(f"the payload has {len(payload)} bytes, its parts need {needed}")
+    for n_words, n_raw in head.sizes:
+        states = np.frombuffer(payload, "<u4", head.n_states, at).astype(np.uint32)
+        if states.min() < STATE_START:
+            raise CorruptStreamError(f"a state of {states.min()}, expected {STATE_START} at least")
+        at += 4 * head.n_states
+        words = np.zeros(n_words + MOST_STATES, dtype=np.uint16)
+        words[:n_words] = np.frombuffer(payload, "<u2", n_words, at)
+        at += 2 * n_words
+        raw = np.zeros((n_raw + 3) // 4 + _SPARE_RAW, dtype="<u4")
+        raw.view(np.uint8)[:n_raw] = np.frombuffer(payload, np.uint8, n_raw, at)
+        at += n_raw
+        places = np.array([0, 0, 0, 0], dtype=np.int64)
+        bands.append(Streams(states, words, raw.astype(np.uint32, copy=False), _NO_LOG, places))
+    return bands
+
+
+def _code_corner(unit: _Unit, out: Heights, row: int, col: int) -> None:
+    """Encode or decode a sample that nothing predicts, on a grid of steps from the lowest height.
+
+    It takes raw bits; a void one none, and the middle of the range of heights.
+    """
+    (low, high), step, streams = unit.head.limits(unit.spec), unit.spec.step, unit.bands[0]
+    height = (low + high) >> 1
+    if unit.valid is None or unit.valid[row, col]:
+        n_bits = ((high - low) // step).bit_length()
+        bit = int(streams.places[BIT])
+        streams.places[BIT] += n_bits
+        at, shift = min(bit >> 5, len(streams.raw) - 2), bit & 31
+        if unit.target is not None:
+            index = (int(unit.target[row, col]) - low) // step
+            streams.raw[at] |= (index << shift) & 0xFFFFFFFF
+            streams.raw[at + 1] |= index << shift >> 32
+        else:
+            both = int(streams.raw[at]) | int(streams.raw[at + 1]) << 32
+            index = both >> shift & ((1 << n_bits) - 1)
+        height = min(low + index * step + (step >> 1), high)
+    kept, added = (array.ravel() for array in unit.corrections)
+    place = row * out.shape[1] + col
+    out[row, col] = correct(height, kept, added, place, (low, high), (low, high))
+
+
+def _check_end(streams: Streams, n_raw: int, *, is_part: bool) -> None:
+    """Raise unless a band's streams have been used up exactly; by a part of it, not exceeded."""
+    n_words, n_bits = len(streams.words) - MOST_STATES, 8 * n_raw
+    word, bit = int(streams.places[WORD]), int(streams.places[BIT])
+    if streams.places[IS_BAD] or word > n_words or bit > n_bits:
+        raise TruncatedStreamError("the payload ends inside its data")
+    if is_part:
+        return
+    if word < n_words or (bit + 7) // 8 < n_raw:
+        raise CorruptStreamError("bytes are left over after the last symbol")
+    if (streams.states != STATE_START).any():
+        raise CorruptStreamError("the symbols do not end in the state that they began with")
+    if bit % 8 and int(streams.raw[bit >> 5]) >> (bit & 31):
+        raise CorruptStreamError("the last byte of raw bits is not filled with 0")
