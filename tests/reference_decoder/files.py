@@ -18,7 +18,7 @@ from reference_decoder.basics import (
 from reference_decoder.digests import section_before
 from reference_decoder.grid import Grid
 from reference_decoder.predictive import read_tables
-from reference_decoder.rapid import read_rapid_tables
+from reference_decoder.rapid_tables import read_rapid_tables
 
 DICTIONARY = annex("dictionary.txt")  # §4.6
 
