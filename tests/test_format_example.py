@@ -315,7 +315,7 @@ def test_the_whole_file_has_the_stated_page_boxes_and_indices():
 
 
 def test_digests_of_the_file_are_the_stated_ones():
-    tile, top, root = re.findall(r"`([0-9a-f]{64})`", section("4.8"))
+    tile, top, root = re.findall(r"`([0-9a-f]{64})`", section("4.9"))
     file = read_file(FILE)
     heights, mask = decode(FILE)
     found = digests.digests_of(heights, mask)
