@@ -140,7 +140,7 @@ def decode_unit(
         if not spec.has_voids:
             raise CorruptStreamError("a unit without a payload in a file without voids")
         return _all_void(spec)
-    head = _read_head(spec, parent, payload)
+    head = read_head(spec, parent, payload)
     mask = head.validity.mask
     remainders = None
     if head.remainders:
@@ -176,7 +176,7 @@ def decode_unit(
     return decoded
 
 
-class _Head(NamedTuple):
+class Head(NamedTuple):
     """What stands before a unit's heights: which samples are valid, other sections, its length."""
 
     validity: Validity
@@ -186,7 +186,7 @@ class _Head(NamedTuple):
     n_bytes: int
 
 
-def _read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> _Head:
+def read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Head:
     """Read what stands before the heights of a payload, which is not empty.
 
     Raises
@@ -211,7 +211,7 @@ def _read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> _Head
     validity = _decode_validity(spec, parent, Sections(sections[MASK_CODED], sections[_HAS_OWN]))
     if validity.mask is not None and not validity.mask.any():
         raise CorruptStreamError("a unit without a valid sample has a payload")
-    return _Head(
+    return Head(
         validity,
         sections[_HAS_EXCEPTIONS],
         sections[_HAS_REMAINDERS],
