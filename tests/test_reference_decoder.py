@@ -660,7 +660,8 @@ def random_tile_file(rng, shape, n_planes):
     (tile,) = cdf53.tiles_of(file.grid)
     outer = outer_valid = None
     sections = []
-    for part in tile.parts:
+    for level, part in enumerate(tile.parts, tile.first):
+        part.level = level
         mask, own, outer_valid = random_sections(rng, file, part, outer, outer_valid)
         streams = [mask] if part.level == file.grid.k_max else [own, mask]
         sections += [varint(len(stream or b"")) + (stream or b"") for stream in streams]
