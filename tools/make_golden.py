@@ -126,7 +126,7 @@ CASES = {
     ),
     # A group of more bytes than a band has, below a smooth root block.
     "rapid-int16-bands": (
-        (129, 128), "int16", 900, "none", PLACE,
+        (129, 128), "int16", 600, "none", PLACE,
         {"max_error": 0, "method": "rapid", "block": 64, "mesh": "none", "relief": rubble},
     ),
     "rapid-uint8": (
