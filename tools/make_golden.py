@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "src"), str(ROOT / "tests")]
 
 import golden_files  # noqa: E402
-from conformance import invalid  # noqa: E402
+from conformance import invalid, rapid  # noqa: E402
 from conformance.editor import Editor, optional_section  # noqa: E402
 from rasterio.transform import Affine  # noqa: E402
 from strategies import write_geotiff  # noqa: E402
@@ -56,6 +56,16 @@ def town(n_rows, n_cols, amplitude):
         row, col, rows, cols, tall = drawn
         heights[row : row + rows + 2, col : col + cols + 2] += tall
     return heights
+
+
+def rubble(n_rows, n_cols, amplitude):
+    """Return a plane of which only the samples of the finest level are rough, without any order."""
+    row, col = np.indices((n_rows, n_cols), dtype=np.int64)
+    state = (row * n_cols + col) * 2862933555777941757 + 3037000493
+    for _ in range(3):
+        state = (state ^ (state >> 29)) * 3202034522624059733
+    rough = (state >> 33) % (2 * amplitude + 1) - amplitude
+    return row + col + np.where((row | col) & 1, rough, 0)
 
 
 def voids(n_rows, n_cols):
@@ -96,47 +106,70 @@ CASES = {
     "rapid-int16-halves": (
         (110, 100), "int16", 900, "none", PLACE, {"max_error": 2, "method": "rapid"},
     ),
+    "rapid-int16-lossless": (
+        (100, 110), "int16", 60, "none", PLACE, {"max_error": 0, "method": "rapid", "mesh": "none"},
+    ),
     "rapid-int16-lossless-nodata": (
         (70, 51), "int16", 400, "nodata", PLACE, {"max_error": 0, "method": "rapid"},
     ),
-    # Units of so many samples that they have eight states.
     "rapid-int16-states": (
         (133, 130), "int16", 300, "nodata", PLACE,
         {"max_error": 8, "method": "rapid", "block": 64, "mesh": "none"},
+    ),
+    "rapid-int16-blocks": (
+        (70, 66), "int16", 300, "nodata", PLACE,
+        {"max_error": 1, "method": "rapid", "block": 64, "mesh": "none"},
+    ),
+    "rapid-int16-town": (
+        (50, 47), "int16", 4000, "none", PLACE,
+        {"max_error": 0, "method": "rapid", "mesh": "none", "relief": town},
+    ),
+    # A group of more bytes than a band has, below a smooth root block.
+    "rapid-int16-bands": (
+        (129, 128), "int16", 600, "none", PLACE,
+        {"max_error": 0, "method": "rapid", "block": 64, "mesh": "none", "relief": rubble},
     ),
     "rapid-uint8": (
         (41, 41), "uint8", 80, "none", DEGREES,
         {"max_error": 1, "method": "rapid", "mesh": "none"},
     ),
-    "rapid-int32-rings": (
-        (50, 66), "int32", 90_000, "mask", PLACE,
-        {"max_error": 50, "method": "rapid", "border_rings": 3, "mesh": "none"},
+    "rapid-uint8-root": (
+        (9, 14), "uint8", 80, "none", DEGREES,
+        {"max_error": 0, "method": "rapid", "mesh": "none"},
+    ),
+    "rapid-int32-mask": (
+        (50, 65), "int32", 90_000, "mask", PLACE,
+        {"max_error": 50, "method": "rapid", "mesh": "none"},
     ),
     "rapid-int32-wide": (
         (50, 46), "int32", 4_000_000, "none", PLACE,
         {"max_error": 3, "method": "rapid", "mesh": "none"},
     ),
+    "rapid-int32-large-step": (
+        (50, 46), "int32", 9_000_000, "none", PLACE,
+        {"max_error": 9000, "method": "rapid", "mesh": "none", "relief": town},
+    ),
     "rapid-float32-nan": (
         (40, 60), "float32", 500, "nan", PLACE, {"max_error": 0.1, "method": "rapid"},
+    ),
+    "rapid-float32-fills": (
+        (45, 70), "float32", 500, "nan", PLACE,
+        {"max_error": 1, "method": "rapid", "mesh": "none"},
     ),
     "rapid-float32-exact": (
         (45, 51), "float32", 400, "nan", PLACE, {"max_error": 0, "method": "rapid"},
     ),
-    # Contexts by reach: steps 1, 3 and 7, and heights so far apart that they take 64 bits.
-    "rapid-reach-int16-lossless": (
-        (50, 47), "int16", 4000, "none", PLACE, {"max_error": 0, "method": "rapid"},
+    "rapid-one-row": (
+        (1, 140), "int16", 300, "nodata", PLACE,
+        {"max_error": 1, "method": "rapid", "mesh": "none"},
     ),
-    "rapid-reach-int16-blocks": (
-        (70, 66), "int16", 300, "nodata", PLACE,
-        {"max_error": 1, "method": "rapid", "block": 64, "mesh": "none"},
+    "rapid-one-column": (
+        (140, 1), "uint16", 300, "none", PLACE,
+        {"max_error": 0, "method": "rapid", "mesh": "none"},
     ),
-    "rapid-reach-int16-mask": (
-        (100, 110), "int16", 60, "mask", PLACE,
-        {"max_error": 3, "method": "rapid", "mesh": "none"},
-    ),
-    "rapid-reach-int32-wide": (
-        (50, 46), "int32", 9_000_000, "none", PLACE,
-        {"max_error": 9000, "method": "rapid", "border_rings": 3, "mesh": "none"},
+    "rapid-two-columns": (
+        (75, 2), "int16", 300, "nodata", PLACE,
+        {"max_error": 2, "method": "rapid", "mesh": "none"},
     ),
     "predictive-float64-exact": (
         (34, 36), "float64", 900, "none", PLACE, {"max_error": 0, "mesh": "none"},
@@ -205,22 +238,6 @@ CASES = {
         (1100, 3), "int16", 300, "mask", PLACE,
         {"max_error": 9, "method": "cdf53", "mesh": "none"},
     ),
-    # Weights of features of the file's own: of two classes or of all four, contexts of either kind.
-    "rapid-weights-int16-lossless": (
-        (100, 110), "int16", 60, "none", PLACE, {"max_error": 0, "method": "rapid", "mesh": "none"},
-    ),
-    "rapid-weights-float32-nan": (
-        (100, 110), "float32", 500, "nan", PLACE,
-        {"max_error": 0.5, "method": "rapid", "mesh": "none"},
-    ),
-    "rapid-reach-weights-int16": (
-        (140, 130), "int16", 300, "none", PLACE,
-        {"max_error": 1, "method": "rapid", "block": 64, "mesh": "none"},
-    ),
-    "rapid-reach-weights-int32-wide": (
-        (110, 105), "int32", 9_000_000, "none", PLACE,
-        {"max_error": 30_000, "method": "rapid", "border_rings": 3, "mesh": "none"},
-    ),
     # Corrections, of files that were patched so often.
     "rapid-patched-int16-nodata": (
         (70, 66), "int16", 400, "nodata", PLACE,
@@ -228,7 +245,7 @@ CASES = {
     ),
     "rapid-patched-int32-wide": (
         (40, 37), "int32", 4_000_000, "none", PLACE,
-        {"max_error": 9000, "method": "rapid", "border_rings": 3, "mesh": "none", "patches": 4},
+        {"max_error": 9000, "method": "rapid", "mesh": "none", "patches": 4},
     ),
     "predictive-patched-int16-rings": (
         (75, 110), "int16", 900, "nodata", PLACE,
@@ -265,18 +282,24 @@ EXERCISES = {
     "predictive-float32-nan": "decimals, voids are NaN",
     "predictive-float64-scaled": "scale and offset; quantum_den above 1",
     "predictive-fast-blocks": "blocks of 64; payloads without *mixed*",
-    "rapid-int16-halves": "frequencies or stencils of the file's own (R.10), three levels",
+    "rapid-int16-halves": "three levels, lossy, shared lines (R.3), tables of the file's own (R.10)",
+    "rapid-int16-lossless": "step 1, most samples in pairs",
     "rapid-int16-lossless-nodata": "step 1, voids by nodata",
-    "rapid-int16-states": "eight states, blocks of 64",
-    "rapid-uint8": "the empty parameters or the smallest ones, degrees",
-    "rapid-int32-rings": "aprons, a mask of its own",
-    "rapid-int32-wide": "heights so far apart that predictions count from an offset (R.2)",
+    "rapid-int16-states": "eight states, blocks of 64, voids",
+    "rapid-int16-blocks": "step 3, blocks of 64, voids by nodata",
+    "rapid-int16-town": "cliffs: escaped pairs, samples that go on (R.9)",
+    "rapid-int16-bands": "two bands of a group, 32 states",
+    "rapid-uint8": "a step of 3, degrees",
+    "rapid-uint8-root": "a root block alone, parameters of one byte",
+    "rapid-int32-mask": "a mask of its own, a large step",
+    "rapid-int32-wide": "heights that are not narrow: levels with a shift (R.2)",
+    "rapid-int32-large-step": "a step that no narrow unit has, cliffs",
     "rapid-float32-nan": "decimals, voids are NaN",
+    "rapid-float32-fills": "fills (§5.2) beside details of voids",
     "rapid-float32-exact": "remainders (§5.3) of 4 bytes, NaN",
-    "rapid-reach-int16-lossless": "contexts by reach (R.7), step 1",
-    "rapid-reach-int16-blocks": "contexts by reach, step 3, blocks of 64, voids by nodata",
-    "rapid-reach-int16-mask": "contexts by reach, a step that is not fine, a mask of its own",
-    "rapid-reach-int32-wide": "contexts by reach, *wide* units, aprons",
+    "rapid-one-row": "planes HH and LH without samples (R.5), voids",
+    "rapid-one-column": "planes HH and HL without samples",
+    "rapid-two-columns": "planes of one column, an odd end of each row",
     "predictive-float64-exact": "remainders of 8 bytes",
     "cdf53-int16-lossless": "whole streams, masks of tiles",
     "cdf53-int16-nodata-rqt-coefficient": "meshes by coefficients (mesh 6), voids",
@@ -294,12 +317,8 @@ EXERCISES = {
     "rapid-int16-declared": "a nodata value and no void: no feature bit 0",
     "predictive-float32-rings": "fills (§5.2), aprons, NaN",
     "cdf53-int16-tiles": "fills of tiles of several levels, one below the other (C.4)",
-    "rapid-weights-int16-lossless": "weights of features (R.10) of two classes",
-    "rapid-weights-float32-nan": "weights beside fills, a step that is not fine",
-    "rapid-reach-weights-int16": "weights of all classes, contexts by reach, step 3, blocks of 64",
-    "rapid-reach-weights-int32-wide": "weights, contexts by reach, *wide* units, aprons",
     "rapid-patched-int16-nodata": "corrections (feature bit 3, §5.4) beside voids",
-    "rapid-patched-int32-wide": "corrections of a root block, heights far apart (R.2), aprons",
+    "rapid-patched-int32-wide": "corrections of a root block, heights that are not narrow (R.2)",
     "predictive-patched-int16-rings": "corrections with raw bits of magnitudes, aprons, voids",
     "predictive-patched-float32-nan": "corrections, a large step, voids are NaN",
     "store-moved-decimal": "`moved` written 3.0 (§4.2)",
@@ -307,6 +326,10 @@ EXERCISES = {
     "store-digests-int16": "digests (feature bit 4, §4.9) of three leaves, one of them void",
     "rapid-digests-float32": "digests of heights of a lossy file, voids, CRS and unit",
     "rapid-above-float32": "one-sided bound: `bound` above, *base* off the middle (§4.2)",
+    "rapid-no-parameters": "an empty parameters section (R.10)",
+    "rapid-empty-bands": "bands that have no strip (R.9)",
+    "rapid-drawn-narrow": "details of anything: of voids, beyond all limits (R.7, R.9); any tables",
+    "rapid-drawn-wide": "the same, with shifts, an origin off the middle and several bands",
     "one-sample": "a raster of one sample",
     "one-row": "a raster of one row",
     "all-void": "no valid sample: z_min 0, z_max −1, empty payloads",
@@ -315,8 +338,8 @@ EXERCISES = {
 
 def write_case(path, shape, dtype, amplitude, kind, profile, options):
     """Write one golden file."""
-    make = town if "reach" in path.stem else terrain
-    heights = make(*shape, amplitude).astype(dtype)
+    options = dict(options)
+    heights = options.pop("relief", terrain)(*shape, amplitude).astype(dtype)
     if np.dtype(dtype).kind == "f":
         divisor = 3 if path.stem.endswith("exact") else 8  # on no vertical grid, or on one
         heights = heights / np.asarray(divisor, dtype=dtype)
@@ -438,8 +461,39 @@ def be_above(editor):
     editor.header |= {name: 2 * h[name] for name in ("max_error", "effective_bound")}
 
 
+def be_drawn(seed, span, step):
+    """Return an edit that gives units of rapid bytes of anything, and a file its own tables."""
+
+    def edit(editor):
+        editor.header |= {"z_min": -span, "z_max": span + 1, "step": step}
+        editor.parameters = rapid.random_section(np.random.default_rng(seed))
+        rapid.draw_payloads(editor, seed)
+
+    return edit
+
+
+def without_parameters(editor):
+    """Let the parameters of rapid follow from the step: those of one byte of a root block."""
+    assert len(editor.parameters) == 1
+    editor.parameters = b""
+
+
+def with_empty_bands(editor):
+    """Put three bands before the one of the first group."""
+    key = (0, 0, 0)
+    data = editor.top.payloads[key]
+    own = rapid.own_bytes(data)
+    found = rapid.Payload(own)
+    found.add_bands(3)
+    editor.top.payloads[key] = data[: len(data) - len(own)] + found.bytes()
+
+
 RETOLD = {
-    "rapid-above-float32": ("rapid-weights-float32-nan", be_above),
+    "rapid-above-float32": ("rapid-float32-fills", be_above),
+    "rapid-no-parameters": ("rapid-uint8-root", without_parameters),
+    "rapid-empty-bands": ("rapid-one-row", with_empty_bands),
+    "rapid-drawn-narrow": ("rapid-int32-mask", be_drawn(1, 9000, 1)),
+    "rapid-drawn-wide": ("rapid-int32-mask", be_drawn(2, 2**28, 5)),
     "store-moved-decimal": ("store-int16-nodata-halves", lambda editor: editor.set_json(moved=3.0)),
     "store-optional-sections": ("store-int16-nodata-halves", add_sections),
 }

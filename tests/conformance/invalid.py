@@ -14,6 +14,7 @@ from reference_decoder.basics import read_varint
 from reference_decoder.files import HEADER, METHODS, NAMES
 from reference_decoder.range_coder import Models, RangeEncoder
 
+from conformance import rapid
 from conformance.editor import Editor, deflated, optional_section, varint
 
 MESHES = (
@@ -32,7 +33,6 @@ HEIGHTS = np.array(
     ],
     dtype=np.int16,
 )
-START = 5  # of the method's bytes in a payload of it: flags, length and bytes of the mask
 
 
 @cache
@@ -57,8 +57,13 @@ def base(name):
     if name == "tiles":
         ramp = np.tile(np.arange(2100, dtype=np.int16) // 400, (2, 1))
         return twz_bytes(ramp, max_error=0, method="cdf53", mesh="none")
-    if name == "one":
-        return twz_bytes(np.array([[5]], dtype=np.int16), **options_0)
+    if name == "rapid-far":  # heights that are not narrow, of a large step
+        far = abs(HEIGHTS) * np.int32(10**6) + row[:5, :5].astype(np.int32)
+        return twz_bytes(far, max_error=9000, method="rapid", mesh="none")
+    if name == "rapid-row":  # a group of one strip
+        return twz_bytes(
+            (np.arange(66) % 7).astype(np.uint8)[None], **options_0 | {"method": "rapid"}
+        )
     if name in ("zerotree-plain", "rqt"):
         rough = (row[:9, :9] * 9 + col[:9, :9]) * 37 % 23
         return twz_bytes(rough.astype(np.int16), max_error=0, method="store", mesh=name)
@@ -146,21 +151,6 @@ def optional(*sections):
     return edited(lambda editor: setattr(editor, "optional", b"".join(sections)))
 
 
-def weights(hl_2, hl_4=30):
-    """Return codes of weights; two of those of HL may be too small or too large."""
-    hl = [10, 60, hl_2, 20, hl_4, 40, 60, 60, 30]
-    return [[10, 60, 50, 20, 30, 40, 60, 0, 0], hl, [10, 60, 50, 20, 30, 40, 60, 60, 30]]
-
-
-def section_with(codes):
-    """Return a parameters section with these codes of weights of the finest class, by plane."""
-    from terrainwave.codec.rapid import file_tables as rapid_parameters
-
-    plain = ((rapid_parameters.FileStencil(0),) * 3,) * 4
-    tables = rapid_parameters.FileTables(0, 1, plain, {}, np.array([codes], dtype=np.int64))
-    return rapid_parameters.pack_file_tables(tables)
-
-
 def columns(change_columns):
     """The columns of the top page."""
     return edited(lambda editor: setattr(editor.top, "change_columns", change_columns))
@@ -235,15 +225,67 @@ def coded_corrections(value):
     return encoder.end()
 
 
-def method_bytes(change):
-    """The bytes of the method in the root's payload."""
-    return payload(lambda data: data[:START] + change(data[START:]))
+def method_bytes(change, key=ROOT):
+    """The bytes of the method in a payload, the root's unless told."""
+
+    def change_payload(data):
+        own = rapid.own_bytes(data)
+        return data[: len(data) - len(own)] + change(own)
+
+    return payload(change_payload, key)
 
 
-def far(editor):
-    """One sample of rapid: heights of 2^29 quanta in a unit of sums of 32 bits, 29 raw bits."""
-    editor.header |= {"method": 4, "z_min": 1 << 29, "z_max": 1 << 29}
-    editor.top.payloads[ROOT] = b"\0\2\0\0\0\1\0\0\0\0\0"
+def of_rapid(edit, key=ROOT):
+    """Whatever `edit` does to the bytes of rapid in a payload, taken apart."""
+
+    def change(data):
+        found = rapid.Payload(data)
+        edit(found)
+        return found.bytes()
+
+    return method_bytes(change, key)
+
+
+def band(part, change):
+    """Other bytes of a part of the only band: 0 its states, 1 its words, 2 its raw bits."""
+
+    def edit(found):
+        found.bands[0][part] = bytearray(change(bytes(found.bands[0][part])))
+        if part:
+            found.sizes[0][part - 1] = len(found.bands[0][part]) // (3 - part)
+
+    return of_rapid(edit)
+
+
+def tables(edit, family=0):
+    """A parameters section of rapid; `edit` changes what is written there."""
+    return parameters(rapid.section(edit, family))
+
+
+def weight(code):
+    """One code of what the trained ones of rapid become."""
+    return tables(lambda found: found.weights[1].__setitem__(3, code))
+
+
+def frequency(symbol, code, table=0):
+    """One code of the frequencies of a table of rapid."""
+
+    def edit(found):
+        found.frequencies[table] = found.trained(table)
+        found.frequencies[table][symbol] = code
+
+    return tables(edit)
+
+
+def stencil(changes, shift=0):
+    """Changes of the trained stencil of HL of the finest tier."""
+    return tables(lambda found: found.stencils.__setitem__(1, (0, shift, changes)))
+
+
+def own_stream(change):
+    """The stream of a parameters section of rapid that is as long as any."""
+    data = rapid.section(lambda found: found.stencils.__setitem__(0, (1, 0, None)))
+    return parameters(data[:1] + change(data[1:]))
 
 
 def mesh(data):
@@ -359,22 +401,12 @@ CASES = {
     ),
     "reserved-byte": Case("store", "§1.2", "reserved byte 1", header(reserved=1), "unsupported"),
     "padding": Case("store", "§1.2", "padding 0, 1", header(padding=b"\0\1"), "unsupported"),
-    "feature-4": Case("store", "§4.7", "feature bit 4", header(features=17), "unsupported"),
+    "feature-5": Case("store", "§4.7", "feature bit 5", header(features=33), "unsupported"),
     "feature-31": Case(
         "store", "§4.7", "feature bit 31", header(features=2**31 + 1), "unsupported"
     ),
     "all-void-not-told": Case(
         "all-void", "§4.1", "no valid sample without feature bit 0", header(features=0)
-    ),
-    "parameters-rapid-weights-family": Case(
-        "rapid", "R.10", "family 7 of layout 5", parameters(b"\5\7\0\0\0\0\0")
-    ),
-    "parameters-rapid-weights-code": Case(
-        "rapid", "R.10", "a code of a weight below 0", parameters(section_with(weights(hl_2=-1)))
-    ),
-    "parameters-rapid-weights-sum": Case(
-        "rapid", "R.10", "weights whose sum may pass 31 bits",
-        parameters(section_with(weights(hl_2=120, hl_4=127))),
     ),
     "remainders-int16": Case("store", "§4.1", "remainders of int16", header(features=3)),
     "remainders-step": Case("exact", "§4.1", "remainders beside step 3", header(step=3)),
@@ -511,21 +543,56 @@ CASES = {
         "predictive", "P.10", "15 stencils beside those of the annex",
         parameters(b"\1" + b"\xf0" + bytes(60)),
     ),
-    "parameters-rapid-layout": Case(
-        "rapid", "R.10", "layout 2", edited(
-            lambda editor: setattr(editor, "parameters", b"\2" + editor.parameters[1:])
-        ), "unsupported",
+    "parameters-rapid-family-6": Case("rapid", "R.10", "family 6", parameters(b"\xc0")),
+    "parameters-rapid-family-7": Case(
+        "rapid", "R.10", "family 7 before a stream",
+        parameters(b"\xe0" + rapid.Section().bytes()[1:]),
     ),
     "parameters-rapid-left-over": Case(
-        "rapid", "R.10", "a byte after the stream", edited(
-            lambda editor: setattr(editor, "parameters", editor.parameters + b"\0")
-        ),
+        "rapid", "R.10", "a byte after the stream", own_stream(lambda data: data + b"\0")
     ),
-    "parameters-rapid-family": Case(
-        "rapid", "R.10", "family 7", parameters(b"\1\7\0\0\0\0\0")
+    "parameters-rapid-short": Case(
+        "rapid", "R.10", "a stream a byte short", own_stream(lambda data: data[:-1])
     ),
-    "parameters-rapid-reach-family": Case(
-        "rapid", "R.10", "family 7 of layout 3", parameters(b"\3\7\0\0\0\0\0")
+    "parameters-rapid-change": Case(
+        "rapid", "R.10", "a weight of a stencil that changes by 65535", stencil({0: 65535})
+    ),
+    "parameters-rapid-change-wraps": Case(
+        "rapid", "R.10", "a weight of a stencil that changes by 2^32", stencil({0: 2**32})
+    ),
+    "parameters-rapid-stencil": Case(
+        "rapid", "R.10", "a weight of 32768 at least", stencil({0: 300, 2: -300}, shift=7)
+    ),
+    "parameters-rapid-missing-tap": Case(
+        "rapid", "R.10", "a weight beyond 32767 of the missing tap",
+        stencil({0: -20000, 2: -20000}),
+    ),
+    "parameters-rapid-sum": Case(
+        "rapid", "R.10", "absolute weights of more than 2^18 in all",
+        stencil({tap: 15000 * (-1) ** tap for tap in range(20) if tap != 5}),
+    ),
+    "parameters-rapid-code-negative": Case(
+        "rapid", "R.10", "a code of a weight below 0", weight(-1)
+    ),
+    "parameters-rapid-code-256": Case(
+        "rapid", "R.10", "a code of a weight of 256", weight(256)
+    ),
+    "parameters-rapid-code-wraps": Case(
+        "rapid", "R.10", "a code that changes by 2^32", frequency(0, 2**32)
+    ),
+    "parameters-rapid-cut": Case(
+        "rapid", "R.10", "cut 61", tables(lambda found: setattr(found, "cut", 61))
+    ),
+    "parameters-rapid-frequency-negative": Case(
+        "rapid", "R.10", "a code of a frequency below 0", frequency(32, -1, table=100)
+    ),
+    "parameters-rapid-no-rest-pair": Case(
+        "rapid", "R.10", "frequencies that leave nothing to pairs of no detail",
+        frequency(113, 144),
+    ),
+    "parameters-rapid-no-rest-sample": Case(
+        "rapid", "R.10", "frequencies that leave nothing to samples of escaped pairs",
+        frequency(0, 200, table=120),
     ),
     # Index pages
     "page-crc": Case("store", "§3.3", "crc of a page", page(flip(0))),
@@ -689,31 +756,71 @@ CASES = {
     "predictive-left-over": Case(
         "predictive", "P.1", "a byte after the stream", method_bytes(lambda data: data + b"\0")
     ),
-    "rapid-low-above-high": Case(
-        "one", "R.2", "a root block that is not wide, and no height within its limits", edited(far)
+    "rapid-rings-3": Case("rapid", "R.2", "border_rings 3", header(border_rings=3)),
+    "rapid-empty": Case("rapid", "R.1", "no byte of the method", method_bytes(lambda data: b"")),
+    "rapid-flags-64": Case("rapid", "R.1", "flag 64", method_bytes(flip(0, 64))),
+    "rapid-flags-128": Case("rapid", "R.1", "flag 128", method_bytes(flip(0, 128))),
+    "rapid-states-3": Case(
+        "rapid", "R.1", "number 3 of states", of_rapid(lambda found: found.set_flags(6))
     ),
-    "rapid-flags": Case("rapid", "R.1", "flag bit 2", method_bytes(flip(0, 4))),
+    "rapid-shift-31": Case(
+        "rapid", "R.1", "a shift of 31 bits", of_rapid(lambda found: found.set_wide(31))
+    ),
+    "rapid-narrow-large-step": Case(
+        "rapid-far", "R.1", "a narrow unit of step 18001",
+        of_rapid(lambda found: found.set_narrow()),
+    ),
+    "rapid-origin-above": Case(
+        "rapid", "R.2", "an origin above z_max", of_rapid(lambda found: found.set_origin(1))
+    ),
+    "rapid-origin-below": Case(
+        "rapid", "R.2", "an origin below z_min", of_rapid(lambda found: found.set_origin(-1))
+    ),
+    "rapid-origin-wraps": Case(
+        "rapid", "R.2", "an origin 2^64 from the middle",
+        of_rapid(lambda found: (found.set_wide(30), found.set_origin(2**24))),
+    ),
+    "rapid-two-bands": Case(
+        "rapid", "R.1", "two bands of a root block", of_rapid(lambda found: found.add_bands(1))
+    ),
+    "rapid-band-state": Case(
+        "rapid-row", "R.1", "a state of 65537 of a band without strips",
+        of_rapid(lambda found: found.add_bands(1, state=65537), key=(0, 0, 0)),
+    ),
     "rapid-words-beyond": Case(
-        "rapid", "R.1", "more words than bytes", method_bytes(put(1, 99))
+        "rapid", "R.1", "more words than there are", of_rapid(lambda found: found.claim(0, 1))
+    ),
+    "rapid-words-wrap": Case(
+        "rapid", "R.1", "2^31 words more than there are",
+        of_rapid(lambda found: found.claim(0, 2**31)),
+    ),
+    "rapid-bits-beyond": Case(
+        "rapid", "R.1", "more bytes of raw bits than there are",
+        of_rapid(lambda found: found.claim(1, 1)),
+    ),
+    "rapid-byte-left-over": Case(
+        "rapid", "R.1", "a byte after the bands", method_bytes(lambda data: data + b"\0")
     ),
     "rapid-word-left-over": Case(
-        "rapid", "R.1", "a word that is not read",
-        method_bytes(lambda data: put(1, 5)(data[:14]) + b"\0\0" + data[14:]),
+        "rapid", "R.1", "a word that is not read", band(1, lambda words: words + b"\0\0")
     ),
-    "rapid-word-missing": Case(
-        "rapid", "R.1", "a word too few",
-        method_bytes(lambda data: put(1, 3)(data[:12]) + data[14:]),
+    "rapid-word-missing": Case("rapid", "R.1", "a word too few", band(1, lambda words: words[:-2])),
+    "rapid-state-small": Case(
+        "rapid", "R.1", "a state of 65535", band(0, lambda states: b"\xff\xff\0\0" + states[4:])
     ),
-    "rapid-state": Case("rapid", "R.1", "a state that ends elsewhere", method_bytes(flip(2))),
+    "rapid-state": Case(
+        "rapid", "R.1", "a state that ends as 65537",
+        edited(lambda editor: rapid.draw_payloads(editor, 1, last_state=65537)),
+    ),
     "rapid-bits-left-over": Case(
-        "rapid", "R.1", "a byte of raw bits too many", method_bytes(lambda data: data + b"\0")
+        "rapid", "R.1", "a byte of raw bits too many", band(2, lambda raw: raw + b"\0")
     ),
     "rapid-bits-missing": Case(
-        "rapid", "R.1", "a byte of raw bits too few", method_bytes(lambda data: data[:-1])
+        "rapid", "R.1", "a byte of raw bits too few", band(2, lambda raw: raw[:-1])
     ),
     "rapid-bits-filling": Case(
         "rapid", "R.1", "a 1 above the last raw bit",
-        method_bytes(lambda data: data[:-1] + bytes([data[-1] | 128])),
+        band(2, lambda raw: raw[:-1] + bytes([raw[-1] | 128])),
     ),
     "cdf97-flags": Case("cdf97", "§7.1", "flag 8", method_bytes(put(0, 8))),
     "cdf97-raw-and-coefficients": Case(
