@@ -519,7 +519,7 @@ RETOLD = {
     "rapid-not-narrow": (
         "rapid-int16-lossless-nodata", with_payloads(lambda found: found.set_wide(0)),
     ),
-    "rapid-drawn-narrow": ("rapid-int32-mask", be_drawn(3, 9000, 1)),
+    "rapid-drawn-narrow": ("rapid-int32-mask", be_drawn(1, 9000, 1)),
     "rapid-drawn-wide": ("rapid-int32-mask", be_drawn(6, 2**28, 5)),
     "store-moved-decimal": ("store-int16-nodata-halves", lambda editor: editor.set_json(moved=3.0)),
     "store-optional-sections": ("store-int16-nodata-halves", add_sections),
