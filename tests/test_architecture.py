@@ -108,7 +108,7 @@ CALLED_AFTER = ("cli/commands", "render/modes")
 MOST_LINES, MOST_ARGUMENTS = 70, 10
 # Files through which `max_error` reaches the kernel that codes by it.
 MOST_FILES = 8
-LONG = {"_sweep_cells", "code_pass", "code_residuals"}
+LONG = {"_sweep_cells", "code_heights", "code_pass", "code_residuals"}
 # Functions of more arguments, and why.
 WIDE = {
     "options of a user": {

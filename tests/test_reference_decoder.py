@@ -10,9 +10,10 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from cases import some
+from conformance import rapid as any_rapid
 from golden_files import GOLDEN
 from reference import bilinear_error
-from reference_decoder import cdf53, cdf97, payloads, predictive, range_coder, units
+from reference_decoder import cdf53, cdf97, payloads, predictive, range_coder, rapid, units
 from reference_decoder.basics import CorruptError
 from reference_decoder.files import (
     DICTIONARY,
@@ -26,6 +27,7 @@ from reference_decoder.files import (
 )
 from reference_decoder.payloads import MASK_GROUPS, MASK_SAMPLES, decode_payload, decode_valid
 from reference_decoder.range_coder import THRESHOLDS, Models, RangeDecoder, RangeEncoder, bin_of
+from reference_decoder.rapid_tables import read_rapid_tables
 from reference_decoder.spiht import Spiht
 from reference_decoder.units import decode, decode_units, decode_with_own
 from twz import twz_bytes
@@ -74,7 +76,7 @@ def spikes(rng, shape):
 
 
 # Method and border_rings.
-CODECS = [*product(["store", "cdf97", "predictive", "rapid"], [1, 3]), ("cdf53", 1)]
+CODECS = [*product(["store", "cdf97", "predictive"], [1, 3]), ("rapid", 1), ("cdf53", 1)]
 # What the raster is; its maker; options that go with it.
 RASTERS = {
     "lossless": (whole, {"max_error": 0}),
@@ -267,6 +269,59 @@ def test_every_effort_of_predictive_decodes_as_format_says(border_rings, effort)
 )
 def test_golden_files_decode_as_format_says(path):
     check_same(path.read_bytes())
+
+
+def seen_in(data):
+    """Return what of docs/format-rapid.md a file of rapid has."""
+    read_payload, file = rapid.read_payload, read_file(data)
+    seen = {f"parameters of {min(len(file.parameters), 2)} bytes"}
+
+    def recorded(*args):
+        is_narrow, shift, number, bands = found = read_payload(*args)
+        seen.add("narrow" if is_narrow else "a shift" if shift else "wide")
+        seen.update([f"{len(bands)} bands", f"{len(bands[0].states)} states"])
+        seen.update(["an origin"] * (number != 0))
+        return found
+
+    class Band(rapid.Band):
+        def symbols(self, entries):
+            found = super().symbols(entries)
+            for entry, y in zip(entries, found, strict=True):
+                if entry is not None:
+                    kind = "pair" if len(entry[0]) == 226 else "sample"
+                    is_last = y == len(entry[0]) - 1
+                    seen.add(f"the last symbol of a {kind}" if is_last else f"a {kind}")
+            return found
+
+    class Lattice(rapid.Lattice):
+        def predict_known(self, *args):
+            seen.add("shared lines")
+            return super().predict_known(*args)
+
+        def make_heights(self, parent):
+            for (plane, i, j), d in self.details.items():
+                if j < self.sizes[plane][1] and not self.is_valid(plane, i, j):
+                    seen.add("a detail of a void" if d else "a void")
+            seen.update(f"no {plane}" for plane, size in self.sizes.items() if 0 in size)
+            super().make_heights(parent)
+
+    patches = dict(read_payload=recorded, Band=Band, Lattice=Lattice)
+    with patch.multiple(rapid, **patches):
+        decode(data)
+    return seen
+
+
+@pytest.mark.full
+def test_golden_files_have_all_that_format_rapid_names():
+    paths = GOLDEN.glob("v*/rapid*.twz")
+    assert set().union(*(seen_in(path.read_bytes()) for path in paths)) == {
+        *(f"parameters of {n} bytes" for n in (0, 1, 2)),
+        *(f"{n} states" for n in (1, 8, 32)),
+        *(f"{n} bands" for n in (1, 2, 3, 4)),
+        *("narrow", "a shift", "wide", "an origin", "shared lines", "no HH", "no HL", "no LH"),
+        *("a pair", "a sample", "the last symbol of a pair", "the last symbol of a sample"),
+        *("a void", "a detail of a void"),
+    }
 
 
 @pytest.mark.full
@@ -584,6 +639,11 @@ def random_payload(rng, file, unit, parent_unit, parent_heights, parent_valid):
         valid, payload = decode_valid(file, unit, None, parent_unit, parent_valid), b"\0"
     if not any(map(any, valid)):
         return b""
+    if METHODS[file.header.method] == "rapid":
+        parents = parent_unit, parent_heights
+        return (
+            payload + any_rapid.random_bytes(rng, any_rapid.START, file, unit, valid, *parents)[0]
+        )
     if METHODS[file.header.method] == "cdf97":
         head, decode_method = random_cdf97_head(rng), cdf97.decode_cdf97
     else:
@@ -675,6 +735,9 @@ def random_file(rng, shape, method, border_rings):
     if method == "predictive":
         file.parameters = random_parameters(rng)
         file.tables = predictive.read_tables(file.parameters)
+    elif method == "rapid":
+        file.parameters = any_rapid.random_section(rng)
+        file.tables = read_rapid_tables(file.parameters, file.header.step)
 
     def generate(file, unit, payload, *parent):
         file.payloads[unit.key] = payload = random_payload(rng, file, unit, *parent)
@@ -691,7 +754,8 @@ def random_tile_file(rng, shape, n_planes):
     (tile,) = cdf53.tiles_of(file.grid)
     outer = outer_valid = None
     sections = []
-    for part in tile.parts:
+    for level, part in enumerate(tile.parts, tile.first):
+        part.level = level
         outer_valid, mask = random_validity(rng, file, part, outer, outer_valid)
         sections.append(varint(len(mask)) + mask)
         outer = part
@@ -739,16 +803,23 @@ def check_units(data):
                 np.testing.assert_array_equal(decoded.heights, heights)
 
 
-@pytest.mark.parametrize("border_rings", [1, 3])
-@pytest.mark.parametrize("method", ["cdf97", "predictive"])
+@pytest.mark.parametrize(
+    ("method", "border_rings"),
+    [*product(["cdf97", "predictive"], [1, 3]), pytest.param("rapid", 1, marks=pytest.mark.full)],
+)
 @pytest.mark.parametrize("seed", some(range(10), 5))
 def test_random_payloads_of_a_root_decode_as_format_says(seed, method, border_rings):
     check_units(random_file(np.random.default_rng(seed), (6, 11), method, border_rings))
 
 
 @pytest.mark.large
-@pytest.mark.parametrize("border_rings", some([1, 3], 2))
-@pytest.mark.parametrize("method", ["cdf97", "predictive"])
+@pytest.mark.parametrize(
+    ("method", "border_rings"),
+    [
+        *some([*product(["cdf97", "predictive"], [1, 3])], 2),
+        pytest.param("rapid", 1, marks=pytest.mark.full),
+    ],
+)
 @pytest.mark.parametrize(
     "seed", [0, *(pytest.param(seed, marks=pytest.mark.full) for seed in range(1, 5))]
 )

@@ -58,6 +58,13 @@ def town(n_rows, n_cols, amplitude):
     return heights
 
 
+def plateaus(n_rows, n_cols, amplitude):
+    """Return two plains, one far above the other."""
+    heights = terrain(n_rows, n_cols, amplitude)
+    heights[:, n_cols // 2 :] += 100_000
+    return heights
+
+
 def rubble(n_rows, n_cols, amplitude):
     """Return a plane of which only the samples of the finest level are rough, without any order."""
     row, col = np.indices((n_rows, n_cols), dtype=np.int64)
@@ -107,7 +114,7 @@ CASES = {
         (110, 100), "int16", 900, "none", PLACE, {"max_error": 2, "method": "rapid"},
     ),
     "rapid-int16-lossless": (
-        (100, 110), "int16", 60, "none", PLACE, {"max_error": 0, "method": "rapid", "mesh": "none"},
+        (100, 110), "int16", 20, "none", PLACE, {"max_error": 0, "method": "rapid", "mesh": "none"},
     ),
     "rapid-int16-lossless-nodata": (
         (70, 51), "int16", 400, "nodata", PLACE, {"max_error": 0, "method": "rapid"},
@@ -120,13 +127,17 @@ CASES = {
         (70, 66), "int16", 300, "nodata", PLACE,
         {"max_error": 1, "method": "rapid", "block": 64, "mesh": "none"},
     ),
+    "rapid-int16-mask": (
+        (100, 110), "int16", 60, "mask", PLACE,
+        {"max_error": 3, "method": "rapid", "mesh": "none"},
+    ),
     "rapid-int16-town": (
-        (50, 47), "int16", 4000, "none", PLACE,
-        {"max_error": 0, "method": "rapid", "mesh": "none", "relief": town},
+        (80, 75), "int16", 160, "nodata", PLACE,
+        {"max_error": 1, "method": "rapid", "mesh": "none", "relief": town},
     ),
     # A group of more bytes than a band has, below a smooth root block.
     "rapid-int16-bands": (
-        (129, 128), "int16", 900, "none", PLACE,
+        (129, 128), "int16", 420, "none", PLACE,
         {"max_error": 0, "method": "rapid", "block": 64, "mesh": "none", "relief": rubble},
     ),
     "rapid-uint8": (
@@ -144,6 +155,10 @@ CASES = {
     "rapid-int32-wide": (
         (50, 46), "int32", 4_000_000, "none", PLACE,
         {"max_error": 3, "method": "rapid", "mesh": "none"},
+    ),
+    "rapid-int32-origins": (
+        (60, 132), "int32", 30, "none", PLACE,
+        {"max_error": 1, "method": "rapid", "mesh": "none", "relief": plateaus},
     ),
     "rapid-int32-large-step": (
         (50, 46), "int32", 9_000_000, "none", PLACE,
@@ -164,8 +179,8 @@ CASES = {
         {"max_error": 1, "method": "rapid", "mesh": "none"},
     ),
     "rapid-one-column": (
-        (140, 1), "uint16", 300, "none", PLACE,
-        {"max_error": 0, "method": "rapid", "mesh": "none"},
+        (140, 1), "int16", 300, "nodata", PLACE,
+        {"max_error": 1, "method": "rapid", "mesh": "none"},
     ),
     "rapid-two-columns": (
         (75, 2), "int16", 300, "nodata", PLACE,
@@ -282,17 +297,19 @@ EXERCISES = {
     "predictive-float32-nan": "decimals, voids are NaN",
     "predictive-float64-scaled": "scale and offset; quantum_den above 1",
     "predictive-fast-blocks": "blocks of 64; payloads without *mixed*",
-    "rapid-int16-halves": "three levels, lossy, shared lines (R.3), tables of the file's own (R.10)",
-    "rapid-int16-lossless": "step 1, most samples in pairs",
+    "rapid-int16-halves": "three levels, shared lines (R.3), tables of the file's own (R.10)",
+    "rapid-int16-lossless": "step 1, pairs and samples alone",
     "rapid-int16-lossless-nodata": "step 1, voids by nodata",
     "rapid-int16-states": "eight states, blocks of 64, voids",
     "rapid-int16-blocks": "step 3, blocks of 64, voids by nodata",
-    "rapid-int16-town": "cliffs: escaped pairs, samples that go on (R.9)",
-    "rapid-int16-bands": "two bands of a group, 32 states",
+    "rapid-int16-mask": "a mask of its own, pairs of which one sample is void",
+    "rapid-int16-town": "cliffs in gentle ground: samples that go on (R.9)",
+    "rapid-int16-bands": "two bands of a group",
     "rapid-uint8": "a step of 3, degrees",
     "rapid-uint8-root": "a root block alone, parameters of one byte",
     "rapid-int32-mask": "a mask of its own, a large step",
     "rapid-int32-wide": "heights that are not narrow: levels with a shift (R.2)",
+    "rapid-int32-origins": "narrow groups far apart: origins off the middle (R.2)",
     "rapid-int32-large-step": "a step that no narrow unit has, cliffs",
     "rapid-float32-nan": "decimals, voids are NaN",
     "rapid-float32-fills": "fills (§5.2) beside details of voids",
@@ -328,8 +345,9 @@ EXERCISES = {
     "rapid-above-float32": "one-sided bound: `bound` above, *base* off the middle (§4.2)",
     "rapid-no-parameters": "an empty parameters section (R.10)",
     "rapid-empty-bands": "bands that have no strip (R.9)",
+    "rapid-not-narrow": "heights that narrow units could have in others, without a shift (R.1)",
     "rapid-drawn-narrow": "details of anything: of voids, beyond all limits (R.7, R.9); any tables",
-    "rapid-drawn-wide": "the same, with shifts, an origin off the middle and several bands",
+    "rapid-drawn-wide": "the same, with a shift, an origin far off the middle and three bands",
     "one-sample": "a raster of one sample",
     "one-row": "a raster of one row",
     "all-void": "no valid sample: z_min 0, z_max −1, empty payloads",
@@ -478,25 +496,34 @@ def without_parameters(editor):
     editor.parameters = b""
 
 
-def with_empty_bands(editor):
-    """Put three bands before the one of the first group."""
-    key = (0, 0, 0)
-    data = editor.top.payloads[key]
-    own = rapid.own_bytes(data)
-    found = rapid.Payload(own)
-    found.add_bands(3)
-    editor.top.payloads[key] = data[: len(data) - len(own)] + found.bytes()
+def with_payloads(edit, keys=None):
+    """Return an edit of the bytes of rapid in the payloads of keys, or all."""
+
+    def edit_file(editor):
+        for key in keys or editor.top.payloads:
+            data = editor.top.payloads[key]
+            own = rapid.own_bytes(data)
+            found = rapid.Payload(own)
+            edit(found)
+            editor.top.payloads[key] = data[: len(data) - len(own)] + found.bytes()
+
+    return edit_file
 
 
 RETOLD = {
     "rapid-above-float32": ("rapid-float32-fills", be_above),
     "rapid-no-parameters": ("rapid-uint8-root", without_parameters),
-    "rapid-empty-bands": ("rapid-one-row", with_empty_bands),
+    "rapid-empty-bands": (
+        "rapid-one-row", with_payloads(lambda found: found.add_bands(3), [(0, 0, 0)]),
+    ),
+    "rapid-not-narrow": (
+        "rapid-int16-lossless-nodata", with_payloads(lambda found: found.set_wide(0)),
+    ),
     "rapid-drawn-narrow": ("rapid-int32-mask", be_drawn(1, 9000, 1)),
-    "rapid-drawn-wide": ("rapid-int32-mask", be_drawn(2, 2**28, 5)),
+    "rapid-drawn-wide": ("rapid-int32-mask", be_drawn(6, 2**28, 5)),
     "store-moved-decimal": ("store-int16-nodata-halves", lambda editor: editor.set_json(moved=3.0)),
     "store-optional-sections": ("store-int16-nodata-halves", add_sections),
-}
+}  # fmt: skip
 
 
 def main():

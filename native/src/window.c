@@ -630,7 +630,11 @@ static void want_less(twz_window *w) {
       want_parent(f, slot_at(s + 1, parent), parent, key, one->wanted, rapid_bands(f, one->payload, one->place.length));
     }
     for (size_t k = 0; k < n_slots(s + 1); k++) {
-      if (s[1].slots[k].state == FED) s[1].slots[k].wanted = worth_decoding(f, key_at(s + 1, k), s->level, s[1].slots[k].wanted);
+      slot *above = &s[1].slots[k];
+      place key = key_at(s + 1, k);
+      if (above->state != FED) continue;
+      /* Where all below is void, nothing is wanted: it is decoded as a whole, and so must be what is above it. */
+      above->wanted = above->wanted.end_row ? worth_decoding(f, key, s->level, above->wanted) : all_of_unit(&f->grid, key, s->level);
     }
   }
 }

@@ -59,7 +59,8 @@ def base(name):
         ramp = np.tile(np.arange(2100, dtype=np.int16) // 400, (2, 1))
         return twz_bytes(ramp, max_error=0, method="cdf53", mesh="none")
     if name == "rapid-far":  # heights that are not narrow, of a large step
-        return twz_bytes(HEIGHTS * np.int32(10**6), max_error=9000, method="rapid", mesh="none")
+        far = abs(HEIGHTS) * np.int32(10**6) + row[:5, :5].astype(np.int32)
+        return twz_bytes(far, max_error=9000, method="rapid", mesh="none")
     if name == "rapid-row":  # a group of one strip
         return twz_bytes(
             (np.arange(66) % 7).astype(np.uint8)[None], **options_0 | {"method": "rapid"}
@@ -582,7 +583,7 @@ CASES = {
         "rapid", "R.10", "cut 61", tables(lambda found: setattr(found, "cut", 61))
     ),
     "parameters-rapid-frequency-negative": Case(
-        "rapid", "R.10", "a code of a frequency below 0", frequency(32, -1, table=60)
+        "rapid", "R.10", "a code of a frequency below 0", frequency(32, -1, table=100)
     ),
     "parameters-rapid-no-rest-pair": Case(
         "rapid", "R.10", "frequencies that leave nothing to pairs of no detail",
@@ -803,7 +804,10 @@ CASES = {
     "rapid-state-small": Case(
         "rapid", "R.1", "a state of 65535", band(0, lambda states: b"\xff\xff\0\0" + states[4:])
     ),
-    "rapid-state": Case("rapid", "R.1", "a state that ends elsewhere", band(0, flip(0))),
+    "rapid-state": Case(
+        "rapid", "R.1", "a state that ends as 65537",
+        edited(lambda editor: rapid.draw_payloads(editor, 1, last_state=65537)),
+    ),
     "rapid-bits-left-over": Case(
         "rapid", "R.1", "a byte of raw bits too many", band(2, lambda raw: raw + b"\0")
     ),

@@ -137,6 +137,7 @@ class Section:
             size = 0
             for g, code in zip(known, codes, strict=True):
                 change = code - g
+                assert change >= 0 or g, "codes that are usually 0 have no sign"
                 put_magnitude(encoder, models, groups + size + 3 * (g > 0), abs(change))
                 if change and g:
                     encoder.raw(int(change < 0), 1)
@@ -199,10 +200,13 @@ def random_section(rng):
 
 
 class DrawnBand(rapid.Band):
-    """In a band's place it answers at random; `parts` are the bytes of what it answered (R.8)."""
+    """In a band's place it answers at random; `parts` are the bytes of what it answered (R.8).
 
-    def __init__(self, rng, n_states, share):
-        super().__init__([START] * n_states, [], b"")
+    A `share` of symbols is drawn from all alike, the others by their frequencies.
+    """
+
+    def __init__(self, rng, n_states, share, last_state):
+        super().__init__([last_state] * n_states, [], b"")
         self.rng, self.share, self.log, self.answered = rng, share, [], []
 
     def symbols(self, entries):
@@ -247,7 +251,7 @@ class DrawnBand(rapid.Band):
         ]
 
 
-def random_bytes(rng, file, unit, valid, parent_unit, parent_heights):
+def random_bytes(rng, last_state, file, unit, valid, parent_unit, parent_heights):
     """Return the bytes of the method for a unit, legal and otherwise random, and its heights."""
     h = file.header
     is_narrow = int(h.step <= 8191 and rng.random() < 0.6)
@@ -257,7 +261,7 @@ def random_bytes(rng, file, unit, valid, parent_unit, parent_heights):
     most = ((h.z_max - h.z_min) >> 1) >> (10 + shift)
     k = int(rng.integers(-most, most + 1))
     share = rng.choice([0, 0.05, 0.5])
-    bands = [DrawnBand(rng, N_STATES[which], share) for _ in range(n_bands)]
+    bands = [DrawnBand(rng, N_STATES[which], share, last_state) for _ in range(n_bands)]
     with patch.object(rapid, "read_payload", lambda *_: (is_narrow, shift, k, bands)):
         heights = rapid.decode_rapid(file, unit, b"", valid, parent_unit, parent_heights)
     found = Payload.__new__(Payload)
@@ -270,7 +274,7 @@ def random_bytes(rng, file, unit, valid, parent_unit, parent_heights):
     return found.bytes(), heights
 
 
-def draw_payloads(editor, seed):
+def draw_payloads(editor, seed, last_state=START):
     """Give all units of a file of one segment, none beside another, bytes of anything."""
     rng, file = np.random.default_rng(seed), read_file(editor.bytes())
     decode_payload = units.decode_payload
@@ -279,7 +283,7 @@ def draw_payloads(editor, seed):
         made = []
 
         def decode(file, unit, _, valid, *parent):
-            made.extend(random_bytes(rng, file, unit, valid, *parent))
+            made.extend(random_bytes(rng, last_state, file, unit, valid, *parent))
             return made[1]
 
         with patch.dict(payloads.DECODERS, rapid=decode):

@@ -1,4 +1,4 @@
-"""Digests of heights, and their root (docs/FORMAT.md §4.8)."""
+"""Digests of heights, and their root (docs/FORMAT.md §4.9)."""
 
 import hashlib
 import math

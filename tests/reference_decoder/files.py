@@ -314,7 +314,7 @@ def read_file(data):
             before = sum(n - len(page) for _, page, n in next_row[:i])
             require(first_child == at + before, "first_child")
         row = next_row
-    digests = section_before(data, at) if h.features & 256 else b""
+    digests = section_before(data, at) if h.features & 16 else b""
     require(at + len(digests) == h.file_size, "bytes after the last section")
     return SimpleNamespace(
         header=h,

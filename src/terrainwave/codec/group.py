@@ -136,7 +136,7 @@ def decode_unit(
         if not spec.has_voids:
             raise CorruptStreamError("a unit without a payload in a file without voids")
         return _all_void(spec)
-    head = _read_head(spec, parent, payload)
+    head = read_head(spec, parent, payload)
     mask = head.validity.mask
     remainders = None
     if head.remainders:
@@ -210,7 +210,7 @@ class Head(NamedTuple):
     n_bytes: int
 
 
-def _read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Head:
+def read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Head:
     """Read what stands before the heights of a payload, which is not empty.
 
     Raises
