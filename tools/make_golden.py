@@ -175,7 +175,7 @@ CASES = {
         (45, 51), "float32", 400, "nan", PLACE, {"max_error": 0, "method": "rapid"},
     ),
     "rapid-one-row": (
-        (1, 140), "int16", 300, "nodata", PLACE,
+        (1, 140), "int16", 200, "nodata", PLACE,
         {"max_error": 1, "method": "rapid", "mesh": "none"},
     ),
     "rapid-one-column": (
