@@ -245,29 +245,61 @@ def test_the_payload_of_method_rapid_is_the_stated_one(decoder):
     np.testing.assert_array_equal(found, grid("decoded", EXAMPLE_OF_RAPID))
 
 
-def test_predictions_and_details_of_rapid_are_the_stated_ones():
-    coded = []
+def test_symbols_and_details_of_rapid_are_the_stated_ones():
+    lists, samples = [], []
 
-    class Recorder(rapid.Lattice):
-        def decode_row(self, plane, i):
-            row = self.row = []
-            super().decode_row(plane, i)
-            for j, x in enumerate(row):
-                if x.is_coded:
-                    numbers = [i, j, x.p, x.e, x.context, x.symbol, x.q, x.height]
-                    coded.append([str(self.stride), plane, numbers])
+    class Band(rapid.Band):
+        def symbols(self, entries):
+            n_words = len(self.words)
+            found = super().symbols(entries)
+            if found:
+                shown = " ".join("none" if y is None else str(y) for y in found)
+                lists[-1].append([shown, self.states[0], n_words - len(self.words)])
+            return found
+
+    class Lattice(rapid.Lattice):
+        def read_batch(self, band, plane, *rest):
+            lists.append([self.stride, plane])
+            super().read_batch(band, plane, *rest)
+
+        def expected(self, *place_and_first):
+            found = super().expected(*place_and_first)
+            self.__dict__.setdefault("of_e", {})[place_and_first[:3]] = found
+            return found
 
         def predict(self, *place):
-            self.row.append(super().predict(*place))
-            return self.row[-1]
+            self.predicted = place
+            return super().predict(*place)
 
-    with patch.object(rapid, "Lattice", Recorder):
+        def turned(self, p, total):
+            found = super().turned(p, total)
+            self.__dict__.setdefault("of_p", {})[self.predicted] = [p, int(found)]
+            return found
+
+        def make_heights(self, parent):
+            super().make_heights(parent)
+            for place in filter(lambda place: self.is_valid(*place), self.levels):
+                (plane, *at), (row, col), e = place, self.place(*place), self.of_e[place]
+                samples.append([
+                    self.stride, plane, *at, e, rapid.class_of(e), self.details[place],
+                    *self.of_p[place], self.heights[row][col],
+                ])  # fmt: skip
+
+    with patch.object(rapid, "Lattice", Lattice), patch.object(rapid, "Band", Band):
         decode(encoded("rapid"))
-    stated = re.findall(r"^\| (\d) \| ([HL]+) \| (.*) \|$", EXAMPLE_OF_RAPID, re.M)
-    assert len(stated) == len(coded) == 19
-    for (stride, plane, cells), row in zip(stated, coded, strict=True):
-        cells = cells.replace("−", "-").replace(" |", ",").split(",")
-        assert [stride, plane, [int(cell) for cell in cells]] == row
+    stated = re.findall(
+        r"^\| (\d) \| ([HL]+) \| ([^|,]+) \| (\d+) \| (\d+) \|$", EXAMPLE_OF_RAPID, re.M
+    )
+    assert [[int(s), plane, y, int(x), int(n)] for s, plane, y, x, n in stated] == [
+        [stride, plane, *one] for stride, plane, *found in lists for one in found
+    ]
+    stated = re.findall(r"^\| (\d) \| ([HL]+) \| (\d, \d \| .*) \|$", EXAMPLE_OF_RAPID, re.M)
+    assert len(stated) == 19
+    numbers = [re.split(r", | \| ", cells.replace("−", "-")) for _, _, cells in stated]
+    assert samples == [
+        [int(stride), plane, *map(int, cells)]
+        for (stride, plane, _), cells in zip(stated, numbers, strict=True)
+    ]
 
 
 def whole_file():
