@@ -25,7 +25,7 @@ from terrainwave.codec.cdf53.tile_layout import TileLayout
 from terrainwave.codec.corrections import decode_corrections
 from terrainwave.codec.group import decode_unit, voids_below
 from terrainwave.codec.own_masks import Above, Sections, decode_validity
-from terrainwave.codec.refiner import Validity, as_array
+from terrainwave.codec.refiner import Rows, Validity, as_array
 from terrainwave.codec.remainder_planes import decode_remainders
 from terrainwave.coding.deflate import deflate
 from terrainwave.container.header import (
@@ -172,13 +172,16 @@ def unit_target(name: str) -> Target:
         if data[1] & CORRECTED and METHODS[name].is_patchable:
             spec = corrected(spec)
         payload = data[3:]
-        part = None
+        part, n_rows = None, spec.region.n_rows
+        first = data[1] % n_rows
         with suppress(CorruptStreamError):
-            part = decode_unit(refiner, spec, parent, payload, 1 + data[0] % spec.region.n_rows)
+            rows = Rows(first, first + 1 + data[0] % (n_rows - first))
+            part = decode_unit(refiner, spec, parent, payload, rows)
         found = decode_unit(refiner, spec, parent, payload)
-        # Whoever decodes the first rows alone has those of the whole.
+        # Whoever decodes some rows alone has those of the whole.
         assert part is not None
-        assert np.array_equal(part.heights, found.heights[: len(part.heights)])
+        at = slice(part.rows.first, part.rows.end)
+        assert np.array_equal(part.heights[at], found.heights[at])
         assert found.heights.shape == found.mask.shape == spec.region.shape
         assert found.heights.dtype == np.int32
         heights = found.heights[found.mask]

@@ -238,29 +238,50 @@ def test_the_payload_of_method_rapid_is_the_stated_one(decoder):
     np.testing.assert_array_equal(found, grid("decoded", EXAMPLE_OF_RAPID))
 
 
-def test_predictions_and_details_of_rapid_are_the_stated_ones():
-    coded = []
+def recorded_of_rapid():
+    """Return the lists and the samples of the example, each as the cells of a row."""
+    lists, samples = [], []
 
     class Recorder(rapid.Lattice):
-        def decode_row(self, plane, i):
-            row = self.row = []
-            super().decode_row(plane, i)
-            for j, x in enumerate(row):
-                if x.is_coded:
-                    numbers = [i, j, x.p, x.e, x.context, x.symbol, x.q, x.height]
-                    coded.append([str(self.stride), plane, numbers])
+        def read_batch(self, band, plane, rows, first):
+            self.list = [str(self.stride), plane]
+            self.class_of = {id(t): f"pair of class {k}" for k, t in enumerate(self.tables.pairs)}
+            names = [f"sample of class {k}" for k in range(60)] + ["sample of an escaped pair"]
+            self.class_of |= dict(zip(map(id, self.tables.samples), names, strict=True))
+            with patch.object(rapid.Band, "symbols", self.symbols_of(band)):
+                super().read_batch(band, plane, rows, first)
 
-        def predict(self, *place):
-            self.row.append(super().predict(*place))
-            return self.row[-1]
+        def symbols_of(self, band):
+            def symbols(_, entries):
+                found = read_symbols(band, entries)
+                if entries:
+                    cells = ["none" if entry is None else f"{self.class_of[id(entry)]}: {y}"
+                             for entry, y in zip(entries, found, strict=True)]  # fmt: skip
+                    lists.append([*self.list, ", ".join(cells), str(band.states[0])])
+                return found
 
+            return symbols
+
+        def make_heights(self, parent):
+            super().make_heights(parent)
+            for plane, (n_rows, n_cols) in self.sizes.items():
+                for i, j in np.ndindex(n_rows, n_cols):
+                    p, is_turned = self.predict(plane, i, j)
+                    numbers = self.expected(plane, i, j, 0), p, self.details.get((plane, i, j), 0)
+                    row, col = self.place(plane, i, j)
+                    cells = [*numbers, "yes" if is_turned else "no", self.heights[row][col]]
+                    samples.append([self.stride, plane, f"{i}, {j}", f"{row}, {col}", *cells])
+
+    read_symbols = rapid.Band.symbols
     with patch.object(rapid, "Lattice", Recorder):
         decode(encoded("rapid"))
-    stated = re.findall(r"^\| (\d) \| ([HL]+) \| (.*) \|$", EXAMPLE_OF_RAPID, re.M)
-    assert len(stated) == len(coded) == 19
-    for (stride, plane, cells), row in zip(stated, coded, strict=True):
-        cells = cells.replace("−", "-").replace(" |", ",").split(",")
-        assert [stride, plane, [int(cell) for cell in cells]] == row
+    return lists, [[str(cell).replace("-", "−") for cell in row] for row in samples]
+
+
+def test_symbols_predictions_and_details_of_rapid_are_the_stated_ones():
+    lists, samples = recorded_of_rapid()
+    stated = re.findall(r"^\| (\d \| [HL]+ \| .*) \|$", EXAMPLE_OF_RAPID, re.M)
+    assert [row.split(" | ") for row in stated] == lists + samples
 
 
 def whole_file():
@@ -308,7 +329,7 @@ def test_the_whole_file_has_the_stated_page_boxes_and_indices():
 
 
 def test_digests_of_the_file_are_the_stated_ones():
-    tile, top, root = re.findall(r"`([0-9a-f]{64})`", section("4.8"))
+    tile, top, root = re.findall(r"`([0-9a-f]{64})`", section("4.9"))
     file = read_file(FILE)
     heights, mask = decode(FILE)
     found = digests.digests_of(heights, mask)

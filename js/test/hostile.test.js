@@ -59,7 +59,7 @@ for (const name of ["store-int16-nodata-halves", "rapid-uint8", "rapid-float32-e
 }
 
 for (const name of ["store-float64-rqt", "rapid-uint8", "rapid-int16-states", "rapid-int32-wide",
-  "rapid-float32-nan", "rapid-float32-exact", "rapid-int32-rings",
+  "rapid-float32-nan", "rapid-float32-exact", "rapid-int32-mask",
   "predictive-int32-rings", "predictive-uint8-best", "predictive-int16-lossless",
   "rapid-patched-int16-nodata", "predictive-patched-int16-rings", "cdf97-float32-nan-zerotree",
   "cdf97-int32-rings-faithful", "cdf53-int16-lossless", "cdf53-uint16-rate"]) {

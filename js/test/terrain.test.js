@@ -9,7 +9,7 @@ import {
 } from "../src/index.js";
 import { golden, withLongHead } from "../testing/files.js";
 
-const NAMES = ["rapid-int16-lossless-nodata", "rapid-int32-rings", "store-int16-segments",
+const NAMES = ["rapid-int16-lossless-nodata", "rapid-int32-mask", "store-int16-segments",
   "predictive-float32-rings"];
 
 function cropped({ heights, valid, nCols }, { row, col, nRows, nCols: n }) {

@@ -200,7 +200,7 @@ test("a signal ends a request, which is not made again", () =>
   }));
 
 test("a signal that is given to open ends what is read later, by workers too, with its reason", async () => {
-  const bytes = await withLongHead("rapid-weights-float32-nan");
+  const bytes = await withLongHead("rapid-float32-fills");
   const endOfHead = lengthsOf(bytes).reduce((sum, n) => sum + n, 128);
   for (const workers of [0, 2]) {
     for (const isUrl of [true, false]) {

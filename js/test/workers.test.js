@@ -10,8 +10,8 @@ import { ArgumentError, CorruptStreamError, TerrainwaveError, open } from "../sr
 import { WorkerPool } from "../src/workers.js";
 import { GOLDEN, Parts, digests, golden } from "../testing/files.js";
 
-const NAMES = ["store-int16-segments", "predictive-patched-float32-nan", "rapid-weights-float32-nan",
-  "rapid-reach-int16-mask", "cdf97-int16-halves", "cdf53-int16-tiles"];
+const NAMES = ["store-int16-segments", "predictive-patched-float32-nan", "rapid-float32-fills",
+  "rapid-int16-mask", "cdf97-int16-halves", "cdf53-int16-tiles"];
 
 for (const name of NAMES) {
   test(`${name}: the same with 0, 1 and 3 workers`, async () => {

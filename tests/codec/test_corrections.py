@@ -98,8 +98,7 @@ def test_a_section_takes_about_its_entropy(share, step):
 
 
 @pytest.mark.large
-@pytest.mark.parametrize("method", ["rapid", "predictive"])
-@pytest.mark.parametrize("rings", [1, 3])
+@pytest.mark.parametrize(("method", "rings"), [("rapid", 1), ("predictive", 1), ("predictive", 3)])
 @pytest.mark.parametrize(("step", "has_void"), some([(5, True), (3, False), (4001, True)], 1))
 def test_kept_heights_come_back(method, rings, step, has_void):
     """Of all kinds of samples: corners of root blocks, shared lines, lattices; voids too."""
@@ -149,10 +148,11 @@ def test_corrections_of_a_file_without_the_bit_are_corrupt(method):
     refiner, spec = registry.refiner_by_name(method), spec_of(Block(-1, 0, 0))
     target = np.zeros(spec.region.shape, np.int32)
     kept = np.full(target.shape, FREE)
-    kept[3, 5] = 1
+    kept[3, 3:8] = 1, 2, 3, 4, 5  # by details of step 5 some are not reached
     mask = np.ones(target.shape, bool)
     payload, _ = encode_unit(refiner, spec, None, target, mask, kept=kept)
-    assert decode_unit(refiner, spec, None, payload).heights[3, 5] == 1
+    found = decode_unit(refiner, spec, None, payload).heights
+    np.testing.assert_array_equal(found[3, 3:8], kept[3, 3:8])
     with pytest.raises(CorruptStreamError, match="flags are 0x10"):
         decode_unit(refiner, replace(spec, has_corrections=False), None, payload)
 
