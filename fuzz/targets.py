@@ -172,10 +172,10 @@ def unit_target(name: str) -> Target:
         if data[1] & CORRECTED and METHODS[name].is_patchable:
             spec = corrected(spec)
         payload = data[3:]
-        first = data[0] % spec.region.n_rows
-        rows = Rows(first, first + 1 + data[1] % (spec.region.n_rows - first))
-        part = None
+        part, n_rows = None, spec.region.n_rows
+        first = data[1] % n_rows
         with suppress(CorruptStreamError):
+            rows = Rows(first, first + 1 + data[0] % (n_rows - first))
             part = decode_unit(refiner, spec, parent, payload, rows)
         found = decode_unit(refiner, spec, parent, payload)
         # Whoever decodes some rows alone has those of the whole.

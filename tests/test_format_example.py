@@ -245,61 +245,50 @@ def test_the_payload_of_method_rapid_is_the_stated_one(decoder):
     np.testing.assert_array_equal(found, grid("decoded", EXAMPLE_OF_RAPID))
 
 
-def test_symbols_and_details_of_rapid_are_the_stated_ones():
+def recorded_of_rapid():
+    """Return the lists and the samples of the example, each as the cells of a row."""
     lists, samples = [], []
 
-    class Band(rapid.Band):
-        def symbols(self, entries):
-            n_words = len(self.words)
-            found = super().symbols(entries)
-            if found:
-                shown = " ".join("none" if y is None else str(y) for y in found)
-                lists[-1].append([shown, self.states[0], n_words - len(self.words)])
-            return found
+    class Recorder(rapid.Lattice):
+        def read_batch(self, band, plane, rows, first):
+            self.list = [str(self.stride), plane]
+            self.class_of = {id(t): f"pair of class {k}" for k, t in enumerate(self.tables.pairs)}
+            names = [f"sample of class {k}" for k in range(60)] + ["sample of an escaped pair"]
+            self.class_of |= dict(zip(map(id, self.tables.samples), names, strict=True))
+            with patch.object(rapid.Band, "symbols", self.symbols_of(band)):
+                super().read_batch(band, plane, rows, first)
 
-    class Lattice(rapid.Lattice):
-        def read_batch(self, band, plane, *rest):
-            lists.append([self.stride, plane])
-            super().read_batch(band, plane, *rest)
+        def symbols_of(self, band):
+            def symbols(_, entries):
+                found = read_symbols(band, entries)
+                if entries:
+                    cells = ["none" if entry is None else f"{self.class_of[id(entry)]}: {y}"
+                             for entry, y in zip(entries, found, strict=True)]  # fmt: skip
+                    lists.append([*self.list, ", ".join(cells), str(band.states[0])])
+                return found
 
-        def expected(self, *place_and_first):
-            found = super().expected(*place_and_first)
-            self.__dict__.setdefault("of_e", {})[place_and_first[:3]] = found
-            return found
-
-        def predict(self, *place):
-            self.predicted = place
-            return super().predict(*place)
-
-        def turned(self, p, total):
-            found = super().turned(p, total)
-            self.__dict__.setdefault("of_p", {})[self.predicted] = [p, int(found)]
-            return found
+            return symbols
 
         def make_heights(self, parent):
             super().make_heights(parent)
-            for place in filter(lambda place: self.is_valid(*place), self.levels):
-                (plane, *at), (row, col), e = place, self.place(*place), self.of_e[place]
-                samples.append([
-                    self.stride, plane, *at, e, rapid.class_of(e), self.details[place],
-                    *self.of_p[place], self.heights[row][col],
-                ])  # fmt: skip
+            for plane, (n_rows, n_cols) in self.sizes.items():
+                for i, j in np.ndindex(n_rows, n_cols):
+                    p, is_turned = self.predict(plane, i, j)
+                    numbers = self.expected(plane, i, j, 0), p, self.details.get((plane, i, j), 0)
+                    row, col = self.place(plane, i, j)
+                    cells = [*numbers, "yes" if is_turned else "no", self.heights[row][col]]
+                    samples.append([self.stride, plane, f"{i}, {j}", f"{row}, {col}", *cells])
 
-    with patch.object(rapid, "Lattice", Lattice), patch.object(rapid, "Band", Band):
+    read_symbols = rapid.Band.symbols
+    with patch.object(rapid, "Lattice", Recorder):
         decode(encoded("rapid"))
-    stated = re.findall(
-        r"^\| (\d) \| ([HL]+) \| ([^|,]+) \| (\d+) \| (\d+) \|$", EXAMPLE_OF_RAPID, re.M
-    )
-    assert [[int(s), plane, y, int(x), int(n)] for s, plane, y, x, n in stated] == [
-        [stride, plane, *one] for stride, plane, *found in lists for one in found
-    ]
-    stated = re.findall(r"^\| (\d) \| ([HL]+) \| (\d, \d \| .*) \|$", EXAMPLE_OF_RAPID, re.M)
-    assert len(stated) == 19
-    numbers = [re.split(r", | \| ", cells.replace("−", "-")) for _, _, cells in stated]
-    assert samples == [
-        [int(stride), plane, *map(int, cells)]
-        for (stride, plane, _), cells in zip(stated, numbers, strict=True)
-    ]
+    return lists, [[str(cell).replace("-", "−") for cell in row] for row in samples]
+
+
+def test_symbols_predictions_and_details_of_rapid_are_the_stated_ones():
+    lists, samples = recorded_of_rapid()
+    stated = re.findall(r"^\| (\d \| [HL]+ \| .*) \|$", EXAMPLE_OF_RAPID, re.M)
+    assert [row.split(" | ") for row in stated] == lists + samples
 
 
 def whole_file():

@@ -305,7 +305,6 @@ twz_status decode_rapid(const job *j, const reader *bytes, scratch *s, twz_error
   u.step = h->step;
   u.z_min = h->z_min;
   u.z_max = h->z_max;
-  u.most_detail = (h->z_max - h->z_min) / h->step + 1;
   u.valid = l->valid;
   u.corrections = j->corrections;
   if (p->layer && !p->is_void) {
@@ -317,6 +316,8 @@ twz_status decode_rapid(const job *j, const reader *bytes, scratch *s, twz_error
     u.parent = zeros;
   }
   TRY(open_payload(&u, bytes, error));
+  /* Levels are rounded down: predictions lie up to one level below the lowest height. */
+  u.most_detail = (int32_t)min_i64(((int64_t)h->z_max - h->z_min + ((int64_t)1 << u.shift)) / h->step + 1, INT32_MAX);
   if (!p->layer) {
     TRY(decode_root(&u, j, error));
     return close_payload(&u, 0, error);

@@ -698,9 +698,9 @@ static void ISA(predict_row)(const ISA(work) * w, int plane, int32_t i) {
 }
 
 #define SETTLE(number)                                                                                              \
-  for (int32_t j = w->from; j < w->to; j++) {                                                                       \
+  for (int32_t j = w->from; j < to; j++) {                                                                          \
     number whole = shift >= 2 ? (number)predicted[j] * ((number)1 << (shift - 2)) : ((number)predicted[j] * (1 << shift) + 2) >> 2; \
-    number detail = max_i32(min_i32(details[j], most), -most), side = sides[j];                                     \
+    number detail = details[j], side = sides[j];                                                                    \
     number height = whole + ((detail ^ side) - side) * (number)u->step;                                             \
     height = height < low ? low : height > high ? high : height;                                                    \
     heights[j] = (int32_t)height + origin;                                                                          \
@@ -712,9 +712,9 @@ static void ISA(settle_wide)(const ISA(work) * w, int plane, int32_t row) {
   const int16_t *RESTRICT predicted = w->predicted, *RESTRICT sides = w->sides;
   const int32_t *RESTRICT details = ISA(wide_row_in)(w, w->wide_details[plane], row);
   int32_t *RESTRICT heights = ISA(wide_row_in)(w, w->heights[plane], row);
-  const int32_t low = u->low - u->origin, high = u->high - u->origin, origin = u->origin, most = u->most_detail;
+  const int32_t low = u->low - u->origin, high = u->high - u->origin, origin = u->origin, to = min_i32(w->to, w->cols[plane]);
   const int shift = u->shift;
-  if (shift <= 16 && u->step <= 1 << 28) { /* all sums are below 2^31 */
+  if (shift <= 16 && u->step <= 1 << 24) { /* all sums are below 2^31: details are below 32, or within the range of heights */
     SETTLE(int32_t)
   } else {
     SETTLE(int64_t)
@@ -735,7 +735,7 @@ static int32_t ISA(height_on_line)(const rapid_unit *u, ptrdiff_t first, ptrdiff
   int64_t least = min_i64(min_i64(x[0], x[1]), min_i64(x[2], x[3])), most = max_i64(max_i64(x[0], x[1]), max_i64(x[2], x[3]));
   int64_t quarters = clamp_i64(shift_right(9 * (x[1] + x[2]) - x[0] - x[3], 2), 4 * least, 4 * most), whole = shift_right(quarters + 2, 2);
   int is_turned = u->step <= 3 ? 4 * whole > quarters : quarters > 2 * (x[1] + x[2]);
-  return (int32_t)clamp_i64(whole + (is_turned ? -detail : detail) * u->step, u->z_min, u->z_max);
+  return (int32_t)clamp_i64(whole + (is_turned ? -detail : detail) * u->step, u->low, u->high);
 }
 
 /* Heights of a row that is settled: those on lines, and corrections. */

@@ -328,3 +328,12 @@ def test_kernels_know_the_memory_that_lattices_take():
     assert work.details.shape[1] >= 17 * 18
     assert work.both.shape[1] * 2 == work.details.shape[1]
     assert lattice.n_rows // 2 + 1 <= work.side
+
+
+@pytest.mark.parametrize("height", [100_000, 600_000, 3_000_000, 2**29])
+def test_a_spike_comes_back_where_levels_are_rounded_down(height):
+    """Predictions may lie below the lowest height, so details may be larger than the range."""
+    heights = np.zeros((3, 3), dtype=np.int32)
+    heights[1, 1] = height
+    heights -= height // 2
+    check(heights, 1)

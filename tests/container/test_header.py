@@ -60,7 +60,7 @@ headers = st.builds(
     max_error=st.just(1e6),
     effective_bound=bounds,
     rho=bounds,
-)
+).filter(lambda header: header.border_rings == 1 or METHODS[header.method].has_rings)
 
 
 @given(header=headers)

@@ -335,7 +335,7 @@ def test_a_first_read_imports_no_compiler(site):
     )
     for switch, imported in {"0": "llvmlite numba", "1": ""}.items():
         run = subprocess.run(
-            [sys.executable, "-c", code, GOLDEN / "v2" / "rapid-weights-int16-lossless.twz"],
+            [sys.executable, "-c", code, GOLDEN / "v2" / "rapid-int16-lossless.twz"],
             env={**os.environ, "PYTHONPATH": f"{ROOT / 'src'}{os.pathsep}{site}",
                  native.SWITCH: switch},
             capture_output=True, text=True, check=True,

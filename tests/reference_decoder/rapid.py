@@ -183,7 +183,9 @@ class Lattice:
                         entries.append(tables.samples[class_] if valid[k] else None)
 
         def put(i, j, d, is_clamped):
-            limit = (self.unit.z_max - self.unit.z_min) // self.unit.n + 1
+            unit = self.unit
+            reach = unit.z_max - unit.z_min + (1 << unit.shift)
+            limit = min(reach // unit.n + 1, 2**31 - 1)
             self.details[plane, i, j] = d = clamp(d, -limit, limit) if is_clamped else d
             if j < n_cols:
                 self.near[plane, i, j] = min(abs(d), 4095)

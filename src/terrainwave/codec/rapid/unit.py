@@ -283,7 +283,8 @@ class UnitCoder:
         """Code the lattice of every so many samples of a unit."""
         spec, head = unit.spec, unit.head
         low, high = head.limits(spec)
-        most = (spec.z_max - spec.z_min) // spec.step + 1
+        # Levels are rounded down: predictions lie up to one level below the lowest height.
+        most = (spec.z_max - spec.z_min + (1 << head.shift)) // spec.step + 1
         lattice = Lattice(
             out.shape[0], out.shape[1], spec.step, low, high, min(most, _MOST_DETAIL),
             head.origin(spec), head.shift, head.is_narrow, unit.valid is not None,
