@@ -48,11 +48,11 @@ WRONG = {
         "dst": PATH, "heights_are": WORD, "mesh_error": NUMBER, "measure_meshes": FLAG,
         "height_range": [5, "1,2", (1,), (2, 1), (0, float("nan"))],
         "keep_origin": FLAG, "temp_dir": PATH, "fresh": FLAG, "task_samples": WHOLE,
-        "client": ANYTHING, "on_task": CALLABLE,
+        "client": ANYTHING, "on_task": CALLABLE, "digest": FLAG,
     },
     "compress_to_bytes": {name: OF_RASTERS[name] for name in ("src", "nodata", "georeference")}
     | OF_CODING
-    | {"heights_are": WORD},
+    | {"heights_are": WORD, "digest": FLAG},
     "decompress": OF_WINDOWS | OF_FILES | {
         "src": [5, None, ""], "dst": PATH, "bounds": FOUR, "cog": FLAG, "voids": WORD,
         "quality": NUMBER, "vertical": WORD, "on_error": WORD, "on_lost": CALLABLE,
@@ -64,7 +64,7 @@ WRONG = {
     },
     "verify": {
         "twz": PATH, "original": PATH, "max_error": NUMBER, "band": WHOLE, "nodata": VALUE,
-        "heights_are": WORD, "part": FLAG, "mesh": FLAG, "threads": WHOLE,
+        "heights_are": WORD, "part": FLAG, "root": WORD, "mesh": FLAG, "threads": WHOLE,
         "progress": CALLABLE,
     },
     "store_meshes": OF_FILES | {

@@ -124,7 +124,7 @@ assemble = module.assemble
 def printing(*arguments):
     os.write(2, b"a library's warning")
     os.write(1, b"a library's words")
-    assemble(*arguments)
+    return assemble(*arguments)
 module.assemble = printing
 main(["compress", {str(dem)!r}, {str(tmp_path / "new.twz")!r}, "--quiet"])
 """

@@ -52,7 +52,7 @@ def own(terrain, level, valid=VALID):
 @pytest.mark.parametrize("border_rings", [1, 3])
 @pytest.mark.parametrize("method", METHODS)
 def test_exact_voids_are_those_of_the_full_grid(method, border_rings):
-    if border_rings == 3 and method == "cdf53":
+    if border_rings == 3 and method in ("cdf53", "rapid"):
         return
     data = made(method, border_rings=border_rings)
     with terrainwave.open(data, threads=1) as terrain:
