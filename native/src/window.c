@@ -159,8 +159,8 @@ static part all_of_unit(const grid *g, place key, int level) { return part_of_un
  * A part of a unit of rapid follows from a part of its parent's samples, unless samples are moved from nodata, which are
  * counted. A unit most of which is wanted is of a reader that goes on: it gets all.
  */
-static part worth_decoding(const twz_file *f, place key, int level, part wanted) {
-  part all = all_of_unit(&f->grid, key, level);
+static part worth_decoding(const twz_file *f, place key, part wanted) {
+  part all = all_of_unit(&f->grid, key, first_level_of(key));
   int64_t n = (int64_t)(wanted.end_row - wanted.row) * (wanted.end_col - wanted.col), n_all = (int64_t)all.end_row * all.end_col;
   if (f->header.method != TWZ_RAPID || f->heights.first <= f->heights.last || key.level < 0) return all;
   return 4 * n > 3 * n_all ? all : wanted;
@@ -210,7 +210,7 @@ static twz_status plan_units(twz_window *w, twz_error *error) {
         one->wanted = part_of_unit(&f->grid, key, level, b->row, b->col, (int64_t)b->row + b->n_rows, (int64_t)b->col + b->n_cols);
       }
       if (one->state != WANTED) continue;
-      one->wanted = worth_decoding(f, key, level, one->wanted);
+      one->wanted = worth_decoding(f, key, one->wanted);
       one->unit = cache_take(f, key, &one->wanted);
       if (one->unit) {
         one->state = DECODED;
@@ -634,7 +634,7 @@ static void want_less(twz_window *w) {
       place key = key_at(s + 1, k);
       if (above->state != FED) continue;
       /* Where all below is void, nothing is wanted: it is decoded as a whole, and so must be what is above it. */
-      above->wanted = above->wanted.end_row ? worth_decoding(f, key, s->level, above->wanted) : all_of_unit(&f->grid, key, s->level);
+      above->wanted = above->wanted.end_row ? worth_decoding(f, key, above->wanted) : all_of_unit(&f->grid, key, s->level);
     }
   }
 }
