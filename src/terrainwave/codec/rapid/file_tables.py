@@ -1,7 +1,6 @@
 """Tables that a file brings along, and their bytes (format-rapid.md, R.10 and R.11)."""
 
 from functools import cache, lru_cache
-from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
@@ -399,10 +398,7 @@ def parse_file_tables(section: bytes, step: int) -> FileTables:
     return FileTables(k_max, family, by_class, weights, int(numbers.cut[0]), codes)
 
 
-# One thread at a time: others wait for the tables instead of making them, too.
-_MAKING = Lock()
-
-
+@lru_cache(maxsize=8)
 def tables_of(section: bytes, step: int) -> Tables:
     """Return the tables of a file's parameters section.
 
@@ -411,12 +407,6 @@ def tables_of(section: bytes, step: int) -> Tables:
     CorruptStreamError
         If they are none.
     """
-    with _MAKING:
-        return _tables_of(section, step)
-
-
-@lru_cache(maxsize=8)
-def _tables_of(section: bytes, step: int) -> Tables:
     return tables_from(parse_file_tables(section, step))
 
 
