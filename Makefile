@@ -137,7 +137,7 @@ test-bounds: $(VENV)/.installed-dev system
 	@$(call with_cache,bounds) NUMBA_BOUNDSCHECK=1 $(COMPILED) -m kernels --hypothesis-profile=full
 
 test-python: $(VENV)/.installed-dev
-	NUMBA_DISABLE_JIT=1 $(PYTEST) --dist worksteal -m "kernels and not (large or full or hypothesis)"
+	NUMBA_DISABLE_JIT=1 $(PYTEST) --dist worksteal -m "kernels and not (large or full)"
 
 coverage: $(VENV)/.installed-dev
 	$(BIN)/coverage erase
