@@ -25,6 +25,7 @@ WHOLE = ["1", "a", True, 1.5, math.nan, math.inf, [1], np.array([1, 2]), np.bool
 NUMBER = ["0.5", "a", True, math.nan, math.inf, [0.5], np.array([1, 2]), np.str_("1"), 1j]
 VALUE = [value for value in NUMBER if not isinstance(value, float)]  # nan and inf are values, too
 FLAG = ["no", 0, 1, None, np.array([True])]
+CHOICE = ["no", 0, 1, np.array([True])]  # None leaves it to the library
 WORD = [5, 1.0, True, ["rapid"], "none of them"]
 PATH = ["", 5, b"a", ["a"], 1.5]
 CALLABLE = [5, "print"]
@@ -48,11 +49,11 @@ WRONG = {
         "dst": PATH, "heights_are": WORD, "mesh_error": NUMBER, "measure_meshes": FLAG,
         "height_range": [5, "1,2", (1,), (2, 1), (0, float("nan"))],
         "keep_origin": FLAG, "temp_dir": PATH, "fresh": FLAG, "task_samples": WHOLE,
-        "client": ANYTHING, "on_task": CALLABLE,
+        "client": ANYTHING, "on_task": CALLABLE, "digest": CHOICE,
     },
     "compress_to_bytes": {name: OF_RASTERS[name] for name in ("src", "nodata", "georeference")}
     | OF_CODING
-    | {"heights_are": WORD},
+    | {"heights_are": WORD, "digest": CHOICE},
     "decompress": OF_WINDOWS | OF_FILES | {
         "src": [5, None, ""], "dst": PATH, "bounds": FOUR, "cog": FLAG, "voids": WORD,
         "quality": NUMBER, "vertical": WORD, "on_error": WORD, "on_lost": CALLABLE,
@@ -64,7 +65,7 @@ WRONG = {
     },
     "verify": {
         "twz": PATH, "original": PATH, "max_error": NUMBER, "band": WHOLE, "nodata": VALUE,
-        "heights_are": WORD, "part": FLAG, "mesh": FLAG, "threads": WHOLE,
+        "heights_are": WORD, "part": FLAG, "root": WORD, "mesh": FLAG, "threads": WHOLE,
         "progress": CALLABLE,
     },
     "store_meshes": OF_FILES | {

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from strategies import terrain_like
 from twz import twz_bytes
 
+from terrainwave.container.header import HAS_VOIDS
 from terrainwave.container.page import empty_page, page_layout
 from terrainwave.errors import (
     CorruptStreamError,
@@ -252,7 +253,10 @@ def test_extreme_numbers_that_are_legal_are_read(z_min, z_max, step):
 
 def claims(n_rows, n_cols, block=1024, dtype="int16"):
     """Return a file of about 200 bytes that claims a raster; all of it is void."""
-    header = toy_header(n_rows, n_cols, block, dtype=dtype, metadata={"nodata": 0}, file_tables=b"")
+    header = toy_header(
+        n_rows, n_cols, block, dtype=dtype, metadata={"nodata": 0}, file_tables=b"",
+        features=HAS_VOIDS,
+    )  # fmt: skip
     return forge(header, empty_page(page_layout(header.grid, None)))
 
 

@@ -365,7 +365,7 @@ def test_a_damaged_spool_is_noticed(tmp_path, monkeypatch, target, everything_on
 
 @pytest.mark.large
 def test_a_damaged_file_leaves_the_target_of_decompress_as_it_was(tiff, tmp_path):
-    compress(LARGE, tmp_path / "dem.twz", **OPTIONS)
+    compress(LARGE, tmp_path / "dem.twz", digest=False, **OPTIONS)
     damaged = bytearray((tmp_path / "dem.twz").read_bytes())
     damaged[-10] ^= 1
     (tmp_path / "bad.twz").write_bytes(damaged)

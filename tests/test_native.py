@@ -26,7 +26,6 @@ def inflated(text):
 
 def test_tables_are_those_of_the_annexes(tmp_path, monkeypatch):
     monkeypatch.setattr(make_native_tables, "OUT", tmp_path / "tables.c")
-    make_native_tables.check_features()
     make_native_tables.main()
     kept = (ROOT / "native" / "src" / "tables.c").read_text()
     assert inflated((tmp_path / "tables.c").read_text()) == inflated(kept), (
@@ -43,8 +42,8 @@ def test_every_source_is_built():
 
 def test_the_library_includes_no_input_or_output_and_no_locale():
     allowed = {
-        "assert.h", "float.h", "immintrin.h", "intrin.h", "math.h", "pthread.h", "stdarg.h",
-        "stddef.h", "stdint.h", "stdio.h", "stdlib.h", "string.h", "sys/mman.h",
+        "arm_neon.h", "assert.h", "float.h", "immintrin.h", "intrin.h", "math.h", "pthread.h",
+        "stdarg.h", "stddef.h", "stdint.h", "stdio.h", "stdlib.h", "string.h", "sys/mman.h",
         "unistd.h", "wasm_simd128.h", "windows.h",
     }  # fmt: skip
     for path in (ROOT / "native" / "src").iterdir():

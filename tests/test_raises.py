@@ -27,7 +27,7 @@ MADE_BY = ("__init__", "__post_init__", "__new__", "__call__")
 # What only an interface says, a function that was passed in, a method whose name many classes have,
 # or a table of errors by number.
 NOT_SEEN = {
-    ("codec.cdf53.tile_border", "decode_borders", "CorruptStreamError"),
+    ("codec.refiner", "DirectRefiner.rows_above", "CorruptStreamError"),
     ("ext.serve.sending", "begun", "TerrainwaveError"),
     ("render.modes.mode", "Mode.build", "CorruptStreamError"),
     ("tri.mesh_options", "MeshOptions.stored", "InvalidArgumentError"),

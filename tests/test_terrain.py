@@ -650,7 +650,7 @@ def test_a_damaged_index_page_costs_only_its_segment(on_error):
     heights = terrain_like(1030, 3)  # k_max = 6: level 2's blocks head segments
     data = twz_bytes(heights, max_error=0, method="store")
     with open_container(data) as container:
-        start = container.segment(Block(2, 1, 0)).start
+        start = container.segment(None).page_range(Block(2, 1, 0)).offset
     damaged = bytearray(data)
     damaged[start + 20] ^= 1
     with Terrain(bytes(damaged)) as terrain:

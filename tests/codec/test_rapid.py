@@ -337,3 +337,20 @@ def test_a_spike_comes_back_where_levels_are_rounded_down(height):
     heights[1, 1] = height
     heights -= height // 2
     check(heights, 1)
+
+
+def test_origins_lie_within_the_range_of_heights_whatever_is_kept():
+    """Heights of voids may be kept that lie beyond all limits."""
+    heights = np.zeros((9, 9), dtype=np.int32)
+    heights[4] = 100
+    spec, _ = unit(heights, 3, has_parent=False)
+    mask = np.ones(heights.shape, dtype=bool)
+    mask[2, 3] = False
+    kept = np.full(heights.shape, FREE, dtype=np.int32)
+    kept[2, 3] = 2**26 + 100
+    corrections = Corrections(kept, np.zeros(heights.shape, dtype=np.int32))
+    own = coder()
+    payload, coded, _ = own.encode(spec, None, heights, mask, corrections)
+    read = Corrections(np.zeros((0, 0), dtype=np.int32), corrections.added)
+    decoded, _ = own.decode(spec, None, mask, payload, read)
+    np.testing.assert_array_equal(decoded, coded)

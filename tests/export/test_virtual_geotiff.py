@@ -104,16 +104,6 @@ def test_no_overview_and_no_copy_states_the_bound(source_and_terrain, tmp_path):
             assert "MAX_ERROR" not in dataset.tags(1, ns="TERRAINWAVE")
 
 
-@pytest.mark.parametrize("name", ["MAX_ERROR", "METHOD", "OVERVIEWS"])
-def test_a_bound_among_the_tags_of_a_source_is_not_kept(tmp_path, name):
-    write_geotiff(tmp_path / "dem.tif", HEIGHTS[:9, :9], transform=TRANSFORM, crs="EPSG:32633")
-    with rasterio.open(tmp_path / "dem.tif", "r+") as dataset:
-        dataset.update_tags(**{f"TERRAINWAVE_{name}": "0.0", "TERRAINWAVE_VERTICAL": "kept"})
-    compress(tmp_path / "dem.tif", tmp_path / "dem.twz", max_error=5, method="store", mesh="none")
-    with TerrainFile(tmp_path / "dem.twz") as terrain:
-        assert dict(terrain.raster_info.tags) == {"TERRAINWAVE_VERTICAL": "kept"}
-
-
 @pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # of rioxarray
 def test_the_bound_does_not_go_on_to_rasters_of_other_heights(source_and_terrain, tmp_path):
     _, terrain = source_and_terrain

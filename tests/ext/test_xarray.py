@@ -324,7 +324,7 @@ def test_whole_numbers_keep_their_type_where_no_sample_is_void(
 def test_damaged_blocks_of_a_file_without_voids_are_nan(tmp_path):
     heights = terrain_like(90, 70)
     path = tmp_path / "a.twz"
-    terrainwave.compress(heights, path, max_error=0, block=32, mesh="none")
+    terrainwave.compress(heights, path, max_error=0, block=32, mesh="none", digest=False)
     data = path.read_bytes()
     path.write_bytes(data[:-9] + bytes(9))
     with terrainwave.open(path, on_error="mask") as terrain:

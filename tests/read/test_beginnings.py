@@ -16,7 +16,7 @@ from terrainwave.codec.refiner import ALL_ROWS, Decoded, Rows, Sides, Validity
 from terrainwave.codec.unit_specs import unit_spec
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.parameters import CodecParameters
-from terrainwave.grid.quadtree import Block, Grid
+from terrainwave.grid.quadtree import Block, Grid, Region
 
 SHAPE = 230, 301
 HEIGHTS = heights_of(SHAPE)
@@ -106,6 +106,25 @@ def test_a_window_of_whole_units_decodes_each_unit_once(decoded):
         terrain.read((0, 0, 128, 301))
         places = [place for *place, _ in decoded]
         assert len(places) == len({tuple(place) for place in places})
+
+
+def test_units_that_leave_the_cache_after_the_plan_are_decoded_as_their_children_need():
+    """Other threads put theirs in the place of units that were at hand."""
+    rng = np.random.default_rng(3)
+    whole = Terrain(plain_file(), threads=1, native=False).read()
+    with Terrain(plain_file(), threads=1, native=False) as terrain:
+        decoder, level = terrain.decoder, terrain.n_levels - 1
+        for _ in range(200):
+            region = Region(*(int(rng.integers(0, n - 90)) for n in SHAPE), 15, 90)
+            keys, kept = decoder.keys(level, region), decoder._cache._values
+            for key in [key for key in kept if rng.random() < 0.5]:
+                del kept[key]
+            _, rows = decoder.prefetch_for(keys, region)
+            kept.clear()
+            for key in keys:
+                (at_rows, at_cols), unit = decoder.part(key, region, rows)
+                part = whole[region.row :, region.col :][at_rows, at_cols]
+                np.testing.assert_array_equal(terrain.quantizer.dequantize(unit.heights), part)
 
 
 def test_a_part_of_a_unit_counts_with_the_memory_that_it_keeps():

@@ -170,21 +170,27 @@ class TreeDecoder:
             if all(rows == ALL_ROWS for rows in wanted.values()):
                 wanted = {}
         needed = self.source.prefetch(self, keys, wanted)
-        # Those of a level before those above it.
-        for key in sorted(needed if wanted else [], key=lambda key: -key.level):
-            rows = wanted[key] = self._whole_if_most(key, wanted.get(key, ALL_ROWS))
-            outer = self.spec(key).parent_region
-            if outer is None:
-                continue
-            above = ALL_ROWS if rows == ALL_ROWS else self.source.rows_above(self, key, rows)
-            parent = unit_key(key)
-            first = outer.row - self.spec(parent).region.row
-            other = wanted.get(parent, Rows(ALL_ROWS.end, 0))
-            wanted[parent] = Rows(
-                min(first + above.first, other.first),
-                max(first + min(above.end, outer.n_rows), other.end),
-            )
+        # Those of a level before those above it; also of units that are at hand, because what
+        # other threads read may take their place in the cache.
+        for level in range(max((key.level for key in wanted), default=-2), -2, -1):
+            for key in [key for key in wanted if key.level == level]:
+                self._want_above(key, wanted)
         return needed, wanted
+
+    def _want_above(self, key: Block, wanted: dict[Block, Rows]) -> None:
+        """Add the rows of its parent that a unit needs to those that are wanted."""
+        rows = wanted[key] = self._whole_if_most(key, wanted[key])
+        outer = self.spec(key).parent_region
+        if outer is None:
+            return
+        above = ALL_ROWS if rows == ALL_ROWS else self.source.rows_above(self, key, rows)
+        parent = unit_key(key)
+        first = outer.row - self.spec(parent).region.row
+        other = wanted.get(parent, Rows(ALL_ROWS.end, 0))
+        wanted[parent] = Rows(
+            min(first + above.first, other.first),
+            max(first + min(above.end, outer.n_rows), other.end),
+        )
 
     def _rows_in(self, key: Block, region: Region) -> Rows:
         """Return which rows of a unit lie in a region of its level."""

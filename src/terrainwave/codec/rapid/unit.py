@@ -380,8 +380,9 @@ def _new_unit(
     seen = [part for part in (target if mask is None else target[mask], parent, kept)
             if part is not None and part.size]  # fmt: skip
     middle = (spec.z_min + spec.z_max) >> 1
-    least = min((int(part.min()) for part in seen), default=middle)
-    most = max((int(part.max()) for part in seen), default=middle)
+    # Heights of voids may be kept that lie beyond all limits: they come back within these.
+    least = max(min((int(part.min()) for part in seen), default=middle), spec.z_min)
+    most = min(max((int(part.max()) for part in seen), default=middle), spec.z_max)
     head = next(
         head
         for shift in range(_MOST_SHIFT + 1)
