@@ -4,10 +4,11 @@
  */
 #include <stdlib.h>
 
+#include "encode.h"
 #include "internal.h"
 
-/* Raised whenever what src/terrainwave/read/native.py calls changes its meaning or layout. */
-enum { PYTHON_ABI = 3 };
+/* Raised whenever what Python calls (src/terrainwave/coding/native_library.py) changes its meaning or layout. */
+enum { PYTHON_ABI = 4 };
 
 TWZ_API int twz_python_abi(void);
 TWZ_API uint32_t twz_python_features(void);
@@ -15,6 +16,12 @@ TWZ_API twz_locks *twz_python_locks_new(void);
 TWZ_API void twz_python_locks_free(twz_locks *locks);
 TWZ_API const twz_allocator *twz_python_allocator(void);
 TWZ_API void twz_python_limit_cache(twz_file *file, uint64_t n_bytes);
+TWZ_API twz_status twz_python_tables_new(int32_t k_max, int32_t cut, const int64_t *stencils, const int64_t *weights,
+                                         const uint32_t *freqs, const uint32_t *starts, encode_tables **made, twz_error *error);
+TWZ_API void twz_python_tables_free(encode_tables *tables);
+TWZ_API twz_status twz_python_encoder_new(twz_encoder **made, twz_error *error);
+TWZ_API void twz_python_encoder_free(twz_encoder *encoder);
+TWZ_API twz_status twz_python_encode(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error);
 
 int twz_python_abi(void) { return PYTHON_ABI; }
 
@@ -141,4 +148,23 @@ static void release(void *context, void *memory) {
 const twz_allocator *twz_python_allocator(void) {
   static const twz_allocator allocator = {.allocate = allocate, .release = release};
   return &allocator;
+}
+
+/* The encoder (encode.h). */
+twz_status twz_python_tables_new(int32_t k_max, int32_t cut, const int64_t *stencils, const int64_t *weights, const uint32_t *freqs,
+                                 const uint32_t *starts, encode_tables **made, twz_error *error) {
+  static const twz_allocator plain; /* most of it is never touched: malloc maps no pages for that */
+  return encode_tables_new(&plain, k_max, cut, stencils, weights, freqs, starts, made, error);
+}
+
+void twz_python_tables_free(encode_tables *tables) { encode_tables_free(tables); }
+
+twz_status twz_python_encoder_new(twz_encoder **made, twz_error *error) {
+  return encoder_new(twz_python_allocator(), TWZ_KERNELS_AUTO, made, error);
+}
+
+void twz_python_encoder_free(twz_encoder *encoder) { encoder_free(encoder); }
+
+twz_status twz_python_encode(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error) {
+  return encode_rapid(encoder, tables, job, error);
 }

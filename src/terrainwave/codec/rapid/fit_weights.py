@@ -96,9 +96,13 @@ class Observer(UnitCoder):
                 seen[4, :, :n_cols] = valid[int(plane != HL) :: 2, int(plane != LH) :: 2]
             # An odd end is a pair with a sample like it, which is not coded.
             seen[:3, :, n_cols:] = seen[:3, :, n_cols - 1 : n_cols][:, :, : n_cols & 1]
-            flat = seen.reshape(5, -1)
-            found = Seen(flat[:3], flat[3], flat[4].astype(np.bool_))
-            self.samples.setdefault((which, plane, lattice.shift), []).append(found)
+            self.keep(which, plane, lattice.shift, seen)
+
+    def keep(self, which: int, plane: int, shift: int, seen: NDArray[np.int32]) -> None:
+        """Keep what is known of the samples of a plane."""
+        flat = seen.reshape(5, -1)
+        found = Seen(flat[:3], flat[3], flat[4].astype(np.bool_))
+        self.samples.setdefault((which, plane, shift), []).append(found)
 
 
 def _features(plane: int, work: Workspace, n_rows: int, n_cols: int) -> NDArray[np.int32]:

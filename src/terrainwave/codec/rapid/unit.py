@@ -1,5 +1,6 @@
 """Units of heights as payloads: details, then heights (docs/format-rapid.md)."""
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -56,8 +57,10 @@ from terrainwave.codec.refiner import (
     Rows,
 )
 from terrainwave.codec.varint import decode_varint, encode_varint
+from terrainwave.coding.native_library import also_in_c
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 
+_IN_C = "terrainwave.codec.rapid.unit_in_c"
 _NARROW, _STATES, _BANDS, _HAS_ORIGIN, _DEFINED = 1, 1, 3, 32, 63
 _N_STATES = (1, 8, MOST_STATES)
 # A payload of fewer words has fewer states: each takes two bytes.
@@ -168,6 +171,7 @@ class UnitCoder:
         """Return the tables that units of a step are coded by."""
         return self._tables
 
+    @also_in_c(_IN_C)
     def encode(
         self,
         spec: GroupSpec,
@@ -189,6 +193,7 @@ class UnitCoder:
                 payload = self._pack(unit)
         return payload, out, None
 
+    @also_in_c(_IN_C)
     def count(
         self,
         spec: GroupSpec,
@@ -306,6 +311,11 @@ class UnitCoder:
             self._code_details(unit, stride, lattice, needed.strips)
             self._see(which, lattice, work, aim.valid)
         return lattice
+
+    # Takes what is known of the samples of a plane that has been encoded (`fit_weights`): class of
+    # levels, plane, shift of its heights, and an array of shape (5, n_rows, n_cols), int32, of
+    # range, bend, what is near, detail, and whether it is coded. None: nobody wants it.
+    keep: Callable[[int, int, int, NDArray[np.int32]], None] | None = None
 
     def _see(self, which: int, lattice: Lattice, work: Workspace, valid: NDArray[np.uint8]) -> None:
         """Look at a lattice of a class of levels that has been encoded (`fit_weights`)."""

@@ -1,0 +1,227 @@
+"""Units encoded by the native library, as `unit.UnitCoder` does it with kernels of numba."""
+
+import ctypes
+import threading
+import weakref
+from collections import OrderedDict
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.codec.memory import Spares, flat, new_heights
+from terrainwave.codec.rapid.layout import HH, HL, LH, plane_shape
+from terrainwave.codec.rapid.tables import Tables
+from terrainwave.codec.refiner import NO_CORRECTIONS, Corrections, GroupSpec, Heights, Labels, Mask
+from terrainwave.coding.native_library import NativeError, NativeLibrary, loaded
+from terrainwave.forks import renew_after_fork
+
+if TYPE_CHECKING:
+    from terrainwave.codec.rapid.unit import UnitCoder
+
+_POINTER, _HANDLE, _INT = ctypes.c_void_p, ctypes.POINTER(ctypes.c_void_p), ctypes.c_int32
+_MOST_TABLES = 32
+_N_SEEN = 5
+_PLANES = HH, HL, LH
+
+
+class _Job(ctypes.Structure):
+    """A unit that is encoded (encode_job of native/src/encode.h)."""
+
+    _fields_ = [
+        ("size", ctypes.c_size_t),
+        *((name, _INT) for name in ("level", "step", "z_min", "z_max", "n_rows", "n_cols")),
+        ("shared", _INT * 4),
+        ("parent_rows", _INT),
+        ("parent_cols", _INT),
+        ("parent_stride", ctypes.c_int64),
+        *(
+            (name, _POINTER)
+            for name in (
+                "parent", "target", "valid", "kept", "added", "out", "counts", "seen", "payload",
+            )
+        ),
+        ("n_payload", ctypes.c_uint64),
+        ("shift", _INT),
+    ]  # fmt: skip
+
+
+_SIGNATURES: dict[str, tuple[Any, ...]] = {
+    "twz_python_tables_new": (_INT, _INT, _POINTER, _POINTER, _POINTER, _POINTER, _HANDLE),
+    "twz_python_encoder_new": (_HANDLE,),
+    "twz_python_encode": (_POINTER, _POINTER, ctypes.POINTER(_Job)),
+}
+
+
+@cache
+def _library() -> NativeLibrary:
+    library = loaded()
+    assert library is not None
+    library.declare(_SIGNATURES)
+    return library
+
+
+class _Owned:
+    """What the library has allocated, freed with this object."""
+
+    def __init__(self, make: str, free: str, *arguments: Any) -> None:
+        library = _library()
+        self.address = _made(make, *arguments)
+        release = library.plain(free, None, _POINTER)
+        weakref.finalize(self, release, self.address).atexit = False
+
+
+def _made(name: str, *arguments: Any) -> int:
+    try:
+        return _library().make(name, *arguments)
+    except NativeError as error:
+        raise MemoryError(str(error)) from error
+
+
+_ENCODERS = Spares(lambda: _Owned("twz_python_encoder_new", "twz_python_encoder_free"))
+
+
+class _KnownTables:
+    """Tables as the library has them, by those of Python that they were made of."""
+
+    def __init__(self) -> None:
+        self.renew()
+        renew_after_fork(self)
+
+    def renew(self) -> None:
+        """Begin anew after a fork, which may have left the lock held."""
+        self._lock = threading.Lock()
+        self._known: OrderedDict[int, tuple[Tables, _Owned]] = OrderedDict()
+
+    def of(self, tables: Tables) -> _Owned:
+        """Return what the library has made of tables; these stay, so that no others get their id."""
+        with self._lock:
+            if id(tables) not in self._known:
+                self._known[id(tables)] = tables, _new_tables(tables)
+            self._known.move_to_end(id(tables))
+            while len(self._known) > _MOST_TABLES:
+                self._known.popitem(last=False)
+            return self._known[id(tables)][1]
+
+
+def _new_tables(tables: Tables) -> _Owned:
+    arrays = [
+        np.ascontiguousarray(tables.stencils, dtype=np.int64),
+        np.ascontiguousarray(tables.weights, dtype=np.int64),
+        np.ascontiguousarray(tables.frequencies.freqs, dtype=np.uint32),
+        np.ascontiguousarray(tables.frequencies.starts, dtype=np.uint32),
+    ]
+    return _Owned(
+        "twz_python_tables_new", "twz_python_tables_free", tables.k_max, tables.frequencies.cut,
+        *(array.ctypes.data for array in arrays),
+    )  # fmt: skip
+
+
+_TABLES = _KnownTables()
+
+
+def encode(
+    coder: "UnitCoder",
+    spec: GroupSpec,
+    parent: Heights | None,
+    target: Heights,
+    mask: Mask | None,
+    corrections: Corrections = NO_CORRECTIONS,
+) -> tuple[bytes, Heights, Labels | None]:
+    """Do as `UnitCoder.encode`."""
+    job, arrays = _new_job(spec, parent, target, mask, corrections)
+    with _ENCODERS.lent() as encoder:
+        _run(encoder, coder, job)
+        payload = ctypes.string_at(job.payload, job.n_payload)
+    return payload, arrays[0], None
+
+
+def count(
+    coder: "UnitCoder",
+    spec: GroupSpec,
+    parent: Heights | None,
+    target: Heights,
+    mask: Mask | None,
+    counts: NDArray[np.int64],
+) -> Heights:
+    """Do as `UnitCoder.count`."""
+    job, arrays = _new_job(spec, parent, target, mask, NO_CORRECTIONS)
+    assert counts.flags.c_contiguous and counts.dtype == np.int64
+    job.counts = counts.ctypes.data
+    keep, shapes = coder.keep, _lattices(spec, parent)
+    if keep is not None:
+        sizes = [_N_SEEN * n_rows * n_cols for _, shape in shapes for *_, n_rows, n_cols in shape]
+        seen = np.empty(sum(sizes), dtype=np.int32)
+        job.seen = seen.ctypes.data
+    with _ENCODERS.lent() as encoder:
+        _run(encoder, coder, job)
+    if keep is not None:
+        at = 0
+        for level, planes in shapes:
+            which = coder.tables(spec.step).level_class(level)
+            for plane, n_rows, n_cols in planes:
+                end = at + _N_SEEN * n_rows * n_cols
+                keep(which, plane, job.shift, seen[at:end].reshape(_N_SEEN, n_rows, n_cols))
+                at = end
+    return arrays[0]
+
+
+def _lattices(
+    spec: GroupSpec, parent: Heights | None
+) -> list[tuple[int, list[tuple[int, int, int]]]]:
+    """Return the level of each lattice of a unit, and its planes with samples: rows, and columns.
+
+    Columns of an odd number have one more, which makes a pair of the last one.
+    """
+    n_rows, n_cols = spec.region.shape
+    strides = [1]
+    if parent is None:
+        strides = []
+        while 1 << len(strides) < max(n_rows, n_cols) - 1:
+            strides.insert(0, 1 << len(strides))
+    found = []
+    for stride in strides:
+        shape = (n_rows - 1) // stride + 1, (n_cols - 1) // stride + 1
+        planes = [(plane, *plane_shape(plane, shape)) for plane in _PLANES]
+        own = [(plane, n, m + (m & 1)) for plane, n, m in planes if n and m]
+        found.append((spec.level - (stride.bit_length() - 1), own))
+    return found
+
+
+def _new_job(
+    spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask | None,
+    corrections: Corrections,
+) -> tuple[_Job, list[NDArray[Any]]]:  # fmt: skip
+    """Return a unit as the library takes it, and the arrays it refers to; the first has heights."""
+    out = new_heights(spec.region.shape)
+    target = np.ascontiguousarray(target, dtype=np.int32)
+    arrays: list[NDArray[Any]] = [out, target]
+    job = _Job(
+        size=ctypes.sizeof(_Job), level=spec.level, step=spec.step, z_min=spec.z_min,
+        z_max=spec.z_max, n_rows=out.shape[0], n_cols=out.shape[1], shared=tuple(spec.shared),
+        target=target.ctypes.data, out=out.ctypes.data,
+    )  # fmt: skip
+    if parent is not None:
+        source, job.parent_stride = flat(parent)
+        job.parent, (job.parent_rows, job.parent_cols) = source.ctypes.data, parent.shape
+        arrays.append(source)
+    if mask is not None:
+        valid = np.ascontiguousarray(mask)
+        job.valid = valid.ctypes.data
+        arrays.append(valid)
+    if corrections.added.size:
+        kept = np.ascontiguousarray(corrections.kept, dtype=np.int32)
+        assert corrections.added.flags.c_contiguous
+        job.kept, job.added = kept.ctypes.data, corrections.added.ctypes.data
+        arrays += [kept, corrections.added]
+    return job, arrays
+
+
+def _run(encoder: _Owned, coder: "UnitCoder", job: _Job) -> None:
+    tables = _TABLES.of(coder.tables(job.step))
+    try:
+        _library().call("twz_python_encode", encoder.address, tables.address, ctypes.byref(job))
+    except NativeError as error:
+        kind = MemoryError if error.is_memory else ValueError
+        raise kind(str(error)) from error
