@@ -143,16 +143,12 @@ def also_in_c(module: str) -> Callable[[_Function], _Function]:
     """
 
     def decorate(function: _Function) -> _Function:
-        @cache
-        def in_c() -> Callable[..., Any]:
-            found: Callable[..., Any] = getattr(importlib.import_module(module), function.__name__)
-            return found
-
         @wraps(function)
         def chosen(*arguments: Any, **options: Any) -> Any:
+            found: Callable[..., Any] = function
             if is_wanted() and loaded() is not None:
-                return in_c()(*arguments, **options)
-            return function(*arguments, **options)
+                found = getattr(importlib.import_module(module), function.__name__)
+            return found(*arguments, **options)
 
         return cast(_Function, chosen)
 

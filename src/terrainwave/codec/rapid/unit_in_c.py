@@ -95,7 +95,7 @@ class _KnownTables:
         self._known: OrderedDict[int, tuple[Tables, _Owned]] = OrderedDict()
 
     def of(self, tables: Tables) -> _Owned:
-        """Return what the library has made of tables; these stay, so that no others get their id."""
+        """Return the library's tables; Python's stay with them, so that no others get their id."""
         with self._lock:
             if id(tables) not in self._known:
                 self._known[id(tables)] = tables, _new_tables(tables)
@@ -106,7 +106,7 @@ class _KnownTables:
 
 
 def _new_tables(tables: Tables) -> _Owned:
-    arrays = [
+    arrays: list[NDArray[Any]] = [
         np.ascontiguousarray(tables.stencils, dtype=np.int64),
         np.ascontiguousarray(tables.weights, dtype=np.int64),
         np.ascontiguousarray(tables.frequencies.freqs, dtype=np.uint32),
@@ -147,7 +147,7 @@ def count(
 ) -> Heights:
     """Do as `UnitCoder.count`."""
     job, arrays = _new_job(spec, parent, target, mask, NO_CORRECTIONS)
-    assert counts.flags.c_contiguous and counts.dtype == np.int64
+    assert counts.flags.c_contiguous
     job.counts = counts.ctypes.data
     keep, shapes = coder.keep, _lattices(spec, parent)
     if keep is not None:
