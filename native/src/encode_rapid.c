@@ -112,9 +112,9 @@ void log_pairs(encoding *e, symbol_log *l, const uint8_t *pairs, const uint8_t *
         *to++ = symbol | (SINGLES | (uint32_t)single) << 8 | (k & (MOST_STATES - 1)) << 16;
       }
     } else if (class >= 0) {
-      uint32_t first = (uint32_t)two[0] + PAIR_LIMIT, second = (uint32_t)two[1] + PAIR_LIMIT, symbol = first * SIDE + second;
-      uint32_t table = (uint32_t)class << 8;
-      if (first >= SIDE || second >= SIDE || (freqs[table | symbol] & 0xFFFF) == 0) {
+      int has_symbol = two[0] >= -PAIR_LIMIT && two[0] <= PAIR_LIMIT && two[1] >= -PAIR_LIMIT && two[1] <= PAIR_LIMIT;
+      uint32_t table = (uint32_t)class << 8, symbol = has_symbol ? (uint32_t)((two[0] + PAIR_LIMIT) * SIDE + two[1] + PAIR_LIMIT) : PAIR_ESCAPE;
+      if (!has_symbol || (freqs[table | symbol] & 0xFFFF) == 0) {
         symbol = PAIR_ESCAPE;
         more[n - ++n_escaped] = pair;
       }
@@ -144,8 +144,8 @@ void log_pairs(encoding *e, symbol_log *l, const uint8_t *pairs, const uint8_t *
 static ptrdiff_t encode_words(const encode_tables *t, const symbol_log *l, uint32_t n_states, uint32_t *states, uint8_t *end) {
   uint8_t *at = end;
   for (uint32_t i = 0; i < n_states; i++) states[i] = FIRST_STATE;
-  for (size_t k = l->n_entries; k-- > 0;) {
-    uint32_t entry = l->entries[k], found = t->freqs[entry & 0xFFFF], freq = found & 0xFFFF;
+  for (size_t k = l->n_entries; k > 0; k--) {
+    uint32_t entry = l->entries[k - 1], found = t->freqs[entry & 0xFFFF], freq = found & 0xFFFF;
     uint32_t *state = states + (entry >> 16 & (n_states - 1)), x = *state;
     if (freq == 0) return -1;
     if (x >= (uint64_t)freq << (32 - SLOT_BITS)) {
