@@ -22,6 +22,9 @@ TWZ_API void twz_python_tables_free(encode_tables *tables);
 TWZ_API twz_status twz_python_encoder_new(twz_encoder **made, twz_error *error);
 TWZ_API void twz_python_encoder_free(twz_encoder *encoder);
 TWZ_API twz_status twz_python_encode(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error);
+TWZ_API twz_status twz_python_encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error);
+TWZ_API uint64_t twz_python_mask_words(const uint8_t *models, const uint8_t *values, uint64_t n, const uint32_t *freqs, uint32_t n_states,
+                                       uint32_t *states, uint8_t *words);
 
 int twz_python_abi(void) { return PYTHON_ABI; }
 
@@ -167,4 +170,11 @@ void twz_python_encoder_free(twz_encoder *encoder) { encoder_free(encoder); }
 
 twz_status twz_python_encode(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error) {
   return encode_rapid(encoder, tables, job, error);
+}
+
+twz_status twz_python_encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error) { return encode_mask(encoder, job, error); }
+
+uint64_t twz_python_mask_words(const uint8_t *models, const uint8_t *values, uint64_t n, const uint32_t *freqs, uint32_t n_states,
+                               uint32_t *states, uint8_t *words) {
+  return encode_mask_bits(models, values, n, freqs, n_states, states, words);
 }

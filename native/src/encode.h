@@ -5,6 +5,7 @@
 #ifndef TWZ_ENCODE_H
 #define TWZ_ENCODE_H
 
+#include "encode_mask.h"
 #include "rapid.h"
 
 enum { N_SYMBOLS = 256, N_FEATURES = 3 };
@@ -87,5 +88,7 @@ twz_status encoder_new(const twz_allocator *a, twz_kernels kernels, twz_encoder 
 void encoder_free(twz_encoder *e);
 /* Encode a unit: heights to job->out, bytes to job->payload. */
 twz_status encode_rapid(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error);
+
+twz_status encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error);
 
 #endif

@@ -407,3 +407,5 @@ twz_status encode_rapid(twz_encoder *encoder, const encode_tables *tables, encod
   TRY(encoder->kernels->encode_lattice(&u, &e, error));
   return make_payload(encoder, &e, &u, number, job, error);
 }
+
+twz_status encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error) { return encode_validity(job, &encoder->rows, error); }

@@ -196,6 +196,72 @@ static void test_counts(twz_encoder *encoder, const encode_tables *tables) {
   free_unit(&d);
 }
 
+/* ---- Masks ---- */
+
+/* What a mask's bits say, and what a decoder would know of it: own samples are those given, all of them valid. */
+static void test_mask(twz_encoder *encoder) {
+  mask_job j;
+  memset(&j, 0, sizeof j);
+  j.size = sizeof j;
+  j.n_rows = drawn_side(MOST_SIDE);
+  j.n_cols = drawn_side(MOST_SIDE);
+  j.is_finest = (int32_t)below(2);
+  j.has_above = (int32_t)below(2);
+  if (j.has_above) {
+    j.p = (int32_t)below(2);
+    j.q = (int32_t)below(2);
+    j.above_row = (int32_t)below(2);
+    j.above_rows = j.above_row + (j.n_rows + 1 - j.p) / 2 + (int32_t)below(2);
+    j.above_cols = (j.n_cols + 1 - j.q) / 2 + (int32_t)below(2);
+    j.above_rows = max_i32(j.above_rows, 1);
+    j.above_cols = max_i32(j.above_cols, 1);
+  }
+  size_t n = (size_t)j.n_rows * (size_t)j.n_cols, n_above = (size_t)j.above_rows * (size_t)j.above_cols;
+  uint8_t *bytes[7];
+  j.capacity = 3 * (n + 32);
+  const size_t sizes[7] = {n, n, n, j.capacity, j.capacity, n_above, n_above};
+  uint32_t density = below(100);
+  for (int i = 0; i < 7; i++) {
+    bytes[i] = malloc(sizes[i] ? sizes[i] : 1);
+    if (!bytes[i]) exit(2);
+    for (size_t k = 0; k < sizes[i]; k++) bytes[i][k] = below(100) < density;
+  }
+  for (size_t k = 0; k < n_above; k++) bytes[6][k] |= bytes[5][k];
+  for (size_t k = 0; k < n; k++) {
+    int32_t row = (int32_t)(k / (size_t)j.n_cols), col = (int32_t)(k % (size_t)j.n_cols);
+    int is_known = j.has_above && (row + j.p) % 2 == 0 && (col + j.q) % 2 == 0;
+    if (is_known) bytes[0][k] = bytes[5][((row - j.p) / 2 + j.above_row) * j.above_cols + (col - j.q) / 2];
+    bytes[1][k] |= bytes[0][k];
+  }
+  j.own = bytes[0];
+  j.mask = bytes[1];
+  j.cells = bytes[2];
+  j.models = bytes[3];
+  j.bits = bytes[4];
+  if (j.has_above) {
+    j.own_above = bytes[5];
+    j.valid_above = bytes[6];
+  }
+  CHECK(encode_mask(encoder, &j, NULL) == TWZ_OK);
+  CHECK(j.n_bits <= j.capacity);
+  for (uint64_t i = 0; i < j.n_bits; i++) CHECK(j.bits[i] <= 1 && j.models[i] < 62);
+  uint32_t freqs[62], states[4] = {FIRST_STATE, FIRST_STATE, FIRST_STATE, FIRST_STATE};
+  for (int i = 0; i < 62; i++) freqs[i] = 1 + below(SLOTS - 1);
+  uint8_t *words = malloc(2 * (size_t)j.n_bits + 1);
+  if (!words) exit(2);
+  CHECK(encode_mask_bits(j.models, j.bits, j.n_bits, freqs, below(2) ? 4 : 1, states, words) <= j.n_bits);
+  for (int i = 0; i < 4; i++) CHECK(states[i] >= FIRST_STATE);
+  if (j.n_bits > 1) {
+    j.capacity = j.n_bits - 1;
+    j.n_bits = 0;
+    CHECK(encode_mask(encoder, &j, NULL) == TWZ_BAD_ARGUMENT);
+  }
+  j.size--;
+  CHECK(encode_mask(encoder, &j, NULL) == TWZ_BAD_ARGUMENT);
+  free(words);
+  for (int i = 0; i < 7; i++) free(bytes[i]);
+}
+
 /* ---- Allocators that fail ---- */
 
 typedef struct failing {
@@ -272,6 +338,7 @@ int main(int n_arguments, char **arguments) {
     CHECK(status == TWZ_OK);
     for (int i = 0; i < n_units; i++) test_kernels_agree(encoders, tables);
     for (int i = 0; i < n_units / 4; i++) test_counts(encoders[0], tables);
+    for (int i = 0; i < n_units; i++) test_mask(encoders[0]);
     for (int i = 0; i < 3; i++) test_wrong_jobs(encoders[0], tables);
     encode_tables_free(tables);
   }

@@ -2,25 +2,22 @@
 
 import ctypes
 import threading
-import weakref
 from collections import OrderedDict
-from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.memory import Spares, flat, new_heights
+from terrainwave.codec.in_c import ENCODERS, INT, POINTER, Owned, call
+from terrainwave.codec.memory import flat, new_heights
 from terrainwave.codec.rapid.layout import HH, HL, LH, plane_shape
 from terrainwave.codec.rapid.tables import Tables
 from terrainwave.codec.refiner import NO_CORRECTIONS, Corrections, GroupSpec, Heights, Labels, Mask
-from terrainwave.coding.native_library import NativeError, NativeLibrary, loaded
 from terrainwave.forks import renew_after_fork
 
 if TYPE_CHECKING:
     from terrainwave.codec.rapid.unit import UnitCoder
 
-_POINTER, _HANDLE, _INT = ctypes.c_void_p, ctypes.POINTER(ctypes.c_void_p), ctypes.c_int32
 _MOST_TABLES = 32
 _N_SEEN = 5
 _PLANES = HH, HL, LH
@@ -31,55 +28,20 @@ class _Job(ctypes.Structure):
 
     _fields_ = [
         ("size", ctypes.c_size_t),
-        *((name, _INT) for name in ("level", "step", "z_min", "z_max", "n_rows", "n_cols")),
-        ("shared", _INT * 4),
-        ("parent_rows", _INT),
-        ("parent_cols", _INT),
+        *((name, INT) for name in ("level", "step", "z_min", "z_max", "n_rows", "n_cols")),
+        ("shared", INT * 4),
+        ("parent_rows", INT),
+        ("parent_cols", INT),
         ("parent_stride", ctypes.c_int64),
         *(
-            (name, _POINTER)
+            (name, POINTER)
             for name in (
                 "parent", "target", "valid", "kept", "added", "out", "counts", "seen", "payload",
             )
         ),
         ("n_payload", ctypes.c_uint64),
-        ("shift", _INT),
+        ("shift", INT),
     ]  # fmt: skip
-
-
-_SIGNATURES: dict[str, tuple[Any, ...]] = {
-    "twz_python_tables_new": (_INT, _INT, _POINTER, _POINTER, _POINTER, _POINTER, _HANDLE),
-    "twz_python_encoder_new": (_HANDLE,),
-    "twz_python_encode": (_POINTER, _POINTER, ctypes.POINTER(_Job)),
-}
-
-
-@cache
-def _library() -> NativeLibrary:
-    library = loaded()
-    assert library is not None
-    library.declare(_SIGNATURES)
-    return library
-
-
-class _Owned:
-    """What the library has allocated, freed with this object."""
-
-    def __init__(self, make: str, free: str, *arguments: Any) -> None:
-        library = _library()
-        self.address = _made(make, *arguments)
-        release = library.plain(free, None, _POINTER)
-        weakref.finalize(self, release, self.address).atexit = False
-
-
-def _made(name: str, *arguments: Any) -> int:
-    try:
-        return _library().make(name, *arguments)
-    except NativeError as error:
-        raise MemoryError(str(error)) from error
-
-
-_ENCODERS = Spares(lambda: _Owned("twz_python_encoder_new", "twz_python_encoder_free"))
 
 
 class _KnownTables:
@@ -92,9 +54,9 @@ class _KnownTables:
     def renew(self) -> None:
         """Begin anew after a fork, which may have left the lock held."""
         self._lock = threading.Lock()
-        self._known: OrderedDict[int, tuple[Tables, _Owned]] = OrderedDict()
+        self._known: OrderedDict[int, tuple[Tables, Owned]] = OrderedDict()
 
-    def of(self, tables: Tables) -> _Owned:
+    def of(self, tables: Tables) -> Owned:
         """Return the library's tables; Python's stay with them, so that no others get their id."""
         with self._lock:
             if id(tables) not in self._known:
@@ -105,14 +67,14 @@ class _KnownTables:
             return self._known[id(tables)][1]
 
 
-def _new_tables(tables: Tables) -> _Owned:
+def _new_tables(tables: Tables) -> Owned:
     arrays: list[NDArray[Any]] = [
         np.ascontiguousarray(tables.stencils, dtype=np.int64),
         np.ascontiguousarray(tables.weights, dtype=np.int64),
         np.ascontiguousarray(tables.frequencies.freqs, dtype=np.uint32),
         np.ascontiguousarray(tables.frequencies.starts, dtype=np.uint32),
     ]
-    return _Owned(
+    return Owned(
         "twz_python_tables_new", "twz_python_tables_free", tables.k_max, tables.frequencies.cut,
         *(array.ctypes.data for array in arrays),
     )  # fmt: skip
@@ -131,7 +93,7 @@ def encode(
 ) -> tuple[bytes, Heights, Labels | None]:
     """Do as `UnitCoder.encode`."""
     job, arrays = _new_job(spec, parent, target, mask, corrections)
-    with _ENCODERS.lent() as encoder:
+    with ENCODERS.lent() as encoder:
         _run(encoder, coder, job)
         payload = ctypes.string_at(job.payload, job.n_payload)
     return payload, arrays[0], None
@@ -154,7 +116,7 @@ def count(
         sizes = [_N_SEEN * n_rows * n_cols for _, shape in shapes for *_, n_rows, n_cols in shape]
         seen = np.empty(sum(sizes), dtype=np.int32)
         job.seen = seen.ctypes.data
-    with _ENCODERS.lent() as encoder:
+    with ENCODERS.lent() as encoder:
         _run(encoder, coder, job)
     if keep is not None:
         at = 0
@@ -218,10 +180,6 @@ def _new_job(
     return job, arrays
 
 
-def _run(encoder: _Owned, coder: "UnitCoder", job: _Job) -> None:
+def _run(encoder: Owned, coder: "UnitCoder", job: _Job) -> None:
     tables = _TABLES.of(coder.tables(job.step))
-    try:
-        _library().call("twz_python_encode", encoder.address, tables.address, ctypes.byref(job))
-    except NativeError as error:
-        kind = MemoryError if error.is_memory else ValueError
-        raise kind(str(error)) from error
+    call("twz_python_encode", encoder.address, tables.address, ctypes.byref(job))
