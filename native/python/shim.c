@@ -5,6 +5,7 @@
 #include <stdlib.h>
 
 #include "encode.h"
+#include "encode_pyramid.h"
 #include "internal.h"
 
 /* Raised whenever what Python calls (src/terrainwave/coding/native_library.py) changes its meaning or layout. */
@@ -25,6 +26,12 @@ TWZ_API twz_status twz_python_encode(twz_encoder *encoder, const encode_tables *
 TWZ_API twz_status twz_python_encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error);
 TWZ_API uint64_t twz_python_mask_words(const uint8_t *models, const uint8_t *values, uint64_t n, const uint32_t *freqs, uint32_t n_states,
                                        uint32_t *states, uint8_t *words);
+TWZ_API void twz_python_quantise(int type, const void *raw, const uint8_t *valid, size_t n, int is_whole, int64_t numerator,
+                                 int64_t denominator, int64_t base, int32_t *quanta);
+TWZ_API void twz_python_push(const int32_t *fine, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col, int64_t *lines,
+                             int32_t to_rows, int32_t to_cols, int32_t *values, uint8_t *known);
+TWZ_API void twz_python_pull(const int32_t *coarse, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col,
+                             int32_t to_rows, int32_t to_cols, const uint8_t *known, int32_t *values);
 
 int twz_python_abi(void) { return PYTHON_ABI; }
 
@@ -177,4 +184,19 @@ twz_status twz_python_encode_mask(twz_encoder *encoder, mask_job *job, twz_error
 uint64_t twz_python_mask_words(const uint8_t *models, const uint8_t *values, uint64_t n, const uint32_t *freqs, uint32_t n_states,
                                uint32_t *states, uint8_t *words) {
   return encode_mask_bits(models, values, n, freqs, n_states, states, words);
+}
+
+void twz_python_quantise(int type, const void *raw, const uint8_t *valid, size_t n, int is_whole, int64_t numerator,
+                         int64_t denominator, int64_t base, int32_t *quanta) {
+  quantise_heights(type, raw, valid, n, is_whole, numerator, denominator, base, quanta);
+}
+
+void twz_python_push(const int32_t *fine, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col, int64_t *lines,
+                     int32_t to_rows, int32_t to_cols, int32_t *values, uint8_t *known) {
+  push_heights(fine, n_rows, n_cols, first_row, first_col, lines, to_rows, to_cols, values, known);
+}
+
+void twz_python_pull(const int32_t *coarse, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col, int32_t to_rows,
+                     int32_t to_cols, const uint8_t *known, int32_t *values) {
+  pull_heights(coarse, n_rows, n_cols, first_row, first_col, to_rows, to_cols, known, values);
 }

@@ -8,6 +8,7 @@
 #include <string.h>
 
 #include "encode.h"
+#include "encode_pyramid.h"
 
 enum { MOST_SIDE = 90, MOST_Z = 1 << 29, N_KINDS = 3, N_SEEN = 5 };
 
@@ -262,6 +263,55 @@ static void test_mask(twz_encoder *encoder) {
   for (int i = 0; i < 7; i++) free(bytes[i]);
 }
 
+/* ---- Quanta and fills ---- */
+
+static void test_pyramid(void) {
+  static const size_t SIZES[] = {1, 1, 2, 2, 4, 4, 8, 4, 8};
+  static const double ODD[] = {0.0, -0.0, 5e-324, -0.5, 1.5, 2.5, 1e300, -1e300, 9007199254740993.0, 4503599627370495.5};
+  int32_t n_rows = drawn_side(20), n_cols = drawn_side(20);
+  size_t n = (size_t)n_rows * (size_t)n_cols;
+  for (int type = RAW_I1; type <= RAW_F8; type++) {
+    uint8_t *raw = malloc(n * SIZES[type]), *valid = malloc(n);
+    int32_t *quanta = malloc(n * sizeof *quanta);
+    if (!raw || !valid || !quanta) exit(2);
+    for (size_t i = 0; i < n * SIZES[type]; i++) raw[i] = (uint8_t)below(256);
+    for (size_t i = 0; type == RAW_F8 && i < n; i++) memcpy(raw + 8 * i, &ODD[below(10)], 8);
+    for (size_t i = 0; i < n; i++) valid[i] = below(4) > 0; /* of floats of any bits: NaN, infinities */
+    for (int is_whole = 0; is_whole < 2; is_whole++) {
+      quantise_heights(type, raw, valid, n, is_whole, 1 + below(1000), 1 + below(1000), between(-1000, 1000), quanta);
+      for (size_t i = 0; i < n; i++) CHECK(valid[i] || quanta[i] == 0);
+    }
+    free(raw);
+    free(valid);
+    free(quanta);
+  }
+  int32_t first_row = n_rows > 1 ? (int32_t)below(2) : 0, first_col = n_cols > 1 ? (int32_t)below(2) : 0;
+  int32_t to_rows = (n_rows - first_row + 1) / 2, to_cols = (n_cols - first_col + 1) / 2;
+  int32_t below_rows = 2 * n_rows - 1 - first_row, below_cols = 2 * n_cols - 1 - first_col;
+  below_rows = max_i32(below_rows, 1);
+  below_cols = max_i32(below_cols, 1);
+  size_t n_to = (size_t)to_rows * (size_t)to_cols, n_below = (size_t)below_rows * (size_t)below_cols;
+  int32_t *fine = malloc(n * sizeof *fine), *values = malloc(n_to * sizeof *values), *filled = malloc(n_below * sizeof *filled);
+  uint8_t *known = malloc(n_to), *is_known = malloc(n_below);
+  int64_t *lines = malloc(2 * (size_t)n_cols * sizeof *lines);
+  if (!fine || !values || !filled || !known || !is_known || !lines) exit(2);
+  for (size_t i = 0; i < n; i++) fine[i] = below(3) ? between(-MOST_Z, MOST_Z) : UNKNOWN_HEIGHT;
+  push_heights(fine, n_rows, n_cols, first_row, first_col, lines, to_rows, to_cols, values, known);
+  for (size_t i = 0; i < n_to; i++) CHECK(known[i] <= 1 && (known[i] || values[i] == 0));
+  for (size_t i = 0; i < n_below; i++) {
+    is_known[i] = (uint8_t)below(2);
+    filled[i] = 7;
+  }
+  pull_heights(fine, n_rows, n_cols, first_row, first_col, below_rows, below_cols, is_known, filled);
+  for (size_t i = 0; i < n_below; i++) CHECK(!is_known[i] || filled[i] == 7);
+  free(fine);
+  free(values);
+  free(filled);
+  free(known);
+  free(is_known);
+  free(lines);
+}
+
 /* ---- Allocators that fail ---- */
 
 typedef struct failing {
@@ -339,6 +389,7 @@ int main(int n_arguments, char **arguments) {
     for (int i = 0; i < n_units; i++) test_kernels_agree(encoders, tables);
     for (int i = 0; i < n_units / 4; i++) test_counts(encoders[0], tables);
     for (int i = 0; i < n_units; i++) test_mask(encoders[0]);
+    for (int i = 0; i < n_units / 4; i++) test_pyramid();
     for (int i = 0; i < 3; i++) test_wrong_jobs(encoders[0], tables);
     encode_tables_free(tables);
   }
