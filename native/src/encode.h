@@ -14,8 +14,11 @@ enum { N_SYMBOLS = 256, N_FEATURES = 3 };
 typedef struct encode_tables {
   twz_allocator allocator;
   rapid_tables *rapid;                     /* without slots */
-  uint32_t freqs[N_TABLES * N_SYMBOLS];    /* of a symbol, and those of symbols before it << 16 */
+  /* Of a symbol, those of symbols before it << 13, and at most so many bits as it costs << 26. */
+  uint32_t freqs[N_TABLES * N_SYMBOLS];
 } encode_tables;
+
+enum { FREQ_BITS = 13, FREQ_MASK = (1 << FREQ_BITS) - 1, COST_SHIFT = 2 * FREQ_BITS };
 
 /* A unit that is encoded. Arrays have n_rows * n_cols samples, row by row. */
 typedef struct encode_job {
@@ -46,6 +49,7 @@ typedef struct symbol_log {
   size_t n_entries;
   uint8_t *raw;                  /* the last byte has bits 0 where none is written */
   size_t n_bits;
+  size_t first_entries, first_bits; /* of its first strip, of which a band knows less than a unit without bands */
 } symbol_log;
 
 /* What the lattices of a unit have in common. */

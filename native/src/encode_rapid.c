@@ -15,6 +15,7 @@ struct twz_encoder {
   twz_allocator allocator;
   const struct row_kernels *kernels;
   scratch rows, unit, payload;   /* of a lattice; of all that a unit needs besides; what is made */
+  int n_bands;                   /* that the next group is tried with: as many as the last one had */
 };
 
 /* ---- Tables and memory ---- */
@@ -36,7 +37,10 @@ twz_status encode_tables_new(const twz_allocator *a, int32_t k_max, int32_t cut,
     for (int k = 0; k < N_TAPS; k++) t->rapid->stencils[i / 3][i % 3][k] = (int16_t)stencils[N_TAPS * i + k];
     for (int k = 0; k < 4; k++) t->rapid->weights[i / 3][i % 3][k] = (int32_t)weights[4 * i + k];
   }
-  for (int i = 0; i < N_TABLES * N_SYMBOLS; i++) t->freqs[i] = (freqs[i] & 0xFFFF) | (starts[i] & 0xFFFF) << 16;
+  for (int i = 0; i < N_TABLES * N_SYMBOLS; i++) {
+    uint32_t cost = freqs[i] ? SLOT_BITS - (uint32_t)bit_length(freqs[i] - 1) : 0;
+    t->freqs[i] = (freqs[i] & FREQ_MASK) | (starts[i] & FREQ_MASK) << FREQ_BITS | cost << COST_SHIFT;
+  }
   *made = t;
   return TWZ_OK;
 }
@@ -56,6 +60,7 @@ twz_status encoder_new(const twz_allocator *a, twz_kernels kernels, twz_encoder 
   if (!e) return twz_no_memory(error, sizeof *e);
   e->allocator = *a;
   e->kernels = found;
+  e->n_bands = 1;
   e->rows.allocator = e->unit.allocator = e->payload.allocator = &e->allocator;
   *made = e;
   return TWZ_OK;
@@ -100,6 +105,7 @@ void log_pairs(encoding *e, symbol_log *l, const uint8_t *pairs, const uint8_t *
   const int cut = e->tables->rapid->cut;
   uint32_t *to = l->entries + l->n_entries, k = 0;
   int32_t *more = e->more, n_two = 0, n_escaped = 0; /* two samples each from the start on, others from the end */
+  int has_raw = 0, has_beyond = 0;
   for (int32_t pair = 0; pair < n; pair++) {
     int class = (int8_t)pairs[pair];
     const int32_t *two = details + 2 * pair;
@@ -109,12 +115,14 @@ void log_pairs(encoding *e, symbol_log *l, const uint8_t *pairs, const uint8_t *
         uint8_t single = singles[2 * pair + i];
         if (single == HIDDEN) continue;
         uint32_t symbol = single_symbol((int32_t)shift_right(two[i], raw_bits_of(single)));
+        has_raw |= single > RAW_CLASS + 1;
+        has_beyond |= symbol == SINGLE_ESCAPE;
         *to++ = symbol | (SINGLES | (uint32_t)single) << 8 | (k & (MOST_STATES - 1)) << 16;
       }
     } else if (class >= 0) {
       int has_symbol = two[0] >= -PAIR_LIMIT && two[0] <= PAIR_LIMIT && two[1] >= -PAIR_LIMIT && two[1] <= PAIR_LIMIT;
       uint32_t table = (uint32_t)class << 8, symbol = has_symbol ? (uint32_t)((two[0] + PAIR_LIMIT) * SIDE + two[1] + PAIR_LIMIT) : PAIR_ESCAPE;
-      if (!has_symbol || (freqs[table | symbol] & 0xFFFF) == 0) {
+      if (!has_symbol || (freqs[table | symbol] & FREQ_MASK) == 0) {
         symbol = PAIR_ESCAPE;
         more[n - ++n_escaped] = pair;
       }
@@ -128,12 +136,12 @@ void log_pairs(encoding *e, symbol_log *l, const uint8_t *pairs, const uint8_t *
     *to++ = single_symbol(detail) | ESCAPED << 8 | ((uint32_t)i & (MOST_STATES - 1)) << 16;
   }
   l->n_entries = (size_t)(to - l->entries);
-  for (int32_t i = 0; i < 2 * n_two; i++) {
+  for (int32_t i = 0; has_raw && i < 2 * n_two; i++) {
     int32_t place = 2 * more[i / 2] + i % 2;
     int n_bits = singles[place] == HIDDEN ? 0 : raw_bits_of(singles[place]);
     if (n_bits) put_bits(l, (uint32_t)details[place] & ((1u << n_bits) - 1), n_bits);
   }
-  for (int32_t i = 0; i < 2 * n_two; i++) {
+  for (int32_t i = 0; has_beyond && i < 2 * n_two; i++) {
     int32_t place = 2 * more[i / 2] + i % 2;
     if (singles[place] != HIDDEN) put_beyond(l, (int32_t)shift_right(details[place], raw_bits_of(singles[place])));
   }
@@ -145,7 +153,7 @@ static ptrdiff_t encode_words(const encode_tables *t, const symbol_log *l, uint3
   uint8_t *at = end;
   for (uint32_t i = 0; i < n_states; i++) states[i] = FIRST_STATE;
   for (size_t k = l->n_entries; k > 0; k--) {
-    uint32_t entry = l->entries[k - 1], found = t->freqs[entry & 0xFFFF], freq = found & 0xFFFF;
+    uint32_t entry = l->entries[k - 1], found = t->freqs[entry & 0xFFFF], freq = found & FREQ_MASK;
     uint32_t *state = states + (entry >> 16 & (n_states - 1)), x = *state;
     if (freq == 0) return -1;
     if (x >= (uint64_t)freq << (32 - SLOT_BITS)) {
@@ -155,7 +163,7 @@ static ptrdiff_t encode_words(const encode_tables *t, const symbol_log *l, uint3
       x >>= 16;
     }
     uint32_t whole = x / freq;
-    *state = (whole << SLOT_BITS) + (x - whole * freq) + (found >> 16);
+    *state = (whole << SLOT_BITS) + (x - whole * freq) + (found >> FREQ_BITS & FREQ_MASK);
   }
   return (end - at) / 2;
 }
@@ -215,6 +223,23 @@ static twz_status make_payload(twz_encoder *encoder, const encoding *e, const ra
   job->payload = payload;
   job->n_payload = (uint64_t)(to - payload);
   return TWZ_OK;
+}
+
+/*
+ * Has a group the most bands, for sure? It has as many as its payload without bands is long. Strips that do not begin a
+ * band have the same symbols there. A symbol, and a word, take from a state by rounding at most a 16th: less than 0.094 bits.
+ */
+static int has_most_bands(const encoding *e) {
+  int64_t n_bits = -(int64_t)(SLOT_BITS + 4) * MOST_STATES, n_entries = 0, n_raw = 0;
+  for (int b = 0; b < e->n_bands; b++) {
+    const symbol_log *l = &e->logs[b];
+    size_t first = b ? l->first_entries : 0;
+    for (size_t k = first; k < l->n_entries; k++) n_bits += e->tables->freqs[l->entries[k] & 0xFFFF] >> COST_SHIFT;
+    n_entries += (int64_t)(l->n_entries - first);
+    n_raw += (int64_t)(l->n_bits - (b ? l->first_bits : 0));
+  }
+  int64_t n_words = (1000 * n_bits - 94 * n_entries) / 16094;
+  return 2 * n_words + n_raw / 8 >= BYTES_OF_BAND * (MOST_BANDS - 1);
 }
 
 /* ---- Units ---- */
@@ -346,8 +371,15 @@ void start_band(encoding *e, int band) {
     l->entries = before->entries + before->n_entries;
     l->raw = before->raw + (before->n_bits + 7) / 8;
   }
-  l->n_entries = l->n_bits = 0;
+  l->n_entries = l->n_bits = l->first_entries = l->first_bits = 0;
   l->raw[0] = 0;
+}
+
+/* Log the details of a group again, in other bands. */
+static twz_status code_again(const twz_encoder *encoder, rapid_unit *u, encoding *e, twz_error *error) {
+  e->is_again = 1;
+  start_band(e, 0);
+  return encoder->kernels->encode_lattice(u, e, error);
 }
 
 twz_status encode_rapid(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error) {
@@ -379,7 +411,8 @@ twz_status encode_rapid(twz_encoder *encoder, const encode_tables *tables, encod
   int64_t number = choose_head(job, &u, least, most);
   job->shift = u.shift;
   e.is_plain = u.is_narrow && is_within;
-  e.n_bands = 1;
+  int has_bands = job->parent && !job->counts;
+  e.n_bands = has_bands ? encoder->n_bands : 1;
   start_band(&e, 0);
   if (!job->parent) {
     TRY(encode_root(encoder, &u, &e, root, error));
@@ -399,13 +432,21 @@ twz_status encode_rapid(twz_encoder *encoder, const encode_tables *tables, encod
     for (size_t k = 0; k < e.logs[0].n_entries; k++) job->counts[e.logs[0].entries[k] & 0xFFFF]++;
     return TWZ_OK;
   }
+  int n_bands = e.n_bands;
+  if (n_bands > 1 && !has_most_bands(&e)) {
+    n_bands = e.n_bands = 1;
+    TRY(code_again(encoder, &u, &e, error));
+  }
   TRY(make_payload(encoder, &e, &u, number, job, error));
-  int n_bands = (int)min_u64(1 + job->n_payload / BYTES_OF_BAND, MOST_BANDS);
-  if (!job->parent || n_bands == 1) return TWZ_OK;
-  e.is_again = 1;
-  e.n_bands = n_bands;
-  TRY(encoder->kernels->encode_lattice(&u, &e, error));
-  return make_payload(encoder, &e, &u, number, job, error);
+  if (has_bands && n_bands == 1) {
+    n_bands = (int)min_u64(1 + job->n_payload / BYTES_OF_BAND, MOST_BANDS);
+    encoder->n_bands = n_bands == MOST_BANDS ? n_bands : 1;
+    if (n_bands == 1) return TWZ_OK;
+    e.n_bands = n_bands;
+    TRY(code_again(encoder, &u, &e, error));
+    TRY(make_payload(encoder, &e, &u, number, job, error));
+  }
+  return TWZ_OK;
 }
 
 twz_status encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error) { return encode_validity(job, &encoder->rows, error); }

@@ -197,7 +197,6 @@ static twz_status ISA(encode_lattice)(rapid_unit *u, encoding *e, twz_error *err
   w->loaded = -2;
   w->looked = -1;
   int band = 0;
-  if (e->is_again) start_band(e, 0);
   for (int32_t strip = 0; strip < n_strips; strip++) {
     int32_t end = STRIP * strip + STRIP;
     for (; band + 1 < e->n_bands && strip >= rapid_band(u->n_rows, band + 1, e->n_bands); start_band(e, ++band)) {
@@ -213,6 +212,10 @@ static twz_status ISA(encode_lattice)(rapid_unit *u, encoding *e, twz_error *err
       }
     }
     for (int p = HH; p <= LH; p++) ISA(log_strip)(w, e, p, strip, &e->logs[band]);
+    if (strip == rapid_band(u->n_rows, band, e->n_bands)) {
+      e->logs[band].first_entries = e->logs[band].n_entries;
+      e->logs[band].first_bits = e->logs[band].n_bits;
+    }
     int32_t *seen = e->seen;
     for (int p = HH; p <= LH && e->seen; p++) {
       if (w->cols[p]) ISA(note_strip)(w, e, p, strip, seen);
