@@ -232,13 +232,12 @@ static void note_bits(mask_job *job, const uint8_t *models, const uint8_t *value
   job->n_bits += (uint64_t)n;
 }
 
-/* Put own samples of a row of a plane where its contexts are, with whole groups. */
+/* Put own samples of a row of a plane where its contexts are; behind them contexts say that nothing is coded. */
 static void take_truth(const lattice *l, int plane, int32_t i, const bits *b) {
   int32_t n = l->cols[plane], row = 2 * i + (plane == HL ? l->p : 1 - l->p), col = plane == LH ? l->q : 1 - l->q;
   const uint8_t *from = b->truth + row * b->own_step * b->job->n_cols + col * b->own_step;
   uint8_t *to = l->truth + (plane_row(l, plane, i) - l->planes);
   for (int32_t j = 0; j < n; j++) to[j] = from[2 * j * b->own_step];
-  memset(to + n, 0, (size_t)((n + GROUP - 1) / GROUP * GROUP - n));
 }
 
 /* Is a sample of a group unlike its four neighbours, which agree? */

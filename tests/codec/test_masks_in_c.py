@@ -8,7 +8,7 @@ from terrainwave.codec.masks import N_MODELS, N_SLOTS, Above
 from terrainwave.codec.refiner import Validity
 from terrainwave.grid.quadtree import Region
 
-pytestmark = pytest.mark.native
+pytestmark = [pytest.mark.native, pytest.mark.full]
 CODE_KNOWN, WRITE_BITS = masks.code_known.__wrapped__, masks.write_bits.__wrapped__
 # Bits of a sample: own, and valid, which is not told on the finest level.
 TOLD = {True: 1, False: 3}

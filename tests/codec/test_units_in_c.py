@@ -20,7 +20,7 @@ from terrainwave.codec.refiner import GroupSpec
 from terrainwave.coding import native_library
 from terrainwave.grid.quadtree import Region
 
-pytestmark = pytest.mark.native
+pytestmark = [pytest.mark.native, pytest.mark.full]
 # Both, whatever `also_in_c` chooses.
 BY_NUMBA = UnitCoder.encode.__wrapped__, UnitCoder.count.__wrapped__
 K_MAX = 5

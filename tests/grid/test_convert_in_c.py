@@ -5,7 +5,7 @@ import pytest
 
 from terrainwave.grid import convert, convert_in_c
 
-pytestmark = pytest.mark.native
+pytestmark = [pytest.mark.native, pytest.mark.full]
 INTEGERS = "i1 u1 i2 u2 i4 u4 i8".split()
 
 

@@ -3,12 +3,19 @@
 `benchmarks.both_encoders` draws the rasters; `make long` compares 500, up to 3000 x 2000.
 """
 
+import sys
+
 import numpy as np
 import pytest
+from golden_files import GOLDEN
 
 import terrainwave
 from benchmarks.both_encoders import Drawn, compare, compressed, drawn_raster
 from terrainwave.codec.rapid import unit_in_c
+from terrainwave.coding import native_library
+
+sys.path.append(str(GOLDEN.parents[1] / "tools"))
+import make_golden
 
 pytestmark = [pytest.mark.native, pytest.mark.full]
 MOST = 600, 500
@@ -32,6 +39,19 @@ def test_the_library_has_encoded(with_library, monkeypatch):
     assert not used
     compressed(drawn, in_c=True, verify=False)
     assert used
+
+
+@pytest.mark.parametrize("part", range(4))
+def test_golden_files_are_made_the_same(part, with_library, monkeypatch, tmp_path):
+    """All that are compressed from a raster: of each method, patched ones among them."""
+    for name in sorted(make_golden.CASES)[part::4]:
+        made = []
+        for switch in ("0", "1"):
+            monkeypatch.setenv(native_library.SWITCH, switch)
+            path = tmp_path / f"{name}-{switch}.twz"
+            make_golden.write_case(path, *make_golden.CASES[name])
+            made.append(path.read_bytes())
+        assert made[0] == made[1], name
 
 
 def test_heights_that_are_not_finite_make_the_same_files(with_library):
