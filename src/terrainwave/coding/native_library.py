@@ -6,7 +6,6 @@ compiles: bytes and heights are the same. `also_in_c` is the one place that choo
 
 import ctypes
 import importlib
-import logging
 import os
 import warnings
 from collections.abc import Callable
@@ -14,8 +13,6 @@ from functools import cache, wraps
 from typing import Any, TypeVar, cast
 
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
-
-_log = logging.getLogger(__name__)
 
 PACKAGE = "terrainwave_native"
 SWITCH = "TERRAINWAVE_NATIVE"  # 0 in the environment: not used

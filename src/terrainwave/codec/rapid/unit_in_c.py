@@ -18,7 +18,7 @@ from terrainwave.forks import renew_after_fork
 if TYPE_CHECKING:
     from terrainwave.codec.rapid.unit import UnitCoder
 
-_MOST_TABLES = 32
+_MOST_TABLES = 8  # Python's have 2 MB each
 _N_SEEN = 5
 _PLANES = HH, HL, LH
 
