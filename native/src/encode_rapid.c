@@ -351,7 +351,7 @@ static twz_status encode_root(const twz_encoder *encoder, rapid_unit *u, encodin
 static twz_status make_room(twz_encoder *encoder, encoding *e, int32_t **root, twz_error *error) {
   const encode_job *job = e->job;
   size_t pairs = ((size_t)job->n_rows / 2 + 1) * ((size_t)job->n_cols / 4 + 1); /* of a plane */
-  size_t all = 4 * (pairs + (size_t)job->n_rows + (size_t)job->n_cols) + 256, heights = 2 * (size_t)job->n_rows * (size_t)job->n_cols;
+  size_t all = 4 * (pairs + (size_t)job->n_rows + (size_t)job->n_cols) + 256, heights = job->parent ? 0 : 2 * (size_t)job->n_rows * (size_t)job->n_cols;
   size_t n_entries = MOST_ENTRIES * all, n_raw = 2 * MOST_RAW_BYTES * all, row = (size_t)job->n_cols + 64; /* `all`: of a root's lattices */
   size_t n_bytes = (6 * pairs + n_entries + heights + (STRIP + 1) * row) * sizeof(int32_t) + n_raw;
   TRY(scratch_reserve(&encoder->unit, n_bytes + 16 * SCRATCH_ALIGN, error));

@@ -18,6 +18,7 @@ from terrainwave.codec.rapid.symbols import N_SYMBOLS, N_TABLES
 from terrainwave.codec.rapid.unit import UnitCoder
 from terrainwave.codec.refiner import GroupSpec
 from terrainwave.coding import native_library
+from terrainwave.errors import TerrainwaveWarning
 from terrainwave.grid.quadtree import Region
 
 pytestmark = [pytest.mark.native, pytest.mark.full]
@@ -106,6 +107,17 @@ def test_the_library_encodes_where_it_is_wanted(with_library, monkeypatch):
         monkeypatch.setenv(native_library.SWITCH, switch)
         coder.encode(spec, None, np.ones((3, 3), dtype=np.int32), None)
         assert len(used) == n_used
+
+
+def test_a_library_of_another_interface_is_told_once_and_not_used(with_library, monkeypatch):
+    monkeypatch.setattr(native_library, "ABI", native_library.ABI + 1)
+    monkeypatch.setattr(unit_in_c, "encode", None)
+    coder = UnitCoder(tables_from(plain_tables(K_MAX, 0)))
+    spec, target = GroupSpec.alone(Region(0, 0, 3, 3), 1, 0, 9), np.ones((3, 3), dtype=np.int32)
+    with pytest.warns(TerrainwaveWarning, match="interface of version") as told:
+        found = [coder.encode(spec, None, target, None)[0] for _ in range(2)]
+    assert len(told) == 1
+    assert found == [BY_NUMBA[0](coder, spec, None, target, None)[0]] * 2
 
 
 def test_what_no_file_can_hold_is_refused(with_library):
