@@ -127,6 +127,19 @@ def test_what_no_file_can_hold_is_refused(with_library):
         unit_in_c.encode(coder, spec, None, np.zeros((2, 2), dtype=np.int32), None)
 
 
+def test_a_library_without_memory_raises_as_python_does(with_library, monkeypatch):
+    class Full:
+        def call(self, *_arguments):
+            failure = native_library.Failure(native_library.NO_MEMORY, b"no memory for 3 bytes")
+            raise native_library.NativeError(failure)
+
+    monkeypatch.setattr(in_c, "library", Full)
+    coder = UnitCoder(tables_from(plain_tables(K_MAX, 0)))
+    spec = GroupSpec.alone(Region(0, 0, 3, 3), 1, 0, 9)
+    with pytest.raises(MemoryError, match="no memory for 3 bytes"):
+        coder.encode(spec, None, np.ones((3, 3), dtype=np.int32), None)
+
+
 def test_a_job_of_another_size_is_refused(with_library):
     """A library of other sources, which has the same ABI by mistake."""
     encoder = in_c.Owned("twz_python_encoder_new", "twz_python_encoder_free")
