@@ -25,7 +25,7 @@ from terrainwave.errors import (
     UnsupportedVersionError,
 )
 
-# Loggers are named after modules; they say nothing unless an application asks them to.
+# A library logs nothing unless the application configures logging.
 logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Return the public names, imported yet or not; completion in notebooks asks for them."""
+    """Return the public names, imported or not; used by completion in notebooks."""
     return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
 
 

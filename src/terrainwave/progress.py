@@ -1,4 +1,4 @@
-"""What long work tells its caller."""
+"""Progress reports of long-running work."""
 
 import threading
 import time
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from terrainwave import interrupts
 from terrainwave.arguments import check_callback
 
-# Calls closer together than this are dropped, except the last of a stage.
+# Calls in shorter intervals are dropped, except the last of a stage.
 _INTERVAL = 0.1
 
 
@@ -16,8 +16,8 @@ _INTERVAL = 0.1
 class Progress:
     """Progress of a stage: samples `done` of `total`, bytes of heights read and of file written.
 
-    Stages that code units (groups and root blocks) also have `n_units` of `n_units_total` done, on
-    `n_levels` levels. On a cluster, stages have `n_tasks` of `n_tasks_total` done.
+    Stages that code units (groups and root blocks) also report `n_units` of `n_units_total`, on
+    `n_levels` levels; stages on a cluster `n_tasks` of `n_tasks_total`.
     """
 
     stage: str
@@ -37,13 +37,12 @@ ProgressCallback = Callable[[Progress], None]
 
 @dataclass(frozen=True)
 class TaskReport:
-    """What one attempt at a task of a cluster took.
+    """Measurements of one attempt at a task of a cluster.
 
-    The task is of `n_samples` samples of the full grid from `row`, `col` on. `began` is in seconds
-    since 1970, by the worker's clock; `cpu_seconds` are those of the worker's process, which also
-    does what dask needs. `source_bytes` are heights read from the raster, as numbers; the other two
-    are bytes read from the shared temporary data and written there. `error` is empty if the attempt
-    succeeded.
+    The task covers `n_samples` samples of the full grid from `row`, `col` on. `began` is in seconds
+    since 1970, by the worker's clock. `cpu_seconds` are those of the worker's process, including
+    dask's own work. `source_bytes` are heights read from the raster; the other two are bytes read
+    from and written to the shared temporary data. `error` is empty if the attempt succeeded.
     """
 
     stage: str
@@ -71,7 +70,7 @@ class Reporter:
     Raises
     ------
     InvalidArgumentError
-        If it is neither None nor can be called.
+        If it is neither None nor callable.
     """
 
     def __init__(self, callback: ProgressCallback | None) -> None:
@@ -81,7 +80,7 @@ class Reporter:
         self._last = 0.0
 
     def report(self, stage: str, done: int, total: int, n_bytes_in: int = 0, **more: int) -> None:
-        """Tell the callback, unless it was told just now; `more` are fields of `Progress`."""
+        """Call the callback unless the last call was just now; `more` are fields of `Progress`."""
         interrupts.check()
         if self._callback is None:
             return
@@ -93,7 +92,7 @@ class Reporter:
             self._callback(Progress(stage, done, total, n_bytes_in, **more))
 
     def counter(self, stage: str, total: int, itemsize: int) -> Callable[[int], None]:
-        """Return a counter of finished samples of `itemsize` bytes, to call from any thread."""
+        """Return a counter of finished samples of `itemsize` bytes, for any thread."""
         lock = threading.Lock()
         done = 0
 

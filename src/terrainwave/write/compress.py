@@ -1,8 +1,8 @@
 """The encoder: raster in, .twz file out. Start reading at `compress`.
 
-Three passes over the source, windows at a time: A scans it and makes the pyramid of
-target heights, B codes the quadtree top down in a closed loop, C decodes the finished file from
-disk with the ordinary decoder and compares every sample. Memory stays flat in all of them.
+Three passes read the source in windows. Pass A scans it and makes the pyramid of target heights.
+Pass B codes the quadtree top down in a closed loop. Pass C decodes the finished file from disk with
+the ordinary decoder and compares every sample. No pass needs memory that grows with the raster.
 """
 
 import io
@@ -67,11 +67,11 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class CompressResult:
-    """What `compress` made; errors in physical units.
+    """Result of `compress`; errors in physical units.
 
-    `measured_error`, compared with the given raster, is None if the proof was skipped. The file
-    states the other two errors. If the raster came out of a .twz file, they include the bound of
-    that file. `notes` say what a user should know.
+    `measured_error`, from the given raster, is None if the proof was skipped. The file states the
+    other two errors. They include the bound of a .twz file that the raster came from. `notes` are
+    remarks for the user.
     """
 
     path: str
@@ -117,25 +117,25 @@ def compress(
     on_task: TaskCallback | None = None,
     progress: ProgressCallback | None = None,
 ) -> CompressResult:
-    """Compress a raster to a .twz file in which every valid sample is within `max_error`.
+    """Compress a raster to a .twz file; every valid sample stays within `max_error`.
 
     Parameters
     ----------
     src : path, rasterio dataset, Terrain, list of these, ndarray, xarray DataArray or Dataset
-        One band of heights: uint8, int16, uint16, int32, float32 or float64. A list of rasters
-        with the same CRS and grid makes a mosaic. Where they overlap, the last counts; where there
-        is none, the mosaic is void. A path may be that of a .twz file: `max_error` is then the
-        bound from its original, and by default all heights stay as they are in the file. A Dataset
-        has one variable of heights (docs/integrations.md lists what is read from labels).
+        One band of heights: uint8, int16, uint16, int32, float32 or float64. A list of rasters with
+        the same CRS and grid makes a mosaic. Where they overlap, the last counts; where none lies,
+        the mosaic is void. For a .twz file `max_error` is the bound from its original, and by
+        default its heights are kept unchanged. A Dataset has one variable of heights
+        (docs/integrations.md lists what is read from labels).
     dst : path
-        The file to make. Its name ends in ``.twz``. It appears complete or not at all, and never
-        replaces a raster. Also the URL of storage that fsspec can write to, such as ``s3://``
-        (extra ``remote``): the file is made and proved on this machine, then uploaded.
+        Output file, whose name ends in ``.twz``. It appears complete or not at all, and never
+        replaces a raster. It may be a URL that fsspec can write to, such as ``s3://`` (extra
+        ``remote``): the file is made and proved on this machine, then uploaded.
     max_error : float, optional
         Largest allowed error (<=) in physical units, after scale and offset; >= 0. 0 keeps every
         bit. By default lossless if the heights are in whole steps (metres, centimetres, feet),
-        otherwise 0.01 m, or less: docs/choosing-a-bound.md has the rules, and `notes` of the
-        result say which one was used.
+        otherwise 0.01 m, or less: `notes` of the result give the rule that was used
+        (docs/choosing-a-bound.md).
     method : str, Rapid, Predictive, Cdf97, Cdf53 or Store
         ``"rapid"``, ``"predictive"``, ``"cdf97"``, ``"cdf53"``, ``"store"`` or ``"auto"``, which
         means rapid; or a method with its options, such as ``tw.Cdf97(faithful=True)``. Files of
@@ -143,46 +143,45 @@ def compress(
     block : int
         Cells per side of a block: 32, 64, … 1024.
     effort : str
-        ``"fast"``, ``"default"`` or ``"best"``: how many ways of coding methods predictive and
-        cdf97 try. Without a method, best selects predictive. Other methods ignore it.
+        ``"fast"``, ``"default"`` or ``"best"``: number of variants that predictive and cdf97 try.
+        Without a method, best selects predictive. Other methods ignore it.
     nodata : float or str, optional
         A value that marks voids, besides the raster's own. ``"only:V"`` takes the number V instead
-        of the raster's own, ``"none"`` no value; a note counts samples that become heights so.
+        of the raster's own, ``"none"`` none at all; a note counts the samples that become heights.
     band : int, optional
-        Band to compress, from 1.
+        Band to compress; the first is 1.
     georeference : bool
-        False compresses the heights without georeference and CRS, for example those of a
-        curvilinear grid, which are refused otherwise.
+        False drops georeference and CRS. Heights on a curvilinear grid can be compressed only so.
     heights_are : {"height", "depth", "radius"}, optional
-        What the numbers are; the file keeps it. Depths go down, radii count from the centre of the
-        body; both are stored as they are and turned on the globe, in meshes and views. By default
-        told from ``positive``, CF names, the format and the CRS's vertical axis, or, of radii, from
-        the numbers themselves (docs/where-things-are.md).
+        Meaning of the numbers, which the file records. Depths count downwards, radii from the
+        centre of the body; both are stored unchanged and converted to heights on the globe, in
+        meshes and in views. By default derived from ``positive``, CF names, the format and the
+        CRS's vertical axis; radii are recognised by their size (docs/where-things-are.md).
     mesh : str, Zerotree or Rqt
-        Triangulation of every block. ``"halves"`` (``"auto"``) is computed when it is read, and so
-        is its error (see `measure_meshes`). ``"zerotree"`` is the guaranteed triangulation of
-        Yusov & Turlapov 2010, stored as labels; with method cdf97 it follows zero trees. ``"rqt"``
-        is a restricted quadtree, which stores some vertices of borders. ``"none"`` makes no meshes.
-        zerotree and rqt have options, such as ``tw.Zerotree(labels="layer")``, and making them
-        takes memory that grows with the raster (`mesh.sections.make_sections`).
+        Triangulation of every block. ``"halves"`` (``"auto"``) is computed by readers, as is its
+        error (see `measure_meshes`). ``"zerotree"`` is the guaranteed triangulation of Yusov &
+        Turlapov 2010, stored as labels; with method cdf97 it follows zero trees. ``"rqt"`` is a
+        restricted quadtree; it stores some border vertices. ``"none"`` makes no meshes. zerotree
+        and rqt have options, such as ``tw.Zerotree(labels="layer")``, and making them takes memory
+        that grows with the raster (`mesh.sections.make_sections`).
     mesh_error : float, optional
         Largest vertical distance of the finest meshes from the decoded heights, in physical units.
         By default the guaranteed error, or the vertical quantum if that is larger (for lossless
-        heights that are on no vertical grid, the bound that these have by default).
+        heights without a quantum, their default bound).
     measure_meshes : bool
-        Make all meshes and store how far each is from the original. By default a file of `halves`
-        stores no errors of meshes above the finest level: who makes such a mesh finds a bound for
-        it, on average 1.7 times the true error. Measuring takes about as long as all the rest.
-        The other kinds of meshes are always measured, as are files of ``Cdf97(faithful=True)``;
+        Make all meshes and store their distances from the original. By default a file of `halves`
+        stores no mesh errors above the finest level: readers compute a bound with the mesh, on
+        average 1.7 times the true error. Measuring takes about as long as all the rest. The other
+        kinds of meshes are always measured, as are files of ``Cdf97(faithful=True)``;
         `store_meshes` measures the meshes of a file later.
     height_range : tuple of two floats, optional
-        Lowest and highest height that the file can hold, in physical units, besides its own: for
-        a later `patch`. By default a file holds the range of the raster, and `patch` refuses
-        heights outside it. A wider range costs few bytes, if any, unless it is so wide that floats
-        at its ends are too coarse for the bound: the file is then exact, and larger, which a note
-        says. Not for streams that are cut; a raster of voids alone has no range, as a note says.
+        Range of heights, in physical units, that a later `patch` may need. By default a file holds
+        the range of the raster, and `patch` refuses heights outside it. A wider range costs few
+        bytes, unless floats at its ends are too coarse for the bound: then the file is exact, and
+        larger, and a note says so. Not for streams that are cut; without effect, but with a note,
+        if the raster has only voids.
     strict : bool
-        For floats on a decimal grid (0.1, 0.01 …), keep the bound for the stored floats:
+        For floats on a decimal grid (0.1, 0.01 …), apply the bound to the stored floats:
         ``abs(decoded - original) <= max_error``, exactly and as numpy computes it in their type. By
         default the bound holds for the decimal numbers, and floats may differ by one float spacing
         more. With `strict`, decoded heights may be off the grid, and files become larger
@@ -194,15 +193,15 @@ def compress(
         `strict`. Files become larger (docs/integrations.md). Not with method cdf53, nor with
         ``Cdf97(faithful=True)``.
     keep_origin : bool
-        Store a digest of the heights and these options in the metadata, by which
-        ``compress --skip-existing`` recognises the file. ``compress --to`` always does.
+        Store a digest of the heights and these options in the metadata, which ``compress
+        --skip-existing`` compares. ``compress --to`` always stores it.
     digest : bool, optional
-        Store digests (SHA-256) of the decoded heights: `Terrain.digest` gives the one that stands
-        for all heights and where they lie, `verify` compares it. 40 bytes, and 32 more for each
-        4096 x 4096 samples. By default as `verify`, whose decoding they come from.
+        Store digests (SHA-256) of the decoded heights: `Terrain.digest` returns the one for all
+        heights and their position, `verify` checks it. They take 40 bytes, and 32 more for each
+        4096 x 4096 samples. The default is that of `verify`, because the proof computes them.
     temp_dir : path, optional
-        Directory for large temporary data; by default beside `dst`. With `client`, a path or a URL
-        that fsspec can write to and that all workers can use.
+        Directory for large temporary data; by default that of `dst`. With `client`, a path or URL
+        that all workers can write to.
     verify : bool
         Decode the file and compare every sample before it replaces `dst`.
     threads : int, optional
@@ -210,14 +209,14 @@ def compress(
     overwrite : bool
         Replace an existing `dst`.
     fresh : bool
-        Remove what an earlier run of the same call has left, instead of going on from there.
+        Discard unfinished work of an earlier run instead of continuing it.
     client : dask.distributed.Client or concurrent.futures.Executor, optional
-        Compress on the workers of a cluster, which must be able to read the paths `src` and `dst`.
-        The bytes are the same. Not with method cdf53.
+        Compress on the workers of a cluster, which need access to `src` and `dst`. The bytes are
+        the same. Not with method cdf53.
     task_samples : int, optional
-        With `client`: the smallest number of samples of a task, by default 4096 x 4096.
+        With `client`: smallest number of samples of a task; by default 4096 x 4096.
     on_task : callable, optional
-        With `client`: called with a `TaskReport` whenever an attempt at a task has ended.
+        With `client`: called with a `TaskReport` after each attempt at a task.
     progress : callable, optional
         Called with a `Progress` at most ten times a second, from one thread at a time.
 
@@ -238,9 +237,9 @@ def compress(
     -----
     O(n_rows * n_cols) time; memory O(threads * block^2 * levels), whatever the size of the raster.
 
-    A run that fails, is interrupted or killed leaves its finished work in `temp_dir`, or beside
-    `dst`. The same call goes on from there (docs/how-to/resume.md). Not with `client`, and not for
-    rasters below 2^26 samples.
+    A run that fails, is interrupted or killed leaves its finished work in `temp_dir`, or next to
+    `dst`. The same call continues it (docs/how-to/resume.md). This needs 2^26 samples or more, and
+    no `client`.
     """
     options = Options(
         max_error=max_error,
@@ -328,7 +327,7 @@ def compress_to_bytes(
     verify: bool = True,
     threads: int | None = None,
 ) -> bytes:
-    """Compress to bytes instead of a file; `Terrain` opens them as it opens a file.
+    """Compress to bytes, which `Terrain` opens like a file.
 
     For arrays that fit into memory: chunks of a store, cells of a database. Options, bound and
     errors are those of `compress`, except that `mesh` is ``"none"`` and `digest` False by default.
@@ -384,7 +383,7 @@ def _refuse_tiles(options: Options) -> None:
 def _made(
     name: str, *, overwrite: bool, temp_dir: str | os.PathLike[str] | None
 ) -> AbstractContextManager[Part]:
-    """Give a file to write that appears under its name, or at its URL, when the block ends."""
+    """Yield a file to write; it gets its name, or is uploaded, when the block ends."""
     if "://" in name:
         return uploaded(name, overwrite=overwrite, temp_dir=temp_dir)
     return publish(name, overwrite=overwrite)
@@ -401,7 +400,7 @@ def _directory(
     fresh: bool,
     is_kept: bool,
 ) -> Iterator[tuple[Path, Kept]]:
-    """Give a directory for temporary files, and what earlier runs have left; nobody else writes."""
+    """Yield a directory for temporary files, locked, and the finished work of earlier runs."""
     is_url = "://" in name
     final = Path(name) if is_url else Path(os.path.realpath(name))
     beside = Path(tempfile.gettempdir()) if is_url else final.parent
@@ -422,7 +421,7 @@ def _warn_of(notes: list[str]) -> None:
 
 @dataclass(frozen=True)
 class _Written:
-    """What a finished file keeps; errors in physical units."""
+    """Contents of a finished file that its user needs; errors in physical units."""
 
     method: str
     max_error: float
@@ -442,10 +441,7 @@ def _write(
     cluster: "_Cluster | None" = None,
     kept: Kept | None = None,
 ) -> _Written:
-    """Write the .twz of `source` to `file` and prove it.
-
-    `path` is where `file` lies; None for one in memory.
-    """
+    """Write the .twz of `source` to `file`, whose path is `path` (None in memory), and prove it."""
     grid = Grid(source.info.n_rows, source.info.n_cols, options.block)
     with Crew(options.n_threads) as executor:
         has_digest = options.keep_origin
@@ -488,7 +484,7 @@ def _write(
 def _coded(
     passes: LocalPasses | DistributedPasses, job: Job, choice: MethodChoice, n_raw: int
 ) -> Coded:
-    """Return the raster coded by the chosen method, or as the choice says for larger than raw."""
+    """Return the raster coded by the chosen method, or by the choice's fallback if larger than raw."""
     own, _, reason, other = choice
     coded = passes.encode(job)
     if other is not None and coded.n_bytes > n_raw:
@@ -499,7 +495,7 @@ def _coded(
 
 
 class _Cluster(NamedTuple):
-    """Who does tasks, the raster as it sees it, and a URL of the depot if it is not local."""
+    """Workers, the raster as they open it, and the URL of the depot (None if it is local)."""
 
     workers: Workers
     raster: RasterPlace
@@ -518,7 +514,7 @@ def _passes(
     *,
     has_digest: bool,
 ) -> LocalPasses | DistributedPasses:
-    """Return the passes of this process, or of a cluster where there is enough for a task."""
+    """Return the passes of a cluster, or of this process if the raster is too small for a task."""
     level = None if cluster is None else task_level(grid, cluster.task_samples)
     if cluster is None or level is None:
         return LocalPasses(source, directory, executor, reporter, has_digest, kept or Kept())
@@ -537,7 +533,7 @@ def _passes(
 
 
 def _depot_root(url: str | os.PathLike[str] | None, directory: Path) -> str:
-    """Return where tasks leave their results: below a URL, or in a directory of this machine."""
+    """Return the place of the tasks' results: below a URL, or in a local directory."""
     if url is not None:
         return f"{os.fspath(url).rstrip('/')}/{directory.name}"
     depot = directory.absolute() / "depot"

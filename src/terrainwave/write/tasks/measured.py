@@ -1,4 +1,4 @@
-"""Runs a task where a worker is, and tells what it took; this module runs on workers."""
+"""Runs and measures a task on a worker."""
 
 import os
 import socket
@@ -15,7 +15,7 @@ from terrainwave.write.tasks.heap import kept_heap
 
 
 class Workplace(NamedTuple):
-    """A worker: its name, the machine it runs on, and its folder for temporary files."""
+    """A worker: its name, its machine, and its folder for temporary files."""
 
     worker: str
     host: str
@@ -23,15 +23,15 @@ class Workplace(NamedTuple):
 
 
 class Task(Protocol):
-    """What a task is told first: something that it opens where it runs."""
+    """First argument of a task, opened on the worker."""
 
     def at(self, meter: Meter, folder: str) -> Self:
-        """Return it for one task: `meter` counts what it reads, `folder` has temporary files."""
+        """Return a copy for one task: `meter` counts bytes read, `folder` has temporary files."""
         ...
 
 
 class TaskOutcome(NamedTuple):
-    """What became of a task: its result, or an error that another worker may not have."""
+    """Outcome of a task: its result, or an error that another worker may not have."""
 
     result: Any
     error: TerrainwaveError | None
@@ -45,8 +45,8 @@ class TaskOutcome(NamedTuple):
 def run_task(function: Callable[..., Any], task: Task, *arguments: Any) -> TaskOutcome:
     """Run a task and measure it.
 
-    Errors that depend on the worker (its disk, memory and network, what it sees of the depot and
-    the raster) are part of the outcome; others are raised.
+    Errors that depend on the worker (disk, memory, network, access to depot and raster) are part of
+    the outcome; others are raised.
     """
     place, meter = workplace(), Meter()
     began, start, cpu = time.time(), time.perf_counter(), time.process_time()
@@ -65,13 +65,13 @@ def run_task(function: Callable[..., Any], task: Task, *arguments: Any) -> TaskO
 
 
 def workplace() -> Workplace:
-    """Return who runs this: a dask worker, whose folder is its own, or this process."""
+    """Return the place of this code: a dask worker with its folder, or this process."""
     host = socket.gethostname()
     distributed = sys.modules.get("distributed")
     if distributed is not None:
         try:
             worker = distributed.get_worker()
-        except ValueError:  # this is none
+        except ValueError:  # not on a dask worker
             pass
         else:
             return Workplace(worker.address, host, worker.local_directory)

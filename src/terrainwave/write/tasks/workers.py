@@ -1,7 +1,7 @@
-"""Has tasks done by a cluster: again by another worker where one fails, and looks after slow ones.
+"""Runs tasks on a cluster: retries failed ones on other workers and duplicates slow ones.
 
-A cluster is a dask client, or any `concurrent.futures.Executor`. Only of a client is it known which
-workers there are. Tasks give the same bytes wherever they run, twice at a time too.
+A cluster is a dask client, or any `concurrent.futures.Executor`. Only a client lists its workers.
+Tasks give the same bytes wherever they run, also two copies at a time.
 """
 
 import secrets
@@ -27,22 +27,22 @@ from terrainwave.write.tasks.measured import TaskOutcome, Workplace, run_task
 
 Item = TypeVar("Item")
 
-# How often a task is tried, if there are so many workers; on one machine, its disk may be full for
-# a moment only.
+# Largest number of attempts at a task, with enough workers. On one machine, its disk may be full
+# for only a moment.
 _ATTEMPTS = 4
 _ATTEMPTS_HERE = 2
-_LOOK_AFTER = 2.0  # seconds without a result before somebody looks whether all is well
-# A task is slow that takes so many times as long as the longest of its pass, and so many seconds.
+_LOOK_AFTER = 2.0  # seconds without a result before the state is checked
+# A slow task takes this many times as long as the longest of its pass, and at least these seconds.
 _SLOW, _SLOW_SECONDS = 2.0, 30.0
-_LONELY_SECONDS = 30.0  # without any worker, before a note says so
-_CHOICE = 16  # workers that may do a task again: names of thousands are much to send for each
-# What dask and concurrent.futures raise where workers die or are taken away.
+_LONELY_SECONDS = 30.0  # seconds without any worker before a note
+_CHOICE = 16  # workers that may repeat a task: thousands of names are too much to send for each
+# Errors of dask and concurrent.futures if workers die or are removed.
 _LOST = {"KilledWorker", "BrokenProcessPool", "FutureCancelledError", "NoValidWorkerError"}
 _LOCAL_ADVICE = "; free space there, or start the worker with --local-directory on a larger disk"
 
 
 def executor_of(client: Any) -> Executor:
-    """Return an executor: that of a dask client, executors as they are."""
+    """Return the executor of a dask client; other executors unchanged."""
     if isinstance(client, Executor):
         return client
     if hasattr(client, "get_executor"):
@@ -57,7 +57,7 @@ def executor_of(client: Any) -> Executor:
 
 @dataclass
 class _Attempt:
-    """One of the times that a task is given to a worker; `allowed` are all if there are none."""
+    """One attempt at a task on a worker; without `allowed`, any worker may run it."""
 
     item: Any
     number: int
@@ -67,7 +67,7 @@ class _Attempt:
 
 @dataclass
 class _Pass:
-    """What is known of the tasks of one pass."""
+    """State of the tasks of one pass."""
 
     function: Callable[..., Any]
     tasks: Mapping[Any, tuple[Any, ...]]
@@ -80,7 +80,7 @@ class _Pass:
     short_since: float | None = None
 
     def attempts(self, item: Any) -> Iterator["Future[TaskOutcome]"]:
-        """Yield the attempts at a task that have not ended."""
+        """Yield the unfinished attempts at a task."""
         return (future for future, attempt in self.running.items() if attempt.item == item)
 
 
@@ -91,7 +91,7 @@ class Workers:
     ----------
     client : dask.distributed.Client or concurrent.futures.Executor
     on_task : callable, optional
-        Called with a `TaskReport` whenever an attempt at a task has ended.
+        Called with a `TaskReport` after each attempt at a task.
     """
 
     def __init__(self, client: Any, on_task: TaskCallback | None = None) -> None:
@@ -100,7 +100,7 @@ class Workers:
         self._on_task = on_task
         self._failing: dict[str, Workplace] = {}
         self._lonely_since: float | None = None
-        self.names: list[str] = []  # of what tasks have left in the depot
+        self.names: list[str] = []  # of the tasks' results in the depot
 
     def run(
         self,
@@ -109,22 +109,22 @@ class Workers:
         tasks: Mapping[Item, tuple[Any, ...]],
         region: Callable[[Item], Region],
     ) -> Iterator[tuple[Item, Any]]:
-        """Yield (item, result) of every task as it is done.
+        """Yield (item, result) of each task when it is done.
 
         Parameters
         ----------
         stage : str
-            What reports call the pass.
+            Name of the pass in reports.
         tasks : mapping
-            Arguments by item, the first of which is a `measured.Task`.
+            Arguments by item; the first is a `measured.Task`.
         region : callable
-            Returns the samples of the full grid that an item stands for.
+            Returns the samples of the full grid that belong to an item.
 
         Raises
         ------
         TerrainwaveError
-            What a task raised, on every worker that tried it, or `ClusterError` if workers were
-            lost with it too often. Tasks that have not begun are cancelled then.
+            The error of a task on every worker that tried it, or `ClusterError` if workers were
+            lost with it too often. Tasks that have not begun are cancelled.
         """
         work = _Pass(function, tasks, set(tasks))
         try:
@@ -139,7 +139,7 @@ class Workers:
                 attempt = work.running.pop(future)
                 item = attempt.item
                 if item not in work.left or (_is_lost(future) and any(work.attempts(item))):
-                    continue  # another copy was first, or may be
+                    continue  # another copy was first, or may succeed
                 outcome = _outcome(future)
                 self.names += outcome.meter.names
                 self._report(stage, region(item), attempt.number, outcome)
@@ -158,12 +158,12 @@ class Workers:
     def _submit(
         self, work: _Pass, item: Any, number: int, avoided: frozenset[str] = frozenset()
     ) -> None:
-        """Give a task to a worker, to one of `avoided` only if there is no other.
+        """Submit a task, to one of `avoided` workers only if there is no other.
 
-        Others are not only preferred: dask would let a worker that fails at once, and so is always
-        idle, steal what is meant for others.
+        The others are the only ones allowed, not just preferred: dask lets idle workers steal
+        tasks, and a worker that fails at once is always idle.
         """
-        # Dashboards of dask show what is before the last hyphen.
+        # Dashboards of dask show the part before the last hyphen.
         key = f"{work.function.__name__}-{secrets.token_hex(16)}"
         options: dict[str, Any] = {}
         others: list[str] = []
@@ -180,7 +180,7 @@ class Workers:
         future.add_done_callback(work.done.put)
 
     def _failed(self, stage: str, work: _Pass, attempt: _Attempt, outcome: TaskOutcome) -> None:
-        """Have another worker do a task, or raise its error if enough have tried."""
+        """Retry a task on another worker, or raise its error after enough attempts."""
         assert outcome.error is not None
         item, place = attempt.item, outcome.place
         if any(work.attempts(item)):
@@ -206,7 +206,7 @@ class Workers:
         self._submit(work, item, attempt.number + 1, self._avoided(work, item))
 
     def _avoided(self, work: _Pass, item: Any) -> frozenset[str]:
-        """Return the workers that are not to try a task again: they failed with it, or others."""
+        """Return the workers that must not retry a task: they failed with it, or with others."""
         tried = {place.worker for place in work.failed_at.get(item, ())}
         return frozenset(tried | self._failing.keys())
 
@@ -232,7 +232,7 @@ class Workers:
             )
 
     def _look_after(self, stage: str, work: _Pass) -> None:
-        """Say so if there is no worker; give out tasks anew that a worker is slow with, or lost."""
+        """Report a lack of workers; duplicate tasks that are slow or lost."""
         if self._client is None:
             return
         now = time.monotonic()
@@ -242,7 +242,7 @@ class Workers:
         elif self._lonely_since is None:
             self._lonely_since = now
         elif self._lonely_since < now - _LONELY_SECONDS:
-            self._lonely_since = float("inf")  # told once
+            self._lonely_since = float("inf")  # reported once
             warnings.warn(
                 f"the cluster has no workers: {count_of(len(work.left), 'task')} of {stage} wait;"
                 " start workers with dask worker, or interrupt this run",
@@ -293,7 +293,7 @@ def _named(place: Workplace) -> str:
 
 
 def _message(error: TerrainwaveError) -> str:
-    """Return what is wrong, with the advice that fits a worker."""
+    """Return the error's message, with advice for a worker."""
     text = str(error.args[0])
     if text.endswith(TEMPORARY_ADVICE):
         return text.removesuffix(TEMPORARY_ADVICE) + _LOCAL_ADVICE
