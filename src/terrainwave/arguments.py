@@ -72,8 +72,8 @@ def check_local(target: str | os.PathLike[str]) -> None:
     name = checked_path(target)
     if "://" in name:
         raise InvalidArgumentError(
-            f"found a URL, {name.partition('://')[0]}://…, expected a path: files are written to"
-            " this machine alone; upload the finished file"
+            f"found a URL, {name.partition('://')[0]}://…, expected a path: files are written"
+            " only to this machine; upload the finished file"
         )
 
 

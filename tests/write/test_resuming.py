@@ -221,7 +221,7 @@ def test_a_failed_run_says_how_to_go_on(tmp_path, raster, monkeypatch):
     assert ".twz-kept: run the same command again to go on; --fresh starts over" in note
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 0
-    assert "the run went on from what an earlier one had finished; --fresh starts" in result.stderr
+    assert "the run continued the work of an earlier one; --fresh starts" in result.stderr
     assert hidden_in(tmp_path) == []
 
 

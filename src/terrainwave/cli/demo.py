@@ -1,4 +1,4 @@
-"""What `terrainwave demo` does."""
+"""Work of `terrainwave demo`."""
 
 import os
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ from terrainwave.verification.metrics import ErrorReport
 # Metres.
 BOUNDS = (0.0, 1.0, 3.0, 10.0)
 
-# The one that the picture shows: large enough to be seen.
+# Bound of the drawn result, large enough to be visible.
 _DRAWN_BOUND = 10.0
 
 
@@ -36,7 +36,7 @@ class DemoResult:
     picture: str
 
     def row(self, bound: float) -> list[str]:
-        """Return the cells of the printed table's row."""
+        """Return the row of the printed table."""
         file, errors = self.files[bound], self.errors[bound]
         return [
             f"{bound:g} m",
@@ -54,7 +54,7 @@ def run_demo(
     """Compress matplotlib's elevation model of the Jacksboro fault at each of `BOUNDS`.
 
     Writes ``jacksboro.tif``, a .twz per bound and ``demo.png`` to `directory`, replacing those of
-    an earlier run; a run that fails leaves nothing.
+    an earlier run; a failed run leaves nothing.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def run_demo(
 
 
 def _existing(folder: Path) -> Path:
-    """Return the folder, or the nearest one above that is there: of the same file system."""
+    """Return the folder or its nearest existing parent, which is on the same file system."""
     return next(path for path in (folder, *folder.absolute().parents) if path.exists())
 
 
@@ -113,7 +113,7 @@ def _load_heights() -> tuple[np.ndarray, RasterInfo]:
     data = cbook.get_sample_data("jacksboro_fault_dem.npz")
     heights = data["elevation"].astype(np.int16)
     n_rows, n_cols = heights.shape
-    # The file's dx, dy are pixel sizes in degrees, xmin and ymax the outer corner.
+    # The file gives pixel sizes dx, dy in degrees, and the outer corner xmin, ymax.
     transform = (
         float(data["dx"]),
         0.0,
@@ -134,11 +134,11 @@ def _load_heights() -> tuple[np.ndarray, RasterInfo]:
 
 
 def _draw(heights: np.ndarray, decoded: np.ndarray, info: RasterInfo, picture: Path) -> None:
-    """Draw original, decoded and error side by side, hillshaded."""
+    """Draw original, decoded heights and error side by side, hillshaded."""
     from matplotlib.colors import LightSource
     from matplotlib.figure import Figure
 
-    # A degree is 111 km of latitude; here, at 36.5 degrees north, 0.8 of that of longitude.
+    # A degree of latitude is 111 km; at 36.5 degrees north, one of longitude is 0.8 of that.
     dy = abs(info.transform[4]) * 111_200
     dx = info.transform[0] * 111_200 * np.cos(np.radians(info.transform[5]))
     light = LightSource(azdeg=315, altdeg=45)

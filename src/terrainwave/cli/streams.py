@@ -1,4 +1,4 @@
-"""stdin and stdout in the place of files: the name -."""
+"""stdin and stdout as files: the name -."""
 
 import shutil
 import sys
@@ -17,7 +17,7 @@ _PART = 1 << 20
 
 
 def read_stream(ctx: click.Context) -> str:
-    """Return the path of a temporary file with what stdin gives, there until the command ends."""
+    """Copy stdin to a temporary file, removed when the command ends; return its path."""
     if ctx.meta.get(_KEY):
         raise click.UsageError("found - twice, expected one: stdin can be read once", ctx)
     ctx.meta[_KEY] = True
@@ -26,7 +26,7 @@ def read_stream(ctx: click.Context) -> str:
 
 @contextmanager
 def _stdin_file() -> Iterator[Path]:
-    # Imported here: help needs no numpy.
+    # Imported here, because help needs no numpy.
     from terrainwave.container.targets.publication import system_scratch
 
     check_open("stdin")
@@ -39,9 +39,9 @@ def _stdin_file() -> Iterator[Path]:
 
 @contextmanager
 def written(target: str, ending: str) -> Iterator[str]:
-    """Give the path to write for `target`: its own, or a temporary file that goes to stdout.
+    """Yield the path to write for `target`: its own, or a temporary file that is copied to stdout.
 
-    Nothing goes to stdout if the block ends with an exception.
+    Nothing goes to stdout if the block raises.
     """
     if target != STREAM:
         yield target
@@ -62,7 +62,7 @@ def written(target: str, ending: str) -> Iterator[str]:
 
 
 def _write(stdout: BinaryIO, part: bytes) -> None:
-    """Write to stdout at once; what it cannot take is its own error, not that of a file."""
+    """Write to stdout at once; failures are reported as errors of stdout, not of a file."""
     try:
         stdout.write(part)
         stdout.flush()
@@ -74,7 +74,7 @@ def _write(stdout: BinaryIO, part: bytes) -> None:
 
 @contextmanager
 def printing_beside(target: str) -> Iterator[None]:
-    """Print on stderr what says how it went, where stdout takes the file."""
+    """Print messages on stderr if stdout receives the file."""
     if target != STREAM:
         yield
         return

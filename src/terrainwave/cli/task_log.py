@@ -1,4 +1,4 @@
-"""What the tasks of a cluster took: a line of a CSV for each, and a table of the passes."""
+"""Log of a cluster's tasks: a CSV with a line for each, and a table of the passes."""
 
 import csv
 import statistics
@@ -10,15 +10,15 @@ from typing import IO, Any
 from terrainwave.cli.output import print_grid, print_note
 from terrainwave.progress import TaskReport
 
-# With the longest name of a pass, as wide as a terminal.
+# Fits a terminal with the longest name of a pass.
 _HEADER = ["pass", "tasks", "failed", "median s", "max s", "read MB", "written MB"]
 
 
 class TaskLog:
-    """Takes reports of tasks: writes a line for each at once, and keeps them for a table.
+    """Receives reports of tasks: writes a line for each, and collects them for a table.
 
-    The file begins with the first report, so a run that fails before leaves none. If it cannot be
-    written, a note says so once, and the run goes on.
+    The first report creates the file, so a run that fails earlier leaves none. If the file cannot
+    be written, one note is printed and the run continues.
     """
 
     def __init__(self, path: str, *, overwrite: bool) -> None:
@@ -28,7 +28,7 @@ class TaskLog:
         self._reports: list[TaskReport] = []
 
     def __call__(self, report: TaskReport) -> None:
-        """Take the report of an attempt at a task."""
+        """Record the report of an attempt at a task."""
         self._reports.append(report)
         if self._is_broken:
             return
@@ -77,12 +77,12 @@ def _line(stage: str, reports: list[TaskReport]) -> list[str]:
 
 @contextmanager
 def task_log(path: str | None, used: Sequence[str], *, overwrite: bool) -> Iterator[TaskLog | None]:
-    """Give a log that is written to `path`; None without one. `used` are names of other files.
+    """Yield a log that is written to `path`; None without one. `used` are the names of other files.
 
     Raises
     ------
     StorageError
-        If the file is one of `used`, cannot be written, or is there and `overwrite` is false.
+        If the file is one of `used`, cannot be written, or exists and `overwrite` is false.
     """
     if path is None:
         yield None

@@ -18,8 +18,7 @@ _NONE: Mapping[Block, int] = {}
 def error_codes(
     stats: Stats, lost: int, bound: int | None = None, below: Mapping[Block, int] = _NONE
 ) -> dict[Block, int]:
-    """Return the codes of errors: measured ones plus `lost` quanta, or `recursive_errors`.
-    """
+    """Return the codes of errors: measured ones plus `lost` quanta, or `recursive_errors`."""
     if bound is None:
         return {block: encode_error(own.error + lost) for block, own in stats.items()}
     errors = recursive_errors(stats, lost, bound, below)

@@ -458,7 +458,7 @@ def _write(
             job, notes = settled(left, scan, info, earlier)
             coded = _coded(passes, job, options.choice, source.info.n_bytes)
             if coded.job.options.named_method != options.named_method:
-                notes.append("the heights do not compress: stored as they are")
+                notes.append("the heights do not compress: stored raw")
             job = coded.job
             header = job.header(coded.file_tables)
             extents = assemble(file, header, coded.segments)
@@ -484,7 +484,7 @@ def _write(
 def _coded(
     passes: LocalPasses | DistributedPasses, job: Job, choice: MethodChoice, n_raw: int
 ) -> Coded:
-    """Return the raster coded by the chosen method, or by the choice's fallback if larger than raw."""
+    """Return the raster coded by the chosen method, or the fallback if larger than raw."""
     own, _, reason, other = choice
     coded = passes.encode(job)
     if other is not None and coded.n_bytes > n_raw:

@@ -1,4 +1,4 @@
-"""The command render: pictures without a screen."""
+"""Command render: pictures without a screen."""
 
 import json
 import time
@@ -78,7 +78,7 @@ def render(
 
 
 def _refuse_unfit_for_flights(flight: Any, options: dict[str, Any]) -> None:
-    """Refuse cameras beside those of a flight, and a number of pictures without one."""
+    """Raise for cameras in addition to a flight, and for a number of pictures without one."""
     source = click.get_current_context().get_parameter_source("n_frames")
     if flight is None and source is ParameterSource.COMMANDLINE:
         raise click.UsageError("found --frames without --flight, expected both")
@@ -104,7 +104,7 @@ def _draw(
     quiet: bool,
     **options: Any,
 ) -> list[dict[str, Any]]:
-    """Draw the pictures; return what was drawn in each."""
+    """Draw the pictures; return a description of each."""
     import terrainwave
     from terrainwave.render.gpu.canvas import Canvas
     from terrainwave.render.look.marks import check_marks

@@ -26,8 +26,7 @@ class RepeatingSink(Protocol):
 
     takes_repeats: bool
 
-    def __call__(self, key: Block, payload: bytes) -> None:
-        ...
+    def __call__(self, key: Block, payload: bytes) -> None: ...
 
     def repeat(self, head: Block, like: Block) -> None:
         """Record that the segment of `head` has the bytes of that of `like`."""

@@ -81,7 +81,7 @@ def run_directory(
         if kept.other is not None:
             note_that_removed(_difference(kept.other, run or {}))
         if kept.n_found:
-            _log.info("%s: goes on from %d records in %s", target, kept.n_found, directory)
+            _log.info("%s: continues from %d records in %s", target, kept.n_found, directory)
         yield directory, kept
 
 
@@ -105,7 +105,7 @@ def taken_up(kept: Kept) -> list[str]:
     """Return notes for the user on work that was continued."""
     if not kept.n_found:
         return []
-    return ["the run went on from what an earlier one had finished; `fresh` starts over"]
+    return ["the run continued the work of an earlier one; `fresh` starts over"]
 
 
 def _difference(other: dict[str, Any], run: dict[str, Any]) -> str:

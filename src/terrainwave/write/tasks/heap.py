@@ -35,8 +35,7 @@ class _Heap:
 
     @contextmanager
     def kept(self) -> Iterator[None]:
-        """Keep memory freed in the block, and for a while after it: another task may follow.
-        """
+        """Keep memory freed in the block, and for a while after it: another task may follow."""
         with self._lock:
             if self._idle is not None:
                 self._idle.cancel()
