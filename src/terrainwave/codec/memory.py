@@ -1,7 +1,6 @@
-"""Memory that threads take turns with, or that arrays get one after the other.
+"""Memory shared by threads in turn, or reused by consecutive arrays.
 
-What a process has not touched before costs it a page fault every 4 KB: half as much as decoding
-what goes there.
+Untouched memory costs a process a page fault every 4 KB: half as much as decoding into it.
 """
 
 import weakref
@@ -18,7 +17,7 @@ Memory = TypeVar("Memory")
 
 
 class Spares(Generic[Memory]):
-    """Hands out memory, and again when it has come back; as much stays as was out at once."""
+    """Pool of memory; it keeps as many objects as were in use at once."""
 
     def __init__(self, make: Callable[[], Memory]) -> None:
         self._make = make
@@ -26,7 +25,7 @@ class Spares(Generic[Memory]):
 
     @contextmanager
     def lent(self) -> Iterator[Memory]:
-        """Lend some until the end of the `with` block, to one thread."""
+        """Lend an object to one thread until the end of the `with` block."""
         try:
             memory = self._spare.pop()
         except IndexError:
@@ -37,20 +36,20 @@ class Spares(Generic[Memory]):
             self._spare.append(memory)
 
 
-# Memory that is kept for the next arrays: a window of 512 samples a side needs a dozen units.
+# Memory kept for the next arrays: a window of 512 samples a side needs a dozen units.
 _MOST_KEPT = 1 << 24
-_PIECE = 1 << 16  # sizes are multiples of this, so that what fits one unit fits most
+_PIECE = 1 << 16  # sizes are multiples of this, so that memory of one unit fits most others
 
 
 class _Recycler:
-    """Arrays whose memory is used again once nothing refers to it any more."""
+    """Arrays whose memory is reused once nothing refers to it."""
 
     def __init__(self) -> None:
         self._spare: dict[int, list[NDArray[np.uint8]]] = {}
-        self._n_bytes = 0  # about: threads may miscount by a piece
+        self._n_bytes = 0  # approximate: threads may miscount by a piece
 
     def heights(self, shape: tuple[int, int]) -> Heights:
-        """Return an array of this shape, whatever is in it."""
+        """Return an uninitialised array of this shape."""
         size = shape[0] * shape[1]
         n_bytes = -(-4 * size // _PIECE) * _PIECE
         try:
@@ -58,8 +57,8 @@ class _Recycler:
             self._n_bytes -= n_bytes
         except (KeyError, IndexError):
             memory = np.empty(n_bytes, dtype=np.uint8)
-        # All views of it refer to this array, and it refers to no other: numpy looks no further
-        # than to a memoryview.
+        # All views of it refer to this array, which refers to no other array: numpy's search for
+        # the owner ends at a memoryview.
         owner = np.frombuffer(memory.data, dtype=np.int32)
         weakref.finalize(owner, self._take_back, memory).atexit = False
         return owner[:size].reshape(shape)
@@ -74,7 +73,7 @@ new_heights = _Recycler().heights
 
 
 def flat(heights: Heights) -> tuple[Heights, int]:
-    """Return a flat array that begins with heights, and how far apart their rows lie in it.
+    """Return a flat array that begins with heights, and the distance of their rows in it.
 
     A part of a unit is not copied: its memory is that of `new_heights`.
     """
