@@ -135,7 +135,7 @@ def _code(coder, padded, first_row, first_col, is_group, shift):
     n_pieces = (n_cols + PIECE - 1) // PIECE
     had = np.zeros(
         (3, n_pieces + 1), dtype=np.uint8
-    )  # three rows in rotation; one entry before the row
+    )  # three rows in rotation
     at = take_out(state)
     largest = np.int64(0)
     for row in range(n_rows):

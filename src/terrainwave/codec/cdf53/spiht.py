@@ -40,7 +40,7 @@ from terrainwave.coding.rangecoder import (
 )
 from terrainwave.coding.status import raise_for_status
 
-# Largest magnitude in a valid field before shifting; shifts add fewer planes than there are.
+# Largest unshifted magnitude in a valid field; shifted ones fit MAX_PLANES.
 _MAX_MAGNITUDE = 1 << 34
 MAX_PLANES = 60
 
