@@ -133,9 +133,7 @@ def _code(coder, padded, first_row, first_col, is_group, shift):
     state, stream, models, is_encoder = coder
     n_rows, n_cols = padded.shape[0] - _ABOVE, padded.shape[1] - _LEFT - _RIGHT
     n_pieces = (n_cols + PIECE - 1) // PIECE
-    had = np.zeros(
-        (3, n_pieces + 1), dtype=np.uint8
-    )  # three rows in rotation
+    had = np.zeros((3, n_pieces + 1), dtype=np.uint8)  # three rows in rotation
     at = take_out(state)
     largest = np.int64(0)
     for row in range(n_rows):
