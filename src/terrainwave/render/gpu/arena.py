@@ -1,10 +1,10 @@
-"""Places in one large buffer: first fit over a list of free ranges."""
+"""Allocator of ranges in one large buffer: first fit over a list of free ranges."""
 
 from bisect import bisect
 
 
 class Arena:
-    """Hands out ranges of ``capacity`` items; neighbouring free ranges are joined."""
+    """Allocates ranges of ``capacity`` items; adjacent free ranges are joined."""
 
     def __init__(self, capacity: int) -> None:
         self.capacity = capacity

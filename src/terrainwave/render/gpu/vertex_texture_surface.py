@@ -131,7 +131,7 @@ void main() {
 
 
 def tree_grid(side: int) -> Grid:
-    """Return vertices (column, row) and triangles of the quads of a tree, cut as the full grid."""
+    """Return vertices (column, row) and triangles of a tree's quads, cut like the full grid."""
     rows, cols = np.divmod(np.arange((side + 1) ** 2), side + 1)
     numbers = np.arange((side + 1) ** 2, dtype=np.uint32).reshape(side + 1, side + 1)
     a, b = numbers[:-1, :-1].ravel(), numbers[:-1, 1:].ravel()
@@ -169,7 +169,7 @@ class TreeTextures:
         self.marks = _levels(context, tree, mesh.marks, 1, 1, "f1")
 
     def send_marks(self) -> None:
-        """Bring the auxiliary texture up to date: the rows of trees whose marks have changed."""
+        """Update the auxiliary texture: the rows of trees with changed marks."""
         mesh = self._mesh
         tree_rows = np.flatnonzero(mesh.has_changed.any(axis=1))
         if not len(tree_rows):
@@ -212,7 +212,7 @@ def _levels(
 
 
 class TreeStore(FrontStore):
-    """A `PieceStore` of slopes, and of trees as textures."""
+    """`PieceStore` of slopes, and of trees as textures."""
 
     def __init__(self, context: Any, *, max_bytes: int) -> None:
         super().__init__(context, max_bytes=max_bytes)
@@ -227,7 +227,7 @@ class TreeStore(FrontStore):
         return True
 
     def drop(self, node: int) -> None:
-        """Forget a patch."""
+        """Remove a patch."""
         super().drop(node)
         release_all(self.trees.pop(node, None))
 
@@ -238,7 +238,7 @@ class TreeStore(FrontStore):
 
 
 class VertexTextureSurface:
-    """A `Surface` of full grids.
+    """`Surface` of full grids.
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ class VertexTextureSurface:
         self.grids: dict[Any, tuple[Any, ...]] = {}
 
     def submit(self, scene: "Scene", view: View, frames: "Frames") -> int:
-        """Upload what has changed, and draw the grids of all trees in view, patch by patch."""
+        """Upload changes, and draw the grids of all trees in view, patch by patch."""
         mode: Any = scene.mode
         eye, n_calls = eye_of(view), 0
         for node, patch, followed, depth in zip(
@@ -276,7 +276,7 @@ class VertexTextureSurface:
         return n_calls
 
     def _draw_grid(self, make: Callable[..., Grid], *arguments: Any, n: int) -> None:
-        """Draw a grid for each of the `n` places in `trees`."""
+        """Draw a grid for each of the `n` positions in `trees`."""
         if arguments not in self.grids:
             places, triangles = (self._context.buffer(part.tobytes()) for part in make(*arguments))
             array = self._context.vertex_array(
@@ -296,7 +296,7 @@ class VertexTextureSurface:
         eye: "Eye",
         program: Any,
     ) -> int:
-        """Fill buffers, textures and uniforms for a patch; return how many trees are in view."""
+        """Fill buffers, textures and uniforms for a patch; return the number of trees in view."""
         mesh: DynamicMesh = patch.mesh
         trees = _trees_in_view(mesh.tree, mesh.matrix, eye)
         if not len(trees):
