@@ -33,7 +33,7 @@ from terrainwave.progress import Progress, ProgressCallback
 
 @dataclass(frozen=True)
 class FileJob:
-    """A source and, if there is one, the file to write or to compare it with."""
+    """A source, and the file to write or to compare it with, if any."""
 
     source: str
     target: str | None = None

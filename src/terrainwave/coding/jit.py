@@ -214,7 +214,7 @@ def _fields_of(arguments: Iterable[Any]) -> Iterator[tuple[str, ...]]:
 
 
 def place_of_kernels() -> KernelPlace:
-    """Return the cache of this package's kernels, or the reason why there is none."""
+    """Return the cache of this package's kernels, or the reason for its absence."""
     if not _CACHE:
         return KernelPlace((), reason=WHY_NOT_KEPT)
     return KernelCache(place_of_kernels, _digest, _key_of).place

@@ -307,7 +307,7 @@ def _resolved(
 
 
 def _children(grid: Grid, head: Block | None) -> Sequence[Block]:
-    """Return the heads of the segments below one; fast if there are none."""
+    """Return the heads of the segments below one; fast for none."""
     is_last = head is not None and head.level + SEGMENT_LEVELS >= grid.k_max
     return [] if is_last else page_layout(grid, head).children
 

@@ -144,7 +144,7 @@ def _local(mesh: MeshData, place: Place, z_scale: float) -> MeshData:
 
 
 def _facing_up(mesh: MeshData, axes: LocalAxes) -> NDArray[np.int32]:
-    """Return triangles that are counter-clockwise on the ground, as they are in x and y."""
+    """Return triangles that are counter-clockwise on the ground, as in x and y."""
     return mesh.triangles[:, ::-1] if axes.is_mirrored else mesh.triangles
 
 

@@ -176,7 +176,7 @@ def _checked_zooms(globe: Globe, first: int, last: int | None) -> range:
     Raises
     ------
     InvalidArgumentError
-        If there are none, or their pixels are smaller than the raster's.
+        If the range is empty, or their pixels are smaller than the raster's.
     """
     finest = tiling.max_zoom(globe)
     expected = f"0 … {finest}: pixels of the last are no larger than the raster's"

@@ -404,7 +404,7 @@ class Globe:
 
     @cached_property
     def height_range(self) -> tuple[float, float]:
-        """Return the lowest and highest decoded height in metres; (0, 0) if there is none."""
+        """Return the lowest and highest decoded height in metres; (0, 0) without heights."""
         info = self.terrain.info()
         if info.minimum is None or info.maximum is None:
             return 0.0, 0.0

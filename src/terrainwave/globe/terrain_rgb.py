@@ -268,7 +268,7 @@ def check_void_height(height: float, encoding: str) -> None:
 
 
 def note_on_range(globe: Globe, encoding: str) -> str | None:
-    """Return a note on heights of a terrain outside an encoding's range; None if there are none."""
+    """Return a note on heights of a terrain outside an encoding's range, or None."""
     low, high = globe.height_range
     pixels = encoding_of(encoding)
     if pixels.holds(low, high):

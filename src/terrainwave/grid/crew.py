@@ -87,7 +87,7 @@ class Crew(ThreadPoolExecutor):
         return turns.results()
 
     def grow(self, work: Callable[[T], Iterable[T]], things: Iterable[T]) -> None:
-        """Call `work` with things and with the things that it returns, until there are none.
+        """Call `work` with things and with all things that it returns.
 
         The newest first, so only few wait at a time. The first error is raised when all threads
         have finished their current work.

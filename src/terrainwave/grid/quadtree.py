@@ -32,7 +32,7 @@ class Region(NamedTuple):
         return slice(row, row + self.n_rows), slice(col, col + self.n_cols)
 
     def intersect(self, other: "Region") -> "Region":
-        """Return the common part; empty (zero rows or columns) if there is none."""
+        """Return the common part; empty (zero rows or columns) if disjoint."""
         row, col = max(self.row, other.row), max(self.col, other.col)
         n_rows = min(self.row + self.n_rows, other.row + other.n_rows) - row
         n_cols = min(self.col + self.n_cols, other.col + other.n_cols) - col
@@ -89,7 +89,7 @@ class Grid:
     """The quadtree over an ``n_rows x n_cols`` raster cut into blocks of `block` cells.
 
     `k_max` is the smallest number of refinements for which the longer side of level 0 has at most
-    one block, so that there is one root block.
+    one block, which makes one root block.
     """
 
     n_rows: int

@@ -195,7 +195,7 @@ class Quantizer:
         return is_usual and limits.min <= heights[0] and heights[1] <= limits.max
 
     def quanta_of_value(self, value: float | int | None) -> tuple[int, int]:
-        """Return the closed interval of quanta that give `value`; (0, -1) if there is none."""
+        """Return the closed interval of quanta that give `value`; (0, -1) if it is empty."""
         if value is None or not math.isfinite(value):
             return 0, -1
         if np.dtype(self.dtype).kind == "f":  # nodata 0.1 of float32 means the nearest float32

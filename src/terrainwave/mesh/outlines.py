@@ -93,7 +93,7 @@ def finest_outline(
     region : Region
         In samples of `level`.
     n_most : int
-        Pairs of neighbours of which one is void.
+        Pairs of a void and a valid neighbour.
 
     Returns
     -------

@@ -129,7 +129,7 @@ class System:
         return moved(self._to_globe, xy)
 
     def from_globe(self, lonlat: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return x and y of longitudes and latitudes; NaN if there are none."""
+        """Return x and y of longitudes and latitudes; NaN where undefined."""
         return moved(self._from_globe, lonlat)
 
 

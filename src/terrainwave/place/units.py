@@ -162,7 +162,7 @@ def kind_problem(
 ) -> str | None:
     """Return the problem if a raster has depths and a file heights, or the other way round.
 
-    There is none if the file's meaning is not that of its own tags: its maker chose it. A name that
+    None if the file's meaning is not that of its own tags: its maker chose it. A name that
     was not trusted then only counts against other names.
 
     Parameters
@@ -184,7 +184,7 @@ def kind_problem(
 
 
 class Meeting(NamedTuple):
-    """Consequence of combining heights of two sources; both fields empty if there is none.
+    """Consequence of combining heights of two sources; both fields are empty if it has none.
 
     Parameters
     ----------

@@ -198,7 +198,7 @@ def radii_on_own_datum(place: Place) -> EllipsoidalHeights:
     Raises
     ------
     InvalidHeightsError
-        If there is none.
+        If PROJ has no conversion.
     """
     if place.system is None:
         raise InvalidHeightsError(

@@ -57,7 +57,7 @@ def stamps_of(src: Any) -> list[list[str | int]] | None:
 
 
 def _files_below(source: Any) -> set[str]:
-    """Return the files of a raster, including those that a VRT names; empty if there are none."""
+    """Return the files of a raster, including those that a VRT names; empty if it has none."""
     if hasattr(source, "files") and hasattr(source, "block_shapes"):
         waiting = [os.fspath(name) for name in source.files]
     elif not isinstance(source, str | os.PathLike):

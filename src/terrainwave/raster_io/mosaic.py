@@ -566,7 +566,7 @@ def _names(rasters: Sequence[Any]) -> str:
 
 
 def _notes_on_nodata(rasters: Sequence[_Description], kept: float | None) -> Iterator[str]:
-    """Yield a note if the rasters declare several nodata values, of which the mosaic has one."""
+    """Yield a note if the rasters declare several nodata values, and the mosaic has one."""
     values = dict.fromkeys(repr(one.nodata) for one in rasters if one.nodata is not None)
     if len(values) > 1 or (values and repr(kept) not in values):
         yield (

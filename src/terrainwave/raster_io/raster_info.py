@@ -33,7 +33,7 @@ class RasterInfo:
         numpy's name of the sample type, one of `SUPPORTED_DTYPES`.
     nodata : int, float or None
         The declared nodata value: int for integer types, float (NaN and infinities allowed) for
-        float types, None if there is none.
+        float types, or None.
     crs : str or None
         ``"AUTH:CODE"`` if that code's definition equals the raster's, else WKT (version 2 if it
         gives the same system back, else 1).
@@ -117,7 +117,7 @@ class RasterInfo:
         return impossible_places(self.crs, self.transform, self.shape, is_placed=is_placed)
 
     def to_physical(self, heights: NDArray[Any]) -> NDArray[Any]:
-        """Return heights after scale and offset, in float64; unchanged if there are none."""
+        """Return heights after scale and offset, in float64; unchanged without these."""
         if (self.scale, self.offset) == (1.0, 0.0):
             return heights
         # float32 would add its rounding to the bound.

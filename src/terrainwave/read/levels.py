@@ -79,7 +79,7 @@ class LevelReader:
         decoder: TreeDecoder | None = None,
         void_value: float | None = None,
     ) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
-        """Return raw heights of a region of a level and the voids; None if there are none.
+        """Return raw heights of a region of a level and the voids, None without voids.
 
         `decoder` replaces the file's own. With `void_value`, voids get that height and are not
         returned.

@@ -65,7 +65,7 @@ class WindowReader:
         is_own: bool,
         void_value: float | None = None,
     ) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
-        """Return raw heights of a region of a level and the voids; None if there are none.
+        """Return raw heights of a region of a level and the voids, None without voids.
 
         With `on_error` ``"mask"``, damaged units read as void; with `is_own`, so do samples that
         are not valid by themselves. With `void_value` voids have that height, and are not returned.
@@ -195,7 +195,7 @@ def bilinear(
 
 
 class _Voids:
-    """Voids of a region; `marked` is None while there are none.
+    """Voids of a region; `marked` is None before the first.
 
     With `are_all`, samples count as void until they are noted.
     """

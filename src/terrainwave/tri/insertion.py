@@ -71,7 +71,7 @@ def insert_points(
 
 
 def _neighbours(triangles: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Return the triangle beyond the edge opposite to each corner; -1 if there is none."""
+    """Return the triangle beyond the edge opposite to each corner; -1 on the border."""
     starts = triangles[:, [1, 2, 0]].astype(np.int64).ravel()
     ends = triangles[:, [2, 0, 1]].astype(np.int64).ravel()
     size = int(triangles.max(initial=0)) + 1

@@ -153,7 +153,7 @@ class StoredRqt:
         return Draft(border_of(vertices_of(selection, samples.mask.shape)), b"")
 
     def encode(self, samples: Samples, tolerance: int, draft: Draft) -> bytes:
-        """Return the border vertices beyond the block's own; empty if there are none."""
+        """Return the border vertices beyond the block's own; perhaps empty."""
         own = self.draft(samples, tolerance, None).border
         shape = samples.mask.shape
         known, wanted = own.keep(shape), draft.border.keep(shape)

@@ -77,7 +77,7 @@ class VerifyReport:
     errors : ErrorReport or None
         Measured errors; None without an original.
     problems : tuple of str
-        One sentence each; empty if there are none.
+        One sentence each.
     is_strict : bool or None
         True if ``abs(decoded - original) <= bound`` holds for all stored values, exactly and as
         numpy computes it in their type, with the `bound` given or else `max_error`. False without

@@ -53,7 +53,7 @@ class TileHead:
     """Head of a tile before its stream: enough to plan how much of the stream to read.
 
     `masks` are the coded masks of the levels, coarsest first, empty if implied. ``ends[i]`` bytes
-    of the stream decode its first i + 1 planes; the last entry is the whole length, of which
+    of the stream decode its first i + 1 planes; the last entry is the whole length;
     `n_stream` bytes are present. `low` is the LL sample of the root tile.
     """
 

@@ -139,7 +139,7 @@ def _describing(dataset: Any) -> set[str]:
 
 
 def _roles(array: Any, source: Any) -> dict[str, Any]:
-    """Return the dimensions x and y as far as they are stated, by the strongest sign."""
+    """Return the dimensions x and y as far as stated, by the strongest sign."""
     roles = _by_accessor(array, source)
     for sign in (by_axis, by_standard_name, by_units, None, by_name):
         found: dict[str, list[Any]] = {"x": [], "y": []}

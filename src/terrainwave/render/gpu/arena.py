@@ -12,7 +12,7 @@ class Arena:
         self._free: list[tuple[int, int]] = [(0, capacity)] if capacity else []
 
     def take(self, size: int) -> int | None:
-        """Return the start of a range of `size` items, None if there is none."""
+        """Return the start of a range of `size` items, None if none is free."""
         if size == 0:
             return 0
         for index, (start, length) in enumerate(self._free):

@@ -153,7 +153,7 @@ class Canvas:
         self.renderer.set_solid(solid)
 
     def read_drape(self) -> "Drape | None":
-        """Return the whole orthophoto, read now, in any thread; None if there is none."""
+        """Return the whole orthophoto, read now, in any thread; None without one."""
         return None if self.photo is None else self.photo.whole(*self._drape_limits)
 
     @property

@@ -73,7 +73,7 @@ class LayeredTextures:
         return self._free.capacity * self._layer_bytes
 
     def take(self) -> int | None:
-        """Return a free layer, None if there is none."""
+        """Return a free layer, or None."""
         layer = self._free.take(1)
         if layer is None and self._free.capacity < self.max_layers:
             self._grow(min(2 * self._free.capacity, self.max_layers))

@@ -50,7 +50,7 @@ class Legend(NamedTuple):
 
 
 def check_marks(size: tuple[int, int], style: Style, *, legend: bool, scale_bar: bool) -> None:
-    """Raise `InvalidArgumentError` for a legend without values, or a picture too small for marks."""
+    """Raise `InvalidArgumentError` for a legend without values, or too small a picture."""
     if legend and not style.has_legend:
         raise InvalidArgumentError(
             f"found `legend` with `coloring` {style.coloring}, expected one whose colours are"

@@ -56,7 +56,7 @@ class Style:
     shade : float
         Share of light and shadow, 0 … 1.
     drape : float
-        Share of the orthophoto, if there is one, 0 … 1.
+        Share of the orthophoto, if any, 0 … 1.
     wireframe : bool
     background : tuple of int, optional
         Red, green, blue instead of the sky and the ground; also the colour of haze.

@@ -128,7 +128,7 @@ class Batched(BoundedMode):
     # The tree, from the index
 
     def roots(self) -> list[NodeInfo]:
-        """Return the root blocks, of which there is one."""
+        """Return the only root block."""
         return [self._info(block) for block in self.terrain.grid.blocks(0)]
 
     def children(self, piece: Piece) -> list[NodeInfo]:

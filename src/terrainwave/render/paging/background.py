@@ -9,7 +9,7 @@ from terrainwave.errors import TerrainwaveError
 
 
 class Outcome(NamedTuple):
-    """A result, or a message if there is none."""
+    """A result, or else a message."""
 
     value: Any
     problem: str | None

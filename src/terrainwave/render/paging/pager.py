@@ -14,7 +14,7 @@ _KEPT_TIMES = 4096
 
 
 class Arrival(NamedTuple):
-    """A result, or the reason why there is none."""
+    """A result, or the reason for its absence."""
 
     key: Any
     value: Any

@@ -336,7 +336,7 @@ class NodeTable:
     def stand_in(
         self, view: View, nodes: NDArray[np.int32], tau: float, before: NDArray[np.int32]
     ) -> bool:
-        """Return whether one of `nodes` is drawn instead of finer ones, some of them in `before`."""
+        """Return whether one of `nodes` is drawn instead of finer ones, some in `before`."""
         are_short = self.is_known[nodes] & (self.children[nodes] >= 0).any(axis=1)
         are_short &= ~self.are_fine(view, nodes, tau)
         if not are_short.any():

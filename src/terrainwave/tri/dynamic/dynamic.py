@@ -263,7 +263,7 @@ class DynamicMesh:
     ) -> tuple[int, int, float]:
         """Update the marks; return the numbers of touched and changed nodes.
 
-        And the largest error on screen of roots that need further division, 0 if there are none.
+        And the largest error on screen of roots that need further division, 0 without any.
         """
         tree, tau = self.tree, tau * self._pressure.factor
         if not self._is_marked:

@@ -51,7 +51,7 @@ def place_vertices(active, vertex_of, shares, heights, z_scale, matrix, vertices
 
 @kernel
 def _mean_height(active, number, vertex_of, shares, heights):
-    """Return the mean of a vertex's heights for all thresholds; its own if there are none."""
+    """Return the mean of a vertex's heights for all thresholds; its own without thresholds."""
     own, share = heights[number], shares[number]
     if share >= 1 or np.isnan(own):
         return own

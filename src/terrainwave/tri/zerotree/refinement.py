@@ -1,7 +1,7 @@
 """Algorithm II: refinement labels of the guaranteed triangulation (format-mesh-zerotree.md).
 
 E. Yusov, V. Turlapov 2010, §2.6. A JS node has no bit; others have one: 1 if the node is S (the
-guaranteed triangulation is finer here), 0 if it is TR. There are none at height 0. In blocks that
+guaranteed triangulation is finer here), 0 if it is TR. Nodes at height 0 have none. In blocks that
 no group refines, every node has its bit ("step 1 is left out").
 
 Departures: the order is by height, then by rows, instead of depth first: the same bits. Nodes that

@@ -64,7 +64,7 @@ def proof_windows(grid: Grid, within: Region | None = None) -> list[Region]:
 
 
 def proof_shares(grid: Grid, windows: list[Region] | None = None) -> list[list[Region]]:
-    """Return windows in shares for threads, each of which decodes the levels above its share.
+    """Return windows in shares for threads; each thread decodes the levels above its share.
 
     By default those of `proof_windows`. A few windows become one share each, the largest first.
     """

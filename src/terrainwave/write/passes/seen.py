@@ -21,7 +21,7 @@ _UNSEEN, _MIXED, _VALID, _VOID = range(4)
 
 
 class SeenTiles:
-    """Contents of a raster's tiles as far as they are scanned; thread-safe.
+    """Contents of a raster's tiles as far as scanned; thread-safe.
 
     A region may be noted more than once.
 
