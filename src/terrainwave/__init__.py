@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from terrainwave.export.mesh_formats import SavedMesh
     from terrainwave.file.info import Info
     from terrainwave.lods import save_lods
-    from terrainwave.progress import Progress, TaskReport
+    from terrainwave.progress import Progress
     from terrainwave.read.lost import Losses
     from terrainwave.terrain import Terrain
     from terrainwave.tri.rqt import Rqt
@@ -71,7 +71,6 @@ __all__ = [
     "SourceUnavailableError",
     "StorageError",
     "Store",
-    "TaskReport",
     "Terrain",
     "TerrainwaveError",
     "TerrainwaveWarning",
@@ -108,7 +107,6 @@ _LAZY = {
     "PatchResult": "write.patch",
     "patch": "write.patch",
     "Progress": "progress",
-    "TaskReport": "progress",
     "Info": "file.info",
     "Losses": "read.lost",
     "Terrain": "terrain",

@@ -35,35 +35,6 @@ class Progress:
 ProgressCallback = Callable[[Progress], None]
 
 
-@dataclass(frozen=True)
-class TaskReport:
-    """Measurements of one attempt at a task of a cluster.
-
-    The task covers `n_samples` samples of the full grid from `row`, `col` on. `began` is in seconds
-    since 1970, by the worker's clock. `cpu_seconds` are those of the worker's process, including
-    dask's own work. `source_bytes` are heights read from the raster; the other two are bytes read
-    from and written to the shared temporary data. `error` is empty if the attempt succeeded.
-    """
-
-    stage: str
-    row: int
-    col: int
-    n_samples: int
-    attempt: int
-    worker: str
-    host: str
-    began: float
-    seconds: float
-    cpu_seconds: float
-    source_bytes: int
-    depot_bytes_read: int
-    depot_bytes_written: int
-    error: str = ""
-
-
-TaskCallback = Callable[[TaskReport], None]
-
-
 class Reporter:
     """Calls a callback at most ten times a second, from one thread at a time.
 

@@ -200,7 +200,7 @@ class DistributedPasses:
             )
 
         report(0)
-        finished = self.workers.run(stage, function, tasks, self._region)
+        finished = self.workers.run(stage, function, tasks)
         for n_tasks, (item, result) in enumerate(finished, 1):
             yield item, result
             done += _n_samples(self._region(item))

@@ -19,7 +19,6 @@ from typing import Any, BinaryIO, NamedTuple, cast
 
 from terrainwave.arguments import (
     TWZ_ENDINGS,
-    check_callback,
     check_ending,
     check_flags,
     checked_path,
@@ -42,7 +41,7 @@ from terrainwave.file.raster import raster_source
 from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Grid
 from terrainwave.place.units import height_unit
-from terrainwave.progress import ProgressCallback, Reporter, TaskCallback
+from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.undeclared_voids import note_on_marks, note_on_undeclared
@@ -114,7 +113,6 @@ def compress(
     fresh: bool = False,
     client: Any = None,
     task_samples: int | None = None,
-    on_task: TaskCallback | None = None,
     progress: ProgressCallback | None = None,
 ) -> CompressResult:
     """Compress a raster to a .twz file; every valid sample stays within `max_error`.
@@ -214,9 +212,7 @@ def compress(
         Compress on the workers of a cluster, which need access to `src` and `dst`. The bytes are
         the same. Not with method cdf53.
     task_samples : int, optional
-        With `client`: smallest number of samples of a task; by default 4096 x 4096.
-    on_task : callable, optional
-        With `client`: called with a `TaskReport` after each attempt at a task.
+        With `client`: the smallest number of samples of a task, by default 4096 x 4096.
     progress : callable, optional
         Called with a `Progress` at most ten times a second, from one thread at a time.
 
@@ -258,7 +254,6 @@ def compress(
         threads=threads,
     )
     check_flags(overwrite=overwrite, fresh=fresh)
-    check_callback(on_task, "on_task", "a TaskReport")
     if task_samples is not None:
         task_samples = checked_whole("task_samples", task_samples, least=1)
     if temp_dir is not None:
@@ -270,9 +265,11 @@ def compress(
         is_remote = temp_dir is not None and "://" in os.fspath(temp_dir)
         raster = shared_raster(src, band, nodata, heights_are)
         url, temp_dir = (temp_dir, None) if is_remote else (None, temp_dir)
-        cluster = _Cluster(Workers(client, on_task), raster, url, task_samples or TASK_SAMPLES)
-    else:
-        _refuse_tasks(task_samples, on_task)
+        cluster = _Cluster(Workers(client), raster, url, task_samples or TASK_SAMPLES)
+    elif task_samples is not None:
+        raise InvalidArgumentError(
+            f"found `task_samples` {task_samples} without a client, expected both or none of them"
+        )
     check_ending(dst, TWZ_ENDINGS, or_url=True)
     refuse_own_source(src, dst)
     refuse_raster(dst)
@@ -354,13 +351,6 @@ def compress_to_bytes(
         written = _write(file, None, source, options, directory, Reporter(None))
     _warn_of(written.marks)
     return file.getvalue()
-
-
-def _refuse_tasks(task_samples: int | None, on_task: TaskCallback | None) -> None:
-    """Raise `InvalidArgumentError` for options of a cluster without one."""
-    if task_samples is not None or on_task is not None:
-        found = "`on_task`" if task_samples is None else f"`task_samples` {task_samples}"
-        raise InvalidArgumentError(f"found {found} without a client, expected both or none of them")
 
 
 def _url_beside_client(name: str) -> InvalidArgumentError:

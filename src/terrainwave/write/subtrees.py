@@ -83,7 +83,7 @@ class RasterPlace:
     folder: str | None = field(default=None, compare=False)
 
     def at(self, meter: Meter, folder: str) -> "RasterPlace":
-        """Return a copy for one task (`tasks.measured.Task`)."""
+        """Return a copy for one task (`tasks.task.Task`)."""
         return replace(self, meter=meter, folder=folder)
 
     @contextmanager
@@ -115,7 +115,7 @@ class Site:
     file_tables: bytes = b""
 
     def at(self, meter: Meter, folder: str) -> "Site":
-        """Return a copy for one task (`tasks.measured.Task`)."""
+        """Return a copy for one task (`tasks.task.Task`)."""
         depot = replace(self.depot, meter=meter, directory=folder)
         return replace(self, raster=self.raster.at(meter, folder), depot=depot)
 

@@ -41,7 +41,6 @@ from terrainwave.cli.own_options import (
     with_own_options,
 )
 from terrainwave.cli.streams import STREAM, printing_beside, written
-from terrainwave.cli.task_log import task_log
 from terrainwave.container.sources.addresses import display_name
 from terrainwave.names import (
     DEFAULT_EFFORT,
@@ -146,14 +145,6 @@ from terrainwave.progress import ProgressCallback
     metavar="ADDRESS",
     help="Distribute the work over a dask cluster whose workers see SOURCE and TARGET.",
 )
-@click.option(
-    "--task-log",
-    "task_log_name",
-    type=Target((".csv",), or_stdout=False),
-    metavar="FILE.csv",
-    help="With --scheduler: write a log of the tasks (worker, seconds, bytes read and written,"
-    " attempts), and print a table of the passes.",
-)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @batched
 @writing
@@ -196,16 +187,12 @@ def _compress(
     target: str,
     *,
     scheduler: str | None,
-    task_log_name: str | None,
     as_json: bool,
     quiet: bool,
     **options: Any,
 ) -> None:
     """Make one file of one raster, or of a mosaic."""
     import terrainwave
-
-    if task_log_name is not None and scheduler is None:
-        raise click.UsageError("found --task-log without --scheduler, expected both or none")
 
     if not options["georeference"] and len(sources) > 1:
         raise click.UsageError(
@@ -217,19 +204,14 @@ def _compress(
         raise click.UsageError(f"found --scheduler and --method {method}, expected one of them")
     announce_compiling(quiet=quiet)
     with (
-        task_log(task_log_name, [*sources, target], overwrite=options["overwrite"]) as log,
         _cluster(scheduler) as client,
         Bar(quiet=quiet) as bar,
         written(target, ".twz") as path,
     ):
-        result = terrainwave.compress(
-            sources, path, client=client, on_task=log, progress=bar, **options
-        )
+        result = terrainwave.compress(sources, path, client=client, progress=bar, **options)
     with printing_beside(target):
         name = target if target == STREAM else result.path
         _print_result(replace(result, path=name), as_json=as_json, quiet=quiet)
-        if log is not None and not (as_json or quiet):
-            log.print()
 
 
 def _compress_each(
@@ -238,7 +220,6 @@ def _compress_each(
     *,
     skips: bool,
     scheduler: str | None,
-    task_log_name: str | None,
     as_json: bool,
     quiet: bool,
     **options: Any,
@@ -247,9 +228,8 @@ def _compress_each(
     import terrainwave
     from terrainwave.write.job import NO_BOUND
 
-    if scheduler is not None or task_log_name is not None:
-        found = "--scheduler" if scheduler is not None else "--task-log"
-        raise click.UsageError(f"found {found} and --to, expected one of them")
+    if scheduler is not None:
+        raise click.UsageError("found --scheduler and --to, expected one of them")
     if skips:
         options["overwrite"] = True  # outdated files are made again
 

@@ -1,7 +1,7 @@
 """Command mesh: a mesh of a .twz file, or a copy of the file with meshes."""
 
 from collections.abc import Iterable
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -228,14 +228,6 @@ def _export_mesh(
     file: str,
     target: str,
     *,
-    frame: str | None,
-    z_scale: float,
-    solid: float | None,
-    skirts: float | None,
-    radius: float | None,
-    vertical: str,
-    up: str | None,
-    drape: str | None,
     lods: int | None,
     optimise: bool,
     loose: bool,
@@ -245,10 +237,9 @@ def _export_mesh(
     quiet: bool,
     **options: Any,
 ) -> None:
-    shape = {
-        "frame": frame, "z_scale": z_scale, "solid": solid, "skirts": skirts, "radius": radius,
-        "vertical": vertical, "up": up, "drape": drape,
-    }  # fmt: skip
+    from terrainwave.export.mesh_files import Shape
+
+    shape = {field.name: options.pop(field.name) for field in fields(Shape)}
     check_one_area(options)
     _check_shape(target, shape)
     if lods is not None:

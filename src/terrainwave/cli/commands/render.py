@@ -97,8 +97,6 @@ def _draw(
     size: tuple[int, int],
     max_pixel_error: float,
     memory: int,
-    legend: bool,
-    scale_bar: bool,
     measure: bool,
     overwrite: bool,
     quiet: bool,
@@ -116,12 +114,13 @@ def _draw(
         read_flight,
     )
 
+    marks = {name: options.pop(name) for name in ("legend", "scale_bar")}
     all_drawn = []
     with reading(file), terrainwave.open(file) as terrain, ExitStack() as stack:
         check_drawable(terrain)
         area = None if bounds is None else area_within(terrain, bounds)
         style = style_of(options)
-        check_marks(size, style, legend=legend, scale_bar=scale_bar)
+        check_marks(size, style, **marks)
         with Bar(quiet=quiet) as bar:
             canvas = Canvas(terrain, size, max_bytes=memory << 20, progress=bar, **options)
             stack.enter_context(canvas)
@@ -134,9 +133,8 @@ def _draw(
         else:
             cameras = read_flight(flight.read(), frame)
         pictures = fly_through(
-            canvas, cameras, len(names), style, max_pixel_error,
-            legend=legend, scale_bar=scale_bar, measure=measure,
-        )  # fmt: skip
+            canvas, cameras, len(names), style, max_pixel_error, measure=measure, **marks
+        )
         for name, (image, drawn) in zip(names, pictures, strict=True):
             with written(name, ".png") as path:
                 _write_png(path, image, overwrite)

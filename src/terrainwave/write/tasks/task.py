@@ -1,10 +1,9 @@
-"""Runs and measures a task on a worker."""
+"""Runs a task on a worker."""
 
 import os
 import socket
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, Self
 
@@ -36,20 +35,16 @@ class TaskOutcome(NamedTuple):
     result: Any
     error: TerrainwaveError | None
     place: Workplace
-    began: float  # seconds since 1970, by the worker's clock
-    seconds: float
-    cpu_seconds: float
     meter: Meter
 
 
 def run_task(function: Callable[..., Any], task: Task, *arguments: Any) -> TaskOutcome:
-    """Run a task and measure it.
+    """Run a task.
 
     Errors that depend on the worker (disk, memory, network, access to depot and raster) are part of
     the outcome; others are raised.
     """
     place, meter = workplace(), Meter()
-    began, start, cpu = time.time(), time.perf_counter(), time.process_time()
     result: Any = None
     error: TerrainwaveError | None = None
     try:
@@ -60,8 +55,7 @@ def run_task(function: Callable[..., Any], task: Task, *arguments: Any) -> TaskO
     except (OSError, MemoryError) as problem:
         reason = "out of memory" if isinstance(problem, MemoryError) else in_one_line(problem)
         error = StorageError(f"the worker cannot do its task: {reason}")
-    seconds, cpu_seconds = time.perf_counter() - start, time.process_time() - cpu
-    return TaskOutcome(result, error, place, began, seconds, cpu_seconds, meter)
+    return TaskOutcome(result, error, place, meter)
 
 
 def workplace() -> Workplace:
