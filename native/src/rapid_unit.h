@@ -515,48 +515,41 @@ static int32_t ISA(read_beyond)(const ISA(work) * w, rapid_stream *z, int n_low,
   return (int32_t)clamp_i64(detail, -(int64_t)w->u->most_detail, w->u->most_detail);
 }
 
-/* Raw bits of single samples among n pairs. */
+/* Raw bits of single samples among n pairs. Only sums of numbers of bits go from one to the next. */
 static void ISA(read_raw)(const ISA(work) * w, rapid_stream *z, int32_t n) {
-  int32_t *large = w->large;
+  enum { PIECE = 32, MORE = SINGLE_ESCAPE - NO_DETAIL };
+  uint8_t *RESTRICT n_bits = w->entries; /* which have been read */
+  const uint8_t *RESTRICT pairs = w->pairs, *RESTRICT singles = w->singles;
+  const int cut = w->u->tables->cut;
   const int32_t most = w->u->most_detail;
-  for (int32_t k = 0; k < n; k += 8) {
-    unsigned mask = w->is_two[k / 8];
-    if (!mask) continue;
-#if defined(__AVX2__)
-    for (int32_t j = 2 * k; j < 2 * k + 16; j += 8, mask >>= 4) {
-      const __m256i none = _mm256_setzero_si256(), of_pairs = _mm256_setr_epi32(1, 1, 2, 2, 4, 4, 8, 8);
-      __m256i two = _mm256_cmpeq_epi32(_mm256_and_si256(_mm256_set1_epi32((int)mask), of_pairs), of_pairs);
-      __m256i class = _mm256_cvtepi8_epi32(_mm_loadl_epi64((const __m128i *)(const void *)(w->singles + j)));
-      __m256i n_bits = _mm256_srai_epi32(_mm256_max_epi32(_mm256_sub_epi32(class, _mm256_set1_epi32(RAW_CLASS)), none), 1);
-      n_bits = _mm256_and_si256(n_bits, two);
-      if (_mm256_testz_si256(n_bits, n_bits)) continue;
-      /* Sums of numbers of bits, up to and with each lane; at most 13 bits a lane. */
-      __m256i sums = _mm256_add_epi32(n_bits, _mm256_slli_si256(n_bits, 4));
-      sums = _mm256_add_epi32(sums, _mm256_slli_si256(sums, 8));
-      sums = _mm256_add_epi32(sums, _mm256_shuffle_epi32(_mm256_permute2x128_si256(sums, sums, 8), 255));
-      __m256i from = _mm256_add_epi32(_mm256_sub_epi32(sums, n_bits), _mm256_set1_epi32((int)(z->n_bits & 7)));
-      const uint8_t *at = z->raw + min_size(z->n_bits >> 3, z->n_raw);
-      __m256i held = _mm256_i32gather_epi32((const int *)(const void *)at, _mm256_srli_epi32(from, 3), 1);
-      held = _mm256_srlv_epi32(held, _mm256_and_si256(from, _mm256_set1_epi32(7)));
-      held = _mm256_andnot_si256(_mm256_sllv_epi32(_mm256_set1_epi32(-1), n_bits), held);
-      __m256i detail = _mm256_loadu_si256((const __m256i *)(const void *)(large + j)), high = _mm256_set1_epi32(most);
-      __m256i whole = _mm256_or_si256(_mm256_sllv_epi32(detail, n_bits), held);
-      __m256i is_more = _mm256_cmpeq_epi32(detail, _mm256_set1_epi32(SINGLE_ESCAPE - NO_DETAIL)); /* these keep their low bits */
-      __m256i clamped = _mm256_max_epi32(_mm256_min_epi32(whole, high), _mm256_sub_epi32(none, high));
-      whole = _mm256_blendv_epi8(clamped, held, is_more);
-      whole = _mm256_blendv_epi8(whole, detail, _mm256_cmpeq_epi32(n_bits, none));
-      _mm256_storeu_si256((__m256i *)(void *)(large + j), whole);
-      z->n_bits += (size_t)_mm256_extract_epi32(sums, 7);
-    }
-#else
-    for (int32_t j = 2 * k; j < 2 * k + 16; j++) {
-      int n_bits = mask >> (j / 2 - k) & 1 ? ISA(n_raw_bits)(w->singles[j]) : 0;
-      if (!n_bits) continue;
-      int32_t low = (int32_t)ISA(take)(z, n_bits), whole = large[j] * (1 << n_bits) + low;
-      large[j] = large[j] == SINGLE_ESCAPE - NO_DETAIL ? low : max_i32(min_i32(whole, most), -most);
-    }
-#endif
+  for (int32_t k = 0; k < n; k++) {
+    uint8_t is_two = (int8_t)pairs[k] >= cut ? 255 : 0;
+    n_bits[2 * k] = (uint8_t)(ISA(n_raw_bits)(singles[2 * k]) & is_two);
+    n_bits[2 * k + 1] = (uint8_t)(ISA(n_raw_bits)(singles[2 * k + 1]) & is_two);
   }
+  memset(n_bits + 2 * n, 0, PIECE);
+  const uint8_t *bytes = z->raw;
+  size_t at = z->n_bits;
+  for (int32_t first = 0; first < 2 * n && at <= 8 * z->n_raw; first += PIECE, n_bits += PIECE) {
+    int32_t held[PIECE], *RESTRICT large = w->large + first;
+    uint64_t words[PIECE / 8];
+    memcpy(words, n_bits, sizeof words);
+    if (!(words[0] | words[1] | words[2] | words[3])) continue;
+    for (int i = 0; i < PIECE; i += 4) { /* at most 13 bits each */
+      uint64_t bits = load_u64(bytes + (at >> 3)) >> (at & 7);
+      for (int k = i; k < i + 4; k++) {
+        held[k] = (int32_t)(bits & ((1u << n_bits[k]) - 1));
+        bits >>= n_bits[k];
+        at += n_bits[k];
+      }
+    }
+    for (int i = 0; i < PIECE; i++) {
+      int32_t detail = large[i], whole = (int32_t)((uint32_t)detail << n_bits[i]) | held[i];
+      whole = detail == MORE ? held[i] : min_i32(max_i32(whole, -most), most); /* these keep their low bits */
+      large[i] = n_bits[i] ? whole : detail;
+    }
+  }
+  z->n_bits = at;
 }
 
 /* What symbols do not say of the details of n pairs: from `small` to `large`. */
