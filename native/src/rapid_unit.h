@@ -92,123 +92,42 @@ typedef struct ISA(features) {
   const int16_t *here, *above, *bends, *below, *near[3];
 } ISA(features);
 
-#if defined(__SSE2__) || defined(TWZ_HAVE_X86)
-static ALWAYS_INLINE VECTOR ISA(classes_of)(VECTOR expected) {
-  /* Without the bits two below those that are set, no rounding reaches the two top ones. */
-  VECTOR sparse = V_SI(andnot)(V(srli_epi32)(expected, 2), expected);
-#if defined(__AVX512VBMI2__)
-  VECTOR floats = _mm512_castps_si512(_mm512_cvtepi32_ps(sparse));
-#elif defined(__AVX2__)
-  VECTOR floats = _mm256_castps_si256(_mm256_cvtepi32_ps(sparse));
-#else
-  VECTOR floats = _mm_castps_si128(_mm_cvtepi32_ps(sparse));
-#endif
-  return V(sub_epi32)(V(srli_epi32)(floats, 22), V(set1_epi32)(254)); /* of 0: negative; later saturated */
+static ALWAYS_INLINE int32_t ISA(class_of)(int32_t expected) {
+  float sparse = (float)(expected & ~(expected >> 2)); /* no rounding reaches the two top bits */
+  int32_t bits;
+  memcpy(&bits, &sparse, 4);
+  return max_i32(min_i32((bits >> 22) - 254, MOST_CLASS), 0);
 }
 
-/* Classes of 32-bit lanes, two vectors of them, to bytes. */
-static ALWAYS_INLINE void ISA(store_classes)(uint8_t *to, VECTOR a, VECTOR b) {
-  VECTOR both = LEAST(MOST(V(packs_epi32)(a, b), SPLAT(0)), SPLAT(MOST_CLASS));
-#if defined(__AVX512VBMI2__)
-  _mm256_storeu_si256((__m256i *)(void *)to, _mm512_cvtepi16_epi8(both));
-#elif defined(__AVX2__)
-  __m256i bytes = _mm256_permute4x64_epi64(_mm256_packus_epi16(both, both), 0xD8);
-  _mm_storeu_si128((__m128i *)(void *)to, _mm256_castsi256_si128(bytes));
-#else
-  _mm_storel_epi64((__m128i *)(void *)to, _mm_packus_epi16(both, both));
-#endif
-}
-
-static void ISA(class_row)(const ISA(features) * f, int plane, const rapid_weights *by, int32_t n, uint8_t *pairs, uint8_t *singles) {
-  const VECTOR weights = TWO_WEIGHTS(by->of_range, by->of_bend), of_near = TWO_WEIGHTS(by->of_near, 0);
-  const VECTOR constant = V(set1_epi32)(by->constant), none = V_SI(setzero)();
-  const __m128i shift = _mm_cvtsi32_si128(by->shift);
-  for (int32_t j = 0; j < n; j += LANES) {
-    VECTOR range = LOAD(f->here + j), bend = LOAD(f->bends + j), near = none;
-    if (plane == HH) {
-      bend = ADD(ADD(bend, LOAD(f->bends + j + 1)), ADD(LOAD(f->below + j), LOAD(f->below + j + 1)));
-    } else if (plane == HL) {
-      range = ADD(range, LOAD(f->above + j));
-      bend = ADD(bend, LOAD(f->bends + j + 1));
-      near = ADD(LOAD(f->near[0] + j), LOAD(f->near[1] + j));
-    } else {
-      range = ADD(range, LOAD(f->here + j - 1));
-      bend = ADD(bend, LOAD(f->below + j));
-      for (int k = 0; k < 3; k++) near = ADD(near, ADD(LOAD(f->near[k] + j), LOAD(f->near[k] + j - 1)));
-    }
-    VECTOR low = V(madd_epi16)(V(unpacklo_epi16)(range, bend), weights), high = V(madd_epi16)(V(unpackhi_epi16)(range, bend), weights);
-    low = V(add_epi32)(V(srl_epi32)(low, shift), constant);
-    high = V(add_epi32)(V(srl_epi32)(high, shift), constant);
-    if (plane != HH) {
-      low = ADD_DOT(low, V(unpacklo_epi16)(near, none), of_near);
-      high = ADD_DOT(high, V(unpackhi_epi16)(near, none), of_near);
-    }
-    ISA(store_classes)(singles + j, ISA(classes_of)(low), ISA(classes_of)(high));
-    low = V(srli_epi32)(low, 1);
-    high = V(srli_epi32)(high, 1);
-    low = V(add_epi32)(low, V(srli_epi64)(low, 32)); /* means of pairs, in even lanes */
-    high = V(add_epi32)(high, V(srli_epi64)(high, 32));
-    low = ISA(classes_of)(low);
-    high = ISA(classes_of)(high);
-#if defined(__AVX512VBMI2__)
-    VECTOR both = _mm512_castps_si512(_mm512_shuffle_ps(_mm512_castsi512_ps(low), _mm512_castsi512_ps(high), 0x88));
-    both = _mm512_min_epi32(_mm512_max_epi32(both, none), _mm512_set1_epi32(MOST_CLASS));
-    _mm_storeu_si128((__m128i *)(void *)(pairs + j / 2), _mm512_cvtepi32_epi8(both));
-#elif defined(__AVX2__)
-    VECTOR both = _mm256_castps_si256(_mm256_shuffle_ps(_mm256_castsi256_ps(low), _mm256_castsi256_ps(high), 0x88));
-    both = LEAST(MOST(V(packs_epi32)(both, both), none), SPLAT(MOST_CLASS));
-    both = _mm256_permutevar8x32_epi32(_mm256_packus_epi16(both, both), _mm256_setr_epi32(0, 4, 1, 5, 2, 6, 3, 7));
-    _mm_storel_epi64((__m128i *)(void *)(pairs + j / 2), _mm256_castsi256_si128(both));
-#else
-    VECTOR both = _mm_castps_si128(_mm_shuffle_ps(_mm_castsi128_ps(low), _mm_castsi128_ps(high), 0x88));
-    both = LEAST(MOST(V(packs_epi32)(both, both), none), SPLAT(MOST_CLASS));
-    int32_t four = _mm_cvtsi128_si32(_mm_packus_epi16(both, both));
-    memcpy(pairs + j / 2, &four, 4);
-#endif
-  }
-}
-#else
-static void ISA(to_classes)(const int32_t *RESTRICT expected, int32_t n, uint8_t *RESTRICT classes) {
-  for (int32_t k = 0; k < n; k++) {
-    int32_t v = max_i32(expected[k], 1), bits;
-    float sparse = (float)(v & ~(v >> 2)); /* no rounding reaches the two top bits */
-    memcpy(&bits, &sparse, 4);
-    classes[k] = (uint8_t)min_i32((bits >> 22) - 254, MOST_CLASS);
-  }
-}
-
-static void ISA(class_row)(const ISA(features) * f, int plane, const rapid_weights *by, int32_t n, uint8_t *pairs, uint8_t *singles) {
+/* Products of 16 bits, sums of 32: compilers make vectors of these loops. */
+static ALWAYS_INLINE void ISA(class_row)(const ISA(features) * f, int plane, const rapid_weights *by, int32_t n, uint8_t *pairs, uint8_t *singles) {
   enum { PIECE = 64 };
-  const rapid_weights v = *by;
-  for (int32_t first = 0; first < n; first += PIECE) {
-    int32_t expected[PIECE], means[PIECE / 2], m = min_i32(n - first, PIECE);
+  const int16_t of_range = (int16_t)by->of_range, of_bend = (int16_t)by->of_bend, of_near = (int16_t)by->of_near;
+  const int32_t shift = by->shift, constant = by->constant;
+  for (int32_t first = 0; first < n; first += PIECE) { /* rows end with room */
+    int32_t expected[PIECE];
     const int16_t *here = f->here + first, *above = f->above + first, *bends = f->bends + first, *below = f->below + first;
-    if (plane == HH) {
-      for (int32_t k = 0; k < m; k++) {
-        int32_t bend = bends[k] + bends[k + 1] + below[k] + below[k + 1];
-        expected[k] = ((v.of_range * here[k] + v.of_bend * bend) >> v.shift) + v.constant;
+    const int16_t *p = f->near[0] + first, *q = f->near[1] + first, *r = f->near[2] + first;
+    uint8_t *RESTRICT own = singles + first, *RESTRICT both = pairs + first / 2;
+    for (int k = 0; k < PIECE; k++) {
+      int16_t range = here[k], bend = bends[k], near = 0;
+      if (plane == HH) {
+        bend = (int16_t)(bend + bends[k + 1] + below[k] + below[k + 1]);
+      } else if (plane == HL) {
+        range = (int16_t)(range + above[k]);
+        bend = (int16_t)(bend + bends[k + 1]);
+        near = (int16_t)(p[k] + q[k]);
+      } else {
+        range = (int16_t)(range + here[k - 1]);
+        bend = (int16_t)(bend + below[k]);
+        near = (int16_t)(p[k] + p[k - 1] + q[k] + q[k - 1] + r[k] + r[k - 1]);
       }
-    } else if (plane == HL) {
-      const int16_t *p = f->near[0] + first, *q = f->near[1] + first;
-      for (int32_t k = 0; k < m; k++) {
-        int32_t range = here[k] + above[k], bend = bends[k] + bends[k + 1];
-        expected[k] = ((v.of_range * range + v.of_bend * bend) >> v.shift) + v.of_near * (p[k] + q[k]) + v.constant;
-      }
-    } else {
-      const int16_t *p = f->near[0] + first, *q = f->near[1] + first, *r = f->near[2] + first;
-      for (int32_t k = 0; k < m; k++) {
-        int32_t range = here[k] + here[k - 1], bend = bends[k] + below[k];
-        int32_t near = p[k] + p[k - 1] + q[k] + q[k - 1] + r[k] + r[k - 1];
-        expected[k] = ((v.of_range * range + v.of_bend * bend) >> v.shift) + v.of_near * near + v.constant;
-      }
+      expected[k] = ((of_range * range + of_bend * bend) >> shift) + of_near * near + constant;
     }
-    if (m % 2) expected[m] = expected[m - 1];
-    for (int32_t k = 0; k < (m + 1) / 2; k++) means[k] = (expected[2 * k] >> 1) + (expected[2 * k + 1] >> 1);
-    ISA(to_classes)(expected, m, singles + first);
-    ISA(to_classes)(means, (m + 1) / 2, pairs + first / 2);
+    for (int k = 0; k < PIECE; k++) own[k] = (uint8_t)ISA(class_of)(expected[k]);
+    for (int k = 0; k < PIECE / 2; k++) both[k] = (uint8_t)ISA(class_of)((expected[2 * k] >> 1) + (expected[2 * k + 1] >> 1));
   }
 }
-#endif
 
 /* Hide samples without details: `valid` of n samples, at every `step`; NULL: all are valid. An odd sample is a pair. */
 static void ISA(hide)(const uint8_t *RESTRICT valid, ptrdiff_t step, int32_t n, uint8_t *RESTRICT pairs, uint8_t *RESTRICT singles) {
