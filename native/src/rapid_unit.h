@@ -5,7 +5,7 @@
 #include "kernels.h"
 #include "rapid_lanes.h"
 
-enum { ROOM = 64, A_ROWS = 32, HELD_ROWS = 16, MOST_NEAR = 4095, RAW_CLASS = 32 };
+enum { ROOM = 64, A_ROWS = 32, HELD_ROWS = 16, MOST_NEAR = 4095, RAW_CLASS = 32, GROUP = 32, MORE = SINGLE_ESCAPE - NO_DETAIL };
 
 typedef struct ISA(work) {
   rapid_unit *u;
@@ -155,52 +155,48 @@ enum { HAS_ESCAPES = 1, HAS_RAW = 2 };
 /* Write the entries of n pairs, a multiple of 32 in all; return how many. */
 static int32_t ISA(make_list)(const ISA(work) * w, int32_t n, int *has) {
   uint8_t *pairs = w->pairs, *singles = w->singles, *entries = w->entries;
-  const int cut = w->u->tables->cut;
-  int32_t n_made = 0, k = 0;
+  const int8_t cut = (int8_t)w->u->tables->cut;
+  int32_t k = 0;
   memset(pairs + n, HIDDEN, ROOM);
   memset(singles + 2 * n, HIDDEN, 2 * ROOM);
-#if defined(__AVX512VBMI2__)
-  __mmask64 raw = 0;
-  for (; k < n; k += 32) {
-    __m512i pair = _mm512_cvtepi8_epi16(_mm256_loadu_si256((const __m256i *)(const void *)(pairs + k)));
-    __m512i single = _mm512_loadu_si512(singles + 2 * k);
-    __mmask32 two = _mm512_cmpge_epi16_mask(pair, _mm512_set1_epi16((int16_t)cut));
-    raw |= _mm512_mask_cmpgt_epi8_mask(_mm512_movepi8_mask(_mm512_movm_epi16(two)), single, _mm512_set1_epi8(RAW_CLASS + 1));
-    memcpy(w->is_two + k / 8, &two, 4);
-    single = _mm512_and_si512(_mm512_or_si512(single, _mm512_set1_epi8(SINGLES)), _mm512_set1_epi8(127));
-    __m512i entry = _mm512_mask_blend_epi16(two, _mm512_and_si512(pair, _mm512_set1_epi16(63)), single);
-    __mmask64 kept = _pdep_u64(two, 0xAAAAAAAAAAAAAAAAu) | 0x5555555555555555u;
-    _mm512_storeu_si512(entries + n_made, _mm512_maskz_compress_epi8(kept, entry));
-    n_made += 32 + (int32_t)_mm_popcnt_u32(two);
-  }
-  if (raw) *has |= HAS_RAW;
-#elif defined(__AVX2__)
-  __m128i raw = _mm_setzero_si128();
-  for (; k < n; k += 8) {
-    __m128i pair = _mm_cvtepi8_epi16(_mm_loadl_epi64((const __m128i *)(const void *)(pairs + k)));
-    __m128i single = _mm_loadu_si128((const __m128i *)(const void *)(singles + 2 * k));
-    __m128i two = _mm_cmpgt_epi16(pair, _mm_set1_epi16((int16_t)(cut - 1)));
-    raw = _mm_or_si128(raw, _mm_and_si128(two, _mm_cmpgt_epi8(single, _mm_set1_epi8(RAW_CLASS + 1))));
-    unsigned mask = (unsigned)_mm_movemask_epi8(_mm_packs_epi16(two, two)) & 255;
-    w->is_two[k / 8] = (uint8_t)mask;
-    single = _mm_and_si128(_mm_or_si128(single, _mm_set1_epi8(SINGLES)), _mm_set1_epi8(127));
-    __m128i entry = _mm_blendv_epi8(_mm_and_si128(pair, _mm_set1_epi16(63)), single, two);
-    __m128i taken = _mm_loadu_si128((const __m128i *)(const void *)w->u->tables->take[mask]);
-    _mm_storeu_si128((__m128i *)(void *)(entries + n_made), _mm_shuffle_epi8(entry, taken));
-    n_made += 8 + _mm_popcnt_u32(mask);
-  }
-  if (!_mm_testz_si128(raw, raw)) *has |= HAS_RAW;
+  for (; k < n; k += GROUP) {
+    uint8_t any = 0;
+    for (int i = 0; i < GROUP; i++) any |= (int8_t)pairs[k + i] >= cut;
+    if (!any) {
+      for (int i = 0; i < GROUP; i++) entries[i] = pairs[k + i] & 63;
+      memset(w->is_two + k / 8, 0, GROUP / 8);
+      entries += GROUP;
+      continue;
+    }
+    for (int32_t i = k; i < k + GROUP; i += 8) {
+#if defined(__AVX2__)
+      __m128i pair = _mm_cvtepi8_epi16(_mm_loadl_epi64((const __m128i *)(const void *)(pairs + i)));
+      __m128i single = _mm_loadu_si128((const __m128i *)(const void *)(singles + 2 * i));
+      __m128i two = _mm_cmpgt_epi16(pair, _mm_set1_epi16((int16_t)(cut - 1)));
+      __m128i raw = _mm_and_si128(two, _mm_cmpgt_epi8(single, _mm_set1_epi8(RAW_CLASS + 1)));
+      unsigned mask = (unsigned)_mm_movemask_epi8(_mm_packs_epi16(two, two)) & 255;
+      single = _mm_and_si128(_mm_or_si128(single, _mm_set1_epi8(SINGLES)), _mm_set1_epi8(127));
+      __m128i entry = _mm_blendv_epi8(_mm_and_si128(pair, _mm_set1_epi16(63)), single, two);
+      __m128i taken = _mm_loadu_si128((const __m128i *)(const void *)w->u->tables->take[mask]);
+      _mm_storeu_si128((__m128i *)(void *)entries, _mm_shuffle_epi8(entry, taken));
+      entries += 8 + _mm_popcnt_u32(mask);
+      if (!_mm_testz_si128(raw, raw)) *has |= HAS_RAW;
 #else
-  for (; k < n; k++) { /* no branch by the class, which no processor foresees */
-    int own = (int8_t)pairs[k], is_two = own >= cut, first = (int8_t)singles[2 * k], second = (int8_t)singles[2 * k + 1];
-    entries[n_made] = (uint8_t)(is_two ? (SINGLES | first) & 127 : own & 63);
-    entries[n_made + 1] = (uint8_t)((SINGLES | second) & 127);
-    n_made += 1 + is_two;
-    *has |= (is_two & ((first > RAW_CLASS + 1) | (second > RAW_CLASS + 1))) * HAS_RAW;
-  }
+      unsigned mask = 0;
+      for (int j = 0; j < 8; j++) { /* no branch by the class, which no processor foresees */
+        int own = (int8_t)pairs[i + j], is_two = own >= cut, first = (int8_t)singles[2 * (i + j)], second = (int8_t)singles[2 * (i + j) + 1];
+        entries[0] = (uint8_t)(is_two ? (SINGLES | first) & 127 : own & 63);
+        entries[1] = (uint8_t)((SINGLES | second) & 127);
+        entries += 1 + is_two;
+        mask |= (unsigned)is_two << j;
+        *has |= (is_two & ((first > RAW_CLASS + 1) | (second > RAW_CLASS + 1))) * HAS_RAW;
+      }
 #endif
-  n_made -= k - n;
-  memset(entries + n_made, NO_PAIR, MOST_STATES);
+      w->is_two[i / 8] = (uint8_t)mask;
+    }
+  }
+  int32_t n_made = (int32_t)(entries - w->entries) - (k - n);
+  memset(w->entries + n_made, NO_PAIR, MOST_STATES);
   return (n_made + MOST_STATES - 1) & -MOST_STATES;
 }
 
@@ -350,68 +346,54 @@ static int ISA(read_symbols)(const ISA(work) * w, rapid_stream *z, int32_t n) {
   return 1;
 }
 
-/* Details of n pairs in 8 bits, in `small`; where more follows: SINGLE_ESCAPE - NO_DETAIL, of the first of a pair. */
+/* Details of n pairs in 8 bits, in `small`; where more follows: MORE, of the first of a pair. */
 static void ISA(place_symbols)(const ISA(work) * w, int32_t n, int *has) {
-  enum { MORE = SINGLE_ESCAPE - NO_DETAIL };
   const uint8_t *symbols = w->symbols;
-  int8_t *small = w->small;
-  int32_t k = 0;
-#if defined(__AVX512VBMI2__)
-  const __m512i low = _mm512_set1_epi16(255);
-  __mmask64 seen = 0;
-  for (; k < n; k += 32) {
-    __mmask32 two;
-    memcpy(&two, w->is_two + k / 8, 4);
-    __mmask64 kept = _pdep_u64(two, 0xAAAAAAAAAAAAAAAAu) | 0x5555555555555555u;
-    __m512i both = _mm512_maskz_expand_epi8(kept, _mm512_loadu_si512(symbols)), pair = _mm512_and_si512(both, low);
-    symbols += 32 + _mm_popcnt_u32(two);
-    __m512i first = _mm512_mulhi_epu16(pair, _mm512_set1_epi16(4370));
-    __m512i second = _mm512_sub_epi16(pair, _mm512_sub_epi16(_mm512_slli_epi16(first, 4), first));
-    __mmask32 escaped = _mm512_cmpeq_epi16_mask(first, _mm512_set1_epi16(15));
-    first = _mm512_mask_mov_epi16(_mm512_sub_epi16(first, _mm512_set1_epi16(7)), escaped, _mm512_set1_epi16(MORE));
-    second = _mm512_slli_epi16(_mm512_sub_epi16(second, _mm512_set1_epi16(7)), 8);
-    pair = _mm512_or_si512(_mm512_and_si512(first, low), second);
-    pair = _mm512_mask_blend_epi16(two, pair, _mm512_sub_epi8(both, _mm512_set1_epi8(NO_DETAIL)));
-    seen |= _mm512_cmpeq_epi8_mask(pair, _mm512_set1_epi8(MORE));
-    _mm512_storeu_si512(small + 2 * k, pair);
-  }
-  if (seen) *has |= HAS_ESCAPES;
-#elif defined(__AVX2__)
-  const __m128i low = _mm_set1_epi16(255), bits = _mm_setr_epi16(1, 2, 4, 8, 16, 32, 64, 128);
-  __m128i seen = _mm_setzero_si128();
-  for (; k < n; k += 8) {
-    unsigned mask = w->is_two[k / 8];
-    __m128i two = _mm_cmpeq_epi16(_mm_and_si128(_mm_set1_epi16((int16_t)mask), bits), bits);
-    __m128i put = _mm_loadu_si128((const __m128i *)(const void *)w->u->tables->put[mask]);
-    __m128i both = _mm_shuffle_epi8(_mm_loadu_si128((const __m128i *)(const void *)symbols), put), pair = _mm_and_si128(both, low);
-    symbols += 8 + _mm_popcnt_u32(mask);
-    __m128i first = _mm_mulhi_epu16(pair, _mm_set1_epi16(4370));
-    __m128i second = _mm_sub_epi16(pair, _mm_sub_epi16(_mm_slli_epi16(first, 4), first));
-    __m128i escaped = _mm_cmpeq_epi16(first, _mm_set1_epi16(15));
-    first = _mm_blendv_epi8(_mm_sub_epi16(first, _mm_set1_epi16(7)), _mm_set1_epi16(MORE), escaped);
-    second = _mm_slli_epi16(_mm_sub_epi16(second, _mm_set1_epi16(7)), 8);
-    pair = _mm_or_si128(_mm_and_si128(first, low), second);
-    pair = _mm_blendv_epi8(pair, _mm_sub_epi8(both, _mm_set1_epi8(NO_DETAIL)), two);
-    seen = _mm_or_si128(seen, _mm_cmpeq_epi8(pair, _mm_set1_epi8(MORE)));
-    _mm_storeu_si128((__m128i *)(void *)(small + 2 * k), pair);
-  }
-  if (!_mm_testz_si128(seen, seen)) *has |= HAS_ESCAPES;
+  for (int32_t k = 0; k < n; k += GROUP) {
+    int8_t *RESTRICT small = w->small + 2 * k;
+    uint32_t any;
+    uint8_t seen = 0;
+    memcpy(&any, w->is_two + k / 8, sizeof any);
+    if (!any) {
+      for (int i = 0; i < GROUP; i++) { /* a fifteenth, exactly */
+        int16_t symbol = symbols[i], first = (int16_t)((int16_t)(symbol * 137) >> 11), second = (int16_t)(symbol - 15 * first - 7);
+        seen |= symbol == PAIR_ESCAPE;
+        small[2 * i] = (int8_t)(symbol == PAIR_ESCAPE ? MORE : first - 7);
+        small[2 * i + 1] = (int8_t)second;
+      }
+      symbols += GROUP;
+    }
+    for (int i = 0; any && i < GROUP; i += 8, small += 16) {
+      unsigned mask = w->is_two[(k + i) / 8];
+#if defined(__AVX2__)
+      const __m128i low = _mm_set1_epi16(255), bits = _mm_setr_epi16(1, 2, 4, 8, 16, 32, 64, 128);
+      __m128i two = _mm_cmpeq_epi16(_mm_and_si128(_mm_set1_epi16((int16_t)mask), bits), bits);
+      __m128i put = _mm_loadu_si128((const __m128i *)(const void *)w->u->tables->put[mask]);
+      __m128i both = _mm_shuffle_epi8(_mm_loadu_si128((const __m128i *)(const void *)symbols), put), pair = _mm_and_si128(both, low);
+      symbols += 8 + _mm_popcnt_u32(mask);
+      __m128i first = _mm_mulhi_epu16(pair, _mm_set1_epi16(4370));
+      __m128i second = _mm_sub_epi16(pair, _mm_sub_epi16(_mm_slli_epi16(first, 4), first));
+      __m128i escaped = _mm_cmpeq_epi16(first, _mm_set1_epi16(15));
+      first = _mm_blendv_epi8(_mm_sub_epi16(first, _mm_set1_epi16(7)), _mm_set1_epi16(MORE), escaped);
+      second = _mm_slli_epi16(_mm_sub_epi16(second, _mm_set1_epi16(7)), 8);
+      pair = _mm_or_si128(_mm_and_si128(first, low), second);
+      pair = _mm_blendv_epi8(pair, _mm_sub_epi8(both, _mm_set1_epi8(NO_DETAIL)), two);
+      seen |= _mm_movemask_epi8(_mm_cmpeq_epi8(pair, _mm_set1_epi8(MORE))) != 0;
+      _mm_storeu_si128((__m128i *)(void *)small, pair);
 #else
-  const int cut = w->u->tables->cut;
-  int seen = 0;
-  for (; k < n; k++) {
-    int is_two = (int8_t)w->pairs[k] >= cut, symbol = *symbols, next = symbols[is_two];
-    int first = symbol * 4370 >> 16, second = symbol - 15 * first - 7, is_escaped = first == 15;
-    first = is_escaped ? MORE : first - 7;
-    first = is_two ? symbol - NO_DETAIL : first;
-    second = is_two ? next - NO_DETAIL : second;
-    small[2 * k] = (int8_t)first;
-    small[2 * k + 1] = (int8_t)second;
-    seen |= (first == MORE) | (second == MORE);
-    symbols += 1 + is_two;
-  }
-  if (seen) *has |= HAS_ESCAPES;
+      for (int j = 0; j < 8; j++) {
+        int is_two = mask >> j & 1, symbol = *symbols, next = symbols[is_two], part = symbol * 137 >> 11;
+        int first = is_two ? symbol - NO_DETAIL : symbol == PAIR_ESCAPE ? MORE : part - 7;
+        int second = is_two ? next - NO_DETAIL : symbol - 15 * part - 7;
+        small[2 * j] = (int8_t)first;
+        small[2 * j + 1] = (int8_t)second;
+        seen |= (first == MORE) | (second == MORE);
+        symbols += 1 + is_two;
+      }
 #endif
+    }
+    if (seen) *has |= HAS_ESCAPES;
+  }
 }
 
 /* ---- Raw bits (R.7) ---- */
@@ -436,7 +418,7 @@ static int32_t ISA(read_beyond)(const ISA(work) * w, rapid_stream *z, int n_low,
 
 /* Raw bits of single samples among n pairs. Only sums of numbers of bits go from one to the next. */
 static void ISA(read_raw)(const ISA(work) * w, rapid_stream *z, int32_t n) {
-  enum { PIECE = 32, MORE = SINGLE_ESCAPE - NO_DETAIL };
+  enum { PIECE = 32 };
   uint8_t *RESTRICT n_bits = w->entries; /* which have been read */
   const uint8_t *RESTRICT pairs = w->pairs, *RESTRICT singles = w->singles;
   const int cut = w->u->tables->cut;
@@ -473,7 +455,6 @@ static void ISA(read_raw)(const ISA(work) * w, rapid_stream *z, int32_t n) {
 
 /* What symbols do not say of the details of n pairs: from `small` to `large`. */
 static int ISA(read_more)(const ISA(work) * w, rapid_stream *z, int32_t n, int has) {
-  enum { MORE = SINGLE_ESCAPE - NO_DETAIL };
   const int8_t *small = w->small;
   int32_t *RESTRICT large = w->large, *more = w->more, n_escaped = 0, n_more = 0;
   for (int32_t j = 0; j < 2 * n; j++) large[j] = small[j];
@@ -508,13 +489,6 @@ static int ISA(read_list)(const ISA(work) * w, rapid_stream *z, int32_t n, int *
   int32_t n_entries = ISA(make_list)(w, n, has);
   if (!ISA(read_symbols)(w, z, n_entries)) return 0;
   ISA(place_symbols)(w, n, has);
-#if !defined(__AVX2__)
-  for (int32_t k = 0; *has && k < n; k += 8) {
-    unsigned mask = 0;
-    for (int i = 0; i < 8 && k + i < n; i++) mask |= (unsigned)((int8_t)w->pairs[k + i] >= w->u->tables->cut) << i;
-    w->is_two[k / 8] = (uint8_t)mask;
-  }
-#endif
   return !*has || ISA(read_more)(w, z, n, *has);
 }
 
