@@ -1,7 +1,6 @@
 """Units of heights as payloads: details, then heights (docs/format-rapid.md)."""
 
-from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,17 +9,10 @@ from terrainwave.codec.corrections import correct
 from terrainwave.codec.memory import Spares, flat, new_heights
 from terrainwave.codec.rapid.details import code_details
 from terrainwave.codec.rapid.layout import (
-    CORE_ARRAYS,
-    HH,
-    HL,
-    LH,
     LIMIT,
-    N_PLANES,
-    RUNS,
     Lattice,
     Workspace,
     new_workspace,
-    run_weights,
 )
 from terrainwave.codec.rapid.needed import band_strips, needed_for
 from terrainwave.codec.rapid.prediction import (
@@ -143,19 +135,6 @@ class _Unit(NamedTuple):
         if aim.added.size and stride > 1:
             part = self.corrections.added[::stride, ::stride]
             part[:] = aim.added.reshape(part.shape)
-
-
-_Stencils = tuple[tuple[Any, ...], ...]
-
-
-@lru_cache(maxsize=32)
-def _arranged(stencils: bytes) -> _Stencils:
-    """Return the stencils of the planes, shape (3, 24), as kernels take them."""
-    weights = np.frombuffer(stencils, dtype=np.int64).reshape(N_PLANES, -1)
-    return tuple(
-        (tuple(RUNS[plane][:3]), run_weights(plane, own), core)
-        for plane, own, core in zip((HH, HL, LH), weights, CORE_ARRAYS, strict=True)
-    )
 
 
 class UnitCoder:
@@ -299,7 +278,7 @@ class UnitCoder:
             self._code_details(unit, stride, lattice, needed.strips)
         code_heights(
             unit.target is not None, aim, lattice, work, parent, known,
-            _arranged(tables.stencils[which].tobytes()), needed.planes, out,
+            tables.stencils[which].astype(np.int32), needed.planes, out,
         )  # fmt: skip
         if unit.target is not None:
             unit.keep_added(stride, aim)
