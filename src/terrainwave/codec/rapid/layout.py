@@ -86,7 +86,6 @@ class Workspace(NamedTuple):
     bends: NDArray[np.int16]
     near: NDArray[np.int16]  # magnitudes of details of HH and HL, with one more outside
     details: NDArray[np.int32]  # of HH, HL, LH, rows without a gap but of an even length
-    both: NDArray[np.int64]  # the same memory: two details, the first in the lower half
     predicted: NDArray[np.int32]  # of a row, and what follows
     sides: NDArray[np.int32]
     heights: NDArray[np.int32]
@@ -103,7 +102,6 @@ class Workspace(NamedTuple):
 def new_workspace(side: int) -> Workspace:
     """Return memory for planes of so many samples a side."""
     high, wide, n = side + 2 * PAD, side + 2 * PAD + LANES, STRIP_ROWS * (side + 1)
-    details = np.zeros((N_PLANES, ((side + 1) * side + LANES) // 2 + side), dtype=np.int64)
     floats = np.zeros(side + 1, dtype=np.float32)
     return Workspace(
         side=side,
@@ -111,8 +109,7 @@ def new_workspace(side: int) -> Workspace:
         ranges=np.zeros((side + 2, side + 2), dtype=np.int16),
         bends=np.zeros((side + 2, side + 2), dtype=np.int16),
         near=np.zeros((2, side + 2, side + 2), dtype=np.int16),
-        details=details.view(np.int32),
-        both=details,
+        details=np.zeros((N_PLANES, (side + 1) * (side + 2) + LANES), dtype=np.int32),
         predicted=np.zeros(side + LANES, dtype=np.int32),
         sides=np.zeros(side + LANES, dtype=np.int32),
         heights=np.zeros(side + LANES, dtype=np.int32),

@@ -220,7 +220,7 @@ def _settle_narrow(predicted, sides, lattice, details, source, flat, at, n):
     """
     step, low = _i32(lattice.step), _i32(lattice.low - lattice.origin)
     high, source, at = _i32(lattice.high - lattice.origin), np.uint64(source), np.uint64(at)
-    for j in range(np.uint64(_filled(n))):
+    for j in range(np.uint64(n)):
         detail = _i32(_i32(details[source + j] ^ sides[j]) - sides[j])
         height = _i32(_i32(_i32(predicted[j] + _i32(2)) >> 2) + _i32(detail * step))
         flat[at + j] = np.int16(min(max(height, low), high))

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from terrainwave.codec.corrections import correct
 from terrainwave.codec.memory import Spares, flat, new_heights
-from terrainwave.codec.rapid.details import code_details
+from terrainwave.codec.rapid.details import log_details, read_details
 from terrainwave.codec.rapid.layout import (
     LIMIT,
     Lattice,
@@ -27,7 +27,6 @@ from terrainwave.codec.rapid.symbols import (
     MOST_STATES,
     N_LOGGED,
     STATE_START,
-    VALUES,
     WORD,
     Frequencies,
     Log,
@@ -298,10 +297,8 @@ class UnitCoder:
         valid, work = unit.aim(stride).valid, unit.memory.of((lattice.n_rows, lattice.n_cols))
         for streams, own in zip(unit.bands, strips, strict=True):
             if own[0] < own[1]:
-                code_details(
-                    unit.target is not None, lattice, work, valid, own, made,
-                    tables.frequencies, VALUES, streams,
-                )  # fmt: skip
+                code = read_details if unit.target is None else log_details
+                code(lattice, work, valid, own, made, tables.frequencies, streams)
 
     def _pack(self, unit: _Unit) -> bytes:
         head, flags = unit.head, 0
