@@ -1,26 +1,18 @@
 """Units of heights as payloads: details, then heights (docs/format-rapid.md)."""
 
-from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.corrections import correct
 from terrainwave.codec.memory import Spares, flat, new_heights
-from terrainwave.codec.rapid.details import code_details
+from terrainwave.codec.rapid.details import log_details, read_details
 from terrainwave.codec.rapid.layout import (
-    CORE_ARRAYS,
-    HH,
-    HL,
-    LH,
     LIMIT,
-    N_PLANES,
-    RUNS,
     Lattice,
     Workspace,
     new_workspace,
-    run_weights,
 )
 from terrainwave.codec.rapid.needed import band_strips, needed_for
 from terrainwave.codec.rapid.prediction import (
@@ -35,7 +27,6 @@ from terrainwave.codec.rapid.symbols import (
     MOST_STATES,
     N_LOGGED,
     STATE_START,
-    VALUES,
     WORD,
     Frequencies,
     Log,
@@ -143,19 +134,6 @@ class _Unit(NamedTuple):
         if aim.added.size and stride > 1:
             part = self.corrections.added[::stride, ::stride]
             part[:] = aim.added.reshape(part.shape)
-
-
-_Stencils = tuple[tuple[Any, ...], ...]
-
-
-@lru_cache(maxsize=32)
-def _arranged(stencils: bytes) -> _Stencils:
-    """Return the stencils of the planes, shape (3, 24), as kernels take them."""
-    weights = np.frombuffer(stencils, dtype=np.int64).reshape(N_PLANES, -1)
-    return tuple(
-        (tuple(RUNS[plane][:3]), run_weights(plane, own), core)
-        for plane, own, core in zip((HH, HL, LH), weights, CORE_ARRAYS, strict=True)
-    )
 
 
 class UnitCoder:
@@ -299,7 +277,7 @@ class UnitCoder:
             self._code_details(unit, stride, lattice, needed.strips)
         code_heights(
             unit.target is not None, aim, lattice, work, parent, known,
-            _arranged(tables.stencils[which].tobytes()), needed.planes, out,
+            tables.stencils[which].astype(np.int32), needed.planes, out,
         )  # fmt: skip
         if unit.target is not None:
             unit.keep_added(stride, aim)
@@ -319,10 +297,8 @@ class UnitCoder:
         valid, work = unit.aim(stride).valid, unit.memory.of((lattice.n_rows, lattice.n_cols))
         for streams, own in zip(unit.bands, strips, strict=True):
             if own[0] < own[1]:
-                code_details(
-                    unit.target is not None, lattice, work, valid, own, made,
-                    tables.frequencies, VALUES, streams,
-                )  # fmt: skip
+                code = read_details if unit.target is None else log_details
+                code(lattice, work, valid, own, made, tables.frequencies, streams)
 
     def _pack(self, unit: _Unit) -> bytes:
         head, flags = unit.head, 0
