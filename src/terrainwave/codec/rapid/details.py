@@ -140,7 +140,9 @@ def code_details(
             at = (plane - 1) * work.both.shape[1] + n_pairs * first
             both, details = all_both[at : at + n_all], all_details[2 * at : 2 * (at + n_all)]
             if is_encoding:
-                log_strip(pairs[:n_all], singles[: 2 * n_all], details, frequencies, streams)
+                log_strip(
+                    pairs[:n_all], singles[: 2 * n_all], details, work.more, frequencies, streams
+                )
             else:
                 memory = work.entries, work.symbols, work.more
                 read_strip(
