@@ -189,7 +189,7 @@ def _quantise(aim, place, lattice, work, details, source, n):
     """
     of_row, first = place
     goals, valid = aim.heights.reshape(-1), aim.valid.reshape(-1)
-    at, one = np.uint64(of_row * lattice.n_cols + first), np.uint64(1)
+    at = np.uint64(of_row * lattice.n_cols + first)
     step, scale = np.float64(lattice.step), np.float64(np.int64(1) << lattice.shift)
     most = np.float64(lattice.origin - (lattice.step >> 1))
     source = np.uint64(source)

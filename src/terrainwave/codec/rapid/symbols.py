@@ -126,7 +126,7 @@ def _list_entries(pairs, singles, n_pairs, cut, entries):
 
 
 @kernel_part
-def _raw_bits(single):
+def raw_bits(single):
     """Return how many raw bits a sample has that is coded by itself."""
     return max(np.int64(single) - _RAW_CLASS, 0) >> 1
 
@@ -208,7 +208,7 @@ def _complete(pairs, singles, n_pairs, cut, streams, details, more, most):
         if pairs[pair] < cut:
             continue
         for i in range(2 * pair, 2 * pair + 2):
-            n_bits = _raw_bits(singles[i])
+            n_bits = raw_bits(singles[i])
             goes_on = details[i] == _GOES_ON
             if n_bits == 0 and not goes_on:
                 continue
@@ -220,7 +220,7 @@ def _complete(pairs, singles, n_pairs, cut, streams, details, more, most):
             n_beyond += goes_on
     for k in range(n_beyond):
         i = more[k]
-        detail = (_beyond(raw, places) << _raw_bits(singles[i])) | np.int64(details[i])
+        detail = (_beyond(raw, places) << raw_bits(singles[i])) | np.int64(details[i])
         details[i] = np.int32(min(max(detail, -most), most))
 
 
@@ -267,7 +267,15 @@ def _put(raw, places, value, n):
 
 
 @kernel_part
-def _single_symbol(value):
+def pair_symbol(first, second):
+    """Return the symbol of two details, PAIR_ESCAPE where there is none."""
+    x, y = first + PAIR_LIMIT, second + PAIR_LIMIT
+    return x * _SIDE + y if 0 <= x < _SIDE and 0 <= y < _SIDE else PAIR_ESCAPE
+
+
+@kernel_part
+def single_symbol(value):
+    """Return the symbol of a detail's upper part, SINGLE_ESCAPE where it goes on."""
     return SINGLE_ESCAPE if abs(value) > SINGLE_LIMIT else value + SINGLE_LIMIT
 
 
@@ -298,10 +306,9 @@ def log_strip(pairs, singles, details, more, frequencies, streams):
     for pair in range(n_pairs):
         i = pair + pair
         if pairs[pair] < cut:
-            x, y = details[i] + PAIR_LIMIT, details[i + one] + PAIR_LIMIT
-            is_near = 0 <= x < _SIDE and 0 <= y < _SIDE
-            symbol = x * _SIDE + y if is_near else PAIR_ESCAPE
-            if not is_near or (pairs[pair] != HIDDEN and freqs[tables[k], symbol] == 0):
+            symbol = pair_symbol(details[i], details[i + one])
+            has_none = pairs[pair] != HIDDEN and freqs[tables[k], symbol] == 0
+            if symbol == PAIR_ESCAPE or has_none:
                 symbol = PAIR_ESCAPE
                 more[n_escaped] = i
                 n_escaped += one
@@ -309,9 +316,9 @@ def log_strip(pairs, singles, details, more, frequencies, streams):
             k += one
         else:
             for _ in range(2):
-                n_bits = _raw_bits(singles[i])
+                n_bits = raw_bits(singles[i])
                 value = details[i] >> n_bits
-                symbols[k] = NOTHING if singles[i] == HIDDEN else _single_symbol(value)
+                symbols[k] = NOTHING if singles[i] == HIDDEN else single_symbol(value)
                 k += one
                 if n_bits:
                     _put(raw, places, details[i] & ((np.int64(1) << n_bits) - 1), n_bits)
@@ -325,10 +332,10 @@ def log_strip(pairs, singles, details, more, frequencies, streams):
     while k > first_beyond:
         k -= one
         i = more[k]
-        _put_beyond(raw, places, np.int64(details[i]) >> _raw_bits(singles[i]))
+        _put_beyond(raw, places, np.int64(details[i]) >> raw_bits(singles[i]))
     for k in range(n_escaped + n_escaped):
         detail = details[np.uint64(more[k >> one]) + (k & one)]
-        tables[n + k], symbols[n + k] = ESCAPED, _single_symbol(detail)
+        tables[n + k], symbols[n + k] = ESCAPED, single_symbol(detail)
         states[n + k] = k & np.uint64(MOST_STATES - 1)
         if abs(detail) > SINGLE_LIMIT:
             _put_beyond(raw, places, np.int64(detail))
