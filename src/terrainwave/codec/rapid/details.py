@@ -171,33 +171,35 @@ def code_details(
 
 
 @kernel
-def look(plane, work, weights, found):
+def look(plane, features, weights, found):
     """Fill with each of some weights what is expected of the samples of a plane, coded before."""
-    work, found = borrowed((work, found))
-    flats = borrowed((work.ranges.reshape(-1), work.bends.reshape(-1), work.near.reshape(-1)))
-    pitches = work.near.shape[2], work.near.shape[1] * work.near.shape[2]
+    (ranges, bends, near), found = borrowed((features, found))
+    flats = borrowed((ranges.reshape(-1), bends.reshape(-1), near.reshape(-1)))
+    pitches = near.shape[2], near.shape[1] * near.shape[2]
     for k in range(found.shape[0]):
         for row in range(found.shape[1]):
             _expect_row(flats, pitches, plane, row, weights[k], found.shape[2], found[k, row])
 
 
 @kernel
-def count_seen(features, details, is_coded, weights, work, pairs, singles, escaped):
+def count_seen(features, details, is_coded, weights, memory, pairs, singles, escaped):
     """Count the symbols of pairs, by their class; those of their samples as if coded alone, too.
 
     Only of classes that may be below a cut that encoders choose, or not.
     """
-    features, details, is_coded, work = borrowed((features, details, is_coded, work))
+    features, details, is_coded = borrowed((features, details, is_coded))
+    expected, floats, bits, of_pairs, of_singles = borrowed(memory)
     pairs, singles, escaped = borrowed((pairs, singles, escaped))
     v0, v1, v2, v3, shift = weights[0], weights[1], weights[2], weights[3], weights[4]
-    for begin in range(0, details.shape[0], work.side):
-        n = min(work.side, details.shape[0] - begin)
+    most = expected.shape[0]
+    for begin in range(0, details.shape[0], most):
+        n = min(most, details.shape[0] - begin)
         for k in range(n):
             both = v1 * features[0, begin + k] + v2 * features[1, begin + k]
-            work.expected[k] = (both >> shift) + v3 * features[2, begin + k] + v0
-        _class_row(work.expected, work.floats, work.bits, n, work.pairs, work.singles, 0)
+            expected[k] = (both >> shift) + v3 * features[2, begin + k] + v0
+        _class_row(expected, floats, bits, n, of_pairs, of_singles, 0)
         for k in range(0, n, 2):
-            i, own = begin + k, work.pairs[k >> 1]
+            i, own = begin + k, of_pairs[k >> 1]
             if not (is_coded[i] or is_coded[i + 1]):
                 continue
             symbol = pair_symbol(details[i], details[i + 1])
@@ -207,7 +209,7 @@ def count_seen(features, details, is_coded, weights, work, pairs, singles, escap
                 if own < MOST_CUT and symbol == PAIR_ESCAPE:
                     escaped[own, single_symbol(details[i + j])] += 1
                 if own >= LEAST_CUT and is_coded[i + j]:
-                    single = work.singles[k + j]
+                    single = of_singles[k + j]
                     singles[own, single, single_symbol(details[i + j] >> raw_bits(single))] += 1
 
 

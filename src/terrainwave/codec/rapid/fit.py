@@ -37,6 +37,7 @@ from terrainwave.codec.rapid.fit_weights import (
     count_by_class,
     fit_magnitude,
 )
+from terrainwave.codec.rapid.layout import N_LEVEL_CLASSES
 from terrainwave.codec.rapid.symbols import (
     ESCAPED,
     N_CLASSES,
@@ -166,17 +167,24 @@ def _for_counts(tables: FileTables) -> Tables:
 def _coded(
     kind: type[_Coder], tables: FileTables, sample: _Sample, each: Each
 ) -> list[tuple[_Coder, Whole]]:
-    """Code windows as root blocks; return of each its coder, and how often each symbol came."""
+    """Code windows as groups; return of each its coder, and how often each symbol came.
+
+    One group of each class of levels, the first from heights as they are.
+    """
     read = _for_counts(tables)
 
     def code(window: tuple[Heights, Mask]) -> tuple[_Coder, Whole]:
-        (target, mask), coder = window, kind(read)
+        (whole, valid), coder = window, kind(read)
         counts = np.zeros((N_TABLES, N_SYMBOLS), dtype=np.int64)
-        if mask.any():  # else fills alone, which may be far from all heights
-            low, high = int(target.min()), int(target.max())
+        if not valid.any():  # fills alone, which may be far from all heights
+            return coder, counts
+        low, high = int(whole.min()), int(whole.max())
+        above = np.ascontiguousarray(whole[:: 1 << N_LEVEL_CLASSES, :: 1 << N_LEVEL_CLASSES])
+        for depth in range(N_LEVEL_CLASSES - 1, -1, -1):
+            target, mask = (array[:: 1 << depth, :: 1 << depth] for array in (whole, valid))
             spec = GroupSpec.alone(Region(0, 0, *target.shape), sample.step, low, high)
-            spec = replace(spec, level=tables.k_max)
-            coder.count(spec, None, target, None if mask.all() else mask, counts)
+            spec = replace(spec, level=tables.k_max - depth)
+            above = coder.count(spec, above, target, None if mask.all() else mask, counts)
         return coder, counts
 
     return list(each(code, list(zip(sample.windows, sample.masks, strict=True))))

@@ -29,7 +29,6 @@ from terrainwave.codec.rapid.layout import (
     N_LEVEL_CLASSES,
     Lattice,
     Workspace,
-    new_workspace,
     plane_shape,
 )
 from terrainwave.codec.rapid.symbols import N_CLASSES
@@ -88,7 +87,7 @@ class Observer(UnitCoder):
                 continue  # much work for few samples
             # An odd end is a pair with a sample like it, which is not coded.
             features = np.empty((3, n_rows, n_cols + (n_cols & 1)), dtype=np.int32)
-            look(plane, work, _EACH_ALONE, features[:, :, :n_cols])
+            look(plane, (work.ranges, work.bends, work.near), _EACH_ALONE, features[:, :, :n_cols])
             features[:, :, n_cols:] = features[:, :, n_cols - 1 : n_cols][:, :, : n_cols & 1]
             is_coded = np.zeros(features.shape[1:], dtype=np.bool_)
             is_coded[:, :n_cols] = True
@@ -215,7 +214,9 @@ def count_by_class(seen: list[Seen], weights: Whole, step: int) -> Counts:
         np.zeros((N_CLASSES, N_CLASSES, N_SINGLE_SYMBOLS), dtype=np.int64),
         np.zeros((N_CLASSES, N_SINGLE_SYMBOLS), dtype=np.int64),
     )
-    memory = new_workspace(_AT_A_TIME)
+    expected, floats = np.zeros(_AT_A_TIME, np.int32), np.zeros(_AT_A_TIME, np.float32)
+    classes = np.zeros((2, _AT_A_TIME), dtype=np.int8)
+    memory = expected, floats, floats.view(np.int32), classes[0], classes[1]
     for found in seen:
         made = weights_of(weights[found.which], step, found.shift)[found.plane - HH]
         count_seen(found.features, found.details, found.is_coded, made, memory, *counts)
