@@ -7,13 +7,26 @@ coded before, never from heights of the lattice: all details can be read before 
 import numpy as np
 
 from terrainwave.codec.rapid.layout import HH, HL, LH, STRIP_ROWS
-from terrainwave.codec.rapid.symbols import HIDDEN, MOST_NEAR, N_CLASSES, log_strip, read_strip
+from terrainwave.codec.rapid.symbols import (
+    HIDDEN,
+    MOST_NEAR,
+    N_CLASSES,
+    PAIR_ESCAPE,
+    STEP_CLASS,
+    log_strip,
+    pair_symbol,
+    raw_bits,
+    read_strip,
+    single_symbol,
+)
 from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.jit import kernel, kernel_part
 
 _TO_CLASS, _CLASS_ZERO = 22, 2 * 127
 _i32, _u64 = np.int32, np.uint64
 _ONE = np.uint64(1)
+# Encoders choose a cut from the first to the second. Escapes of pairs above would cost more.
+LEAST_CUT, MOST_CUT = 16, STEP_CLASS + 6
 
 
 @kernel_part
@@ -188,8 +201,51 @@ def log_details(lattice, work, valid, strips, weights, frequencies, streams):
             first, last, n = _class_strip(lattice, work, flats, valid, strip, plane, weights)
             if first < last:
                 pairs, singles, details = _of_strip(work, plane, first, last, n)
-                log_strip(pairs, singles, details, frequencies, streams)
+                log_strip(pairs, singles, details, work.more, frequencies, streams)
                 _note_near(work.near, details, plane, first, last, n)
+
+
+@kernel
+def look(plane, features, weights, found):
+    """Fill with each of some weights what is expected of the samples of a plane, coded before."""
+    (ranges, bends, near), found = borrowed((features, found))
+    flats = borrowed((ranges.reshape(-1), bends.reshape(-1), near.reshape(-1)))
+    pitches = near.shape[2], near.shape[1] * near.shape[2]
+    for k in range(found.shape[0]):
+        for row in range(found.shape[1]):
+            _expect_row(flats, pitches, plane, row, weights[k], found.shape[2], found[k, row])
+
+
+@kernel
+def count_seen(features, details, is_coded, weights, memory, pairs, singles, escaped):
+    """Count the symbols of pairs, by their class; those of their samples as if coded alone, too.
+
+    Only of classes that may be below a cut that encoders choose, or not.
+    """
+    features, details, is_coded = borrowed((features, details, is_coded))
+    expected, floats, bits, of_pairs, of_singles = borrowed(memory)
+    pairs, singles, escaped = borrowed((pairs, singles, escaped))
+    v0, v1, v2, v3, shift = weights[0], weights[1], weights[2], weights[3], weights[4]
+    most = expected.shape[0]
+    for begin in range(0, details.shape[0], most):
+        n = min(most, details.shape[0] - begin)
+        for k in range(n):
+            both = v1 * features[0, begin + k] + v2 * features[1, begin + k]
+            expected[k] = (both >> shift) + v3 * features[2, begin + k] + v0
+        _class_row(expected, floats, bits, n, of_pairs, of_singles, 0)
+        for k in range(0, n, 2):
+            i, own = begin + k, of_pairs[k >> 1]
+            if not (is_coded[i] or is_coded[i + 1]):
+                continue
+            symbol = pair_symbol(details[i], details[i + 1])
+            if own < MOST_CUT:
+                pairs[own, symbol] += 1
+            for j in range(2):
+                if own < MOST_CUT and symbol == PAIR_ESCAPE:
+                    escaped[own, single_symbol(details[i + j])] += 1
+                if own >= LEAST_CUT and is_coded[i + j]:
+                    single = of_singles[k + j]
+                    singles[own, single, single_symbol(details[i + j] >> raw_bits(single))] += 1
 
 
 def n_strips(n_rows: int) -> int:

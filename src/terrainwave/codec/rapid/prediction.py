@@ -246,19 +246,29 @@ def _quantised(goal, whole, step):
 
 @kernel_part
 def _quantise(aim, place, lattice, work, details, source, n):
-    """Fill the details of a predicted row; 0 where void. `place` is that of the first sample."""
+    """Fill the details of a predicted row; 0 where void. `place` is that of the first sample.
+
+    In float64, of which processors divide several at once: all numbers are whole and below 2**50,
+    so that no quotient is rounded to the next whole number.
+    """
     of_row, first = place
-    for j in range(n):
-        col = first + 2 * j
-        detail = np.int64(0)
-        if not lattice.has_void or aim.valid[of_row, col]:
-            whole = ((np.int64(work.predicted[j]) << lattice.shift) + 2) >> 2
-            detail = _quantised(aim.heights[of_row, col], whole + lattice.origin, lattice.step)
-        side = np.int64(work.sides[j])
-        details[source + j] = np.int32((detail ^ side) - side)
+    goals, valid = aim.heights.reshape(-1), aim.valid.reshape(-1)
+    at = np.uint64(of_row * lattice.n_cols + first)
+    step, scale = np.float64(lattice.step), np.float64(np.int64(1) << lattice.shift)
+    most = np.float64(lattice.origin - (lattice.step >> 1))
+    source = np.uint64(source)
+    for j in range(np.uint64(n)):
+        whole = np.floor((np.float64(work.predicted[j]) * scale + 2.0) * 0.25)
+        detail = np.int32(np.floor((np.float64(goals[at + j + j]) - whole - most) / step))
+        side = work.sides[j]
+        details[source + j] = (detail ^ side) - side
+    if lattice.has_void:
+        for j in range(np.uint64(n)):
+            if not valid[at + j + j]:
+                details[source + j] = 0
     if n & 1:
         # An odd end is a pair with nothing: memory holds what was coded before.
-        details[source + n] = 0
+        details[source + np.uint64(n)] = 0
 
 
 @kernel_part

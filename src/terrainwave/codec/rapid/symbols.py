@@ -119,7 +119,7 @@ def _list_entries(pairs, singles, cut, entries):
 
 
 @kernel_part
-def _raw_bits(single):
+def raw_bits(single):
     """Return how many raw bits a sample has that is coded by itself."""
     return max(np.int64(single) - _RAW_CLASS, 0) >> 1
 
@@ -261,7 +261,7 @@ def _complete(pairs, singles, cut, streams, details, more, most):
         n += _u64(is_long & (pairs[i >> _ONE] >= cut))
     for k in range(n):
         i = _u64(more[k])
-        n_bits, goes_on = _raw_bits(singles[i]), details[i] == _GOES_ON
+        n_bits, goes_on = raw_bits(singles[i]), details[i] == _GOES_ON
         low = _take(raw, bit, n_bits)
         bit += n_bits
         detail = min(max((np.int64(details[i]) << n_bits) | low, -most), most)
@@ -272,7 +272,7 @@ def _complete(pairs, singles, cut, streams, details, more, most):
     for k in range(n_beyond):
         i = _u64(more[k])
         beyond, bit = _beyond(raw, bit)
-        detail = (beyond << _raw_bits(singles[i])) | np.int64(details[i])
+        detail = (beyond << raw_bits(singles[i])) | np.int64(details[i])
         details[i] = _i32(min(max(detail, -most), most))
     streams.places[BIT] = bit
 
@@ -322,30 +322,15 @@ def _put(raw, places, value, n):
 
 
 @kernel_part
-def _log(log, places, table, symbol, state):
-    at = places[N_LOGGED]
-    log.tables[at], log.symbols[at], log.states[at] = table, symbol, state
-    places[N_LOGGED] = at + 1
+def pair_symbol(first, second):
+    """Return the symbol of two details, PAIR_ESCAPE where there is none."""
+    x, y = first + PAIR_LIMIT, second + PAIR_LIMIT
+    return x * _SIDE + y if 0 <= x < _SIDE and 0 <= y < _SIDE else PAIR_ESCAPE
 
 
 @kernel_part
-def _pair_symbol(table, first, second, freqs):
-    """Return the symbol of two details; PAIR_ESCAPE where there is none, or it has no slot."""
-    if max(abs(first), abs(second)) > PAIR_LIMIT:
-        return PAIR_ESCAPE
-    symbol = (first + PAIR_LIMIT) * _SIDE + second + PAIR_LIMIT
-    return symbol if freqs[table, symbol] else PAIR_ESCAPE
-
-
-@kernel_part
-def _is_escaped(pair, cut, details, j, freqs):
-    """Say whether a pair of details has no symbol."""
-    is_pair = pair != HIDDEN and pair < cut
-    return is_pair and _pair_symbol(pair, details[j], details[j + 1], freqs) == PAIR_ESCAPE
-
-
-@kernel_part
-def _single_symbol(value):
+def single_symbol(value):
+    """Return the symbol of a detail's upper part, SINGLE_ESCAPE where it goes on."""
     return SINGLE_ESCAPE if abs(value) > SINGLE_LIMIT else value + SINGLE_LIMIT
 
 
@@ -363,65 +348,77 @@ def _put_beyond(raw, places, value):
 
 
 @kernel
-def log_strip(pairs, singles, details, frequencies, streams):
-    """Log a list as `read_strip` reads it."""
-    cut, freqs = frequencies.cut, frequencies.freqs
-    log, raw, places = streams.log, streams.raw, streams.places
-    k, n_escaped = 0, 0
-    for pair in range(pairs.shape[0]):
-        j = 2 * pair
-        if pairs[pair] == HIDDEN:
-            k += 1
-        elif pairs[pair] < cut:
-            symbol = _pair_symbol(pairs[pair], details[j], details[j + 1], freqs)
-            _log(log, places, pairs[pair], symbol, k % MOST_STATES)
-            k += 1
+def log_strip(pairs, singles, details, more, frequencies, streams):
+    """Log a list as `read_strip` reads it. What is hidden has the one symbol of its table."""
+    pairs, singles, details, more = borrowed((pairs, singles, details, more))
+    log, raw, places = borrowed((streams.log, streams.raw, streams.places))
+    cut, freqs = frequencies.cut, borrowed(frequencies.freqs)
+    n_pairs, one, at = np.uint64(pairs.shape[0]), np.uint64(1), np.uint64(places[N_LOGGED])
+    tables, symbols, states = log.tables[at:], log.symbols[at:], log.states[at:]
+    n = np.uint64(_list_entries(pairs, singles, cut, tables))
+    k, n_escaped, last = np.uint64(0), np.uint64(0), np.uint64(more.shape[0])
+    first_beyond = last
+    for pair in range(n_pairs):
+        i = pair + pair
+        if pairs[pair] < cut:
+            symbol = pair_symbol(details[i], details[i + one])
+            has_none = pairs[pair] != HIDDEN and freqs[tables[k], symbol] == 0
+            if symbol == PAIR_ESCAPE or has_none:
+                symbol = PAIR_ESCAPE
+                more[n_escaped] = i
+                n_escaped += one
+            symbols[k] = symbol
+            k += one
         else:
-            for i in range(j, j + 2):
-                if singles[i] != HIDDEN:
-                    symbol = _single_symbol(details[i] >> _raw_bits(singles[i]))
-                    _log(log, places, SINGLES | singles[i], symbol, k % MOST_STATES)
-                k += 1
-    for pair in range(pairs.shape[0]):
-        if _is_escaped(pairs[pair], cut, details, 2 * pair, freqs):
-            for i in range(2 * pair, 2 * pair + 2):
-                _log(log, places, ESCAPED, _single_symbol(details[i]), n_escaped % MOST_STATES)
-                n_escaped += 1
-    for pair in range(pairs.shape[0]):
-        for i in range(2 * pair, 2 * pair + 2):
-            if pairs[pair] >= cut and singles[i] != HIDDEN:
-                n_bits = _raw_bits(singles[i])
-                _put(raw, places, details[i] & ((np.int64(1) << n_bits) - 1), n_bits)
-    for pair in range(pairs.shape[0]):
-        for i in range(2 * pair, 2 * pair + 2):
-            if pairs[pair] >= cut and singles[i] != HIDDEN:
-                _put_beyond(raw, places, np.int64(details[i]) >> _raw_bits(singles[i]))
-    for pair in range(pairs.shape[0]):
-        for i in range(2 * pair, 2 * pair + 2):
-            if _is_escaped(pairs[pair], cut, details, 2 * pair, freqs):
-                _put_beyond(raw, places, np.int64(details[i]))
+            for _ in range(2):
+                n_bits = raw_bits(singles[i])
+                value = details[i] >> n_bits
+                symbols[k] = SINGLE_LIMIT if singles[i] == HIDDEN else single_symbol(value)
+                k += one
+                if n_bits:
+                    _put(raw, places, details[i] & ((np.int64(1) << n_bits) - 1), n_bits)
+                if abs(value) > SINGLE_LIMIT:
+                    first_beyond -= one
+                    more[first_beyond] = i
+                i += one
+    for k in range(n):
+        states[k] = k & np.uint64(MOST_STATES - 1)
+    k = last
+    while k > first_beyond:
+        k -= one
+        i = more[k]
+        _put_beyond(raw, places, np.int64(details[i]) >> raw_bits(singles[i]))
+    for k in range(n_escaped + n_escaped):
+        detail = details[np.uint64(more[k >> one]) + (k & one)]
+        tables[n + k], symbols[n + k] = ESCAPED, single_symbol(detail)
+        states[n + k] = k & np.uint64(MOST_STATES - 1)
+        if abs(detail) > SINGLE_LIMIT:
+            _put_beyond(raw, places, np.int64(detail))
+    places[N_LOGGED] = at + n + n_escaped + n_escaped
 
 
 @kernel
 def encode_log(streams, frequencies, words):
     """Encode what has been logged, from its end on; return how many words end `words`."""
-    log, states = streams.log, streams.states
-    freqs, starts = frequencies.freqs, frequencies.starts
-    at = words.shape[0]
-    for k in range(streams.places[N_LOGGED] - 1, -1, -1):
-        table, symbol = log.tables[k], log.symbols[k]
-        lane = log.states[k] & (states.shape[0] - 1)
+    log, states, words = borrowed((streams.log, streams.states, words))
+    freqs, starts = borrowed((frequencies.freqs, frequencies.starts))
+    one, at, k = np.uint64(1), np.uint64(words.shape[0]), np.uint64(streams.places[N_LOGGED])
+    mask = np.uint64(states.shape[0] - 1)
+    while k > np.uint64(0):
+        k -= one
+        table, symbol = np.uint64(log.tables[k]), np.uint64(log.symbols[k])
+        lane = np.uint64(log.states[k]) & mask
         freq, start = np.uint64(freqs[table, symbol]), np.uint64(starts[table, symbol])
         state = np.uint64(states[lane])
         if state >= freq << np.uint64(32 - SLOT_BITS):
-            at -= 1
+            at -= one
             words[at] = np.uint16(state & np.uint64(0xFFFF))
             state >>= np.uint64(16)
         quotient = state // freq
         states[lane] = np.uint32(
             (quotient << np.uint64(SLOT_BITS)) + state - quotient * freq + start
         )
-    return words.shape[0] - at
+    return words.shape[0] - np.int64(at)
 
 
 @kernel
@@ -429,3 +426,4 @@ def count_log(log, n, counts):
     """Count the symbols that have been logged; `counts` as `Frequencies.freqs`."""
     for k in range(n):
         counts[log.tables[k], log.symbols[k]] += 1
+    counts[NO_PAIR], counts[NO_SINGLE] = 0, 0

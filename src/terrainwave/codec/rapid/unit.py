@@ -1,5 +1,6 @@
 """Units of heights as payloads: details, then heights (docs/format-rapid.md)."""
 
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -58,7 +59,7 @@ _MOST_DETAIL = 2**31 - 1
 # Origins are the middle of the range of heights, or 2**10 such numbers as planes hold, from there.
 _ORIGIN_BITS = 10
 # A payload has a part that can be read alone, for windows, for so many bytes.
-_BYTES_OF_BAND, _MOST_BANDS = 1 << 14, 4
+_BYTES_OF_BAND, _MOST_BANDS = 1 << 15, 4
 _SPARE_RAW = 2
 # Symbols of what is not of the samples: odd ends of rows.
 _ROOM = 1 << 13
@@ -71,10 +72,10 @@ _NO_LOG = Log(*(np.zeros(1, dtype=np.uint8) for _ in range(3)))
 
 
 class _Memory:
-    """A workspace that grows with what is coded in it."""
+    """A workspace, and room for what is logged, that grow with what is coded in them."""
 
     def __init__(self) -> None:
-        self._workspace = new_workspace(0)
+        self._workspace, self._streams = new_workspace(0), _new_streams(0)
 
     def of(self, shape: tuple[int, int]) -> Workspace:
         """Return arrays for lattices of this shape."""
@@ -82,6 +83,15 @@ class _Memory:
         if side > self._workspace.side:
             self._workspace = new_workspace(side)
         return self._workspace
+
+    def streams(self, n: int) -> Streams:
+        """Return where to log a band of at most `n` samples; the one logged before is gone."""
+        if len(self._streams.log.tables) < 2 * n + _ROOM:
+            self._streams = _new_streams(n)
+        # Raw bits are added to what is there.
+        self._streams.raw[: (int(self._streams.places[BIT]) >> 5) + 2] = 0
+        self._streams.places[:] = 0
+        return self._streams
 
 
 _MEMORY = Spares(_Memory)
@@ -159,12 +169,10 @@ class UnitCoder:
         with _MEMORY.lent() as memory:
             unit = _new_unit(spec, parent, target, mask, corrections, memory)
             lattice = self._code(unit, parent, ALL_ROWS, out)
-            payload = self._pack(unit)
+            payload = self._pack(unit, unit.bands, is_alone=True)
             n_bands = min(1 + len(payload) // _BYTES_OF_BAND, _MOST_BANDS)
             if parent is not None and lattice is not None and n_bands > 1:
-                unit = unit._replace(bands=[_new_streams(out.size) for _ in range(n_bands)])
-                self._code_details(unit, 1, lattice, band_strips(lattice.n_rows, n_bands))
-                payload = self._pack(unit)
+                payload = self._pack(unit, self._logged(unit, lattice, n_bands))
         return payload, out, None
 
     def count(
@@ -300,28 +308,35 @@ class UnitCoder:
                 code = read_details if unit.target is None else log_details
                 code(lattice, work, valid, own, made, tables.frequencies, streams)
 
-    def _pack(self, unit: _Unit) -> bytes:
-        head, flags = unit.head, 0
-        frequencies = self.tables(unit.spec.step).frequencies
+    def _logged(self, unit: _Unit, lattice: Lattice, n_bands: int) -> Iterator[Streams]:
+        """Yield the bands of a group, each logged where the one before was."""
+        for strips in band_strips(lattice.n_rows, n_bands):
+            streams = unit.memory.streams(lattice.n_rows * lattice.n_cols)
+            self._code_details(unit._replace(bands=[streams]), 1, lattice, [strips])
+            yield streams
+
+    def _pack(self, unit: _Unit, logged: Iterable[Streams], *, is_alone: bool = False) -> bytes:
+        """Return the payload of a unit whose bands have been logged."""
+        frequencies, head = self.tables(unit.spec.step).frequencies, unit.head
+        sizes, contents, which = [], [], len(_N_STATES) - 1
+        for streams in logged:
+            words, states = _words(streams, _N_STATES[which], frequencies)
+            # Several bands are large enough for all states.
+            if is_alone and len(words) < _WORDS_OF_STATES[which]:
+                which = sum(len(words) >= least for least in _WORDS_OF_STATES) - 1
+                words, states = _words(streams, _N_STATES[which], frequencies)
+            n_raw = (int(streams.places[BIT]) + 7) // 8
+            sizes += [encode_varint(len(words)), encode_varint(n_raw)]
+            raw = streams.raw[: (n_raw + 3) // 4].astype("<u4").tobytes()[:n_raw]
+            contents += [states.astype("<u4").tobytes(), words.astype("<u2").tobytes(), raw]
+        flags = head.is_narrow * _NARROW | which << _STATES | (len(sizes) // 2 - 1) << _BANDS
         parts = [b"" if head.is_narrow else bytes([head.shift])]
         if head.number:
             flags |= _HAS_ORIGIN
             parts.append(
                 encode_varint(2 * head.number if head.number > 0 else -2 * head.number - 1)
             )
-        coded = [_words(streams, MOST_STATES, frequencies) for streams in unit.bands]
-        n_words = max(len(words) for words, _ in coded)
-        which = sum(n_words >= least for least in _WORDS_OF_STATES) - 1
-        if _N_STATES[which] != MOST_STATES:
-            coded = [_words(streams, _N_STATES[which], frequencies) for streams in unit.bands]
-        flags |= head.is_narrow * _NARROW | which << _STATES | (len(coded) - 1) << _BANDS
-        contents = []
-        for streams, (words, states) in zip(unit.bands, coded, strict=True):
-            n_raw = (int(streams.places[BIT]) + 7) // 8
-            parts += [encode_varint(len(words)), encode_varint(n_raw)]
-            raw = streams.raw[: (n_raw + 3) // 4].astype("<u4").tobytes()[:n_raw]
-            contents += [states.astype("<u4").tobytes(), words.astype("<u2").tobytes(), raw]
-        return b"".join([bytes([flags]), *parts, *contents])
+        return b"".join([bytes([flags]), *parts, *sizes, *contents])
 
 
 def _words(
@@ -366,7 +381,7 @@ def _new_unit(
         if head is not None
     )
     target = np.ascontiguousarray(target)
-    bands = [_new_streams(target.size)]
+    bands = [memory.streams(target.size)]
     return _Unit(spec, head, target, _as_bytes(mask), corrections, bands, memory)
 
 
