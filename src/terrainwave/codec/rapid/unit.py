@@ -14,6 +14,7 @@ from terrainwave.codec.rapid.layout import (
     Lattice,
     Workspace,
     new_workspace,
+    plane_shape,
 )
 from terrainwave.codec.rapid.needed import band_strips, needed_for
 from terrainwave.codec.rapid.prediction import (
@@ -168,11 +169,14 @@ class UnitCoder:
         out = new_heights(spec.region.shape)
         with _MEMORY.lent() as memory:
             unit = _new_unit(spec, parent, target, mask, corrections, memory)
-            lattice = self._code(unit, parent, ALL_ROWS, out)
-            payload = self._pack(unit, unit.bands, is_alone=True)
-            n_bands = min(1 + len(payload) // _BYTES_OF_BAND, _MOST_BANDS)
-            if parent is not None and lattice is not None and n_bands > 1:
-                payload = self._pack(unit, self._logged(unit, lattice, n_bands))
+            # How many bands a group has is known when its details are.
+            unit = unit if parent is None else unit._replace(bands=[])
+            lattice, n_bands = self._code(unit, parent, ALL_ROWS, out), 1
+            logged: Iterable[Streams] = unit.bands
+            if parent is not None and lattice is not None:
+                n_bands = _n_bands(lattice, memory.of(out.shape))
+                logged = self._logged(unit, lattice, n_bands)
+            payload = self._pack(unit, logged, is_alone=n_bands == 1)
         return payload, out, None
 
     def count(
@@ -315,7 +319,7 @@ class UnitCoder:
             self._code_details(unit._replace(bands=[streams]), 1, lattice, [strips])
             yield streams
 
-    def _pack(self, unit: _Unit, logged: Iterable[Streams], *, is_alone: bool = False) -> bytes:
+    def _pack(self, unit: _Unit, logged: Iterable[Streams], *, is_alone: bool) -> bytes:
         """Return the payload of a unit whose bands have been logged."""
         frequencies, head = self.tables(unit.spec.step).frequencies, unit.head
         sizes, contents, which = [], [], len(_N_STATES) - 1
@@ -337,6 +341,20 @@ class UnitCoder:
                 encode_varint(2 * head.number if head.number > 0 else -2 * head.number - 1)
             )
         return b"".join([bytes([flags]), *parts, *sizes, *contents])
+
+
+def _n_bands(lattice: Lattice, work: Workspace) -> int:
+    """Return how many bands a group should have, by about how many bits its details take."""
+    n, octaves = 0, 0
+    for plane in (HH, HL, LH):
+        n_rows, n_cols = plane_shape(plane, (lattice.n_rows, lattice.n_cols))
+        details = work.details[plane - HH, : n_rows * (n_cols + (n_cols & 1))]
+        n += len(details)
+        # The bits of a float32 tell its logarithm, in 2**-23 of an octave above 2**-127.
+        sizes = (2.0 * np.abs(details) + 1.0).astype(np.float32).view(np.int32)
+        octaves += int(sizes.sum(dtype=np.int64)) - (len(details) * 127 << 23)
+    n_bits = min(2 * octaves, octaves + (3 * n << 22)) >> 23
+    return min(1 + n_bits // (8 * _BYTES_OF_BAND), _MOST_BANDS)
 
 
 def _words(
