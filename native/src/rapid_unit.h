@@ -100,33 +100,33 @@ static ALWAYS_INLINE int32_t ISA(class_of)(int32_t expected) {
 }
 
 /* Products of 16 bits, sums of 32: compilers make vectors of these loops. */
-static ALWAYS_INLINE void ISA(class_row)(const ISA(features) * f, int plane, const rapid_weights *by, int32_t n, uint8_t *pairs, uint8_t *singles) {
+static ALWAYS_INLINE void ISA(classes)(const ISA(features) * f, int plane, const rapid_weights *by, int32_t n, uint8_t *pairs, uint8_t *singles) {
   enum { PIECE = 64 };
   const int16_t of_range = (int16_t)by->of_range, of_bend = (int16_t)by->of_bend, of_near = (int16_t)by->of_near;
   const int32_t shift = by->shift, constant = by->constant;
   for (int32_t first = 0; first < n; first += PIECE) { /* rows end with room */
     int32_t expected[PIECE];
+    int16_t range[PIECE], bend[PIECE], near[PIECE];
     const int16_t *here = f->here + first, *above = f->above + first, *bends = f->bends + first, *below = f->below + first;
     const int16_t *p = f->near[0] + first, *q = f->near[1] + first, *r = f->near[2] + first;
     uint8_t *RESTRICT own = singles + first, *RESTRICT both = pairs + first / 2;
     for (int k = 0; k < PIECE; k++) {
-      int16_t range = here[k], bend = bends[k], near = 0;
-      if (plane == HH) {
-        bend = (int16_t)(bend + bends[k + 1] + below[k] + below[k + 1]);
-      } else if (plane == HL) {
-        range = (int16_t)(range + above[k]);
-        bend = (int16_t)(bend + bends[k + 1]);
-        near = (int16_t)(p[k] + q[k]);
-      } else {
-        range = (int16_t)(range + here[k - 1]);
-        bend = (int16_t)(bend + below[k]);
-        near = (int16_t)(p[k] + p[k - 1] + q[k] + q[k - 1] + r[k] + r[k - 1]);
-      }
-      expected[k] = ((of_range * range + of_bend * bend) >> shift) + of_near * near + constant;
+      range[k] = (int16_t)(here[k] + (plane == HH ? 0 : plane == HL ? above[k] : here[k - 1]));
+      bend[k] = (int16_t)(bends[k] + (plane == HH ? bends[k + 1] + below[k] + below[k + 1] : plane == HL ? bends[k + 1] : below[k]));
+      near[k] = (int16_t)(plane == HH ? 0 : plane == HL ? p[k] + q[k] : p[k] + p[k - 1] + q[k] + q[k - 1] + r[k] + r[k - 1]);
+    }
+    for (int k = 0; k < PIECE; k++) {
+      expected[k] = ((of_range * range[k] + of_bend * bend[k]) >> shift) + (plane == HH ? 0 : of_near * near[k]) + constant;
     }
     for (int k = 0; k < PIECE; k++) own[k] = (uint8_t)ISA(class_of)(expected[k]);
     for (int k = 0; k < PIECE / 2; k++) both[k] = (uint8_t)ISA(class_of)((expected[2 * k] >> 1) + (expected[2 * k + 1] >> 1));
   }
+}
+
+static void ISA(class_row)(const ISA(features) * f, int plane, const rapid_weights *by, int32_t n, uint8_t *pairs, uint8_t *singles) {
+  if (plane == HH) ISA(classes)(f, HH, by, n, pairs, singles);
+  if (plane == HL) ISA(classes)(f, HL, by, n, pairs, singles);
+  if (plane == LH) ISA(classes)(f, LH, by, n, pairs, singles);
 }
 
 /* Hide samples without details: `valid` of n samples, at every `step`; NULL: all are valid. An odd sample is a pair. */
@@ -411,22 +411,23 @@ static void ISA(read_raw)(const ISA(work) * w, rapid_stream *z, int32_t n) {
   const uint8_t *bytes = z->raw;
   size_t at = z->n_bits;
   for (int32_t first = 0; first < 2 * n && at <= 8 * z->n_raw; first += PIECE, n_bits += PIECE) {
-    int32_t held[PIECE], *RESTRICT large = w->large + first;
+    int32_t held[PIECE], scales[PIECE], *RESTRICT large = w->large + first;
     uint64_t words[PIECE / 8];
     memcpy(words, n_bits, sizeof words);
     if (!(words[0] | words[1] | words[2] | words[3])) continue;
     for (int i = 0; i < PIECE; i += 4) { /* at most 13 bits each */
       uint64_t bits = load_u64(bytes + (at >> 3)) >> (at & 7);
       for (int k = i; k < i + 4; k++) {
-        held[k] = (int32_t)(bits & ((1u << n_bits[k]) - 1));
+        scales[k] = 1 << n_bits[k]; /* not every processor shifts each lane by a number of its own */
+        held[k] = (int32_t)bits & (scales[k] - 1);
         bits >>= n_bits[k];
         at += n_bits[k];
       }
     }
     for (int i = 0; i < PIECE; i++) {
-      int32_t detail = large[i], whole = (int32_t)((uint32_t)detail << n_bits[i]) | held[i];
+      int32_t detail = large[i], whole = detail * scales[i] + held[i];
       whole = detail == MORE ? held[i] : min_i32(max_i32(whole, -most), most); /* these keep their low bits */
-      large[i] = n_bits[i] ? whole : detail;
+      large[i] = scales[i] == 1 ? detail : whole;
     }
   }
   z->n_bits = at;
@@ -523,11 +524,7 @@ static int ISA(read_strip)(const ISA(work) * w, int plane, int32_t strip, rapid_
         ISA(row_in)(w, w->ranges, row, HELD_ROWS), ISA(row_in)(w, w->ranges, row - 1, HELD_ROWS),
         ISA(row_in)(w, w->bends, row, HELD_ROWS), ISA(row_in)(w, w->bends, row + 1, HELD_ROWS), {hh, plane == HL ? above : hl, below}};
     uint8_t *pairs = w->pairs + (ptrdiff_t)(row - first) * n_pairs, *singles = w->singles + (ptrdiff_t)(row - first) * 2 * n_pairs;
-    switch (plane) {
-      case HH: ISA(class_row)(&f, HH, &w->weights[HH], n, pairs, singles); break;
-      case HL: ISA(class_row)(&f, HL, &w->weights[HL], n, pairs, singles); break;
-      default: ISA(class_row)(&f, LH, &w->weights[LH], n, pairs, singles); break;
-    }
+    ISA(class_row)(&f, plane, &w->weights[plane], n, pairs, singles);
     const uint8_t *valid = u->valid;
     if (valid) valid += (2 * row + (plane != HL)) * u->valid_stride + (plane != LH) * u->valid_step;
     ISA(hide)(valid, 2 * u->valid_step, n, pairs, singles);
