@@ -24,6 +24,7 @@ from terrainwave.codec.refiner import (
     GroupSpec,
     Heights,
     Mask,
+    Raw,
     Refiner,
     Rows,
     Validity,
@@ -120,8 +121,9 @@ def decode_unit(
     parent: Decoded | None,
     payload: bytes,
     rows: Rows = ALL_ROWS,
+    raw: Raw | None = None,
 ) -> Decoded:
-    """Undo `encode_unit`. The mask is not to be written to.
+    """Undo `encode_unit`. The mask is not to be written to. Heights may go to `raw`.
 
     If some rows are enough, and the refiner is a `DirectRefiner`, a group may have heights in no
     others (`Decoded.rows`), and the bytes of these may not have been looked at. Of the parent, the
@@ -153,7 +155,11 @@ def decode_unit(
     if direct is not None:
         heights = new_heights(spec.region.shape)
         labels = None
-        direct.decode_into(spec, parent_heights, mask, body, heights, corrections, rows)
+        if head.remainders or spec.forbidden[0] <= spec.forbidden[1]:
+            raw = None  # quanta are looked at
+        if direct.decode_into(spec, parent_heights, mask, body, heights, corrections, rows, raw):
+            assert raw is not None
+            return Decoded(raw.heights, head.validity, is_raw=True)
     else:
         if head.corrections:
             correcting = cast(CorrectingRefiner, refiner)

@@ -7,7 +7,7 @@ neighbour. That is what makes every group decodable from its ancestors alone, in
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, Self, TypeVar, cast, runtime_checkable
+from typing import Any, NamedTuple, Protocol, Self, TypeVar, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,6 +151,7 @@ class Decoded(NamedTuple):
     the method has no details (`store`, raw units) or nothing is valid: nothing is known then.
     `remainders`: what makes the heights exact (`grid.remainders`); None where all are 0.
     `rows`: those that have heights; in others `heights` has anything, all else is known.
+    `is_raw`: `heights` are no quanta but raw heights, where `Raw` wanted them.
     """
 
     heights: Heights
@@ -158,6 +159,7 @@ class Decoded(NamedTuple):
     labels: Labels | None = None
     remainders: Remainders | None = None
     rows: Rows = ALL_ROWS
+    is_raw: bool = False
 
     @property
     def mask(self) -> Mask:
@@ -178,7 +180,18 @@ class Decoded(NamedTuple):
     def part(self, at: tuple[slice, slice]) -> "Decoded":
         """Return some of the samples, those of `rows`, without the zero trees; views."""
         rest = None if self.remainders is None else self.remainders[at]
-        return Decoded(self.heights[at], self.validity.part(at), None, rest)
+        return Decoded(self.heights[at], self.validity.part(at), None, rest, is_raw=self.is_raw)
+
+
+class Raw(NamedTuple):
+    """Where a reader wants the raw heights of a unit, which are its quanta and `base`.
+
+    `heights`: its region, or all but the last row or column; a part of a flat array of whole
+    numbers that they all fit.
+    """
+
+    heights: NDArray[Any]
+    base: int
 
 
 class Refiner(Protocol):
@@ -244,8 +257,11 @@ class DirectRefiner(CorrectingRefiner, Protocol):
     def decode_into(
         self, spec: GroupSpec, parent: Heights | None, mask: Mask | None, payload: bytes,
         out: Heights, corrections: Corrections = NO_CORRECTIONS, rows: Rows = ALL_ROWS,
-    ) -> None:  # fmt: skip
+        raw: Raw | None = None,
+    ) -> bool:  # fmt: skip
         """Do as `decode`; `out` is contiguous and has the shape of ``spec.region``.
+
+        Returns whether heights went to `raw` instead, as they may. Nothing does if it raises.
 
         Of a group, some rows are enough: what `payload` has of others may be left, there may be any
         heights in them, and in rows of `parent` that `rows_above` does not name.

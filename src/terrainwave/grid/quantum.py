@@ -170,7 +170,7 @@ class Quantizer:
         if out is None:
             out = np.empty(quanta.shape, dtype=self.dtype)
         if out.dtype.kind in "iu":
-            if self._only_shifts:
+            if self.shift is not None:
                 # No kernel has to be compiled for this. In one step, as threads whose units meet
                 # fill the samples of the border that both have: each time with the same.
                 if self.base:
@@ -187,12 +187,15 @@ class Quantizer:
         return out
 
     @cached_property
-    def _only_shifts(self) -> bool:
-        """Say whether whole heights are quanta plus `base`, and none is beyond the dtype."""
+    def shift(self) -> int | None:
+        """Return what added to quanta makes whole heights, none beyond the dtype; else None."""
+        if np.dtype(self.dtype).kind not in "iu":
+            return None
         limits = np.iinfo(np.dtype(self.dtype))
         heights = self.z_min + self.base, self.z_max + self.base
         is_usual = self.numerator == self.denominator == 1 and abs(self.base) < _LARGE
-        return is_usual and limits.min <= heights[0] and heights[1] <= limits.max
+        fits = limits.min <= heights[0] and heights[1] <= limits.max
+        return self.base if is_usual and fits else None
 
     def quanta_of_value(self, value: float | int | None) -> tuple[int, int]:
         """Return the closed interval of quanta that give `value`; (0, -1) if there is none."""
