@@ -20,7 +20,7 @@ from terrainwave.codec.rapid.symbols import (
 )
 from terrainwave.codec.rapid.tables import Tables
 from terrainwave.codec.rapid.unit import UnitCoder
-from terrainwave.codec.refiner import FREE, NOT_SHARED, Corrections, Rows, Sides
+from terrainwave.codec.refiner import FREE, NOT_SHARED, Corrections, Raw, Rows, Sides
 from terrainwave.codec.varint import encode_varint
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 
@@ -313,6 +313,46 @@ def test_inherited_heights_beyond_the_range_are_clamped():
             continue
         assert heights.min() >= spec.z_min
         assert heights.max() <= spec.z_max
+
+
+@pytest.mark.parametrize("dtype", [np.int16, np.int32])
+@pytest.mark.parametrize("missing", [0, 1])
+def test_raw_heights_go_to_a_readers_memory_once_all_is_known_to_be_good(dtype, missing):
+    """In a part of a larger array, with or without the last row and column; nothing beside it."""
+    spec, parent, payload = small_unit()
+    heights, _ = coder().decode(spec, parent, None, payload)
+    memory = np.full(30 * 40, 99, dtype=dtype)
+    wanted = memory.reshape(30, 40)[3 : 24 - missing, 5 : 23 - missing]
+
+    def decode(payload):
+        return coder().decode_into(
+            spec, parent, None, payload, np.empty_like(heights), raw=Raw(wanted, 7)
+        )
+
+    for place in range(len(payload)):
+        broken = bytearray(payload)
+        broken[place] ^= 1
+        try:
+            decode(bytes(broken))
+        except CorruptStreamError:
+            assert (memory == 99).all()
+        memory[:] = 99
+    assert decode(payload)
+    np.testing.assert_array_equal(wanted, heights[: wanted.shape[0], : wanted.shape[1]] + 7)
+    wanted[:] = 99
+    assert (memory == 99).all()
+
+
+@pytest.mark.parametrize("scale", [1 << 16, 1])
+def test_raw_heights_stay_where_they_do_not_fit(scale):
+    """Units that need 32 bits, and memory that is no part of a flat array, are left to a copy."""
+    heights = np.random.default_rng(0).integers(-64, 64, (65, 65)).astype(np.int32) * scale
+    spec, parent = unit(heights, 1)
+    payload, coded, _ = coder().encode(spec, parent, heights, None)
+    wanted, out = np.full((65, 130), 99, dtype=np.int32)[:, ::2], np.empty_like(heights)
+    assert not coder().decode_into(spec, parent, None, payload, out, raw=Raw(wanted, 7))
+    assert (wanted == 99).all()
+    np.testing.assert_array_equal(out, coded)
 
 
 def test_options_have_no_rings():

@@ -61,8 +61,8 @@ def _decoded(monkeypatch):
     """Units that are decoded, with the rows that they have."""
     found = []
 
-    def noting(refiner, spec, parent, payload, rows=ALL_ROWS):
-        unit = decode_unit(refiner, spec, parent, payload, rows)
+    def noting(refiner, spec, parent, payload, rows=ALL_ROWS, raw=None):
+        unit = decode_unit(refiner, spec, parent, payload, rows, raw)
         found.append((spec.level, spec.region.row, spec.region.col, unit.rows))
         return unit
 

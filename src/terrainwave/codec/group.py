@@ -24,6 +24,7 @@ from terrainwave.codec.refiner import (
     GroupSpec,
     Heights,
     Mask,
+    Raw,
     Refiner,
     Rows,
     Validity,
@@ -121,8 +122,9 @@ def decode_unit(
     parent: Decoded | None,
     payload: bytes,
     rows: Rows = ALL_ROWS,
+    raw: Raw | None = None,
 ) -> Decoded:
-    """Undo `encode_unit`. The mask is read-only.
+    """Undo `encode_unit`. The mask is read-only. Heights may go to `raw`.
 
     If only some rows are needed, and the refiner is a `DirectRefiner`, a group may have heights
     only in these (`Decoded.rows`), and the bytes of the others may be unchecked. The parent needs
@@ -154,7 +156,11 @@ def decode_unit(
     if direct is not None:
         heights = new_heights(spec.region.shape)
         labels = None
-        direct.decode_into(spec, parent_heights, mask, body, heights, corrections, rows)
+        if head.remainders or spec.forbidden[0] <= spec.forbidden[1]:
+            raw = None  # quanta are looked at
+        if direct.decode_into(spec, parent_heights, mask, body, heights, corrections, rows, raw):
+            assert raw is not None
+            return Decoded(raw.heights, head.validity, is_raw=True)
     else:
         if head.corrections:
             correcting = cast(CorrectingRefiner, refiner)

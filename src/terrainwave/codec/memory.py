@@ -6,7 +6,7 @@ Untouched memory costs a process a page fault every 4 KB: half as much as decodi
 import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,18 +77,26 @@ def flat(heights: Heights) -> tuple[Heights, int]:
 
     A part of a unit is not copied: its memory is that of `new_heights`.
     """
+    found = flat_view(heights)
+    if found is None:
+        copied = new_heights(heights.shape)
+        copied[:] = heights
+        found = copied.ravel(), heights.shape[1]
+    return found
+
+
+def flat_view(heights: NDArray[Any]) -> tuple[NDArray[Any], int] | None:
+    """Do as `flat` for any numbers, without a copy; None where there is no such view."""
     owner = heights.base
     if heights.flags.c_contiguous:
-        return heights.ravel(), heights.shape[1]
+        return heights.reshape(-1), heights.shape[1]
     if isinstance(owner, np.ndarray) and (owner.ndim, owner.dtype) == (1, heights.dtype):
         row_spacing, col_spacing = (size // owner.itemsize for size in heights.strides)
         if owner.flags.c_contiguous and col_spacing == 1:
             first = (_address(heights) - _address(owner)) // owner.itemsize
             return owner[first:], row_spacing
-    copied = new_heights(heights.shape)
-    copied[:] = heights
-    return copied.ravel(), heights.shape[1]
+    return None
 
 
-def _address(heights: Heights) -> int:
+def _address(heights: NDArray[Any]) -> int:
     return int(heights.__array_interface__["data"][0])

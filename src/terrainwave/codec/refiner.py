@@ -7,7 +7,7 @@ makes every group decodable from only its ancestors, in any order.
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, Self, TypeVar, cast, runtime_checkable
+from typing import Any, NamedTuple, Protocol, Self, TypeVar, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,7 +150,8 @@ class Decoded(NamedTuple):
     a group these are the samples of the parent block inside the raster, without apron. None if the
     method has no details (`store`, raw units) or nothing is valid. `remainders`: differences from
     exact heights (`grid.remainders`); None if all are 0. `rows`: the rows with decoded heights;
-    others are undefined in `heights`, but known in all else.
+    others are undefined in `heights`, but known in all else. `is_raw`: `heights` are raw heights,
+    not quanta, as a `Raw` asked for.
     """
 
     heights: Heights
@@ -158,6 +159,7 @@ class Decoded(NamedTuple):
     labels: Labels | None = None
     remainders: Remainders | None = None
     rows: Rows = ALL_ROWS
+    is_raw: bool = False
 
     @property
     def mask(self) -> Mask:
@@ -178,7 +180,18 @@ class Decoded(NamedTuple):
     def part(self, at: tuple[slice, slice]) -> "Decoded":
         """Return some samples, a subset of `rows`, without the zero trees; views."""
         rest = None if self.remainders is None else self.remainders[at]
-        return Decoded(self.heights[at], self.validity.part(at), None, rest)
+        return Decoded(self.heights[at], self.validity.part(at), None, rest, is_raw=self.is_raw)
+
+
+class Raw(NamedTuple):
+    """Where a reader wants the raw heights of a unit, which are its quanta and `base`.
+
+    `heights`: its region, or all but the last row or column; a part of a flat array of whole
+    numbers that they all fit.
+    """
+
+    heights: NDArray[Any]
+    base: int
 
 
 class Refiner(Protocol):
@@ -244,8 +257,11 @@ class DirectRefiner(CorrectingRefiner, Protocol):
     def decode_into(
         self, spec: GroupSpec, parent: Heights | None, mask: Mask | None, payload: bytes,
         out: Heights, corrections: Corrections = NO_CORRECTIONS, rows: Rows = ALL_ROWS,
-    ) -> None:  # fmt: skip
+        raw: Raw | None = None,
+    ) -> bool:  # fmt: skip
         """Do as `decode`; `out` is contiguous and has the shape of ``spec.region``.
+
+        Returns whether heights went to `raw` instead. Nothing does if it raises.
 
         If only some `rows` of a group are needed, bytes of other rows may be skipped; heights in
         these rows, and in rows of `parent` outside `rows_above`, are undefined.

@@ -170,7 +170,7 @@ class Quantizer:
         if out is None:
             out = np.empty(quanta.shape, dtype=self.dtype)
         if out.dtype.kind in "iu":
-            if self._only_shifts:
+            if self.shift is not None:
                 # Needs no compiled kernel. In one step, as threads whose units meet fill the
                 # samples of their common border: each time with the same values.
                 if self.base:
@@ -187,12 +187,15 @@ class Quantizer:
         return out
 
     @cached_property
-    def _only_shifts(self) -> bool:
-        """Return whether whole heights are quanta plus `base`, and none is beyond the dtype."""
+    def shift(self) -> int | None:
+        """Return the difference of whole heights and quanta, if none is beyond the dtype."""
+        if np.dtype(self.dtype).kind not in "iu":
+            return None
         limits = np.iinfo(np.dtype(self.dtype))
         heights = self.z_min + self.base, self.z_max + self.base
         is_usual = self.numerator == self.denominator == 1 and abs(self.base) < _LARGE
-        return is_usual and limits.min <= heights[0] and heights[1] <= limits.max
+        fits = limits.min <= heights[0] and heights[1] <= limits.max
+        return self.base if is_usual and fits else None
 
     def quanta_of_value(self, value: float | int | None) -> tuple[int, int]:
         """Return the closed interval of quanta that give `value`; (0, -1) if it is empty."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from terrainwave.cache import Cache
 from terrainwave.codec.cdf53.refiner import LevelHeights, decode_tile
 from terrainwave.codec.cdf53.tile_layout import TileLayout, TileSpec
-from terrainwave.codec.refiner import ALL_ROWS, Decoded, Refiner, Rows, as_array
+from terrainwave.codec.refiner import ALL_ROWS, Decoded, Raw, Refiner, Rows, as_array
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.coding.lifting53 import forward_transform, places_of
 from terrainwave.container.header import Header
@@ -91,6 +91,7 @@ class Tiles:
         units: TreeDecoder,
         key: Block,
         rows: RowsOf = WHOLE,  # noqa: ARG002
+        raw: Raw | None = None,  # noqa: ARG002
     ) -> Decoded:
         """Return a unit, cut from its tile."""
         tile_key = self._layout.key_of(key)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.refiner import Decoded
+from terrainwave.codec.refiner import Decoded, Raw
 from terrainwave.errors import CorruptStreamError, StorageError
 from terrainwave.forks import renew_after_fork
 from terrainwave.grid.crew import Crew
@@ -70,7 +70,11 @@ class WindowReader:
         With `on_error` ``"mask"``, damaged units read as void; with `is_own`, so do samples that
         are not valid by themselves. With `void_value` voids have that height, and are not returned.
         """
-        heights = np.zeros(region.shape, dtype=self._dtype)
+        # A part of a flat array, as units that write to it take it.
+        heights = np.zeros(region.n_rows * region.n_cols, dtype=self._dtype).reshape(region.shape)
+        base, out = self._quantizer.shift, None
+        if base is not None and self._dtype in (np.int16, np.int32):  # kernels for few types
+            out = Raw(heights, base)
         voids: _Voids | _Filled
         if void_value is None:
             voids = _Voids(region, are_all=on_error == "mask")
@@ -81,8 +85,9 @@ class WindowReader:
 
         def fill(key: Block, rows: RowsOf) -> None:
             try:
-                there, unit = decoder.part_once(key, region, rows)
-                self._fill(unit, heights[there])
+                there, unit = decoder.part_once(key, region, rows, out)
+                if not unit.is_raw:
+                    self._fill(unit, heights[there])
                 voids.note(there, unit.validity.own_mask if is_own else unit.validity.mask)
             except CorruptStreamError as error:
                 if on_error == "raise":

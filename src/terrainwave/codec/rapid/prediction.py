@@ -386,29 +386,29 @@ def code_heights(is_encoding, aim, lattice, work, parent, known, stencils, rows,
                 planes[plane, PAD],
                 planes[plane, last],
             )
-    for row in range(rows[3][0], rows[3][1]):
+    for row in range((rows[3][0] + 1) // 2 * 2, rows[3][1], 2):
+        at = parent.first + (row >> 1) * parent.pitch
+        for j in range(0 if lattice.is_narrow else n_a_cols):
+            height = np.int64(above[at + j * parent.spacing])
+            out[row, 2 * j] = np.int32(min(max(height, lattice.low), lattice.high))
+
+
+@kernel
+def write_rows(planes, origin, rows, n_cols, out, row_spacing):
+    """Write rows of a narrow lattice, heights of planes and `origin`, to flat memory.
+
+    Row 0 of the lattice is at its start, row 1 `row_spacing` further.
+    """
+    flat, out, n_cols = borrowed(planes.reshape(-1)), borrowed(out), np.uint64(n_cols)
+    size, pitch = planes.shape[1] * planes.shape[2], planes.shape[2]
+    for row in range(rows[0], rows[1]):
         at = (PAD + (row >> 1)) * pitch + PAD
-        if lattice.is_narrow:
-            first, second = (LH, HH) if row & 1 else (A, HL)
-            _write_row(flat, first * size + at, second * size + at, lattice, out[row])
-        elif not row & 1:
-            at = parent.first + (row >> 1) * parent.pitch
-            for j in range(n_a_cols):
-                height = np.int64(above[at + j * parent.spacing])
-                out[row, 2 * j] = np.int32(min(max(height, lattice.low), lattice.high))
-
-
-@kernel_part
-def _write_row(flat, first, second, lattice, out):
-    """Write a row of a narrow lattice from rows of two planes, which begin at places of `flat`."""
-    origin, n, first, second = (
-        np.int32(lattice.origin),
-        lattice.n_cols,
-        np.uint64(first),
-        np.uint64(second),
-    )
-    for j in range(np.uint64(n // 2)):
-        out[j + j] = np.int32(flat[first + j]) + origin
-        out[j + j + np.uint64(1)] = np.int32(flat[second + j]) + origin
-    if n & 1:
-        out[n - 1] = np.int32(flat[first + np.uint64(n // 2)]) + origin
+        even, odd = (LH, HH) if row & 1 else (A, HL)
+        x, y = np.uint64(even * size + at), np.uint64(odd * size + at)
+        to, n = np.uint64(row * row_spacing), n_cols >> _ONE
+        for j in range(n):
+            # Of 32 bits, whatever `out` is of.
+            out[to + j + j] = _i32(_i32(flat[x + j]) + _i32(origin))
+            out[to + j + j + _ONE] = _i32(_i32(flat[y + j]) + _i32(origin))
+        if n_cols & _ONE:
+            out[to + n + n] = _i32(_i32(flat[x + n]) + _i32(origin))

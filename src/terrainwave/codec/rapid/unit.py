@@ -1,15 +1,18 @@
 """Units of heights as payloads: details, then heights (docs/format-rapid.md)."""
 
 from collections.abc import Iterable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.corrections import correct
-from terrainwave.codec.memory import Spares, flat, new_heights
+from terrainwave.codec.memory import Spares, flat, flat_view, new_heights
 from terrainwave.codec.rapid.details import log_details, read_details
 from terrainwave.codec.rapid.layout import (
+    HH,
+    HL,
+    LH,
     LIMIT,
     Lattice,
     Workspace,
@@ -22,6 +25,7 @@ from terrainwave.codec.rapid.prediction import (
     Parent,
     code_heights,
     load_parent,
+    write_rows,
 )
 from terrainwave.codec.rapid.symbols import (
     BIT,
@@ -46,6 +50,7 @@ from terrainwave.codec.refiner import (
     Heights,
     Labels,
     Mask,
+    Raw,
     Rows,
 )
 from terrainwave.codec.varint import decode_varint, encode_varint
@@ -140,6 +145,14 @@ class _Unit(NamedTuple):
             *(np.ascontiguousarray(array[part]).ravel() for array in self.corrections),
         )
 
+    def write(
+        self, lattice: Lattice, base: int, rows: tuple[int, int], n_cols: int,
+        out: NDArray[Any], row_spacing: int,
+    ) -> None:  # fmt: skip
+        """Write rows of a narrow lattice, and `base` more, to flat memory."""
+        planes = self.memory.of((lattice.n_rows, lattice.n_cols)).planes
+        write_rows(planes, lattice.origin + base, rows, n_cols, out, row_spacing)
+
     def keep_added(self, stride: int, aim: Aim) -> None:
         """Keep the corrections of every so many samples that an encoder found."""
         if aim.added.size and stride > 1:
@@ -224,18 +237,29 @@ class UnitCoder:
         out: Heights,
         corrections: Corrections = NO_CORRECTIONS,
         rows: Rows = ALL_ROWS,
-    ) -> None:
+        raw: Raw | None = None,
+    ) -> bool:
         """Rebuild the heights of ``spec.region`` in `out`; see `decode` and `DirectRefiner`."""
         rows = ALL_ROWS if parent is None else rows
         head = _read_head(spec, payload)
         bands = _read_bands(head, payload)
         with _MEMORY.lent() as memory:
             unit = _Unit(spec, head, None, _as_bytes(mask), corrections, bands, memory)
-            self._code(unit, parent, rows, out)
-        read = needed_for(out.shape, rows, len(bands)).strips
-        all_ = band_strips(out.shape[0], len(bands))
-        for k, (streams, (_, n_raw)) in enumerate(zip(bands, head.sizes, strict=True)):
-            _check_end(streams, n_raw, is_part=read[k] != all_[k])
+            wanted = None
+            if raw is not None and parent is not None and head.is_narrow:
+                wanted = flat_view(raw.heights)
+            lattice = self._code(unit, parent, rows, out, is_written=wanted is None)
+            needed, all_ = (
+                needed_for(out.shape, rows, len(bands)),
+                band_strips(len(out), len(bands)),
+            )
+            for k, (streams, (_, n_raw)) in enumerate(zip(bands, head.sizes, strict=True)):
+                _check_end(streams, n_raw, is_part=needed.strips[k] != all_[k])
+            # Not before all is known to be good.
+            if raw is not None and wanted is not None and lattice is not None:
+                (first, end), shape = needed.planes[3], raw.heights.shape
+                unit.write(lattice, raw.base, (first, min(end, shape[0])), shape[1], *wanted)
+        return wanted is not None
 
     def rows_above(self, spec: GroupSpec, payload: bytes, rows: Rows) -> Rows:
         """Return which rows of its parent heights a group needs; see `DirectRefiner`."""
@@ -243,14 +267,19 @@ class UnitCoder:
         return Rows(*needed_for(spec.core.shape, rows, n_bands).parent)
 
     def _code(
-        self, unit: _Unit, parent: Heights | None, rows: Rows, out: Heights
-    ) -> Lattice | None:
-        """Encode a unit, or decode rows of it; return its lattice, the last one of a root block."""
+        self, unit: _Unit, parent: Heights | None, rows: Rows, out: Heights, *,
+        is_written: bool = True,
+    ) -> Lattice | None:  # fmt: skip
+        """Encode a unit, or decode rows of it; return its lattice, the last one of a root block.
+
+        Rows of narrow groups may be left to be written.
+        """
         spec = unit.spec
         if parent is not None:
             source, pitch = flat(parent)
             above = Parent(source, 0, pitch, 1)
-            return self._code_lattice(unit, 1, above, tuple(spec.shared), rows, out)
+            shared = tuple(spec.shared)
+            return self._code_lattice(unit, 1, above, shared, rows, out, is_written=is_written)
         stride, lattice = 1, None
         while stride < max(out.shape) - 1:
             stride *= 2
@@ -268,7 +297,7 @@ class UnitCoder:
 
     def _code_lattice(
         self, unit: _Unit, stride: int, parent: Parent, known: tuple[bool, ...], rows: Rows,
-        out: Heights,
+        out: Heights, *, is_written: bool = True,
     ) -> Lattice:  # fmt: skip
         """Code the lattice of every so many samples of a unit."""
         spec, head = unit.spec, unit.head
@@ -286,14 +315,16 @@ class UnitCoder:
         tables = self.tables(spec.step)
         which = tables.level_class(spec.level - (stride.bit_length() - 1))
         if unit.target is None:
-            self._code_details(unit, stride, lattice, needed.strips)
+            self._code_details(unit, which, lattice, aim.valid, needed.strips)
         code_heights(
             unit.target is not None, aim, lattice, work, parent, known,
             tables.stencils[which].astype(np.int32), needed.planes, out,
         )  # fmt: skip
+        if head.is_narrow and is_written:
+            unit.write(lattice, 0, needed.planes[3], lattice.n_cols, out.reshape(-1), out.shape[1])
         if unit.target is not None:
             unit.keep_added(stride, aim)
-            self._code_details(unit, stride, lattice, needed.strips)
+            self._code_details(unit, which, lattice, aim.valid, needed.strips)
             self._see(which, lattice, work, aim.valid)
         return lattice
 
@@ -301,12 +332,12 @@ class UnitCoder:
         """Look at a lattice of a class of levels that has been encoded (`fit_weights`)."""
 
     def _code_details(
-        self, unit: _Unit, stride: int, lattice: Lattice, strips: list[tuple[int, int]]
-    ) -> None:
-        tables = self.tables(unit.spec.step)
-        which = tables.level_class(unit.spec.level - (stride.bit_length() - 1))
+        self, unit: _Unit, which: int, lattice: Lattice, valid: NDArray[np.uint8],
+        strips: tuple[tuple[int, int], ...],
+    ) -> None:  # fmt: skip
+        """Read or log the details of strips of each band, with the tables of a class of levels."""
+        tables, work = self.tables(unit.spec.step), unit.memory.of((lattice.n_rows, lattice.n_cols))
         made = weights_of(tables.weights[which], lattice.step, lattice.shift)
-        valid, work = unit.aim(stride).valid, unit.memory.of((lattice.n_rows, lattice.n_cols))
         for streams, own in zip(unit.bands, strips, strict=True):
             if own[0] < own[1]:
                 code = read_details if unit.target is None else log_details
