@@ -60,7 +60,6 @@ class LevelReader:
         self._grid = header.grid
 
     def close(self) -> None:
-        """Stop the threads."""
         self._windows.close()
         if self._native is not None:
             self._native.close()

@@ -111,7 +111,6 @@ class BlockStore:
         return self.layers.n_bytes
 
     def put(self, node: int, built: "RegularBlock") -> bool:
-        """Upload a block; return False if there is no room."""
         layer = self.layers.take() if built.n_triangles else -1
         if layer is None:
             return False
@@ -122,7 +121,6 @@ class BlockStore:
         return True
 
     def drop(self, node: int) -> None:
-        """Remove a block."""
         layer = self._layer_of.pop(node)
         if layer >= 0:
             self.layers.give_back(layer)
@@ -132,7 +130,6 @@ class BlockStore:
         return np.array([self._layer_of[node] for node in nodes.tolist()], dtype=np.int64)
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         self.layers.release()
 
 
@@ -222,7 +219,6 @@ class BlockSurface:
         self._instances.filter = (moderngl.NEAREST, moderngl.NEAREST)
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         release_all(
             self._instances, self._array, self._places, self._triangles, self.program, self.store
         )  # fmt: skip

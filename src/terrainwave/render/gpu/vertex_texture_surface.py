@@ -186,7 +186,6 @@ class TreeTextures:
         mesh.has_changed[...] = False
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         release_all(self.heights, self.bounds, self.marks)
 
 
@@ -227,12 +226,10 @@ class TreeStore(FrontStore):
         return True
 
     def drop(self, node: int) -> None:
-        """Remove a patch."""
         super().drop(node)
         release_all(self.trees.pop(node, None))
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         super().release()
         release_all(*self.trees.values())
 
@@ -339,7 +336,6 @@ class VertexTextureSurface:
         self.trees.write(content.tobytes())
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         grids = [part for parts in self.grids.values() for part in reversed(parts)]
         release_all(*grids, self.trees, self.program, self.store)
 
