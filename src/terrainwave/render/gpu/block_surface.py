@@ -65,7 +65,7 @@ void main() {
     v_grid = c.zw + full;
     gl_ClipDistance[0] = c.x - full.x;
     gl_ClipDistance[1] = c.y - full.y;
-    // A triangle with a void corner shrinks to nothing beside the others.
+    // A triangle with a void corner shrinks to a point.
     gl_ClipDistance[2] = is_void ? -1e9 : 1.0;
     gl_Position = view_projection * vec4(seen, 1.0);
 }

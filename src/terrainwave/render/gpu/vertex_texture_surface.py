@@ -122,7 +122,7 @@ void main() {
     v_layers = ivec2(int(layer), -1);
     v_grid = v_sample * stride + first_grid;
     v_parent = vec4(0.0, 0.0, float(h) + first_size, base_error);
-    // A triangle with a void corner shrinks to nothing beside the others.
+    // A triangle with a void corner shrinks to a point.
     gl_ClipDistance[0] = is_void ? -1e9 : 1.0;
     cut_off(1, v_grid);
     gl_Position = view_projection * vec4(v_seen, 1.0);
