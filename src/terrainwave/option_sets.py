@@ -99,7 +99,6 @@ class OptionSet:
 
     @classmethod
     def names(cls) -> list[str]:
-        """Return the names of the options."""
         return [option.name for option in fields(cls)]
 
     @classmethod

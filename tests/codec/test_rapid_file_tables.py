@@ -307,9 +307,7 @@ def test_counts_by_class_are_those_of_the_kernels():
     valid = np.random.default_rng(1).random(heights.shape) < 0.9
     tables = plain_tables(0, 1)._replace(cut=25)
     sample = fit._Sample(heights[None], valid[None], 3, 1.0)
-    seen = fit_weights.gathered(
-        [coder.samples for coder, _ in fit._coded(fit_weights.Observer, tables, sample, map)]
-    )
+    seen = fit.observed(tables, sample)
     found = fit_weights.count_by_class(seen, tables_from(tables).weights, 3)
     kernels = fit.count(tables, sample)
     np.testing.assert_array_equal(fit.counts_of(found, 25), kernels)

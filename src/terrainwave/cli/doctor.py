@@ -46,7 +46,6 @@ class Diagnosis:
     rasterio_reads_twz: bool
 
     def lines(self) -> list[str]:
-        """Return the lines to print."""
         lines = [f"terrainwave {self.terrainwave}"]
         if self.gdal:
             knows = "reads .twz files" if self.reads_twz else "does not read .twz files"

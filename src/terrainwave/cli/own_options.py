@@ -33,7 +33,6 @@ class _Word(NamedTuple):
 
 
 def own_option(help: str) -> Callable[[Any], Any]:
-    """Return the option -o."""
     return click.option("-o", "own", multiple=True, metavar="NAME[=VALUE]", help=help)
 
 

@@ -54,7 +54,6 @@ class _Repeater:
         self._asked.put((number, seconds))
 
     def close(self) -> None:
-        """Stop sending."""
         self._asked.put(None)
         self._thread.join()
 

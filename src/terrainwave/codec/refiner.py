@@ -247,7 +247,6 @@ class CorrectingRefiner(Protocol):
         self, spec: GroupSpec, parent: Heights | None, mask: Mask | None, payload: bytes,
         corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[Heights, Labels | None]:  # fmt: skip
-        """Do as `Refiner.decode`."""
         ...
 
 

@@ -16,7 +16,6 @@ def unit_core(grid: Grid, key: Block) -> Region:
 
 
 def unit_spec(grid: Grid, parameters: CodecParameters, key: Block) -> GroupSpec:
-    """Return the `GroupSpec` of a unit."""
     apron = parameters.apron
     blocks_per_unit = 1 if key.is_root_key else 2
     level = key.level + 1

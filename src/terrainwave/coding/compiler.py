@@ -58,7 +58,6 @@ class Kernel(CPUDispatcher):
             return entry
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Return the call template for another kernel."""
         return self._part.get_call_template(args, kws)
 
     def get_overload(self, sig: Any) -> Any:
@@ -190,7 +189,6 @@ class _CalleeCompiler(Compiler):
     """The same up to unoptimised code."""
 
     def define_pipelines(self) -> list[Any]:
-        """Return numba's passes, with our own among them."""
         return [_replaced(passes, _OF_CALLEES) for passes in super().define_pipelines()]
 
 

@@ -55,7 +55,6 @@ class _Locator(_CacheLocator):
         self._line = function.__code__.co_firstlineno
 
     def from_function(self, py_func: Any, py_file: Any) -> "_Locator":  # noqa: ARG002, numba's
-        """Return the locator of a function."""
         return self
 
     def get_cache_path(self) -> str:
@@ -150,7 +149,6 @@ class KernelCache:
 
     @property
     def place(self) -> KernelPlace:
-        """Return the place of entries."""
         return self._found[0]
 
     @cached_property

@@ -68,7 +68,6 @@ class StoredSegment(NamedTuple):
     length: int
 
     def page(self) -> bytes:
-        """Return the page."""
         return b"".join(self._read(0, self.page_length))
 
     def sections(self) -> Iterator[bytes]:
@@ -345,7 +344,6 @@ class StoredSegments:
         return z_min, z_max, error, mesh_error
 
     def close(self) -> None:
-        """Close all sources."""
         self._sources.clear()
 
     def __enter__(self) -> "StoredSegments":

@@ -305,7 +305,6 @@ class Container:
         return missing
 
     def payload_lengths(self, keys: Sequence[Block]) -> list[int]:
-        """Return the bytes of the payloads of `keys`."""
         return [segment.payload_range(row).length for segment, row in self._rows(keys)]
 
     def payload_parts(self, parts: Sequence[tuple[Block, int, int]]) -> list[bytes]:
@@ -333,7 +332,6 @@ class Container:
         return data
 
     def flags(self, key: Block) -> int:
-        """Return the flags of `key`."""
         ((segment, row),) = self._rows([key])
         return int(segment.page.flags[row])
 
@@ -460,7 +458,6 @@ class Container:
     # Closing
 
     def close(self) -> None:
-        """Close the source."""
         self._start = b""
         self.source.close()
 

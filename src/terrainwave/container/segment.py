@@ -33,11 +33,9 @@ class Segment:
     child_starts: Sequence[int]
 
     def payload_range(self, row: int) -> ByteRange:
-        """Return the range of the payload in `row` of the page."""
         return ByteRange(self.payload_starts[row], int(self.page.payload_lengths[row]))
 
     def mesh_range(self, row: int) -> ByteRange:
-        """Return the range of the mesh in `row` of the page."""
         return ByteRange(self.payload_range(row).end, int(self.page.mesh_lengths[row]))
 
     def page_range(self, child: Block) -> ByteRange:

@@ -182,7 +182,6 @@ class SegmentSpool:
                 self._spill()
 
     def close(self) -> None:
-        """Delete the temporary file."""
         with self._lock:
             if self._path is not None:
                 with storage_errors(f"cannot remove {self._path}"):

@@ -90,7 +90,6 @@ class SpoolSink:
             spool.finish()
 
     def payloads(self, keys: Sequence[Block]) -> list[bytes]:
-        """Return stored payloads."""
         return [self._payload(key) for key in keys]
 
     def _payload(self, key: Block) -> bytes:

@@ -79,7 +79,6 @@ class _Buffer:
         return len(self.accessors) - 1
 
     def data(self) -> bytes:
-        """Return the whole buffer."""
         return b"".join(self._parts)
 
 

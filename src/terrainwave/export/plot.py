@@ -113,7 +113,6 @@ def label_axes(ax: Any, x: str, y: str) -> None:
 
 
 def add_colour_bar(ax: Any, norm: Any, cmap: Any, units: str | None, word: str) -> None:
-    """Add a bar with the meaning of the colours."""
     pyplot = need("matplotlib.pyplot", extra="demo")
     scale = pyplot.cm.ScalarMappable(norm=norm, cmap=cmap)
     ax.figure.colorbar(scale, ax=ax, shrink=0.8, label=f"{word}, {unit_text(units)}")

@@ -62,7 +62,6 @@ class TerrainBackend:
         self.earlier: EarlierLoss | None = EarlierLoss(bound, files)
 
     def notes(self) -> Iterator[str]:
-        """Yield notes on omissions and choices, one sentence each."""
         return (f"{self.name}: {remark}" for remark in self.remarks())
 
     def remarks(self) -> Iterator[str]:
@@ -74,7 +73,6 @@ class TerrainBackend:
         return iter(())
 
     def tags(self) -> dict[str, Any]:
-        """Return the fields of RasterInfo that do not concern the heights."""
         info = self._info
         return {
             "crs": info.crs if self._is_placed else None,

@@ -64,7 +64,6 @@ class Encoding(NamedTuple):
         return np.clip(np.rint((heights - self.lowest) / self.step), 0, _HIGHEST_CODE)
 
     def heights(self, codes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the heights of codes."""
         return codes * self.step + self.lowest
 
 
@@ -324,7 +323,6 @@ def _void_shares(is_void: NDArray[np.bool_], rim: int) -> NDArray[np.uint8]:
 
 
 def height_of_voids(globe: Globe) -> float:
-    """Return the height in metres of voids."""
     return globe.height_range[0] - VOID_DEPTH
 
 

@@ -93,7 +93,6 @@ class TileMesher:
         return mesh
 
     def tile(self, zoom: int, x: int, y: int) -> TileMesh:
-        """Return a tile."""
         samples = self._heights.samples(zoom, x, y)
         mesh = self._mesh(samples, zoom)
         # A vertex of a merged cell has only valid heights, or only voids.

@@ -34,7 +34,6 @@ class TileRange:
 
     @property
     def n_tiles(self) -> int:
-        """Return the number of tiles."""
         return (self.last_x - self.first_x + 1) * (self.last_y - self.first_y + 1)
 
     def tiles(self) -> Iterator[tuple[int, int]]:
@@ -66,7 +65,6 @@ class TileScheme:
 
     @cached_property
     def max_zoom(self) -> int:
-        """Return the finest zoom."""
         finest = self._finest
         if self._asked is None:
             return finest
@@ -129,7 +127,6 @@ class TileScheme:
         ]
 
     def n_tiles(self, zoom: int) -> int:
-        """Return the number of tiles of a zoom."""
         return sum(tiles.n_tiles for tiles in self.available(zoom))
 
     def availability(self, first: int) -> list[list[dict[str, int]]]:

@@ -30,7 +30,6 @@ class Crew(ThreadPoolExecutor):
         self._begun: dict[Future[Any], Callable[..., Any]] = {}
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Do as `Executor.submit`."""
         future = super().submit(fn, *args, **kwargs)
         self._begun[future] = fn
         future.add_done_callback(lambda ended: self._begun.pop(ended, None))

@@ -492,7 +492,6 @@ class HeightScan:
 
 
 def _spacing(dtype: str, largest: float) -> float:
-    """Return the spacing of floats at a height."""
     return float(np.spacing(np.dtype(dtype).type(largest)))
 
 

@@ -59,7 +59,6 @@ class BorderState(NamedTuple):
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Undo `to_arrays`."""
         return cls(*(_borders(arrays, name) for name in ("border", "demanded")))
 
 

@@ -129,7 +129,6 @@ class Errors:
         self.coded = Fraction(header.coded_error) + Fraction(header.rho) / header.quantum
 
     def heights(self, block: Block) -> Fraction:
-        """Return the error of a block's heights."""
         if block.level == self._grid.k_max:
             return self.coded
         return Fraction(decode_error(self._container.codes(block)[2]))
@@ -176,7 +175,6 @@ class Cut:
         self.pieces = pieces
 
     def covering(self, block: Block) -> Block | None:
-        """Return the block of the cut that contains a block."""
         while block.level >= 0:
             if block in self.pieces:
                 return block

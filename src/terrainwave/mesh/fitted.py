@@ -43,7 +43,6 @@ class BlockFitter:
         self._samples: Cache[Block, BlockSamples] = Cache(_CACHE_BYTES, size_of=_n_bytes)
 
     def samples_of(self, block: Block) -> BlockSamples:
-        """Return the samples of a block."""
         return self._samples.get_or_make(block, lambda: self._mesher.samples(block))
 
     def build(self, cut: Cut, block: Block) -> MeshedBlock:

@@ -55,18 +55,15 @@ class ArrayBackend:
         self._tags = tags or {}
 
     def notes(self) -> Iterator[str]:
-        """Yield notes on omissions and choices, one sentence each."""
         return iter(())
 
     def tags(self) -> dict[str, Any]:
-        """Return the fields of RasterInfo that do not concern the heights."""
         return self._tags
 
     def even(self, region: Region) -> None:
         """Return None: an array has no index."""
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return heights (a copy) and validity by the mask."""
         part = self._array[row : row + n_rows, col : col + n_cols]
         if not isinstance(part, np.ndarray):
             part = part.values
@@ -151,11 +148,9 @@ class LabelledBackend(ArrayBackend):
             )
 
     def notes(self) -> Iterator[str]:
-        """Yield notes on omissions and choices, one sentence each."""
         return iter(self._notes)
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return heights (a copy) and validity."""
         heights, valid = super().read(row, col, n_rows, n_cols)
         for value in self._others:
             valid &= heights != value

@@ -255,11 +255,9 @@ class DatasetBackend:
         self.told = told_of(dataset, band)
 
     def notes(self) -> Iterator[str]:
-        """Yield notes on omissions and choices, one sentence each."""
         return (f"{self.name}: {remark}" for remark in self.remarks())
 
     def remarks(self) -> Iterator[str]:
-        """Yield the notes without the raster's name."""
         dataset, band = self._dataset, self._band
         others = self._other_bands()
         if others and band == 1:
@@ -366,7 +364,6 @@ class DatasetBackend:
                 )
 
     def tags(self) -> dict[str, Any]:
-        """Return the fields of RasterInfo that do not concern the heights."""
         dataset, index = self._dataset, self._band - 1
         color = dataset.colorinterp[index].name
         return {
@@ -387,7 +384,6 @@ class DatasetBackend:
         return unreported(self._dataset, self._band)
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return heights (a copy) and validity by the mask."""
         window = Window(col, row, n_cols, n_rows)
         try:
             with bounded_env():

@@ -261,7 +261,6 @@ class Photo:
 
 
 def is_tile_url(path: str) -> bool:
-    """Return whether a path is the URL of tiles."""
     return path.startswith(("http://", "https://")) and all(
         part in path for part in ("{z}", "{x}", "{y}")
     )

@@ -288,7 +288,6 @@ class MosaicBackend:
         return self._open.get_or_make(os.fspath(source), lambda: self._open_member(source))
 
     def notes(self) -> Iterator[str]:
-        """Yield notes on omissions and choices, one sentence each."""
         yield from self._notes
         if self._differing:
             names = ", ".join(self._differing)
@@ -320,11 +319,9 @@ class MosaicBackend:
         return bool((last + moved).max() - (first + moved).min() < (end - start) / 2)
 
     def asides(self) -> Iterator[str]:
-        """Yield notes that need no warning."""
         yield from self._asides
 
     def tags(self) -> dict[str, Any]:
-        """Return the fields of RasterInfo that do not concern the heights."""
         return self._tags
 
     def read(

@@ -233,7 +233,7 @@ class RasterSource:
             )
         return info
 
-    def settled(self, minimum: float, maximum: float) -> tuple[RasterInfo, list[str]]:
+    def with_meaning(self, minimum: float, maximum: float) -> tuple[RasterInfo, list[str]]:
         """Return `info` with the meaning of the numbers, decided by all valid ones, and notes.
 
         Reads the raster again if only a name suggests depths and some values are below 0.

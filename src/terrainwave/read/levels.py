@@ -21,7 +21,7 @@ from terrainwave.read.lost import Lost
 from terrainwave.read.native import NativeError, NativeFile
 from terrainwave.read.window_reader import WindowReader, bilinear
 
-# Raw heights and voids; None if there are none.
+# Raw heights, and voids or None.
 _Heights = tuple[NDArray[Any], NDArray[np.bool_] | None]
 # Raw heights and validity.
 _Samples = tuple[NDArray[Any], NDArray[np.bool_]]
@@ -60,7 +60,6 @@ class LevelReader:
         self._grid = header.grid
 
     def close(self) -> None:
-        """Stop the threads."""
         self._windows.close()
         if self._native is not None:
             self._native.close()

@@ -15,7 +15,7 @@ RESAMPLING = ("nearest", "bilinear", "average")
 # Samples in memory while averaging: 32 MiB of float64, several times over.
 _BAND_SAMPLES = 4 << 20
 
-# Heights and voids; None only if there are none.
+# Heights, and voids or None.
 _Heights = tuple[NDArray[Any], NDArray[np.bool_] | None]
 # Returns a region of the level `shift` steps coarser than the requested one.
 ReadLevel = Callable[[int, Region], _Heights]

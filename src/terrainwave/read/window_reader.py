@@ -51,7 +51,6 @@ class WindowReader:
         self._crew = Crew(self._n_threads)
 
     def close(self) -> None:
-        """Stop the threads."""
         self._is_closed = True
         self._crew.shutdown()
 

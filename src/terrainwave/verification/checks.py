@@ -63,7 +63,7 @@ def problems_of(
         )
     pieces, n_twice, place = coverage(surface, shape)
     if n_twice:
-        yield f"{n_twice} places are covered twice, one beside sample {place}"
+        yield f"{n_twice} places are covered twice, one next to sample {place}"
     whole = np.isin(pieces, (NOTHING, WHOLE, ABC, ACD, ABD, BCD))
     if not whole.all():
         yield f"{np.count_nonzero(~whole)} quads are covered in part, one at {_first(~whole)}"

@@ -150,7 +150,6 @@ class MeshVerification:
         self._n_done = self._n_total = 0
 
     def run(self) -> tuple[MeshReport, list[str]]:
-        """Return the report and all problems."""
         terrain, n_samples = self._terrain, self._grid.n_rows * self._grid.n_cols
         plans = list(self._plans())
         has_stored = terrain.mesh_kind != "none"

@@ -124,7 +124,6 @@ class Original:
         return kind_problem((info.heights_are, own, info.crs), found)
 
     def coordinate_epoch(self) -> float | None:
-        """Return the epoch of the original's coordinates."""
         return unreported(self.dataset, self.band).coordinate_epoch if self.dataset.crs else None
 
     def area_or_point(self) -> str:

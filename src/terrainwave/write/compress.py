@@ -441,7 +441,7 @@ def _write(
         with closing(made) as passes:
             left = for_heights_of(source, options)
             scan = passes.scan(fixed_steps(left, source.info))
-            info, marks = source.settled(scan.minimum, scan.maximum)
+            info, marks = source.with_meaning(scan.minimum, scan.maximum)
             marks += note_on_undeclared(source, scan.minimum, scan.maximum)
             marks += note_on_marks(source, scan.minimum, scan.maximum)
             earlier = earlier_of(source, options, scan.steps)

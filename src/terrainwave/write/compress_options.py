@@ -50,17 +50,17 @@ class Options:
 
     def __post_init__(self) -> None:
         blocks = f"one of {', '.join(map(str, BLOCKS))}"
-        settled: dict[str, Any] = {
+        checked: dict[str, Any] = {
             "max_error": checked_error("max_error", self.max_error),
             "mesh_error": checked_error("mesh_error", self.mesh_error),
             "block": checked_whole("block", self.block, expected=blocks),
         }
         if self.height_range is not None:
-            settled["height_range"] = _checked_range(self.height_range)
-        if settled["block"] not in BLOCKS:
-            raise InvalidArgumentError(f"found `block` {settled['block']}, expected {blocks}")
+            checked["height_range"] = _checked_range(self.height_range)
+        if checked["block"] not in BLOCKS:
+            raise InvalidArgumentError(f"found `block` {checked['block']}, expected {blocks}")
         if self.threads is not None:
-            settled["threads"] = checked_threads(self.threads)
+            checked["threads"] = checked_threads(self.threads)
         flags = [field.name for field in fields(self) if isinstance(field.default, bool)]
         check_flags(**{name: getattr(self, name) for name in flags})
         if self.digest is not None:
@@ -71,13 +71,13 @@ class Options:
                 " the proof decodes"
             )
         choice = chosen(self.method, self.effort)
-        settled |= {"method": choice.own, "effort": choice.effort, "choice": choice}
+        checked |= {"method": choice.own, "effort": choice.effort, "choice": choice}
         if not self.mesh_kind:
             check_mesh(self.mesh, or_none=True)
-            settled["mesh_kind"] = stored_mesh(
+            checked["mesh_kind"] = stored_mesh(
                 self.mesh, choice.own.method, is_faithful=getattr(choice.own, "faithful", False)
             )
-        for name, value in settled.items():
+        for name, value in checked.items():
             object.__setattr__(self, name, value)
         self._check_goals()
 

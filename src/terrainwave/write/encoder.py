@@ -425,7 +425,6 @@ class TreeEncoder(UnitEncoder):
     def code_unit(
         self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
     ) -> tuple[bytes, Decoded]:
-        """Return the payload and the decoded form of a unit."""
         rest = partial(self._pyramid.remainders, spec.region) if spec.remainder_bytes else None
         own = None
         if spec.has_voids and not spec.is_finest:

@@ -69,6 +69,5 @@ class LocalPasses:
         return prove(path, job, self.windows, self.executor, self.reporter, self.kept)
 
     def close(self) -> None:
-        """Delete temporary data."""
         if self._windows is not None:
             self._windows.close()

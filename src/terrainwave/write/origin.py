@@ -69,7 +69,7 @@ def difference(
         if files != (source.earlier.files if source.earlier else ()):
             return "it was made of another .twz file"
         scan = scan_windows(info, _windows(source), Reporter(progress), has_digest=True)
-        info = source.settled(scan.minimum, scan.maximum)[0]
+        info = source.with_meaning(scan.minimum, scan.maximum)[0]
         if info.heights_are != kind:
             return "its numbers mean something else"
     if origin != origin_of(asked, scan):

@@ -175,7 +175,6 @@ class EmbeddedSource:
         self.position = 0.0
 
     def close(self) -> None:
-        """Delete the spool."""
         self._spool.close()
 
     def code(self, executor: Executor, on_samples: Callable[[int], None]) -> None:

@@ -44,7 +44,6 @@ class LevelHeights(NamedTuple):
         return LevelHeights(region, self.heights[at], self.validity.part(at))
 
     def copy(self) -> "LevelHeights":
-        """Return a copy with its own arrays."""
         return LevelHeights(self.region, self.heights.copy(), self.validity.copy())
 
 
@@ -150,7 +149,6 @@ def _is_void(level: Validity) -> bool:
 
 
 def pack_head(head: TileHead) -> bytes:
-    """Return a head as bytes."""
     has_masks = any(head.masks)
     out = bytes([HAS_MASKS if has_masks else 0])
     for mask in head.masks if has_masks else ():

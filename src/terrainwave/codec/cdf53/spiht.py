@@ -286,7 +286,6 @@ def _children(table, place):
 
 @kernel
 def _n_significant_children(walk, place):
-    """Return the number of significant children of `place`."""
     child, n_rows, n_cols = _children(walk.table, place)
     count = 0
     for row in range(n_rows):

@@ -100,7 +100,6 @@ class TileLayout:
         return keys
 
     def n_units(self, key: Block) -> int:
-        """Return the number of units in tile `key`."""
         head = Block(0, 0, 0) if key.is_root_key else key
         last = self.root_last if key.is_root_key else key.level + self.depth
         layer, count = [head], 1 if key.is_root_key else 0

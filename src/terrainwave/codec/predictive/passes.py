@@ -267,7 +267,6 @@ _Sample = namedtuple("_Sample", "bottom lower upper top west north value whole")
 
 @kernel_part
 def _scale_of(heights):
-    """Return the scale of a `Range`."""
     shift, inverse = step_scale(heights.step)
     p_low, p_high = np.int64(heights.z_min) << P_BITS, np.int64(heights.z_max) << P_BITS
     return _Scale(shift, inverse, heights.step >> 1, p_low, p_high)

@@ -192,7 +192,7 @@ class PredictiveRefiner:
         heights: HeightsOf,
         mask: MaskOf,
         *,
-        each: Each = map,  # noqa: ARG002, as this takes little beside coding
+        each: Each = map,  # noqa: ARG002, coding takes most of the time
     ) -> "PredictiveRefiner":
         """Return a refiner with tables fitted to a raster, if they are worth their bytes.
 

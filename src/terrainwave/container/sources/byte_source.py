@@ -130,7 +130,6 @@ class FileSource(MergingSource):
         return f"{found.st_dev}-{found.st_ino}-{found.st_mtime_ns}-{found.st_ctime_ns}"
 
     def renew(self) -> None:
-        """Reset after a fork."""
         self._lock = threading.Lock()
 
     def _read(self, offset: int, length: int) -> bytes:
@@ -146,7 +145,6 @@ class FileSource(MergingSource):
             raise StorageError(f"cannot read {self.name}: {error}") from error
 
     def close(self) -> None:
-        """Close the file."""
         file, self._file = self._file, None
         if file is not None:
             file.close()

@@ -23,19 +23,15 @@ class CutFile:
 
     @property
     def is_local(self) -> bool:
-        """Return whether a request costs little."""
         return bool(getattr(self._source, "is_local", False))
 
     def read(self, offset: int, length: int) -> bytes:
-        """Return the bytes of a range."""
         return self.read_many([ByteRange(offset, length)])[0]
 
     def read_many(self, ranges: Sequence[ByteRange]) -> list[bytes]:
-        """Return the bytes of each range, in the given order; near ones in one request."""
         return self._padded(ranges, self._source.read_many([self._there(one) for one in ranges]))
 
     def read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
-        """Return the bytes of each range, in the given order; each is one request."""
         return self._padded(spans, self._source.read_spans([self._there(one) for one in spans]))
 
     def _there(self, wanted: ByteRange) -> ByteRange:
@@ -50,9 +46,7 @@ class CutFile:
         ]
 
     def check_unchanged(self) -> None:
-        """Raise `StorageError` if the bytes are known to have changed since the opening."""
         self._source.check_unchanged()
 
     def close(self) -> None:
-        """Close the source."""
         self._source.close()

@@ -192,7 +192,6 @@ class HttpSource(MergingSource):
         return self._version.etag or self._version.modified or ""
 
     def renew(self) -> None:
-        """Reset after a fork."""
         self._connections.renew()
         self._closing = threading.Event()
 

@@ -40,7 +40,6 @@ class MemberSource(MergingSource):
 
     @property
     def is_local(self) -> bool:
-        """Return whether a request costs little."""
         return bool(getattr(self._archive, "is_local", False))
 
     def _read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
@@ -52,11 +51,9 @@ class MemberSource(MergingSource):
         return self._archive.read(self._start + offset, length)
 
     def check_unchanged(self) -> None:
-        """Raise `StorageError` if the archive is known to have changed."""
         self._archive.check_unchanged()
 
     def close(self) -> None:
-        """Close the archive."""
         self._archive.close()
 
     def __reduce__(self) -> tuple[type["MemberSource"], tuple[str, ByteSource, int, int]]:
@@ -137,11 +134,9 @@ class _AsFile(io.RawIOBase):
         self._tail = source.read(self._tail_at, source.size - self._tail_at)
 
     def seekable(self) -> bool:
-        """Return True."""
         return True
 
     def readable(self) -> bool:
-        """Return True."""
         return True
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
@@ -150,7 +145,6 @@ class _AsFile(io.RawIOBase):
         return self._at
 
     def tell(self) -> int:
-        """Return the position."""
         return self._at
 
     def read(self, n: int = -1) -> bytes:

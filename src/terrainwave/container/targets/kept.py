@@ -117,7 +117,6 @@ class Kept:
         return len(self.names())
 
     def names(self) -> list[str]:
-        """Return the names of all records."""
         return [name for name in self._records if name not in (_RUN, _BOOT, _SYNCED)]
 
     def get(self, name: str) -> dict[str, Any] | None:
@@ -126,7 +125,6 @@ class Kept:
         return None if record is None else record.values
 
     def data(self, name: str) -> bytes:
-        """Return the bytes of a record."""
         assert self._file is not None
         record = self._records[name]
         with self._lock, storage_errors(f"cannot read {self._file.name}"):

@@ -40,7 +40,9 @@ def region_of_box(globe: Globe, box: Any) -> Region:
     cut = _cut(globe.extent, Extent(west, south, east, north))
     region = Region(0, 0, 0, 0) if cut is None else _samples(globe, cut)
     if not all(region.shape):
-        raise InvalidArgumentError("the window lies beside the terrain: draw it over the terrain")
+        raise InvalidArgumentError(
+            "the window does not overlap the terrain: draw it over the terrain"
+        )
     return region
 
 

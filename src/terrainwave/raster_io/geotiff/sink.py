@@ -116,7 +116,6 @@ class _Threads:
         renew_after_fork(self)
 
     def renew(self) -> None:
-        """Reset after a fork."""
         self._are_gone = self._are_there
 
     def allowed(self, n_threads: int) -> int:

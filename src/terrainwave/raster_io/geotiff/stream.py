@@ -58,15 +58,12 @@ class GeoTIFFStream(MemoryFile):  # type: ignore[misc]
         return self._file.size
 
     def readable(self) -> bool:
-        """Return True."""
         return True
 
     def seekable(self) -> bool:
-        """Return True."""
         return True
 
     def writable(self) -> bool:
-        """Return False."""
         return False
 
     def write(self, data: Any) -> NoReturn:  # noqa: ARG002, as files have it
@@ -83,7 +80,6 @@ class GeoTIFFStream(MemoryFile):  # type: ignore[misc]
             return self._place
 
     def tell(self) -> int:
-        """Return the current position."""
         return self._place
 
     def read(self, size: int | None = -1) -> bytes:

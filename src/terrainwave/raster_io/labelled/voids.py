@@ -31,7 +31,7 @@ def voids_of(array: Any, band: int, packing: Packing) -> Voids:
     with contextlib.suppress(AttributeError, OverflowError, RuntimeError, TypeError, ValueError):
         if array.rio.nodata == array.rio.nodata:  # NaN stands for a value in the encoding
             declared.append(array.rio.nodata)
-    # If the encoding has a scale, its values count in packed numbers, of which none is left.
+    # With a scale, the nodata values of the encoding are packed numbers: no height equals them.
     is_packed = bool({"scale_factor", "add_offset"} & set(encoding)) or _is_unsigned(encoding)
     if _is_unsigned(attrs) and array.dtype.kind == "i":
         raise InvalidHeightsError(

@@ -65,7 +65,7 @@ void main() {
     v_grid = c.zw + full;
     gl_ClipDistance[0] = c.x - full.x;
     gl_ClipDistance[1] = c.y - full.y;
-    // A triangle with a void corner shrinks to nothing beside the others.
+    // A triangle with a void corner shrinks to a point.
     gl_ClipDistance[2] = is_void ? -1e9 : 1.0;
     gl_Position = view_projection * vec4(seen, 1.0);
 }
@@ -111,7 +111,6 @@ class BlockStore:
         return self.layers.n_bytes
 
     def put(self, node: int, built: "RegularBlock") -> bool:
-        """Upload a block; return False if there is no room."""
         layer = self.layers.take() if built.n_triangles else -1
         if layer is None:
             return False
@@ -122,7 +121,6 @@ class BlockStore:
         return True
 
     def drop(self, node: int) -> None:
-        """Remove a block."""
         layer = self._layer_of.pop(node)
         if layer >= 0:
             self.layers.give_back(layer)
@@ -132,7 +130,6 @@ class BlockStore:
         return np.array([self._layer_of[node] for node in nodes.tolist()], dtype=np.int64)
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         self.layers.release()
 
 
@@ -222,7 +219,6 @@ class BlockSurface:
         self._instances.filter = (moderngl.NEAREST, moderngl.NEAREST)
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         release_all(
             self._instances, self._array, self._places, self._triangles, self.program, self.store
         )  # fmt: skip

@@ -128,12 +128,10 @@ class FrontStore:
         self._max_blocks = self._layers.max_layers
 
     def drop(self, node: int) -> None:
-        """Remove a patch."""
         if self._layers is not None:
             self._layers.give_back(self.layer_of.pop(node))
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         release_all(self._layers)
 
 
@@ -209,5 +207,4 @@ class FrontSurface:
         self._triangles.write(triangles)
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         release_all(self._array, self._vertices, self._triangles, self.program, self.store)

@@ -76,7 +76,6 @@ class GpuStore:
         return self.layers.textures[0]
 
     def put(self, node: int, patch: Patch) -> bool:
-        """Upload a patch; return False if there is no room."""
         n_indices = patch.triangles.size
         if n_indices == 0:
             self._place(node, Slot(0, 0, 0, 0, -1))
@@ -105,7 +104,6 @@ class GpuStore:
         self._places[node] = slot.first_index, slot.n_indices, slot.layer
 
     def drop(self, node: int) -> None:
-        """Remove a patch."""
         slot = self.slots.pop(node)
         if slot.layer < 0:
             return
@@ -154,6 +152,5 @@ class GpuStore:
         return layers
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         for part in (self.vertex_buffer, self.index_buffer, self.layers):
             part.release()

@@ -255,5 +255,4 @@ class Overlay:
         self._array.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         release_all(self._texture, self._array, self._program, self._line_program)

@@ -130,7 +130,6 @@ class PatchSurface:
         return n
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         release_all(
             self._instances, self._numbers, self._commands, self._array, self.program, self.store
         )  # fmt: skip

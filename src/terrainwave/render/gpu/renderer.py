@@ -57,7 +57,6 @@ class _DrapeTexture:
         self.texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         self.texture.release()
 
 
@@ -74,7 +73,6 @@ class _WaterTexture:
         self.texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         self.texture.release()
 
 
@@ -318,7 +316,6 @@ class Renderer:
         self._sky_array.render(moderngl.TRIANGLES, vertices=3)
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         release_all(self.surface, self._solid, self._ramp, self._drape, self._detail)
         release_all(self._found, self._everywhere, self._nowhere)
         release_all(self._sky_array, self._sky)

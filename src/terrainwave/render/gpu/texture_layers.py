@@ -73,7 +73,6 @@ class LayeredTextures:
         return self._free.capacity * self._layer_bytes
 
     def take(self) -> int | None:
-        """Return a free layer, or None."""
         layer = self._free.take(1)
         if layer is None and self._free.capacity < self.max_layers:
             self._grow(min(2 * self._free.capacity, self.max_layers))
@@ -101,6 +100,5 @@ class LayeredTextures:
         self._free.grow(n_layers)
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         for texture in self.textures:
             texture.release()

@@ -122,7 +122,7 @@ void main() {
     v_layers = ivec2(int(layer), -1);
     v_grid = v_sample * stride + first_grid;
     v_parent = vec4(0.0, 0.0, float(h) + first_size, base_error);
-    // A triangle with a void corner shrinks to nothing beside the others.
+    // A triangle with a void corner shrinks to a point.
     gl_ClipDistance[0] = is_void ? -1e9 : 1.0;
     cut_off(1, v_grid);
     gl_Position = view_projection * vec4(v_seen, 1.0);
@@ -186,7 +186,6 @@ class TreeTextures:
         mesh.has_changed[...] = False
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         release_all(self.heights, self.bounds, self.marks)
 
 
@@ -227,12 +226,10 @@ class TreeStore(FrontStore):
         return True
 
     def drop(self, node: int) -> None:
-        """Remove a patch."""
         super().drop(node)
         release_all(self.trees.pop(node, None))
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         super().release()
         release_all(*self.trees.values())
 
@@ -339,7 +336,6 @@ class VertexTextureSurface:
         self.trees.write(content.tobytes())
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         grids = [part for parts in self.grids.values() for part in reversed(parts)]
         release_all(*grids, self.trees, self.program, self.store)
 

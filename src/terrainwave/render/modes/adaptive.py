@@ -53,5 +53,4 @@ class Adaptive(BoundedMode):
         return self.builder.children(piece)
 
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> Patch:
-        """Return the patch of a piece."""
         return self.builder.build(piece, is_cancelled)

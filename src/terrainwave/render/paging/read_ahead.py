@@ -81,7 +81,6 @@ class Descent:
             time.sleep(_REST)
 
     def _roots(self) -> NodeTable:
-        """Return a table with only the roots."""
         table = NodeTable()
         for info in self._mode.roots():
             table.add(info)

@@ -87,7 +87,6 @@ class Patch(NamedTuple):
 
     @property
     def n_bytes(self) -> int:
-        """Return the bytes of its arrays."""
         return self.vertices.nbytes + self.triangles.nbytes + self.slopes.nbytes
 
 

@@ -35,7 +35,6 @@ class HeightScale:
 
     @classmethod
     def of(cls, terrain: "TerrainFile", frame: Frame) -> Self:
-        """Return the scale of a file."""
         header, raster = terrain.header, terrain.raster_info
         quantum = header.quantum.numerator / header.quantum.denominator
         return cls(
@@ -44,7 +43,6 @@ class HeightScale:
         )
 
     def metres(self, quanta: NDArray[Any]) -> NDArray[np.float64]:
-        """Return heights in metres."""
         return quanta * self.per_quantum + self.zero
 
 

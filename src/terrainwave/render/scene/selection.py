@@ -45,7 +45,6 @@ class Piece(NamedTuple):
 
     @property
     def block(self) -> Block:
-        """Return the block."""
         return Block(self.level, self.row, self.col)
 
 

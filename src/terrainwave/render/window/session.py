@@ -80,7 +80,6 @@ class Session:
 
     @property
     def camera_line(self) -> str:
-        """Return the camera as a line for ``--camera``."""
         return format_camera(self.controls.camera, self._scene.frame)
 
     def tick(self, seconds: float) -> None:

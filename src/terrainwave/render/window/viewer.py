@@ -305,7 +305,6 @@ class Viewer:
         self._session.slow.start(lambda: build_solid(scene.terrain, scene.frame), take)
 
     def close(self) -> None:
-        """Free the overlay."""
         self._ink.close()
         self.overlay.release()
 

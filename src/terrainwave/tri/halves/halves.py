@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh, no_mesh
 from terrainwave.tri.halves.certificates import refusal_stands, test_of
-from terrainwave.tri.halves.height_fit import FixedPoint, scale_of
+from terrainwave.tri.halves.height_fit import FixedPoint, fixed_point
 from terrainwave.tri.halves.star import MAX_PROGRAM_HEIGHT, fit_rest, fit_star
 from terrainwave.tri.halves.workspace import (
     FREE,
@@ -95,7 +95,7 @@ def triangulate(
     n_valid, least, most = _valid_range(heights, mask)
     if not n_valid:
         return no_mesh()
-    scale = scale_of(least, most, tolerance)
+    scale = fixed_point(least, most, tolerance)
     space = MEMORY.workspace(n_rows, n_cols)
     fill_workspace(
         heights, mask, locked, np.concatenate(lines), scale.base, scale.bits,

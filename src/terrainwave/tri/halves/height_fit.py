@@ -40,10 +40,10 @@ class FixedPoint(NamedTuple):
         return whole.astype(np.float64)
 
 
-def scale_of(lowest: int, highest: int, tolerance: int) -> FixedPoint:
-    """Return the scale for valid heights between two, in quanta; `tolerance` is in 1/16 quanta.
+def fixed_point(lowest: int, highest: int, tolerance: int) -> FixedPoint:
+    """Return the fixed point for valid heights in a range of quanta; `tolerance`: 1/16 quanta.
 
-    Sixteenths of a quantum if the range of valid heights leaves room for them, else whole ones.
+    Its unit is 1/16 quantum if the range leaves room for that, else a whole quantum.
     """
     base = (lowest + highest) >> 1
     bits = FRACTION_BITS if (highest - lowest) << FRACTION_BITS < _MAX_RANGE else 0
@@ -57,7 +57,7 @@ def scaled_heights(
 ) -> tuple[NDArray[np.int32], FixedPoint]:
     """Return heights as values, and the scale; `tolerance` is in 1/16 quanta."""
     valid = heights[mask]
-    scale = scale_of(int(valid.min()), int(valid.max()), tolerance)
+    scale = fixed_point(int(valid.min()), int(valid.max()), tolerance)
     values = ((heights.astype(np.int64) - scale.base) << scale.bits).astype(np.int32)
     return values, scale
 

@@ -66,7 +66,6 @@ def border_of(vertices: Keep) -> BorderVertices:
 
 
 def border_of_cut(cut: Cut) -> BorderVertices:
-    """Return the border vertices of a cut."""
     n_rows, n_cols = cut.shape
     sides = []
     for line, n in ((cut[0], n_cols), (cut[:, 0], n_rows), (cut[-1], n_cols), (cut[:, -1], n_rows)):

@@ -50,7 +50,6 @@ class Coded:
     job: Job
 
     def close(self) -> None:
-        """Delete the spools."""
         for segment in self.segments.values():
             if isinstance(segment, SegmentSpool):
                 segment.close()

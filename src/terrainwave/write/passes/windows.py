@@ -145,7 +145,6 @@ class Windows(SourceWindows):
         return self._heights.view(region), self._valid.view(region)
 
     def close(self) -> None:
-        """Delete the spools."""
         self._seen.close()
         for spool in (self._heights, self._valid):
             if spool is not None:
