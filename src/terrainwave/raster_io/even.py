@@ -266,6 +266,8 @@ class VrtSources:
         """Return the sources that a region touches, in their order."""
         is_low = region.n_rows <= self._band
         edges = self._edges_of(region.row // self._band) if is_low else self._edges
+        if not edges.size:
+            return []
         numbers, top, left, bottom, right = edges
         row, col, n_rows, n_cols = region
         within_rows = (top < row + n_rows) & (bottom > row)
