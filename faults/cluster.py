@@ -72,7 +72,7 @@ class Cluster:
     def __init__(self, folder: Path, environment: dict[str, str] | None = None) -> None:
         self._folder = folder
         # By default, a trial with a stopped worker would be waiting for five minutes.
-        patience = {"DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL": "10s"}
+        patience = {"DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL": "20s"}
         self._environment = os.environ | patience | (environment or {})
         self._port = free_port()
         self.address = f"tcp://127.0.0.1:{self._port}"

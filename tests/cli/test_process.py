@@ -216,6 +216,27 @@ def test_a_full_stdout_is_named(dem, twz, command, unbuffered):
     assert lines == ["terrainwave: cannot write stdout: the disk is full"]
 
 
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_full_stdout_is_named_whoever_prints(unbuffered):
+    program = """
+from terrainwave.cli import main
+from terrainwave.cli.output import Command
+@main.command(cls=Command)
+def words():
+    print("words", flush=True)
+main(["words"])
+"""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-c", program], stdout=full, stderr=subprocess.PIPE, text=True,
+            env=environment | {"PYTHONUNBUFFERED": unbuffered}, timeout=300,
+        )  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr == "terrainwave: cannot write stdout: the disk is full\n"
+
+
 # A program that may write files of few bytes only, as on a disk that is nearly full.
 LITTLE_ROOM = """
 import resource, sys

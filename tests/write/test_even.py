@@ -193,6 +193,7 @@ def element(**changes):
         {"dst": "xOff='100.3' yOff='100' xSize='900' ySize='700'"},
         {"dst": "xOff='100' yOff='100' xSize='450' ySize='350'"},
         {"src": "xOff='0' yOff='0' xSize='900' ySize='900'"},
+        {"src": "xOff='-1' yOff='0' xSize='900' ySize='700'"},
         {"tag": "KernelFilteredSource", "more": "<Kernel><Size>3</Size><Coefs>1 1 1 1 1 1 1 1 1"
          "</Coefs></Kernel>"},
     ],

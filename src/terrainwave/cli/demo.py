@@ -3,7 +3,6 @@
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -90,19 +89,16 @@ def _fill(
     original = folder / "jacksboro.tif"
     with RasterSink(original, info) as sink:
         sink.write(0, 0, heights, np.ones(heights.shape, dtype=bool))
-    files, errors, decoded = {}, {}, heights
+    files, errors = {}, {}
     for bound in BOUNDS:
-        path = folder / f"jacksboro_{bound:g}m.twz"
+        path = _file(folder, bound)
         files[bound] = terrainwave.compress(original, path, max_error=bound, progress=progress)
         report = terrainwave.verify(path, original)
         if not report.ok or report.errors is None:
             raise BoundViolationError(f"{path}: {'; '.join(report.problems)}")
         errors[bound] = report.errors
-        if bound == _DRAWN_BOUND:
-            with terrainwave.open(path) as terrain:
-                decoded = terrain.read()
     picture = folder / "demo.png"
-    _draw(heights, decoded, info, picture)
+    _draw(folder, picture)
     return DemoResult(
         info.n_rows, info.n_cols, original.stat().st_size, files, errors, os.fspath(picture)
     )
@@ -113,66 +109,37 @@ def _load_heights() -> tuple[np.ndarray, RasterInfo]:
     data = cbook.get_sample_data("jacksboro_fault_dem.npz")
     heights = data["elevation"].astype(np.int16)
     n_rows, n_cols = heights.shape
-    # The file gives pixel sizes dx, dy in degrees, and the outer corner xmin, ymax.
-    transform = (
-        float(data["dx"]),
-        0.0,
-        float(data["xmin"]),
-        0.0,
-        -float(data["dy"]),
-        float(data["ymax"]),
-    )
-    return heights, RasterInfo(
-        n_rows,
-        n_cols,
-        "int16",
-        crs="EPSG:4326",
-        transform=transform,
-        units="m",
-        area_or_point="Area",
-    )
+    # The file's dx, dy are pixel sizes in degrees, xmin and ymax the outer corner.
+    dx, dy, left, top = (float(data[name]) for name in ("dx", "dy", "xmin", "ymax"))
+    info = RasterInfo(
+        n_rows, n_cols, "int16", crs="EPSG:4326", transform=(dx, 0.0, left, 0.0, -dy, top),
+        units="m", area_or_point="Area",
+    )  # fmt: skip
+    return heights, info
 
 
-def _draw(heights: np.ndarray, decoded: np.ndarray, info: RasterInfo, picture: Path) -> None:
-    """Draw original, decoded heights and error side by side, hillshaded."""
-    from matplotlib.colors import LightSource
+def _draw(folder: Path, picture: Path) -> None:
+    """Draw original, decoded heights and their error side by side."""
     from matplotlib.figure import Figure
 
-    # A degree of latitude is 111 km; at 36.5 degrees north, one of longitude is 0.8 of that.
-    dy = abs(info.transform[4]) * 111_200
-    dx = info.transform[0] * 111_200 * np.cos(np.radians(info.transform[5]))
-    light = LightSource(azdeg=315, altdeg=45)
     figure = Figure(figsize=(15, 4.4), layout="constrained", dpi=110)
     axes = figure.subplots(1, 3)
-    limits: dict[str, Any] = {"vmin": heights.min(), "vmax": heights.max()}
-    bound = f"{_DRAWN_BOUND:g} m"
-    for axis, grid, title in (
-        (axes[0], heights, "original"),
-        (axes[1], decoded, f"decoded, every height within {bound}"),
-    ):
-        shaded = light.shade(
-            grid.astype(np.float64),
-            cmap=_ramp(),
-            blend_mode="soft",
-            vert_exag=1.5,
-            dx=dx,
-            dy=dy,
-            **limits,
-        )
-        axis.imshow(shaded)
+    heights = []
+    titles = "original", f"decoded, every height within {_DRAWN_BOUND:g} m"
+    for axis, bound, title in zip(axes[:2], (0.0, _DRAWN_BOUND), titles, strict=True):
+        with terrainwave.open(_file(folder, bound)) as terrain:
+            terrain.plot(axis)
+            heights.append(terrain.read().astype(np.int32))
         axis.set_title(title)
-    error = decoded.astype(np.int32) - heights
+    error = heights[1] - heights[0]
     image = axes[2].imshow(error, cmap="RdBu_r", vmin=-_DRAWN_BOUND, vmax=_DRAWN_BOUND)
+    axes[2].set_aspect(axes[0].get_aspect())
     axes[2].set_title("decoded − original")
+    axes[2].set_axis_off()
     figure.colorbar(image, ax=axes[2], shrink=0.8, label="m")
-    for axis in axes:
-        axis.set_xticks([])
-        axis.set_yticks([])
     with storage_errors(f"cannot write {picture}"):
         figure.savefig(picture)
 
 
-def _ramp() -> Any:
-    import matplotlib
-
-    return matplotlib.colormaps["gist_earth"]
+def _file(folder: Path, bound: float) -> Path:
+    return folder / f"jacksboro_{bound:g}m.twz"

@@ -21,7 +21,7 @@ import click
 
 from terrainwave import interrupts
 from terrainwave.arguments import AS_IS, in_one_line
-from terrainwave.cli.descriptors import discard_stdout, is_of_stdout, prepare_streams
+from terrainwave.cli.descriptors import StdoutError, discard_stdout, prepare_streams
 from terrainwave.cli.signals import Terminated, ending_by_signals
 from terrainwave.errors import (
     CorruptStreamError,
@@ -147,8 +147,6 @@ class Command(click.Command):
         except InvalidArgumentError as error:
             raise click.UsageError(message_of(error), ctx) from error
         except BrokenPipeError as error:  # click would exit silently
-            if is_of_stdout(error):
-                raise
             raise StorageError(line_of(error)) from error
         except KeyboardInterrupt as ended:
             vars(ended)["left"] = self._left()
@@ -227,15 +225,14 @@ class Commands(click.Group):
             word = "interrupted" if number == signal.SIGINT else "terminated"
             print_error(f"{word}{getattr(ended, 'left', '')}", ended)
             sys.exit(128 + number)
-        except Exception as error:  # noqa: BLE001  whatever comes from below is one line, too
-            if not is_of_stdout(error):
-                print_error(line_of(error), error)
-            else:
-                discard_stdout()
-                if not isinstance(error, BrokenPipeError):  # the reader closed the pipe
-                    from terrainwave.container.spool import cannot_write
+        except StdoutError as error:
+            from terrainwave.container.spool import cannot_write
 
-                    print_error(cannot_write("stdout", error))
+            discard_stdout()
+            print_error(cannot_write("stdout", error))
+            sys.exit(1)
+        except Exception as error:  # noqa: BLE001  whatever comes from below is one line, too
+            print_error(line_of(error), error)
             sys.exit(1)
 
 

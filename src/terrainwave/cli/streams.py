@@ -5,15 +5,13 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
-from typing import BinaryIO
 
 import click
 
-from terrainwave.cli.descriptors import StdoutError, check_open
+from terrainwave.cli.descriptors import check_open
 
 STREAM = "-"
 _KEY = "terrainwave.stdin"
-_PART = 1 << 20
 
 
 def read_stream(ctx: click.Context) -> str:
@@ -54,22 +52,9 @@ def written(target: str, ending: str) -> Iterator[str]:
     with system_scratch() as directory:
         path = directory / f"stdout{ending}"
         yield str(path)
-        stdout = sys.stdout.buffer
         with path.open("rb") as file:
-            while part := file.read(_PART):
-                _write(stdout, part)
-        _write(stdout, b"")
-
-
-def _write(stdout: BinaryIO, part: bytes) -> None:
-    """Write to stdout at once; failures are reported as errors of stdout, not of a file."""
-    try:
-        stdout.write(part)
-        stdout.flush()
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        raise StdoutError(error.errno, error.strerror) from error
+            shutil.copyfileobj(file, sys.stdout.buffer)
+        sys.stdout.buffer.flush()
 
 
 @contextmanager
