@@ -168,8 +168,8 @@ static int32_t ISA(make_list)(const ISA(work) * w, int32_t n, int *has) {
       entries += GROUP;
       continue;
     }
-    for (int32_t i = k; i < k + GROUP; i += 8) {
 #if defined(__AVX2__)
+    for (int32_t i = k; i < k + GROUP; i += 8) {
       __m128i pair = _mm_cvtepi8_epi16(_mm_loadl_epi64((const __m128i *)(const void *)(pairs + i)));
       __m128i single = _mm_loadu_si128((const __m128i *)(const void *)(singles + 2 * i));
       __m128i two = _mm_cmpgt_epi16(pair, _mm_set1_epi16((int16_t)(cut - 1)));
@@ -181,19 +181,18 @@ static int32_t ISA(make_list)(const ISA(work) * w, int32_t n, int *has) {
       _mm_storeu_si128((__m128i *)(void *)entries, _mm_shuffle_epi8(entry, taken));
       entries += 8 + _mm_popcnt_u32(mask);
       if (!_mm_testz_si128(raw, raw)) *has |= HAS_RAW;
-#else
-      unsigned mask = 0;
-      for (int j = 0; j < 8; j++) { /* no branch by the class, which no processor foresees */
-        int own = (int8_t)pairs[i + j], is_two = own >= cut, first = (int8_t)singles[2 * (i + j)], second = (int8_t)singles[2 * (i + j) + 1];
-        entries[0] = (uint8_t)(is_two ? (SINGLES | first) & 127 : own & 63);
-        entries[1] = (uint8_t)((SINGLES | second) & 127);
-        entries += 1 + is_two;
-        mask |= (unsigned)is_two << j;
-        *has |= (is_two & ((first > RAW_CLASS + 1) | (second > RAW_CLASS + 1))) * HAS_RAW;
-      }
-#endif
       w->is_two[i / 8] = (uint8_t)mask;
     }
+#else
+    memset(w->is_two + k / 8, 1, GROUP / 8); /* some are: read_list finds out which, where it matters */
+    for (int32_t i = k; i < k + GROUP; i++) { /* no branch by the class, which no processor foresees */
+      int own = (int8_t)pairs[i], is_two = own >= cut, first = (int8_t)singles[2 * i], second = (int8_t)singles[2 * i + 1];
+      entries[0] = (uint8_t)(is_two ? (SINGLES | first) & 127 : own & 63);
+      entries[1] = (uint8_t)((SINGLES | second) & 127);
+      entries += 1 + is_two;
+      *has |= (is_two & ((first > RAW_CLASS + 1) | (second > RAW_CLASS + 1))) * HAS_RAW;
+    }
+#endif
   }
   int32_t n_made = (int32_t)(entries - w->entries) - (k - n);
   memset(w->entries + n_made, NO_PAIR, MOST_STATES);
@@ -342,9 +341,9 @@ static void ISA(place_symbols)(const ISA(work) * w, int32_t n, int *has) {
       }
       symbols += GROUP;
     }
+#if defined(__AVX2__)
     for (int i = 0; any && i < GROUP; i += 8, small += 16) {
       unsigned mask = w->is_two[(k + i) / 8];
-#if defined(__AVX2__)
       const __m128i low = _mm_set1_epi16(255), bits = _mm_setr_epi16(1, 2, 4, 8, 16, 32, 64, 128);
       __m128i two = _mm_cmpeq_epi16(_mm_and_si128(_mm_set1_epi16((int16_t)mask), bits), bits);
       __m128i put = _mm_loadu_si128((const __m128i *)(const void *)w->u->tables->put[mask]);
@@ -359,18 +358,18 @@ static void ISA(place_symbols)(const ISA(work) * w, int32_t n, int *has) {
       pair = _mm_blendv_epi8(pair, _mm_sub_epi8(both, _mm_set1_epi8(NO_DETAIL)), two);
       seen |= _mm_movemask_epi8(_mm_cmpeq_epi8(pair, _mm_set1_epi8(MORE))) != 0;
       _mm_storeu_si128((__m128i *)(void *)small, pair);
-#else
-      for (int j = 0; j < 8; j++) {
-        int is_two = mask >> j & 1, symbol = *symbols, next = symbols[is_two], part = symbol * 137 >> 11;
-        int first = is_two ? symbol - NO_DETAIL : symbol == PAIR_ESCAPE ? MORE : part - 7;
-        int second = is_two ? next - NO_DETAIL : symbol - 15 * part - 7;
-        small[2 * j] = (int8_t)first;
-        small[2 * j + 1] = (int8_t)second;
-        seen |= (first == MORE) | (second == MORE);
-        symbols += 1 + is_two;
-      }
-#endif
     }
+#else
+    for (int i = 0; any && i < GROUP; i++) {
+      int is_two = (int8_t)w->pairs[k + i] >= w->u->tables->cut, symbol = *symbols, next = symbols[is_two], part = symbol * 137 >> 11;
+      int first = is_two ? symbol - NO_DETAIL : symbol == PAIR_ESCAPE ? MORE : part - 7;
+      int second = is_two ? next - NO_DETAIL : symbol - 15 * part - 7;
+      small[2 * i] = (int8_t)first;
+      small[2 * i + 1] = (int8_t)second;
+      seen |= (first == MORE) | (second == MORE);
+      symbols += 1 + is_two;
+    }
+#endif
     if (seen) *has |= HAS_ESCAPES;
   }
 }
@@ -469,6 +468,13 @@ static int ISA(read_list)(const ISA(work) * w, rapid_stream *z, int32_t n, int *
   int32_t n_entries = ISA(make_list)(w, n, has);
   if (!ISA(read_symbols)(w, z, n_entries)) return 0;
   ISA(place_symbols)(w, n, has);
+#if !defined(__AVX2__)
+  for (int32_t k = 0; *has && k < n; k += 8) {
+    unsigned mask = 0;
+    for (int i = 0; i < 8; i++) mask |= (unsigned)((int8_t)w->pairs[k + i] >= w->u->tables->cut) << i;
+    w->is_two[k / 8] = (uint8_t)mask;
+  }
+#endif
   return !*has || ISA(read_more)(w, z, n, *has);
 }
 
