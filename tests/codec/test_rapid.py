@@ -196,7 +196,7 @@ def test_predictions_on_lines_are_cubic_and_between_the_nearest_four():
 
 @pytest.mark.large
 def test_long_payloads_have_bands():
-    heights = np.random.default_rng(0).integers(-3000, 3000, (257, 257)).astype(np.int32)
+    heights = np.random.default_rng(0).integers(-3000, 3000, (331, 331)).astype(np.int32)
     payload = check(heights, 3, ALL_SHARED)
     assert payload[0] >> 3 & 3 == 3
     assert check(heights // 300, 21, ALL_SHARED)[0] >> 3 & 3 == 0

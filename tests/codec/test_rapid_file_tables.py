@@ -303,7 +303,7 @@ def test_extreme_heights_do_not_overflow():
 
 
 def test_counts_by_class_are_those_of_the_kernels():
-    heights = rough((140, 139), seed=2)
+    heights = rough((321, 319), seed=2)
     valid = np.random.default_rng(1).random(heights.shape) < 0.9
     tables = plain_tables(0, 1)._replace(cut=25)
     sample = fit._Sample(heights[None], valid[None], 3, 1.0)
@@ -313,6 +313,17 @@ def test_counts_by_class_are_those_of_the_kernels():
     np.testing.assert_array_equal(fit.counts_of(found, 25), kernels)
     assert kernels[SINGLES:].any()
     assert kernels.shape == (N_TABLES, N_SYMBOLS)
+
+
+def test_weights_are_fitted_to_samples_of_all_columns():
+    """Planes of 128 columns, and one sample of so many that divide them: once all of column 0."""
+    features = np.zeros((3, 128 * 1024), dtype=np.int32)
+    features[2] = np.arange(features.shape[1]) % 128
+    details = np.zeros(features.shape[1], dtype=np.int32)
+    seen = fit_weights.Seen(0, HH, 0, features, details, np.ones(len(details), dtype=bool))
+    columns = fit_weights._in_steps(seen, 16, 3)[3]
+    assert len(columns) == len(details) // 16
+    assert set(columns) == set(range(128))
 
 
 def test_bytes_do_not_follow_from_what_was_coded_before():

@@ -181,7 +181,8 @@ def _coded(
         low, high = int(whole.min()), int(whole.max())
         above = np.ascontiguousarray(whole[:: 1 << N_LEVEL_CLASSES, :: 1 << N_LEVEL_CLASSES])
         for depth in range(N_LEVEL_CLASSES - 1, -1, -1):
-            target, mask = (array[:: 1 << depth, :: 1 << depth] for array in (whole, valid))
+            part = np.s_[:: 1 << depth, :: 1 << depth]
+            target, mask = whole[part], valid[part]
             spec = GroupSpec.alone(Region(0, 0, *target.shape), sample.step, low, high)
             spec = replace(spec, level=tables.k_max - depth)
             above = coder.count(spec, above, target, None if mask.all() else mask, counts)

@@ -96,9 +96,8 @@ class Observer(UnitCoder):
             if lattice.has_void:
                 is_coded[:, :n_cols] = valid[int(plane != HL) :: 2, int(plane != LH) :: 2]
             details = work.details[plane - HH, : is_coded.size].copy()
-            features = features.reshape(3, -1)
-            found = Seen(which, plane, lattice.shift, features, details, is_coded.ravel())
-            self.samples.append(found)
+            flat = features.reshape(3, -1), details, is_coded.ravel()
+            self.samples.append(Seen(which, plane, lattice.shift, *flat))
 
 
 # Weights ----------------------------------------------------------------------------------------
@@ -136,8 +135,8 @@ def fit_magnitude(seen: list[Seen], trained: Whole, step: int) -> NDArray[np.int
 def _in_steps(seen: Seen, every: int, step: int) -> Reals:
     """Return of one sample of so many 1, the features, and the size of its detail, in steps."""
     # Not always in the same column.
-    picks = np.arange(len(seen.details) // every) * every
-    picks += (picks * 40503 >> 4) % every
+    turns = np.arange(len(seen.details) // every)
+    picks = turns * every + (turns * 40503 >> 4) % every
     coded = picks[seen.is_coded[picks]]
     rows = np.ones((N_FEATURES + 1, len(coded)))
     rows[1:3] = seen.features[:2, coded] * (2.0**seen.shift / step)
