@@ -41,7 +41,7 @@ _INFLUENCE = 1 << 20
 # One sample of so many in each turn of a fit: early turns only find the weights of the samples.
 _EVERY_OF_TURN = (4, 2, 1)
 # Of the noise of decoded samples that an open loop estimates, what is tried.
-_TIMES_NOISE = (0.6, 3.0)
+_TIMES_NOISE = (0.3, 1.0, 3.0)
 # The last weight follows from the others, rounded.
 _MAX_WANTED, _MOST_IN_ALL, _FAR = 28000, MAX_SUM - (1 << 13), 1e6
 # Deltas of a file are whole numbers of 2**shift.

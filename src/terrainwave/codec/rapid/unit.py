@@ -66,6 +66,7 @@ _MOST_DETAIL = 2**31 - 1
 _ORIGIN_BITS = 10
 # A payload has a part that can be read alone, for windows, for so many bytes.
 _BYTES_OF_BAND, _MOST_BANDS = 1 << 15, 4
+_EVERY = 3  # of so many details one tells how many bits they take
 _SPARE_RAW = 2
 # Symbols of what is not of the samples: odd ends of rows.
 _ROOM = 1 << 13
@@ -379,12 +380,14 @@ def _n_bands(lattice: Lattice, work: Workspace) -> int:
     n, octaves = 0, 0
     for plane in (HH, HL, LH):
         n_rows, n_cols = plane_shape(plane, (lattice.n_rows, lattice.n_cols))
-        details = work.details[plane - HH, : n_rows * (n_cols + (n_cols & 1))]
-        n += len(details)
+        some = work.details[plane - HH, : n_rows * (n_cols + (n_cols & 1)) : _EVERY]
+        n += len(some)
+        sizes = np.abs(some).astype(np.float32)
+        sizes += sizes
+        sizes += 1
         # The bits of a float32 tell its logarithm, in 2**-23 of an octave above 2**-127.
-        sizes = (2.0 * np.abs(details) + 1.0).astype(np.float32).view(np.int32)
-        octaves += int(sizes.sum(dtype=np.int64)) - (len(details) * 127 << 23)
-    n_bits = min(2 * octaves, octaves + (3 * n << 22)) >> 23
+        octaves += int(sizes.view(np.int32).sum(dtype=np.int64)) - (len(some) * 127 << 23)
+    n_bits = _EVERY * min(2 * octaves, octaves + (3 * n << 22)) >> 23
     return min(1 + n_bits // (8 * _BYTES_OF_BAND), _MOST_BANDS)
 
 
