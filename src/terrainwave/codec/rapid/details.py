@@ -115,13 +115,12 @@ def _class_row(expected, floats, bits, n, pairs, singles, at):
 @kernel_part
 def _hide_voids(valid, plane, row, n, pairs, singles, at):
     """Hide void samples of a row, and pairs of them."""
-    of_row, first = 2 * row + (plane != HL), np.int64(plane != LH)
-    for k in range(n):
-        if not valid[of_row, first + 2 * k]:
-            singles[2 * at + k] = HIDDEN
-    for k in range(at, at + (n + 1) // 2):
-        if singles[2 * k] == HIDDEN and singles[2 * k + 1] == HIDDEN:
-            pairs[k] = HIDDEN
+    here, col, first = valid[2 * row + (plane != HL)], _u64(plane != LH), _u64(2 * at)
+    for k in range(_u64(n)):
+        singles[first + k] = singles[first + k] if here[col + k + k] else np.int8(HIDDEN)
+    for k in range(_u64(at), _u64(at + (n + 1) // 2)):
+        is_hidden = (singles[k + k] == HIDDEN) & (singles[k + k + _ONE] == HIDDEN)
+        pairs[k] = np.int8(HIDDEN) if is_hidden else pairs[k]
 
 
 @kernel_part

@@ -249,26 +249,30 @@ def _complete(pairs, singles, cut, streams, details, more, most):
 
     A detail is below 2**33 << 13 before it is brought within ±most, which fits 32 bits.
     """
-    raw, bit, n, n_beyond = streams.raw, streams.places[BIT], _u64(0), 0
+    raw, bit, n, n_beyond = streams.raw, streams.places[BIT], _u64(0), _u64(0)
     # Most lists have none.
     is_long = False
     for i in range(_u64(singles.shape[0])):
         is_long |= (singles[i] > _RAW_CLASS + 1) | (details[i] == _GOES_ON)
-    n_singles = _u64(singles.shape[0] if is_long else 0)
-    for i in range(n_singles):
-        is_long = (singles[i] > _RAW_CLASS + 1) | (details[i] == _GOES_ON)
-        more[n] = i
-        n += _u64(is_long & (pairs[i >> _ONE] >= cut))
+    for pair in range(_u64(pairs.shape[0] if is_long else 0)):
+        is_two, i = pairs[pair] >= cut, pair + pair
+        more[n] = _i32(i)
+        n += _u64(is_two & ((singles[i] > _RAW_CLASS + 1) | (details[i] == _GOES_ON)))
+        i += _ONE
+        more[n] = _i32(i)
+        n += _u64(is_two & ((singles[i] > _RAW_CLASS + 1) | (details[i] == _GOES_ON)))
+    last = _u64(raw.shape[0] - 2)
     for k in range(n):
         i = _u64(more[k])
-        n_bits, goes_on = raw_bits(singles[i]), details[i] == _GOES_ON
-        low = _take(raw, bit, n_bits)
+        n_bits, before, at = raw_bits(singles[i]), details[i], min(_u64(bit >> 5), last)
+        both = _u64(raw[at]) | _u64(raw[at + _ONE]) << _u64(32)
+        low = np.int64((both >> _u64(bit & 31)) & ((_ONE << _u64(n_bits)) - _ONE))
         bit += n_bits
-        detail = min(max((np.int64(details[i]) << n_bits) | low, -most), most)
+        detail = min(max(np.int64(before) << n_bits | low, -most), most)
         # Raw bits of those that go on wait in their place.
-        details[i] = _i32(low if goes_on else detail)
-        more[n_beyond] = i
-        n_beyond += goes_on
+        details[i] = _i32(low if before == _GOES_ON else detail)
+        more[n_beyond] = _i32(i)
+        n_beyond += _u64(before == _GOES_ON)
     for k in range(n_beyond):
         i = _u64(more[k])
         beyond, bit = _beyond(raw, bit)

@@ -346,9 +346,10 @@ class UnitCoder:
 
     def _logged(self, unit: _Unit, lattice: Lattice, n_bands: int) -> Iterator[Streams]:
         """Yield the bands of a group, each logged where the one before was."""
+        which, valid = self.tables(unit.spec.step).level_class(unit.spec.level), unit.aim(1).valid
         for strips in band_strips(lattice.n_rows, n_bands):
             streams = unit.memory.streams(lattice.n_rows * lattice.n_cols)
-            self._code_details(unit._replace(bands=[streams]), 1, lattice, [strips])
+            self._code_details(unit._replace(bands=[streams]), which, lattice, valid, (strips,))
             yield streams
 
     def _pack(self, unit: _Unit, logged: Iterable[Streams], *, is_alone: bool) -> bytes:
