@@ -216,10 +216,7 @@ def test_a_full_stdout_is_named(dem, twz, command, unbuffered):
     assert lines == ["terrainwave: cannot write stdout: the disk is full"]
 
 
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
-@pytest.mark.parametrize("unbuffered", ["", "1"])
-def test_a_full_stdout_is_named_whoever_prints(unbuffered):
-    program = """
+PRINTING = """
 from terrainwave.cli import main
 from terrainwave.cli.output import Command
 @main.command(cls=Command)
@@ -227,14 +224,40 @@ def words():
     print("words", flush=True)
 main(["words"])
 """
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
-    with open("/dev/full", "w") as full:
-        done = subprocess.run(
-            [sys.executable, "-c", program], stdout=full, stderr=subprocess.PIPE, text=True,
-            env=environment | {"PYTHONUNBUFFERED": unbuffered}, timeout=300,
-        )  # fmt: skip
+
+
+def printed_to(stdout, **environment):
+    """Return stderr of a command whose work prints, with a stdout that takes nothing."""
+    environment |= {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    done = subprocess.run(
+        [sys.executable, "-c", PRINTING], stdout=stdout, stderr=subprocess.PIPE, text=True,
+        env=os.environ | environment, timeout=300,
+    )  # fmt: skip
     assert done.returncode == 1
-    assert done.stderr == "terrainwave: cannot write stdout: the disk is full\n"
+    return done.stderr
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_full_stdout_is_named_whoever_prints(unbuffered):
+    with open("/dev/full", "w") as full:
+        told = printed_to(full, PYTHONUNBUFFERED=unbuffered)
+    assert told == "terrainwave: cannot write stdout: the disk is full\n"
+
+
+@needs_shell
+def test_a_stdout_that_does_not_wait_is_named_and_one_that_nobody_reads_is_not():
+    reader, writer = os.pipe()
+    with open(reader, "rb"), open(writer, "wb", buffering=0) as pipe:
+        os.set_blocking(writer, False)
+        while pipe.write(bytes(1 << 16)):
+            pass
+        told = printed_to(pipe)
+    assert told == f"terrainwave: cannot write stdout: {os.strerror(errno.EAGAIN)}\n"
+    reader, writer = os.pipe()
+    os.close(reader)
+    with open(writer, "wb") as pipe:
+        assert printed_to(pipe) == ""
 
 
 # A program that may write files of few bytes only, as on a disk that is nearly full.

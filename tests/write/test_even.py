@@ -209,6 +209,17 @@ def test_sources_of_a_vrt_that_do_more_than_copy_are_read(tiles, tmp_path, chang
             assert (whole[part.slices_in(Region(0, 0, 1200, 1200))] == even.value).all()
 
 
+@pytest.mark.parametrize("far", ["1200", "2000000000", "1e300"])
+def test_a_source_beyond_a_vrt_changes_no_gap(tiles, far):
+    dst = f"xOff='{far}' yOff='100' xSize='900' ySize='700'"
+    path = vrt(tiles / f"far{random.random()}.vrt", [element(dst=dst)], side=1200)
+    try:
+        source = RasterSource(path, warn=False)
+    except StorageError:  # GDAL refuses the numbers
+        return
+    assert source.even(Region(300, 300, 10, 10)) == (VOID, False)
+
+
 def test_a_derived_band_is_read(tiles):
     path = vrt(tiles / "derived.vrt", [element()], side=1200)
     derived = "<VRTRasterBand subClass='VRTDerivedRasterBand' "

@@ -1,5 +1,6 @@
 """stdin, stdout and stderr of the process: closed ones, full ones, and what they cannot show."""
 
+import errno
 import io
 import os
 import re
@@ -27,9 +28,12 @@ class StdoutError(OSError):
 class _Stdout(io.FileIO):
     """Descriptor of stdout, whose errors are `StdoutError` whichever library prints."""
 
-    def write(self, data: Any, /) -> int | None:  # type: ignore[override]
+    def write(self, data: Any, /) -> int:
         try:
-            return super().write(data)
+            written = super().write(data)
+            if written is None:  # a pipe that is full and does not wait
+                raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+            return written
         except OSError as error:
             raise StdoutError(error.errno, error.strerror) from error
 

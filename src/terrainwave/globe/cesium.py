@@ -209,17 +209,11 @@ def write_tiles(
     terrain: "TerrainFile",
     directory: str | os.PathLike[str],
     *,
-    min_zoom: int = 0,
-    max_zoom: int | None = None,
-    void_height: float = 0.0,
-    fill_voids: bool = False,
-    cells: int = CELLS,
-    radius: float | None = None,
-    vertical: str = AS_IS,
     attribution: str = "",
     threads: int | None = None,
     overwrite: bool = False,
     progress: ProgressCallback | None = None,
+    **options: Any,
 ) -> list[ZoomSummary]:
     """Write all tiles of a terrain and ``layer.json`` into a new directory.
 
@@ -228,14 +222,14 @@ def write_tiles(
     terrain : TerrainFile
     directory : path
         ``{z}/{x}/{y}.terrain`` and ``layer.json``; it appears complete or not at all.
-    min_zoom, max_zoom, void_height, fill_voids, cells, radius, vertical
-        As in `TilePyramid`.
     attribution : str
         Owner of the data, for ``layer.json``.
     threads : int, optional
         All processors by default; the bytes don't depend on it.
     overwrite : bool
         Replace an existing directory of tiles.
+    options
+        Of `TilePyramid`.
 
     Raises
     ------
@@ -249,17 +243,8 @@ def write_tiles(
         If quantized-mesh-encoder is missing.
     """
     need("quantized_mesh_encoder", extra="mesh")
-    pyramid = TilePyramid(
-        terrain,
-        void_height=void_height,
-        fill_voids=fill_voids,
-        cells=cells,
-        radius=radius,
-        max_zoom=max_zoom,
-        min_zoom=min_zoom,
-        vertical=vertical,
-    )
-    if vertical == AS_IS and not terrain.height_unit.is_radius:
+    pyramid = TilePyramid(terrain, **options)
+    if options.get("vertical", AS_IS) == AS_IS and not terrain.height_unit.is_radius:
         note_as_is(terrain.crs)
     zooms = pyramid.zooms
     n_threads = checked_threads(threads)

@@ -297,7 +297,9 @@ def _vrt_sources(dataset: Any, band: int) -> list[_Source] | None:
     if not own or kinds - {None, "VRTSourcedRasterBand"} or {one.tag for one in sources} - _SOURCES:
         return None
     whole = Region(0, 0, dataset.height, dataset.width)
-    return [_source_of(one, os.path.dirname(str(dataset.name)), whole) for one in sources]
+    folder = os.path.dirname(str(dataset.name))
+    found = [_source_of(one, folder, whole) for one in sources]
+    return [one for one in found if min(one.place.shape)]
 
 
 def _source_of(element: ET.Element, folder: str, whole: Region) -> _Source:
