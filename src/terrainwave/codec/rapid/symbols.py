@@ -127,7 +127,7 @@ def raw_bits(single):
 @kernel_part
 def _take(raw, bit, n):
     """Return the n raw bits from a place on, at most 32; past the end any."""
-    at = _u64(min(bit >> 5, raw.shape[0] - 2))
+    at = min(_u64(bit >> 5), _u64(raw.shape[0] - 2))
     both = _u64(raw[at]) | _u64(raw[at + _ONE]) << _u64(32)
     return np.int64((both >> _u64(bit & 31)) & ((_ONE << _u64(n)) - _ONE))
 
@@ -261,12 +261,10 @@ def _complete(pairs, singles, cut, streams, details, more, most):
         i += _ONE
         more[n] = _i32(i)
         n += _u64(is_two & ((singles[i] > _RAW_CLASS + 1) | (details[i] == _GOES_ON)))
-    last = _u64(raw.shape[0] - 2)
     for k in range(n):
         i = _u64(more[k])
-        n_bits, before, at = raw_bits(singles[i]), details[i], min(_u64(bit >> 5), last)
-        both = _u64(raw[at]) | _u64(raw[at + _ONE]) << _u64(32)
-        low = np.int64((both >> _u64(bit & 31)) & ((_ONE << _u64(n_bits)) - _ONE))
+        n_bits, before = raw_bits(singles[i]), details[i]
+        low = _take(raw, bit, n_bits)
         bit += n_bits
         detail = min(max(np.int64(before) << n_bits | low, -most), most)
         # Raw bits of those that go on wait in their place.
