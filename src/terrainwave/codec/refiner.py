@@ -184,7 +184,7 @@ class Decoded(NamedTuple):
 
 
 class Raw(NamedTuple):
-    """Where a reader wants the raw heights of a unit, which are its quanta and `base`.
+    """Memory for the raw heights of a unit: its quanta plus `base`.
 
     `heights`: its region, or all but the last row or column; a part of a flat array of whole
     numbers that they all fit.

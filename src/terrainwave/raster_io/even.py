@@ -1,4 +1,4 @@
-"""What a raster's index says of its heights without reading them: windows of one value.
+"""Windows of one value, found in a raster's index without reading heights.
 
 Gaps of a VRT, blocks of a sparse GeoTIFF that have no bytes. GDAL reads the same value at all
 samples there, found by reading one of them. In doubt nothing is said: then heights are read.
@@ -33,7 +33,7 @@ _COPIES = {"SourceFilename", "SourceBand", "SourceProperties", "SrcRect", "DstRe
 
 
 class Even(NamedTuple):
-    """What all samples of a window are: their stored value, and whether they are valid."""
+    """Stored value and validity that all samples of a window share."""
 
     value: Any
     is_valid: bool
@@ -69,14 +69,14 @@ def even_parts(region: Region, side: int, even_of: EvenOf) -> Iterator[tuple[Reg
 
 
 class StoredValues(Protocol):
-    """What a format tells of its samples."""
+    """Facts about samples that a format states."""
 
     def value(self, region: Region) -> Any:
         """Return the stored value of all samples of a region; None where only reading tells."""
 
 
 class Composite:
-    """What lies over each other in a region, in order: the last one that covers a sample counts."""
+    """Sources of a region in order: the last one that covers a sample counts."""
 
     def __init__(self, region: Region) -> None:
         self._region = region
@@ -336,7 +336,7 @@ def stored_values(
     open_member: Callable[[str, int], Any],
     nested: int = 0,
 ) -> StoredValues | None:
-    """Return what tells of even windows of a band of a dataset that was opened to be read.
+    """Return the finder of even windows of a band of a dataset opened for reading.
 
     `open_member` opens a band of another file as a context: a raster with `dtype`, size and `even`.
     """

@@ -35,7 +35,7 @@ WHOLE: RowsOf = {}
 
 
 class UnitSource(Protocol):
-    """Where a `TreeDecoder` has units from.
+    """Source of the units of a `TreeDecoder`.
 
     `are_apart` says that one unit can be decoded, and forgotten, without work for others;
     `has_parts` that rows of one can be decoded without the others.
@@ -168,8 +168,8 @@ class TreeDecoder:
     def prefetch_for(self, keys: Sequence[Block], region: Region) -> tuple[list[Block], RowsOf]:
         """Do as `prefetch` for a region of their level; also return which rows of units are enough.
 
-        None are where the region takes whole units, or nearly: such a reader goes on beside it. And
-        a unit of which most rows are wanted is decoded to its end, which is checked there.
+        No unit is cut if the region takes nearly all of it: such a reader reads the next region,
+        too. A unit with most rows wanted is decoded to its end, which is checked there.
         """
         wanted: dict[Block, Rows] = {}
         if self.source.has_parts:
@@ -282,7 +282,7 @@ class TreeDecoder:
         """Return `part`, for a reader of a whole region.
 
         A unit of the full grid that is not at hand and lies in the region as a whole is not kept.
-        Its last row and column may be missing: whoever reads on beside it needs the next unit's.
+        Its last row and column may be missing: a reader of the next region needs the next unit's.
         Its heights may go to the region's raw heights `out` (`Decoded.is_raw`).
         """
         spec = self.spec(key)

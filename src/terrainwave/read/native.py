@@ -168,9 +168,9 @@ class Library:
 
 @cache
 def installed() -> Library | None:
-    """Return the library of the package terrainwave-native; None where there is none that fits.
+    """Return the library of the package terrainwave-native; None without one that fits.
 
-    One that is there and does not fit is told in one warning.
+    One that does not fit is named in one warning.
     """
     try:
         path = str(importlib.import_module(PACKAGE).LIBRARY)
@@ -219,7 +219,7 @@ def is_wanted() -> bool:
 
 
 class _Handles:
-    """What the library has allocated for one open file."""
+    """Memory that the library has allocated for one open file."""
 
     def __init__(self, library: Library, size: int, cache_bytes: int, n_threads: int) -> None:
         self.library = library

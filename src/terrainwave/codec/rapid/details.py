@@ -133,7 +133,7 @@ def _forget_near(lattice, near, first):
 
 @kernel_part
 def _class_strip(lattice, work, flats, valid, strip, plane, weights):
-    """Fill the classes of what a strip has of a plane: of which rows, of how many columns."""
+    """Fill the classes of a strip of a plane; return its rows and the number of columns."""
     near, pairs, singles, expected = work.near, work.pairs, work.singles, work.expected
     n_rows = (lattice.n_rows + (plane == HL)) // 2
     n = (lattice.n_cols + (plane == LH)) // 2

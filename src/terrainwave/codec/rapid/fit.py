@@ -167,9 +167,9 @@ def _for_counts(tables: FileTables) -> Tables:
 def _coded(
     kind: type[_Coder], tables: FileTables, sample: _Sample, each: Each
 ) -> list[tuple[_Coder, Whole]]:
-    """Code windows as groups; return of each its coder, and how often each symbol came.
+    """Code windows as groups; return the coder and the counts of symbols of each.
 
-    One group of each class of levels, the first from heights as they are.
+    One group of each class of levels, the first from the window's own heights.
     """
     read = _for_counts(tables)
 
@@ -307,7 +307,7 @@ def _cost(freqs: Whole, counts: Whole, tables: Whole) -> Whole:
 def _near_usual(
     codes: Whole, usual: Whole, usual_freqs: Whole, counts: Whole, tables: Whole, share: float
 ) -> Whole:
-    """Return codes of which those are the usual ones that save less than their change costs."""
+    """Return codes; those that save less than their change costs stay the usual ones."""
     freqs = np.maximum(NUMBER_OF_CODE[codes] + LEAST[tables], 1).astype(np.float64)
     apart = (usual_freqs - freqs) / freqs
     saved = counts * (apart * apart * 0.72)

@@ -1,7 +1,7 @@
 """Fit what details are expected to be, and count their symbols by it (encoder only).
 
-Windows that have been coded tell how large details were, and what was known around them. Weights
-decide how details are written, not what they are: a window need not be coded again for each. Sums
+Coded windows give the sizes of details and the features around them. Weights decide how details
+are written, not what they are: a window need not be coded again for each. Sums
 are of whole numbers below 2**53, and all else is single operations in a fixed order: the same
 raster gives the same weights on every machine.
 """
@@ -133,7 +133,7 @@ def fit_magnitude(seen: list[Seen], trained: Whole, step: int) -> NDArray[np.int
 
 
 def _in_steps(seen: Seen, every: int, step: int) -> Reals:
-    """Return of one sample of so many 1, the features, and the size of its detail, in steps."""
+    """Return rows of 1, of the features, and of sizes of details in steps, of some samples."""
     # Not always in the same column.
     turns = np.arange(len(seen.details) // every)
     picks = turns * every + (turns * 40503 >> 4) % every
@@ -192,7 +192,7 @@ def _in_range(products: Reals, weights: Reals) -> Reals:
 
 
 class Counts(NamedTuple):
-    """How often symbols come, by class of pairs.
+    """Counts of symbols by class of pairs.
 
     Attributes
     ----------

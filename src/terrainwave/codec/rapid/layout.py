@@ -59,7 +59,7 @@ def plane_shape(plane: int, shape: tuple[int, int]) -> tuple[int, int]:
 
 
 class Lattice(NamedTuple):
-    """Numbers that kernels know of a lattice: a group, or every so many samples of a root block.
+    """Numbers of a lattice for kernels: a group, or the samples of a root block at one stride.
 
     Heights are within ``low`` ... ``high``, details within ±most. Planes hold
     ``(height - origin) >> shift``, and no more than heights without a shift if it `is_narrow`.
@@ -100,7 +100,7 @@ class Workspace(NamedTuple):
 
 
 def new_workspace(side: int) -> Workspace:
-    """Return memory for planes of so many samples a side."""
+    """Return memory for planes of `side` samples a side."""
     high, wide, n = side + 2 * PAD, side + 2 * PAD + LANES, STRIP_ROWS * (side + 1)
     floats = np.zeros(side + 1, dtype=np.float32)
     return Workspace(

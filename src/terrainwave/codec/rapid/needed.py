@@ -1,4 +1,4 @@
-"""Rows of a lattice that are wanted, and what is to be decoded for them."""
+"""Rows of a lattice that are wanted, and all that must be decoded for them."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -11,7 +11,7 @@ _Range = tuple[int, int]
 
 
 class Needed(NamedTuple):
-    """What some rows of a lattice need.
+    """Strips and rows that some rows of a lattice need.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Needed(NamedTuple):
 
 
 def band_strips(n_rows: int, n_bands: int) -> tuple[_Range, ...]:
-    """Return the strips of each band of a lattice of so many rows."""
+    """Return the strips of each band of a lattice."""
     n = n_strips(n_rows)
     return tuple((band * n // n_bands, (band + 1) * n // n_bands) for band in range(n_bands))
 

@@ -30,7 +30,7 @@ class Parent(NamedTuple):
 
 
 class Aim(NamedTuple):
-    """What an encoder aims at, and what corrections there are; empty arrays where there is none."""
+    """Target of an encoder, and corrections; arrays without any are empty."""
 
     heights: NDArray[np.int32]
     valid: NDArray[np.uint8]
@@ -116,7 +116,7 @@ def load_parent(parent, lattice, rows, features, work):
 
 @kernel_part
 def _filled(n):
-    """Return how many samples are predicted of a row of so many."""
+    """Return the number of predicted samples of a row."""
     return (n + LANES - 1) // LANES * LANES
 
 
@@ -248,7 +248,7 @@ def _quantised(goal, whole, step):
 def _quantise(aim, place, lattice, work, details, source, n):
     """Fill the details of a predicted row; 0 where void. `place` is that of the first sample.
 
-    In float64, of which processors divide several at once: all numbers are whole and below 2**50,
+    In float64, as processors divide several of them at once: all numbers are whole and below 2**50,
     so that no quotient is rounded to the next whole number.
     """
     of_row, first = place

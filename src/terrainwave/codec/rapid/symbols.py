@@ -52,7 +52,7 @@ _ONE = np.uint64(1)
 
 
 class Log(NamedTuple):
-    """What an encoder writes down before it knows the first state."""
+    """Symbols in coding order, which an encoder notes before it knows the first state."""
 
     tables: NDArray[np.uint8]
     symbols: NDArray[np.uint8]
@@ -60,7 +60,7 @@ class Log(NamedTuple):
 
 
 class Streams(NamedTuple):
-    """What kernels read or write of a band of strips; `raw` has bits, the lowest first."""
+    """States, words and raw bits of a band of strips; the lowest bit is first."""
 
     states: NDArray[np.uint32]
     words: NDArray[np.uint16]
@@ -146,8 +146,8 @@ def _follow(state, found):
 def _read_alone(entries, n, frequencies, state, words, at, symbols):
     """Read symbols of a band of one state; return the state and the number of the next word.
 
-    Nearly all say that there is no detail. To foresee that is faster than to look it up, as each
-    symbol has to wait for the one before.
+    Nearly all details are 0. Trying that first is faster than a look-up, as each symbol waits for
+    the one before.
     """
     slots, freqs = frequencies.slots, frequencies.freqs.reshape(-1)
     starts = frequencies.starts.reshape(-1)
@@ -325,7 +325,7 @@ def _put(raw, places, value, n):
 
 @kernel_part
 def pair_symbol(first, second):
-    """Return the symbol of two details, PAIR_ESCAPE where there is none."""
+    """Return the symbol of two details, PAIR_ESCAPE if they have none."""
     x, y = first + PAIR_LIMIT, second + PAIR_LIMIT
     return x * _SIDE + y if 0 <= x < _SIDE and 0 <= y < _SIDE else PAIR_ESCAPE
 

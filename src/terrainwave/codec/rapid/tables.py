@@ -17,7 +17,7 @@ WEIGHT_UNIT_BITS = 16
 
 
 class Tables(NamedTuple):
-    """What a file's units are coded by.
+    """Tables that code a file's units.
 
     Attributes
     ----------

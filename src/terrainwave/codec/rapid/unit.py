@@ -105,7 +105,7 @@ _MEMORY = Spares(_Memory)
 
 
 class _Head(NamedTuple):
-    """What a payload says before its bands; `sizes` are words and bytes of raw bits of each."""
+    """Head of a payload; `sizes` are the words and bytes of raw bits of each band."""
 
     is_narrow: bool
     shift: int
@@ -138,7 +138,7 @@ class _Unit(NamedTuple):
     memory: _Memory
 
     def aim(self, stride: int) -> Aim:
-        """Return what concerns every so many samples, as kernels take it."""
+        """Return target, validity and corrections at a stride, for kernels."""
         part = np.s_[::stride, ::stride]
         return Aim(
             _NO_HEIGHTS if self.target is None else np.ascontiguousarray(self.target[part]),
@@ -155,7 +155,7 @@ class _Unit(NamedTuple):
         write_rows(planes, lattice.origin + base, rows, n_cols, out, row_spacing)
 
     def keep_added(self, stride: int, aim: Aim) -> None:
-        """Keep the corrections of every so many samples that an encoder found."""
+        """Keep the corrections that an encoder found at a stride."""
         if aim.added.size and stride > 1:
             part = self.corrections.added[::stride, ::stride]
             part[:] = aim.added.reshape(part.shape)
@@ -300,7 +300,7 @@ class UnitCoder:
         self, unit: _Unit, stride: int, parent: Parent, known: tuple[bool, ...], rows: Rows,
         out: Heights, *, is_written: bool = True,
     ) -> Lattice:  # fmt: skip
-        """Code the lattice of every so many samples of a unit."""
+        """Code the lattice of a unit at one stride."""
         spec, head = unit.spec, unit.head
         low, high = head.limits(spec)
         # Levels are rounded down: predictions lie up to one level below the lowest height.

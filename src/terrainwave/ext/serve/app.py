@@ -2,7 +2,7 @@
 
 Only the files named at start are served, and those that `Shelf.add` names. Requests are answered
 in threads; at most `n_decoding` of them decode at a time, and `_N_READING` others read bytes of
-files; `sending.N_WAITING` of either kind wait, the rest are told to come back.
+files; `sending.N_WAITING` of either kind wait, the rest get 503 with a time to retry.
 """
 
 import warnings

@@ -1,4 +1,4 @@
-"""One terrain as seen by moving cameras: what is here, what is wanted, what to draw."""
+"""One terrain under moving cameras: patches that are loaded, wanted and drawn."""
 
 import math
 import time
@@ -55,7 +55,7 @@ _NO_ROOM = "a block does not fit the memory allowed for pictures"
 
 
 class PieceStore(Protocol):
-    """Where what `Mode.build` returns is kept to be drawn: the GPU, or a list in tests."""
+    """Store of what `Mode.build` returns, for drawing: the GPU, or a list in tests."""
 
     @property
     def max_blocks(self) -> int:
@@ -207,7 +207,7 @@ class Scene:
         self.mode.close()
 
     def exaggerate(self, factor: float) -> None:
-        """Change the vertical exaggeration; patches stay as they are."""
+        """Change the vertical exaggeration; patches do not change."""
         self.frame = self.frame.exaggerated(factor)
 
     def view(self, camera: Camera, viewport: Viewport, max_pixel_error: float = 1.0) -> View:

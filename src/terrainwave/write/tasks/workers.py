@@ -87,7 +87,7 @@ class Workers:
         stage : str
             Name of the pass, for messages.
         tasks : mapping
-            Arguments by item, the first of which is a `task.Task`.
+            Arguments by item; the first is a `task.Task`.
 
         Raises
         ------
