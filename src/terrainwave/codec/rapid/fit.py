@@ -64,7 +64,7 @@ _Coder = TypeVar("_Coder", bound=UnitCoder)
 
 # Samples a side of a window, and samples of the raster for one; from 2 to 16 windows in all.
 _WINDOW = 257
-_SHARE = 1 << 16
+_SHARE = 1 << 17
 _LEAST_WINDOWS, _MOST_WINDOWS = 2, 16
 # So many samples a side of at most so many windows decide on stencils.
 _FEW, _MOST_DECIDING = 193, 4
