@@ -217,11 +217,12 @@ def test_a_full_stdout_is_named(dem, twz, command, unbuffered):
 
 
 PRINTING = """
+import os
 from terrainwave.cli import main
 from terrainwave.cli.output import Command
 @main.command(cls=Command)
 def words():
-    print("words", flush=True)
+    print("words" * int(os.environ.get("N_WORDS", "1")), end="", flush=True)
 main(["words"])
 """
 
@@ -258,6 +259,18 @@ def test_a_stdout_that_does_not_wait_is_named_and_one_that_nobody_reads_is_not()
     os.close(reader)
     with open(writer, "wb") as pipe:
         assert printed_to(pipe) == ""
+
+
+@needs_shell
+def test_a_stdout_that_takes_only_a_part_is_named():
+    reader, writer = os.pipe()
+    with open(reader, "rb"), open(writer, "wb", buffering=0) as pipe:
+        os.set_blocking(writer, False)
+        while pipe.write(bytes(1 << 16)):
+            pass
+        os.read(reader, 4096)
+        told = printed_to(pipe, PYTHONUNBUFFERED="1", N_WORDS="3000")
+    assert told == f"terrainwave: cannot write stdout: {os.strerror(errno.EAGAIN)}\n"
 
 
 # A program that may write files of few bytes only, as on a disk that is nearly full.

@@ -297,6 +297,17 @@ def test_rasters_of_voids_or_of_one_height_have_tables_that_are_sound():
     size_of(fitted(heights, 1), heights, 1)
 
 
+def test_tables_do_not_depend_on_heights_of_voids():
+    heights, rng = rough((600, 500), seed=3), np.random.default_rng(5)
+    valid = np.ones(heights.shape, dtype=bool)
+    valid[100:480, 60:400] = valid[::7, ::5] = False
+    found = []
+    for _ in range(2):
+        heights[~valid] = rng.integers(-30000, 30000, np.count_nonzero(~valid))
+        found.append(pack_file_tables(fitted(heights, 1, valid)))
+    assert found[0] == found[1]
+
+
 def test_extreme_heights_do_not_overflow():
     heights = np.random.default_rng(2).integers(-(1 << 28), 1 << 28, (300, 300)).astype(np.int32)
     size_of(fitted(heights, 1), heights, 1)

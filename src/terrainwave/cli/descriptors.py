@@ -29,11 +29,16 @@ class _Stdout(io.FileIO):
     """Descriptor of stdout, whose errors are `StdoutError` whichever library prints."""
 
     def write(self, data: Any, /) -> int:
+        # Unbuffered, nobody else writes the rest of what was written in part.
+        left = memoryview(data).cast("B")
+        n_bytes = len(left)
         try:
-            written = super().write(data)
-            if written is None:  # a pipe that is full and does not wait
-                raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
-            return written
+            while left:
+                written = super().write(left)
+                if written is None:  # a pipe that is full and does not wait
+                    raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+                left = left[written:]
+            return n_bytes
         except OSError as error:
             raise StdoutError(error.errno, error.strerror) from error
 
