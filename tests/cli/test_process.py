@@ -10,6 +10,7 @@ import stat
 import subprocess
 import sys
 from collections import namedtuple
+from contextlib import contextmanager
 from fnmatch import fnmatch
 
 import numpy as np
@@ -246,13 +247,20 @@ def test_a_full_stdout_is_named_whoever_prints(unbuffered):
     assert told == "terrainwave: cannot write stdout: the disk is full\n"
 
 
-@needs_shell
-def test_a_stdout_that_does_not_wait_is_named_and_one_that_nobody_reads_is_not():
+@contextmanager
+def full_pipe():
+    """Yield the ends of a full pipe that does not wait: a descriptor to read, a file to write."""
     reader, writer = os.pipe()
     with open(reader, "rb"), open(writer, "wb", buffering=0) as pipe:
         os.set_blocking(writer, False)
         while pipe.write(bytes(1 << 16)):
             pass
+        yield reader, pipe
+
+
+@needs_shell
+def test_a_stdout_that_does_not_wait_is_named_and_one_that_nobody_reads_is_not():
+    with full_pipe() as (_, pipe):
         told = printed_to(pipe)
     assert told == f"terrainwave: cannot write stdout: {os.strerror(errno.EAGAIN)}\n"
     reader, writer = os.pipe()
@@ -263,11 +271,7 @@ def test_a_stdout_that_does_not_wait_is_named_and_one_that_nobody_reads_is_not()
 
 @needs_shell
 def test_a_stdout_that_takes_only_a_part_is_named():
-    reader, writer = os.pipe()
-    with open(reader, "rb"), open(writer, "wb", buffering=0) as pipe:
-        os.set_blocking(writer, False)
-        while pipe.write(bytes(1 << 16)):
-            pass
+    with full_pipe() as (reader, pipe):
         os.read(reader, 4096)
         told = printed_to(pipe, PYTHONUNBUFFERED="1", N_WORDS="3000")
     assert told == f"terrainwave: cannot write stdout: {os.strerror(errno.EAGAIN)}\n"

@@ -106,8 +106,8 @@ def fit_tables(
     """
     n_windows = min(max(grid.n_rows * grid.n_cols // _SHARE, _LEAST_WINDOWS), _MOST_WINDOWS)
     windows, masks = spread_windows(grid, heights, mask, _WINDOW, n_windows)
-    # Heights of voids may differ from run to run: which of them are made depends on threads.
-    windows = np.stack([_filled(*window) for window in zip(windows, masks, strict=True)])
+    if not masks.all():  # tables must not depend on heights of voids
+        windows = np.stack([_filled(*window) for window in zip(windows, masks, strict=True)])
     tables = plain_tables(min(grid.k_max, MOST_K), family_of(step))
     if int(np.count_nonzero(masks)) < _MIN_SAMPLES:
         return tables
@@ -119,8 +119,8 @@ def fit_tables(
 def _filled(window: Heights, mask: Mask) -> Heights:
     """Return a window whose voids have the height of the valid sample before, in raster order."""
     valid = np.flatnonzero(mask)
-    if valid.size in (0, mask.size):
-        return window * mask
+    if valid.size == 0:
+        return np.zeros_like(window)
     last = np.searchsorted(valid, np.arange(mask.size), side="right") - 1
     return window.ravel()[valid[np.maximum(last, 0)]].reshape(window.shape)
 

@@ -1,9 +1,9 @@
 """Fit what details are expected to be, and count their symbols by it (encoder only).
 
 Coded windows give the sizes of details and the features around them. Weights decide how details
-are written, not what they are: a window need not be coded again for each. Sums
-are of whole numbers below 2**53, and all else is single operations in a fixed order: the same
-raster gives the same weights on every machine.
+are written, not what they are: a window need not be coded again for each. Sums are of whole numbers
+below 2**53, and all else is single operations in a fixed order: the same raster gives the same
+weights on every machine.
 """
 
 from collections import Counter

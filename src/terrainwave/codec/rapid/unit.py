@@ -66,7 +66,7 @@ _MOST_DETAIL = 2**31 - 1
 _ORIGIN_BITS = 10
 # A payload has a part that can be read alone, for windows, for so many bytes.
 _BYTES_OF_BAND, _MOST_BANDS = 1 << 15, 4
-_EVERY = 3  # of so many details one tells how many bits they take
+_EVERY = 3  # one detail in so many counts for the estimate of their bits
 _SPARE_RAW = 2
 # Symbols of what is not of the samples: odd ends of rows.
 _ROOM = 1 << 13
@@ -250,10 +250,8 @@ class UnitCoder:
             if raw is not None and parent is not None and head.is_narrow:
                 wanted = flat_view(raw.heights)
             lattice = self._code(unit, parent, rows, out, is_written=wanted is None)
-            needed, all_ = (
-                needed_for(out.shape, rows, len(bands)),
-                band_strips(len(out), len(bands)),
-            )
+            needed = needed_for(out.shape, rows, len(bands))
+            all_ = band_strips(out.shape[0], len(bands))
             for k, (streams, (_, n_raw)) in enumerate(zip(bands, head.sizes, strict=True)):
                 _check_end(streams, n_raw, is_part=needed.strips[k] != all_[k])
             # Not before all is known to be good.
