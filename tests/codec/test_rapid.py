@@ -1,11 +1,13 @@
 """Units of `rapid`: ranges, lines, bands, rows, damage; what it shares is in `test_refiners`."""
 
+import contextlib
 import dataclasses
 
 import numpy as np
 import pytest
 from lone_units import ALL_SHARED, check_refiner, coarse_of, lone_spec, terrain
 
+from terrainwave.codec.rapid import unit as rapid_unit
 from terrainwave.codec.rapid.layout import CORES, HH, HL, LH, LIMIT, TAPS, Lattice, new_workspace
 from terrainwave.codec.rapid.needed import needed_for
 from terrainwave.codec.rapid.prediction import predict_on_line
@@ -19,7 +21,7 @@ from terrainwave.codec.rapid.symbols import (
     frequencies_of,
 )
 from terrainwave.codec.rapid.tables import Tables
-from terrainwave.codec.rapid.unit import UnitCoder
+from terrainwave.codec.rapid.unit import UnitCoder, _Memory
 from terrainwave.codec.refiner import FREE, NOT_SHARED, Corrections, Raw, Rows, Sides
 from terrainwave.codec.varint import encode_varint
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
@@ -104,6 +106,33 @@ def test_an_odd_end_of_a_row_holds_nothing_of_what_was_coded_before():
     noise = np.random.default_rng(1).integers(-9000, 9000, (33, 31)).astype(np.int32)
     check(noise, 1)
     assert coder().encode(spec, parent, heights, None)[0] == first
+
+
+class Spoiled:
+    """Memory that another thread writes to as soon as it is given back."""
+
+    @contextlib.contextmanager
+    def lent(self):
+        memory = _Memory()
+        yield memory
+        log, raw, places = memory._streams.log, memory._streams.raw, memory._streams.places
+        for array in (*log, raw, places, *memory._workspace[1:]):
+            array[:] = 77
+
+
+@pytest.mark.parametrize("has_parent", [True, False])
+def test_nothing_is_read_of_memory_that_was_given_back(has_parent, monkeypatch):
+    heights = terrain((61, 66))
+    spec, parent = unit(heights, 1, has_parent=has_parent)
+    found = []
+    for _ in range(2):
+        counts = np.zeros((N_TABLES, N_SYMBOLS), dtype=np.int64)
+        coded = coder().count(spec, parent, heights, None, counts)
+        payload, made, _ = coder().encode(spec, parent, heights, None)
+        decoded = coder().decode(spec, parent, None, payload)[0]
+        found.append((counts.tolist(), payload, *(own.tolist() for own in (coded, made, decoded))))
+        monkeypatch.setattr(rapid_unit, "_MEMORY", Spoiled())
+    assert found[0] == found[1]
 
 
 # Ranges -----------------------------------------------------------------------------------------

@@ -206,8 +206,8 @@ class UnitCoder:
         with _MEMORY.lent() as memory:
             unit = _new_unit(spec, parent, target, mask, NO_CORRECTIONS, memory)
             self._code(unit, parent, ALL_ROWS, out)
-        streams = unit.bands[0]
-        count_log(streams.log, int(streams.places[N_LOGGED]), counts)
+            streams = unit.bands[0]
+            count_log(streams.log, int(streams.places[N_LOGGED]), counts)
         return out
 
     def decode(
