@@ -26,7 +26,7 @@ import terrainwave
 from benchmarks import common
 from benchmarks.rasters import make_mirrored
 from benchmarks.scaling import BLOCK, MAX_ERROR, TASKS_CSV
-from terrainwave.progress import TaskReport
+from benchmarks.task_reports import TaskReport, TimingExecutor, reported
 from terrainwave.write.cluster import AT_A_TIME
 
 PASSES = ("scanning", "averaging", "making levels", "encoding", "proving")
@@ -247,11 +247,11 @@ def task_costs(reports: list[dict], is_void: bool, clock: str = "cpu_seconds") -
 def run_inline(raster: Path, folder: Path) -> Inline:
     """Compress task by task in this process."""
     run = Inline(time.process_time(), [])
-    terrainwave.compress(
-        raster, folder / "plan.twz", max_error=MAX_ERROR, block=BLOCK, threads=1, overwrite=True,
-        client=common.InlineExecutor(),
-        on_task=lambda report: run.reports.append((time.process_time(), report)),
-    )  # fmt: skip
+    with reported(lambda report: run.reports.append((time.process_time(), report))):
+        terrainwave.compress(
+            raster, folder / "plan.twz", max_error=MAX_ERROR, block=BLOCK, threads=1,
+            overwrite=True, client=TimingExecutor(common.InlineExecutor()),
+        )  # fmt: skip
     return run
 
 
@@ -296,7 +296,7 @@ def measured_costs(dem: Path, folder: Path, tasks: list[dict]) -> Costs:
     make_mirrored(dem, folder / "dense-2.tif", 2 * TASK_SIDE + 1)
     make_half_void(folder / "dense-2.tif", half)
     run = run_inline(half, folder)
-    of_half = [vars(report) for _, report in run.reports]
+    of_half = [report._asdict() for _, report in run.reports]
     dense, void = task_costs(tasks, is_void=False), task_costs(of_half, is_void=True)
     # What tasks with voids take longer, and a pass that others don't have.
     dense["averaging"] = task_costs(of_half, is_void=False)["averaging"]

@@ -14,7 +14,7 @@ import time
 from collections import Counter, namedtuple
 from collections.abc import Sequence
 from concurrent.futures import Executor, Future
-from dataclasses import astuple, fields, replace
+from contextlib import nullcontext
 from pathlib import Path
 from unittest import mock
 
@@ -24,9 +24,9 @@ import cloudpickle
 import terrainwave
 from benchmarks import common
 from benchmarks.rasters import make_mirrored
+from benchmarks.task_reports import TaskReport, TimingExecutor, reported
 from terrainwave.container.depot import Depot
 from terrainwave.grid.quadtree import Grid
-from terrainwave.progress import TaskReport
 from terrainwave.write.cluster import TASK_SAMPLES, task_level
 from terrainwave.write.tasks.workers import executor_of
 
@@ -44,7 +44,7 @@ Row = namedtuple(
     "task_bytes result_bytes depot_bytes depot_levels_bytes peak_mib file_bytes load",
 )  # fmt: skip
 
-Task = namedtuple("Task", ["run", *(field.name for field in fields(TaskReport))])
+Task = namedtuple("Task", ["run", *TaskReport._fields])
 
 
 class CountingExecutor(Executor):
@@ -79,10 +79,11 @@ def run_local(
 ) -> dict[str, float]:
     """Compress in one thread of this process, task by task if there is a client."""
     start, cpu = time.perf_counter(), time.process_time()
-    terrainwave.compress(
-        source, target, max_error=MAX_ERROR, block=BLOCK, threads=1, overwrite=True, client=client,
-        on_task=None if client is None else reports.append,
-    )  # fmt: skip
+    with nullcontext() if client is None else reported(reports.append):
+        terrainwave.compress(
+            source, target, max_error=MAX_ERROR, block=BLOCK, threads=1, overwrite=True,
+            client=client,
+        )  # fmt: skip
     return {"seconds": time.perf_counter() - start, "cpu_here": time.process_time() - cpu}
 
 
@@ -108,13 +109,11 @@ def run_cluster(
         options = {"max_error": MAX_ERROR, "overwrite": True, "threads": 1}
         for _ in range(2):
             terrainwave.compress(warm_up, target, client=executor, block=32, **options)
-        counting = CountingExecutor(executor)
+        counting = CountingExecutor(TimingExecutor(executor))
         before = sum(client.run(time.process_time).values())
         start, cpu = time.perf_counter(), time.process_time()
-        with mock.patch.object(Depot, "remove", measured):
-            terrainwave.compress(
-                source, target, client=counting, block=BLOCK, on_task=reports.append, **options
-            )
+        with mock.patch.object(Depot, "remove", measured), reported(reports.append):
+            terrainwave.compress(source, target, client=counting, block=BLOCK, **options)
         seconds, cpu_here = time.perf_counter() - start, time.process_time() - cpu
         return {
             "seconds": seconds, "cpu_here": cpu_here,
@@ -146,11 +145,11 @@ def measure(
         if run[0].isdigit():
             found = run_cluster(source, target, int(run[0]), warm_up, reports)
         else:
-            client = common.InlineExecutor() if run == "tasks" else None
+            client = TimingExecutor(common.InlineExecutor()) if run == "tasks" else None
             for one in (warm_up, source):
                 reports.clear()
                 found = run_local(one, target, client, reports)
-        tasks += [Task(run, *astuple(replace(report, host="here"))) for report in reports]
+        tasks += [Task(run, *report._replace(host="here")) for report in reports]
         contents.append(target.read_bytes())
         rows.append(_row(run, size, n_tasks, found, len(contents[0]), rows))
     if any(content != contents[0] for content in contents):

@@ -33,7 +33,7 @@ STAGES = (
     ("pass", "terrainwave.codec.predictive.refiner", "code_pass"),
     ("unit", "terrainwave.codec.predictive.refiner", "_code_unit"),
     ("fit", "terrainwave.codec.rapid.fit", "fit_tables"),
-    ("rows", "terrainwave.codec.rapid.unit", "code_details code_heights encode_log"),
+    ("rows", "terrainwave.codec.rapid.unit", "log_details code_heights encode_log"),
     ("unit", "terrainwave.write.encoder", "encode_unit"),
     ("unit", "terrainwave.codec.group", "decode_unit"),
     ("write", "terrainwave.write.compress", "assemble"),

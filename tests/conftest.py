@@ -39,7 +39,7 @@ settings.register_profile("fast", _COMMON, max_examples=10)
 settings.load_profile("fast")
 
 # Tests in which no kernel of ours does what is tested: they run once, compiled. All others are
-# marked `kernels`, and run with bounds checked, too.
+# marked `kernels`.
 WITHOUT_KERNELS = {
     "benchmarks", "cli", "container", "ext", "gdal_driver", "place", "raster_io",
     "test_architecture.py", "test_compiler.py", "test_compilers.py", "test_dispatchers.py",
@@ -47,8 +47,8 @@ WITHOUT_KERNELS = {
     "test_faults.py", "test_format_example.py", "test_javascript_kernels.py", "test_window.py",
     "test_archive.py", "test_kernel_cache.py", "test_polynomials.py",
 }  # fmt: skip
-# Tests of whole files: what their kernels compute has tests of its own. The others with kernels run
-# as plain Python, too, unless they are `large`.
+# Tests of whole files, marked `files` and `large`: what their kernels compute has tests of its own.
+# The others with kernels run with bounds checked, and as plain Python unless they are `large`.
 OF_FILES = {
     "export", "globe", "write", "test_batched.py", "test_beginnings.py", "test_coefficients.py",
     "test_lods.py", "test_loose.py", "test_names.py", "test_read_ahead.py", "test_salvage.py",
@@ -111,6 +111,7 @@ def pytest_collection_modifyitems(config, items):
             item.add_marker("kernels")
         if not OF_FILES.isdisjoint(parts):
             item.add_marker("large")
+            item.add_marker("files")
     # Then files of many tests before those of few, so that workers end together.
     items.sort(key=lambda item: (_turn(item.path), -n_tests[item.path]))
     missing = {

@@ -49,7 +49,7 @@ WRONG = {
         "dst": PATH, "heights_are": WORD, "mesh_error": NUMBER, "measure_meshes": FLAG,
         "height_range": [5, "1,2", (1,), (2, 1), (0, float("nan"))],
         "keep_origin": FLAG, "temp_dir": PATH, "fresh": FLAG, "task_samples": WHOLE,
-        "client": ANYTHING, "on_task": CALLABLE, "digest": CHOICE,
+        "client": ANYTHING, "digest": CHOICE,
     },
     "compress_to_bytes": {name: OF_RASTERS[name] for name in ("src", "nodata", "georeference")}
     | OF_CODING

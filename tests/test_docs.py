@@ -139,7 +139,7 @@ def test_the_table_of_parts_selects_what_the_makefile_does():
 
 
 def test_marks_of_the_table_are_those_that_tests_may_have():
-    """All but `kernels`, which conftest gives."""
+    """All but `kernels` and `files`, which conftest gives."""
     options = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     markers = {
         line.partition(":")[0] for line in options["tool"]["pytest"]["ini_options"]["markers"]
@@ -147,7 +147,7 @@ def test_marks_of_the_table_are_those_that_tests_may_have():
     named = re.findall(
         r"^\| `@pytest\.mark\.(\w+)` \|", TESTS_PAGE.read_text(encoding="utf-8"), re.M
     )
-    assert sorted(named) == sorted(markers - {"kernels"})
+    assert sorted(named) == sorted(markers - {"kernels", "files"})
 
 
 def test_readers_without_a_driver_see_first_what_works_for_them():

@@ -310,7 +310,7 @@ def test_the_whole_file_of_two_levels_is_read_by_library_and_reference_and_is_wh
     found = read_file(twz_bytes(heights.astype("uint8"), max_error=0, method="store", mesh="none"))
     assert found.payloads == expected.payloads
     assert found.codes == expected.codes
-    assert expected.metadata == {"software": "terrainwave 0.1.0"}
+    assert expected.metadata == {"software": "terrainwave 1.0.0"}
 
 
 def test_the_whole_file_has_the_stated_page_boxes_and_indices():

@@ -18,6 +18,8 @@ EXEMPTIONS = [(pattern, rule) for pattern, rules in IGNORED.items() for rule in 
 
 def files_of(pattern):
     """Return the Python files and notebooks that a pattern of ruff stands for."""
+    if pattern.startswith("!"):
+        return set(ROOT.glob("src/**/*.py")) - files_of(pattern[1:])
     parts = [part.split(",") for part in re.findall(r"\{(.*?)\}", pattern)]
     template = re.sub(r"\{.*?\}", "{}", pattern)
     found = set()

@@ -36,7 +36,7 @@ from terrainwave.codec.rapid.file_tables import (
     plain_tables,
 )
 from terrainwave.codec.rapid.fit_stencils import costs_of, fit_weights, gather, judged
-from terrainwave.codec.rapid.fit_weights import Observer, count_by_class, gathered
+from terrainwave.codec.rapid.fit_weights import count_by_class
 from terrainwave.codec.rapid.layout import CORES, HH, N_LEVEL_CLASSES, N_TAPS, TAPS
 from terrainwave.codec.rapid.symbols import (
     ESCAPED,
@@ -237,8 +237,7 @@ def coded(case: Case) -> Coded:
     name, sample = case
     family = family_of(sample.step)
     tables = fit._with_stencils(plain_tables(8, family), sample, map)
-    found = [coder.samples for coder, _ in fit._coded(Observer, tables, sample, map)]
-    seen = gathered(found)
+    seen = fit.observed(tables, sample)
     weights = fit.fit_magnitude(seen, file_tables.annex().weights[family], sample.step)
     counts = count_by_class(seen, file_tables.NUMBER_OF_CODE[weights], sample.step)
     # Of pairs of low classes, samples alone say little of those that are coded alone.

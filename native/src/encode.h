@@ -8,7 +8,7 @@
 #include "encode_mask.h"
 #include "rapid.h"
 
-enum { N_SYMBOLS = 256, N_FEATURES = 3 };
+enum { N_SYMBOLS = 256, N_FEATURES = 3, LEAST_SIDE = 10 };
 
 /* Tables of a file. */
 typedef struct encode_tables {
@@ -34,7 +34,7 @@ typedef struct encode_job {
   int32_t *added;                /* corrections: zeros before; NULL: there are none */
   int32_t *out;                  /* heights as they are decoded */
   int64_t *counts;               /* of N_TABLES * N_SYMBOLS: add up symbols instead of making a payload; or NULL */
-  int32_t *seen;                 /* of each lattice and plane with samples: features, details, which are coded; or NULL */
+  int32_t *seen;                 /* of each lattice and plane of LEAST_SIDE samples: features, details, which are coded; or NULL */
   const uint8_t *payload;        /* made; belongs to the encoder, until it encodes again */
   uint64_t n_payload;
   int32_t shift;                 /* of its heights in planes */
@@ -49,7 +49,6 @@ typedef struct symbol_log {
   size_t n_entries;
   uint8_t *raw;                  /* the last byte has bits 0 where none is written */
   size_t n_bits;
-  size_t first_entries, first_bits; /* of its first strip, of which a band knows less than a unit without bands */
 } symbol_log;
 
 /* What the lattices of a unit have in common. */
@@ -62,7 +61,7 @@ typedef struct encoding {
   int32_t *goals;                /* of a row of a plane */
   int32_t *more;                 /* numbers of pairs of a list */
   int32_t *seen;
-  int is_again, n_bands;         /* details are known: log them, in bands */
+  int n_bands;                   /* 0: as many as details ask for */
   symbol_log logs[MOST_BANDS];
 } encoding;
 
@@ -80,6 +79,8 @@ static inline int32_t correct_height(const encode_job *job, ptrdiff_t place, int
 }
 /* Begin the log of a band, behind that of the band before. */
 void start_band(encoding *e, int band);
+/* Return how many bands a group should have, by about how many bits its details take. */
+int bands_for(const encoding *e, const int32_t *rows, const int32_t *cols);
 /* Log the details of n pairs. */
 void log_pairs(encoding *e, symbol_log *l, const uint8_t *pairs, const uint8_t *singles, const int32_t *details, int32_t n);
 

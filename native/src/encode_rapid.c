@@ -3,7 +3,8 @@
 #include "kernels.h"
 
 enum {
-  MOST_SHIFT = 30, ORIGIN_BITS = 10, BYTES_OF_BAND = 1 << 14,
+  MOST_SHIFT = 30, ORIGIN_BITS = 10, BYTES_OF_BAND = 1 << 15,
+  EVERY = 3,                     /* one detail in so many counts for the estimate of their bits */
   RAW_CLASS = 32, PAIR_LIMIT = 7, SIDE = 2 * PAIR_LIMIT + 1, SINGLE_LIMIT = 31,
   MOST_RAW_BYTES = 8,            /* of a sample: 13 bits, 5, and 33 */
   MOST_ENTRIES = 3,              /* of a pair */
@@ -15,7 +16,6 @@ struct twz_encoder {
   twz_allocator allocator;
   const struct row_kernels *kernels;
   scratch rows, unit, payload;   /* of a lattice; of all that a unit needs besides; what is made */
-  int n_bands;                   /* that the next group is tried with: as many as the last one had */
 };
 
 /* ---- Tables and memory ---- */
@@ -60,7 +60,6 @@ twz_status encoder_new(const twz_allocator *a, twz_kernels kernels, twz_encoder 
   if (!e) return twz_no_memory(error, sizeof *e);
   e->allocator = *a;
   e->kernels = found;
-  e->n_bands = 1;
   e->rows.allocator = e->unit.allocator = e->payload.allocator = &e->allocator;
   *made = e;
   return TWZ_OK;
@@ -194,7 +193,7 @@ static twz_status make_payload(twz_encoder *encoder, const encoding *e, const ra
   TRY(scratch_reserve(&encoder->payload, n_bytes + n_others + SCRATCH_ALIGN, error));
   uint8_t *payload = scratch_take(&encoder->payload, n_bytes), *to = payload + 1;
   for (int b = 0; b < e->n_bands; b++) bands[b].words = scratch_take(&encoder->payload, 2 * e->logs[b].n_entries);
-  int which = 2;
+  int which = 2; /* several bands are large enough for all states */
   for (int is_again = 0; is_again < 2; is_again++) {
     for (int b = 0; b < e->n_bands && (!is_again || which < 2); b++) {
       uint8_t *end = bands[b].words + (is_again ? 2 * bands[b].n_words : 2 * e->logs[b].n_entries);
@@ -204,7 +203,7 @@ static twz_status make_payload(twz_encoder *encoder, const encoding *e, const ra
       bands[b].words = end - 2 * n_words;
       most_words = max_size(most_words, (size_t)n_words);
     }
-    if (!is_again) which = (most_words >= 1 << 7) + (most_words >= 1 << 11); /* each state takes two bytes */
+    if (!is_again && e->n_bands == 1) which = (most_words >= 1 << 7) + (most_words >= 1 << 11); /* each state takes two bytes */
   }
   payload[0] = (uint8_t)(u->is_narrow | which << 1 | (e->n_bands - 1) << 3 | (number ? 32 : 0));
   if (!u->is_narrow) *to++ = (uint8_t)u->shift;
@@ -225,21 +224,22 @@ static twz_status make_payload(twz_encoder *encoder, const encoding *e, const ra
   return TWZ_OK;
 }
 
-/*
- * Has a group the most bands, for sure? It has as many as its payload without bands is long. Strips that do not begin a
- * band have the same symbols there. A symbol, and a word, take from a state by rounding at most a 16th: less than 0.094 bits.
- */
-static int has_most_bands(const encoding *e) {
-  int64_t n_bits = -(int64_t)(SLOT_BITS + 4) * MOST_STATES, n_entries = 0, n_raw = 0;
-  for (int b = 0; b < e->n_bands; b++) {
-    const symbol_log *l = &e->logs[b];
-    size_t first = b ? l->first_entries : 0;
-    for (size_t k = first; k < l->n_entries; k++) n_bits += e->tables->freqs[l->entries[k] & 0xFFFF] >> COST_SHIFT;
-    n_entries += (int64_t)(l->n_entries - first);
-    n_raw += (int64_t)(l->n_bits - (b ? l->first_bits : 0));
+int bands_for(const encoding *e, const int32_t *rows, const int32_t *cols) {
+  int64_t n = 0, octaves = 0;
+  for (int p = HH; p <= LH; p++) {
+    const int32_t *details = e->details[p];
+    int64_t all = rows[p] * ((int64_t)cols[p] + cols[p] % 2);
+    for (int64_t k = 0; k < all; k += EVERY, n++) {
+      float size = (float)(details[k] < 0 ? -details[k] : details[k]);
+      int32_t bits;
+      size += size;
+      size += 1;
+      memcpy(&bits, &size, sizeof bits); /* its logarithm, in 2^-23 of an octave above 2^-127 */
+      octaves += bits - (127 << 23);
+    }
   }
-  int64_t n_words = (1000 * n_bits - 94 * n_entries) / 16094;
-  return 2 * n_words + n_raw / 8 >= BYTES_OF_BAND * (MOST_BANDS - 1);
+  int64_t n_bits = EVERY * min_i64(2 * octaves, octaves + n * ((int64_t)3 << 22)) >> 23;
+  return (int)min_i64(1 + n_bits / (8 * BYTES_OF_BAND), MOST_BANDS);
 }
 
 /* ---- Units ---- */
@@ -371,15 +371,8 @@ void start_band(encoding *e, int band) {
     l->entries = before->entries + before->n_entries;
     l->raw = before->raw + (before->n_bits + 7) / 8;
   }
-  l->n_entries = l->n_bits = l->first_entries = l->first_bits = 0;
+  l->n_entries = l->n_bits = 0;
   l->raw[0] = 0;
-}
-
-/* Log the details of a group again, in other bands. */
-static twz_status code_again(const twz_encoder *encoder, rapid_unit *u, encoding *e, twz_error *error) {
-  e->is_again = 1;
-  start_band(e, 0);
-  return encoder->kernels->encode_lattice(u, e, error);
 }
 
 twz_status encode_rapid(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error) {
@@ -411,8 +404,7 @@ twz_status encode_rapid(twz_encoder *encoder, const encode_tables *tables, encod
   int64_t number = choose_head(job, &u, least, most);
   job->shift = u.shift;
   e.is_plain = u.is_narrow && is_within;
-  int has_bands = job->parent && !job->counts;
-  e.n_bands = has_bands ? encoder->n_bands : 1;
+  e.n_bands = job->parent && !job->counts ? 0 : 1;
   start_band(&e, 0);
   if (!job->parent) {
     TRY(encode_root(encoder, &u, &e, root, error));
@@ -432,21 +424,7 @@ twz_status encode_rapid(twz_encoder *encoder, const encode_tables *tables, encod
     for (size_t k = 0; k < e.logs[0].n_entries; k++) job->counts[e.logs[0].entries[k] & 0xFFFF]++;
     return TWZ_OK;
   }
-  int n_bands = e.n_bands;
-  if (n_bands > 1 && !has_most_bands(&e)) {
-    n_bands = e.n_bands = 1;
-    TRY(code_again(encoder, &u, &e, error));
-  }
-  TRY(make_payload(encoder, &e, &u, number, job, error));
-  if (has_bands && n_bands == 1) {
-    n_bands = (int)min_u64(1 + job->n_payload / BYTES_OF_BAND, MOST_BANDS);
-    encoder->n_bands = n_bands == MOST_BANDS ? n_bands : 1;
-    if (n_bands == 1) return TWZ_OK;
-    e.n_bands = n_bands;
-    TRY(code_again(encoder, &u, &e, error));
-    TRY(make_payload(encoder, &e, &u, number, job, error));
-  }
-  return TWZ_OK;
+  return make_payload(encoder, &e, &u, number, job, error);
 }
 
 twz_status encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error) { return encode_validity(job, &encoder->rows, error); }

@@ -193,35 +193,37 @@ static void ISA(log_strip)(const ISA(work) * w, encoding *e, int plane, int32_t 
 static twz_status ISA(encode_lattice)(rapid_unit *u, encoding *e, twz_error *error) {
   ISA(work) work, *w = &work;
   TRY(ISA(begin)(w, u, error));
-  int32_t n_strips = rapid_strips(u->n_rows), done[3] = {0, 0, 0};
-  w->loaded = -2;
-  w->looked = -1;
-  int band = 0;
-  for (int32_t strip = 0; strip < n_strips; strip++) {
-    int32_t end = STRIP * strip + STRIP;
-    for (; band + 1 < e->n_bands && strip >= rapid_band(u->n_rows, band + 1, e->n_bands); start_band(e, ++band)) {
-      for (int p = HH; p <= HL; p++) ISA(forget)(w, p, STRIP * strip - 1);
-    }
-    for (; w->loaded < w->a_rows + 2 && w->loaded < end + 3; w->loaded++) ISA(load_row)(w, w->loaded);
-    for (; w->looked <= w->a_rows && w->looked <= end; w->looked++) ISA(look)(w, w->looked);
+  const int32_t n_strips = rapid_strips(u->n_rows);
+  int32_t done[3] = {0, 0, 0};
+  for (int32_t end = STRIP, loaded = -2; end <= STRIP * n_strips; end += STRIP) {
+    for (; loaded < w->a_rows + 2 && loaded < end + 3; loaded++) ISA(load_row)(w, loaded);
     /* Each plane is a row ahead of the next one, which sees it. */
-    for (int p = HH; p <= LH && !e->is_again; p++) {
+    for (int p = HH; p <= LH; p++) {
       for (; done[p] < min_i32(end + 1 - p, w->rows[p]); done[p]++) {
         if (w->cols[p]) ISA(encode_row)(w, e, p, done[p]);
         if (p != HH) ISA(store_row)(w, 2 * done[p] + (p == LH));
       }
     }
-    for (int p = HH; p <= LH; p++) ISA(log_strip)(w, e, p, strip, &e->logs[band]);
-    if (strip == rapid_band(u->n_rows, band, e->n_bands)) {
-      e->logs[band].first_entries = e->logs[band].n_entries;
-      e->logs[band].first_bits = e->logs[band].n_bits;
+  }
+  if (e->n_bands == 0) e->n_bands = bands_for(e, w->rows, w->cols);
+  int32_t *seen = e->seen;
+  w->loaded = -2;
+  w->looked = -1;
+  for (int32_t strip = 0, band = 0; strip < n_strips; strip++) {
+    const int32_t end = STRIP * strip + STRIP;
+    for (; band + 1 < e->n_bands && strip >= rapid_band(u->n_rows, band + 1, e->n_bands); start_band(e, ++band)) {
+      for (int p = HH; p <= HL; p++) ISA(forget)(w, p, STRIP * strip - 1);
     }
-    int32_t *seen = e->seen;
-    for (int p = HH; p <= LH && e->seen; p++) {
-      if (w->cols[p]) ISA(note_strip)(w, e, p, strip, seen);
-      seen += (ptrdiff_t)(N_FEATURES + 2) * w->rows[p] * (w->cols[p] + w->cols[p] % 2);
+    for (; w->loaded < w->a_rows + 2 && w->loaded < end + 3; w->loaded++) ISA(load_row)(w, w->loaded);
+    for (; w->looked <= w->a_rows && w->looked <= end; w->looked++) ISA(look)(w, w->looked);
+    int32_t *to = seen;
+    for (int p = HH; p <= LH; p++) {
+      ISA(log_strip)(w, e, p, strip, &e->logs[band]);
+      if (!seen || min_i32(w->rows[p], w->cols[p]) < LEAST_SIDE) continue;
+      ISA(note_strip)(w, e, p, strip, to);
+      to += (ptrdiff_t)(N_FEATURES + 2) * w->rows[p] * (w->cols[p] + w->cols[p] % 2);
     }
-    if (e->seen && strip + 1 == n_strips) e->seen = seen;
+    e->seen = to;
   }
   return TWZ_OK;
 }

@@ -69,34 +69,52 @@ static twz_status start_bits(bits *b, const reader *section, twz_error *error) {
   return TWZ_OK;
 }
 
-static void note_bits(mask_job *job, const uint8_t *models, const uint8_t *values, int32_t n);
+static ALWAYS_INLINE uint8_t read_bit(uint32_t *state, uint32_t ones, const uint8_t **word) {
+  uint32_t slot = *state % N_SLOTS, is_one = slot < ones, n_slots = is_one ? ones : N_SLOTS - ones;
+  uint32_t x = n_slots * (*state >> SLOT_BITS) + slot - (is_one ? 0 : ones), filled = x << 16 | load_u16(*word), is_low = x < STATE_START;
+  *state = is_low ? filled : x;
+  *word += 2 * is_low;
+  return (uint8_t)is_one;
+}
 
-static void read_bits(bits *from, const uint8_t *RESTRICT models, uint8_t *RESTRICT to, int32_t n) {
-  if (from->job) {
-    note_bits(from->job, models, to, n);
+/* With 1 state or MOST_STATES, which are in registers: the next sample's first. */
+static ALWAYS_INLINE void read_by_states(bits *b, const uint8_t *RESTRICT models, uint8_t *RESTRICT to, int32_t n, const uint32_t n_states) {
+  uint32_t states[MOST_STATES];
+  for (uint32_t k = 0; k < n_states; k++) states[k] = b->states[(b->n_read + k) % n_states];
+  for (int32_t i = 0; i < n;) {
+    if (b->at > b->n_words) {
+      b->is_short = 1;
+      b->at = b->n_words;
+    }
+    const uint8_t *first = b->words + 2 * b->at, *word = first;
+    int32_t stop = min_i32(i + N_AHEAD, n);
+    for (; i + MOST_STATES <= stop; i += MOST_STATES) {
+      for (uint32_t k = 0; k < MOST_STATES; k++) to[i + (int32_t)k] = read_bit(&states[k % n_states], b->ones[models[i + (int32_t)k]], &word);
+    }
+    for (uint32_t k = 0; k < MOST_STATES - 1 && i < stop; k++, i++) to[i] = read_bit(&states[k % n_states], b->ones[models[i]], &word);
+    b->at += (size_t)(word - first) / 2;
+  }
+  for (uint32_t k = 0; k < n_states; k++) b->states[(b->n_read + k) % n_states] = states[k];
+  b->n_read += (uint32_t)n;
+}
+
+/* Append what is coded. */
+static void note_bits(mask_job *job, const uint8_t *models, const uint8_t *values, int32_t n) {
+  if ((uint64_t)n > job->capacity - job->n_bits) {
+    job->is_full = 1;
     return;
   }
-  bits b = *from; /* in registers */
-  for (int32_t start = 0; start < n; start += N_AHEAD) {
-    if (b.at > b.n_words) {
-      b.is_short = 1;
-      b.at = b.n_words;
-    }
-    const uint8_t *word = b.words + 2 * b.at;
-    int32_t stop = min_i32(start + N_AHEAD, n);
-    for (int32_t i = start; i < stop; i++) {
-      uint32_t *state = &b.states[(b.n_read + (uint32_t)i) & b.mask];
-      uint32_t ones = b.ones[models[i]], slot = *state & (N_SLOTS - 1), whole = *state >> SLOT_BITS, is_one = slot < ones;
-      uint32_t x = is_one ? ones * whole + slot : (N_SLOTS - ones) * whole + slot - ones;
-      to[i] = (uint8_t)is_one;
-      uint32_t is_low = x < STATE_START, filled = (x & 0xFFFFu) << 16 | load_u16(word);
-      *state = is_low ? filled : x;
-      word += 2 * is_low;
-    }
-    b.at = (size_t)(word - b.words) / 2;
+  memcpy(job->models + job->n_bits, models, (size_t)n);
+  memcpy(job->bits + job->n_bits, values, (size_t)n);
+  job->n_bits += (uint64_t)n;
+}
+
+static void read_bits(bits *b, const uint8_t *models, uint8_t *to, int32_t n) {
+  if (b->job) {
+    note_bits(b->job, models, to, n);
+  } else {
+    if (b->mask) read_by_states(b, models, to, n, MOST_STATES); else read_by_states(b, models, to, n, 1);
   }
-  b.n_read += (uint32_t)n;
-  *from = b;
 }
 
 static twz_status end_bits(const bits *b, twz_error *error) {
@@ -206,30 +224,21 @@ static void read_list(const lattice *l, bits *b) {
 
 /* Note the samples of a group that are read: all that are not implied, or those whose neighbours do not agree. */
 static void list_group(list *s, uint8_t *contexts, int is_open, int base) {
-  uint8_t low = is_open ? NONE : NONE + 1, width = is_open ? 16 : 14;
-  int32_t n = s->n;
+  uint8_t low = is_open ? NONE : NONE + 1, width = is_open ? 16 : 14, *RESTRICT models = s->models;
+  uint8_t **RESTRICT places = s->places;
+  size_t n = (size_t)s->n;
   for (int word = 0; word < GROUP; word += 8, contexts += 8) {
     uint64_t all;
     memcpy(&all, contexts, sizeof all);
     if (!is_open && (all == 0 || all == 0x0F0F0F0F0F0F0F0Fu)) continue;
     for (int k = 0; k < 8; k++) {
-      s->models[n] = (uint8_t)(base + contexts[k]);
-      s->places[n] = contexts + k;
-      n += contexts[k] >= low && contexts[k] < low + width;
+      uint8_t context = contexts[k];
+      models[n] = (uint8_t)(base + context);
+      places[n] = contexts + k;
+      n += (uint8_t)(context - low) < width;
     }
   }
-  s->n = n;
-}
-
-/* Append what is coded. */
-static void note_bits(mask_job *job, const uint8_t *models, const uint8_t *values, int32_t n) {
-  if ((uint64_t)n > job->capacity - job->n_bits) {
-    job->is_full = 1;
-    return;
-  }
-  memcpy(job->models + job->n_bits, models, (size_t)n);
-  memcpy(job->bits + job->n_bits, values, (size_t)n);
-  job->n_bits += (uint64_t)n;
+  s->n = (int32_t)n;
 }
 
 /* Put own samples of a row of a plane where its contexts are; behind them contexts say that nothing is coded. */

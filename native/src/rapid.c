@@ -109,6 +109,8 @@ static twz_status fill_slots(rapid_tables *t, int table, const uint8_t *codes, i
   }
   REQUIRE(others < SLOTS, error, "parameters: frequencies of table %d leave no slot to details of 0", table);
   frequencies[rest] = SLOTS - others;
+  t->rests[table] = (rapid_rest){0, (uint16_t)frequencies[rest]};
+  for (int s = 0; s < rest; s++) t->rests[table].first = (uint16_t)(t->rests[table].first + frequencies[s]);
   uint32_t *slot = t->slots + ((size_t)table << SLOT_BITS);
   for (uint32_t s = 0; s < (uint32_t)n; s++) {
     uint32_t m = (uint32_t)frequencies[s];

@@ -24,8 +24,14 @@ enum {
   STRIP = 8              /* rows of a plane that are coded together */
 };
 
+/* The slots of the symbol of no detail. */
+typedef struct rapid_rest {
+  uint16_t first, n;
+} rapid_rest;
+
 typedef struct rapid_tables {
   uint32_t slots[N_TABLES << SLOT_BITS]; /* symbol, (frequency - 1) << 8, place among the symbol's slots << 20; of a large page */
+  rapid_rest rests[N_TABLES];
   int k_max, cut; /* pairs of classes below the cut have symbols */
   int16_t stencils[N_LEVEL_CLASSES][3][N_TAPS];
   int32_t weights[N_LEVEL_CLASSES][3][4];

@@ -22,7 +22,7 @@ const char twz_dictionary[] =
     "lel_1\\\",0],PARAMETER[\\\"standard_parallel_2\\\",0],PARAMETER[\\\"false_easting\\\",0],PARAMETER[\\\"false_northing\\\",0],UNIT[\\\"metre\\\",1,AUTHORITY[\\\"EPSG\\\",\\\"9001\\\"]],AX"
     "IS[\\\"Easting\\\",EAST],AXIS[\\\"Northing\\\",NORTH]]\"}\"description\":\",\"offset\":0.0,\"scale\":1.0,\"units\":\"metre\",\"mask_kind\":\"none\",\"software\":\"terrainwave \"mask_kind\":"
     "\"mask\",\"nodata\":32767,\"mask_kind\":\"nan\",\"nodata\":\"nan\",{\"area_or_point\":\"Point\",\"crs\":\"EPSG:4326\",\"area_or_point\":\"Area\",\"crs\":\"EPSG:326258323269\",\"mask_kind\":\""
-    "nodata\",\"nodata\":-9999.0,\"nodata\":-32768,\"software\":\"terrainwave 0.1.0\",\"transform\":[30.0,0.0,-1.0,0.0,0.0002777777777777778,0.0,0.0,-0.0002777777777777778,0.00"
+    "nodata\",\"nodata\":-9999.0,\"nodata\":-32768,\"software\":\"terrainwave 1.0.0\",\"transform\":[30.0,0.0,-1.0,0.0,0.0002777777777777778,0.0,0.0,-0.0002777777777777778,0.00"
     "08333333333333334,0.0,-0.0008333333333333334,5000000.0]}";
 const size_t twz_dictionary_size = 3416;
 

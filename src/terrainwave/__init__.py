@@ -25,7 +25,7 @@ from terrainwave.errors import (
     UnsupportedVersionError,
 )
 
-# Loggers are named after modules; they say nothing unless an application asks them to.
+# A library logs nothing unless the application configures logging.
 logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from terrainwave.export.mesh_formats import SavedMesh
     from terrainwave.file.info import Info
     from terrainwave.lods import save_lods
-    from terrainwave.progress import Progress, TaskReport
+    from terrainwave.progress import Progress
     from terrainwave.read.lost import Losses
     from terrainwave.terrain import Terrain
     from terrainwave.tri.rqt import Rqt
@@ -71,7 +71,6 @@ __all__ = [
     "SourceUnavailableError",
     "StorageError",
     "Store",
-    "TaskReport",
     "Terrain",
     "TerrainwaveError",
     "TerrainwaveWarning",
@@ -108,7 +107,6 @@ _LAZY = {
     "PatchResult": "write.patch",
     "patch": "write.patch",
     "Progress": "progress",
-    "TaskReport": "progress",
     "Info": "file.info",
     "Losses": "read.lost",
     "Terrain": "terrain",
@@ -131,7 +129,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Return the public names, imported yet or not; completion in notebooks asks for them."""
+    """Return the public names, imported or not; used by completion in notebooks."""
     return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
 
 

@@ -1,4 +1,4 @@
-"""Checks of arguments that several functions have: what was found, what was expected."""
+"""Checks of arguments that several functions share."""
 
 import math
 import numbers
@@ -17,15 +17,15 @@ from terrainwave.names import EFFORTS
 # Cells on a side of a block.
 BLOCKS = (32, 64, 128, 256, 512, 1024)
 
-# What the names of files that are written end in, by kind.
+# Endings of the names of output files, by kind.
 TWZ_ENDINGS = (".twz",)
 GEOTIFF_ENDINGS = (".tif", ".tiff")
 HEIGHT_TILE_ENDINGS = (".r16", ".png")
 # Which samples of a coarse level are void (`Terrain.read`).
 VOIDS = EXACT, ANY = "exact", "any"
-# What becomes of damaged blocks.
+# How damaged blocks are handled.
 ON_ERROR = RAISE, MASK = "raise", "mask"
-# What voids of a height tile become, if no height is given.
+# How voids of a height tile are filled if no height is given.
 FILLINGS = ("lowest", "fill")
 PICTURE_ENDINGS = (".png",)
 ARCHIVE_ENDING = ".pmtiles"
@@ -39,16 +39,16 @@ _LONGEST_VALUE = 60
 def check_ending(
     path: str | os.PathLike[str], endings: Sequence[str], *, or_url: bool = False
 ) -> None:
-    """Refuse a target whose name says that it is something else than what is written.
+    """Raise if a target's name has the ending of another kind of file.
 
-    Nothing may be replaced by mistake: a raster that was given as the last of several sources, or
-    another program's file.
+    This protects a raster that was given as the last of several sources, and the files of other
+    programs.
 
     Raises
     ------
     InvalidArgumentError
-        If it is a URL, unless `or_url`, or the name has none of the endings, in capital or small
-        letters.
+        If the name has none of the endings (in capital or small letters), or it is a URL and
+        `or_url` is false.
     """
     if not or_url:
         check_local(path)
@@ -62,18 +62,18 @@ def check_ending(
 
 
 def check_local(target: str | os.PathLike[str]) -> None:
-    """Refuse a URL where a file is written: as a path it would name folders of this machine.
+    """Raise if a target is a URL: used as a path it would name folders of this machine.
 
     Raises
     ------
     InvalidArgumentError
-        If it is one, or no name of a file; the message has neither login nor query.
+        If it is a URL or not the name of a file. The message has neither login nor query.
     """
     name = checked_path(target)
     if "://" in name:
         raise InvalidArgumentError(
-            f"found a URL, {name.partition('://')[0]}://…, expected a path: files are written to"
-            " this machine alone; upload the finished file"
+            f"found a URL, {name.partition('://')[0]}://…, expected a path: files are written"
+            " only to this machine; upload the finished file"
         )
 
 
@@ -83,18 +83,18 @@ def checked_path(path: object, argument: str | None = None) -> str:
     Parameters
     ----------
     path : object
-        What was given.
+        The value given by the user.
     argument : str, optional
-        The argument that it was given for, where messages should name it.
+        The name of the argument, for messages.
 
     Raises
     ------
     InvalidArgumentError
-        If it is no text and no path, or is empty: as a path that would be the working directory.
+        If it is neither text nor a path, or is empty (which would mean the working directory).
     """
     of = "" if argument is None else f"`{argument}` "
     name = os.fspath(path) if isinstance(path, str | os.PathLike) else None
-    if not isinstance(name, str):  # a PathLike may be one of bytes, too
+    if not isinstance(name, str):  # a PathLike may hold bytes
         raise InvalidArgumentError(f"found {of}{shown(path)}, expected a path as text")
     if not name:
         raise InvalidArgumentError(
@@ -104,14 +104,14 @@ def checked_path(path: object, argument: str | None = None) -> str:
 
 
 def is_twz_name(name: object) -> bool:
-    """Say whether a path or the path of a URL ends as those of .twz files do."""
+    """Return whether a path or URL ends like a .twz file."""
     if not isinstance(name, str | os.PathLike):
         return False
     return str(path_in_url(os.fspath(name))).lower().endswith(TWZ_ENDINGS)
 
 
 def path_in_url(name: str) -> str:
-    """Return the path of a URL, in a chain that of its first link; a path as it is."""
+    """Return the path of a URL (of a chain: of its first link); a path unchanged."""
     if not isinstance(name, str) or "://" not in name:
         return name
     if name.startswith("zip://"):
@@ -122,7 +122,7 @@ def path_in_url(name: str) -> str:
 def in_one_line(text: object) -> str:
     """Return text on one line, without control, format (bidi) and unassigned characters.
 
-    Whatever may come from an untrusted file goes through this before a terminal shows it.
+    Text from an untrusted file goes through this before a terminal shows it.
     """
     words = " ".join(str(text).split())
     return "".join(char for char in words if not unicodedata.category(char).startswith("C"))
@@ -133,20 +133,19 @@ def count_of(number: int, noun: str) -> str:
     return f"{number:,} {noun}{'s' * (number != 1)}"
 
 
-# What becomes of heights on the globe, whatever datum they have.
+# How heights on the globe relate to their datum.
 AS_IS, ELLIPSOID = "as-is", "ellipsoid"
 VERTICAL = (AS_IS, ELLIPSOID)
 # Axes of mesh files that may point upwards.
 UPWARDS = ("y", "z")
-# Of levels of detail each may have twice the error of the one before: beyond these nothing is left
-# to leave out.
+# Each level of detail may have twice the error of the one before: no mesh has detail for more.
 MOST_LODS = 16
 
 
 def size_of(n_bytes: int) -> str:
-    """Return a number of bytes in a unit that leaves three digits or so: 12.3 GB, 40.0 kB, 7 bytes.
+    """Return a number of bytes with a unit and about three digits: 12.3 GB, 40.0 kB, 7 bytes.
 
-    Two sizes that look alike in that are so within half a per cent.
+    Two sizes that give the same text differ by at most half a per cent.
     """
     for unit, name in ((1e12, "TB"), (1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
         if n_bytes >= unit:
@@ -159,7 +158,7 @@ def size_of(n_bytes: int) -> str:
 
 
 def crs_name(crs: str | None) -> str:
-    """Return a CRS in few words: its code, the name that WKT gives, or that there is none."""
+    """Return a short name of a CRS: its code, its name in WKT, or a note that it is missing."""
     if not crs:
         return "no CRS"
     if len(crs) <= _LONGEST_CODE and '"' not in crs:
@@ -173,10 +172,10 @@ def one_of(words: Sequence[str]) -> str:
 
 
 def shown(value: object) -> str:
-    """Return a wrong value as messages show it: a number as it is, texts quoted, all in one line.
+    """Return a wrong value as messages show it: numbers plain, texts quoted, all on one line.
 
-    A text that reads as a number is called one, or messages would find what they expect. Arrays are
-    called by their shape, other long values by their type.
+    Text that reads as a number is marked as text, or the message would show just what it asks for.
+    Arrays are shown by their shape, other long values by their type.
     """
     if number_of(value) is not None:
         text = str(value)
@@ -200,11 +199,11 @@ def _reads_as_number(text: str) -> bool:
 
 
 def number_of(value: object) -> int | float | None:
-    """Return the number that a value is; None for texts, truth values and all else.
+    """Return a value as a number; None for texts, truth values and anything else.
 
-    Numbers of numpy and arrays of one number without dimensions are numbers as Python's are.
+    NumPy's numbers and arrays without dimensions count as numbers.
     """
-    if type(value) is int or type(value) is float:  # most are, and abstract classes are slow
+    if type(value) is int or type(value) is float:  # the usual case; abstract classes are slow
         return value
     if getattr(value, "shape", None) == () and not getattr(value, "mask", False):
         value = getattr(value, "item", lambda: value)()
@@ -232,7 +231,7 @@ _ONLY = "only:"
 
 
 def nodata_choice(given: object) -> NodataChoice:
-    """Return what `nodata` asks for: None, a number, ``"only:NUMBER"`` or ``"none"``.
+    """Parse `nodata`: None, a number, ``"only:NUMBER"`` or ``"none"``.
 
     Raises
     ------
@@ -270,23 +269,23 @@ def checked_number(
     Parameters
     ----------
     name : str
-        Of the argument, as messages call it.
+        The argument's name in messages.
     value : object
-        What was given for it.
+        The value given by the user.
     least, above, most : float
-        It is >= `least`, > `above` and <= `most`.
+        The number must be >= `least`, > `above` and <= `most`.
     expected : str
-        What messages say instead of these.
+        Replaces the description of this range in messages.
 
     Raises
     ------
     InvalidArgumentError
-        If it is anything else: a text and a truth value are no numbers.
+        If it is anything else. Texts and truth values are not numbers.
     """
     number = number_of(value)
     try:
         given = math.nan if number is None else float(number)
-    except OverflowError:  # of more than 308 digits
+    except OverflowError:  # more than 308 digits
         given = math.inf
     if not (math.isfinite(given) and given >= least and given > above and given <= most):
         if not expected and above > -math.inf:
@@ -325,18 +324,18 @@ def _in_range(kind: str, least: float, most: float) -> str:
 
 
 def checked_numbers(name: str, values: Any, names: str, *, is_whole: bool = False) -> Any:
-    """Return finite numbers as a tuple of floats, or of ints; as many as there are `names`.
+    """Return finite numbers as a tuple of floats or of ints, one for each of `names`.
 
     Raises
     ------
     InvalidArgumentError
-        If they are anything else, or of another number.
+        If they are anything else, or their count is wrong.
     """
     taken: list[float] | None = []
     check = checked_whole if is_whole else checked_number
     try:
         taken = [] if isinstance(values, str | bytes) else [check(name, one) for one in values]
-    except (TypeError, InvalidArgumentError):  # nothing to iterate over, or no number in it
+    except (TypeError, InvalidArgumentError):  # not iterable, or an item is not a number
         taken = []
     count = names.count(",") + 1
     if len(taken) != count:
@@ -349,13 +348,7 @@ def checked_numbers(name: str, values: Any, names: str, *, is_whole: bool = Fals
 
 
 def check_choice(name: str, value: object, choices: Iterable[str]) -> None:
-    """Refuse what is none of some words.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it is none of them.
-    """
+    """Raise `InvalidArgumentError` unless the value is one of `choices`."""
     known = list(choices)
     if not isinstance(value, str) or value not in known:
         expected = f"one of {', '.join(known)}" if len(known) > 2 else one_of(known)
@@ -378,13 +371,7 @@ def checked_error(name: str, error: object) -> float | None:
 
 
 def check_callback(callback: object, name: str = "progress", takes: str = "a Progress") -> None:
-    """Refuse what cannot be called, and is not None.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it is neither None nor callable.
-    """
+    """Raise `InvalidArgumentError` unless the callback is callable or None."""
     if callback is not None and not callable(callback):
         raise InvalidArgumentError(
             f"found `{name}` {shown(callback)}, expected a function that takes {takes}"
@@ -392,28 +379,16 @@ def check_callback(callback: object, name: str = "progress", takes: str = "a Pro
 
 
 def check_flags(**flags: object) -> None:
-    """Refuse what is neither true nor false: the text "no" would count as true.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If one of `flags` is no bool; the message begins with its name.
-    """
+    """Raise `InvalidArgumentError` for a flag that is not a bool: text "no" would count as true."""
     for name, value in flags.items():
-        # NumPy's truth values are no bool; an array of them is none of either.
+        # NumPy's truth values are not of type bool; arrays of them are not flags.
         is_numpys = getattr(value, "dtype", None) == "bool" and getattr(value, "shape", None) == ()
         if not isinstance(value, bool) and not is_numpys:
             raise InvalidArgumentError(f"found `{name}` {shown(value)}, expected True or False")
 
 
 def check_band(band: int, n_bands: int, whose: str) -> None:
-    """Refuse a band that a raster does not have; `whose` says which raster.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If there is none of this number.
-    """
+    """Raise `InvalidArgumentError` if a raster lacks a band; `whose` names the raster."""
     if not 1 <= band <= n_bands:
         expected = "1" if n_bands == 1 else f"1 … {n_bands}"
         raise InvalidArgumentError(
@@ -422,26 +397,20 @@ def check_band(band: int, n_bands: int, whose: str) -> None:
 
 
 def check_effort(effort: str) -> None:
-    """Refuse an effort that there is not.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it is none.
-    """
+    """Raise `InvalidArgumentError` if the effort is unknown."""
     check_choice("effort", effort, EFFORTS)
 
 
 def checked_threads(threads: object) -> int:
-    """Return the number of threads that is meant: all processors it may use where none is given.
+    """Return the number of threads; by default one for each processor that the process may use.
 
     Raises
     ------
     InvalidArgumentError
-        If it is no whole number >= 1.
+        If it is not a whole number >= 1.
     """
     if threads is not None:
         return checked_whole("threads", threads, least=1)
-    # A process may be kept on some of the processors, as in a container or by `taskset`.
+    # Containers and `taskset` restrict a process to some of the processors.
     may_use = getattr(os, "sched_getaffinity", None)
     return (len(may_use(0)) if may_use else os.cpu_count()) or 1

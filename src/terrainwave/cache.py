@@ -1,4 +1,4 @@
-"""The one cache: least recently used values, up to a number of them or of bytes."""
+"""A least-recently-used cache, limited by number of values or by bytes."""
 
 import threading
 from collections import OrderedDict
@@ -12,7 +12,7 @@ Value = TypeVar("Value")
 
 
 class Cache(Generic[Key, Value]):
-    """Values by key; those not asked for longest go first. Thread-safe.
+    """Values by key; the least recently used are dropped first. Thread-safe.
 
     Parameters
     ----------
@@ -21,7 +21,7 @@ class Cache(Generic[Key, Value]):
     size_of : callable, optional
         Size of a value, the same each time; by default each counts 1.
     drop : callable, optional
-        Called with each value that goes, such as to close it.
+        Called with each dropped value, for example to close it.
     """
 
     def __init__(
@@ -41,16 +41,16 @@ class Cache(Generic[Key, Value]):
         renew_after_fork(self)
 
     def renew(self) -> None:
-        """Begin anew after a fork: values that were being made are made again."""
+        """Reset after a fork: values that were being made are made again."""
         self._lock, self._in_work = threading.Lock(), {}
-        # A fork may come between two lines of `put`.
+        # A fork may happen between two lines of `put`.
         self._size = sum(map(self._size_of, self._values.values()))
 
     def __len__(self) -> int:
         return len(self._values)
 
     def get(self, key: Key) -> Value | None:
-        """Return the value if it is here."""
+        """Return the value, or None if it is not in the cache."""
         with self._lock:
             return self._take(key)
 
@@ -67,11 +67,11 @@ class Cache(Generic[Key, Value]):
             self._size -= self._size_of(value)
 
     def is_coming(self, key: Key) -> bool:
-        """Say whether a value is being made by `get_or_make`."""
+        """Return whether `get_or_make` is making the value."""
         return key in self._in_work
 
     def put(self, key: Key, value: Value) -> None:
-        """Keep a value; one that is here already stays instead, as they are equal."""
+        """Store a value; an equal one that is already stored stays instead."""
         dropped = []
         with self._lock:
             if self._take(key) is not None:
@@ -87,10 +87,10 @@ class Cache(Generic[Key, Value]):
     def get_or_make(
         self, key: Key, make: Callable[[], Value], is_enough: Callable[[Value], bool] | None = None
     ) -> Value:
-        """Return the value, made now if it is not here, or if what is here is not enough.
+        """Return the value; make it if it is missing or `is_enough` rejects the stored one.
 
-        Threads that ask for one that is being made wait for it; where that failed, the next one
-        tries. `make` may ask for other keys, if no two wait for each other.
+        Threads that ask for a value that is being made wait for it; if that fails, the next one
+        tries. `make` may ask for other keys, as long as no two wait for each other.
         """
         while True:
             with self._lock:

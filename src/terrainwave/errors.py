@@ -1,8 +1,8 @@
 """Exceptions raised at the public boundary.
 
 TerrainwaveError
-├── InvalidHeightsError       (also ValueError) input that cannot be encoded as asked
-│   └── InvalidArgumentError  an argument, or two together, cannot be
+├── InvalidHeightsError       (also ValueError) input that cannot be encoded as requested
+│   └── InvalidArgumentError  an argument, or a combination, is invalid
 ├── CorruptStreamError        the bytes contradict docs/FORMAT.md
 │   └── TruncatedStreamError  the bytes stop too early
 ├── BoundViolationError       a decoded sample is further from the original than promised
@@ -18,14 +18,14 @@ TerrainwaveWarning            (a UserWarning) something of the input is left out
 import re
 from collections.abc import Callable
 
-# How messages write the name of an argument, which the command line calls otherwise.
+# Names of arguments in messages; the command line calls them otherwise.
 _ARGUMENT = re.compile("`([a-z_]+)`")
 
 
 class _NamesArguments(Exception):
-    """A message that names arguments in backquotes.
+    """Error whose message names arguments in backquotes.
 
-    `str` gives the names as Python has them, `message_with` as someone else calls them.
+    `str` gives Python's names of arguments, `message_with` those of another interface.
     """
 
     def __str__(self) -> str:
@@ -41,11 +41,11 @@ class TerrainwaveError(_NamesArguments):
 
 
 class InvalidHeightsError(TerrainwaveError, ValueError):
-    """The heights or an option cannot be used for what was asked."""
+    """The heights or an option cannot be used for the request."""
 
 
 class InvalidArgumentError(InvalidHeightsError):
-    """An argument is invalid, or two do not go together; no heights have been read."""
+    """An argument, or a combination of arguments, is invalid; no heights have been read."""
 
 
 class CorruptStreamError(TerrainwaveError):
@@ -61,9 +61,10 @@ class BoundViolationError(TerrainwaveError):
 
 
 class LimitExceededError(TerrainwaveError):
-    """The request is legal but larger than the caller allowed, or than there is memory for.
+    """The request is legal but larger than the caller, or the memory, allows.
 
-    On the command line a failure (status 1), not wrong usage: it fits another file or machine.
+    On the command line this is a failure (status 1), not wrong usage: another file or
+    machine may do.
     """
 
 
@@ -84,4 +85,4 @@ class ClusterError(TerrainwaveError):
 
 
 class TerrainwaveWarning(_NamesArguments, UserWarning):
-    """Something of the input is ignored or dropped; the heights are not affected."""
+    """Something in the input is ignored or dropped; the heights are not affected."""

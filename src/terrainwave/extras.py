@@ -1,4 +1,4 @@
-"""Optional packages: imported where something needs them, named where they are missing."""
+"""Optional packages: imported when needed, with a clear message if one is missing."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,11 +7,11 @@ from typing import Any
 
 from terrainwave.errors import TerrainwaveError
 
-# Packages that are installed by another name.
+# Packages whose name at the registry differs.
 _INSTALLED_AS = {"PIL": "pillow", "socks": "pysocks"}
 
-# What the extras for one task have in common with others: a package is named with the extra of the
-# task at hand, which has all that the task needs.
+# Extras of tasks share packages: a message names the extra of the task at hand, which has all
+# packages that the task needs.
 EXTRAS = {
     "demo": ("matplotlib", "pyproj"),
     "view": ("moderngl", "moderngl-window", "pillow", "pyproj"),
@@ -29,18 +29,18 @@ class _MissingPackageError(TerrainwaveError):
         self.purpose, self.name = purpose, name
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # As an error of the public class, which is what a worker's caller can count on.
+        # Pickled as the public class, which callers of workers can rely on.
         return TerrainwaveError, (str(self),)
 
 
 @contextmanager
 def with_extra(extra: str) -> Iterator[None]:
-    """Let errors of missing packages name this extra where it has the package; decorates, too.
+    """Make errors of missing packages name this extra if it has the package; also a decorator.
 
     Raises
     ------
     TerrainwaveError
-        Instead of the one of `need`.
+        Instead of the error of `need`.
     """
     try:
         yield
@@ -60,22 +60,22 @@ def need(package: str, *, extra: str, purpose: str = "this") -> Any:
     extra : str
         The extra of terrainwave that installs it (pyproject.toml).
     purpose : str
-        What needs it, for the message.
+        The feature that needs it, for the message.
 
     Returns
     -------
     module
-        The one named, not its package.
+        The module itself, not its top-level package.
 
     Raises
     ------
     TerrainwaveError
-        If it is missing; the line says how to install it.
+        If it is missing; the message says how to install it.
     """
     try:
         return import_module(package)
     except ImportError as error:
-        # What is missing may be a package that this one needs.
+        # The missing package may be a dependency of this one.
         root = (error.name or package).split(".")[0]
         name = _INSTALLED_AS.get(root, root.replace("_", "-"))
         raise _MissingPackageError(purpose, name, extra) from error

@@ -1,4 +1,4 @@
-"""What the child of a fork must begin anew: it has no thread but one, and locks as they were."""
+"""Reset of shared objects in the child of a fork, which has one thread and copies of held locks."""
 
 import os
 import weakref
@@ -6,17 +6,17 @@ from typing import Protocol
 
 
 class Renewable(Protocol):
-    """Something shared by threads."""
+    """Object shared by threads."""
 
     def renew(self) -> None:
-        """Forget threads that are gone, what they waited for and the locks that they held."""
+        """Forget threads that no longer exist, their pending work and their locks."""
 
 
 _known: "weakref.WeakSet[Renewable]" = weakref.WeakSet()
 
 
 def renew_after_fork(thing: Renewable) -> None:
-    """Call `thing.renew()` in the child of every fork from now on, as long as it lives."""
+    """Call `thing.renew()` in the child of every later fork, as long as the object lives."""
     _known.add(thing)
 
 

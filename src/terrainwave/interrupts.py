@@ -1,9 +1,9 @@
-"""Requests to stop, raised where nothing is half done.
+"""Requests to stop, raised only where nothing is half done.
 
-Python raises an exception for a signal between any two instructions, also after a lock was taken
-and before the block that gives it back: then threads wait for ever, and files are closed while
-threads read them. So the commands only note a signal. The main thread raises it at the next
-`check`, between two pieces of work.
+Python raises a signal's exception between any two instructions, for example after a lock is taken
+and before the block that releases it: threads then wait forever, or files are closed while threads
+read them. So the commands only record a signal. The main thread raises it at the next `check`,
+between two pieces of work.
 """
 
 import sys
@@ -18,25 +18,25 @@ _is_raised = False
 
 
 def begin() -> None:
-    """Note from now on which files are complete, until the next `reset`."""
+    """Start recording which files are complete, until the next `reset`."""
     global _complete
     _complete = []
 
 
 def request(error: BaseException) -> None:
-    """Ask the main thread to raise `error` at its next `check`. Safe in a signal handler."""
+    """Make the main thread raise `error` at its next `check`. Safe in a signal handler."""
     _requests.append(error)
 
 
 def is_requested() -> bool:
-    """Return True from the request on, also while the program clears up."""
+    """Return True from the request on, also during clean-up."""
     return bool(_requests)
 
 
 def _is_on_its_way() -> bool:
-    """Return True if the request was raised, and the main thread now clears up because of it.
+    """Return True if the request was raised and the main thread is now cleaning up.
 
-    Code of others may have dropped it, by a bare except, or where it was called from C.
+    Foreign code may have swallowed it, with a bare except or in a callback from C.
     """
     errors, seen = [sys.exc_info()[1]], set[int]()
     while _is_raised and errors:
@@ -50,10 +50,10 @@ def _is_on_its_way() -> bool:
 
 
 def check() -> None:
-    """Raise what was requested in the main thread, and nothing while that clears up.
+    """Raise the requested error in the main thread, but not during its clean-up.
 
     Once it was raised there, other threads raise `KeyboardInterrupt`: the main thread waits for
-    them before it closes what they use, and nobody wants their results.
+    them before it closes what they use.
     """
     global _is_raised
     if not _requests:
@@ -68,9 +68,9 @@ def check() -> None:
 
 @contextmanager
 def publishing(name: str) -> Iterator[None]:
-    """Give a finished file its name in the block, which no request cuts; note that it is complete.
+    """Rename a finished file within the block, undisturbed by requests; record it as complete.
 
-    A request that came before is raised here, and the file gets no name.
+    An earlier request is raised first, and the file is not renamed.
     """
     check()
     _held.append(name)
@@ -82,23 +82,23 @@ def publishing(name: str) -> Iterator[None]:
 
 
 def note_complete(name: str) -> None:
-    """Note that a file is complete under its name."""
+    """Record that a file is complete under its name."""
     if _complete is not None:
         _complete.append(name)
 
 
 def is_held() -> bool:
-    """Return True while a file gets its name."""
+    """Return True while a file is being renamed."""
     return bool(_held)
 
 
 def complete() -> list[str]:
-    """Return the names of the files that are complete since `begin`."""
+    """Return the names of the files completed since `begin`."""
     return list(_complete or ())
 
 
 def reset() -> None:
-    """Forget requests and files; for the command that has handled them."""
+    """Forget requests and files, once the command has handled them."""
     global _is_raised, _complete
     _requests.clear()
     _complete = None

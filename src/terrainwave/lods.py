@@ -1,7 +1,7 @@
 """Sets of levels of detail for game engines: meshes of one area whose errors double.
 
-Each is a file of its own: few programs read glTF's extension MSFT_lod, which would put all into one
-(docs/how-to/games.md).
+Each level is a file of its own: few programs read glTF's extension MSFT_lod, which would put all
+into one (docs/how-to/games.md).
 """
 
 import logging
@@ -54,7 +54,7 @@ def save_lods(
     overwrite: bool = False,
     progress: ProgressCallback | None = None,
 ) -> list[SavedMesh]:
-    """Write meshes of several levels of detail of an area of a .twz file; return what was written.
+    """Write meshes of an area of a .twz file in several levels of detail.
 
     LOD 0 is the finest, as game engines count; each next one may have twice the error. All lie over
     the same area, with the same origin and the same places in a picture.
@@ -67,10 +67,10 @@ def save_lods(
         ``hills.glb`` stands for ``hills_lod0.glb``, ``hills_lod1.glb`` and so on. The extension
         selects the format, as in `Mesh.save`. No file is written before all meshes are checked.
     n_lods : int
-        How many; 1 ... 16.
+        Number of levels; 1 ... 16.
     max_error : float, optional
-        Of LOD 0: largest vertical distance from any valid original sample, in physical units. By
-        default that of the stored meshes, as in `Terrain.mesh`.
+        Of LOD 0, the largest vertical distance from any valid original sample, in physical units.
+        By default that of the stored meshes, as in `Terrain.mesh`.
     window, bounds, optimise
         As in `Terrain.mesh`.
     frame, z_scale, solid, skirts, radius, vertical, up, drape
@@ -100,9 +100,9 @@ def save_lods(
 
     Notes
     -----
-    Each mesh is compared with all decoded heights of the area before a file is written, by code
-    that does not make meshes: it is one surface without gaps, and no height is further from it than
-    its error and the file's own bound. What the file's coordinates round is added to `error`.
+    Before a file is written, independent code compares its mesh with all decoded heights of the
+    area: the mesh is one surface without gaps, and no height is further from it than the mesh's
+    error plus the file's bound. `error` includes the rounding of the file's coordinates.
     """
     n_lods = checked_whole("n_lods", n_lods, least=1, most=MOST_LODS)
     max_error = checked_error("max_error", max_error)
@@ -129,7 +129,7 @@ def save_lods(
             bound = None if max_error is None else max_error * 2**number
             if bound is None:
                 mesh = made(None)
-                # Of the next ones: twice what this one states, and so on.
+                # The next levels get twice the error that this one states, and so on.
                 max_error = mesh.error
                 _refuse_zero(max_error, n_lods)
             else:
@@ -168,6 +168,6 @@ def _refuse_zero(max_error: float | None, n_lods: int) -> None:
 
 
 def lod_path(path: str | os.PathLike[str], number: int) -> str:
-    """Return the name of the file of a level of detail."""
+    """Return the file name of a level of detail."""
     whole = Path(path)
     return str(whole.with_name(f"{whole.stem}_lod{number}{whole.suffix}"))

@@ -1,6 +1,6 @@
-"""What files number by name: methods, kinds of meshes, efforts; and what each method can do.
+"""Registry of methods, meshes and efforts, as files number them; capabilities of each method.
 
-A new method is a package in `codec` and a line in `METHODS`; no other module knows one by its name.
+A new method is a package in `codec` and an entry in `METHODS`; no other module names a method.
 """
 
 from collections.abc import Callable
@@ -12,36 +12,36 @@ DEFAULT_EFFORT = EFFORTS[1]
 # Kinds of meshes, in the order in which files number them.
 MESHES = ("none", "halves", "zerotree-plain", "rqt", "zerotree-layer", "zerotree-coded",
           "rqt-coefficient")  # fmt: skip
-# Those that can be asked for, with module and class in `tri` of their options; "auto" is the first.
-# `tri.mesh_options.stored_mesh` says what files then hold.
+# Kinds that users can ask for, with module and class in `tri` of their options; "auto" is the
+# first. `tri.mesh_options.stored_mesh` returns the kind that the file then stores.
 MESH_KINDS = {"halves": "", "zerotree": "zerotree.Zerotree", "rqt": "rqt.Rqt"}
 DEFAULT_MESH = "halves"
-# Those whose tolerance only selects vertices: their errors are measured, and may be larger.
+# Kinds whose tolerance only selects vertices: their errors are measured, and may be larger.
 UNBOUNDED_MESHES = ("rqt-coefficient",)
-# How pixels of terrain-RGB tiles stand for heights (`globe.terrain_rgb.ENCODINGS`).
+# Encodings of heights in terrain-RGB tiles (`globe.terrain_rgb.ENCODINGS`).
 TILE_ENCODINGS = ("mapbox", "terrarium")
-# What kernels can be compiled for ahead of use (`cli.warmup.TASKS`).
+# Tasks whose kernels can be compiled in advance (`cli.warmup.TASKS`).
 WARMUP_TASKS = ("compress", "read", "verify", "patch", "mesh", "render")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """A method, as everything outside of its own module sees it.
+    """Properties of a method that the rest of the package uses.
 
     Attributes
     ----------
     name, number : str, int
-        What users call it, and what stands for it in a file's header (FORMAT.md §4.1).
+        Its name for users, and its number in a file's header (FORMAT.md §4.1).
     options : str
         Module and class in `codec` of its options.
     refiner : str, optional
-        Module and class in `codec` that code its units; None where these are gathered in tiles of
+        Module and class in `codec` that code its units; None if these are gathered in tiles of
         several levels (`codec.cdf53.tile_layout`), which have no aprons.
     pyramid : str
-        Of what heights coarse levels are made (`write.pyramid`): every second sample, averages of
-        the 9/7 filter or of the reversible 5/3.
+        How coarse levels are made (`write.pyramid`): every second sample, averages of the 9/7
+        filter or of the reversible 5/3.
     effort : str
-        How many of what the efforts try; empty where all give the same bytes.
+        What its efforts vary; empty if all give the same bytes.
     is_cuttable : bool
         Its streams can end early: at a rate, at a mean error, or where a reader has enough.
     is_clusterable : bool
@@ -49,8 +49,8 @@ class Method:
     may_be_faithful : bool
         Its files may follow its paper (`faithful` of `codec.cdf97.Cdf97`).
     is_patchable : bool
-        A unit can be coded again so that heights that still hold come back as they were: its loop
-        takes corrections (`codec.corrections`).
+        A unit can be coded again so that unchanged heights come back exactly: its loop takes
+        corrections (`codec.corrections`).
     has_rings : bool
         Its blocks may share three rings of samples with their neighbours.
     has_file_tables : bool
@@ -75,11 +75,11 @@ class Method:
 
     @property
     def is_tiled(self) -> bool:
-        """Say whether its units are gathered in tiles."""
+        """Return whether its units are gathered in tiles."""
         return self.refiner is None
 
 
-# In the order in which they are named to users; the first is the default.
+# In the order of the documentation; the first is the default.
 METHODS = {
     method.name: method
     for method in (
@@ -99,18 +99,18 @@ METHODS = {
                refiner="store.refiner.StoreRefiner", has_rings=True),
     )
 }  # fmt: skip
-DEFAULT_METHOD = METHODS["rapid"]  # what "auto" names, whatever the raster (decision 21)
-# For archives: what "auto" with effort "best" names.
+DEFAULT_METHOD = METHODS["rapid"]  # of "auto", for every raster (decision 21)
+# For archives: "auto" with effort "best".
 SMALLEST_METHOD = METHODS["predictive"]
-# Takes heights that no method makes smaller.
+# Used for heights that no method compresses.
 PLAIN_METHOD = METHODS["store"]
 
 
 def mesh_without_coefficients(mesh: str, method: Method) -> str:
-    """Return the kind of meshes that stands in where a method lacks what a kind follows."""
+    """Return the kind of meshes to use if a method lacks what this kind needs."""
     return "rqt" if mesh in UNBOUNDED_MESHES and not method.is_tiled else mesh
 
 
 def methods_that(can: Callable[[Method], bool]) -> str:
-    """Return the names of the methods that can do something, as messages say them."""
+    """Return the names of the methods with a capability, for messages."""
     return " or ".join(method.name for method in METHODS.values() if can(method))

@@ -1,8 +1,8 @@
-"""Options of one method, or of one kind of meshes: declared once, for Python and for commands.
+"""Options of a method or of a kind of meshes: declared once, for Python and for commands.
 
-A class for each is in the package of what it is for (`codec.cdf97`, `tri.rqt`). The library
-takes an object, ``method=tw.Cdf97(faithful=True)``, the command line words,
-``--method cdf97 -o faithful``.
+Each set is a class in the package that it configures (`codec.cdf97`, `tri.rqt`). The library takes
+an object, ``method=tw.Cdf97(faithful=True)``, the command line words, ``--method cdf97 -o
+faithful``.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,7 +15,7 @@ from terrainwave.errors import InvalidArgumentError
 
 @dataclass(frozen=True)
 class _Kind:
-    """What values an option has: how they are checked, read from words, and shown in help."""
+    """Values of an option: how they are checked, parsed, and shown in help."""
 
     checked: Callable[[str, Any], Any]
     read: Callable[[str], Any]
@@ -23,7 +23,7 @@ class _Kind:
 
 
 def flag(help: str) -> Any:
-    """Return the field of an option that is switched on."""
+    """Return the field of an option that is off by default."""
 
     def checked(name: str, value: Any) -> bool:
         check_flags(**{name: value})
@@ -33,7 +33,7 @@ def flag(help: str) -> Any:
 
 
 def choice(help: str, *values: str, default: str | None) -> Any:
-    """Return the field of an option that is one of some words; None where it may be left out."""
+    """Return the field of an option with some words as values; None if it may be left out."""
 
     def checked(name: str, value: Any) -> Any:
         if value is not None or default is not None:
@@ -44,7 +44,7 @@ def choice(help: str, *values: str, default: str | None) -> Any:
 
 
 def whole(help: str, *values: int) -> Any:
-    """Return the field of an option that is one of some whole numbers, the first by default."""
+    """Return the field of an option with some whole numbers as values; the first is the default."""
     expected = one_of([*map(str, values)])
 
     def checked(name: str, value: Any) -> int:
@@ -57,7 +57,7 @@ def whole(help: str, *values: int) -> Any:
 
 
 def positive(help: str) -> Any:
-    """Return the field of an option that is a number > 0, and None where it is left out."""
+    """Return the field of an option with a number > 0 as value; None if it is left out."""
 
     def checked(name: str, value: Any) -> float | None:
         return None if value is None else checked_number(name, value, above=0)
@@ -75,20 +75,20 @@ def _number(text: str) -> float | str:
             return kind(text)
         except ValueError:
             continue
-    return text  # which the check refuses
+    return text  # refused by the check
 
 
 @dataclass(frozen=True, kw_only=True)
 class OptionSet:
-    """Options that belong together, checked where they are made.
+    """Options that belong together, checked when the set is made.
 
     Raises
     ------
     InvalidArgumentError
-        If one of them, or two together, cannot be; the message says what was found and expected.
+        If an option, or a combination, is invalid; the message says what was found and expected.
     """
 
-    # What they are for, and the argument that takes them.
+    # The thing that they configure, and the argument that takes the set.
     name: ClassVar[str] = ""
     argument: ClassVar[str] = ""
 
@@ -99,12 +99,11 @@ class OptionSet:
 
     @classmethod
     def names(cls) -> list[str]:
-        """Return the names of the options."""
         return [option.name for option in fields(cls)]
 
     @classmethod
     def from_words(cls, words: dict[str, str | None]) -> Self:
-        """Return the set that words stand for; an option that is switched on has no value."""
+        """Parse a set from words; a flag has no value."""
         kinds = {option.name: option.metadata["kind"] for option in fields(cls)}
         values: dict[str, Any] = {}
         for name, word in words.items():
@@ -127,7 +126,7 @@ class OptionSet:
 
     @classmethod
     def described(cls) -> list[tuple[str, str]]:
-        """Return each option as a command takes it, with its help."""
+        """Return each option as on the command line, with its help."""
         rows = []
         for option in fields(cls):
             values = option.metadata["kind"].values
@@ -135,7 +134,7 @@ class OptionSet:
         return rows
 
     def call(self) -> str:
-        """Return the call that makes the set, as a user of Python writes it."""
+        """Return the Python call that makes the set."""
         given = ", ".join(
             f"{option.name}={getattr(self, option.name)!r}"
             for option in fields(self)
@@ -147,16 +146,16 @@ class OptionSet:
 def refuse_unknown(
     name: str, argument: str, sets: Sequence[type[OptionSet]], *, given: str, found: str
 ) -> None:
-    """Refuse an option that the set in use lacks: name the sets that have it.
+    """Raise for an option that the set in use lacks; name the sets that have it.
 
     Parameters
     ----------
     name, argument : str
-        Of the option, and of the argument that a set is given for.
+        Name of the option, and of the argument that takes a set.
     sets : sequence of type
-        All there are.
+        All sets.
     given, found : str
-        Both as the user has written them.
+        The option and the set as the user has written them.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What long work tells its caller."""
+"""Progress reports of long-running work."""
 
 import threading
 import time
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from terrainwave import interrupts
 from terrainwave.arguments import check_callback
 
-# Calls closer together than this are dropped, except the last of a stage.
+# Calls in shorter intervals are dropped, except the last of a stage.
 _INTERVAL = 0.1
 
 
@@ -16,8 +16,8 @@ _INTERVAL = 0.1
 class Progress:
     """Progress of a stage: samples `done` of `total`, bytes of heights read and of file written.
 
-    Stages that code units (groups and root blocks) also have `n_units` of `n_units_total` done, on
-    `n_levels` levels. On a cluster, stages have `n_tasks` of `n_tasks_total` done.
+    Stages that code units (groups and root blocks) also report `n_units` of `n_units_total`, on
+    `n_levels` levels; stages on a cluster `n_tasks` of `n_tasks_total`.
     """
 
     stage: str
@@ -35,43 +35,13 @@ class Progress:
 ProgressCallback = Callable[[Progress], None]
 
 
-@dataclass(frozen=True)
-class TaskReport:
-    """What one attempt at a task of a cluster took.
-
-    The task is of `n_samples` samples of the full grid from `row`, `col` on. `began` is in seconds
-    since 1970, by the worker's clock; `cpu_seconds` are those of the worker's process, which also
-    does what dask needs. `source_bytes` are heights read from the raster, as numbers; the other two
-    are bytes read from the shared temporary data and written there. `error` is empty if the attempt
-    succeeded.
-    """
-
-    stage: str
-    row: int
-    col: int
-    n_samples: int
-    attempt: int
-    worker: str
-    host: str
-    began: float
-    seconds: float
-    cpu_seconds: float
-    source_bytes: int
-    depot_bytes_read: int
-    depot_bytes_written: int
-    error: str = ""
-
-
-TaskCallback = Callable[[TaskReport], None]
-
-
 class Reporter:
     """Calls a callback at most ten times a second, from one thread at a time.
 
     Raises
     ------
     InvalidArgumentError
-        If it is neither None nor can be called.
+        If it is neither None nor callable.
     """
 
     def __init__(self, callback: ProgressCallback | None) -> None:
@@ -81,7 +51,7 @@ class Reporter:
         self._last = 0.0
 
     def report(self, stage: str, done: int, total: int, n_bytes_in: int = 0, **more: int) -> None:
-        """Tell the callback, unless it was told just now; `more` are fields of `Progress`."""
+        """Call the callback unless the last call was just now; `more` are fields of `Progress`."""
         interrupts.check()
         if self._callback is None:
             return
@@ -93,7 +63,7 @@ class Reporter:
             self._callback(Progress(stage, done, total, n_bytes_in, **more))
 
     def counter(self, stage: str, total: int, itemsize: int) -> Callable[[int], None]:
-        """Return a counter of finished samples of `itemsize` bytes, to call from any thread."""
+        """Return a counter of finished samples of `itemsize` bytes, for any thread."""
         lock = threading.Lock()
         done = 0
 

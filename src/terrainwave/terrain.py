@@ -1,4 +1,4 @@
-"""`Terrain`: the object users hold; a `TerrainFile` with meshes, pictures and other libraries."""
+"""`Terrain`: a `TerrainFile` with meshes, pictures and conversions to other libraries."""
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -72,21 +72,21 @@ class Terrain(TerrainFile):
             sample, up to 2^j - 1 rows and columns before the end of the full grid.
         max_error : float, optional
             Largest vertical distance from any valid original sample, in physical units. The mesh
-            mixes blocks of several levels to need few triangles. Their meshes are computed as
-            `halves` from the decoded heights, whatever kind of meshes the file has. By default the
-            tolerance is that of the stored meshes of `level`.
+            mixes blocks of several levels to need few triangles. It is computed as `halves` from
+            the decoded heights, whatever kind of meshes the file has. By default the tolerance is
+            that of the stored meshes of `level`.
         max_triangles : int, optional
-            Find the mesh with the smallest error, up to 2 %, that has at most this number of
+            Find the mesh with the smallest error (within 2 %) that has at most this number of
             triangles, within `max_error` if that is given too. If outlines of voids have more than
             one edge for four triangles, the outlines of a coarser level are used: the mesh then
-            covers all valid samples, and voids smaller than that level's cells.
+            covers all valid samples, and also voids smaller than that level's cells.
         optimise : int, optional
             Number of sweeps of half-edge collapses over blocks of the full grid. The default, 1, is
             that of the command ``mesh`` and nearly halves the triangles. The meshes are computed as
             `halves`. With 0, and without `max_error` and `max_triangles`, the stored meshes are
             returned.
         guarantee : bool
-            False returns the triangulation of the zero trees alone (Yusov & Turlapov 2010, §2.4),
+            False returns the triangulation of the zero trees only (Yusov & Turlapov 2010, §2.4),
             without any of the three arguments above. Its `error` is measured. `level` -1 then means
             -2, the finest level with zero trees.
         progress : callable, optional
@@ -111,7 +111,7 @@ class Terrain(TerrainFile):
 
         check_flags(guarantee=guarantee)
         if optimise is None:
-            optimise = int(guarantee)  # zero trees alone are not to be changed
+            optimise = int(guarantee)  # zero trees must not be changed
         return mesh_area(
             self, Mesh, window, bounds=bounds, level=level, max_error=max_error,
             max_triangles=max_triangles, optimise=optimise, guarantee=guarantee, progress=progress,
@@ -131,10 +131,10 @@ class Terrain(TerrainFile):
         return self._mesher.mesh(block)
 
     def mesh_error(self, block: Block) -> float:
-        """Return a bound of the error of a block's mesh, in physical units.
+        """Return a bound on the error of a block's mesh, in physical units.
 
-        No valid original that the mesh covers is further from it. The file's, or where it does not
-        state any (`compress`, `measure_meshes`) one that follows from the mesh, which is then made.
+        No valid original that the mesh covers is further from it. The bound is stored in the file,
+        or else computed from the mesh, which is then made (see `measure_meshes` of `compress`).
 
         Raises
         ------
@@ -149,7 +149,7 @@ class Terrain(TerrainFile):
         sixteenths = self._mesher.derived_error(block, self._mesher.mesh(block))
         return sixteenths / 16 * self.quantizer.quantum * abs(self.raster_info.scale)
 
-    # To other libraries.
+    # Conversions to other libraries.
 
     def to_xarray(self, *, level: int = -1, mask_and_scale: bool = True) -> "xr.DataArray":
         """Return a level as a lazy DataArray: windows are read when they are computed.
@@ -177,7 +177,7 @@ class Terrain(TerrainFile):
         return terrain_dataset(self, level, mask_and_scale=mask_and_scale)["heights"]
 
     def geotiff(self) -> "GeoTIFFStream":
-        """Return a GeoTIFF of the terrain as a file object that is made while it is read.
+        """Return the terrain as a file object with a GeoTIFF that is made while it is read.
 
         ``rasterio.open(terrain.geotiff())`` opens it as a raster. No file is written, and windows
         are decoded when they are read. For functions that take a path and an opener, use
@@ -188,7 +188,7 @@ class Terrain(TerrainFile):
         from terrainwave.raster_io.geotiff.stream import GeoTIFFStream
 
         made = VirtualGeoTIFF(self)
-        made.warn_of_crs()  # not while GDAL reads: it cannot pass on an error that a warning may be
+        made.warn_of_crs()  # GDAL cannot pass on a warning turned into an error
         return GeoTIFFStream(made)
 
     def _repr_html_(self) -> str:
@@ -208,17 +208,17 @@ class Terrain(TerrainFile):
     ) -> Any:
         """Draw a map, coloured by height and hillshaded; needs matplotlib.
 
-        Axes and the bar of colours have labels with their units.
+        Axes and colour bar have labels with units.
 
         Parameters
         ----------
         ax : matplotlib Axes, optional
             Where to draw; a new figure by default.
         bounds : (left, bottom, right, top), optional
-            What to show, in the CRS; by default all. A level fit for the figure is read.
+            Area to show, in the CRS; by default all. The level read fits the size of the figure.
         cmap : str, optional
             matplotlib's name of a colour map. By default colours of land; on the Earth, heights
-            below 0 get colours of the sea if there are heights below -450 m.
+            below 0 get sea colours if some are below -450 m.
         shade : float
             Share of the hillshade, 0 … 1.
 
@@ -261,7 +261,7 @@ class Terrain(TerrainFile):
         camera : str, optional
             ``x,y,z,heading,pitch,fov`` as `terrainwave view` prints it; by default all is shown.
         bounds : (left, bottom, right, top), optional
-            What to show first instead, in the CRS.
+            Area to show first instead, in the CRS.
         max_pixel_error : float
             τ: largest distance of the picture from the original heights, in pixels.
         style : terrainwave.render.look.style.Style, optional
@@ -299,7 +299,7 @@ class Terrain(TerrainFile):
         Raises
         ------
         InvalidArgumentError
-            If an argument cannot be, or the mode does not have it.
+            If an argument is invalid, or the mode does not support it.
         TerrainwaveError
             If neither a window nor OpenGL without a window is available; the message says what to
             install.
@@ -343,7 +343,7 @@ class Terrain(TerrainFile):
             raise InvalidArgumentError(f"found `style` {shown(style)}, expected a Style")
         options_of(
             mode, detail=detail, order=order, stepwise=stepwise, tree=tree, orientation=orientation
-        )  # which refuses what the mode has not, before a window opens
+        )  # raises for options that the mode lacks, before a window opens
 
         return view(
             self, size=size, camera=camera, bounds=bounds, style=style or Style(), mode=mode,
@@ -368,8 +368,8 @@ class Terrain(TerrainFile):
         Parameters
         ----------
         camera : dict, optional
-            ``lon`` and ``lat`` in degrees, ``zoom``, ``pitch`` and ``bearing``, as the map has
-            them; by default all of the terrain is seen.
+            ``lon`` and ``lat`` in degrees, ``zoom``, ``pitch`` and ``bearing``, as in the map; by
+            default the map shows all of the terrain.
         height : int
             Of the map in pixels, 100 … 10000; it is as wide as the cell.
         radius : float, optional
@@ -379,15 +379,15 @@ class Terrain(TerrainFile):
         Returns
         -------
         Explorer
-            Its `camera` says what is seen, and moves the map if you set it. Its `window` is what
-            you draw on the map, as ``terrain.read(window=...)`` takes it; None before.
+            Its `camera` is the view, and moves the map if you set it. Its `window` is the area
+            drawn on the map, as ``terrain.read(window=...)`` takes it; None if nothing is drawn.
 
         Raises
         ------
         TerrainwaveError
             If anywidget or pyproj is not installed.
         InvalidHeightsError
-            If the raster has no place on a globe, or none that polynomials tell.
+            If the raster has no position on a globe, or none that polynomials can express.
         InvalidArgumentError
             If an argument is out of range.
         """

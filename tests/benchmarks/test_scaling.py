@@ -1,6 +1,7 @@
 """What the measurement of clusters counts, and what the plan of larger runs follows from."""
 
 import pytest
+from strategies import terrain_like, write_geotiff
 
 from benchmarks.cluster_plan import (
     Client,
@@ -15,7 +16,8 @@ from benchmarks.cluster_plan import (
 )
 from benchmarks.common import InlineExecutor
 from benchmarks.scaling import CountingExecutor
-from terrainwave.progress import TaskReport
+from benchmarks.task_reports import TaskReport, TimingExecutor, reported
+from terrainwave.write.compress import compress
 
 
 def test_calls_and_their_bytes_are_counted():
@@ -23,6 +25,25 @@ def test_calls_and_their_bytes_are_counted():
     assert counting.submit(len, "abc").result() == 3
     assert counting.n_calls == 1
     assert counting.task_bytes > counting.result_bytes > 0
+
+
+def test_every_task_is_reported_with_its_place_and_its_bytes(tmp_path):
+    heights = terrain_like(300, 40)
+    write_geotiff(tmp_path / "dem.tif", heights)
+    found = []
+    with reported(found.append):
+        compress(
+            tmp_path / "dem.tif", tmp_path / "dem.twz", max_error=1, block=32, task_samples=1,
+            client=TimingExecutor(InlineExecutor()),
+        )  # fmt: skip
+    stages = list(dict.fromkeys(one.stage for one in found))
+    assert stages == ["scanning", "making levels", "encoding", "proving"]
+    for stage in ("scanning", "proving"):
+        own = [one for one in found if one.stage == stage]
+        assert sum(one.n_samples for one in own) == heights.size
+        assert sum(one.source_bytes for one in own) == heights.nbytes
+        assert own[0].row == own[0].col == 0
+    assert all(one.seconds > 0 for one in found)
 
 
 def site(n_workers, **more):
@@ -89,7 +110,7 @@ def test_the_client_copies_while_tasks_run():
 
 
 def report(stage, row, seconds):
-    return TaskReport(stage, row, 0, 1, 1, "w", "h", 0.0, 99.0, seconds, 8 * (row < 2), 0, 3)
+    return TaskReport(stage, row, 0, 1, "w", "h", 0.0, 99.0, seconds, 8 * (row < 2), 0, 3)
 
 
 def test_what_the_client_takes_follows_from_runs_over_few_and_many_tasks():
@@ -102,7 +123,7 @@ def test_what_the_client_takes_follows_from_runs_over_few_and_many_tasks():
 
 
 def test_costs_of_void_tasks_are_apart():
-    reports = [vars(report(stage, row, 1.0 + row)) for row in range(4)
+    reports = [report(stage, row, 1.0 + row)._asdict() for row in range(4)
                for stage in ("scanning", "encoding")]  # fmt: skip
     assert task_costs(reports, is_void=False)["encoding"] == Cost(1.5, 8, 0, 3)
     assert task_costs(reports, is_void=True)["encoding"] == Cost(3.5, 0, 0, 3)

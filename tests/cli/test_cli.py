@@ -546,7 +546,7 @@ def test_verify_notes_that_it_compared_nothing(tmp_path):
     done = run("verify", tmp_path / "a.twz", path)
     assert done.exit_code == 0
     assert done.stdout.startswith("0 heights compared\n")
-    assert done.stderr == "note: no height was compared: there is none that is valid in both\n"
+    assert done.stderr == "note: no height was compared: no sample is valid in both\n"
 
 
 def test_one_is_not_several():

@@ -94,7 +94,7 @@ def test_kernels_that_are_not_kept_are_not_said_to_be_compiled_once(folder):
     for _ in range(2):
         status, lines = run(folder, *COMPRESS, program=NOWHERE)
         assert status == 0
-        assert lines[0] == "compiling kernels, for this run alone: this takes some seconds"
+        assert lines[0] == "compiling kernels, for this run only: this takes some seconds"
         (note,) = lines[1:]
         assert note.startswith("note: compiled kernels are not kept, and every run")
         assert f"{folder}/kernels cannot be written" in note
@@ -102,7 +102,7 @@ def test_kernels_that_are_not_kept_are_not_said_to_be_compiled_once(folder):
     status, lines, n_compiled = run(folder, *COMPRESS, TERRAINWAVE_NUMBA_CACHE="0")
     assert status == 0
     assert n_compiled > 0
-    assert lines == ["compiling kernels, for this run alone: this takes some seconds"]
+    assert lines == ["compiling kernels, for this run only: this takes some seconds"]
 
 
 def test_warmup_that_can_keep_nothing_ends_at_once_with_status_1(folder):

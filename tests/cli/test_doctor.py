@@ -94,7 +94,7 @@ def test_folders_that_the_variable_names_are_looked_into(gdal, tmp_path, monkeyp
 @pytest.mark.parametrize("text", ["", "Segmentation fault", "GDAL"])
 def test_a_program_that_tells_no_version_is_told(gdal, text):
     program = gdal(text, "", status=1)
-    assert f"{program} does not tell GDAL's version" in run("doctor").stdout
+    assert f"{program} does not print GDAL's version" in run("doctor").stdout
 
 
 def test_what_was_found_is_json_too(gdal):

@@ -58,7 +58,7 @@ MISTAKES = [
     # Names of targets and of URLs.
     ("compress a.tif new.TWZ2", 2, "found .TWZ2, expected a name that ends in .twz"),
     ("compress a.tif http://a/b.twz", 2, "expected a path, or the URL of storage that takes files"),
-    ("decompress a.twz http://a/b.tif", 2, "expected a path: files are written to this machine"),
+    ("decompress a.twz http://a/b.tif", 2, "a path: files are written only to this machine"),
     ("decompress a.twz new.jpg", 2, "Invalid value for TARGET: new.jpg: found .jpg, expected a"),
     ("mesh a.twz new.foo", 2, ".vtk or .terrain, or in .twz with --store"),
     ("mesh a.twz new.foo --store", 2, "found .foo, expected a name that ends in .twz"),

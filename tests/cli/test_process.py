@@ -10,6 +10,7 @@ import stat
 import subprocess
 import sys
 from collections import namedtuple
+from contextlib import contextmanager
 from fnmatch import fnmatch
 
 import numpy as np
@@ -214,6 +215,66 @@ def test_a_full_stdout_is_named(dem, twz, command, unbuffered):
     assert done.returncode == 1
     lines = [line for line in done.stderr.splitlines() if line.startswith("terrainwave")]
     assert lines == ["terrainwave: cannot write stdout: the disk is full"]
+
+
+PRINTING = """
+import os
+from terrainwave.cli import main
+from terrainwave.cli.output import Command
+@main.command(cls=Command)
+def words():
+    print("words" * int(os.environ.get("N_WORDS", "1")), end="", flush=True)
+main(["words"])
+"""
+
+
+def printed_to(stdout, **environment):
+    """Return stderr of a command whose work prints, with a stdout that takes nothing."""
+    environment |= {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    done = subprocess.run(
+        [sys.executable, "-c", PRINTING], stdout=stdout, stderr=subprocess.PIPE, text=True,
+        env=os.environ | environment, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 1
+    return done.stderr
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_full_stdout_is_named_whoever_prints(unbuffered):
+    with open("/dev/full", "w") as full:
+        told = printed_to(full, PYTHONUNBUFFERED=unbuffered)
+    assert told == "terrainwave: cannot write stdout: the disk is full\n"
+
+
+@contextmanager
+def full_pipe():
+    """Yield the ends of a full pipe that does not wait: a descriptor to read, a file to write."""
+    reader, writer = os.pipe()
+    with open(reader, "rb"), open(writer, "wb", buffering=0) as pipe:
+        os.set_blocking(writer, False)
+        while pipe.write(bytes(1 << 16)):
+            pass
+        yield reader, pipe
+
+
+@needs_shell
+def test_a_stdout_that_does_not_wait_is_named_and_one_that_nobody_reads_is_not():
+    with full_pipe() as (_, pipe):
+        told = printed_to(pipe)
+    assert told == f"terrainwave: cannot write stdout: {os.strerror(errno.EAGAIN)}\n"
+    reader, writer = os.pipe()
+    os.close(reader)
+    with open(writer, "wb") as pipe:
+        assert printed_to(pipe) == ""
+
+
+@needs_shell
+def test_a_stdout_that_takes_only_a_part_is_named():
+    with full_pipe() as (reader, pipe):
+        os.read(reader, 4096)
+        told = printed_to(pipe, PYTHONUNBUFFERED="1", N_WORDS="3000")
+    assert told == f"terrainwave: cannot write stdout: {os.strerror(errno.EAGAIN)}\n"
 
 
 # A program that may write files of few bytes only, as on a disk that is nearly full.

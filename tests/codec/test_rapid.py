@@ -1,11 +1,13 @@
 """Units of `rapid`: ranges, lines, bands, rows, damage; what it shares is in `test_refiners`."""
 
+import contextlib
 import dataclasses
 
 import numpy as np
 import pytest
 from lone_units import ALL_SHARED, check_refiner, coarse_of, lone_spec, terrain
 
+from terrainwave.codec.rapid import unit as rapid_unit
 from terrainwave.codec.rapid.layout import CORES, HH, HL, LH, LIMIT, TAPS, Lattice, new_workspace
 from terrainwave.codec.rapid.needed import needed_for
 from terrainwave.codec.rapid.prediction import predict_on_line
@@ -19,8 +21,8 @@ from terrainwave.codec.rapid.symbols import (
     frequencies_of,
 )
 from terrainwave.codec.rapid.tables import Tables
-from terrainwave.codec.rapid.unit import UnitCoder
-from terrainwave.codec.refiner import FREE, NOT_SHARED, Corrections, Rows, Sides
+from terrainwave.codec.rapid.unit import UnitCoder, _Memory
+from terrainwave.codec.refiner import FREE, NOT_SHARED, Corrections, Raw, Rows, Sides
 from terrainwave.codec.varint import encode_varint
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 
@@ -104,6 +106,33 @@ def test_an_odd_end_of_a_row_holds_nothing_of_what_was_coded_before():
     noise = np.random.default_rng(1).integers(-9000, 9000, (33, 31)).astype(np.int32)
     check(noise, 1)
     assert coder().encode(spec, parent, heights, None)[0] == first
+
+
+class Spoiled:
+    """Memory that another thread writes to as soon as it is given back."""
+
+    @contextlib.contextmanager
+    def lent(self):
+        memory = _Memory()
+        yield memory
+        log, raw, places = memory._streams.log, memory._streams.raw, memory._streams.places
+        for array in (*log, raw, places, *memory._workspace[1:]):
+            array[:] = 77
+
+
+@pytest.mark.parametrize("has_parent", [True, False])
+def test_nothing_is_read_of_memory_that_was_given_back(has_parent, monkeypatch):
+    heights = terrain((61, 66))
+    spec, parent = unit(heights, 1, has_parent=has_parent)
+    found = []
+    for _ in range(2):
+        counts = np.zeros((N_TABLES, N_SYMBOLS), dtype=np.int64)
+        coded = coder().count(spec, parent, heights, None, counts)
+        payload, made, _ = coder().encode(spec, parent, heights, None)
+        decoded = coder().decode(spec, parent, None, payload)[0]
+        found.append((counts.tolist(), payload, *(own.tolist() for own in (coded, made, decoded))))
+        monkeypatch.setattr(rapid_unit, "_MEMORY", Spoiled())
+    assert found[0] == found[1]
 
 
 # Ranges -----------------------------------------------------------------------------------------
@@ -196,7 +225,7 @@ def test_predictions_on_lines_are_cubic_and_between_the_nearest_four():
 
 @pytest.mark.large
 def test_long_payloads_have_bands():
-    heights = np.random.default_rng(0).integers(-3000, 3000, (257, 257)).astype(np.int32)
+    heights = np.random.default_rng(0).integers(-3000, 3000, (331, 331)).astype(np.int32)
     payload = check(heights, 3, ALL_SHARED)
     assert payload[0] >> 3 & 3 == 3
     assert check(heights // 300, 21, ALL_SHARED)[0] >> 3 & 3 == 0
@@ -315,6 +344,46 @@ def test_inherited_heights_beyond_the_range_are_clamped():
         assert heights.max() <= spec.z_max
 
 
+@pytest.mark.parametrize("dtype", [np.int16, np.int32])
+@pytest.mark.parametrize("missing", [0, 1])
+def test_raw_heights_go_to_a_readers_memory_once_all_is_known_to_be_good(dtype, missing):
+    """In a part of a larger array, with or without the last row and column; nothing beside it."""
+    spec, parent, payload = small_unit()
+    heights, _ = coder().decode(spec, parent, None, payload)
+    memory = np.full(30 * 40, 99, dtype=dtype)
+    wanted = memory.reshape(30, 40)[3 : 24 - missing, 5 : 23 - missing]
+
+    def decode(payload):
+        return coder().decode_into(
+            spec, parent, None, payload, np.empty_like(heights), raw=Raw(wanted, 7)
+        )
+
+    for place in range(len(payload)):
+        broken = bytearray(payload)
+        broken[place] ^= 1
+        try:
+            decode(bytes(broken))
+        except CorruptStreamError:
+            assert (memory == 99).all()
+        memory[:] = 99
+    assert decode(payload)
+    np.testing.assert_array_equal(wanted, heights[: wanted.shape[0], : wanted.shape[1]] + 7)
+    wanted[:] = 99
+    assert (memory == 99).all()
+
+
+@pytest.mark.parametrize("scale", [1 << 16, 1])
+def test_raw_heights_stay_where_they_do_not_fit(scale):
+    """Units that need 32 bits, and memory that is no part of a flat array, are left to a copy."""
+    heights = np.random.default_rng(0).integers(-64, 64, (65, 65)).astype(np.int32) * scale
+    spec, parent = unit(heights, 1)
+    payload, coded, _ = coder().encode(spec, parent, heights, None)
+    wanted, out = np.full((65, 130), 99, dtype=np.int32)[:, ::2], np.empty_like(heights)
+    assert not coder().decode_into(spec, parent, None, payload, out, raw=Raw(wanted, 7))
+    assert (wanted == 99).all()
+    np.testing.assert_array_equal(out, coded)
+
+
 def test_options_have_no_rings():
     import terrainwave as tw
 
@@ -326,7 +395,6 @@ def test_kernels_know_the_memory_that_lattices_take():
     work = new_workspace(17)
     lattice = Lattice(33, 33, 1, -9, 9, 19, 0, 0, True, False)
     assert work.details.shape[1] >= 17 * 18
-    assert work.both.shape[1] * 2 == work.details.shape[1]
     assert lattice.n_rows // 2 + 1 <= work.side
 
 

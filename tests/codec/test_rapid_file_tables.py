@@ -297,24 +297,44 @@ def test_rasters_of_voids_or_of_one_height_have_tables_that_are_sound():
     size_of(fitted(heights, 1), heights, 1)
 
 
+def test_tables_do_not_depend_on_heights_of_voids():
+    heights, rng = rough((600, 500), seed=3), np.random.default_rng(5)
+    valid = np.ones(heights.shape, dtype=bool)
+    valid[100:480, 60:400] = valid[::7, ::5] = False
+    found = []
+    for _ in range(2):
+        heights[~valid] = rng.integers(-30000, 30000, np.count_nonzero(~valid))
+        found.append(pack_file_tables(fitted(heights, 1, valid)))
+    assert found[0] == found[1]
+
+
 def test_extreme_heights_do_not_overflow():
     heights = np.random.default_rng(2).integers(-(1 << 28), 1 << 28, (300, 300)).astype(np.int32)
     size_of(fitted(heights, 1), heights, 1)
 
 
 def test_counts_by_class_are_those_of_the_kernels():
-    heights = rough((140, 139), seed=2)
+    heights = rough((321, 319), seed=2)
     valid = np.random.default_rng(1).random(heights.shape) < 0.9
     tables = plain_tables(0, 1)._replace(cut=25)
     sample = fit._Sample(heights[None], valid[None], 3, 1.0)
-    seen = fit_weights.gathered(
-        [coder.samples for coder, _ in fit._coded(fit_weights.Observer, tables, sample, map)]
-    )
+    seen = fit.observed(tables, sample)
     found = fit_weights.count_by_class(seen, tables_from(tables).weights, 3)
     kernels = fit.count(tables, sample)
     np.testing.assert_array_equal(fit.counts_of(found, 25), kernels)
     assert kernels[SINGLES:].any()
     assert kernels.shape == (N_TABLES, N_SYMBOLS)
+
+
+def test_weights_are_fitted_to_samples_of_all_columns():
+    """Planes of 128 columns, and one sample of so many that divide them: once all of column 0."""
+    features = np.zeros((3, 128 * 1024), dtype=np.int32)
+    features[2] = np.arange(features.shape[1]) % 128
+    details = np.zeros(features.shape[1], dtype=np.int32)
+    seen = fit_weights.Seen(0, HH, 0, features, details, np.ones(len(details), dtype=bool))
+    columns = fit_weights._in_steps(seen, 16, 3)[3]
+    assert len(columns) == len(details) // 16
+    assert set(columns) == set(range(128))
 
 
 def test_bytes_do_not_follow_from_what_was_coded_before():

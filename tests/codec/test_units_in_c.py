@@ -2,7 +2,6 @@
 
 import ctypes
 import threading
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -61,11 +60,10 @@ def test_payloads_heights_and_corrections_are_the_same(seed, with_library):
 
 
 @pytest.mark.large
-def test_units_of_several_bands_are_the_same_whatever_came_before(with_library):
-    """An encoder tries a group with as many bands as the last one had."""
+def test_units_of_several_bands_are_the_same(with_library):
     rng = np.random.default_rng(3)
-    n_bands = []
-    for number, relief in enumerate((4000, 4000, 1, 4000, 30, 4000, 8, 1) * 2):
+    n_bands = set()
+    for number, relief in enumerate((4000, 1, 30, 3, 300, 8, 100, 15) * 2):
         shape = tuple(int(n) for n in rng.integers(250, 400, 2))
         target = rng.integers(-relief, relief + 1, shape).astype(np.int32)
         above = Region(0, 0, (shape[0] + 1) // 2, (shape[1] + 1) // 2)
@@ -74,14 +72,13 @@ def test_units_of_several_bands_are_the_same_whatever_came_before(with_library):
         drawn = Drawn(spec, target[::2, ::2].copy(), target, mask, None)
         by_numba, in_c = outcomes(drawn, coder_of(rng))
         assert by_numba == in_c
-        n_bands.append((by_numba[0][0] >> 3 & 3) + 1)
-    assert set(pairwise(n_bands)) >= {(4, 1), (4, 4), (1, 4)}
-    assert {2, 3} & set(n_bands)
+        n_bands.add((by_numba[0][0] >> 3 & 3) + 1)
+    assert n_bands == {1, 2, 3, 4}
 
 
 @pytest.mark.large
 def test_counts_and_what_is_seen_of_samples_are_the_same(with_library):
-    rng = np.random.default_rng(4)
+    rng, n_seen = np.random.default_rng(4), 0
     for _ in range(80):
         drawn = drawn_unit(rng)
         found = []
@@ -89,12 +86,11 @@ def test_counts_and_what_is_seen_of_samples_are_the_same(with_library):
             counts = np.zeros((N_TABLES, N_SYMBOLS), dtype=np.int64)
             coder = Observer(_for_counts(plain_tables(K_MAX, 0)))
             heights = count(coder, drawn.spec, drawn.parent, drawn.target, drawn.mask, counts)
-            seen = {
-                key: [[part.tobytes() for part in one] for one in parts]
-                for key, parts in coder.samples.items()
-            }
+            seen = [(*one[:3], *(part.tobytes() for part in one[3:])) for one in coder.samples]
             found.append((counts.tobytes(), heights.tobytes(), seen))
         assert found[0] == found[1], drawn.spec
+        n_seen += len(found[0][2])
+    assert n_seen > 80
 
 
 def test_the_library_encodes_where_it_is_wanted(with_library, monkeypatch):

@@ -1,6 +1,5 @@
 """Compression on a dask cluster of processes, one of them killed."""
 
-import csv
 import logging
 import os
 import signal
@@ -92,25 +91,6 @@ def test_a_scheduler_that_does_not_answer_is_one_line(monkeypatch, raster, tmp_p
     assert result.exit_code == 1
     assert result.stderr.startswith(f"terrainwave: no dask scheduler answers at {address}")
     assert result.stderr.count("\n") == 1
-
-
-def test_the_command_logs_what_each_task_took(client, cluster, raster, tmp_path):
-    log = tmp_path / "tasks.csv"
-    arguments = ["compress", raster, tmp_path / "dem.twz", "--max-error", 1, "--block", 32]
-    arguments += ["--scheduler", cluster.scheduler_address, "--task-log", log]
-    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
-    assert result.exit_code == 0
-    with log.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    stages = ["scanning", "making levels", "encoding", "proving"]
-    assert [row["stage"] for row in rows] == [stage for stage in stages for _ in range(4)]
-    assert {row["worker"] for row in rows} <= set(client.nthreads())
-    size = 2 * HEIGHTS.size
-    for stage in ("scanning", "proving"):
-        assert sum(int(row["source_bytes"]) for row in rows if row["stage"] == stage) == size
-    written = [int(row["depot_bytes_written"]) for row in rows if row["stage"] == "encoding"]
-    assert sum(written) > (tmp_path / "dem.twz").stat().st_size / 2
-    assert [line.split()[-6] for line in result.stdout.splitlines()[-4:]] == ["4"] * 4
 
 
 def test_results_on_their_way_when_a_client_is_closed_are_no_tracebacks(

@@ -385,7 +385,7 @@ def test_a_box_beside_the_terrain_is_refused_and_the_window_stays(terrain, page,
     widget = explored(terrain, page)
     widget.window = (3, 4, 5, 6)
     content, _ = page.ask(widget._channel.take, "draw", box=list(box))
-    assert "beside the terrain" in content["error"]["message"]
+    assert "does not overlap the terrain" in content["error"]["message"]
     assert widget.window == (3, 4, 5, 6)
 
 

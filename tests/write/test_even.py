@@ -193,6 +193,7 @@ def element(**changes):
         {"dst": "xOff='100.3' yOff='100' xSize='900' ySize='700'"},
         {"dst": "xOff='100' yOff='100' xSize='450' ySize='350'"},
         {"src": "xOff='0' yOff='0' xSize='900' ySize='900'"},
+        {"src": "xOff='-1' yOff='0' xSize='900' ySize='700'"},
         {"tag": "KernelFilteredSource", "more": "<Kernel><Size>3</Size><Coefs>1 1 1 1 1 1 1 1 1"
          "</Coefs></Kernel>"},
     ],
@@ -206,6 +207,17 @@ def test_sources_of_a_vrt_that_do_more_than_copy_are_read(tiles, tmp_path, chang
     for part, even in even_parts(Region(0, 0, 1200, 1200), 16, source.even):
         if even is not None:
             assert (whole[part.slices_in(Region(0, 0, 1200, 1200))] == even.value).all()
+
+
+@pytest.mark.parametrize("far", ["1200", "2000000000", "1e300"])
+def test_a_source_beyond_a_vrt_changes_no_gap(tiles, far):
+    dst = f"xOff='{far}' yOff='100' xSize='900' ySize='700'"
+    path = vrt(tiles / f"far{random.random()}.vrt", [element(dst=dst)], side=1200)
+    try:
+        source = RasterSource(path, warn=False)
+    except StorageError:  # GDAL refuses the numbers
+        return
+    assert source.even(Region(300, 300, 10, 10)) == (VOID, False)
 
 
 def test_a_derived_band_is_read(tiles):

@@ -221,7 +221,7 @@ def test_a_failed_run_says_how_to_go_on(tmp_path, raster, monkeypatch):
     assert ".twz-kept: run the same command again to go on; --fresh starts over" in note
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 0
-    assert "the run went on from what an earlier one had finished; --fresh starts" in result.stderr
+    assert "the run continued the work of an earlier one; --fresh starts" in result.stderr
     assert hidden_in(tmp_path) == []
 
 
@@ -253,7 +253,7 @@ def test_work_of_other_options_is_removed_and_said(tmp_path, raster, monkeypatch
     interrupted(target, raster, monkeypatch)
     with pytest.warns(TerrainwaveWarning, match="removed: it was made with other options"):
         result = terrainwave.compress(raster, target, **OPTIONS | {"max_error": 2})
-    assert not any("went on" in note for note in result.notes)
+    assert not any("continued the work" in note for note in result.notes)
     terrainwave.compress(raster, tmp_path / "b.twz", **OPTIONS | {"max_error": 2})
     assert target.read_bytes() == (tmp_path / "b.twz").read_bytes()
 
@@ -287,7 +287,7 @@ def test_heights_of_an_array_tell_whether_it_is_the_same(tmp_path, monkeypatch):
     heights, target = terrain_like(*SHAPE, seed=3), tmp_path / "out.twz"
     interrupted(target, heights, monkeypatch)
     result = terrainwave.compress(heights.copy(), target, **OPTIONS)
-    assert any("went on" in note for note in result.notes)
+    assert any("continued the work" in note for note in result.notes)
     whole = target.read_bytes()
     assert whole == terrainwave.compress_to_bytes(heights, mesh="halves", digest=True, **OPTIONS)
     interrupted(target, heights, monkeypatch, overwrite=True)
@@ -303,7 +303,7 @@ def test_fresh_starts_over(tmp_path, raster, monkeypatch):
     target = tmp_path / "out.twz"
     interrupted(target, raster, monkeypatch)
     result = terrainwave.compress(raster, target, fresh=True, **OPTIONS)
-    assert not any("went on" in note for note in result.notes)
+    assert not any("continued the work" in note for note in result.notes)
     assert hidden_in(tmp_path) == []
 
 
@@ -338,7 +338,7 @@ def test_another_folder_has_what_is_kept(tmp_path, raster, monkeypatch):
     terrainwave.compress(raster, tmp_path / "other" / "out.twz", temp_dir=folder, **OPTIONS)
     assert hidden_in(folder) == [name]
     result = terrainwave.compress(raster, target, temp_dir=folder, **OPTIONS)
-    assert any("went on" in note for note in result.notes)
+    assert any("continued the work" in note for note in result.notes)
     assert hidden_in(folder) == []
 
 

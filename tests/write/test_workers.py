@@ -1,4 +1,4 @@
-"""Tasks that fail on one worker are done by another; slow ones are done twice."""
+"""Tasks that fail on one worker are done by another."""
 
 import errno
 import itertools
@@ -12,9 +12,8 @@ from clusters import LosingCluster
 
 from terrainwave.container.spool import TEMPORARY_ADVICE, cannot_write
 from terrainwave.errors import ClusterError, StorageError, TerrainwaveWarning
-from terrainwave.grid.quadtree import Region
 from terrainwave.write.tasks import workers
-from terrainwave.write.tasks.measured import Workplace
+from terrainwave.write.tasks.task import Workplace
 from terrainwave.write.tasks.workers import Workers
 
 TASKS = {number: (number,) for number in range(6)}
@@ -50,9 +49,6 @@ class Client:
 
     def nthreads(self):
         return dict.fromkeys(self.names, 1)
-
-    def processing(self):
-        return {name: [key for key, worker in self.given if worker == name] for name in self.names}
 
     def close(self):
         self.release.set()
@@ -94,7 +90,7 @@ def squared(task):
 @pytest.fixture
 def make_client(monkeypatch):
     monkeypatch.setattr(
-        "terrainwave.write.tasks.measured.workplace",
+        "terrainwave.write.tasks.task.workplace",
         lambda: Workplace(here.worker, f"host of {here.worker}", f"/scratch/{here.worker}"),
     )
     monkeypatch.setattr(workers, "_LOOK_AFTER", 0.02)
@@ -109,12 +105,9 @@ def make_client(monkeypatch):
         client.close()
 
 
-def run(client, **more):
+def run(client):
     tasks = {number: (Square(number),) for number in TASKS}
-    found = Workers(client, **more).run(
-        "encoding", squared, tasks, lambda number: Region(number, 0, 1, 10)
-    )
-    return dict(found)
+    return dict(Workers(client).run("encoding", squared, tasks))
 
 
 def full():
@@ -160,15 +153,6 @@ def test_what_no_other_worker_can_mend_is_not_repeated(make_client):
     assert len(client.given) == len(TASKS)
 
 
-def test_a_task_that_one_worker_is_slow_with_is_done_by_another(make_client, monkeypatch):
-    monkeypatch.setattr(workers, "_SLOW_SECONDS", 0.1)
-    client = make_client(["a", "b", "c", "d", "e"], slow=["b"])
-    start = time.monotonic()
-    assert run(client) == {number: number**2 for number in TASKS}
-    assert time.monotonic() - start < 10  # b takes 20
-    assert "b" not in [worker for _, worker in client.given[len(TASKS):]]  # fmt: skip
-
-
 def test_a_task_whose_workers_are_gone_is_given_to_others(make_client):
     client = make_client(["a", "b"], broken=["b"], error=full())
     nthreads, n_calls = client.nthreads, itertools.count(1)
@@ -186,27 +170,12 @@ def test_a_task_whose_workers_are_gone_is_given_to_others(make_client):
     assert {worker for _, worker in client.given} == {"a", "b", "c"}
 
 
-def test_attempts_are_reported(make_client):
-    reports = []
-    client = make_client(["a", "b", "c"], broken=["b"], error=full())
-    with pytest.warns(TerrainwaveWarning):
-        run(client, on_task=reports.append)
-    assert len(reports) == 8  # six tasks, two of them first given to b
-    assert sorted(report.row for report in reports if not report.error) == list(TASKS)
-    failed = [report for report in reports if report.error]
-    assert {(report.worker, report.host, report.attempt) for report in failed} == {
-        ("b", "host of b", 1)
-    }
-    assert {report.n_samples for report in reports} == {10}
-    assert {report.stage for report in reports} == {"encoding"}
-
-
 def test_what_tasks_have_left_is_known_though_they_failed(make_client):
     client = make_client(["a", "b", "c"], broken=["b"], error=full())
     known = Workers(client)
     tasks = {number: (Square(number),) for number in TASKS}
     with pytest.warns(TerrainwaveWarning):
-        list(known.run("encoding", squared, tasks, lambda _: Region(0, 0, 1, 1)))
+        list(known.run("encoding", squared, tasks))
     assert set(known.names) == {f"entry-{number}" for number in TASKS}
 
 
@@ -223,7 +192,7 @@ def test_a_cluster_without_workers_is_one_note(make_client, monkeypatch):
     thread.start()
     tasks = {1: (Square(1),)}
     with pytest.warns(TerrainwaveWarning) as notes:
-        list(Workers(client).run("encoding", squared, tasks, lambda _: Region(0, 0, 1, 1)))
+        list(Workers(client).run("encoding", squared, tasks))
     thread.join()
     (note,) = notes
     assert "the cluster has no workers: 1 task of encoding wait" in str(note.message)

@@ -1,7 +1,7 @@
 """The annexes of the format: tables that every reader has, as data files (FORMAT.md §15).
 
 Readers in other languages load the same files. A file that is in use is never changed.
-Kernels take tables as arguments, not as constants: numba's cache knows sources alone.
+Kernels take tables as arguments, not as constants: numba's cache knows only sources.
 """
 
 from functools import cache

@@ -1,4 +1,4 @@
-"""Many files by one command: one result each, several at a time, past those that fail."""
+"""Batches: one result for each file, several files at a time, continuing after failures."""
 
 import os
 import sys
@@ -33,7 +33,7 @@ from terrainwave.progress import Progress, ProgressCallback
 
 @dataclass(frozen=True)
 class FileJob:
-    """One file of many: what is read, and what is written or compared with it, if anything."""
+    """A source, and the file to write or to compare it with, if any."""
 
     source: str
     target: str | None = None
@@ -41,7 +41,7 @@ class FileJob:
 
 @dataclass(frozen=True)
 class Done:
-    """What came of a job: the line that tells it, and the same for JSON."""
+    """Result of one job, as a line of text and for JSON."""
 
     line: str
     fields: dict[str, Any] = field(default_factory=dict)
@@ -57,7 +57,7 @@ class _Outcome:
 
     @property
     def name(self) -> str:
-        """Return the source as messages show it."""
+        """Return the display name of the source."""
         return plain(display_name(self.job.source))
 
     @property
@@ -86,27 +86,27 @@ class _Outcome:
 Work = Callable[[FileJob, int, ProgressCallback], Done]
 
 
-# Of rasters that a folder may hold; others are read where they are named.
+# Endings of rasters that are searched in folders; others must be named.
 RASTER_ENDINGS = (
     ".tif", ".tiff", ".vrt", ".img", ".hgt", ".asc", ".dem", ".bil", ".flt", ".nc", ".dt0",
     ".dt1", ".dt2", ".twz",
 )  # fmt: skip
-# Of GDAL's formats whose rasters are folders.
+# Rasters that are folders in GDAL's formats.
 _FOLDERS_THAT_ARE_RASTERS = (".zarr", ".gdb")
 
 
 def plan(
     sources: Sequence[str], directory: str, ending: str, endings: Sequence[str] = RASTER_ENDINGS
 ) -> list[FileJob]:
-    """Return a job for each source, whose target has its name and the ending.
+    """Return a job for each source; its target has the same name with `ending`.
 
-    A folder stands for all files below it that end in one of `endings`; their targets lie in
-    folders of the same names. Hidden files are left out, and what lies below `directory`.
+    A folder means all files below it that end in one of `endings`; their targets lie in folders of
+    the same names. Hidden files and files below `directory` are left out.
 
     Raises
     ------
     click.UsageError
-        If two would write the same file, one is a stream, or a folder holds no such file.
+        If two jobs have the same target, a source is a stream, or a folder holds no such file.
     """
     jobs: dict[str, FileJob] = {}
     if STREAM in sources:
@@ -128,9 +128,9 @@ def plan(
 def with_files_of_folders(
     sources: Sequence[str], endings: Sequence[str], directory: str | None = None
 ) -> Iterator[tuple[str, str]]:
-    """Yield each file that is named or lies in a folder that is, and its folder below that one.
+    """Yield named files and those in named folders, each with its relative folder.
 
-    Of folders the files that end in one of `endings`, but those below `directory`.
+    In folders, files that end in one of `endings`, except those below `directory`.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def with_files_of_folders(
 def _files_below(
     source: str, directory: str | None, endings: Sequence[str]
 ) -> Iterator[tuple[str, str]]:
-    """Yield the files below a folder, sorted, and the folder of each relative to it."""
+    """Yield the files below a folder, sorted, each with its relative folder."""
     target = None if directory is None else os.path.realpath(directory)
     for path, folders, names in os.walk(source):
         folders[:] = sorted(
@@ -170,7 +170,7 @@ def _files_below(
 
 @contextmanager
 def made(directories: Iterable[str]) -> Iterator[None]:
-    """Make directories; remove those again that nothing is in at the end."""
+    """Make directories; remove them at the end if they are empty."""
     missing = set[Path]()
     try:
         for directory in directories:
@@ -180,7 +180,7 @@ def made(directories: Iterable[str]) -> Iterator[None]:
         yield
     finally:
         for part in sorted(missing, reverse=True):
-            with suppress(OSError):  # it is in use
+            with suppress(OSError):  # in use
                 part.rmdir()
 
 
@@ -194,11 +194,11 @@ def run(
     quiet: bool,
     manifest: Manifest | None = None,
 ) -> int:
-    """Do the jobs, tell what came of each, then of all; return the exit status.
+    """Do the jobs, print the result of each and a summary; return the exit status.
 
-    With `as_json` a line of JSON for each file, as soon as it is done, and nothing else on stdout.
-    The threads are shared: as many jobs at a time as there are threads, each with its part. A job
-    whose target `manifest` knows to be as asked for is skipped.
+    With `as_json`, stdout gets a line of JSON for each file as soon as it is done, and nothing
+    else. Up to `threads` jobs run at a time and share the threads. A job is skipped if `manifest`
+    knows that its target is up to date.
     """
     n_threads = checked_threads(threads)
     n_at_once = min(len(jobs), n_threads)
@@ -240,7 +240,7 @@ def run(
                     print_json_line(outcome.to_dict(word))
                 bar(Progress(f"files {word}", len(outcomes), len(jobs)))
         except BaseException:
-            # Those that run end at their next report of progress, and leave nothing.
+            # Running jobs end at their next report of progress, and leave nothing.
             is_stopped.set()
             executor.shutdown(wait=False, cancel_futures=True)
             raise
@@ -263,7 +263,7 @@ def run_to(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Make a file of each source in a directory, and end with the status of all."""
+    """Make a file of each source in a directory; exit with the status of all."""
     if not sources:
         raise click.UsageError("Missing argument 'SOURCE'.")
     jobs = plan(sources, directory, ending, endings)
@@ -299,19 +299,19 @@ def _has_failed(outcome: _Outcome) -> bool:
 
 
 def _status(outcomes: Sequence[_Outcome]) -> int:
-    """Return 0, 1 if one has failed, and 2 where the arguments fit none of the files."""
+    """Return 0, 1 if a job failed, 2 if the arguments fit none of the files."""
     if all(isinstance(outcome.error, InvalidArgumentError) for outcome in outcomes):
         return 2
     return int(any(map(_has_failed, outcomes)))
 
 
 def find_original(file: str, directory: Path) -> str:
-    """Return the raster in a directory that has the name of a .twz file.
+    """Return the raster in a directory with the name of a .twz file.
 
     Raises
     ------
     StorageError
-        If there is none, or more than one.
+        If there is no such raster, or more than one.
     """
     from terrainwave.errors import StorageError
 
@@ -328,9 +328,7 @@ _NO_RASTERS = (".twz", ".json", ".xml", ".txt", ".prj", ".tfw")
 
 
 def refuse_unknown_raster(target: str) -> None:
-    """Refuse to replace a raster of which nothing tells that `decompress` made it.
-
-    It may be the original.
+    """Raise if the target is a raster that `decompress` may not have made, such as the original.
 
     Raises
     ------
@@ -351,7 +349,7 @@ def refuse_unknown_raster(target: str) -> None:
 
 
 def refuse_options_of_batches(to: str | None, *, skip_existing: bool, overwrite: bool) -> None:
-    """Refuse --skip-existing where nothing could be skipped.
+    """Raise for --skip-existing where nothing can be skipped.
 
     Raises
     ------
@@ -365,6 +363,6 @@ def refuse_options_of_batches(to: str | None, *, skip_existing: bool, overwrite:
 
 
 def finish(status: int) -> None:
-    """End the command with a status, unless all is well."""
+    """Exit with a status unless it is 0."""
     if status:
         sys.exit(status)

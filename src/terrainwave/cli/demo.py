@@ -1,9 +1,8 @@
-"""What `terrainwave demo` does."""
+"""Work of `terrainwave demo`."""
 
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from terrainwave.verification.metrics import ErrorReport
 # Metres.
 BOUNDS = (0.0, 1.0, 3.0, 10.0)
 
-# The one that the picture shows: large enough to be seen.
+# Bound of the drawn result, large enough to be visible.
 _DRAWN_BOUND = 10.0
 
 
@@ -36,7 +35,7 @@ class DemoResult:
     picture: str
 
     def row(self, bound: float) -> list[str]:
-        """Return the cells of the printed table's row."""
+        """Return the row of the printed table."""
         file, errors = self.files[bound], self.errors[bound]
         return [
             f"{bound:g} m",
@@ -54,7 +53,7 @@ def run_demo(
     """Compress matplotlib's elevation model of the Jacksboro fault at each of `BOUNDS`.
 
     Writes ``jacksboro.tif``, a .twz per bound and ``demo.png`` to `directory`, replacing those of
-    an earlier run; a run that fails leaves nothing.
+    an earlier run; a failed run leaves nothing.
 
     Raises
     ------
@@ -79,7 +78,7 @@ def run_demo(
 
 
 def _existing(folder: Path) -> Path:
-    """Return the folder, or the nearest one above that is there: of the same file system."""
+    """Return the folder or its nearest existing parent, which is on the same file system."""
     return next(path for path in (folder, *folder.absolute().parents) if path.exists())
 
 
@@ -90,19 +89,16 @@ def _fill(
     original = folder / "jacksboro.tif"
     with RasterSink(original, info) as sink:
         sink.write(0, 0, heights, np.ones(heights.shape, dtype=bool))
-    files, errors, decoded = {}, {}, heights
+    files, errors = {}, {}
     for bound in BOUNDS:
-        path = folder / f"jacksboro_{bound:g}m.twz"
+        path = _file(folder, bound)
         files[bound] = terrainwave.compress(original, path, max_error=bound, progress=progress)
         report = terrainwave.verify(path, original)
         if not report.ok or report.errors is None:
             raise BoundViolationError(f"{path}: {'; '.join(report.problems)}")
         errors[bound] = report.errors
-        if bound == _DRAWN_BOUND:
-            with terrainwave.open(path) as terrain:
-                decoded = terrain.read()
     picture = folder / "demo.png"
-    _draw(heights, decoded, info, picture)
+    _draw(folder, picture)
     return DemoResult(
         info.n_rows, info.n_cols, original.stat().st_size, files, errors, os.fspath(picture)
     )
@@ -114,65 +110,36 @@ def _load_heights() -> tuple[np.ndarray, RasterInfo]:
     heights = data["elevation"].astype(np.int16)
     n_rows, n_cols = heights.shape
     # The file's dx, dy are pixel sizes in degrees, xmin and ymax the outer corner.
-    transform = (
-        float(data["dx"]),
-        0.0,
-        float(data["xmin"]),
-        0.0,
-        -float(data["dy"]),
-        float(data["ymax"]),
-    )
-    return heights, RasterInfo(
-        n_rows,
-        n_cols,
-        "int16",
-        crs="EPSG:4326",
-        transform=transform,
-        units="m",
-        area_or_point="Area",
-    )
+    dx, dy, left, top = (float(data[name]) for name in ("dx", "dy", "xmin", "ymax"))
+    info = RasterInfo(
+        n_rows, n_cols, "int16", crs="EPSG:4326", transform=(dx, 0.0, left, 0.0, -dy, top),
+        units="m", area_or_point="Area",
+    )  # fmt: skip
+    return heights, info
 
 
-def _draw(heights: np.ndarray, decoded: np.ndarray, info: RasterInfo, picture: Path) -> None:
-    """Draw original, decoded and error side by side, hillshaded."""
-    from matplotlib.colors import LightSource
+def _draw(folder: Path, picture: Path) -> None:
+    """Draw original, decoded heights and their error side by side."""
     from matplotlib.figure import Figure
 
-    # A degree is 111 km of latitude; here, at 36.5 degrees north, 0.8 of that of longitude.
-    dy = abs(info.transform[4]) * 111_200
-    dx = info.transform[0] * 111_200 * np.cos(np.radians(info.transform[5]))
-    light = LightSource(azdeg=315, altdeg=45)
     figure = Figure(figsize=(15, 4.4), layout="constrained", dpi=110)
     axes = figure.subplots(1, 3)
-    limits: dict[str, Any] = {"vmin": heights.min(), "vmax": heights.max()}
-    bound = f"{_DRAWN_BOUND:g} m"
-    for axis, grid, title in (
-        (axes[0], heights, "original"),
-        (axes[1], decoded, f"decoded, every height within {bound}"),
-    ):
-        shaded = light.shade(
-            grid.astype(np.float64),
-            cmap=_ramp(),
-            blend_mode="soft",
-            vert_exag=1.5,
-            dx=dx,
-            dy=dy,
-            **limits,
-        )
-        axis.imshow(shaded)
+    heights = []
+    titles = "original", f"decoded, every height within {_DRAWN_BOUND:g} m"
+    for axis, bound, title in zip(axes[:2], (0.0, _DRAWN_BOUND), titles, strict=True):
+        with terrainwave.open(_file(folder, bound)) as terrain:
+            terrain.plot(axis)
+            heights.append(terrain.read().astype(np.int32))
         axis.set_title(title)
-    error = decoded.astype(np.int32) - heights
+    error = heights[1] - heights[0]
     image = axes[2].imshow(error, cmap="RdBu_r", vmin=-_DRAWN_BOUND, vmax=_DRAWN_BOUND)
+    axes[2].set_aspect(axes[0].get_aspect())
     axes[2].set_title("decoded − original")
+    axes[2].set_axis_off()
     figure.colorbar(image, ax=axes[2], shrink=0.8, label="m")
-    for axis in axes:
-        axis.set_xticks([])
-        axis.set_yticks([])
     with storage_errors(f"cannot write {picture}"):
         figure.savefig(picture)
 
 
-def _ramp() -> Any:
-    import matplotlib
-
-    return matplotlib.colormaps["gist_earth"]
+def _file(folder: Path, bound: float) -> Path:
+    return folder / f"jacksboro_{bound:g}m.twz"

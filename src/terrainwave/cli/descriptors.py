@@ -1,14 +1,14 @@
 """stdin, stdout and stderr of the process: closed ones, full ones, and what they cannot show."""
 
+import errno
 import io
 import os
 import re
 import sys
 import tempfile
-import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import BinaryIO, TextIO
+from typing import Any, BinaryIO, TextIO
 
 import click
 
@@ -16,13 +16,6 @@ from terrainwave.errors import StorageError
 
 _NAMES = ("stdin", "stdout", "stderr")
 _closed: set[str] = set()
-# What writes to stdout; where that is not buffered, nothing else tells its errors from others'.
-_PRINTING = {
-    ("click.utils", "echo"),
-    ("rich.console", "_write_buffer"),
-    ("terrainwave.cli.streams", "_write"),
-}
-
 
 # A line of libtiff's own, which names no file: one for each tile that it cannot write.
 _OF_LIBTIFF = re.compile(rb"_?tiff\w+: ", re.IGNORECASE)
@@ -30,6 +23,24 @@ _OF_LIBTIFF = re.compile(rb"_?tiff\w+: ", re.IGNORECASE)
 
 class StdoutError(OSError):
     """Stdout cannot take what a command writes there."""
+
+
+class _Stdout(io.FileIO):
+    """Descriptor of stdout, whose errors are `StdoutError` whichever library prints."""
+
+    def write(self, data: Any, /) -> int:
+        # Unbuffered, nobody else writes the rest of what was written in part.
+        left = memoryview(data).cast("B")
+        n_bytes = len(left)
+        try:
+            while left:
+                written = super().write(left)
+                if written is None:  # a pipe that is full and does not wait
+                    raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+                left = left[written:]
+            return n_bytes
+        except OSError as error:
+            raise StdoutError(error.errno, error.strerror) from error
 
 
 class _Lost(io.TextIOWrapper):
@@ -45,7 +56,7 @@ class _Lost(io.TextIOWrapper):
 
 
 def prepare_streams() -> None:
-    """Open what is closed, and let stdout and stderr escape what their encoding lacks.
+    """Open what is closed, mark errors of stdout, and escape what an encoding lacks.
 
     A closed descriptor would be that of the next file which is opened, into which libraries would
     write their messages. Python has None for its stream.
@@ -60,9 +71,26 @@ def prepare_streams() -> None:
         if getattr(sys, name) is None:
             _closed.add(name)
             setattr(sys, name, _substitute(number))
+    _mark_errors()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
             stream.reconfigure(errors="backslashreplace")
+
+
+def _mark_errors() -> None:
+    """Let stdout, if it is the process's own, write by `_Stdout`."""
+    ours = sys.stdout
+    buffer = getattr(ours, "buffer", None)
+    raw = getattr(buffer, "raw", buffer)
+    if type(raw) is not io.FileIO or raw.fileno() != 1 or not isinstance(ours, io.TextIOWrapper):
+        return
+    with suppress(OSError):
+        ours.flush()
+    new: Any = _Stdout(1, "w", closefd=False)
+    sys.stdout = type(ours)(
+        new if buffer is raw else io.BufferedWriter(new), encoding=ours.encoding,
+        errors=ours.errors, line_buffering=ours.line_buffering, write_through=ours.write_through,
+    )  # fmt: skip
 
 
 def _substitute(number: int) -> TextIO:
@@ -73,38 +101,13 @@ def _substitute(number: int) -> TextIO:
 
 
 def check_open(name: str) -> None:
-    """Raise `StorageError` if stdin or stdout is closed: a file is to be read or written there."""
+    """Raise `StorageError` if stdin or stdout is closed, where a file must be read or written."""
     if name in _closed:
         action = "read" if name == "stdin" else "write"
         raise StorageError(
             f"cannot {action} {name}: it is closed; expected a pipe or a file, or a name instead"
             " of -"
         )
-
-
-def is_of_stdout(error: BaseException) -> bool:
-    """Say whether an error is stdout's: what prints has raised it, or a buffer still holds text."""
-    if isinstance(error, StdoutError) or not isinstance(error, OSError):
-        return isinstance(error, StdoutError)
-    if isinstance(error, StorageError):
-        return False
-    if _raised_in(error) in _PRINTING:
-        return True
-    try:
-        sys.stdout.flush()
-    except OSError as again:
-        return again.errno == error.errno
-    except ValueError:  # it has been closed meanwhile
-        return False
-    return False
-
-
-def _raised_in(error: BaseException) -> tuple[str, str]:
-    """Return module and function of the innermost frame that an error comes from."""
-    module = function = ""
-    for frame, _ in traceback.walk_tb(error.__traceback__):
-        module, function = str(frame.f_globals.get("__name__")), frame.f_code.co_name
-    return module, function
 
 
 def discard_stdout() -> None:

@@ -1,4 +1,4 @@
-"""What `terrainwave doctor` finds: whether the system's GDAL reads .twz files, and what to do."""
+"""Check of the system's GDAL for `terrainwave doctor`: whether it reads .twz files, and advice."""
 
 import os
 import shutil
@@ -11,30 +11,30 @@ _COMMAND = "gdalinfo"
 _DRIVER = "TWZ"
 _PLUGIN = "gdal_TWZ"
 _PATIENCE = 60  # seconds
-# The driver's first release of GDAL.
+# First GDAL release that the driver supports.
 _OLDEST = (3, 6)
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found.
+    """Result of the check.
 
     Attributes
     ----------
     terrainwave : str
-        The version of this package.
+        Version of this package.
     command : str or None
-        Where GDAL's command was found; None if nowhere on the PATH.
+        Path of GDAL's command; None if it is not on the PATH.
     gdal : str or None
-        GDAL's version, as it tells it.
+        Version of GDAL.
     reads_twz : bool
-        Whether this GDAL has the driver.
+        This GDAL has the driver.
     advice : tuple of str
-        What to do, a sentence each; empty if nothing.
+        Steps to take, a sentence each; empty if none.
     rasterio : str
-        GDAL's version in the rasterio of this Python.
+        Version of GDAL in this Python's rasterio.
     rasterio_reads_twz : bool
-        Whether that one has the driver.
+        That GDAL has the driver.
     """
 
     terrainwave: str
@@ -46,7 +46,6 @@ class Diagnosis:
     rasterio_reads_twz: bool
 
     def lines(self) -> list[str]:
-        """Return what to print."""
         lines = [f"terrainwave {self.terrainwave}"]
         if self.gdal:
             knows = "reads .twz files" if self.reads_twz else "does not read .twz files"
@@ -64,7 +63,7 @@ class Diagnosis:
 
 
 def diagnose() -> Diagnosis:
-    """Ask the GDAL whose commands are on the PATH, and rasterio."""
+    """Check the GDAL whose commands are on the PATH, and rasterio."""
     command = shutil.which(_COMMAND)
     version, problems, has_driver = _ask(command) if command else (None, [], False)
     of_rasterio, rasterio_has_driver = _ask_rasterio()
@@ -80,7 +79,7 @@ def diagnose() -> Diagnosis:
 
 
 def _ask(command: str) -> tuple[str | None, list[str], bool]:
-    """Return GDAL's version, its complaints of drivers, and whether ours is there."""
+    """Return GDAL's version, its error messages on drivers, and whether it has ours."""
     told = _output(command, "--version")
     words = told[0].replace(",", " ").split() if told and told[0].startswith("GDAL ") else []
     described = _output(command, "--format", _DRIVER)
@@ -91,7 +90,7 @@ def _ask(command: str) -> tuple[str | None, list[str], bool]:
 
 
 def _output(*command: str) -> list[str]:
-    """Return the lines that a command prints; none if it cannot be run."""
+    """Return the lines that a command prints; an empty list if it cannot be run."""
     try:
         ended = subprocess.run(
             command, capture_output=True, text=True, errors="replace", timeout=_PATIENCE,
@@ -103,8 +102,8 @@ def _output(*command: str) -> list[str]:
 
 
 def _ask_rasterio() -> tuple[str, bool]:
-    """Return the version of GDAL in this Python's rasterio, and whether the driver is there."""
-    # Imported here: the command's help needs no rasterio.
+    """Return the version of GDAL in this Python's rasterio, and whether it has the driver."""
+    # Imported here, because the command's help needs no rasterio.
     import rasterio
 
     with rasterio.Env() as environment:
@@ -112,14 +111,14 @@ def _ask_rasterio() -> tuple[str, bool]:
 
 
 def _advice(command: str | None, version: str | None, problems: list[str]) -> list[str]:
-    """Return what to do where the driver is not there."""
+    """Return advice if the driver is missing."""
     if command is None:
         return [
             f"found no {_COMMAND} on the PATH: install GDAL's commands (Debian: gdal-bin), or add"
             " their folder to the PATH, and ask again"
         ]
     if version is None:
-        return [f"{command} does not tell GDAL's version: run `{_COMMAND} --version` to see why"]
+        return [f"{command} does not print GDAL's version: run `{_COMMAND} --version` to see why"]
     minor = ".".join(version.split(".")[:2])
     if _is_older(version):
         return [
@@ -156,7 +155,7 @@ def _is_older(version: str) -> bool:
 
 
 def _has_plugin(folder: str, minor: str) -> bool:
-    """Say whether a folder has the driver; GDAL prefers a subfolder of its minor version."""
+    """Return whether a folder has the driver; GDAL prefers a subfolder of its minor version."""
     own = os.path.join(folder, minor)
     try:
         names = os.listdir(own if os.path.isdir(own) else folder)

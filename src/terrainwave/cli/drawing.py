@@ -1,4 +1,4 @@
-"""What render and view share: options, the style of them, notes on what will be seen."""
+"""Options, style and notes that render and view share."""
 
 import re
 from collections.abc import Callable
@@ -13,11 +13,11 @@ from terrainwave.render.look.colorings import AUTO, MEANINGS, RAMP_NAMES
 from terrainwave.render.modes import MODES
 
 RAMPS = click.Choice([AUTO, *RAMP_NAMES])
-# In a line each: the blank lines keep click from filling them.
+# One line each: the blank lines keep click from joining them.
 COLORING_HELP = "Meaning of the colours.\n\n\b\n" + "\n".join(
     f"{name}: {meaning}" for name, meaning in MEANINGS.items()
 )
-# Metres: land that is lower is worth a note.
+# Metres: lower land is worth a note.
 _SEEN_DEPTH = -1.0
 POSITIVE = click.FloatRange(min=0, min_open=True)
 
@@ -119,7 +119,7 @@ def drawing(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def announce_preparation(options: dict[str, Any]) -> None:
-    """Say why it takes long, where a mode looks at every sample before its first picture."""
+    """Explain the wait if a mode reads every sample before its first picture."""
     from terrainwave.render.modes import mode_class
 
     preparation = mode_class(options["mode"]).preparation(options["error"])
@@ -128,7 +128,7 @@ def announce_preparation(options: dict[str, Any]) -> None:
 
 
 def suggest_exaggeration(frame: Any) -> None:
-    """Note that nothing of the heights will be seen, where that is so."""
+    """Print a note if the relief is too small to be visible."""
     factor = frame.suggested_exaggeration
     if factor is not None:
         print_note(
@@ -138,7 +138,7 @@ def suggest_exaggeration(frame: Any) -> None:
 
 
 def note_dry_land(scene: Any, style: Any) -> None:
-    """Say that what lies below the sea is drawn as land, where that is a guess."""
+    """Print a note if ground below the sea is drawn as land by guess."""
     frame = scene.scene.frame
     lowest = min(frame.heights, key=frame.to_metres)
     if not style.is_absolute(frame.body) or style.sea_level != AUTO:
@@ -151,7 +151,7 @@ def note_dry_land(scene: Any, style: Any) -> None:
 
 
 def style_of(options: dict[str, Any]) -> Any:
-    """Return the style of the options, and take them out."""
+    """Remove the style options and return the style."""
     from terrainwave.render.look.style import Style
 
     names = ("coloring", "ramp", "sea_level", "sun", "haze", "wireframe", "background")

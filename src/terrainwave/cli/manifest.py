@@ -1,8 +1,8 @@
-"""What a batch has made in a directory, so that the next one leaves out what would be the same.
+"""Record of a batch's results in a directory, so that the next run skips unchanged ones.
 
-A file of lines, one JSON object for each target; the last one of a name counts. It spares
-reading: a target that it does not know, or whose files have another size or time, is compared with
-its source, or made again.
+The file has one JSON object per line and target; the last entry of a name counts. It only saves
+work: a target that is not listed, or whose files have another size or time, is compared with its
+source, or made again.
 """
 
 import json
@@ -16,29 +16,29 @@ from typing import Any
 from terrainwave.progress import ProgressCallback
 
 NAME = ".terrainwave-manifest.jsonl"
-# Beyond some for each target, it is written anew.
+# With more lines per target than this, the file is rewritten.
 _MOST_LINES = 100
 UNKNOWN = "no manifest says what it was made of"
 
-# Source, target, what the manifest says against the target: why it is not what the command makes
-# of the source; None if it is.
+# Takes source, target, and the difference found by the manifest; returns why the target is not what
+# the command makes of the source, None if it is.
 Compare = Callable[[str, str, str, ProgressCallback], str | None]
 
 
 class Manifest:
-    """What lies in a directory of targets, and what it was made of.
+    """Targets in a directory, and their sources.
 
     Parameters
     ----------
     directory : path
     asked : dict
-        The command and its options, in values that JSON has.
+        The command and its options, as values for JSON.
     files_of : callable
-        Names the files that a source is read from; none if that cannot be told.
+        Returns the files that a source is read from; an empty list if they are unknown.
     compare : callable
-        Is asked about targets that exist and that the manifest does not know as they are.
+        Compares existing targets that the manifest does not confirm.
     skips : bool
-        Whether what is there may be left out; otherwise targets are only written down.
+        Skip targets that are up to date; otherwise only record targets.
     """
 
     def __init__(
@@ -60,11 +60,11 @@ class Manifest:
 
     @contextmanager
     def checked(self, source: str, target: str, progress: ProgressCallback) -> Iterator[str | None]:
-        """Give why a target has to be made again, "" if there is none; None if it is as asked.
+        """Yield why a target has to be made again ("" if it is new); None if it is up to date.
 
-        It is written down when the block ends without exception.
+        The target is recorded when the block ends without an exception.
         """
-        # Before the source is read: what changes meanwhile is noticed by the next run.
+        # Taken before the source is read, so that the next run notices changes made meanwhile.
         sources = self._source_states(source)
         name = os.path.relpath(target, self._path.parent).replace(os.sep, "/")
         before = self._entries.get(name)
@@ -79,21 +79,21 @@ class Manifest:
             self._write(entry)
 
     def _source_states(self, source: str) -> list[list[Any]] | None:
-        """Return name, size and times of each file of a source; None if they cannot be told."""
+        """Return name, size and times of each file of a source; None if they are unknown."""
         from terrainwave.errors import TerrainwaveError
 
         try:
             names = self._files_of(source)
-            # The time of change too: copying tools set that of writing back to the original's.
+            # Includes the time of change: copying tools copy the time of modification.
             return [
                 [os.path.abspath(name), *_state(name), os.stat(name).st_ctime_ns] for name in names
             ] or None
-        except (TerrainwaveError, OSError):  # what reads it says so; or it is no file here
+        except (TerrainwaveError, OSError):  # reading reports it, or it is not a local file
             return None
 
     def _write(self, entry: dict[str, Any]) -> None:
-        """Add a line; without one, the next run looks at the files themselves."""
-        # The line feed comes first: a line that was cut off spoils no other.
+        """Append a line; without it, the next run compares the files themselves."""
+        # The line feed comes first: a truncated line spoils no other.
         line = "\n" + _line(entry)
         with self._lock:
             self._entries[entry["target"]] = entry
@@ -102,7 +102,7 @@ class Manifest:
 
 
 def _difference(before: dict[str, Any] | None, now: dict[str, Any]) -> str | None:
-    """Return what an entry says against a target that is there; None if nothing."""
+    """Return how an existing target differs from its entry; None if it does not."""
     if before is None:
         return UNKNOWN
     if before.get("asked") != now["asked"]:
@@ -118,7 +118,7 @@ def _state(path: str) -> list[int]:
 
 
 def _read_entries(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the last entry of each target; lines that are none are passed over."""
+    """Return the last entry of each target; malformed lines are ignored."""
     entries: dict[str, dict[str, Any]] = {}
     try:
         lines = path.read_text(encoding="ascii", errors="replace").splitlines()
@@ -135,7 +135,7 @@ def _read_entries(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def _shorten(path: Path, entries: dict[str, dict[str, Any]]) -> None:
-    """Leave one line for each target. What another run adds meanwhile is compared once more."""
+    """Keep one line per target. Targets that another run adds meanwhile are compared again."""
     from terrainwave.container.targets.publication import publish
     from terrainwave.errors import StorageError
 

@@ -1,4 +1,4 @@
-"""Types of option values; a wrong value is one line: what was found, what was expected."""
+"""Types of option values; a wrong value gives one line: found, expected."""
 
 import math
 import os
@@ -28,21 +28,19 @@ TILE_SIZES = tuple(2**n + 1 for n in range(1, 15))
 
 
 def complete_files(_: Any, __: Any, incomplete: str) -> list[CompletionItem]:
-    """Let the shell complete the name of a file."""
     return [CompletionItem(incomplete, type="file")]
 
 
 class _Path(click.ParamType):
-    """A name that the shell completes."""
+    """Name that the shell completes."""
 
     completes = "file"
 
     def shell_complete(self, _: Any, __: Any, incomplete: str) -> list[CompletionItem]:
-        """Let the shell complete the name."""
         return [CompletionItem(incomplete, type=self.completes)]
 
     def named(self, value: Any, param: Any, ctx: Any) -> str:
-        """Return the name, which is not empty."""
+        """Return the name; raise if it is empty."""
         try:
             return checked_path(value)
         except InvalidArgumentError as error:
@@ -50,17 +48,16 @@ class _Path(click.ParamType):
 
 
 class Name(_Path):
-    """The name of a file or folder, whatever it is for."""
+    """Name of a file or folder for any purpose."""
 
     name = "path"
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
-        """Return the name."""
         return self.named(value, param, ctx)
 
 
 class Target(_Path):
-    """A file to write, by a name with one of the endings; - is stdout where that is allowed."""
+    """Output file with one of some endings; - is stdout where allowed."""
 
     name = "path"
 
@@ -72,7 +69,6 @@ class Target(_Path):
         self._or_url = or_url
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
-        """Return the name."""
         path = self.named(value, param, ctx)
         if path == STREAM and self._or_stdout:
             return path
@@ -89,7 +85,7 @@ class Target(_Path):
 
 
 class Directory(_Path):
-    """A directory to write; the name of an archive or of a stream is none, nor is an empty one."""
+    """Output directory; names of archives and streams are refused, as are empty ones."""
 
     name = "directory"
     completes = "dir"
@@ -99,7 +95,7 @@ class Directory(_Path):
         self._or_ending = or_ending
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
-        """Return the name; of a file where one with that ending is allowed too."""
+        """Return the name; also of a file if its ending is allowed."""
         path = self.named(value, param, ctx)
         ending = os.path.splitext(path)[1].lower()
         if ending == self._or_ending:
@@ -112,25 +108,24 @@ class Directory(_Path):
 
 
 class Input(_Path):
-    """A file to read; - is stdin, which becomes a temporary file for as long as the command runs.
+    """Input file; - is stdin, which is copied to a temporary file until the command ends.
 
-    Readers jump to and fro, which a stream cannot.
+    Readers seek, which a stream cannot.
     """
 
     name = "path"
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
-        """Return the path of what holds the bytes."""
+        """Return the path of the file or of the copy."""
         if value != STREAM or ctx is None or ctx.resilient_parsing:
             return self.named(value, param, ctx)
         return read_stream(ctx)
 
 
 class NamedInput(Input):
-    """A file to read that needs its own name or place: no stream."""
+    """Input file that needs its own name or place: not a stream."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
-        """Return the path."""
         if value == STREAM:
             self.fail("found -, expected a file name: this command cannot use streams", param, ctx)
         return self.named(value, param, ctx)
@@ -143,11 +138,10 @@ class Finite(click.ParamType):
     expected = "a finite number"
 
     def holds(self, _: float) -> bool:
-        """Say whether a finite number is one of these."""
+        """Return whether a finite number is in the range of this type."""
         return True
 
     def convert(self, value: Any, param: Any, ctx: Any) -> float:
-        """Return the number."""
         try:
             number = float(value)
         except ValueError:
@@ -158,17 +152,16 @@ class Finite(click.ParamType):
 
 
 class SeaLevel(Finite):
-    """A height of the sea, or a word for one."""
+    """Height of the sea, or a word for one."""
 
     name = "height"
     expected = f"{AUTO}, {NO_SEA} or a height"
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        """Return the word or the number."""
         return value if value in (AUTO, NO_SEA) else super().convert(value, param, ctx)
 
 
-# Of commands that make the page for browsers.
+# For commands that make the page for browsers.
 PAGE_SEA_LEVEL_OPTION = click.option(
     "--sea-level",
     type=SeaLevel(),
@@ -185,7 +178,6 @@ class Bound(Finite):
     expected = "a finite number >= 0"
 
     def holds(self, number: float) -> bool:
-        """Say whether the number is not negative."""
         return number >= 0
 
 
@@ -195,7 +187,6 @@ class Positive(Finite):
     expected = "a finite number > 0"
 
     def holds(self, number: float) -> bool:
-        """Say whether the number is positive."""
         return number > 0
 
 
@@ -205,7 +196,7 @@ class Nodata(click.ParamType):
     name = "number|only:number|none"
 
     def convert(self, value: Any, param: Any, ctx: Any) -> int | float | str:
-        """Return an int where the text is one, else a float, or the text."""
+        """Return an int if possible, else a float, or the text."""
         for kind in (int, float):
             with suppress(ValueError):
                 return kind(value)
@@ -222,7 +213,6 @@ class BlockSide(click.ParamType):
     name = "32…1024"
 
     def convert(self, value: Any, param: Any, ctx: Any) -> int:
-        """Return the side."""
         if str(value) not in map(str, BLOCKS):
             expected = ", ".join(map(str, BLOCKS))
             self.fail(f"found {value}, expected one of {expected}", param, ctx)
@@ -249,7 +239,7 @@ class TileSize(click.ParamType):
 
 
 class Numbers(click.ParamType):
-    """As many numbers as there are names, with commas between them."""
+    """Comma-separated numbers, one for each name."""
 
     def __init__(self, names: str, kind: type[int] | type[float]) -> None:
         self.name = names
@@ -257,7 +247,6 @@ class Numbers(click.ParamType):
         self._count = len(names.split(","))
 
     def convert(self, value: Any, param: Any, ctx: Any) -> tuple[int | float, ...]:
-        """Return the numbers."""
         if isinstance(value, tuple):
             return value
         try:
@@ -280,7 +269,7 @@ METHOD = click.Choice(["auto", *METHODS])
 CUTTABLE = methods_that(lambda method: method.is_cuttable)
 _EFFORTS = [f"{method.name} {method.effort}" for method in METHODS.values() if method.effort]
 EFFORT = (
-    f"How many ways of coding the encoder tries: {'; '.join(_EFFORTS)}; other methods have one."
+    f"Number of variants that the encoder tries: {'; '.join(_EFFORTS)}; other methods have one."
     f" For archives: best without --method selects {SMALLEST_METHOD.name}, whose files are"
     " 0.95 of the default's size (0.79 to 0.99), and are read 6 times as slowly."
 )
@@ -294,7 +283,7 @@ RADIUS_OPTION = click.option(
 
 
 def vertical_option(heights: str) -> Callable[[Any], Any]:
-    """Return the option --vertical, of these heights."""
+    """Return the option --vertical, with help for these heights."""
     return click.option(
         "--vertical",
         type=click.Choice(VERTICAL),
@@ -315,7 +304,7 @@ LEVEL_OPTION = click.option(
 
 
 def check_one_area(options: dict[str, Any]) -> None:
-    """Refuse a window together with bounds."""
+    """Raise if both a window and bounds are given."""
     if options["window"] and options["bounds"]:
         raise click.UsageError("found both --window and --bounds, expected one of them")
 
@@ -323,7 +312,7 @@ def check_one_area(options: dict[str, Any]) -> None:
 def add_options(
     command: Callable[..., Any], *options: Callable[[Callable[..., Any]], Callable[..., Any]]
 ) -> Callable[..., Any]:
-    """Add options to a command; help lists the last one first."""
+    """Return a decorator that adds options to a command; help lists the last one first."""
     for option in options:
         command = option(command)
     return command
@@ -340,14 +329,14 @@ def writing(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def resumable(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of commands that go on where an earlier run has ended."""
+    """Add the options of commands that continue an interrupted run."""
     return add_options(
         command,
         click.option(
             "--fresh",
             is_flag=True,
-            help="Start over, if an earlier run of the same command did not finish. Default: go on"
-            " from the work that it has finished.",
+            help="Start over, if an earlier run of the same command did not finish. Default:"
+            " continue its work.",
         ),
         click.option(
             "--temp-dir",
@@ -358,7 +347,7 @@ def resumable(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def batched(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of commands that take many files at once."""
+    """Add the options of commands that take many files."""
     return add_options(
         command,
         click.option(

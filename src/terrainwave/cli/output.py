@@ -1,7 +1,7 @@
-"""What people see: one-line errors, notes, the progress bar, tables.
+"""Output for people: one-line errors, notes, the progress bar, tables.
 
-Strings may come from untrusted files. `plain` (`arguments.in_one_line`) takes the control
-characters out of whatever is printed, and tables hold rich's `Text`, in which markup means nothing.
+Strings may come from untrusted files. `plain` (`arguments.in_one_line`) removes control characters
+from all output, and tables hold rich's `Text`, which ignores markup.
 """
 
 import functools
@@ -21,7 +21,7 @@ import click
 
 from terrainwave import interrupts
 from terrainwave.arguments import AS_IS, in_one_line
-from terrainwave.cli.descriptors import discard_stdout, is_of_stdout, prepare_streams
+from terrainwave.cli.descriptors import StdoutError, discard_stdout, prepare_streams
 from terrainwave.cli.signals import Terminated, ending_by_signals
 from terrainwave.errors import (
     CorruptStreamError,
@@ -39,7 +39,7 @@ plain = in_one_line
 
 
 def print_error(message: object, error: BaseException | None = None) -> None:
-    """Print one line on stderr, and one for each note of an error."""
+    """Print an error on one line of stderr, and each of its notes on another."""
     click.echo(f"terrainwave: {plain(message)}", err=True)
     print_notes(getattr(error, "__notes__", ()))
 
@@ -56,14 +56,14 @@ def print_note(message: object) -> None:
 
 
 def print_notes(notes: Iterable[str]) -> None:
-    """Print notes of the package, in words of the command line."""
+    """Print notes of the package in terms of the command line."""
     for note in notes:
         print_note(message_of(TerrainwaveWarning(note)))
 
 
 @contextmanager
 def reading(path: str) -> Iterator[None]:
-    """Name the file in the message of whatever is wrong with it, and say what to do."""
+    """Add the file's name, and advice, to the message of any error about it."""
     from terrainwave.container.header import NotTwzError
     from terrainwave.container.sources.addresses import display_name
 
@@ -80,7 +80,7 @@ def reading(path: str) -> Iterator[None]:
 
 @contextmanager
 def warnings_as_notes() -> Iterator[None]:
-    """Print our own warnings as one line each, without file names and line numbers."""
+    """Print our own warnings on one line each, without file names and line numbers."""
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
         if isinstance(message, TerrainwaveWarning):
@@ -108,7 +108,7 @@ def _own_options() -> set[str]:
 
 
 def _option(argument: str) -> str:
-    """Return the option for an argument of a function."""
+    """Return the option for a function's argument."""
     if argument in _own_options():
         return f"-o {argument}"
     names = {"src": "SOURCE", "dst": "TARGET", "client": "--scheduler"}
@@ -117,46 +117,43 @@ def _option(argument: str) -> str:
 
 
 def message_of(error: TerrainwaveError | TerrainwaveWarning) -> str:
-    """Return the message of an error or a warning, in words of the command line."""
+    """Return the message of an error or a warning in terms of the command line."""
     return plain(error.message_with(_option))
 
 
 class Command(click.Command):
-    """A command: an argument that cannot be is wrong usage, wherever that is found out."""
+    """Command that reports invalid arguments as wrong usage, wherever they are detected."""
 
     has_target = True
 
     def get_short_help_str(self, limit: int = 0) -> str:  # noqa: ARG002  lines are wrapped
-        """Return the first sentence of the help, as the list of commands has it."""
+        """Return the first sentence of the help, for the list of commands."""
         sentence = (self.help or "").split("\n\n")[0].partition(". ")[0]
         return " ".join(sentence.split()).rstrip(".") + "."
 
     def pointer(self, ctx: click.Context, message: str) -> str:  # noqa: ARG002  of some commands
-        """Return the command that helps where `message` says what is wrong."""
+        """Return the command whose help explains `message`."""
         return f"{ctx.command_path} --help"
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Read the arguments; what is wrong with them is wrong with this command."""
+        """Parse the arguments; errors name this command."""
         with _of_command(ctx):
             return super().parse_args(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command."""
         try:
             with _of_command(ctx):
                 return super().invoke(ctx)
         except InvalidArgumentError as error:
             raise click.UsageError(message_of(error), ctx) from error
-        except BrokenPipeError as error:  # click would end without a word
-            if is_of_stdout(error):
-                raise
+        except BrokenPipeError as error:  # click would exit silently
             raise StorageError(line_of(error)) from error
         except KeyboardInterrupt as ended:
             vars(ended)["left"] = self._left()
             raise
 
     def _left(self) -> str:
-        """Return what an interruption leaves, for its message."""
+        """Return the part of an interruption's message on the files that it leaves."""
         names = [name for name in interrupts.complete() if "://" in name or os.path.lexists(name)]
         if len(names) > 1:
             return f"; {len(names):,} files are complete, {names[0]} the first"
@@ -166,14 +163,14 @@ class Command(click.Command):
 
 
 class CommandWithoutTarget(Command):
-    """A command that leaves its files as they are."""
+    """Command without an output file."""
 
     has_target = False
 
 
 @contextmanager
 def _of_command(ctx: click.Context) -> Iterator[None]:
-    """Let wrong usage name the command that it is of: click's parser does not say."""
+    """Attach this command to usage errors: click's parser leaves it out."""
     try:
         yield
     except click.UsageError as error:
@@ -182,12 +179,12 @@ def _of_command(ctx: click.Context) -> Iterator[None]:
 
 
 class Commands(click.Group):
-    """A click group whose errors are one line each and which sets the exit status."""
+    """click group whose errors are one line each and which sets the exit status."""
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        """Run a command as all that this process does, by `main`, unless a program names its words.
+        """Run a command as the process's only work, unless a program passes its own arguments.
 
-        Such a program may go on after the end, and wants its signals.
+        Such a program continues afterwards and handles its signals itself.
         """
         is_process = not args and kwargs.get("args") is None
         return self.main(*args, is_process=is_process, **kwargs)
@@ -197,7 +194,7 @@ class Commands(click.Group):
     ) -> Any:
         """Run a command; never returns in standalone mode.
 
-        With `is_process`, signals that come after its end change nothing: the process ends.
+        With `is_process`, signals after the command's end are ignored: the process ends.
         """
         run: Any = super().main
         if not standalone_mode:
@@ -222,29 +219,28 @@ class Commands(click.Group):
             print_error(error.format_message())
             sys.exit(1)
         except click.Abort as error:
-            # click turns what is raised for signals into Abort.
+            # click turns exceptions of signals into Abort.
             ended = error.__cause__
             number = ended.number if isinstance(ended, Terminated) else signal.SIGINT
             word = "interrupted" if number == signal.SIGINT else "terminated"
             print_error(f"{word}{getattr(ended, 'left', '')}", ended)
             sys.exit(128 + number)
-        except Exception as error:  # noqa: BLE001  whatever comes from below is one line, too
-            if not is_of_stdout(error):
-                print_error(line_of(error), error)
-            else:
-                discard_stdout()
-                if not isinstance(error, BrokenPipeError):  # head has seen enough
-                    from terrainwave.container.spool import cannot_write
+        except StdoutError as error:
+            from terrainwave.container.spool import cannot_write
 
-                    print_error(cannot_write("stdout", error))
+            discard_stdout()
+            print_error(cannot_write("stdout", error))
+            sys.exit(1)
+        except Exception as error:  # noqa: BLE001  whatever comes from below is one line, too
+            print_error(line_of(error), error)
             sys.exit(1)
 
 
 def line_of(error: Exception, *, advice: str = "--threads 1, a smaller --block or --window") -> str:
-    """Return what went wrong in one line, whichever library found out.
+    """Return an error as one line, whichever library raised it.
 
-    `advice` is what to try where memory is short. The traceback of what is not expected is printed
-    before if ``TERRAINWAVE_TRACEBACK=1``.
+    `advice` says what to try if memory is short. With ``TERRAINWAVE_TRACEBACK=1`` the traceback of
+    an unexpected error is printed first.
     """
     if isinstance(error, TerrainwaveError):
         return message_of(error)
@@ -277,8 +273,8 @@ def line_of(error: Exception, *, advice: str = "--threads 1, a smaller --block o
 class Bar:
     """A progress bar on a terminal; call it with a `Progress`.
 
-    Elsewhere nothing, or lines for a program if ``TERRAINWAVE_PROGRESS=lines``: an older command
-    would refuse an option that it does not know.
+    Without a terminal it prints nothing, or with ``TERRAINWAVE_PROGRESS=lines`` lines for programs
+    (a variable, because older versions would refuse an unknown option).
     """
 
     def __init__(self, *, quiet: bool = False) -> None:
@@ -291,7 +287,6 @@ class Bar:
             self._bar = _rich_bar()
 
     def __call__(self, progress: "Progress") -> None:
-        """Show how far the work is."""
         if self._prints_lines:
             line = f"progress: {progress.stage} {100 * progress.done // max(progress.total, 1)} %"
             if line != self._line:
@@ -324,7 +319,7 @@ class Bar:
         )
 
     def echo(self, line: str) -> None:
-        """Print a line on stdout, above the bar where both are on the same terminal."""
+        """Print a line on stdout, above the bar if both are on the same terminal."""
         if self._bar is not None and sys.stdout.isatty():
             self._bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
         else:
@@ -373,7 +368,7 @@ def _rich_bar() -> Any:
 
 
 def announce_compiling(*, quiet: bool = False) -> None:
-    """Say why the first run on a machine takes seconds, as soon as something is compiled."""
+    """Explain the seconds of a machine's first run, as soon as something is compiled."""
     if not quiet:
         _announce_once()
 
@@ -384,8 +379,8 @@ def _announce_once() -> None:
     from terrainwave.coding.kernel_places import KernelPlace
 
     def tell(place: KernelPlace) -> None:
-        if place.kept_in is None:  # a note says why
-            words = "compiling kernels, for this run alone: this takes some seconds"
+        if place.kept_in is None:  # a note gives the reason
+            words = "compiling kernels, for this run only: this takes some seconds"
         else:
             words = "compiling kernels for this machine, once: this takes some seconds"
         if place.instead_of:
@@ -424,7 +419,7 @@ def print_grid(header: list[str], rows: list[list[str]]) -> None:
 
 
 def print_json(fields: dict[str, Any], *, with_notes: bool = True) -> None:
-    """Print a result as JSON, with the notes that were printed: they say what was left out."""
+    """Print a result as JSON, with the notes that were printed, as they tell what was left out."""
     if with_notes:
         own = fields.get("notes", [])
         known = {message_of(TerrainwaveWarning(note)) for note in own}
@@ -433,13 +428,13 @@ def print_json(fields: dict[str, Any], *, with_notes: bool = True) -> None:
 
 
 def print_json_line(fields: dict[str, Any]) -> None:
-    """Print a result of many as one line of JSON, at once."""
+    """Print one of several results as a line of JSON, flushed."""
     click.echo(json.dumps(plain_json(fields), allow_nan=False))
     sys.stdout.flush()
 
 
 def plain_json(value: Any) -> Any:
-    """Return `value` with the numbers that JSON lacks as strings."""
+    """Return `value` with strings for the numbers that JSON lacks."""
     if isinstance(value, dict):
         return {name: plain_json(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
@@ -450,18 +445,18 @@ def plain_json(value: Any) -> Any:
 
 
 def unit_behind(units: str | None) -> str:
-    """Return the unit to print behind a height, or nothing if it is unknown."""
+    """Return the unit to print after a height; "" if it is unknown."""
     return f" {plain(units)}" if units else ""
 
 
 def note_unit(units: str | None) -> None:
-    """Say that errors have no unit, where the raster names none."""
+    """Print a note that errors have no unit if the raster names none."""
     if not units:
         print_note("the raster names no vertical unit: errors are in the unit of its heights")
 
 
 def vertical_in_words(about: dict[str, Any]) -> str:
-    """Return what heights on the globe are, as files tell it in a few fields."""
+    """Describe heights on the globe from the fields that files store."""
     if about["heights"] == AS_IS:
         return f"as they are ({plain(about['datum'])})" if "datum" in about else "as they are"
     grids = f" by {', '.join(map(plain, about['grids']))}" if about.get("grids") else ""

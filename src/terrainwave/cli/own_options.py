@@ -1,7 +1,7 @@
 """``-o NAME=VALUE``: options of the method and of the kind of meshes that a command uses.
 
-One rule for both: an option that only one method or one kind of meshes has is given by ``-o``, and
-listed by the command's help where that method or kind is named.
+An option that only one method or one kind of meshes has is given by ``-o``, and the command's help
+lists it if that method or kind is named.
 """
 
 import re
@@ -25,7 +25,7 @@ _ARGUMENTS = "terrainwave.arguments"
 
 
 class _Word(NamedTuple):
-    """An option of a method or of a kind of meshes, and what was typed for it."""
+    """Option of a method or of a kind of meshes, as typed."""
 
     name: str
     value: str | None
@@ -33,24 +33,23 @@ class _Word(NamedTuple):
 
 
 def own_option(help: str) -> Callable[[Any], Any]:
-    """Return the option -o."""
     return click.option("-o", "own", multiple=True, metavar="NAME[=VALUE]", help=help)
 
 
 def with_own_options(own: Sequence[str], options: dict[str, Any]) -> dict[str, Any]:
-    """Return options of a command with those of -o in their place.
+    """Return a command's options with those of -o merged in.
 
     Parameters
     ----------
     own : sequence of str
-        What -o was given.
+        Values of -o.
     options : dict
-        Has `mesh`, and `method` and `effort` where the command has these.
+        Has `mesh`, and `method` and `effort` if the command has these.
 
     Raises
     ------
     click.UsageError, InvalidArgumentError
-        If the method and the kind of meshes have no such option, or it cannot have the value.
+        If neither the method nor the kind of meshes has the option, or the value is invalid.
     """
     ctx = click.get_current_context()
     words = _words(own)
@@ -70,7 +69,7 @@ def with_own_options(own: Sequence[str], options: dict[str, Any]) -> dict[str, A
 
 
 def _words(own: Sequence[str]) -> dict[str, _Word]:
-    """Return the words of -o by their names."""
+    """Return the values of -o by name."""
     words: dict[str, _Word] = {}
     for text in own:
         name, sign, value = text.partition("=")
@@ -93,7 +92,7 @@ def _refuse_others(
     of_method: type[OptionSet] | None,
     of_mesh: type[OptionSet] | None,
 ) -> None:
-    """Refuse options that neither the method nor the kind of meshes has, and say who has them."""
+    """Raise for options that neither the method nor the kind of meshes has; name those that do."""
     known = [name for each in (of_method, of_mesh) if each is not None for name in each.names()]
     meshes = [kind for name in MESH_KINDS if (kind := options_of_mesh(name)) is not None]
     methods = [options_of_method(name) for name in METHODS]
@@ -112,17 +111,17 @@ def _refuse_others(
 
 
 def _typed(ctx: click.Context, argument: str) -> str:
-    """Return an option of the command as the user has given it, or that it is not given."""
+    """Return an option of the command as typed, or a note that it is missing."""
     if ctx.get_parameter_source(argument) is not ParameterSource.COMMANDLINE:
         return f"no `{argument}`"
     return f"`{argument}` {ctx.params[argument]}"
 
 
 class CommandWithOwnOptions(Command):
-    """A command whose help lists the options of the method and the meshes that are named."""
+    """Command whose help lists the options of the named method and meshes."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Keep the arguments for the help, which comes before any option is read."""
+        """Store the arguments for the help, which runs before options are parsed."""
         ctx.meta[_ARGUMENTS] = list(args)
         return super().parse_args(ctx, args)
 
@@ -134,7 +133,7 @@ class CommandWithOwnOptions(Command):
                 formatter.write_dl([(f"-o {words}", help) for words, help in kind.described()])
 
     def pointer(self, ctx: click.Context, message: str) -> str:
-        """Return the command that lists what `message` is about: -o, or all options."""
+        """Return the command that lists the options that `message` is about: -o, or all."""
         if not re.search(r"(?<!\S)'?-o\b", message):
             return super().pointer(ctx, message)
         named = dict(re.findall(r"expected --(method|mesh) (\w+)", message))
@@ -147,7 +146,7 @@ class CommandWithOwnOptions(Command):
         return f"{ctx.command_path} {words} --help"
 
     def _given(self, ctx: click.Context) -> dict[str, Any]:
-        """Return what the arguments say as far as they can be read, before any value is checked."""
+        """Return the arguments as far as they can be parsed, before values are checked."""
         args = list(ctx.meta.get(_ARGUMENTS, []))
         for known in (args, args[:-1]):  # the last option may lack its value
             with suppress(click.UsageError):
@@ -156,7 +155,7 @@ class CommandWithOwnOptions(Command):
 
 
 def _named(given: dict[str, Any]) -> list[type[OptionSet]]:
-    """Return the option sets of the method and the kind of meshes that arguments name."""
+    """Return the option sets of the named method and kind of meshes."""
     found: list[type[OptionSet] | None] = []
     if given.get("method") in METHOD.choices:
         effort = given.get("effort")

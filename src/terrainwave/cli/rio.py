@@ -14,7 +14,7 @@ _COMMANDS = ("compress", "decompress", "info", "verify", "mesh")
 
 
 class _Plugin(click.Group):
-    """A group in another program: rio prints its errors and ends with their status."""
+    """Group in another program: rio prints its errors and exits with their status."""
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command in rio's GDAL environment."""

@@ -1,7 +1,7 @@
-"""Signals that end a program: the command stops between two pieces of work and clears up.
+"""Signals that end a program: the command stops between two pieces of work and cleans up.
 
-A command has ended with status 0 to 2, or by a signal. After its end signals change nothing any
-more: who sees the status of one knows that the command was cut.
+A command ends with status 0 to 2, or by a signal. After its end signals have no effect: a signal's
+status means that the command was interrupted.
 """
 
 import queue
@@ -15,21 +15,21 @@ from types import FrameType
 
 from terrainwave import interrupts
 
-# Ctrl-C, what schedulers and containers send, and a terminal that is closed (not on Windows).
+# Ctrl-C, the signal of schedulers and containers, and a closed terminal (not on Windows).
 _SIGNALS = [
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 ]
-# Seconds after which a signal is raised wherever the program is: it may wait for a server.
+# Seconds after which a signal is raised anywhere: the program may wait for a server.
 _PATIENCE = 2.0
-# Seconds until another look if the program is where nothing may be raised.
+# Seconds until the next try if nothing may be raised where the program is.
 _AGAIN = 0.1
-# Packages that take locks without a block which gives them back, or that leave what they make in
-# an undefined state. The viewer's window: each frame checks for requests.
+# Packages that take locks outside of `with`, or leave objects half made. The viewer's window checks
+# for requests in each frame.
 _NEVER_IN = ("numba", "llvmlite", "importlib", "ctypes", "pyglet", "moderngl", "moderngl_window")
 
 
 class Terminated(KeyboardInterrupt):
-    """The process shall end; `status` is what shells expect of one that a signal ended."""
+    """Request to end the process; `status` is the one that shells expect after a signal."""
 
     def __init__(self, number: int) -> None:
         super().__init__()
@@ -38,9 +38,10 @@ class Terminated(KeyboardInterrupt):
 
 
 class _Repeater:
-    """Sends signals again after some seconds, from a thread that waits for that.
+    """Thread that sends signals again after some seconds.
 
-    A handler cannot start one: the main thread may hold a lock that every new thread takes.
+    It runs from the start, as a handler cannot start one: the main thread may hold a lock that
+    every new thread needs.
     """
 
     def __init__(self) -> None:
@@ -49,11 +50,10 @@ class _Repeater:
         self._thread.start()
 
     def send(self, number: int, seconds: float) -> None:
-        """Send a signal to the main thread in some seconds. Safe in a signal handler."""
+        """Send a signal to the main thread after some seconds. Safe in a signal handler."""
         self._asked.put((number, seconds))
 
     def close(self) -> None:
-        """Send nothing any more."""
         self._asked.put(None)
         self._thread.join()
 
@@ -72,13 +72,13 @@ class _Repeater:
 def ending_by_signals(*, is_process: bool = False) -> Iterator[None]:
     """Raise `Terminated` in the main thread after a signal, at the next `interrupts.check`.
 
-    A handler that is not the default stays, such as nohup's. Only the first signal counts: nothing
-    stops the clearing up but SIGKILL, after which the next run clears up.
+    A handler that is not the default stays, such as nohup's. Only the first signal counts. Only
+    SIGKILL stops the clean-up; then the next run cleans up.
 
     Parameters
     ----------
     is_process : bool
-        The process ends after the block. Signals are ignored from then on: the status is that of
+        The process ends after the block, so signals are ignored from then on: the status is that of
         the block.
     """
     asked = 0.0
@@ -111,7 +111,7 @@ def ending_by_signals(*, is_process: bool = False) -> Iterator[None]:
     try:
         yield
     finally:
-        # First the repeater: what it sends must find a handler.
+        # The repeater is closed first: its signals need a handler.
         if repeater is not None:
             repeater.close()
         for number, before in changed.items():
@@ -120,7 +120,7 @@ def ending_by_signals(*, is_process: bool = False) -> Iterator[None]:
 
 
 def _is_never_interrupted(frame: FrameType | None) -> bool:
-    """Return True if the main thread runs code of a package that an exception would break."""
+    """Return True if the main thread is in a package that an exception would break."""
     while frame is not None:
         if str(frame.f_globals.get("__name__")).partition(".")[0] in _NEVER_IN:
             return True
@@ -129,7 +129,7 @@ def _is_never_interrupted(frame: FrameType | None) -> bool:
 
 
 def _send_to_main_thread(number: int) -> None:
-    """Send a signal to the main thread; also ends what the system makes it wait for."""
+    """Send a signal to the main thread; this also interrupts its system calls."""
     if sys.platform == "win32":
         import _thread
 

@@ -1,23 +1,21 @@
-"""stdin and stdout in the place of files: the name -."""
+"""stdin and stdout as files: the name -."""
 
 import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
-from typing import BinaryIO
 
 import click
 
-from terrainwave.cli.descriptors import StdoutError, check_open
+from terrainwave.cli.descriptors import check_open
 
 STREAM = "-"
 _KEY = "terrainwave.stdin"
-_PART = 1 << 20
 
 
 def read_stream(ctx: click.Context) -> str:
-    """Return the path of a temporary file with what stdin gives, there until the command ends."""
+    """Copy stdin to a temporary file, removed when the command ends; return its path."""
     if ctx.meta.get(_KEY):
         raise click.UsageError("found - twice, expected one: stdin can be read once", ctx)
     ctx.meta[_KEY] = True
@@ -26,7 +24,7 @@ def read_stream(ctx: click.Context) -> str:
 
 @contextmanager
 def _stdin_file() -> Iterator[Path]:
-    # Imported here: help needs no numpy.
+    # Imported here, because help needs no numpy.
     from terrainwave.container.targets.publication import system_scratch
 
     check_open("stdin")
@@ -39,9 +37,9 @@ def _stdin_file() -> Iterator[Path]:
 
 @contextmanager
 def written(target: str, ending: str) -> Iterator[str]:
-    """Give the path to write for `target`: its own, or a temporary file that goes to stdout.
+    """Yield the path to write for `target`: its own, or a temporary file that is copied to stdout.
 
-    Nothing goes to stdout if the block ends with an exception.
+    Nothing goes to stdout if the block raises.
     """
     if target != STREAM:
         yield target
@@ -54,27 +52,14 @@ def written(target: str, ending: str) -> Iterator[str]:
     with system_scratch() as directory:
         path = directory / f"stdout{ending}"
         yield str(path)
-        stdout = sys.stdout.buffer
         with path.open("rb") as file:
-            while part := file.read(_PART):
-                _write(stdout, part)
-        _write(stdout, b"")
-
-
-def _write(stdout: BinaryIO, part: bytes) -> None:
-    """Write to stdout at once; what it cannot take is its own error, not that of a file."""
-    try:
-        stdout.write(part)
-        stdout.flush()
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        raise StdoutError(error.errno, error.strerror) from error
+            shutil.copyfileobj(file, sys.stdout.buffer)
+        sys.stdout.buffer.flush()
 
 
 @contextmanager
 def printing_beside(target: str) -> Iterator[None]:
-    """Print on stderr what says how it went, where stdout takes the file."""
+    """Print messages on stderr if stdout receives the file."""
     if target != STREAM:
         yield
         return

@@ -1,4 +1,4 @@
-"""What `terrainwave warmup` does: run each kind of work once, so that its kernels are compiled."""
+"""Work of `terrainwave warmup`: run each kind of work once, so that its kernels are compiled."""
 
 import os
 import shutil
@@ -28,24 +28,24 @@ from terrainwave.names import (
 from terrainwave.raster_io.geotiff.sink import RasterSink
 from terrainwave.raster_io.raster_info import SUPPORTED_DTYPES, RasterInfo
 
-# Rows and columns: several levels of the smallest blocks, with borders that end within one.
+# Rows and columns: several levels of the smallest blocks, with the edge inside a block.
 _SHAPE = (200, 220)
 _BLOCK = 32
 _METRES = 30.0
 
 
 def compile_kernels(tasks: Sequence[str] = ()) -> list[str]:
-    """Do small jobs of some kinds, by default all; return what was left out, and why.
+    """Run small jobs of some kinds, by default all; return the skipped ones with reasons.
 
     Parameters
     ----------
     tasks : sequence of str
-        Of `TASKS`. Each needs files, so that what ``compress`` needs is always compiled.
+        Of `TASKS`. All of them need files, so the kernels of ``compress`` are always compiled.
 
     Raises
     ------
     StorageError
-        Kernels are not kept, all or some: found out before they are compiled, if it can be.
+        If some kernels cannot be cached; detected before the compilation if possible.
     """
     # Imported here: numba.
     from terrainwave.coding.jit import all_compiled, place_of_kernels
@@ -61,7 +61,7 @@ def compile_kernels(tasks: Sequence[str] = ()) -> list[str]:
         for task in tasks or TASKS:
             try:
                 TASKS[task](folder)
-            except TerrainwaveError as error:  # a package or a driver that is not installed
+            except TerrainwaveError as error:  # a package or driver is not installed
                 left_out.append(f"{task}: {error}")
     n_kept, n_lost, reason = kept()
     if n_lost:
@@ -72,16 +72,16 @@ def compile_kernels(tasks: Sequence[str] = ()) -> list[str]:
 
 
 def keep_kernels_in(path: Path, tasks: Sequence[str], *, quiet: bool) -> int:
-    """Compile kernels into a folder, in a process that takes no others; return how many it holds.
+    """Compile kernels into a folder, in a process that uses no others; return their number there.
 
     Raises
     ------
     StorageError
-        The folder cannot be written, or not all kernels are kept.
+        If the folder cannot be written, or some kernels are not cached.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
-        for folder in (path, *filter(Path.is_dir, path.iterdir())):  # it may hold some already
+        for folder in (path, *filter(Path.is_dir, path.iterdir())):  # it may have some already
             tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
         raise StorageError(
@@ -100,15 +100,15 @@ def keep_kernels_in(path: Path, tasks: Sequence[str], *, quiet: bool) -> int:
         raise StorageError(
             f"{path}: no more kernels are kept: signal {-status} ended their process"
         )
-    if status:  # it has said why
+    if status:  # the process has printed the reason
         raise click.exceptions.Exit(status)
     return sum(1 for _ in path.rglob("*.nbc"))
 
 
 def _hills(dtype: str, quantum: int = 1) -> NDArray[np.generic]:
-    """Return heights as a GeoTIFF of the Earth would have; of int32, sums need 64 bits.
+    """Return heights like those of a GeoTIFF of the Earth; sums of int32 need 64 bits.
 
-    Whole ones are multiples of `quantum`.
+    Whole numbers are multiples of `quantum`.
     """
     rows, cols = np.mgrid[: _SHAPE[0], : _SHAPE[1]]
     heights = 100 + 40 * np.sin(rows / 19) * np.cos(cols / 17) + 5 * np.sin(rows * cols / 70)
@@ -117,18 +117,18 @@ def _hills(dtype: str, quantum: int = 1) -> NDArray[np.generic]:
 
 
 def _rasters(folder: Path) -> list[tuple[Path, float]]:
-    """Write a raster of each type, with voids and without; return them with bounds to try."""
+    """Write a raster of each type, with and without voids; return them with bounds to try."""
     rasters = [(_write(folder / "row.tif", _hills("int16")[:1]), 0.0)]
     for dtype in SUPPORTED_DTYPES:
         bound = 0.5 if np.dtype(dtype).kind == "f" else 0.0
-        # In steps of two: a kernel makes whole heights of other quanta than 1.
+        # Steps of two: quanta other than 1 use another kernel.
         for name, quantum in ((dtype, 1), (f"{dtype}-void", 2)):
             rasters.append((_write(folder / f"{name}.tif", _hills(dtype, quantum)), bound))
     return rasters
 
 
 def _write(path: Path, heights: NDArray[np.generic]) -> Path:
-    """Write a raster, with voids if its name says so."""
+    """Write a raster, with voids if its name asks for them."""
     has_void = path.stem.endswith("-void")
     is_float = heights.dtype.kind == "f"
     n_rows, n_cols = heights.shape
@@ -147,7 +147,7 @@ def _write(path: Path, heights: NDArray[np.generic]) -> Path:
 
 
 def _compress(folder: Path) -> None:
-    """Compress each type, and by each method, lossless and not, and prove the files."""
+    """Compress each type with each method, lossless and lossy, and prove the files."""
     for path, bound in _rasters(folder):
         is_common = path.stem.startswith(("int16", "float32"))
         for method in METHODS.values() if is_common else (DEFAULT_METHOD, SMALLEST_METHOD):
@@ -161,7 +161,7 @@ def _compress(folder: Path) -> None:
 
 
 def _files(folder: Path) -> list[Path]:
-    """Return the files of whole rasters, without meshes of their own."""
+    """Return the files of whole rasters, without stored meshes."""
     return sorted(
         path
         for path in folder.glob("*.twz")
@@ -170,7 +170,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _read(folder: Path) -> None:
-    """Read parts, levels and places, and write GeoTIFFs."""
+    """Read windows, levels and points, and write GeoTIFFs."""
     for path in _files(folder):
         with terrainwave.open(path) as terrain:
             for resampling in ("nearest", "bilinear", "average"):
@@ -185,7 +185,7 @@ def _read(folder: Path) -> None:
 
 
 def _verify(folder: Path) -> None:
-    """Compare files with their rasters, with their meshes."""
+    """Compare files with their rasters, including meshes."""
     for path in _files(folder):
         stem, _, method = path.stem.rpartition("-")
         if method == DEFAULT_METHOD.name:
@@ -193,7 +193,7 @@ def _verify(folder: Path) -> None:
 
 
 def _patch(folder: Path) -> None:
-    """Patch a part of a lossy file of each method that can be, and read the result."""
+    """Patch a part of a lossy file of each method that supports it, and read the result."""
     stem = "int16-void"
     heights = _hills("int16", 2)
     upside_down = heights.max() + heights.min() - heights[:60, :70]
@@ -211,7 +211,7 @@ def _mesh(folder: Path) -> None:
     """Make meshes of each kind, within errors and budgets."""
     for stem in ("int16", "int16-void", "float32-void"):
         path = folder / f"{stem}-{DEFAULT_METHOD.name}.twz"
-        # Those that files of every method can have; by themselves they follow no zero trees here.
+        # Kinds that files of every method can have; here they follow no zero trees.
         meshes: list[Any] = [*MESH_KINDS, terrainwave.Zerotree(labels="layer")]
         for mesh in meshes:
             target = folder / "mesh.twz"
@@ -235,7 +235,7 @@ def _render(folder: Path) -> None:
 
     for stem in ("int16-void", "float32"):
         path = folder / f"{stem}-{DEFAULT_METHOD.name}.twz"
-        # Marks by steps are other kernels; those of vertex-texture are these.
+        # Stepwise marks use kernels of their own, which vertex-texture shares.
         for mode in (*MODES, "stepwise"):
             for error in ("measured", "paper"):
                 with (
@@ -255,7 +255,7 @@ def _render(folder: Path) -> None:
 
 
 def _nothing_more(_folder: Path) -> None:
-    """Do what ``compress`` needs after its files, which every task has: nothing."""
+    """Do nothing: every task compresses its files anyway."""
 
 
 TASKS: dict[str, Callable[[Path], None]] = dict(

@@ -1,1 +1,1 @@
-"""Refiners: how one group of heights becomes a payload and comes back."""
+"""Codecs: conversion of one group of heights to a payload and back."""

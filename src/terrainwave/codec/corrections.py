@@ -1,12 +1,12 @@
-"""Corrections in the loop: heights that a patch puts back before others read them (FORMAT.md §5.4).
+"""Corrections in the loop: heights that a patch restores before others use them (FORMAT.md §5.4).
 
-A lossy file reaches multiples of its step from each prediction. Where predictions change, because
-a sample beside has changed, a sample that must stay has its old height no longer among these: the
-correction is what is missing. Refiners add it before the sample is read by others, so that changes
-end within a stencil's reach of what caused them.
+A lossy file reaches multiples of its step from each prediction. If a prediction changes, because a
+neighbour has changed, the old height of a sample that must stay is no longer one of these: the
+correction is the difference. Refiners add it before the sample is used, so changes end within a
+stencil's reach of their cause.
 
-The section has an array of the unit's region, nearly all of it 0: pieces of rows that have any, in
-these which samples, and of each sign and magnitude.
+The section codes an array of the unit's region, nearly all 0: pieces of rows that have corrections,
+in these the corrected samples, and their signs and magnitudes.
 """
 
 from typing import Any
@@ -42,25 +42,25 @@ from terrainwave.errors import CorruptStreamError
 
 # Columns of a piece, from the region's first column on.
 PIECE = 32
-# By the parity of the row; the piece before, the one above, the one above that.
+# By the parity of the row; the previous piece, the one above, the one above that.
 _PIECES = 0
-# By the parities of row and column; how many of two neighbours to the west are corrected, of two to
-# the north, of two beside the nearest of these.
+# By the parities of row and column; numbers of corrected samples among two neighbours to the west,
+# two to the north, and two next to the nearest of these.
 _SAMPLES = _PIECES + 16
 _SIZES = _SAMPLES + 4 * 27
 _PREFIX = _SIZES + N_UNARY
 N_MODELS = _PREFIX + N_PREFIX
-# Rows above, columns beside that contexts look at.
+# Rows above and columns to the sides that contexts use.
 _ABOVE, _LEFT, _RIGHT = 2, 2, 1
-# About; of a correction that nothing foretells.
+# Estimate; of a correction without context.
 _BYTES_OF_SAMPLE = 8
 
 
 def correct(height: Any, kept: Any, added: Any, place: Any, limits: Any, shown: Any) -> Any:
     """Return a height, corrected and within limits if there are corrections; of flat arrays.
 
-    Of what an encoder must keep it finds the correction: none if the height, in the range that is
-    shown, is that already.
+    An encoder computes the correction of a kept height here: none if the clamped height equals it
+    already.
     """
     if added.shape[0] == 0:
         return height
@@ -83,7 +83,7 @@ def encode_corrections(added: Heights, spec: GroupSpec) -> bytes:
     padded = np.zeros(_padded_shape(added.shape), dtype=np.int32)
     padded[_ABOVE:, _LEFT:-_RIGHT] = added
     n_bytes = added.size + _BYTES_OF_SAMPLE * int(np.count_nonzero(added)) + 64
-    while True:  # twice where that was too little, which the coder tells
+    while True:  # again with twice the room if needed
         out = np.empty(n_bytes, dtype=np.uint8)
         coder = new_encoder(out, new_models(N_MODELS))
         _code(coder, padded, *_geometry(spec))
@@ -116,10 +116,10 @@ def _padded_shape(shape: tuple[int, ...]) -> tuple[int, int]:
 
 
 def _geometry(spec: GroupSpec) -> tuple[int, int, bool, int]:
-    """Return what `_code` takes besides.
+    """Return the geometric arguments of `_code`.
 
-    The parities of the region's first row and column, whether samples on even rows and columns are
-    the parent's, and how many low bits of a magnitude are raw.
+    They are the parities of the region's first row and column, whether samples on even rows and
+    columns are the parent's, and the number of raw low bits of a magnitude.
     """
     is_group = spec.parent_region is not None
     shift = max(spec.step.bit_length() - 5, 0)
@@ -133,7 +133,7 @@ def _code(coder, padded, first_row, first_col, is_group, shift):
     state, stream, models, is_encoder = coder
     n_rows, n_cols = padded.shape[0] - _ABOVE, padded.shape[1] - _LEFT - _RIGHT
     n_pieces = (n_cols + PIECE - 1) // PIECE
-    had = np.zeros((3, n_pieces + 1), dtype=np.uint8)  # of three rows in turns; one before the row
+    had = np.zeros((3, n_pieces + 1), dtype=np.uint8)  # three rows in rotation
     at = take_out(state)
     largest = np.int64(0)
     for row in range(n_rows):
@@ -176,6 +176,6 @@ def _code(coder, padded, first_row, first_col, is_group, shift):
                 size = min(size + 1, np.int64(MAX_CORRECTION))
                 padded[r, c] = -size if is_negative else size
         if is_encoder is None and at[2] > stream.shape[0] + 4:
-            break  # `finish_decoder` says so
+            break  # `finish_decoder` reports it
     put_back(at, state)
     return largest

@@ -1,8 +1,8 @@
 """Code one unit: its mask, its heights by a refiner, its exceptions (FORMAT.md §5).
 
-Payload: one byte of flags, then the sections of mask, exceptions, remainders and corrections where
-the flags say so (each a varint length and its bytes), then the refiner's bytes to the end. An empty
-payload is a unit without a valid sample.
+Payload: one byte of flags; the flagged sections of mask, exceptions, remainders and corrections
+(each a varint length and its bytes); then the refiner's bytes to the end. An empty payload is a
+unit without a valid sample.
 """
 
 from collections.abc import Callable
@@ -24,6 +24,7 @@ from terrainwave.codec.refiner import (
     GroupSpec,
     Heights,
     Mask,
+    Raw,
     Refiner,
     Rows,
     Validity,
@@ -37,7 +38,7 @@ from terrainwave.grid.remainders import Remainders
 
 MASK_ALL_VALID, MASK_CODED = 0, 1
 _HAS_EXCEPTIONS, _HAS_REMAINDERS, HAS_CORRECTIONS = 0b10, 0b100, 0b1000
-# In the order in which they stand.
+# In file order.
 _SECTIONS = MASK_CODED, _HAS_EXCEPTIONS, _HAS_REMAINDERS, HAS_CORRECTIONS
 
 
@@ -51,25 +52,26 @@ def encode_unit(
     own: Mask | None = None,
     kept: Heights | None = None,
 ) -> tuple[bytes, Decoded]:
-    """Return the payload of a unit and what `decode_unit` makes of it.
+    """Return the payload of a unit and its decoded form.
 
     Parameters
     ----------
     target : ndarray of int32, shape ``spec.region.shape``
         Heights to approximate, in quanta; void samples hold their fill.
     mask : ndarray of bool, same shape
-        Which samples are valid. Must be False wherever the parent implies a void.
+        True for valid samples. Must be False wherever the parent implies a void.
     remainders : callable, optional
-        Returns what decoded heights leave of the originals; with ``spec.remainder_bytes`` only.
+        Returns the remainders of decoded heights; only with ``spec.remainder_bytes``.
     own : ndarray of bool, optional
-        Which samples are valid by themselves; all valid ones by default, as on the finest level.
+        True for samples that are valid by themselves; by default all valid ones, as on the finest
+        level.
     kept : ndarray of int32, optional
-        With ``spec.has_corrections`` only: heights that must come back as they are, `FREE` where
-        any height within the bound of `target` will do.
+        Only with ``spec.has_corrections``: heights that must come back exactly, `FREE` where any
+        height within the bound of `target` is accepted.
     """
     flags, sections = MASK_ALL_VALID, b""
     validity = Validity.of(mask, own)
-    if validity.own_mask is not None:  # else the parent implies no void
+    if validity.own_mask is not None:  # otherwise the parent implies no void
         if not mask.any():
             return b"", _all_void(spec)
         above = _above(spec, parent)
@@ -92,7 +94,7 @@ def encode_unit(
         np.clip(heights, spec.z_min, spec.z_max, out=heights)
     collides = _collisions(spec, heights, validity.mask)
     if collides is not None and collides.any():
-        # A height that is forbidden itself (rounding made it so) goes up where there is room.
+        # A height that equals nodata itself (after rounding) goes up if there is room.
         goes_down = (target[collides] < spec.forbidden[0]) | (spec.forbidden[1] >= spec.z_max)
         if goes_down.any():
             flags |= _HAS_EXCEPTIONS
@@ -120,12 +122,13 @@ def decode_unit(
     parent: Decoded | None,
     payload: bytes,
     rows: Rows = ALL_ROWS,
+    raw: Raw | None = None,
 ) -> Decoded:
-    """Undo `encode_unit`. The mask is not to be written to.
+    """Undo `encode_unit`. The mask is read-only. Heights may go to `raw`.
 
-    If some rows are enough, and the refiner is a `DirectRefiner`, a group may have heights in no
-    others (`Decoded.rows`), and the bytes of these may not have been looked at. Of the parent, the
-    rows that `rows_above` names have heights.
+    If only some rows are needed, and the refiner is a `DirectRefiner`, a group may have heights
+    only in these (`Decoded.rows`), and the bytes of the others may be unchecked. The parent needs
+    heights only in the rows returned by `rows_above`.
 
     Raises
     ------
@@ -153,7 +156,11 @@ def decode_unit(
     if direct is not None:
         heights = new_heights(spec.region.shape)
         labels = None
-        direct.decode_into(spec, parent_heights, mask, body, heights, corrections, rows)
+        if head.remainders or spec.forbidden[0] <= spec.forbidden[1]:
+            raw = None  # quanta are looked at
+        if direct.decode_into(spec, parent_heights, mask, body, heights, corrections, rows, raw):
+            assert raw is not None
+            return Decoded(raw.heights, head.validity, is_raw=True)
     else:
         if head.corrections:
             correcting = cast(CorrectingRefiner, refiner)
@@ -175,12 +182,12 @@ def decode_unit(
 
 
 def rows_above(refiner: Refiner, spec: GroupSpec, payload: bytes, rows: Rows) -> Rows:
-    """Return which rows of its parent heights `decode_unit` needs for some rows of a group.
+    """Return the rows of its parent that `decode_unit` needs for some rows of a group.
 
     Raises
     ------
     CorruptStreamError
-        If the payload begins with what it cannot.
+        If the payload begins with invalid bytes.
     """
     direct = as_direct(refiner)
     if direct is None:
@@ -196,12 +203,12 @@ def rows_above(refiner: Refiner, spec: GroupSpec, payload: bytes, rows: Rows) ->
 
 
 def _from_first(rows: Rows, exceptions: bytes) -> Rows:
-    """Return rows, from the first on if there are exceptions: these are counted from there."""
+    """Return rows, from the first on if there are exceptions, which are counted from there."""
     return Rows(0, rows.end) if exceptions else rows
 
 
 class Head(NamedTuple):
-    """What stands before a unit's heights: which samples are valid, other sections, its length."""
+    """Start of a unit's payload: validity, other sections, its length."""
 
     validity: Validity
     exceptions: bytes
@@ -211,7 +218,7 @@ class Head(NamedTuple):
 
 
 def read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Head:
-    """Read what stands before the heights of a payload, which is not empty.
+    """Read the sections before the heights of a non-empty payload.
 
     Raises
     ------
@@ -257,7 +264,7 @@ def _all_void(spec: GroupSpec) -> Decoded:
 
 
 def _collisions(spec: GroupSpec, heights: Heights, mask: Mask | None) -> Mask | None:
-    """Return the valid samples whose height would read as the nodata value; None if none can."""
+    """Return the valid samples whose height equals the nodata value; None if none can."""
     low, high = spec.forbidden
     if low > high:
         return None
@@ -274,7 +281,7 @@ def _resolve_collisions(
 
 
 def _decode_exceptions(section: bytes, n_collisions: int, *, is_part: bool) -> NDArray[np.bool_]:
-    """Return which heights go down; of a part of a unit, a section says more."""
+    """Return which heights go down; with `is_part` the section may have more entries."""
     if not section:
         return np.zeros(n_collisions, dtype=np.bool_)
     n_needed = (n_collisions + 7) // 8

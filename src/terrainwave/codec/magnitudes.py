@@ -1,7 +1,7 @@
 """Details in quantiser steps: expected magnitude, contexts, symbols (FORMAT.md: predictive).
 
-One number, the expected magnitude E of a detail, drives everything; where the known neighbours lie
-relative to the prediction is the second opinion.
+Contexts depend mainly on one number, the expected magnitude E of a detail, and then on the position
+of the known neighbours relative to the prediction.
 """
 
 from functools import lru_cache
@@ -32,7 +32,7 @@ _LOG_TABLE_BITS = 12
 
 def _eighth_octaves() -> np.ndarray:
     """Return floor(8 log2 v) for v below 4096 in exact integers; 0 for v = 0."""
-    table = np.zeros(1 << _LOG_TABLE_BITS, dtype=np.uint8)  # small, to stay in the first cache
+    table = np.zeros(1 << _LOG_TABLE_BITS, dtype=np.uint8)  # small enough for the first-level cache
     for value in range(1, 1 << _LOG_TABLE_BITS):
         # 2**(k/8) <= v  <=>  2**k <= v**8
         table[value] = (value**8).bit_length() - 1
@@ -92,7 +92,7 @@ N_MIXERS = 2 * UNARY_MIXERS
 _MAX_DISTANCE = 1 << 40
 INVERSE_BITS = 22
 
-# Largest magnitude any stream can give.
+# Largest magnitude in any stream.
 MAX_DETAIL = 1 << 33
 
 
@@ -113,7 +113,7 @@ def in_steps(distance, shift, inverse, bits):
 
 @kernel
 def fill_fractions(shift, inverse, bins, errors):
-    """Fill in what follows from a prediction's distance to the nearest integer, at most 32."""
+    """Fill in values that depend on a prediction's distance to the nearest integer, at most 32."""
     for k in range(N_FRACTIONS):
         bins[k] = min(in_steps(np.int64(k), shift, inverse, 3 - P_BITS), 3)
         errors[k] = in_steps(np.int64(k), shift, inverse, ERROR_BITS - P_BITS)
@@ -121,7 +121,7 @@ def fill_fractions(shift, inverse, bins, errors):
 
 @inlined_kernel
 def side_of(fraction, shift, inverse):
-    """Return to which side of a whole number a prediction lies, and how far: 0 … 6."""
+    """Return on which side of a whole number a prediction lies, and how far: 0 … 6."""
     sixth = in_steps(6 * abs(fraction), shift, inverse, 1 - P_BITS)
     sixth = min((sixth + 1) >> 1, 3)
     return 3 + sixth if fraction > 0 else 3 - sixth
@@ -129,7 +129,7 @@ def side_of(fraction, shift, inverse):
 
 @inlined_kernel
 def error_of(height, value, shift, inverse):
-    """Return how far a height is from its prediction."""
+    """Return the distance of a height from its prediction."""
     distance = abs((height << P_BITS) - value)
     return min(in_steps(distance, shift, inverse, ERROR_BITS - P_BITS), MAX_ERROR)
 
@@ -143,7 +143,7 @@ def cell_limits(step: int) -> NDArray[np.int64]:
     """
     shift, inverse = (int(part) for part in step_scale(np.int64(step)))
     cells = [[(k << low) + 1 for k in range(N_UNARY + 1)] for low in range(max(SHIFT_OF_E) + 1)]
-    # Of `in_steps`, the other way.
+    # Inverse of `in_steps`.
     places = [[-(-(c << INVERSE_BITS) // inverse) << shift for c in line] for line in cells]
     return np.array(places, dtype=np.int64) - (step >> 1)
 
@@ -151,7 +151,7 @@ def cell_limits(step: int) -> NDArray[np.int64]:
 @kernel
 def log8(value):
     """Return floor(8 log2(value)) with 12 bits of `value`; 0 for 0 or less."""
-    # Without branches: values around a limit, as on rough ground, would mispredict half of them.
+    # Branchless: values near a limit, as on rough ground, would mispredict half of the branches.
     shift = (np.int64(value >= 4096) + (value >= 1 << 20) + (value >= 1 << 28)) << 3
     return np.int64(LOG8[np.uint64(min(max(value, 0) >> shift, 4095))]) + (shift << 3)
 
@@ -184,20 +184,20 @@ def contexts_of(expected):
 
 @kernel
 def middle_bin(distance, e_floor, log_floor):
-    """Return 0 … 8: how far, in expected magnitudes, the prediction lies from a middle value."""
+    """Return 0 … 8: distance of the prediction from a middle value, in expected magnitudes."""
     size = min((log8(2 * abs(distance) + e_floor) - log_floor) >> 2, 4)
     return 4 + size if distance > 0 else 4 - size
 
 
 @kernel
 def range_bin_of(reach, e_range, log_range):
-    """Return 0 … 7: how far, in expected magnitudes, a core value reaches."""
+    """Return 0 … 7: distance of a core value, in expected magnitudes."""
     return min((log8(reach + e_range) - log_range) >> 2, N_RANGE_BINS - 1)
 
 
 @inlined_kernel
 def _n_reaching(around, limit):
-    """Return how many known neighbours lie at a distance or beyond."""
+    """Return the number of known neighbours at or beyond a distance."""
     a, b, c, d, e, f = around
     return (
         np.int64(a >= limit)
@@ -217,8 +217,8 @@ def code_detail(
     """Code a detail known not to be 0; return (detail, at).
 
     `reach_b` and `reach_a` are the distances to the highest and the lowest core value; `around` the
-    heights of the known neighbours less the prediction. `limits` are `cell_limits`, None where each
-    decision has one model only. Inlined into a loop that has all of the arguments at hand.
+    heights of the known neighbours less the prediction. `limits` are `cell_limits`, None if each
+    decision has only one model. Inlined into a loop that has all of the arguments at hand.
     """
     positive = np.int64(detail > 0)
     if limits is not None:
@@ -239,7 +239,7 @@ def code_detail(
     first_h = UNARY_H + e_bin * N_UNARY * _N_BEYOND
     mixer = UNARY_MIXERS + (e_bin >> 2)
     weights = mixers[0, mixer], mixers[1, mixer]
-    # How many known neighbours lie on the detail's side, in this unary step or a later one.
+    # Number of known neighbours on the detail's side, in this unary step or a later one.
     beyond = np.int64(0)
     if limits is not None:
         if not positive:
@@ -284,7 +284,7 @@ def code_detail(
 
 @kernel
 def _code_rest(at, state, stream, models, is_encoder, rest):
-    """Code what is beyond the unary part, 1 or more, as Exp-Golomb; return (rest, at)."""
+    """Code the part beyond the unary one, 1 or more, as Exp-Golomb; return (rest, at)."""
     n_bits = np.int64(0)
     while n_bits < N_PREFIX - 1:
         bit = np.int64(rest >> (n_bits + 1) > 0)

@@ -1,4 +1,4 @@
-"""Which samples of a unit are valid, and which by themselves (FORMAT.md §5.2).
+"""Masks of units: valid samples, and those valid by themselves (FORMAT.md §5.2).
 
 A sample of a coarse level is valid where any full-grid sample near it is. It is valid by itself,
 *own*, where the full-grid sample at its place is; the other valid ones are *fills*. On the finest
@@ -79,7 +79,7 @@ class Above(NamedTuple):
 
 
 class CodedBits(NamedTuple):
-    """What is coded, in order: models and bits; places of what is being coded."""
+    """Models and bits of a section in order, and the places of the samples being coded."""
 
     models: NDArray[np.uint8]
     bits: NDArray[np.uint8]
@@ -87,7 +87,7 @@ class CodedBits(NamedTuple):
 
 
 class _Coder(NamedTuple):
-    """What bits are read with; `places`: the next word, whether there are too few."""
+    """State of a reader of bits; `places`: the next word, and 1 if words ran out."""
 
     freqs: NDArray[np.uint32]
     words: NDArray[np.uint16]
@@ -517,7 +517,7 @@ def _join(lattice):
 
 @kernel
 def _code_planes(task, own, own_above, valid_above, row, col, lattice, n, log, coder):
-    """Code a lattice, of which the parent's samples are known; return how many bits there are."""
+    """Code a lattice whose parent samples are known; return the number of bits."""
     lattice, log, coder = borrowed((lattice, log, coder))
     _take_above(own_above, valid_above, row, col, lattice)
     for plane in (_HH, _HL, _LH):
@@ -648,7 +648,7 @@ def _packed(models: NDArray[np.uint8], bits: NDArray[np.uint8]) -> bytes:
 def _costs(
     freqs: NDArray[np.uint32], zeros: NDArray[np.int64], ones: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Return what so many bits of each model cost with each set, in 1/_UNIT bits."""
+    """Return the cost of counted bits of each model with each set, in 1/_UNIT bits."""
     of_one, of_zero = (
         np.rint(_UNIT * (SLOT_BITS - np.log2(part))).astype(np.int64)
         for part in (freqs, N_SLOTS - freqs)

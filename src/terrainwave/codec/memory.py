@@ -1,13 +1,12 @@
-"""Memory that threads take turns with, or that arrays get one after the other.
+"""Memory shared by threads in turn, or reused by consecutive arrays.
 
-What a process has not touched before costs it a page fault every 4 KB: half as much as decoding
-what goes there.
+Untouched memory costs a process a page fault every 4 KB: half as much as decoding into it.
 """
 
 import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ Memory = TypeVar("Memory")
 
 
 class Spares(Generic[Memory]):
-    """Hands out memory, and again when it has come back; as much stays as was out at once."""
+    """Pool of memory; it keeps as many objects as were in use at once."""
 
     def __init__(self, make: Callable[[], Memory]) -> None:
         self._make = make
@@ -26,7 +25,7 @@ class Spares(Generic[Memory]):
 
     @contextmanager
     def lent(self) -> Iterator[Memory]:
-        """Lend some until the end of the `with` block, to one thread."""
+        """Lend an object to one thread until the end of the `with` block."""
         try:
             memory = self._spare.pop()
         except IndexError:
@@ -37,20 +36,20 @@ class Spares(Generic[Memory]):
             self._spare.append(memory)
 
 
-# Memory that is kept for the next arrays: a window of 512 samples a side needs a dozen units.
+# Memory kept for the next arrays: a window of 512 samples a side needs a dozen units.
 _MOST_KEPT = 1 << 24
-_PIECE = 1 << 16  # sizes are multiples of this, so that what fits one unit fits most
+_PIECE = 1 << 16  # sizes are multiples of this, so that memory of one unit fits most others
 
 
 class _Recycler:
-    """Arrays whose memory is used again once nothing refers to it any more."""
+    """Arrays whose memory is reused once nothing refers to it."""
 
     def __init__(self) -> None:
         self._spare: dict[int, list[NDArray[np.uint8]]] = {}
-        self._n_bytes = 0  # about: threads may miscount by a piece
+        self._n_bytes = 0  # approximate: threads may miscount by a piece
 
     def heights(self, shape: tuple[int, int]) -> Heights:
-        """Return an array of this shape, whatever is in it."""
+        """Return an uninitialised array of this shape."""
         size = shape[0] * shape[1]
         n_bytes = -(-4 * size // _PIECE) * _PIECE
         try:
@@ -58,8 +57,8 @@ class _Recycler:
             self._n_bytes -= n_bytes
         except (KeyError, IndexError):
             memory = np.empty(n_bytes, dtype=np.uint8)
-        # All views of it refer to this array, and it refers to no other: numpy looks no further
-        # than to a memoryview.
+        # All views of it refer to this array, which refers to no other array: numpy's search for
+        # the owner ends at a memoryview.
         owner = np.frombuffer(memory.data, dtype=np.int32)
         weakref.finalize(owner, self._take_back, memory).atexit = False
         return owner[:size].reshape(shape)
@@ -74,22 +73,30 @@ new_heights = _Recycler().heights
 
 
 def flat(heights: Heights) -> tuple[Heights, int]:
-    """Return a flat array that begins with heights, and how far apart their rows lie in it.
+    """Return a flat array that begins with heights, and the distance of their rows in it.
 
     A part of a unit is not copied: its memory is that of `new_heights`.
     """
+    found = flat_view(heights)
+    if found is None:
+        copied = new_heights(heights.shape)
+        copied[:] = heights
+        found = copied.ravel(), heights.shape[1]
+    return found
+
+
+def flat_view(heights: NDArray[Any]) -> tuple[NDArray[Any], int] | None:
+    """Do as `flat` for any numbers, without a copy; None where there is no such view."""
     owner = heights.base
     if heights.flags.c_contiguous:
-        return heights.ravel(), heights.shape[1]
+        return heights.reshape(-1), heights.shape[1]
     if isinstance(owner, np.ndarray) and (owner.ndim, owner.dtype) == (1, heights.dtype):
         row_spacing, col_spacing = (size // owner.itemsize for size in heights.strides)
         if owner.flags.c_contiguous and col_spacing == 1:
             first = (_address(heights) - _address(owner)) // owner.itemsize
             return owner[first:], row_spacing
-    copied = new_heights(heights.shape)
-    copied[:] = heights
-    return copied.ravel(), heights.shape[1]
+    return None
 
 
-def _address(heights: Heights) -> int:
+def _address(heights: NDArray[Any]) -> int:
     return int(heights.__array_interface__["data"][0])

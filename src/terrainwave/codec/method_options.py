@@ -1,6 +1,6 @@
-"""The options of methods: what all have in common, and which method is meant.
+"""Options of methods: their common base, and the choice of a method.
 
-Each method has a class of its own, which its line in `names.METHODS` names.
+Each method has a class of its own, which its entry in `names.METHODS` names.
 """
 
 from dataclasses import dataclass
@@ -29,17 +29,16 @@ class MethodOptions(OptionSet):
 
     @property
     def method(self) -> Method:
-        """Return the method."""
         return METHODS[self.name]
 
     @property
     def must_stay(self) -> bool:
-        """Say whether they ask for what no other method's files have."""
+        """Return whether they require features of only this method's files."""
         return False
 
 
 class MethodChoice(NamedTuple):
-    """Which method codes a raster, and why: decided once, by `chosen`.
+    """Method of a raster and the reason for it, decided once by `chosen`.
 
     Attributes
     ----------
@@ -48,9 +47,9 @@ class MethodChoice(NamedTuple):
     effort : str
         The effort that its files state.
     reason : str
-        Why it is this method.
+        Reason for this method.
     other : Method, optional
-        What codes the raster instead if the method makes it no smaller; None: nothing does.
+        Fallback if the method does not make the raster smaller; None: no fallback.
     """
 
     own: MethodOptions
@@ -79,19 +78,19 @@ def options_of(name: str) -> type[MethodOptions]:
 
 
 def chosen(method: object, effort: str) -> MethodChoice:
-    """Decide which method codes a raster.
+    """Choose the method for a raster.
 
     Parameters
     ----------
     method : str or MethodOptions
         "auto", one of `METHODS`, or the options of one.
     effort : str
-        One of `EFFORTS`: what "auto" stands for follows from it.
+        One of `EFFORTS`, which decides the meaning of "auto".
 
     Raises
     ------
     InvalidArgumentError
-        If there is no such method or effort.
+        If the method or effort is unknown.
     """
     check_effort(effort)
     if isinstance(method, MethodOptions):
@@ -116,6 +115,6 @@ def _choice(own: MethodOptions, effort: str, reason: str) -> MethodChoice:
 
 
 def with_method(own: MethodOptions, method: Method) -> MethodOptions:
-    """Return options of another method; those that both have stay."""
+    """Return options of another method; common ones keep their values."""
     kind = options_of(method.name)
     return kind(**{name: getattr(own, name) for name in own.names() if name in kind.names()})

@@ -2,8 +2,8 @@
 
 The samples of a unit on every s-th row and column form a lattice. Its even rows and columns are the
 coarse samples (plane A); the others are coded in three passes, HH (odd row, odd column), HL (even
-row, odd column) and LH (odd row, even column), each from everything before it. Split into four
-planes, every tap of a stencil is a shifted row, so that a pass works on whole rows.
+row, odd column) and LH (odd row, even column), each from everything before it. In four separate
+planes, every tap of a stencil is a shifted row, so a pass works on whole rows.
 """
 
 from functools import lru_cache
@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from terrainwave.coding.jit import kernel
 from terrainwave.errors import CorruptStreamError
 
-PAD = 2  # samples around each plane: what the taps reach past its edge
+PAD = 2  # samples around each plane that taps reach past its edge
 A, HH, HL, LH = 0, 1, 2, 3
 WEIGHT_BITS = 12
 MAX_BEND = (1 << 31) - 1
-# Weights of a stencil have this sum, and none is more than this.
+# Sum of a stencil's weights; none is larger.
 WHOLE = 4096
 MAX_WEIGHT = (1 << 15) - 1
 
@@ -41,7 +41,7 @@ _PASS_PARITY = {A: (0, 0), HH: (1, 1), HL: (0, 1), LH: (1, 0)}
 
 
 def _resolve(pass_: int, offsets: tuple[tuple[int, int], ...]) -> NDArray[np.int64]:
-    """Return (plane, row offset, column offset) of lattice offsets seen from a pass's sample."""
+    """Return (plane, row offset, column offset) of lattice offsets from a pass's sample."""
     row_parity, col_parity = _PASS_PARITY[pass_]
     planes = {parity: plane for plane, parity in _PASS_PARITY.items()}
     taps = []
@@ -56,7 +56,7 @@ _DIAGONAL = ((-1, -1), (-1, 1), (1, -1), (1, 1))
 _ALONG_ROW, _ALONG_COL = ((0, -1), (0, 1), (-1, 0), (1, 0)), ((-1, 0), (1, 0), (0, -1), (0, 1))
 # The four nearest known samples.
 CORES = {HH: _resolve(HH, _DIAGONAL), HL: _resolve(HL, _ALONG_ROW), LH: _resolve(LH, _ALONG_COL)}
-# Samples of the same lattice whose errors of prediction are known: near ones, then far ones.
+# Samples of the same lattice with known errors of prediction: near ones, then far ones.
 NEAR = {
     HH: np.zeros((0, 3), dtype=np.int64),
     HL: _resolve(HL, ((-1, 0), (1, 0))),
@@ -67,7 +67,7 @@ FAR = {
     HL: _resolve(HL, ((-1, -2), (-1, 2), (1, -2), (1, 2))),
     LH: _resolve(LH, ((-2, -1), (2, -1), (-2, 1), (2, 1))),
 }
-# Coarse samples whose curvature is looked at.
+# Coarse samples whose curvature is used.
 BENDS = {
     HH: _resolve(HH, _DIAGONAL),
     HL: _resolve(HL, ((0, -1), (0, 1))),
@@ -105,7 +105,7 @@ PASSES = tuple(
 
 
 class FileStencil(NamedTuple):
-    """A stencil as a file stores it: trained set `base`, plus ``deltas * 2**shift`` if there are.
+    """A stencil as a file stores it: trained set `base`, plus ``deltas * 2**shift`` if any.
 
     The weight of one tap follows from the others, whose sum with it is 4096; its delta is 0.
     """
@@ -115,7 +115,7 @@ class FileStencil(NamedTuple):
     deltas: tuple[int, ...] = ()
 
     def weights(self, sets: NDArray[Any], missing: int, plane: int) -> NDArray[np.int64]:
-        """Return the weights of a plane, whose trained `sets` and `missing` tap these are.
+        """Return the weights of a plane with the trained `sets` and the `missing` tap.
 
         Raises
         ------
@@ -145,7 +145,7 @@ def parity(plane: int) -> tuple[int, int]:
     return _PASS_PARITY[plane]
 
 
-# Copies by numpy take some microseconds more for a unit, and need not be compiled.
+# numpy's copies are some microseconds slower per unit, but need no compilation.
 
 
 def split(lattice: NDArray[np.int32], planes: NDArray[np.int32]) -> None:
@@ -171,7 +171,7 @@ def _inside(plane: NDArray[np.int32], shape: tuple[int, ...]) -> NDArray[np.int3
 
 
 def reflected(place: Any, n: Any) -> Any:
-    """Return the place inside 0 … n - 1 that whole-sample symmetry puts at `place`; n >= 1."""
+    """Return the position in 0 … n - 1 that whole-sample symmetry maps to `place`; n >= 1."""
     if n == 1:
         return np.int64(0)
     while place < 0 or place >= n:
@@ -204,7 +204,7 @@ def fill_frame(
 
 @lru_cache(maxsize=256)
 def _framed(n: int, parity: int, n_lattice: int) -> list[tuple[int, int]]:
-    """Return the places of padding along an axis of a plane, and which sample each one takes."""
+    """Return the positions of padding along an axis of a plane, and the samples they copy."""
     return [
         (PAD + k, PAD + int(reflected(2 * k + parity, n_lattice) >> 1))
         for k in (*range(-PAD, 0), *range(n, n + PAD))
@@ -213,7 +213,7 @@ def _framed(n: int, parity: int, n_lattice: int) -> list[tuple[int, int]]:
 
 @kernel
 def fill_between(planes):
-    """Fill all of HH, HL and LH with means of the coarse samples around.
+    """Fill all of HH, HL and LH with means of the surrounding coarse samples.
 
     For lattices of a single row or column, where taps reach samples that don't exist.
     """
@@ -233,10 +233,10 @@ def fill_between(planes):
 def fill_bends(coarse: NDArray[np.int32], most: int, bends: NDArray[np.int32]) -> None:
     """Fill `bends` with fourth differences of the coarse plane along its row plus its column.
 
-    Places nearer than two samples to the rim of the padded plane take their neighbour's. Heights
-    lie within +/- `most`; differences above MAX_BEND count as that.
+    Positions closer than two samples to the edge of the padded plane copy their neighbour's.
+    Heights lie within +/- `most`; larger differences are clamped to MAX_BEND.
     """
-    is_narrow = most < MAX_BEND >> 4  # then 32 bits do for all of it
+    is_narrow = most < MAX_BEND >> 4  # then 32 bits are enough throughout
     heights = coarse if is_narrow else coarse.astype(np.int64)
     n_rows, n_cols = coarse.shape
     rows, cols = slice(2, n_rows - 2), slice(2, n_cols - 2)

@@ -1,13 +1,13 @@
-"""The refiner interface: how one coded unit of heights becomes a payload and comes back.
+"""Interface of refiners, which convert one coded unit of heights to a payload and back.
 
-A coded unit is a root block or a group (the four children of one block). A refiner sees its
-`GroupSpec`, the decoded heights of the parent block, and nothing else: no file, no global, no
-neighbour. That is what makes every group decodable from its ancestors alone, in any order.
+A coded unit is a root block or a group (the four children of one block). A refiner sees only its
+`GroupSpec` and the decoded heights of the parent block: no file, no global, no neighbour. That
+makes every group decodable from only its ancestors, in any order.
 """
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, Self, TypeVar, cast, runtime_checkable
+from typing import Any, NamedTuple, Protocol, Self, TypeVar, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ _Made = TypeVar("_Made")
 
 
 class Sides(NamedTuple):
-    """Which sides of a coded unit have a neighbour on the same level."""
+    """Sides of a coded unit that have a neighbour on the same level."""
 
     top: bool
     left: bool
@@ -34,7 +34,7 @@ class Sides(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Rows of a unit: the first, and the one after the last, if there are as many."""
+    """Range of rows of a unit: the first, and the one after the last, clipped to the unit."""
 
     first: int
     end: int
@@ -46,12 +46,12 @@ NOT_SHARED = Sides(False, False, False, False)
 
 @dataclass(frozen=True, kw_only=True)
 class GroupSpec(CodecParameters):
-    """Everything a refiner may know about a coded unit besides its parent's heights.
+    """Parameters of a coded unit: all that a refiner knows besides its parent's heights.
 
     Regions are in sample indices of their own level; sample (r, c) of the parent's level lies on
     sample (2r, 2c) of this one. `core` is the group itself; `region` adds the apron, the one more
-    ring of samples towards each neighbour that `rings` = 3 codes (without, it equals `core`).
-    A root block has no parent and `parent_region` is None.
+    ring of samples towards each neighbour that `rings` = 3 codes (without, it equals `core`). A
+    root block has no parent and `parent_region` is None.
     """
 
     level: int
@@ -59,11 +59,11 @@ class GroupSpec(CodecParameters):
     region: Region
     parent_region: Region | None
     shared: Sides
-    # For the choices of encoders, and the sections of a payload: no refiner may decode by it.
+    # Only for choices of encoders, and for the sections of a payload: no refiner may decode by it.
     is_finest: bool = True
-    # Whether `Decoded.labels` are wanted; without them decoding saves about 1 %.
+    # True if `Decoded.labels` are wanted; without them decoding saves about 1 %.
     wants_labels: bool = True
-    # Whether residuals of this level are quantised as the paper prints it for coarse ones.
+    # True if residuals of this level are quantised as the paper prints it for coarse levels.
     has_coarse_residuals: bool = False
 
     @classmethod
@@ -80,7 +80,7 @@ class GroupSpec(CodecParameters):
         forbidden: tuple[int, int] = (1, 0),
         effort: int = 0,
     ) -> Self:
-        """Return the spec of a unit that is part of no file, by default one without neighbours.
+        """Return the spec of a unit outside of a file, by default one without neighbours.
 
         `codec.unit_specs.unit_spec` returns those of a file's units.
         """
@@ -96,10 +96,10 @@ class GroupSpec(CodecParameters):
 
 
 class Validity(NamedTuple):
-    """Which samples of a region are valid, and which by themselves; not to be written to.
+    """Validity of a region's samples; read-only.
 
-    `mask`: None where all are valid, as in most units. `own`: None where all valid samples are
-    valid by themselves, in the full grid, and not only beside valid ones (`codec.masks`).
+    `mask`: None if all are valid, as in most units. `own`: None if all valid samples are valid by
+    themselves, in the full grid, and not only next to valid ones (`codec.masks`).
     """
 
     mask: Mask | None
@@ -107,13 +107,13 @@ class Validity(NamedTuple):
 
     @classmethod
     def of(cls, mask: Mask, own: Mask | None = None) -> Self:
-        """Return the validity that arrays stand for: each is looked through here, and only here."""
+        """Return the validity given by arrays; this is the only place that scans them."""
         is_apart = own is not None and not np.array_equal(own, mask)
         return cls(None if mask.all() else mask, own if is_apart else None)
 
     @property
     def own_mask(self) -> Mask | None:
-        """Return which samples are valid by themselves; None where all are."""
+        """Return which samples are valid by themselves; None if all are."""
         return self.mask if self.own is None else self.own
 
     @property
@@ -122,11 +122,11 @@ class Validity(NamedTuple):
         return sum(part.nbytes for part in self if part is not None)
 
     def part(self, at: tuple[slice, slice]) -> "Validity":
-        """Return that of some samples; views."""
+        """Return the validity of some samples; views."""
         return Validity(*(None if part is None else part[at] for part in self))
 
     def copy(self) -> "Validity":
-        """Return it in arrays of its own."""
+        """Return a copy with its own arrays."""
         return Validity(*(None if part is None else part.copy() for part in self))
 
 
@@ -139,7 +139,7 @@ def all_void(shape: tuple[int, int]) -> Validity:
 
 
 def as_array(mask: Mask | None, shape: tuple[int, ...]) -> Mask:
-    """Return a mask as an array, which None stands for where all samples are valid."""
+    """Return a mask as an array; None means that all samples are valid."""
     return np.ones(shape, dtype=np.bool_) if mask is None else mask
 
 
@@ -147,10 +147,11 @@ class Decoded(NamedTuple):
     """Heights (int32 quanta) and validity of a unit's region, with its zero trees if any.
 
     `labels`: a map of zero trees as in `coding.zerotrees`, one byte per finest node of the core. In
-    a group these are the samples of the parent block inside the raster, without apron. None where
-    the method has no details (`store`, raw units) or nothing is valid: nothing is known then.
-    `remainders`: what makes the heights exact (`grid.remainders`); None where all are 0.
-    `rows`: those that have heights; in others `heights` has anything, all else is known.
+    a group these are the samples of the parent block inside the raster, without apron. None if the
+    method has no details (`store`, raw units) or nothing is valid. `remainders`: differences from
+    exact heights (`grid.remainders`); None if all are 0. `rows`: the rows with decoded heights;
+    others are undefined in `heights`, but known in all else. `is_raw`: `heights` are raw heights,
+    not quanta, as a `Raw` asked for.
     """
 
     heights: Heights
@@ -158,6 +159,7 @@ class Decoded(NamedTuple):
     labels: Labels | None = None
     remainders: Remainders | None = None
     rows: Rows = ALL_ROWS
+    is_raw: bool = False
 
     @property
     def mask(self) -> Mask:
@@ -176,13 +178,24 @@ class Decoded(NamedTuple):
         return sum(part.nbytes for part in parts if part is not None)
 
     def part(self, at: tuple[slice, slice]) -> "Decoded":
-        """Return some of the samples, those of `rows`, without the zero trees; views."""
+        """Return some samples, a subset of `rows`, without the zero trees; views."""
         rest = None if self.remainders is None else self.remainders[at]
-        return Decoded(self.heights[at], self.validity.part(at), None, rest)
+        return Decoded(self.heights[at], self.validity.part(at), None, rest, is_raw=self.is_raw)
+
+
+class Raw(NamedTuple):
+    """Memory for the raw heights of a unit: its quanta plus `base`.
+
+    `heights`: its region, or all but the last row or column; a part of a flat array of whole
+    numbers that they all fit.
+    """
+
+    heights: NDArray[Any]
+    base: int
 
 
 class Refiner(Protocol):
-    """What a method implements; `codec.group` adds masks, clamping and exceptions around it."""
+    """Interface of a method; `codec.group` adds masks, clamping and exceptions."""
 
     name: str
 
@@ -191,8 +204,8 @@ class Refiner(Protocol):
     ) -> tuple[bytes, Heights, Labels | None]:
         """Return the payload and exactly what `decode` makes of it.
 
-        `mask` is None where all samples are valid. Every valid one must come back within
-        ``spec.half`` of `target`, which stays as it is: the caller still needs it.
+        `mask` is None if all samples are valid. Every valid one must come back within ``spec.half``
+        of `target`, which must not be changed: the caller still needs it.
         """
         ...
 
@@ -204,10 +217,10 @@ class Refiner(Protocol):
 
 
 class Corrections(NamedTuple):
-    """What a refiner puts back in its loop; contiguous arrays of a unit's region, or empty ones.
+    """Corrections in a refiner's loop; contiguous arrays of a unit's region, or empty ones.
 
-    `kept`: heights that an encoder must give back, `FREE` where it may choose. `added`: what is
-    added to heights before others read them; an encoder fills it, zeros before.
+    `kept`: heights that an encoder must reproduce, `FREE` where it may choose. `added`: corrections
+    added to heights before others use them; filled by an encoder, zeros before.
     """
 
     kept: Heights
@@ -227,52 +240,52 @@ class CorrectingRefiner(Protocol):
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask | None,
         corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[bytes, Heights, Labels | None]:  # fmt: skip
-        """Do as `Refiner.encode`, and give back what is to be kept."""
+        """Do as `Refiner.encode`, and reproduce the kept heights."""
         ...
 
     def decode(
         self, spec: GroupSpec, parent: Heights | None, mask: Mask | None, payload: bytes,
         corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[Heights, Labels | None]:  # fmt: skip
-        """Do as `Refiner.decode`."""
         ...
 
 
 class DirectRefiner(CorrectingRefiner, Protocol):
-    """One that decodes into memory it is given, heights within the spec's range."""
+    """A refiner that decodes into given memory; heights lie within the spec's range."""
 
     def decode_into(
         self, spec: GroupSpec, parent: Heights | None, mask: Mask | None, payload: bytes,
         out: Heights, corrections: Corrections = NO_CORRECTIONS, rows: Rows = ALL_ROWS,
-    ) -> None:  # fmt: skip
+        raw: Raw | None = None,
+    ) -> bool:  # fmt: skip
         """Do as `decode`; `out` is contiguous and has the shape of ``spec.region``.
 
-        Of a group, some rows are enough: what `payload` has of others may be left, there may be any
-        heights in them, and in rows of `parent` that `rows_above` does not name.
+        Returns whether heights went to `raw` instead. Nothing does if it raises.
+
+        If only some `rows` of a group are needed, bytes of other rows may be skipped; heights in
+        these rows, and in rows of `parent` outside `rows_above`, are undefined.
         """
         ...
 
     def rows_above(self, spec: GroupSpec, payload: bytes, rows: Rows) -> Rows:
-        """Return which rows of its parent heights some rows of a group need.
+        """Return the rows of its parent that some rows of a group need.
 
         Raises
         ------
         CorruptStreamError
-            If the payload begins with what it cannot.
+            If the payload begins with invalid bytes.
         """
         ...
 
 
 class Each(Protocol):
-    """Makes something of each of some things: `map`, or that of an executor, side by side."""
+    """Map function: `map`, or that of an executor, which runs in parallel."""
 
-    def __call__(self, make: Callable[[_T], _Made], things: Iterable[_T], /) -> Iterator[_Made]:
-        """Return what `make` returns of each thing, in their order."""
-        ...
+    def __call__(self, make: Callable[[_T], _Made], things: Iterable[_T], /) -> Iterator[_Made]: ...
 
 
 def as_direct(refiner: Refiner) -> DirectRefiner | None:
-    """Return a refiner that decodes into given memory as such; `isinstance` would take 0.1 ms."""
+    """Return a refiner that decodes into given memory, else None; `isinstance` takes 0.1 ms."""
     return cast(DirectRefiner, refiner) if hasattr(refiner, "decode_into") else None
 
 
@@ -293,7 +306,7 @@ class FittingRefiner(Refiner, Protocol):
     ) -> "FittingRefiner":
         """Return a refiner with tables fitted to a raster, the same ones on every machine.
 
-        `heights` and `mask` return targets and validity of a region of a level. Work is shared out
-        by `each`, which changes nothing of the result.
+        `heights` and `mask` return targets and validity of a region of a level. `each` distributes
+        the work and does not affect the result.
         """
         ...

@@ -1,4 +1,4 @@
-"""The refiners by the names of their methods; each is imported when it is asked for."""
+"""Registry of refiners by method; each is imported on demand."""
 
 from importlib import import_module
 
@@ -10,12 +10,12 @@ from terrainwave.names import METHODS
 def refiner_by_name(name: str, file_tables: bytes = b"") -> Refiner:
     """Return the refiner of a file's method, with the tables of its header.
 
-    Methods of tiles have none (`names.Method.is_tiled`).
+    Methods with tiles have none (`names.Method.is_tiled`).
 
     Raises
     ------
     UnsupportedVersionError
-        If this version has no such method, or doesn't know its tables.
+        If this version has no such method, or does not support its tables.
     CorruptStreamError
         If the tables contradict FORMAT.md.
     """
@@ -34,13 +34,7 @@ def refiner_by_name(name: str, file_tables: bytes = b"") -> Refiner:
 
 
 def check_file_tables(name: str, file_tables: bytes) -> None:
-    """Refuse tables of a method that has none.
-
-    Raises
-    ------
-    UnsupportedVersionError
-        If the method has none.
-    """
+    """Raise `UnsupportedVersionError` for tables of a method without tables."""
     if file_tables and not METHODS[name].has_file_tables:
         raise UnsupportedVersionError(
             f"the file has parameters for method {name}, which this terrainwave does not know:"

@@ -1,7 +1,7 @@
-"""The remainders of a unit as bytes: byte planes, deflated (FORMAT.md §5.3).
+"""Remainders of a unit as bytes: byte planes, deflated (FORMAT.md §5.3).
 
-They are noise for the most part, below what a vertical quantum tells, so that nothing predicts
-them; what deflate finds is how few bits they have, plane by plane.
+They are mostly noise below the vertical quantum, so nothing predicts them; deflate only finds out
+how few bits they have, plane by plane.
 """
 
 import zlib
@@ -23,7 +23,7 @@ def encode_remainders(rest: Remainders) -> bytes:
     if not used.size:
         return b""
     n_planes = int(used[-1]) + 1
-    # Runs and how often a byte occurs are all there is to find in noise.
+    # Noise only has runs and frequencies of bytes.
     stream = zlib.compressobj(9, strategy=zlib.Z_RLE)
     data = np.ascontiguousarray(planes[:n_planes]).tobytes()
     return bytes([n_planes]) + stream.compress(data) + stream.flush()

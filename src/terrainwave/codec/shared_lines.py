@@ -1,8 +1,8 @@
-"""Lines that neighbouring groups share, coded from the line alone (FORMAT.md §7.3).
+"""Lines that neighbouring groups share, coded from only the line itself (FORMAT.md §7.3).
 
-E. Yusov, V. Turlapov 2010, §2.3 codes contours around each group for the same end. Here each line
-is predicted in one dimension from the parent's decoded samples on it, which both neighbours hold
-identically, so both decode the same bits without seeing each other.
+E. Yusov, V. Turlapov 2010, §2.3 codes contours around each group for the same purpose. Here each
+line is predicted in one dimension from the parent's decoded samples on it. Both neighbours hold
+these identically, so both decode the same bits without seeing each other.
 """
 
 from collections.abc import Iterator
@@ -32,7 +32,7 @@ _MAG_MODELS = _N_PASSES * N_BINS
 _PREFIX_MODELS = _MAG_MODELS + _N_PASSES * N_BINS * N_UNARY
 N_BORDER_MODELS = _PREFIX_MODELS + _N_PASSES * N_PREFIX
 _EVEN, _ODD, _ROOT = 0, 1, 2
-# The context sum of corner samples and of those on the fixed grid, which have no neighbours yet.
+# Context sum of corner samples and of samples on the fixed grid, which have no neighbours yet.
 _ALONE = 16
 
 _SYNTHESIS_BITS = 14
@@ -40,7 +40,7 @@ _LIMITS = -MAX_HEIGHT, MAX_HEIGHT
 
 
 class SharedLine(NamedTuple):
-    """One line to code: its place in the region, and the place of the parent's lines under it.
+    """One line to code: its position in the region, and that of the parent's lines under it.
 
     Samples run along rows (`is_column` False: a row) or columns; `place` is the fixed index.
     ``first`` … ``stop`` - 1 are coded, the samples before and after are corner patches; `start` is
@@ -56,7 +56,7 @@ class SharedLine(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """What is shared in a region: corner samples, then lines, in coding order."""
+    """Shared samples of a region: corner samples, then lines, in coding order."""
 
     corners: list[tuple[int, int]]
     lines: list[SharedLine]
@@ -75,7 +75,7 @@ def plan_border(spec: GroupSpec) -> Plan:
     def around(place: int, size: int) -> Iterator[int]:
         return (p for p in range(place - reach, place + reach + 1) if 0 <= p < size)
 
-    # A dictionary keeps order and drops what small regions meet twice.
+    # A dictionary keeps the order and drops duplicates, which small regions have.
     corners = dict.fromkeys(
         (r, c)
         for row in rows
@@ -97,7 +97,7 @@ def plan_border(spec: GroupSpec) -> Plan:
 
 
 def shared_samples(spec: GroupSpec) -> Mask:
-    """Return which samples of a unit's region are shared: those that neighbours code as well."""
+    """Return which samples of a unit's region neighbours code as well."""
     shared = np.zeros(spec.region.shape, dtype=np.bool_)
     reach = spec.rings >> 1
     core, sides = spec.core.slices_in(spec.region), spec.shared
@@ -124,13 +124,13 @@ def code_border(
     is_nested: bool,
     corrections: Corrections = NO_CORRECTIONS,
 ) -> None:
-    """Encode the shared samples of `target`, or decode them where it is None.
+    """Encode the shared samples of `target`, or decode them if it is None.
 
     Fills `heights` and sets `is_known` at the shared samples, in place. With `is_nested`, samples
-    of a group on even rows and columns are the parent's, not coded; without, the parent is a
+    of a group on even rows and columns are the parent's and not coded; otherwise the parent is a
     low-pass level.
     """
-    if parent is None:  # the root block is alone on its level
+    if parent is None:  # the root block has no neighbours
         return
     plan = plan_border(spec)
     above = _Parent(spec, parent, is_nested)
@@ -150,7 +150,7 @@ def code_border(
         index = (at, line.place) if line.is_column else (line.place, at)
         goals = None if target is None else np.ascontiguousarray(target[index])
         coded = mask[index].copy()
-        # Only what lies before `first` and after `stop` is looked at: corner samples.
+        # Only corner samples before `first` and after `stop` are used.
         decoded = heights[index].astype(np.int64)
         predicted, is_inherited = above.predict_line(line)
         if is_inherited:
@@ -171,13 +171,13 @@ def code_border(
 
 
 def put_back(height: int, spec: GroupSpec, corrections: Corrections, place: int) -> int:
-    """Return a height outside of lattices, corrected; `place` counts the region's samples."""
+    """Return a corrected height outside of lattices; `place` counts the region's samples."""
     kept, added = corrections.kept.reshape(-1), corrections.added.reshape(-1)
     return int(correct(height, kept, added, place, _LIMITS, (spec.z_min, spec.z_max)))
 
 
 class _Parent:
-    """A parent's decoded heights, and what they predict on the lines its group shares."""
+    """A parent's decoded heights, and their predictions of the lines its group shares."""
 
     def __init__(self, spec: GroupSpec, heights: NDArray[np.int32], is_nested: bool) -> None:
         assert spec.parent_region is not None
@@ -187,7 +187,7 @@ class _Parent:
         self._is_nested = is_nested
 
     def predict_corner(self, row: int, col: int) -> tuple[int, bool]:
-        """Return the mean of the four samples around a place, and whether it is one of them."""
+        """Return the mean of the four samples around a position, and whether it is one of them."""
         heights = self._heights
         r, c = row + self._row_offset, col + self._col_offset
         last_row, last_col = heights.shape[0] - 1, heights.shape[1] - 1
@@ -198,7 +198,7 @@ class _Parent:
         return total + int(heights[r1, c1]) + 2 >> 2, is_inherited
 
     def predict_line(self, line: SharedLine) -> tuple[NDArray[np.int64], bool]:
-        """Return a line from the two around it, and whether its even samples are the parent's."""
+        """Return a line predicted from two, and whether its even samples are the parent's."""
         along, across = self._row_offset, self._col_offset
         parents = self._heights.T
         if not line.is_column:
@@ -255,7 +255,7 @@ def _rebuild(prediction, index, step):
 
 @rare_kernel
 def code_root_sample(goal, is_coded, step, coder):
-    """Encode a sample on the fixed grid, or decode it where `goal` is None; return its height."""
+    """Encode a sample on the fixed grid, or decode it if `goal` is None; return its height."""
     index = np.int64(0)
     if is_coded:
         if goal is not None:
@@ -266,7 +266,7 @@ def code_root_sample(goal, is_coded, step, coder):
 
 @kernel
 def _code_corner(goal, prediction, is_coded, step, coder):
-    """Encode a predicted corner sample, or decode it where `goal` is None; return its height."""
+    """Encode a predicted corner sample, or decode it if `goal` is None; return its height."""
     index = np.int64(0)
     if is_coded:
         if goal is not None:
@@ -279,11 +279,10 @@ def _code_corner(goal, prediction, is_coded, step, coder):
 def _code_line(
     goals, predicted, mask, step, first, stop, coder, decoded, kept, added, shown
 ):  # fmt: skip
-    """Encode samples `first` to `stop` - 1 of a line, or decode where `goals` is None.
+    """Encode samples `first` to `stop` - 1 of a line, or decode if `goals` is None.
 
-    Fills `decoded` (int64). Even samples first, then odd ones, each predicted with what its
-    neighbours' errors of prediction turned out to be. `kept` and `added` are `Corrections` of the
-    line, or empty.
+    Fills `decoded` (int64). Even samples first, then odd ones, each predicted with its neighbours'
+    known errors of prediction. `kept` and `added` are `Corrections` of the line, or empty.
     """
     n = decoded.shape[0]
     for phase in range(2):
@@ -314,7 +313,7 @@ def _code_line(
 
 @kernel
 def _interpolate_line(pairs, predicted):
-    """Fill `predicted` from `pairs`, twice the values at even places, rounding half up.
+    """Fill `predicted` from `pairs`, twice the values at even positions, rounding half up.
 
     Between four samples (-1, 9, 9, -1) / 16; at an end the missing one is mirrored about the end.
     """
@@ -324,7 +323,7 @@ def _interpolate_line(pairs, predicted):
         if i & 1 == 0:
             predicted[i] = (pairs[k] + 1) >> 1
         elif k + 1 >= n_pairs:
-            # Past the last even sample: go on as before.
+            # After the last even sample: continue as before.
             before = pairs[max(k - 1, 0)]
             predicted[i] = (3 * pairs[k] - before + 2) >> 2
         else:

@@ -1,6 +1,6 @@
-"""The coded units of a file: what their refiner is told (FORMAT.md §2.4).
+"""Build the `GroupSpec` of each coded unit of a file (FORMAT.md §2.4).
 
-Their keys are those of `Grid.root_keys` and the parents of groups.
+Units have the keys `Grid.root_keys` and the parents of groups.
 """
 
 from terrainwave.codec.refiner import Decoded, GroupSpec, Sides
@@ -16,7 +16,6 @@ def unit_core(grid: Grid, key: Block) -> Region:
 
 
 def unit_spec(grid: Grid, parameters: CodecParameters, key: Block) -> GroupSpec:
-    """Return the spec of a unit, all that its refiner may know."""
     apron = parameters.apron
     blocks_per_unit = 1 if key.is_root_key else 2
     level = key.level + 1
@@ -42,13 +41,13 @@ def unit_spec(grid: Grid, parameters: CodecParameters, key: Block) -> GroupSpec:
         parent_region=parent_region,
         shared=shared,
         is_finest=is_finest,
-        # Trees of a faithful file say where its meshes are fine; a root block refines none.
+        # Trees of a faithful file show where its meshes are fine; a root block refines none.
         wants_labels=parameters.is_faithful and not key.is_root_key,
-        # As printed where the bound is a quantum or more; lossless is lossless on all levels.
+        # As printed if the bound is a quantum or more; lossless is lossless on all levels.
         has_coarse_residuals=parameters.is_faithful and not is_finest and parameters.step > 1,
     )
 
 
 def block_of_unit(grid: Grid, spec: GroupSpec, decoded: Decoded, block: Block) -> Decoded:
-    """Return the part of a decoded unit that is `block`, with its apron if there is one. A view."""
+    """Return the part of a decoded unit that is `block`, with its apron, if any. A view."""
     return decoded.part(grid.block_region(block, spec.apron).slices_in(spec.region))

@@ -1,9 +1,9 @@
-"""Arrays that a kernel doesn't count references to.
+"""Arrays without reference counting, for kernels.
 
 Numba counts a reference to an array wherever one is passed on, taken from a tuple or sliced, and
-leaves out what it can pair up; around loops it cannot. Each is an atomic addition, together a
-seventh of the time of encoding in `predictive.passes.code_pass`. What a kernel is given lives as
-long as the call, so it need not count.
+omits pairs that cancel; around loops it cannot. Each count is an atomic addition, together a
+seventh of the time of encoding in `predictive.passes.code_pass`. A kernel's arguments live as long
+as the call, so it need not count.
 """
 
 import os
@@ -13,7 +13,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-# As numba reads it.
+# As numba parses it.
 _IS_PLAIN = bool(int(os.environ.get("NUMBA_DISABLE_JIT") or 0))
 
 Borrowed = TypeVar("Borrowed")
@@ -37,7 +37,7 @@ def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
 def _borrowed(_typing_context: Any, value: Any) -> Any:
     """Return an argument of a kernel, its arrays or those of a tuple without their owner.
 
-    Only for use within the kernel: nothing that it returns or keeps may come from this.
+    Only for use within the kernel: it must not return or keep anything derived from this.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

@@ -1,13 +1,12 @@
-"""How kernels are compiled.
+"""Compiler of kernels.
 
 Numba compiles a kernel to the end (optimised, turned into instructions, wrapped for Python, stored)
-before it links it into a kernel that calls it, where all of it but the wrapper is done once more.
-Here a kernel has two sides. What Python calls is numba's own; what kernels call, a `_Callee`, is
-only typed and lowered, and optimised where it ends up: as fast, and two thirds of the time to
-compile.
+before it links it into a kernel that calls it, where all of this but the wrapper is repeated. Here
+a kernel has two sides. Python calls numba's own; kernels call a `_Callee`, which is only typed and
+lowered, and optimised within its caller: as fast, and two thirds of the time to compile.
 
-The compiler is numba's, put together anew by its documented ways (pipelines of passes, classes for
-libraries), and by some attributes that are private: `dispatchers` says when it is used.
+The compiler is numba's, reassembled by its documented means (pipelines of passes, classes for
+libraries) and some private attributes: `dispatchers` decides when it is used.
 """
 
 import gc
@@ -33,7 +32,7 @@ from terrainwave.coding.private_names import missing
 
 
 class Kernel(CPUDispatcher):
-    """What Python calls; kernels that call it get its `_Callee`."""
+    """Dispatcher for Python; kernels that call it use its `_Callee`."""
 
     def __init__(
         self,
@@ -47,11 +46,11 @@ class Kernel(CPUDispatcher):
         self._part = _Callee(py_func, locals, options, _CalleeCompiler)
 
     def compile(self, sig: Any) -> Any:
-        """Compile for some types, or load what has been compiled for them."""
+        """Compile for some types, or load the compiled code."""
         interrupts.check()
         with global_compiler_lock, _without_collector(), _with_shortcuts():
             entry = super().compile(sig)
-            # Parts were never made ready to be called: the objects that their code refers to.
+            # Parts alone lack the objects that their code refers to.
             found = self.overloads.get(tuple(getattr(sig, "args", sig)))
             if found is not None and self._cache_misses:
                 for environment in found._find_referenced_environments():
@@ -59,21 +58,20 @@ class Kernel(CPUDispatcher):
             return entry
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Return how another kernel calls this one."""
         return self._part.get_call_template(args, kws)
 
     def get_overload(self, sig: Any) -> Any:
-        """Return what stands for this kernel in another one."""
+        """Return the `_Callee` of this kernel."""
         return self._part.get_overload(sig)
 
     @property
     def is_compiling(self) -> Any:
-        """Whether it is being compiled: then its calls of itself are told from others."""
+        """Return whether it is being compiled: its calls of itself then differ from others."""
         return self._compiling_counter or self._part._compiling_counter
 
 
 class _Callee(CPUDispatcher):
-    """A kernel as others call it."""
+    """A kernel as other kernels call it."""
 
     def compile(self, sig: Any) -> Any:
         args = tuple(sig)
@@ -86,14 +84,14 @@ class _Callee(CPUDispatcher):
 
 
 class _Inliner(InlineWorker):
-    """Numba's worker for parts of kernels, which copies each of them twice to keep its IR."""
+    """Numba's worker for parts of kernels, without copying each of them twice to keep its IR."""
 
     def __init__(self, worker: InlineWorker) -> None:
         self.__dict__.update(worker.__dict__)
         self._compiler_pipeline = _untyped_passes
 
     def run_untyped_passes(self, func: Any, enable_ssa: bool = False) -> Any:
-        """Return the IR of a part; nobody else has it, so that a copy of a block may be itself."""
+        """Return the IR of a part; nobody else has it, so a copy of a block may be itself."""
         found = super().run_untyped_passes(func, enable_ssa)
         for block in found.blocks.values():
             block.__deepcopy__ = lambda _memo, block=block: block
@@ -101,7 +99,7 @@ class _Inliner(InlineWorker):
 
 
 def _extreme_of(n: int, is_better: Callable[[Any, Any], Any]) -> Any:
-    """Return what `min` or `max` of two or three numbers is, in place where it is called.
+    """Return code for `min` or `max` of two or three numbers, inlined into its caller.
 
     Numba compiles a function for each combination of types, some 30 ms each.
     """
@@ -152,12 +150,11 @@ def _take_extremes_in_place(func_ir: Any) -> None:
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _Inlining(InlineInlinables):
-    """Inline parts of kernels, and `min` and `max`."""
+    """Pass that inlines parts of kernels, and `min` and `max`."""
 
     _name = "part_inlining"
 
     def run_pass(self, state: Any) -> bool:
-        """Run the pass."""
         _take_extremes_in_place(state.func_ir)
         return bool(super().run_pass(state))
 
@@ -167,12 +164,12 @@ class _Inlining(InlineInlinables):
 
 
 def _untyped_passes(state: Any) -> Any:
-    """Return numba's passes before types are inferred, with our own among them."""
+    """Return numba's passes before type inference, with our own among them."""
     return _replaced(DefaultPassBuilder.define_untyped_pipeline(state), _OF_KERNELS)
 
 
 def _replaced(passes: Any, others: dict[type, type | None]) -> Any:
-    """Return a pipeline with some passes replaced, or left out, in place."""
+    """Replace or remove some passes of a pipeline, in place; return it."""
     found = [(others.get(one, one), text) for one, text in passes.passes]
     passes.passes = [(one, text) for one, text in found if one is not None]
     passes._finalized = False
@@ -181,7 +178,7 @@ def _replaced(passes: Any, others: dict[type, type | None]) -> Any:
 
 
 class _KernelCompiler(Compiler):
-    """Numba's compiler with a faster way to inline."""
+    """Numba's compiler with a faster inliner."""
 
     def define_pipelines(self) -> list[Any]:
         """Return numba's passes, with our own among them."""
@@ -189,21 +186,20 @@ class _KernelCompiler(Compiler):
 
 
 class _CalleeCompiler(Compiler):
-    """The same up to code that has not been optimised."""
+    """The same up to unoptimised code."""
 
     def define_pipelines(self) -> list[Any]:
-        """Return numba's passes, with our own among them."""
         return [_replaced(passes, _OF_CALLEES) for passes in super().define_pipelines()]
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _CalleeLowering(NativeLowering):
-    """Lower into a `_CalleeLibrary`."""
+    """Pass that lowers into a `_CalleeLibrary`."""
 
     _name = "part_lowering"
 
     def run_pass(self, state: Any) -> bool:
-        """Lower a function; let others find it by an object that only stands for it."""
+        """Lower a function; register it under a placeholder object."""
 
         def entry(*_: Any) -> None:
             raise AssertionError("a part of kernels is never called from Python")
@@ -218,10 +214,10 @@ class _CalleeLowering(NativeLowering):
 
 
 class _CalleeLibrary(JITCodeLibrary):
-    """Code that is linked into that of others before it is optimised."""
+    """Code that is linked into its callers before it is optimised."""
 
     def add_llvm_module(self, module: Any) -> None:
-        """Take a module's functions, simplified; without that, loops end up slower."""
+        """Add a module's functions, simplified; otherwise loops end up slower."""
         module.data_layout = self._codegen._data_layout
         passes, builder = self._codegen._function_pass_manager()
         for function in module.functions:
@@ -230,20 +226,20 @@ class _CalleeLibrary(JITCodeLibrary):
         self._final_module.link_in(module)
 
     def finalize(self) -> None:
-        """Link what these functions call; leave the rest to the library that they end up in."""
+        """Link the callees of these functions; the caller's library does the rest."""
         for library in dict.fromkeys(self._linking_libraries):
             self._reload_init.update(library._reload_init)
             self._final_module.link_in(library._get_module_for_linking(), preserve=True)
         self._finalized = True
 
 
-# What is left out is for operations on whole arrays, which kernels don't have.
+# The omitted passes are for operations on whole arrays, which kernels don't use.
 _OF_KERNELS: dict[type, type | None] = {InlineInlinables: _Inlining, NopythonRewrites: None}
 _OF_CALLEES = {**_OF_KERNELS, NativeLowering: _CalleeLowering}
 
 
 class _Shortcut(NamedTuple):
-    """A method of numba's, and what does the same of it for kernels in less time."""
+    """A method of numba's, and a faster equivalent for kernels."""
 
     owner: type
     name: str
@@ -255,7 +251,7 @@ _shortcuts: list[_Shortcut] = []
 
 
 def _shortcut(owner: type, name: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Let a function stand for a method while kernels are compiled; it gets the method, too."""
+    """Replace a method by a function, which receives it, while kernels are compiled."""
 
     def taken(function: Callable[..., Any]) -> Callable[..., Any]:
         original = getattr(owner, name)
@@ -271,7 +267,7 @@ def _shortcut(owner: type, name: str) -> Callable[[Callable[..., Any]], Callable
 
 @contextmanager
 def _with_shortcuts() -> Iterator[None]:
-    """Take shortcuts; for who holds the compiler's lock, as all of numba goes by them then."""
+    """Activate shortcuts; the caller must hold the compiler's lock, as they affect all of numba."""
     for shortcut in _shortcuts:
         setattr(shortcut.owner, shortcut.name, shortcut.method)
     try:
@@ -289,7 +285,7 @@ _known_operations: dict[Any, Any] = {}
 def _typed_once(original: Any, function: Any, context: Any, args: Any, kws: Any) -> Any:
     """Return the signature of an operation on some types, found once.
 
-    Numba asks each of a dozen templates, and does so again for each ``+`` of a kernel.
+    Numba tries each of a dozen templates, and again for each ``+`` of a kernel.
     """
     is_operation = getattr(function.typing_key, "__module__", None) == "_operator" and not kws
     if not (is_operation and all(isinstance(kind, _OF_OPERATIONS) for kind in args)):
@@ -304,9 +300,9 @@ def _typed_once(original: Any, function: Any, context: Any, args: Any, kws: Any)
 def _processed(
     original: Any, processor: Any, emit_dels: bool = False, extend_lifetimes: bool = False
 ) -> None:
-    """Process IR after a pass, without what only generators and interpreted functions need.
+    """Process IR after a pass, without the live variables at the start of each block.
 
-    That is, which variables live at the start of each block. Numba finds it after most passes.
+    Only generators and interpreted functions need these; numba computes them after most passes.
     """
     func_ir = processor.func_ir
     if func_ir.is_generator:
@@ -321,7 +317,7 @@ def _processed(
 
 @contextmanager
 def _without_collector() -> Iterator[None]:
-    """Let no garbage be collected: a compiler makes much of what stays, and little garbage."""
+    """Disable garbage collection: a compiler makes many objects that stay, and little garbage."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:
@@ -332,9 +328,9 @@ def _without_collector() -> Iterator[None]:
 
 
 def missing_names() -> list[str]:
-    """Return the names of numba's that this compiler needs, and are not where they were.
+    """Return the names of numba's internals that this compiler needs and that are missing.
 
-    An override of a method that numba has renamed would never be called, without a word.
+    An override of a method that numba has renamed would silently never be called.
     """
     return missing(
         {

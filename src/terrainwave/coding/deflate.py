@@ -1,4 +1,4 @@
-"""Deflate and inflate short sections with a limit that holds while inflating (FORMAT.md §1.3)."""
+"""Deflate and inflate short sections with a limit that applies while inflating (FORMAT.md §1.3)."""
 
 import zlib
 
@@ -8,7 +8,7 @@ _RAW = -zlib.MAX_WBITS
 
 
 def deflate(data: bytes, dictionary: bytes = b"") -> bytes:
-    """Return `data` as a zlib stream; as a raw one with a preset dictionary, if one is given."""
+    """Return `data` as a zlib stream, or as a raw one with a preset dictionary, if given."""
     if not dictionary:
         return zlib.compress(data, 9)
     stream = zlib.compressobj(9, wbits=_RAW, memLevel=9, zdict=dictionary)
@@ -23,7 +23,7 @@ def inflate(data: bytes, limit: int, name: str, dictionary: bytes = b"") -> byte
     Raises
     ------
     CorruptStreamError
-        If `data` is no such stream, or its content is longer than `limit`.
+        If `data` is not such a stream, or its content is longer than `limit`.
     """
     stream = zlib.decompressobj(_RAW, dictionary) if dictionary else zlib.decompressobj()
     try:

@@ -1,8 +1,8 @@
-"""Which of two compilers kernels get: the fast one of `compiler`, or numba's own.
+"""Choice between two compilers of kernels: the fast one of `compiler`, and numba's own.
 
-The fast one takes 0.6 of the time (docs/decisions/0019-how-kernels-are-compiled.md), and is made
-of private parts of numba's. So it is used with the releases of numba that CI has run it with, and
-where all names that it needs are there. With others kernels are as fast, and make the same bytes.
+The fast one takes 0.6 of the time (docs/decisions/0019-how-kernels-are-compiled.md), but uses
+private parts of numba. So it is used only with numba releases that CI has tested, and if all names
+that it needs exist. With other releases kernels are as fast, and produce the same bytes.
 """
 
 import os
@@ -15,15 +15,15 @@ from numba.core.registry import CPUDispatcher
 
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 
-# The minor releases that CI runs (.github/workflows/test.yml: a test compares).
+# Minor releases that CI runs (.github/workflows/test.yml: a test compares).
 TRIED = ("0.65", "0.66", "0.67", "0.68")
 
-# Chooses one of the two; for tests, and for who tries another release of numba.
+# Selects one of the two; for tests, and to try another release of numba.
 VARIABLE = "TERRAINWAVE_COMPILER"
 
 
 def _chosen() -> tuple[str, type[CPUDispatcher]]:
-    """Return the name of the compiler and its dispatcher; say so where it is not the fast one."""
+    """Return the compiler's name and dispatcher; warn if it is not the fast one."""
     asked = os.environ.get(VARIABLE, "")
     if asked not in ("", "fast", "plain"):
         raise InvalidArgumentError(f"{VARIABLE}: found {asked}, expected fast, plain or nothing")
@@ -44,7 +44,7 @@ def _chosen() -> tuple[str, type[CPUDispatcher]]:
 
 
 def _own(why: str) -> type[CPUDispatcher]:
-    """Return numba's own dispatcher, and say why."""
+    """Return numba's own dispatcher, and warn with the reason."""
     warnings.warn(
         f"numba is {numba.__version__}, and {why}; kernels are compiled by numba alone, which takes"
         " longer the first time and changes nothing else",
@@ -58,7 +58,7 @@ COMPILER, Kernel = _chosen()
 
 
 def _keeping() -> tuple[Any, str]:
-    """Return the class of caches; or None, and why there are none."""
+    """Return the class of caches, or None with the reason."""
     if os.environ.get("TERRAINWAVE_NUMBA_CACHE", "1") == "0":
         return None, "TERRAINWAVE_NUMBA_CACHE is 0; unset it"
     if config.DISABLE_JIT:
@@ -71,7 +71,7 @@ def _keeping() -> tuple[Any, str]:
         missing = [str(error)]
     if not missing:
         return kernel_cache.KernelCache, ""
-    # Without our stamp an entry would outlive what it was made of: a broken bound.
+    # Without our stamp an entry would outlive its sources: a broken bound.
     why = f"numba {numba.__version__} keeps kernels in another way ({', '.join(missing)})"
     warnings.warn(
         f"compiled kernels are not kept: {why}; every run compiles them again",

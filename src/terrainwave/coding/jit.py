@@ -1,4 +1,4 @@
-"""The one place that configures numba."""
+"""Configuration of numba, all in this module."""
 
 import hashlib
 import os
@@ -18,22 +18,22 @@ from numba.core.registry import CPUDispatcher
 from terrainwave.coding.dispatchers import COMPILER, WHY_NOT_KEPT, Kernel, KernelCache
 from terrainwave.coding.kernel_places import KernelPlace
 
-# Numba does not notice edits in a callee's file; switch caching off while editing.
+# Numba does not notice edits in a callee's file; disable caching while editing.
 _CACHE = not WHY_NOT_KEPT
 
-# The directory that holds the package.
+# The directory that contains the package.
 _ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 
-# An import at the start of a line: a kernel sees no other. The literal start makes the search fast.
+# Imports at the start of a line: kernels see no others. The literal start makes the search fast.
 _IMPORT = re.compile(r"\nfrom (terrainwave[\w.]*) import (\([^)]*\)|[^\n#]*)")
 _NAME = re.compile(r"(\w+)(?: as \w+)?")
 
 
 def sources_of(path: str) -> list[str]:
-    """List the files whose text can change what the kernels of one file compute, sorted.
+    """Return the files whose text can change the results of one file's kernels, sorted.
 
-    The file itself, what it imports from the package, and so on. Imports within functions and
-    under TYPE_CHECKING don't count: no kernel sees what they name.
+    The file itself and its imports from the package, recursively. Imports within functions and
+    under TYPE_CHECKING don't count: kernels do not see their names.
     """
     sources: set[str] = set()
     waiting = [os.path.abspath(path)]
@@ -47,7 +47,7 @@ def sources_of(path: str) -> list[str]:
 
 @lru_cache(None)
 def _digest(path: str) -> str:
-    """Return a digest of `sources_of` a file, as they are when the process first asks."""
+    """Return a digest of `sources_of` a file, of when the process first asks."""
     digest = hashlib.sha256()
     for source in sources_of(path):
         digest.update(_read(source)[0])
@@ -67,7 +67,7 @@ def _read(path: str) -> tuple[bytes, list[str]]:
 
 
 def _files_of(module: str, names: str) -> Iterator[str]:
-    """Yield the files that ``from module import names`` takes its names from."""
+    """Yield the files that define the names of ``from module import names``."""
     place = os.path.join(_ROOT, *module.split("."))
     if os.path.isfile(f"{place}.py"):
         yield f"{place}.py"
@@ -80,8 +80,8 @@ def _files_of(module: str, names: str) -> Iterator[str]:
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile `function` with the project's options; plain Python under NUMBA_DISABLE_JIT.
 
-    A stale compiled kernel is a broken bound, and numba looks at the kernel's own file alone. The
-    stamp of each cache entry is therefore a digest of `sources_of` that file.
+    A stale compiled kernel is a broken bound, and numba checks only the kernel's own file. So the
+    stamp of each cache entry is a digest of `sources_of` that file.
     """
     return _compile(function, is_inlined=False)
 
@@ -89,8 +89,7 @@ def kernel(function: Callable[..., Any]) -> Any:
 def inlined_kernel(function: Callable[..., Any]) -> Any:
     """Compile `function` as `kernel` does, into its callers.
 
-    For what a hot loop calls with many arguments: each array takes seven registers or places on the
-    stack.
+    For functions with many arguments in hot loops: each array takes seven registers or stack slots.
     """
     return _compile(function, is_inlined=True)
 
@@ -98,8 +97,8 @@ def inlined_kernel(function: Callable[..., Any]) -> Any:
 def kernel_part(function: Callable[..., Any]) -> Any:
     """Make `function` a part of the kernels that call it, as if its text stood there.
 
-    Numba copies it in before it infers types, which costs less than a call of it. At two calls it
-    is there twice.
+    Numba copies it in before type inference, which costs less than a call. With two calls it is
+    there twice.
     """
     return njit(inline="always", nogil=True)(function)
 
@@ -107,8 +106,8 @@ def kernel_part(function: Callable[..., Any]) -> Any:
 def rare_kernel(function: Callable[..., Any]) -> Any:
     """Compile `function` as `kernel` does, once plain Python has taken long enough for it.
 
-    For what Python calls now and then on little data: compiling would take longer than that ever
-    will. No kernel can call it.
+    For rare calls from Python with little data, which compilation would never repay. Kernels cannot
+    call it.
     """
     compiled = kernel(function)
     return compiled if config.DISABLE_JIT else _RareKernel(compiled)
@@ -119,11 +118,11 @@ def _compile(function: Callable[..., Any], *, is_inlined: bool) -> Any:
         return function
     options: dict[str, Any] = {
         "nopython": True,
-        "boundscheck": None,  # as NUMBA_BOUNDSCHECK says
+        "boundscheck": None,  # by NUMBA_BOUNDSCHECK
         "fastmath": False,
         "nogil": True,
         "forceinline": is_inlined,
-        # No kernel is called from C: what C would call takes time to compile.
+        # Skip the C wrapper, which is slow to compile.
         "no_cfunc_wrapper": True,
     }
     dispatcher = Kernel(function, targetoptions=options)
@@ -150,7 +149,7 @@ def all_compiled() -> Iterator[None]:
 
 
 class _RareKernel:
-    """What `rare_kernel` returns."""
+    """Result of `rare_kernel`."""
 
     def __init__(self, compiled: CPUDispatcher) -> None:
         self._compiled = compiled
@@ -169,11 +168,11 @@ class _RareKernel:
             self._seconds += time.perf_counter() - start
 
     def _is_cheap(self, arguments: tuple[Any, ...]) -> bool:
-        """Return whether plain Python will do: it has not taken long, and none has compiled it."""
+        """Return whether to use plain Python: it took little time, and nothing is compiled."""
         if self._seconds > 0:
             return self._seconds < _MOST_PLAIN_SECONDS
         found, context = tuple(map(typeof, arguments)), self._compiled.targetctx
-        # A look brings numba's tables up to date: not while another thread compiles by them.
+        # The lookup updates numba's tables, so not while another thread compiles.
         with global_compiler_lock:
             return self._compiled._cache.load_overload(found, context) is None
 
@@ -183,7 +182,7 @@ class _RareKernel:
 
 
 def _as_plain(compiled: CPUDispatcher, done: dict[Any, Callable[..., Any]]) -> Callable[..., Any]:
-    """Return a kernel as plain Python, which calls what it calls as plain Python, too."""
+    """Return a kernel as plain Python, with its callees as plain Python, too."""
     function = compiled.py_func
     if function not in done:
         names = dict(function.__globals__)
@@ -196,16 +195,16 @@ def _as_plain(compiled: CPUDispatcher, done: dict[Any, Callable[..., Any]]) -> C
 
 
 def _key_of(signature: Any) -> tuple[Any, ...]:
-    """Return what makes an entry of the cache another one, besides the types of arguments.
+    """Return the part of a cache entry's key besides the types of arguments.
 
-    In compiled code the fields of a named tuple are places. A kernel may be given one whose class
-    its own file does not import, so the names of the fields count.
+    In compiled code the fields of a named tuple are positions. A kernel's file need not import the
+    class of a named tuple it is given, so the names of the fields are part of the key.
     """
     return COMPILER, *_fields_of(getattr(signature, "args", signature))
 
 
 def _fields_of(arguments: Iterable[Any]) -> Iterator[tuple[str, ...]]:
-    """Yield the names of fields of each named tuple among types of arguments, or in one."""
+    """Yield the field names of each named tuple among argument types, nested ones too."""
     for argument in arguments:
         inner = argument.type if isinstance(argument, types.Optional) else argument
         is_tuple = isinstance(inner, types.BaseTuple)
@@ -215,14 +214,14 @@ def _fields_of(arguments: Iterable[Any]) -> Iterator[tuple[str, ...]]:
 
 
 def place_of_kernels() -> KernelPlace:
-    """Return where this package's kernels are kept, or why they are not."""
+    """Return the cache of this package's kernels, or the reason for its absence."""
     if not _CACHE:
         return KernelPlace((), reason=WHY_NOT_KEPT)
     return KernelCache(place_of_kernels, _digest, _key_of).place
 
 
 class _FirstCompilation(event.Listener):
-    """Calls back once, when numba compiles a kernel rather than takes it from its cache."""
+    """Callback on the first compilation of a kernel; cached ones do not count."""
 
     def __init__(self, callback: Callable[[KernelPlace], None]) -> None:
         self._callback: Callable[[KernelPlace], None] | None = callback
@@ -239,5 +238,5 @@ class _FirstCompilation(event.Listener):
 
 
 def on_first_compilation(callback: Callable[[KernelPlace], None]) -> None:
-    """Call `callback` once, if and when a kernel is compiled, with where it will be kept."""
+    """Call `callback` once, with the place of the cache, if and when a kernel is compiled."""
     event.register("numba:compile", _FirstCompilation(callback))

@@ -1,7 +1,7 @@
-"""Caches of kernels: numba's own, in the folders that `kernel_places` says.
+"""Caches of kernels: numba's own, in the folders of `kernel_places`.
 
-A locator is numba's way to say where the cache of a function lies and what it holds for. What else
-is private to numba is checked before any of it is used (`missing_names`).
+A locator is numba's interface for the folder and the validity of a function's cache. Other private
+parts of numba are checked before they are used (`missing_names`).
 """
 
 import logging
@@ -18,8 +18,8 @@ from numba.core.registry import CPUDispatcher
 from terrainwave.coding.kernel_places import ADVICE, KernelPlace, keep, lose, place_of
 from terrainwave.coding.private_names import missing
 
-# Settings of numba that change the code which it makes of a kernel, and that its own key does not
-# have: that has the processor and its features.
+# Settings of numba that change the generated code but are not in its own key, which has the
+# processor and its features.
 _SETTINGS = (
     "BOUNDSCHECK",
     "OPT",
@@ -40,13 +40,13 @@ _log = logging.getLogger(__name__)
 def _settings() -> tuple[str, ...]:
     """Return the settings of numba that change generated code.
 
-    A process that checks bounds must not take kernels without checks, nor the other way round.
+    A process that checks bounds must not load kernels without checks, nor the other way round.
     """
     return tuple(str(getattr(config, name, None) or 0) for name in _SETTINGS)
 
 
 class _Locator(_CacheLocator):
-    """Says where the cache of a function lies, and what it holds for."""
+    """Folder and validity of a function's cache."""
 
     def __init__(self, folder: str, stamp: Any, function: Callable[..., Any]) -> None:
         self._folder = folder
@@ -55,35 +55,33 @@ class _Locator(_CacheLocator):
         self._line = function.__code__.co_firstlineno
 
     def from_function(self, py_func: Any, py_file: Any) -> "_Locator":  # noqa: ARG002, numba's
-        """Return the locator of a function: it is made for one."""
         return self
 
     def get_cache_path(self) -> str:
-        """Return the folder."""
         return self._folder
 
     def get_source_stamp(self) -> Any:
-        """Return what an entry must have been made with."""
+        """Return the stamp that entries must match."""
         return self._stamp
 
     def get_disambiguator(self) -> str:
-        """Return what tells apart functions of one name."""
+        """Return a suffix that distinguishes functions of one name."""
         return str(self._line)
 
 
 class _Stored(CompileResultCacheImpl):
-    """What a file of the cache holds: also what it was compiled for.
+    """Contents of a cache file, including what it was compiled for.
 
-    Two processes that compile a function at once may give two files one number. Then the index says
-    that a file holds code for certain types, a processor and settings, and it holds other code.
+    Two processes that compile a function at once may give two files one number. Then the index may
+    list a file for some types, a processor and settings, although it holds other code.
     """
 
     def reduce(self, compiled: Any) -> Any:
-        """Return what is stored."""
+        """Return the contents to store."""
         return (compiled.codegen.magic_tuple(), _settings()), super().reduce(compiled)
 
     def rebuild(self, target_context: Any, stored: Any) -> Any:
-        """Return what was stored, or refuse it."""
+        """Return the stored code, or raise if it does not match."""
         made_for, data = stored
         if made_for != (target_context.codegen().magic_tuple(), _settings()):
             raise ValueError("compiled for another processor, or by other settings of numba")
@@ -91,7 +89,7 @@ class _Stored(CompileResultCacheImpl):
 
 
 class _Entries(FunctionCache):
-    """Numba's cache of a function, in the folder that a locator says."""
+    """Numba's cache of a function, in a locator's folder."""
 
     _impl_class: Any = _Stored
 
@@ -101,11 +99,11 @@ class _Entries(FunctionCache):
             locator = _Locator(folder, kernel.stamp, kernel.function)
             self._impl_class = type("_Here", (_Stored,), {"_locator_classes": [locator]})
         super().__init__(kernel.function)
-        if folder is None:  # where numba finds one, the sources of callees count, too
+        if folder is None:  # in numba's own place, the sources of callees count, too
             self._cache_file._source_stamp = self._cache_file._source_stamp, kernel.stamp
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
-        """Return what has been compiled for some types, or None; refuse what is damaged."""
+        """Return the code compiled for some types, or None; raise if it is damaged."""
         found = super().load_overload(signature, target_context)
         if found is not None and found.signature.args != tuple(
             getattr(signature, "args", signature)
@@ -119,17 +117,17 @@ class _Entries(FunctionCache):
 
 
 class KernelCache:
-    """What a dispatcher of numba's has for a cache: that of one kernel.
+    """Cache of one kernel, with the interface that numba's dispatchers expect.
 
     Parameters
     ----------
     function : callable
-        As Python has it.
+        The Python function.
     stamp_of : callable
-        Returns, for the path of the function's file, what must not change as long as an entry
-        holds. Raises OSError if there is no such file.
+        Returns, for the path of the function's file, a stamp that changes when entries become
+        invalid. Raises OSError if there is no such file.
     key_of : callable
-        Returns, for types of arguments, what an entry must have in common with them besides.
+        Returns, for argument types, the rest of an entry's key.
     """
 
     def __init__(
@@ -143,15 +141,14 @@ class KernelCache:
         self.stamp = self._reason = ""
         source = function.__code__.co_filename
         try:
-            # Now, not when it is compiled: by then others may have replaced the sources.
+            # Taken now, because the sources may be replaced before the compilation.
             self.stamp = stamp_of(source)
-        except OSError as error:  # in a zip, for one
+        except OSError as error:  # in a zip, for example
             reason = error.strerror or error
             self._reason = f"{source} cannot be read ({reason}); install the package as files"
 
     @property
     def place(self) -> KernelPlace:
-        """Where entries are."""
         return self._found[0]
 
     @cached_property
@@ -163,18 +160,18 @@ class KernelCache:
             return place, tuple(_Entries(self, folder) for folder in place.folders)
         try:
             entries = _Entries(self, None)
-        except RuntimeError as error:  # none of them finds a place
+        except RuntimeError as error:  # no locator finds a place
             reason = f"NUMBA_CACHE_LOCATOR_CLASSES is set, and {error}; unset it"
             return KernelPlace((), reason=reason), ()
         return KernelPlace((entries.cache_path,), entries.cache_path), (entries,)
 
     @property
     def cache_path(self) -> str | None:
-        """Where what is compiled now is kept."""
+        """Return the folder for newly compiled code."""
         return None if self.place.kept_in is None else self.place.folders[-1]
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
-        """Return what has been compiled for some types, or None."""
+        """Return the code compiled for some types, or None."""
         for entries in self._found[1]:
             try:
                 found = entries.load_overload(signature, target_context)
@@ -188,13 +185,13 @@ class KernelCache:
         return None
 
     def save_overload(self, signature: Any, data: Any) -> None:
-        """Keep what has been compiled for some types."""
+        """Store the code compiled for some types."""
         if self.place.kept_in is None:
             lose(self.place.reason)
             return
         try:
             self._found[1][-1].save_overload(signature, data)
-        except OSError as error:  # a full disk, for one: the kernel is there all the same
+        except OSError as error:  # for example a full disk: the kernel works anyway
             reason = error.strerror or error
             lose(f"{self.place.kept_in} cannot be written ({reason}); {ADVICE}")
         else:
@@ -202,19 +199,19 @@ class KernelCache:
             keep()
 
     def flush(self) -> None:
-        """Forget what is kept."""
+        """Delete all entries."""
         if self.place.kept_in is not None:
             self._found[1][-1].flush()
 
     def enable(self) -> None:
-        """Do nothing: it is there to be used."""
+        """Do nothing: it is always enabled."""
 
     def disable(self) -> None:
-        """Do nothing: ``TERRAINWAVE_NUMBA_CACHE=0`` does it."""
+        """Do nothing: ``TERRAINWAVE_NUMBA_CACHE=0`` disables it."""
 
 
 def missing_names() -> list[str]:
-    """Return the names of numba's that are used here, and are not where they were."""
+    """Return the names of numba's internals that are used here and missing."""
     return missing(
         {
             caching.Cache: (

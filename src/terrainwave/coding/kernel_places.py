@@ -1,8 +1,8 @@
-"""Where compiled kernels are kept, and where they are read from.
+"""Folders of compiled kernels, for reading and for writing.
 
-Numba keeps what it compiles of a function in one folder, and uses that only where it can be
-written. Here a kernel has up to two: the usual one (NUMBA_CACHE_DIR, or ``__pycache__`` beside its
-source), which another user may have filled, and, where that cannot be written, a private one.
+Numba caches a function in one folder, and uses it only if it is writable. Here a kernel has up to
+two folders: the usual one (NUMBA_CACHE_DIR, or ``__pycache__`` next to its source), which another
+user may have filled, and, if that is not writable, a private one.
 """
 
 import hashlib
@@ -19,26 +19,26 @@ from numba.core import config
 
 from terrainwave.errors import TerrainwaveWarning
 
-# What a user can do where kernels are not kept.
+# Advice if kernels are not cached.
 ADVICE = "set NUMBA_CACHE_DIR to a folder that you can write"
 
 
 class KernelPlace(NamedTuple):
-    """Where the kernels of a file of sources are."""
+    """Cache folders of a source file's kernels."""
 
-    # What has been compiled is looked for in these, in turn; if any is kept, in the last of them.
+    # Searched in this order; new kernels, if cached at all, go to the last one.
     folders: tuple[str, ...]
-    # What people know that one by, and which folder cannot be written if it is not the usual one.
+    # Display name of that folder, and of the unwritable usual folder that it replaces.
     kept_in: str | None = None
     instead_of: str = ""
-    # Why none is kept, and what to do.
+    # Reason why nothing is cached, with advice.
     reason: str = ""
 
 
 def place_of(source: str) -> KernelPlace:
-    """Return where the kernels of a file are."""
+    """Return the cache folders of a file's kernels."""
     folder = os.path.dirname(os.path.abspath(source))
-    # As numba names it: one for each folder of sources, so that installations don't meet.
+    # As numba names it: one for each folder of sources, so that installations do not collide.
     subfolder = f"{os.path.basename(folder)}_{hashlib.sha1(folder.encode()).hexdigest()}"
     if config.CACHE_DIR:
         named = os.path.abspath(config.CACHE_DIR)
@@ -60,7 +60,7 @@ def _why_not_written(folder: str) -> str:
     """Return why a folder cannot be made or written; empty if it can."""
     try:
         os.makedirs(folder, exist_ok=True)
-        # As numba does: rights alone don't tell, of a system that can only be read for one.
+        # As numba does: permissions do not reveal a read-only file system, for example.
         tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
         return error.strerror or str(error)
@@ -69,7 +69,7 @@ def _why_not_written(folder: str) -> str:
 
 @lru_cache(None)
 def _private_folder() -> str | None:
-    """Return a folder that nobody else can write: what is loaded from it is run."""
+    """Return a folder that nobody else can write, because code loaded from it is run."""
     for folder in _folders_of_the_user():
         with suppress(OSError):
             with suppress(FileExistsError):
@@ -80,9 +80,9 @@ def _private_folder() -> str | None:
 
 
 def _folders_of_the_user() -> Iterator[str]:
-    """Yield what may become a private folder: below the user's cache, then a temporary one.
+    """Yield candidates for a private folder: below the user's cache, then a temporary one.
 
-    Never below the working directory, which is where a temporary one may end up at last.
+    Never below the working directory, the last resort of temporary folders.
     """
     cache = os.path.join(_user_cache(), "terrainwave")
     if os.path.isabs(cache):  # there may be no home
@@ -90,7 +90,7 @@ def _folders_of_the_user() -> Iterator[str]:
             os.makedirs(cache, 0o700, exist_ok=True)
         yield os.path.join(cache, "kernels")
     if sys.platform == "win32":
-        yield os.path.join(tempfile.gettempdir(), "terrainwave-kernels")  # each user has their own
+        yield os.path.join(tempfile.gettempdir(), "terrainwave-kernels")  # one for each user
         return
     named = [os.environ.get(name, "") for name in ("TMPDIR", "TEMP", "TMP")]
     for folder in dict.fromkeys((*named, "/tmp", "/var/tmp")):
@@ -99,7 +99,7 @@ def _folders_of_the_user() -> Iterator[str]:
 
 
 def _user_cache() -> str:
-    """Return where programs of the user keep what can be made again."""
+    """Return the folder for the user's caches."""
     if sys.platform == "win32":
         return os.environ.get("LOCALAPPDATA", "")
     if sys.platform == "darwin":
@@ -109,9 +109,9 @@ def _user_cache() -> str:
 
 
 def _is_private(folder: str) -> bool:
-    """Say whether no other user (but root) can change what lies in a folder, or replace it."""
+    """Return whether no other user (but root) can change or replace the contents of a folder."""
     if sys.platform == "win32":
-        return True  # folders of a user are, and there are no modes
+        return True  # the user's folders are private, and there are no modes
     status = os.lstat(folder)
     if not os.path.isdir(folder) or os.path.islink(folder) or status.st_uid != os.geteuid():
         return False
@@ -122,14 +122,14 @@ def _is_private(folder: str) -> bool:
         folder = os.path.dirname(folder)
         status = os.stat(folder)
         others_write = status.st_mode & (0o002 if _is_group_of_user(status.st_gid) else 0o022)
-        is_sticky = status.st_mode & 0o1000  # only owners rename what is theirs
+        is_sticky = status.st_mode & 0o1000  # only owners can rename their files
         if status.st_uid not in (0, os.geteuid()) or (others_write and not is_sticky):
             return False
     return True
 
 
 def _is_group_of_user(group: int) -> bool:
-    """Say whether a group is the one of the user's own name, which has no other member."""
+    """Return whether a group has the user's own name, and so no other member."""
     import grp
     import pwd
 
@@ -142,7 +142,7 @@ def _is_group_of_user(group: int) -> bool:
 
 
 class _State:
-    """What became of the kernels that this process has compiled."""
+    """Counts of the kernels that this process has compiled."""
 
     n_kept = 0
     n_lost = 0
@@ -150,17 +150,17 @@ class _State:
 
 
 def kept() -> tuple[int, int, str]:
-    """Return how many kernels this process has kept and not kept, and why not."""
+    """Return the numbers of kernels cached and not cached by this process, and the reason."""
     return _State.n_kept, _State.n_lost, _State.reason
 
 
 def keep() -> None:
-    """Count a kernel that is kept."""
+    """Count a cached kernel."""
     _State.n_kept += 1
 
 
 def lose(reason: str) -> None:
-    """Count a kernel that is not kept, and say so once."""
+    """Count a kernel that is not cached; warn once."""
     _State.n_lost += 1
     if not _State.reason:
         _State.reason = reason

@@ -7,10 +7,10 @@ integers" (1998); the (5, 3) filter of D. Le Gall and A. Tabatabai (1988):
     s[i] = x[2i] + floor((d[i - 1] + d[i] + 2) / 4)
 
 Signals are mirrored at their ends. An end that is *held* passes unchanged: its s is its x. So the
-line on a held side of a field is transformed along itself alone, which two fields that share it do
-alike (Zheng, Wang, Wang cut coefficients of the whole raster instead).
+line on a held side of a field is transformed only along itself, and two fields that share it get
+the same result (Zheng, Wang, Wang cut coefficients of the whole raster instead).
 
-Fields are int64. A step at most doubles what it is given, in each direction.
+Fields are int64. A step at most doubles magnitudes, in each direction.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
 
-# Which sides of a field are held.
+# Held sides of a field.
 HELD_TOP, HELD_LEFT, HELD_BOTTOM, HELD_RIGHT = 1, 2, 4, 8
 
 
@@ -153,10 +153,9 @@ def forward_transform(field: NDArray[np.int64], n_levels: int, held: int) -> Non
 def inverse_transform(
     field: NDArray[np.int64], n_levels: int, held: int
 ) -> list[NDArray[np.int64]]:
-    """Undo `forward_transform` in place; return a copy of the field of every level.
+    """Undo `forward_transform` in place; return the field of every level, the coarsest first.
 
-    The coarsest first: the LL bands of the inverse stopped early, then the whole field (not a
-    copy).
+    These are copies of the LL bands of the inverse stopped early, then the whole field itself.
     """
     spare, line = np.empty_like(field), np.empty(field.shape[1], dtype=np.int64)
     shapes = level_shapes(field.shape, n_levels)
@@ -169,10 +168,10 @@ def inverse_transform(
 
 
 def places_of(field: NDArray[np.int64], n_levels: int) -> NDArray[np.int64]:
-    """Return what `forward_transform` left in bands by place: HL and LH on edges, HH in cells.
+    """Return the coefficients of `forward_transform` by position: HL and LH on edges, HH in cells.
 
-    The sample that a step t, counted from 1, takes its coefficient from lies on an odd multiple of
-    2**(t - 1) rows or columns; samples of the last LL band on multiples of 2**n_levels.
+    Step t, counted from 1, takes its coefficients from samples on odd multiples of 2**(t - 1) rows
+    or columns; the last LL band comes from samples on multiples of 2**n_levels.
     """
     found = np.empty_like(field)
     shapes = level_shapes(field.shape, n_levels)
@@ -201,7 +200,7 @@ def lowpass_window(
     Parameters
     ----------
     heights : ndarray of int32
-        A window of the finer level with every sample of it within 2 of the window wanted.
+        A window of the finer level, with all samples within 2 of the wanted window.
     first, out_first : tuple of int
         Row and column of the first sample of each in its own level.
     level_shape : tuple of int
@@ -237,7 +236,7 @@ def _mirror(at, n):
 
 @kernel
 def _is_border(at, tile_cells, n_tiles):
-    """Say whether the sample `at` lies on the border of two of `n_tiles` tiles in a line."""
+    """Return whether the sample `at` lies on the border of two of `n_tiles` tiles in a line."""
     return at % tile_cells == 0 and 0 < at // tile_cells < n_tiles
 
 

@@ -1,4 +1,4 @@
-"""Whether private names of numba's are still where they were."""
+"""Check for private names of numba."""
 
 import inspect
 from collections.abc import Iterable, Mapping
@@ -7,10 +7,10 @@ from typing import Any
 
 
 def missing(needed: Mapping[type, Iterable[str]]) -> list[str]:
-    """Return the names that classes do not have.
+    """Return the names that classes lack.
 
-    A name is there as an attribute of the class, or as one that a method of it reads or sets. With
-    names of arguments in brackets, ``run(self, emit_dels)``, it is a method that has just these.
+    A name may be an attribute of the class, or one that its methods read or set. With arguments in
+    brackets, ``run(self, emit_dels)``, it must be a method with exactly these.
     """
     return [
         f"{owner.__name__}.{name}"

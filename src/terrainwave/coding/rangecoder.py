@@ -2,13 +2,13 @@
 
 The range coder of LZMA (I. Pavlov; after G. N. N. Martin, 1979) with a 32-bit range, renormalised
 by bytes with carry propagation in the encoder. Departures: the constant first byte is not written,
-only one of the last four bytes is, and probabilities adapt at 1/(n + 3/2) down to 1/256 instead of
+and of the last four bytes only one, and probabilities adapt at 1/(n + 3/2) down to 1/256 instead of
 a fixed 1/32 (0.7 % over entropy instead of 2.5 %).
 
 All quantities are non-negative and below 2**63 (range < 2**32, low < 2**57, products < 2**48), so
 signed 64-bit arithmetic is exact and equal in compiled and plain Python.
 
-A *mixed* bit has two models, whose probabilities are added as logits with weights that learn from
+A *mixed* bit has two models. Their probabilities are added as logits, with weights that adapt to
 every bit: the logistic mixing of PAQ7 (M. Mahoney, 2005), here with two inputs and in integers.
 Weights move by less than 2**11 a bit, products with them stay below 2**50.
 
@@ -26,10 +26,10 @@ from terrainwave.coding.jit import inlined_kernel, kernel, rare_kernel
 from terrainwave.coding.status import Status
 
 # Indices into the state array (int64) of an encoder or a decoder. The *point* is an encoder's LOW,
-# the lower end of its range, or a decoder's CODE, how far the code lies above that end.
+# the lower end of its range, or a decoder's CODE, the distance of the code from that end.
 #
-# Bytes leave an encoder _MOST_HELD at a time: POINT has HELD of them above its lowest 32 bits. Its
-# OUT_POS is where the next byte is written, a decoder's BYTE_POS where the next one is read.
+# Bytes leave an encoder _MOST_HELD at a time: POINT has HELD of them above its lowest 32 bits. The
+# next byte is written at an encoder's OUT_POS, or read at a decoder's BYTE_POS.
 RANGE, POINT, CACHE, PENDING, BYTE_POS, OUT_POS = 0, 1, 2, 3, 4, 5
 LOW = CODE = POINT
 HELD = BYTE_POS
@@ -47,7 +47,7 @@ RATES = np.array([131072 // (2 * n + 3) for n in range(_COUNT_LIMIT + 1)], dtype
 # The last weight is 1 / 2**_LAST_RATE: a probability below _LEAST_REST stays.
 _LAST_RATE = 16 - int(RATES[_COUNT_LIMIT]).bit_length() + 1
 _LEAST_REST = 1 << _LAST_RATE
-# Where ones alone bring a model in the end, whatever it was: there they do not move it.
+# Limit of a model after only ones, whatever its start: there further ones do not change it.
 SETTLED_ON_ONES = np.uint32(((1 << _PROB_BITS) - (_LEAST_REST - 1)) << _COUNT_BITS | _COUNT_LIMIT)
 
 MODEL_START = np.uint32(1 << 31)  # probability 1/2, nothing seen
@@ -82,16 +82,16 @@ def _probabilities() -> NDArray[np.uint16]:
     return np.rint((1 << 16) / (1 + np.exp(-doubled / (2 * _MIXTURE_UNIT)))).astype(np.uint16)
 
 
-# The same on every machine: no value lies so near a half that rounding could tell (P.1).
+# Equal on every machine: no value lies so close to a half that rounding could differ (P.1).
 LOGITS = _logits()
 PROBABILITIES = _probabilities()
 
 
 class Coder(NamedTuple):
-    """What encodes or decodes: its state, the bytes written or read, the models that adapt.
+    """Encoder or decoder: its state, the bytes written or read, the adaptive models.
 
-    `is_encoder` is None in a decoder, so that numba compiles what takes a coder for each of the two
-    and leaves out what the other does.
+    `is_encoder` is None in a decoder: numba then compiles each kernel for both cases and drops the
+    unused branches.
     """
 
     state: NDArray[np.int64]
@@ -107,7 +107,7 @@ def new_encoder(stream: NDArray[np.uint8], models: NDArray[np.uint32]) -> Coder:
 
 def new_decoder(data: bytes, models: NDArray[np.uint32]) -> Coder:
     """Return a decoder of `data`, from their start."""
-    # A copy that can be written to: types of what only an encoder does are inferred as well.
+    # A writable copy, because numba infers the types of encoder branches as well.
     stream = np.frombuffer(data, dtype=np.uint8).copy()
     state = np.zeros(STATE_SIZE, dtype=np.int64)
     start_decoder(state, stream)
@@ -115,12 +115,12 @@ def new_decoder(data: bytes, models: NDArray[np.uint32]) -> Coder:
 
 
 def new_models(n_models: int) -> NDArray[np.uint32]:
-    """Return `n_models` models at their start: probability 1/2, nothing seen."""
+    """Return `n_models` fresh models: probability 1/2, nothing seen."""
     return np.full(n_models, MODEL_START, dtype=np.uint32)
 
 
 def new_mixers(n_mixers: int) -> NDArray[np.int64]:
-    """Return the weights of `n_mixers` mixers at their start, one half: shape (2, n_mixers)."""
+    """Return the weights of `n_mixers` fresh mixers, one half each: shape (2, n_mixers)."""
     return np.full((2, n_mixers), _HALF_WEIGHT, dtype=np.int64)
 
 
@@ -132,7 +132,7 @@ def start_encoder() -> NDArray[np.int64]:
 
 
 def reset_encoder(state: NDArray[np.int64]) -> None:
-    """Set `state` to that of an encoder that has written nothing."""
+    """Reset `state` to that of an encoder that has written nothing."""
     state[RANGE], state[LOW], state[CACHE], state[HELD] = _MASK32, 0, 0, 0
     # The first byte out is always 0 and not written: it is "byte -1", and pending.
     state[PENDING], state[OUT_POS] = 1, -1
@@ -140,7 +140,7 @@ def reset_encoder(state: NDArray[np.int64]) -> None:
 
 @kernel
 def n_bytes_begun(state):
-    """Return how many bytes an encoder has put out or holds back: its LOW is what follows."""
+    """Return how many bytes an encoder has output or holds back; its LOW follows them."""
     return state[OUT_POS] + state[PENDING] + state[HELD]
 
 
@@ -156,8 +156,8 @@ def _move_out(point, held, state, out):
         byte = (point >> (32 + 8 * k)) & 255
         if byte < 255 or carry:
             first, pos = state[CACHE], state[OUT_POS]
-            # Nearly always once. What counts is in the state, so that the loop, which stands in
-            # all that codes, does not become vector code.
+            # Nearly always one iteration. The counter lies in the state, so that the loop, which is
+            # inlined everywhere, is not vectorised.
             while state[PENDING] > 0:
                 if 0 <= pos < out.shape[0]:
                     out[np.uint64(pos)] = (first + carry) & 255
@@ -190,7 +190,7 @@ def _adapted(prob, count, bit):
 
 @inlined_kernel
 def _renewed(span, point, pos, state, stream, is_encoder):
-    """Return `at` after bytes went out or came in until the range is large enough."""
+    """Return `at` after renormalisation by bytes until the range is large enough."""
     while span < _TOP:
         span <<= 8
         pos += 1
@@ -215,7 +215,7 @@ def finish_encoder(state, out):
     # not written, the decoder supplies them.
     low = ((state[LOW] + _TOP - 1) >> 24) << 24
     low = _move_out(low << 8, state[HELD] + 1, state, out)
-    # Now low is 0, so one more byte lets everything held back go.
+    # Now low is 0, so one more byte releases everything held back.
     state[LOW] = _move_out(low << 8, 1, state, out)
     state[HELD] = 0
     return state[OUT_POS]
@@ -242,7 +242,7 @@ def finish_decoder(state: NDArray[np.int64], data: NDArray[np.uint8]) -> tuple[S
 
 @inlined_kernel
 def _mixed(prob, other_prob, weight, other_weight):
-    """Return the 16-bit probability that two models and their weights give, and both logits."""
+    """Return the 16-bit probability of two mixed models, and both logits."""
     logit = np.int64(LOGITS[np.uint64(prob >> (_PROB_BITS - _LOGIT_BITS))])
     other_logit = np.int64(LOGITS[np.uint64(other_prob >> (_PROB_BITS - _LOGIT_BITS))])
     mixture = (weight * logit + other_weight * other_logit) >> _MIXTURE_SHIFT
@@ -256,11 +256,11 @@ def _learned(weight, logit, mixed, bit):
     return weight + ((_HALF_WEIGHT - mixed * logit) >> _WEIGHT_BITS) + (logit if bit else 0)
 
 
-# One text for encoder and decoder: what is to be coded is an argument, which a decoder ignores, and
-# what was coded is returned. Loops unpack their coder, as each look into it counts references, and
-# keep `at`, which is (RANGE, POINT, BYTE_POS or HELD), out of the state (half the time). A one is
-# coded as the lower part of the range, `bound` wide. What codes a bit is inlined: passing arrays
-# and taking `at` back costs more than coding.
+# One text for encoder and decoder: the value to code is an argument, ignored by a decoder, and the
+# coded value is returned. Loops unpack their coder, because each access counts references, and keep
+# `at`, which is (RANGE, POINT, BYTE_POS or HELD), out of the state (half the time). A one is coded
+# as the lower part of the range, `bound` wide. Bit coders are inlined: passing arrays and returning
+# `at` costs more than coding.
 
 
 @inlined_kernel
@@ -301,8 +301,8 @@ def code_step(at, state, stream, models, is_encoder, index, bit):
 def code_ones(at, state, stream, models, is_encoder, index, n):
     """Code `n` ones with ``models[index]``, each as `code_step` would; return (number, at).
 
-    A decoder stops before a zero. The model of a run stays in registers: a third of the time.
-    Some 1300 ones after its last zero, the model no longer moves, and the rest takes no time.
+    A decoder stops before a zero. The model of a run stays in registers: a third of the time. Some
+    1300 ones after its last zero, the model no longer changes, and the rest takes no time.
     """
     state, stream = borrowed((state, stream))
     span, point, pos = at
@@ -360,7 +360,7 @@ def code_ones_in_turns(at, state, stream, models, is_encoder, first, second, n):
 
 @inlined_kernel
 def _after_one(rest, count):
-    """Return what the probability of a zero, and the count of a model, are after a one."""
+    """Return the probability of a zero and the count of a model after a one."""
     if count < _COUNT_LIMIT:
         rest -= (rest * RATES[np.uint64(count)]) >> 16
         count += 1
@@ -379,9 +379,9 @@ def _scale_of_ones(rest):
 def _skip_ones(span, scale, least, n):
     """Narrow a range by up to `n` ones in one step; return (number, range).
 
-    A one makes ``(span >> 16) * scale`` of the range, where it is at least `least`. The model stays
-    as it is: `scale` is constant, 2**16 less a few. Then the upper part of the range, s, falls by
-    the same amount each time, ⌈lost * s / 2**16⌉, until s is small enough for one less.
+    A one multiplies the range to ``(span >> 16) * scale`` while it is at least `least`. The model
+    does not change: `scale` is constant, slightly below 2**16. Then the upper part of the range, s,
+    falls by the same amount each time, ⌈lost * s / 2**16⌉, until s is small enough for one less.
     """
     lost = (1 << 16) - scale
     upper = span >> 16
@@ -441,7 +441,7 @@ def code_mixed_step(at, state, stream, models, is_encoder, first, second, weight
 
 @inlined_kernel
 def _raised(point, distance, is_encoder):
-    """Return the point after the lower end of the range has gone up."""
+    """Return the point after the lower end of the range has moved up."""
     return point - distance if is_encoder is None else point + distance
 
 
@@ -482,7 +482,7 @@ def code_magnitude_step(at, state, stream, models, is_encoder, first, prefix, sh
         n_ones += bit
     n_bits = np.int64(0)
     rest = upper - N_UNARY + 1
-    # Begins only where all of the unary bits are ones.
+    # Only if all of the unary bits are ones.
     while bit and n_bits < N_PREFIX - 1:
         bit = np.int64(rest >> (n_bits + 1) > 0)
         bit, at = code_step(at, state, stream, models, is_encoder, prefix + n_bits, bit)
@@ -496,7 +496,7 @@ def code_magnitude_step(at, state, stream, models, is_encoder, first, prefix, sh
     return base + ((np.int64(1) << (n_bits + shift)) | raw), at
 
 
-# The same for what is coded now and then, which leaves all in the state.
+# The same for rare calls, with everything in the state.
 
 
 @kernel

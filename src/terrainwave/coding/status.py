@@ -6,7 +6,7 @@ from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 
 
 class Status(IntEnum):
-    """What a kernel found; `OK` is 0."""
+    """Result of a kernel; `OK` is 0."""
 
     OK = 0
     TRUNCATED = 1
@@ -22,7 +22,7 @@ _FAILURES = {
 
 
 def raise_for_status(status: int, byte_pos: int) -> None:
-    """Raise the exception that `status` stands for; return if it is ``OK``."""
+    """Raise the exception of `status`; return if it is ``OK``."""
     if status == Status.OK:
         return
     error, problem = _FAILURES[Status(status)]

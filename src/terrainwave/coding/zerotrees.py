@@ -1,10 +1,10 @@
-"""Joint zero trees as codec and triangulation share them: one byte per finest node.
+"""Joint zero trees shared by codec and triangulation: one byte per finest node.
 
 Node grids halve, rounding up, from the finest to 1 x 1; node (i, j) of *height* h above the finest
 grid has the descendants (i << h … ) x (j << h … ) there. A map of zero trees is a uint8 array over
 the finest nodes: 0 where the node is significant, else 1 + the height of the root of the maximal
-tree without a significant node that holds it. It says everything about all nodes (Yusov & Turlapov
-2010, §2.4): the node of height h above finest node f is
+tree without a significant node that holds it. It determines all nodes (Yusov & Turlapov 2010,
+§2.4): the node of height h above finest node f is
 
 * JS, significant or with a significant descendant, where ``trees[f] <= h`` (the node's tree cannot
   be part of a zero tree then; for h = 0: where ``trees[f] == 0``);
@@ -68,7 +68,7 @@ def grow_zero_trees(trees):
     for i in range(n_rows):
         for j in range(n_cols):
             trees[i, j] = 0 if trees[i, j] else 1
-    # Upwards, the first node of a tree stands for all; then trees are filled, tallest first.
+    # Upwards, the first node of a tree represents all; then trees are filled, tallest first.
     tallest = 0
     for height in range(1, tree_height(n_rows, n_cols) + 1):
         size = 1 << height
@@ -129,7 +129,7 @@ def mark_zero_trees(field, thresholds, trees):
 
 @kernel
 def _are_children_zero(trees, row, col, height):
-    """Say whether all nodes right below that of `height` at (row, col) are zero trees."""
+    """Return whether all nodes directly below that of `height` at (row, col) are zero trees."""
     n_rows, n_cols = trees.shape
     half = 1 << (height - 1)
     is_zero = trees[row, col] == height
@@ -144,7 +144,7 @@ def _are_children_zero(trees, row, col, height):
 
 @kernel
 def _fill_trees(trees, tallest):
-    """Give all nodes of a zero tree what its first one has, the tallest trees first."""
+    """Copy the value of a zero tree's first node to all its nodes, the tallest trees first."""
     n_rows, n_cols = trees.shape
     for height in range(tallest, 0, -1):
         size = 1 << height

@@ -1,13 +1,13 @@
-"""The eight-bit codes of errors and boxes of blocks (FORMAT.md §4.4)."""
+"""Eight-bit codes of errors and boxes of blocks (FORMAT.md §4.4)."""
 
-# Of a mesh above the finest level: nobody has measured its error, and whoever makes the mesh finds
-# a bound. As an error it is more than any mesh can have, as the format asks (FORMAT.md §4.4).
+# Of a mesh above the finest level whose error is not measured: its bound is computed with the mesh.
+# As an error it exceeds that of any mesh, as the format requires (FORMAT.md §4.4).
 UNMEASURED = 255
 
 
-# An error code c stands for (8 + c % 8) * 2^(c // 8) / 8, rounded down: eight steps an octave.
+# An error code c means (8 + c % 8) * 2^(c // 8) / 8, rounded down: eight steps an octave.
 def encode_error(error: int) -> int:
-    """Return the smallest code that stands for at least `error` quanta (0 … 2^31)."""
+    """Return the smallest code of an error of at least `error` quanta (0 … 2^31)."""
     if error <= 0:
         return 0
     exponent = max(error.bit_length() - 1, 0)
@@ -18,7 +18,7 @@ def encode_error(error: int) -> int:
 
 
 def decode_error(code: int) -> int:
-    """Return the error in quanta that `code` (0 … 255) stands for."""
+    """Return the error in quanta of `code` (0 … 255)."""
     return 0 if code == 0 else ((8 + code % 8) << code // 8) >> 3
 
 
@@ -33,6 +33,6 @@ def encode_range(low: int, high: int, outer_low: int, outer_high: int) -> tuple[
 
 
 def decode_range(below: int, above: int, outer_low: int, outer_high: int) -> tuple[int, int]:
-    """Return a box that contains the one that was encoded."""
+    """Return a box that contains the encoded one."""
     span = outer_high - outer_low
     return outer_low + below * span // 255, outer_high - above * span // 255

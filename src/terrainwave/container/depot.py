@@ -1,10 +1,10 @@
-"""Segments and arrays on storage that several machines share, until a file is put together.
+"""Segments and arrays on storage shared by several machines, until the file is assembled.
 
 A segment is stored as its page, then its payloads and meshes in the file's own order (FORMAT.md
-§3.2). Its page's `first_child` is 0, as nobody knows offsets in the file yet.
+§3.2). Its page's `first_child` is 0, as offsets in the file are still unknown.
 
-Of an object store only put, get, head and delete of known names are needed. A put that fails is
-repeated, and what is not there yet is asked for again, so the store may be slow to show it.
+An object store needs only put, get, head and delete of known names. Failed puts are repeated, and
+missing objects are requested again, so the store may show them late.
 """
 
 import io
@@ -41,9 +41,9 @@ _log = logging.getLogger(__name__)
 _OPEN_SOURCES = 32
 _CACHED_PAGES = 64
 _CHUNK = 16 << 20
-# Seconds before something is put or asked for again: stores may show late what they took.
+# Seconds before a retry: stores may show new objects late.
 _DELAYS = (0.2, 1.0, 5.0, 15.0)
-_NAMES_AT_A_TIME = 1000  # that S3 deletes by one request
+_NAMES_AT_A_TIME = 1000  # limit of S3's delete request
 _ADVICE = "; free space there, or name another directory or URL with `temp_dir`"
 
 Result = TypeVar("Result")
@@ -51,7 +51,7 @@ Result = TypeVar("Result")
 
 @dataclass
 class Meter:
-    """What one task, or one client, has read and written: bytes, and names in the depot."""
+    """Traffic of one task, or one client: bytes read and written, and names in the depot."""
 
     source_bytes: int = 0
     depot_bytes_read: int = 0
@@ -60,7 +60,7 @@ class Meter:
 
 
 class StoredSegment(NamedTuple):
-    """Where a segment lies; all of an absent one (FORMAT.md §3.4) is 0 but its path."""
+    """Position of a stored segment; of an absent one (FORMAT.md §3.4) only the path is set."""
 
     path: str
     offset: int
@@ -68,7 +68,6 @@ class StoredSegment(NamedTuple):
     length: int
 
     def page(self) -> bytes:
-        """Return the page."""
         return b"".join(self._read(0, self.page_length))
 
     def sections(self) -> Iterator[bytes]:
@@ -85,7 +84,7 @@ class StoredSegment(NamedTuple):
 
 
 def _again(what: str, call: Callable[[], Result]) -> Result:
-    """Return what a call returns, after some more attempts if it fails."""
+    """Return the result of a call, retried if it fails."""
     for delay in _DELAYS:
         try:
             return call()
@@ -96,7 +95,7 @@ def _again(what: str, call: Callable[[], Result]) -> Result:
 
 
 class _Entry:
-    """An entry of a depot that is read; what fails is tried again."""
+    """An open entry of a depot; failed reads are retried."""
 
     def __init__(self, path: str, meter: Meter) -> None:
         self._path = path
@@ -115,7 +114,6 @@ class _Entry:
         return data
 
     def close(self) -> None:
-        """Let go of the file."""
         self._source.close()
 
     def _again(self, call: Callable[[], Result]) -> Result:
@@ -126,15 +124,15 @@ class _Entry:
 class Depot:
     """A directory that all machines of a run see: a path, or a URL that fsspec can write to.
 
-    What is written appears whole or not at all, so that a task can be run again after its machine
-    was lost, or twice at a time.
+    Entries appear whole or not at all, so a task can run again after its machine was lost, or twice
+    at a time.
 
     Parameters
     ----------
     meter : Meter
-        Counts what goes through this object; it does not go with it to other machines.
+        Counts the traffic of this object; it is not sent to other machines.
     directory : str, optional
-        Where entries for URLs are made before they are put; by default the system's.
+        Directory for entries before they are uploaded; by default the system's.
     """
 
     root: str
@@ -145,12 +143,12 @@ class Depot:
         return Depot, (self.root,)
 
     def path(self, name: str) -> str:
-        """Return the path or URL of something stored."""
+        """Return the path or URL of an entry."""
         return f"{self.root}/{name}"
 
     @contextmanager
     def create(self, name: str) -> Iterator[BinaryIO]:
-        """Give a file to write that appears when the block ends without exception.
+        """Yield a file to write; it appears when the block ends without exception.
 
         Raises
         ------
@@ -173,9 +171,9 @@ class Depot:
 
     @contextmanager
     def _put(self, filesystem: Any, target: str, where: str) -> Iterator[BinaryIO]:
-        """Give a file of this machine that is put to a store when the block ends.
+        """Yield a local file that is uploaded to a store when the block ends.
 
-        Files of fsspec are not used: one that is left by an exception puts what it has.
+        fsspec's own files are not used: after an exception they upload what they have.
         """
         directory = self.directory or tempfile.gettempdir()
         failing = f"cannot write temporary files in {directory}"
@@ -203,12 +201,12 @@ class Depot:
             np.savez(file, **arrays)
 
     def load(self, name: str) -> dict[str, NDArray[Any]]:
-        """Return the arrays that `save` stored.
+        """Return the arrays stored by `save`.
 
         Raises
         ------
         StorageError
-            If it is not there.
+            If the entry does not exist.
         CorruptStreamError
             If it is damaged.
         """
@@ -227,16 +225,16 @@ class Depot:
             ) from error
 
     def open(self, path: str) -> _Entry:
-        """Return an entry to read, by its path or URL."""
+        """Open an entry for reading, by its path or URL."""
         return _Entry(path, self.meter)
 
     def fetch(self, path: str, local: str | os.PathLike[str]) -> None:
-        """Copy an entry to a file of this machine.
+        """Copy an entry to a local file.
 
         Raises
         ------
         StorageError
-            If it cannot be read, or the file not be written.
+            If it cannot be read, or the file cannot be written.
         """
         entry = self.open(path)
         failing = f"cannot write temporary files in {os.path.dirname(local)}"
@@ -248,7 +246,7 @@ class Depot:
             entry.close()
 
     def remove(self, names: Iterable[str] = ()) -> None:
-        """Delete everything in the depot: `names`, and whatever a list of it shows.
+        """Delete everything in the depot: `names`, and all entries that it lists.
 
         Raises
         ------
@@ -275,7 +273,7 @@ class Depot:
 
 @contextmanager
 def _in_place(target: str, where: str) -> Iterator[BinaryIO]:
-    """Give a file that gets its name when the block ends without exception."""
+    """Yield a file that gets its name when the block ends without exception."""
     unfinished = f"{target}.{secrets.token_hex(8)}"
     with storage_errors(f"cannot write {where}", advice=_ADVICE):
         try:
@@ -289,17 +287,17 @@ def _in_place(target: str, where: str) -> Iterator[BinaryIO]:
 
 
 def _delete(filesystem: Any, paths: list[str]) -> None:
-    """Delete what is there of some paths."""
+    """Delete the existing ones of some paths."""
     try:
         filesystem.rm(paths)
-    except FileNotFoundError:  # nobody knows which: one after the other
+    except FileNotFoundError:  # unknown which: delete one after the other
         for path in paths:
             with suppress(FileNotFoundError):
                 filesystem.rm_file(path)
 
 
 def _filesystem(root: str) -> tuple[Any, str]:
-    """Return fsspec's file system of a path or URL and the path in it."""
+    """Return fsspec's file system for a path or URL, and the path in it."""
     fsspec = need("fsspec.core", extra="distributed", purpose="a cluster")
     try:
         filesystem, path = fsspec.url_to_fs(root)
@@ -314,9 +312,9 @@ class StoredSegments:
     Parameters
     ----------
     depot : Depot
-        Whose meter counts what is read.
+        Its meter counts the bytes read.
     place : callable
-        Returns where a segment lies, by its head.
+        Returns the position of a segment, by its head.
     """
 
     def __init__(
@@ -346,7 +344,6 @@ class StoredSegments:
         return z_min, z_max, error, mesh_error
 
     def close(self) -> None:
-        """Close all sources."""
         self._sources.clear()
 
     def __enter__(self) -> "StoredSegments":

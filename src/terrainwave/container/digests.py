@@ -1,7 +1,7 @@
-"""Digests of heights: a tree of SHA-256, whose root stands for a raster (FORMAT.md §4.9).
+"""Digests of heights: a tree of SHA-256 whose root identifies a raster (FORMAT.md §4.9).
 
-The tree follows from the samples of the full grid alone: neither blocks nor methods are in it, so
-the same heights have the same root however they are coded.
+The tree depends only on the samples of the full grid, not on blocks or methods, so the same heights
+have the same root however they are coded.
 """
 
 import hashlib
@@ -37,7 +37,7 @@ Nodes = Mapping[Place, bytes]
 def tile_digests(
     region: Region, raw: NDArray[np.generic], valid: NDArray[np.bool_]
 ) -> dict[Place, bytes]:
-    """Return the digests of the tiles of a window; none of tiles without valid samples.
+    """Return the digests of the tiles of a window that have valid samples.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def tile_digests(
         The window, in samples of the full grid. It begins at a tile and ends with one, or at the
         raster's edge.
     raw : ndarray of the raster's dtype, shape (n_rows, n_cols)
-        Decoded heights. Those of voids may be anything.
+        Decoded heights; undefined in voids.
     valid : ndarray of bool, shape (n_rows, n_cols)
     """
     found = {}
@@ -70,7 +70,7 @@ def _tile_digest(raw: NDArray[np.generic], valid: NDArray[np.bool_]) -> bytes:
 
 
 class TileDigests:
-    """The digests of tiles seen so far; those of a whole leaf are kept as that of the leaf."""
+    """Digests of the tiles added so far; a complete leaf is stored as one digest."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self._shape = shape
@@ -78,7 +78,7 @@ class TileDigests:
         self._leaves: dict[Place, bytes] = {}
 
     def add(self, tiles: Nodes) -> None:
-        """Take in tiles, each once."""
+        """Add tiles, each exactly once."""
         for (row, col), digest in tiles.items():
             leaf = row // FAN, col // FAN
             of_leaf = self._tiles.setdefault(leaf, {})
@@ -87,7 +87,7 @@ class TileDigests:
                 self._leaves[leaf] = _node(self._tiles.pop(leaf), leaf, _counts(self._shape, 0))
 
     def tree(self) -> "DigestTree":
-        """Return the tree of all tiles; those that were not seen have no valid samples."""
+        """Return the tree of all tiles; missing tiles have no valid samples."""
         counts = _counts(self._shape, 0)
         rest = {leaf: _node(tiles, leaf, counts) for leaf, tiles in self._tiles.items()}
         return DigestTree(self._shape, self._leaves | rest)
@@ -120,18 +120,18 @@ class DigestTree:
         return self._levels[-1].get((0, 0), VOID)
 
     def root(self, header: Header) -> str:
-        """Return the root in hexadecimal: the top with what the heights are and where they lie."""
+        """Return the root in hexadecimal: the top with meaning and position of the heights."""
         return hashlib.sha256(_ROOT + _description(header) + self.top).hexdigest()
 
     def differences(self, other: "DigestTree") -> Iterator[Region]:
-        """Yield the samples of each leaf that another tree of the same raster has otherwise."""
+        """Yield the samples of each leaf that differs in another tree of the same raster."""
         side = TILE * FAN
         whole = Region(0, 0, *self.shape)
         for row, col in sorted({place for place, _ in self.leaves.items() ^ other.leaves.items()}):
             yield Region(row * side, col * side, side, side).intersect(whole)
 
     def pack(self) -> bytes:
-        """Return the section of the tree: it ends a file."""
+        """Return the section of the tree, which ends a file."""
         digests = [self.top]
         for height in range(len(self._levels) - 1, 0, -1):
             counts, below = _counts(self.shape, height), self._levels[height - 1]
@@ -186,16 +186,16 @@ assert SMALLEST_DIGESTS == len(VOID) + TAIL_LENGTH
 
 
 def _counts(shape: tuple[int, int], height: int) -> tuple[int, int]:
-    """Return how many rows and columns of children nodes of a height have; of tiles at 0.
+    """Return rows and columns of the children of nodes of `height` + 1: tiles at height 0.
 
-    The nodes of height 1 are leaves. The children of height `height` + 1 are counted.
+    The nodes of height 1 are leaves.
     """
     side = TILE * FAN**height
     return -(-shape[0] // side), -(-shape[1] // side)
 
 
 def _children(place: Place, counts: tuple[int, int]) -> Iterator[Place]:
-    """Yield the children of a node in raster order, as far as they lie inside the raster."""
+    """Yield the children of a node inside the raster, in raster order."""
     for row in range(FAN * place[0], min(FAN * (place[0] + 1), counts[0])):
         for col in range(FAN * place[1], min(FAN * (place[1] + 1), counts[1])):
             yield row, col
@@ -209,7 +209,7 @@ def _node(below: Nodes, place: Place, counts: tuple[int, int]) -> bytes:
 
 
 def _description(header: Header) -> bytes:
-    """Return what the heights are and where they lie, in the one way that FORMAT.md §4.9 states."""
+    """Return meaning and position of the heights in the canonical form of FORMAT.md §4.9."""
     metadata = header.metadata
     numbers = [
         *(metadata.get("transform") or (1, 0, 0, 0, 1, 0)),  # type: ignore[misc]

@@ -22,11 +22,11 @@ from terrainwave.grid.quadtree import Grid
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.names import MESHES, METHODS, UNBOUNDED_MESHES
 
-MAGIC = b"\x89TWZ\r\n\x1a\n"  # as PNG's: a text-mode or 7-bit copy damages it visibly
+MAGIC = b"\x89TWZ\r\n\x1a\n"  # like PNG's: visibly damaged by a text-mode or 7-bit copy
 FORMAT_VERSION = 2
 HEADER_SIZE = 128  # without optional sections
 MEDIA_TYPE = "application/vnd.terrainwave"  # FORMAT.md §14
-# How messages of `UnsupportedVersionError` end (FORMAT.md §12.1).
+# Ending of the messages of `UnsupportedVersionError` (FORMAT.md §12.1).
 NEWER = ": install a newer terrainwave"
 
 _METHOD_NAMES = {method.number: method.name for method in METHODS.values()}
@@ -38,7 +38,7 @@ HAS_VOIDS = 1
 HAS_REMAINDERS = 2
 # The file follows the paper of its method (FORMAT.md §7.9).
 IS_FAITHFUL = 4
-# Payloads put heights back in the loop, so that patches move no others (FORMAT.md §5.4).
+# Corrections in payloads keep a patch from changing other heights (FORMAT.md §5.4).
 HAS_CORRECTIONS = 8
 # The file ends with digests of its heights (FORMAT.md §4.9).
 HAS_DIGESTS = 16
@@ -50,7 +50,7 @@ MIN_BLOCK_LOG2, MAX_BLOCK_LOG2 = 5, 10
 MAX_EFFORT = 9
 MAX_MESH_TOLERANCE = 2**32 - 1
 MAX_QUANTUM_PART = 2**63 - 1
-MAX_Z = 2**30  # so that z ± a step's half and differences of two heights fit int32
+MAX_Z = 2**30  # so that z ± half a step and differences of two heights fit int32
 MAX_STEP = 2**31 - 1
 MAX_METADATA = 2**20  # both deflated and inflated
 MAX_PARAMETERS = 2**16
@@ -59,13 +59,13 @@ MAX_PAGE = 2**15  # an inflated page has at most 5.9 kB (FORMAT.md §10)
 
 _LAYOUT = struct.Struct("<8s B B H I Q I I B B B B B B 2s Q Q q I i i I d d d I I I I I")
 _CRC = struct.Struct("<I")
-# Of an optional section: name, bytes of its content, their checksum (FORMAT.md §4.8).
+# Head of an optional section: name, length of its content, its checksum (FORMAT.md §4.8).
 _SECTION = struct.Struct("<4s I I")
 
 
 @dataclass(frozen=True)
 class Header:
-    """What a file says about its raster as a whole (FORMAT.md §4.1).
+    """Properties of the whole raster (FORMAT.md §4.1).
 
     The raw height of quantum number k is ``(base + k) * quantum``, in the units of the source's
     stored values (before scale and offset).
@@ -83,7 +83,7 @@ class Header:
     dtype : str
         Data type of the source and of `read`, one of `DTYPE_CODES`.
     effort : int
-        What the encoder was asked to spend, 0 ... 9.
+        Effort of the encoder, 0 ... 9.
     quantum : Fraction
         Height of one quantum, raw units; > 0.
     base : int
@@ -94,7 +94,7 @@ class Header:
         Smallest and largest valid height of the originals, in quanta, within ±2^30; 0 and -1 if
         there is no valid sample.
     max_error, effective_bound, rho : float
-        The bound asked for, the bound that holds, the share of it lost to rounding; raw units.
+        Requested bound, effective bound, and its share lost to rounding; raw units.
     mesh : str
         The triangulation of every block, one of `names.MESHES`.
     mesh_tolerance : int
@@ -136,55 +136,52 @@ class Header:
 
     @property
     def has_remainders(self) -> bool:
-        """Say whether remainders make heights of the full grid exact."""
+        """Return whether remainders make heights of the full grid exact."""
         return bool(self.features & HAS_REMAINDERS)
 
     @property
     def is_faithful(self) -> bool:
-        """Say whether the file follows the paper of its method (FORMAT.md §7.9)."""
+        """Return whether the file follows the paper of its method (FORMAT.md §7.9)."""
         return bool(self.features & IS_FAITHFUL)
 
     @property
     def has_voids(self) -> bool:
-        """Say whether samples of the full grid may be void; without, all are known to be valid."""
+        """Return whether samples of the full grid may be void; if not, all are valid."""
         return bool(self.features & HAS_VOIDS)
 
     @property
     def has_corrections(self) -> bool:
-        """Say whether payloads put heights back in the loop."""
+        """Return whether payloads have corrections."""
         return bool(self.features & HAS_CORRECTIONS)
 
     @property
     def has_digests(self) -> bool:
-        """Say whether the file ends with digests of its heights."""
+        """Return whether the file ends with digests of its heights."""
         return bool(self.features & HAS_DIGESTS)
 
     @property
     def moved(self) -> int:
-        """Return by how much a file before may have moved heights, in quanta.
-
-        A share of the bound.
-        """
+        """Return how far an earlier file may have moved heights, in quanta; part of the bound."""
         found = self.metadata.get("moved")
         return int(cast(float, found)) if found is not None else 0
 
     @property
     def bound_side(self) -> str:
-        """Return on which side of originals heights may lie: both, above or below."""
+        """Return the side of originals on which heights lie: both, above or below."""
         found = self.metadata.get("bound")
         return str(found) if found in ("above", "below") else "both"
 
     @property
     def coded_error(self) -> int:
-        """Return how far decoded heights may be from the quantised originals, in quanta."""
+        """Return the largest distance of decoded from quantised original heights, in quanta."""
         n_sides = 1 if self.bound_side == "both" else 2
         return n_sides * (self.step >> 1) + self.moved
 
     @property
     def quanta_error(self) -> float:
-        """Return the bound of heights as their quanta tell them, in raw units.
+        """Return the bound of quantised heights, without remainders, in raw units.
 
-        That of meshes, which know of no remainders; else the effective bound.
+        It applies to meshes, which do not use remainders; otherwise it is the effective bound.
         """
         if self.has_remainders:
             return self.quantizer.quanta_error + self._moved_error
@@ -192,9 +189,10 @@ class Header:
 
     @property
     def effective_error(self) -> float:
-        """Return the bound that holds, in raw units.
+        """Return the effective bound, in raw units.
 
-        Remainders make heights those of the raster, whose own distance `effective_bound` has not.
+        With remainders, heights equal those of the raster, and its own earlier loss remains, which
+        `effective_bound` does not include.
         """
         return self.effective_bound + (self._moved_error if self.has_remainders else 0.0)
 
@@ -221,7 +219,7 @@ class Header:
     def codec_parameters(self) -> CodecParameters:
         """Return the parameters that all coded units of the file share."""
         nodata = self.metadata.get("nodata")
-        # A string stands for NaN or an infinity, which no quantum gives.
+        # A string is NaN or an infinity, which no quantum equals.
         number = nodata if isinstance(nodata, int | float) else None
         return CodecParameters.of(
             self.quantizer,
@@ -310,7 +308,7 @@ def pack_header(header: Header, extents: Extents) -> bytes:
     return body + _CRC.pack(zlib.crc32(body))
 
 
-# What other files begin with.
+# First bytes of other kinds of files.
 _KINDS = {
     b"II*\0": "a TIFF", b"MM\0*": "a TIFF", b"II+\0": "a TIFF", b"MM\0+": "a TIFF",
     b"\x89PNG": "a PNG", b"PK\x03\x04": "a zip archive", b"\x1f\x8b": "a gzip file",
@@ -320,11 +318,11 @@ _KINDS = {
 
 
 class NotTwzError(CorruptStreamError):
-    """It is another kind of file, which no copy will mend."""
+    """The file is of another kind, and another copy will not help."""
 
 
 def _kind_of(data: bytes) -> str:
-    """Return what a file is whose first bytes are not those of a .twz file."""
+    """Return the kind of a file whose first bytes are not those of a .twz file."""
     start = data[:32].lstrip().lower()
     kinds = (kind for magic, kind in _KINDS.items() if start.startswith(magic.lower()))
     return next(kinds, "another kind of file")
@@ -342,7 +340,7 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
     CorruptStreamError
         If the magic, the checksum or a field contradicts the format.
     UnsupportedVersionError
-        If a version, feature, method, data type or reserved field is not known.
+        If a version, feature, method, data type or reserved field is unknown.
     """
     if not data:
         raise TruncatedStreamError("found an empty file, expected a .twz file")
@@ -411,12 +409,12 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
 
 
 def _check_version(data: bytes, stored: int) -> None:
-    """Raise if the format's version is not ours; `stored` is the checksum of the header."""
+    """Raise if the format's version differs from ours; `stored` is the checksum of the header."""
     version = data[8]
     if version == FORMAT_VERSION:
         return
     first = data[:8] + bytes([FORMAT_VERSION]) + data[9 : _LAYOUT.size]
-    if stored == zlib.crc32(first):  # headers have checksums of their own version
+    if stored == zlib.crc32(first):  # other versions have checksums of their own
         raise CorruptStreamError(
             f"byte 8 is damaged: it says format version {version}, and the checksum is that of"
             f" version {FORMAT_VERSION}"
@@ -435,7 +433,7 @@ def check_optional_sections(data: bytes) -> None:
     Raises
     ------
     CorruptStreamError
-        If they do not fill `data`, a name comes twice, or a checksum does not match.
+        If they do not fill `data`, a name is repeated, or a checksum does not match.
     """
     names, at = set[bytes](), 0
     while at < len(data):
@@ -460,14 +458,14 @@ class _Violation:
 
 
 def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
-    """Yield what is outside the limits of FORMAT.md §4.1 and §10, in the order of the fields."""
+    """Yield violations of the limits of FORMAT.md §4.1 and §10, in the order of the fields."""
     yield from _violations_of_grid(header)
     yield from _violations_of_features(header)
     yield from _violations_of_sizes(header, extents)
 
 
 def _violations_of_grid(header: Header) -> Iterator[_Violation]:
-    """Yield what is wrong with samples, method, quantum and bounds; features that are unknown."""
+    """Yield violations in samples, method, quantum and bounds; unknown features."""
     unknown = header.features & ~KNOWN_FEATURES
     if unknown:
         yield _Violation(f"unknown features {unknown:#x}{NEWER}", UnsupportedVersionError)
@@ -506,7 +504,7 @@ def _violations_of_grid(header: Header) -> Iterator[_Violation]:
 
 
 def _violations_of_features(header: Header) -> Iterator[_Violation]:
-    """Yield features that do not go together, or not with the method."""
+    """Yield features that conflict with each other or with the method."""
     if header.is_faithful and not METHODS[header.method].may_be_faithful:
         yield _Violation(f"a faithful file of method {header.method}, which has none")
     if header.z_min > header.z_max and not header.has_voids:
@@ -526,7 +524,7 @@ def _violations_of_features(header: Header) -> Iterator[_Violation]:
 
 
 def _violations_of_sizes(header: Header, extents: Extents) -> Iterator[_Violation]:
-    """Yield what is wrong with the tolerance of meshes and the sizes of sections."""
+    """Yield violations in the tolerance of meshes and the sizes of sections."""
     if not 0 <= header.mesh_tolerance <= MAX_MESH_TOLERANCE:
         yield _Violation(f"mesh tolerance {header.mesh_tolerance} does not fit 32 bits")
     if header.mesh == "none" and header.mesh_tolerance:

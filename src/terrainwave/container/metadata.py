@@ -11,7 +11,7 @@ from terrainwave.coding.deflate import deflate, inflate
 from terrainwave.container.header import MAX_METADATA
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveError
 
-# What `compress` knows a file again by, if it keeps that; nothing is decoded by it.
+# Origin of a file, by which `compress` recognises it; not needed for decoding.
 ORIGIN = "origin"
 # The .twz files that the heights went through before, each with its bound.
 EARLIER = "earlier"
@@ -53,19 +53,19 @@ def pack_metadata(metadata: dict[str, object]) -> bytes:
 
 
 def unpack_metadata(packed: bytes) -> dict[str, object]:
-    """Return the metadata in `packed`; unknown keys are kept as they are.
+    """Return the metadata in `packed`; unknown keys are kept unchanged.
 
     Raises
     ------
     CorruptStreamError
-        If it is not one JSON object as FORMAT.md §4.2 wants it.
+        If it is not one JSON object according to FORMAT.md §4.2.
     """
     data = inflate(packed, MAX_METADATA, "metadata", read_annex("dictionary.txt"))
     try:
         text = data.decode("utf-8")
     except UnicodeDecodeError as error:
         raise CorruptStreamError(f"metadata is not UTF-8: {error}") from None
-    # Before json sees it: its parser recurses, and where it gives up depends on the Python.
+    # Before json parses it: its parser recurses to a depth that depends on the Python version.
     if _nesting(text) > MAX_NESTING:
         raise CorruptStreamError(f"metadata is nested deeper than {MAX_NESTING}")
     try:
@@ -76,7 +76,7 @@ def unpack_metadata(packed: bytes) -> dict[str, object]:
             parse_int=_whole,
             parse_constant=_no_constant,
         )
-        # A lone surrogate escape is legal JSON but no text: it would fail when printed.
+        # A lone surrogate escape is legal JSON but not text: printing it would fail.
         json.dumps(metadata, ensure_ascii=False).encode("utf-8")
     except ValueError as error:
         raise CorruptStreamError(f"metadata is not the JSON expected: {error}") from None
@@ -88,12 +88,12 @@ def unpack_metadata(packed: bytes) -> dict[str, object]:
 
 
 def without_origin(metadata: dict[str, object]) -> dict[str, object]:
-    """Return the metadata of a file that is no longer what `compress` made."""
+    """Return the metadata of a file that `compress` would no longer make."""
     return {key: value for key, value in metadata.items() if key != ORIGIN}
 
 
 def _nesting(text: str) -> int:
-    """Return how deeply brackets nest outside of strings."""
+    """Return the depth of nested brackets outside of strings."""
     depth = deepest = 0
     for match in _TOKEN.finditer(text):
         if match[0] in "[{":
@@ -159,7 +159,7 @@ def _wrong_values(metadata: dict[str, object]) -> Iterator[str]:
 
 
 def _is_number(value: object) -> bool:
-    # 2^64: whatever a reader does with it, an int this small becomes a float without overflow.
+    # 2^64: an int this small converts to a float without overflow in any reader.
     if isinstance(value, bool):
         return False
     return isinstance(value, float) or (isinstance(value, int) and abs(value) <= 2**64)

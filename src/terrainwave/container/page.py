@@ -1,4 +1,4 @@
-"""Index pages: where the payloads of one segment lie, and its child segments (FORMAT.md §3.3)."""
+"""Index pages: positions of one segment's payloads, and its child segments (FORMAT.md §3.3)."""
 
 import struct
 import zlib
@@ -30,42 +30,39 @@ class _Lists(NamedTuple):
 
 
 class PageLayout(_Lists):
-    """What the page of a segment lists, in its order; it follows from the grid alone."""
+    """Rows of a segment's page, in order; determined by the grid."""
 
     @cached_property
     def order(self) -> list[int]:
-        """Return the rows of keys in the order in which their payloads lie in the file."""
+        """Return the rows of keys in the order of their payloads in the file."""
         return file_order(self.keys)
 
     @cached_property
     def keys_in_file(self) -> list[Block]:
-        """Return the keys in that order."""
+        """Return the keys in file order."""
         return [self.keys[row] for row in self.order]
 
     @cached_property
     def key_rows(self) -> dict[Block, int]:
-        """Return the row of each key."""
         return {key: row for row, key in enumerate(self.keys)}
 
     @cached_property
     def block_rows(self) -> dict[Block, int]:
-        """Return the row of each block."""
         return {block: row for row, block in enumerate(self.blocks)}
 
     @cached_property
     def child_rows(self) -> dict[Block, int]:
-        """Return the row of each child."""
         return {child: row for row, child in enumerate(self.children)}
 
 
 @lru_cache(maxsize=32)
 def page_layout(grid: Grid, head: Block | None) -> PageLayout:
-    """List the keys on the page of the segment of `head` (FORMAT.md §3.3).
+    """Return the keys on the page of the segment of `head` (FORMAT.md §3.3).
 
     At most 85 keys, 340 blocks and 256 children, whatever the size of the grid. The lists are
-    shared, and nobody's to change.
+    shared and must not be changed.
     """
-    # In one walk, since a key's blocks are the next layer's keys (and the last one's the children).
+    # In one walk, as a key's blocks are the next layer's keys, or the children of the last layer.
     if head is None:
         layers = [grid.blocks(level) for level in range(grid.top_levels + 1)]
         keys = grid.root_keys()
@@ -95,8 +92,8 @@ class Page:
     child_lengths : ndarray of uint64, shape (n_children,)
         Page and body of a child. 0 if the segment is absent.
     first_child : int
-        File offset at which the bodies of the child segments begin; they follow each other without
-        gaps. 0 if the layout has no children.
+        File offset of the bodies of the child segments, which are contiguous. 0 if the layout has
+        no children.
     """
 
     payload_lengths: NDArray[np.uint32]
@@ -135,7 +132,7 @@ class Page:
 
     @property
     def is_empty(self) -> bool:
-        """Say whether nothing is lost if the segment is left out (FORMAT.md §3.4)."""
+        """Return whether the segment can be left out without loss (FORMAT.md §3.4)."""
         return not (
             self.sections_length or self.flags.any() or self.codes.any() or self.child_lengths.any()
         )
@@ -157,7 +154,7 @@ def empty_page(layout: PageLayout) -> Page:
 
 
 def pack_columns(page: Page) -> bytes:
-    """Return the deflated columns of `page`, all but `first_child` (FORMAT.md §3.3)."""
+    """Return the deflated columns of `page` except `first_child` (FORMAT.md §3.3)."""
     columns = (
         _pack_planes(page.payload_lengths, "<u4"),
         _pack_planes(page.mesh_lengths, "<u4"),
@@ -179,8 +176,8 @@ def page_length(columns: bytes) -> int:
 def pack_page(columns: bytes, first_child: int) -> bytes:
     """Return the bytes of a page from its packed columns (FORMAT.md §3.3).
 
-    `first_child` stays outside the deflated part: offsets depend on the lengths of pages, which
-    therefore must not depend on offsets.
+    `first_child` is not deflated: offsets depend on the lengths of pages, which therefore must not
+    depend on offsets.
     """
     body = _PREFIX.pack(0, first_child)[4:] + columns
     return zlib.crc32(body).to_bytes(4, "little") + body
@@ -202,7 +199,7 @@ def with_first_child(data: bytes, first_child: int) -> bytes:
 def unpack_page(data: bytes, layout: PageLayout, name: str) -> Page:
     """Read a page; the inverse of `pack_page` and `pack_columns` (FORMAT.md §3.3).
 
-    Only what the page says by itself is checked, not where its segments lie in the file.
+    Checks only the page itself, not the positions of its segments in the file.
 
     Raises
     ------
@@ -265,20 +262,20 @@ def _check(page: Page, name: str) -> None:
 
 
 def _pack_planes(column: NDArray[np.generic], dtype: str) -> bytes:
-    """Return all lowest bytes, then all second ones, ...: like bytes together deflate better."""
+    """Return all lowest bytes, then all second ones, ...: similar bytes together deflate better."""
     data = np.ascontiguousarray(column.astype(dtype))
     return data.view(np.uint8).reshape(len(column), -1).T.tobytes() if len(column) else b""
 
 
 class _Cursor:
-    """Takes columns off the front of a page's content."""
+    """Reader of the columns in a page's content."""
 
     def __init__(self, content: bytes) -> None:
         self._content = np.frombuffer(content, dtype=np.uint8)
         self._byte_pos = 0
 
     def planes(self, dtype: DTypeLike, count: int) -> NDArray[Any]:
-        """Return the next column of `count` numbers, native byte order; the inverse of above."""
+        """Return the next column of `count` numbers in native byte order (see `_pack_planes`)."""
         width = np.dtype(dtype).itemsize
         end = self._byte_pos + width * count
         planes = self._content[self._byte_pos : end].reshape(width, count)
@@ -302,10 +299,10 @@ def describe_key(key: Block) -> str:
 
 
 def file_order(keys: Sequence[Block]) -> list[int]:
-    """Return the rows of a page in the order in which payloads lie in the file (FORMAT.md §3.2).
+    """Return the rows of a page in the order of their payloads in the file (FORMAT.md §3.2).
 
-    `keys` are those of one segment. Keys of its second level have their children behind them and
-    the fourth level runs backwards: what a window needs then lies in fewer places.
+    `keys` are those of one segment. Keys of its second level are followed by their children, and
+    the fourth level is reversed: a window then needs fewer ranges.
     """
     layers: list[list[int]] = [[] for _ in range(SEGMENT_LEVELS)]
     for row, key in enumerate(keys):

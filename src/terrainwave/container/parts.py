@@ -1,4 +1,4 @@
-"""What the bytes of a file are for (FORMAT.md §3)."""
+"""Sizes of a file's parts (FORMAT.md §3)."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from terrainwave.container.reader import Container
 
 @dataclass(frozen=True)
 class Parts:
-    """Bytes of each part of a file; together they are the file.
+    """Bytes of each part of a file; their sum is the file.
 
     Parameters
     ----------
@@ -15,7 +15,7 @@ class Parts:
         The header with the metadata; the method's parameters; all index pages; stored meshes;
         digests of heights.
     heights : tuple of int
-        Payloads of each level, the coarsest first; one number where they hold several levels.
+        Payloads of each level, the coarsest first; one number if a payload spans several levels.
     """
 
     metadata: int

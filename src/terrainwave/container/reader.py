@@ -1,7 +1,7 @@
-"""Random access to the payloads of a file; nothing is read before it is asked for.
+"""Random access to the payloads of a file; bytes are read only on demand.
 
-Untrusted bytes are believed in this order: magic, version, header and its checksum, limits, file
-size, metadata, index pages and where their segments lie, checksums of payloads (FORMAT.md §3.5).
+Untrusted bytes are checked in this order: magic, version, header and its checksum, limits, file
+size, metadata, index pages and positions of their segments, checksums of payloads (FORMAT.md §3.5).
 """
 
 import logging
@@ -50,35 +50,35 @@ _CHECK_BATCH = 4 * 1024 * 1024
 
 
 class Container:
-    """An open .twz file: bytes by key, no heights.
+    """Open .twz file: bytes by key, no heights.
 
     A key is the parent block of a group, or one of `Grid.root_keys`: a root's position on level
-    -1. Keys and blocks that the grid does not have raise `KeyError`. Thread-safe; can be pickled
+    -1. Keys and blocks outside of the grid raise `KeyError`. Thread-safe; can be pickled
     if its source can; a context manager.
 
     Parameters
     ----------
     source : ByteSource
-        Closed by `close`.
+        The bytes; closed by `close`.
     cached_segments : int
-        How many index pages to keep (about 50 kB each).
+        Number of index pages to cache (about 50 kB each).
     may_be_cut : bool
-        Open a file that ends too early, too: what is missing is damaged.
+        Also open a file that ends too early: missing parts count as damaged.
 
     Attributes
     ----------
     n_missing : int
-        Bytes that such a file lacks; else 0.
+        Bytes missing from such a file; else 0.
 
     Raises
     ------
     TerrainwaveError
-        If the header, the metadata or the top page is not a readable one.
+        If the header, the metadata or the top page cannot be read.
 
     Notes
     -----
-    Opening reads the first 16 KiB and, if the top page ends later, once more: 64 KiB at most for
-    metadata up to 30 kB. Memory does not depend on the size of the raster.
+    Opening reads the first 16 KiB and, if the top page ends later, a second range: 64 KiB at most
+    for metadata up to 30 kB. Memory does not depend on the size of the raster.
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class Container:
 
     @property
     def _segments_end(self) -> int:
-        """Return where the segments end; before digests, where they end at the latest."""
+        """Return the end of the segments; if digests follow, an upper limit."""
         return self.extents.file_size - SMALLEST_DIGESTS * self.header.has_digests
 
     def _unpack_top(self, data: bytes) -> Segment:
@@ -127,7 +127,7 @@ class Container:
         if layout.children and page.first_child != end:
             raise CorruptStreamError("the first segment does not follow the top segment")
         n_levels_below = self.grid.k_max - self.grid.top_levels
-        is_exact = not self.header.has_digests  # else `check` finds where they begin
+        is_exact = not self.header.has_digests  # otherwise `check` finds their start
         if is_exact and last != self._segments_end and n_levels_below <= SEGMENT_LEVELS:
             raise CorruptStreamError("the segments do not fill the file")
         if last > self._segments_end:
@@ -141,7 +141,7 @@ class Container:
         return self.segments([head])[head]
 
     def segments(self, heads: Sequence[Block | None]) -> dict[Block | None, Segment]:
-        """Return the indices of several segments; missing pages of a level in one `read_many`."""
+        """Return the indices of several segments; missing pages of a level take one `read_many`."""
         indices: dict[Block | None, Segment] = {}
         missing: list[Block] = []
         for head in heads:
@@ -175,7 +175,7 @@ class Container:
 
     @contextmanager
     def _blaming_change(self) -> Iterator[None]:
-        """Say that the file has changed, where that is why its bytes contradict each other."""
+        """Turn contradictions in the bytes into an error that the file has changed, if it has."""
         try:
             yield
         except CorruptStreamError:
@@ -185,7 +185,7 @@ class Container:
     def _parent_head(self, head: Block) -> Block | None:
         if not self.grid.contains(head) or head.level not in self.grid.segment_levels():
             raise KeyError(f"no segment begins at {head}")
-        # A root block's own segment hangs below the top one as well.
+        # A root block's own segment is also a child of the top one.
         return None if head.level == 0 else self.grid.segment_head(head.parent)
 
     def _unpack_segment(self, head: Block, parent: Segment, data: bytes) -> Segment:
@@ -200,7 +200,7 @@ class Container:
             raise CorruptStreamError(
                 f"the body of {name} has {page.body_length} bytes, its parent says {length}"
             )
-        # Strictly onward, so that no chain of pages ever comes back to a byte.
+        # Strictly forward, so that no chain of pages returns to a byte.
         if layout.children and page.first_child < parent.page.children_end:
             raise CorruptStreamError(f"the child segments of {name} overlap others")
         if layout.children and page.children_end > self._segments_end:
@@ -244,9 +244,9 @@ class Container:
 
         Notes
         -----
-        Each missing level of index pages takes one round of requests, which also brings payloads
-        whose place is known by then; one more round brings the rest. Which gaps are read is decided
-        for all rounds together (`container.sources.ranges`).
+        Each missing level of index pages takes one round of requests, which also fetches the
+        payloads whose position is known by then; one more round fetches the rest. Gaps to bridge
+        are chosen for all rounds together (`container.sources.ranges`).
         """
         heads = {key: self._head_of(key) for key in keys}
         known = self._known_segments(heads.values())
@@ -256,7 +256,7 @@ class Container:
             while missing := self._next_segments(heads.values(), known):
                 places = {head: parent.page_range(head) for head, parent in missing.items()}
                 here = {head: place for head, place in places.items() if reader.has(place)}
-                if not here:  # else they may tell more of what is to be fetched
+                if not here:  # otherwise they may locate more to fetch
                     pages += places.values()
                     reader.fetch([*pages, *_payload_places(heads, known).values()])
                 loaded: dict[Block | None, Segment] = {
@@ -276,11 +276,11 @@ class Container:
         return [payloads[key] for key in keys]
 
     def rounds(self) -> RoundReader:
-        """Return what fetches ranges of the file in rounds, and has its beginning already."""
+        """Return a reader of ranges in rounds, which has the file's beginning already."""
         return RoundReader(self.source, self._start)
 
     def _known_segments(self, heads: Iterable[Block | None]) -> dict[Block | None, Segment]:
-        """Return those of the segments and of the ones above them that need not be read."""
+        """Return those of the segments and their ancestors that are cached or implied."""
         known: dict[Block | None, Segment] = {None: self._top}
         for head in set(heads):
             above = head
@@ -305,13 +305,13 @@ class Container:
         return missing
 
     def payload_lengths(self, keys: Sequence[Block]) -> list[int]:
-        """Return the bytes of the payloads of `keys`."""
         return [segment.payload_range(row).length for segment, row in self._rows(keys)]
 
     def payload_parts(self, parts: Sequence[tuple[Block, int, int]]) -> list[bytes]:
         """Return bytes start … end of payloads; near ones are read in one request.
 
-        Each of `parts` is (key, start, end), inside the payload. Parts have no checksum here.
+        Each of `parts` is (key, start, end), inside the payload. Parts are not checked by
+        checksums.
         """
         ranges = []
         for (segment, row), (_, start, end) in zip(
@@ -332,7 +332,6 @@ class Container:
         return data
 
     def flags(self, key: Block) -> int:
-        """Return the flags of `key`."""
         ((segment, row),) = self._rows([key])
         return int(segment.page.flags[row])
 
@@ -358,12 +357,12 @@ class Container:
     # Digests
 
     def digests_place(self) -> ByteRange:
-        """Return where digests lie, which end the file; of length 0 where it has none.
+        """Return the position of the digests at the file's end; of length 0 if it has none.
 
         Raises
         ------
         CorruptStreamError
-            If they would reach into the segments.
+            If they would overlap the segments.
         """
         size = self.extents.file_size
         if not self.header.has_digests:
@@ -390,12 +389,12 @@ class Container:
     # Check of the whole file
 
     def check(self) -> Iterator[str]:
-        """Read every byte and yield what is wrong, one line each; nothing if the file is sound.
+        """Read every byte and yield problems, one line each; nothing if the file is sound.
 
         Notes
         -----
-        One sequential pass. Below a page that cannot be read nothing is checked. Memory: the
-        index pages of one level; of the finest, where most are, only one.
+        One sequential pass. Nothing is checked below an unreadable page. Memory: the index pages of
+        one level; of the finest, where most are, only one.
         """
         yield from self._check_payloads(self._top)
         byte_pos, end, layer = self._top.end, self._top.end, [self._top]
@@ -405,7 +404,7 @@ class Container:
                 if not parent.page_range(child).length:
                     continue
                 start, length = parent.child_range(child)
-                # Also keeps the walk finite: each byte is visited at most once.
+                # This also keeps the walk finite: each byte is visited at most once.
                 if start != byte_pos:
                     name = f"the body of {describe_head(child)}"
                     yield f"{name} begins at byte {start}, not {byte_pos}"
@@ -456,10 +455,9 @@ class Container:
                 except CorruptStreamError as error:
                     yield str(error)
 
-    # Life
+    # Closing
 
     def close(self) -> None:
-        """Close the source."""
         self._start = b""
         self.source.close()
 
@@ -476,7 +474,7 @@ class Container:
 def _payload_places(
     heads: Mapping[Block, Block | None], known: Mapping[Block | None, Segment]
 ) -> dict[Block, ByteRange]:
-    """Return where payloads lie, of the keys whose segments are known."""
+    """Return the positions of the payloads whose segments are known."""
     return {
         key: known[head].payload_range(known[head].layout.key_rows[key])
         for key, head in heads.items()
@@ -496,6 +494,6 @@ def _with_sections(header: Header, extents: Extents, start: bytes) -> Header:
 
 
 def check_crc(data: bytes, crc: int, kind: str, key: Block) -> None:
-    """Raise `CorruptStreamError` if the bytes of a key are not those of its checksum."""
+    """Raise `CorruptStreamError` if the bytes of a key do not match its checksum."""
     if zlib.crc32(data) != crc:
         raise CorruptStreamError(f"checksum of the {kind} of {describe_key(key)} does not match")

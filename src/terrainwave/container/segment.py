@@ -1,4 +1,4 @@
-"""Segments: an index page with the place of what it lists (FORMAT.md §3)."""
+"""Segments: an index page with absolute positions (FORMAT.md §3)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,16 +11,16 @@ from terrainwave.grid.quadtree import Block
 
 @dataclass(frozen=True)
 class Segment:
-    """An index page with the places of what it lists.
+    """Index page of a segment with the positions of its payloads, meshes and children.
 
     Parameters
     ----------
     sections_start : int
-        Where its payloads and meshes begin, which follow each other without gaps.
+        Start of its payloads and meshes, which are contiguous.
     page_starts, child_starts : sequence of int
-        Where the pages of its children lie, and their bodies.
+        Starts of its children's pages and bodies.
     end : int
-        Where its payloads and meshes end.
+        End of its payloads and meshes.
     """
 
     head: Block | None
@@ -33,20 +33,18 @@ class Segment:
     child_starts: Sequence[int]
 
     def payload_range(self, row: int) -> ByteRange:
-        """Return where the payload in `row` of the page lies."""
         return ByteRange(self.payload_starts[row], int(self.page.payload_lengths[row]))
 
     def mesh_range(self, row: int) -> ByteRange:
-        """Return where the mesh in `row` of the page lies."""
         return ByteRange(self.payload_range(row).end, int(self.page.mesh_lengths[row]))
 
     def page_range(self, child: Block) -> ByteRange:
-        """Return where the page of `child` lies; of length 0 if the segment is absent."""
+        """Return the range of the page of `child`; of length 0 if the segment is absent."""
         row = self.layout.child_rows[child]
         return ByteRange(self.page_starts[row], int(self.page.child_page_lengths[row]))
 
     def child_range(self, child: Block) -> ByteRange:
-        """Return where the body of `child` lies; of length 0 if it has none or is absent."""
+        """Return the range of the body of `child`; of length 0 if it has none or is absent."""
         row = self.layout.child_rows[child]
         return ByteRange(self.child_starts[row], self.page.child_body_lengths[row])
 
@@ -54,9 +52,9 @@ class Segment:
 def segment_of_page(
     head: Block | None, layout: PageLayout, page: Page, body_start: int, *, has_pages: bool = True
 ) -> Segment:
-    """Return a page with the places of what it lists, from where its body begins.
+    """Return the segment of a page whose body begins at `body_start`.
 
-    `has_pages`: the pages of its children lie there, before payloads and meshes.
+    With `has_pages`, the body begins with the pages of its children, before payloads and meshes.
     """
     pages = page.child_page_lengths.tolist() if has_pages else [0] * len(layout.children)
     sections_start = body_start + sum(pages)

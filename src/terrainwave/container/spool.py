@@ -21,7 +21,7 @@ _KEPT = 4 * 1024  # after `finish`: many segments wait at the same time
 def storage_errors(action: str, *, advice: str = "") -> Iterator[None]:
     """Turn an `OSError` into a `StorageError` of one clear line that begins with `action`.
 
-    `advice` is what it ends with if the disk is full.
+    If the disk is full, it ends with `advice`.
     """
     try:
         yield
@@ -33,7 +33,7 @@ def storage_errors(action: str, *, advice: str = "") -> Iterator[None]:
 
 @contextmanager
 def naming_full_disk(action: str) -> Iterator[None]:
-    """Turn an error of a disk that takes no more, which names no file, into a `StorageError`."""
+    """Turn an error of a full disk that names no file into a `StorageError`."""
     try:
         yield
     except OSError as error:
@@ -48,7 +48,7 @@ def cannot_write(
 ) -> StorageError:
     """Return the error of a file, or of temporary files in a directory, that cannot be written.
 
-    `error` is the system's, or a library's own words for one.
+    `error` is the system's, or another library's text for one.
     """
     what = f"temporary files in {path}" if os.path.isdir(path) else os.fspath(path)
     return _storage_error(f"cannot write {what}", error, advice)
@@ -67,13 +67,13 @@ def _is_disk_full(error: BaseException | str) -> bool:
     return os.strerror(errno.ENOSPC).lower() in str(error).lower()
 
 
-# Where they are large, on another disk than the file itself.
+# Large temporary files may lie on another disk than the file itself.
 TEMPORARY_ADVICE = "; free space there, or name another directory with `temp_dir`"
 _DISK_FULL = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
 
 
 class Entry(NamedTuple):
-    """Where the spool holds a payload and its mesh, and what the page says of them."""
+    """Positions of a payload and its mesh in the spool, and their fields of the page."""
 
     offset: int
     payload_length: int
@@ -90,19 +90,19 @@ class LikeSegment(NamedTuple):
     head: Block
 
     def key_there(self, key: Block, head: Block) -> Block:
-        """Return what corresponds there to a key in the segment of `head`."""
+        """Return the key there that corresponds to a key in the segment of `head`."""
         depth = key.level - head.level
         row, col = self.head.row - head.row << depth, self.head.col - head.col << depth
         return Block(key.level, key.row + row, key.col + col)
 
 
 class SegmentSpool:
-    """Takes the payloads of one segment in any order; `assemble` writes them in page order.
+    """Stores the payloads of one segment in any order; `assemble` writes them in page order.
 
-    Payloads stay in memory up to 64 KiB (4 KiB after `finish`), the rest goes to a temporary
-    file in `directory`. No file stays open between calls, so thousands of spools can wait, and a
-    spool can be pickled to a process that sees the same directory. Methods may be called from
-    several threads. `advice` is what errors of a full disk end with.
+    Payloads stay in memory up to 64 KiB (4 KiB after `finish`), the rest goes to a temporary file
+    in `directory`. No file stays open between calls, so thousands of spools can wait, and a spool
+    can be pickled to a process that sees the same directory. Thread-safe. Errors of a full disk end
+    with `advice`.
     """
 
     def __init__(
@@ -125,10 +125,10 @@ class SegmentSpool:
         codes: bytes | None = None,
         mesh: bytes = b"",
     ) -> None:
-        """Take the payload of `key`: the parent of a group, or one of `Grid.root_keys`.
+        """Store the payload of `key`: the parent of a group, or one of `Grid.root_keys`.
 
-        `codes` are four bytes for each block that the payload makes, in Morton order; they may
-        come later by `set_codes`.
+        `codes` are four bytes for each block of the payload, in Morton order; they may be set later
+        by `set_codes`.
         """
         if max(len(payload), len(mesh)) > MAX_PAYLOAD:
             raise ValueError(f"payload of {len(payload)} and mesh of {len(mesh)} bytes: too long")
@@ -155,7 +155,7 @@ class SegmentSpool:
             self.set_codes(key, codes)
 
     def set_mesh(self, key: Block, mesh: bytes) -> None:
-        """Set or replace the mesh of a key that was added."""
+        """Set or replace the mesh of an added key."""
         if len(mesh) > MAX_PAYLOAD:
             raise ValueError(f"mesh of {len(mesh)} bytes: too long")
         with self._lock:
@@ -169,20 +169,19 @@ class SegmentSpool:
                 self._spill()
 
     def set_codes(self, key: Block, codes: bytes) -> None:
-        """Set or replace the codes of the blocks that the payload of `key` makes."""
+        """Set or replace the codes of the blocks of the payload of `key`."""
         limit = N_CODES if key.is_root_key else 4 * N_CODES
         if len(codes) % N_CODES or len(codes) > limit:
             raise ValueError(f"{len(codes)} bytes of codes for {key}")
         self._codes[key] = bytes(codes)
 
     def finish(self) -> None:
-        """Say that no payload will come soon, so that memory is given back."""
+        """Release memory; no payload is expected soon."""
         with self._lock:
             if len(self._buffer) > _KEPT:
                 self._spill()
 
     def close(self) -> None:
-        """Delete the temporary file."""
         with self._lock:
             if self._path is not None:
                 with storage_errors(f"cannot remove {self._path}"):
@@ -239,7 +238,7 @@ class SegmentSpool:
             if self._path is None:
                 handle, self._path = tempfile.mkstemp(".twz-spool", "segment-", self._directory)
                 os.close(handle)
-            # Not "ab": after a failed write, the next one begins where the good bytes end.
+            # Not "ab": after a failed write, the next one begins after the good bytes.
             with open(self._path, "r+b") as file:
                 file.seek(self._spilled)
                 file.write(self._buffer)

@@ -1,4 +1,4 @@
-"""Payloads on their way into the spools of their segments."""
+"""Distribution of payloads to the spools of their segments."""
 
 import os
 import threading
@@ -12,10 +12,10 @@ from terrainwave.grid.quadtree import Block, Grid
 
 
 class SpoolSink:
-    """Sorts payloads into the spools of their segments; thread-safe.
+    """Distributes payloads to the spools of their segments; thread-safe.
 
-    `spools` has those that have any. None stands for a segment that is void with all below it:
-    there are no others for these. Where a segment is like another one, that is named.
+    `spools` has the segments with payloads. None marks a segment that is void with all below it,
+    which have no entries. A repeated segment names the one that it equals.
     """
 
     takes_repeats = True
@@ -31,7 +31,7 @@ class SpoolSink:
         self._lock = threading.Lock()
 
     def __call__(self, key: Block, payload: bytes) -> None:
-        """Take the payload of a unit."""
+        """Store the payload of a unit."""
         head = None if key.is_root_key else self._grid.segment_head(key)
         with self._lock:
             spool = self.spools.get(head)
@@ -51,7 +51,7 @@ class SpoolSink:
             spool.finish()
 
     def leave_out(self, block: Block) -> None:
-        """Take note that all units below a block are void."""
+        """Record that all units below a block are void."""
         grid = self._grid
         layer = [block]
         while layer and layer[0].level < grid.k_max and grid.segment_head(layer[0]) != layer[0]:
@@ -63,12 +63,12 @@ class SpoolSink:
                 self.spools.update(dict.fromkeys(layer))
 
     def repeat(self, head: Block, like: Block) -> None:
-        """Take note that the segment of `head` has the bytes of that of `like`."""
+        """Record that the segment of `head` has the bytes of that of `like`."""
         with self._lock:
             self.spools[head] = LikeSegment(like)
 
     def store(self, head: Block) -> None:
-        """Move a segment that is complete, with its codes, out of memory."""
+        """Move a complete segment, with its codes, out of memory."""
         spool = self.spools.get(head)
         if isinstance(spool, SegmentSpool):
             self.spools[head] = self._store.store(head, spool)
@@ -78,7 +78,7 @@ class SpoolSink:
         return (spool for spool in self.spools.values() if isinstance(spool, SegmentSpool))
 
     def set_meshes(self, sections: Mapping[Block, bytes]) -> None:
-        """Take the mesh sections of keys whose payloads have been taken."""
+        """Store the mesh sections of keys whose payloads are stored."""
         for key, section in sections.items():
             head = None if key.is_root_key else self._grid.segment_head(key)
             spool = self.spools.get(head)
@@ -90,7 +90,6 @@ class SpoolSink:
             spool.finish()
 
     def payloads(self, keys: Sequence[Block]) -> list[bytes]:
-        """Return payloads that have been taken."""
         return [self._payload(key) for key in keys]
 
     def _payload(self, key: Block) -> bytes:

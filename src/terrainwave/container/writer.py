@@ -1,4 +1,4 @@
-"""Put a file together from its segments (FORMAT.md §3.2)."""
+"""Assemble a file from its segments (FORMAT.md §3.2)."""
 
 import os
 import threading
@@ -42,15 +42,15 @@ from terrainwave.container.spool import (
 )
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid
 
-# A segment is spooled here, or stored where other machines put it. None stands for one that is void
-# with all below it, of which nothing else is here.
+# A segment is spooled locally, or stored by other machines. None marks one that is void with all
+# below it, which have no entries.
 Segments = Mapping[Block | None, SegmentSpool | LikeSegment | StoredSegment | None]
 
 
 class _Extent(NamedTuple):
-    """What must be known of a segment before any byte is written; an absent one is all zero.
+    """Sizes of a segment, needed before any byte is written; all zero if it is absent.
 
-    `body_length` counts the pages of its children, `sections_length` payloads and meshes alone.
+    `body_length` includes the pages of its children, `sections_length` only payloads and meshes.
     """
 
     columns: bytes
@@ -74,9 +74,9 @@ def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
     Parameters
     ----------
     out_file : binary file object
-        Only written to, in order.
+        Written sequentially.
     header : Header
-        With its metadata and parameters. Digests follow later (`append_digests`).
+        Includes metadata and parameters. Digests follow later (`append_digests`).
     segments : mapping of Block or None to SegmentSpool, LikeSegment, StoredSegment or None
         One for each of ``header.grid.segment_heads()``, complete; None for one that is void, and
         nothing for those below it.
@@ -98,7 +98,7 @@ def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
     grid = header.grid
     levels: list[list[Block | None]] = [[None]]
     while levels[-1]:
-        # In Morton order as those above them.
+        # In Morton order like their parents.
         levels.append(
             [
                 child
@@ -153,14 +153,14 @@ def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
 def append_digests(
     out_file: BinaryIO, header: Header, extents: Extents, digests: DigestTree
 ) -> None:
-    """End a file that `assemble` has written with the digests of its heights.
+    """Append the digests of its heights to a file written by `assemble`.
 
     Parameters
     ----------
     out_file : binary file object
-        The file from its first byte on; one that can seek.
+        The file from its first byte on; seekable.
     header, extents : Header, Extents
-        The file's; `extents` as `assemble` returned them.
+        Those of the file; `extents` as `assemble` returned them.
 
     Raises
     ------
@@ -179,30 +179,30 @@ def append_digests(
         out_file.flush()
 
 
-_NUMBERS = count()  # of stores of this process
+_NUMBERS = count()  # of this process's stores
 
 
 class SegmentStore:
-    """Finished segments without segments below them, in one temporary file; thread-safe.
+    """Finished segments without child segments, in one temporary file; thread-safe.
 
-    What is kept of each in memory is where it lies.
+    Only their positions stay in memory.
     """
 
     def __init__(self, grid: Grid, directory: str | os.PathLike[str]) -> None:
         self._grid = grid
         self._directory = os.fspath(directory)
-        # A run may code a raster twice, and take the smaller result.
+        # A run may code a raster twice, and use the smaller result.
         self._path = os.path.join(self._directory, f"finished-{next(_NUMBERS)}.twz-spool")
         self._end = 0
         self._lock = threading.Lock()
 
     def store(self, head: Block, spool: SegmentSpool) -> StoredSegment:
-        """Store a segment; its spool is closed. One that is void has no bytes."""
+        """Store a segment and close its spool. A void one has no bytes."""
         part = _Preparation(self._grid, {head: spool}, defaultdict(lambda: _ABSENT))(head)
         action = f"cannot write temporary files in {self._directory}"
         with self._lock, storage_errors(action, advice=TEMPORARY_ADVICE):
             if part.length:
-                # Not "ab": after a failed write, the next one begins where the good bytes end.
+                # Not "ab": after a failed write, the next one begins after the good bytes.
                 with open(self._path, "r+b" if self._end else "wb") as file:
                     file.seek(self._end)
                     file.write(_page_bytes(head, {head: spool}, part, 0))
@@ -217,10 +217,10 @@ class SegmentStore:
 def store_segments(
     depot: Depot, name: str, grid: Grid, heads: Sequence[Block | None], spools: Segments
 ) -> dict[Block | None, StoredSegment]:
-    """Store segments in the order of `heads` in one file of a depot; return their places.
+    """Store segments in the order of `heads` in one file of a depot; return their positions.
 
-    `heads` have parents before children. Children that are not among them count as absent: their
-    lengths in a page are 0 until `assemble` knows better.
+    `heads` have parents before children. Children outside of `heads` count as absent: their lengths
+    in a page are 0 until `assemble` sets them.
     """
     parts: _Extents = defaultdict(lambda: _ABSENT)
     prepare = _Preparation(grid, spools, parts)
@@ -256,12 +256,12 @@ def stored_places(
 
 
 def _is_void(head: Block, segments: Segments) -> bool:
-    """Say whether a segment is given as void."""
+    """Return whether a segment is given as void."""
     return head in segments and segments[head] is None
 
 
 def _is_below_void(grid: Grid, head: Block | None, segments: Segments) -> bool:
-    """Say whether a segment, or one above it, is given as void."""
+    """Return whether a segment, or one above it, is given as void."""
     while head is not None and head not in segments and head.level:
         head = grid.segment_head(head.parent)
     return head is not None and _is_void(head, segments)
@@ -272,12 +272,12 @@ def _index_name(name: str) -> str:
 
 
 def _stored(path: str, offset: int, part: _Extent) -> StoredSegment:
-    """Return where a segment lies of which page, payloads and meshes are stored."""
+    """Return the position of a segment with stored page, payloads and meshes."""
     return StoredSegment(path, offset, part.page_length, part.page_length + part.sections_length)
 
 
 def _page_bytes(head: Block | None, segments: Segments, part: _Extent, first_child: int) -> bytes:
-    """Return the page of a segment whose children's bodies begin at `first_child` of the file."""
+    """Return the page of a segment whose children's bodies begin at offset `first_child`."""
     segment = segments[head]
     if isinstance(segment, StoredSegment):
         return with_first_child(segment.page(), first_child)
@@ -285,7 +285,7 @@ def _page_bytes(head: Block | None, segments: Segments, part: _Extent, first_chi
 
 
 def _sections(grid: Grid, head: Block | None, segments: Segments) -> Iterator[bytes]:
-    """Yield the payloads and meshes of a segment in the order of the file."""
+    """Yield the payloads and meshes of a segment in file order."""
     there, segment = _resolved(head, segments)
     if isinstance(segment, StoredSegment):
         yield from segment.sections()
@@ -296,7 +296,7 @@ def _sections(grid: Grid, head: Block | None, segments: Segments) -> Iterator[by
 def _resolved(
     head: Block | None, segments: Segments
 ) -> tuple[Block | None, SegmentSpool | StoredSegment | None]:
-    """Return where the payloads of a segment are: itself, or the one that it is like."""
+    """Return the segment that holds a segment's payloads: itself, or the one it equals."""
     segment = segments[head]
     if not isinstance(segment, LikeSegment):
         return head, segment
@@ -307,13 +307,13 @@ def _resolved(
 
 
 def _children(grid: Grid, head: Block | None) -> Sequence[Block]:
-    """Return the heads of the segments below one; quick where there are none."""
+    """Return the heads of the segments below one; fast for none."""
     is_last = head is not None and head.level + SEGMENT_LEVELS >= grid.k_max
     return [] if is_last else page_layout(grid, head).children
 
 
 class _Preparation:
-    """Makes the pages of segments, of like ones with like children once."""
+    """Makes the pages of segments; equal segments with equal children only once."""
 
     def __init__(self, grid: Grid, segments: Segments, parts: _Extents) -> None:
         self._grid = grid

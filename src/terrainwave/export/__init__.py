@@ -1,1 +1,1 @@
-"""Heights and meshes in the formats of others."""
+"""Heights and meshes in the formats of other programs."""

@@ -1,7 +1,7 @@
-"""Flat triangles on a curved body: how far they are from it, and edges divided to keep a bound.
+"""Distance of flat triangles from a curved body, and division of edges to keep a bound.
 
 Let G be the map from the coordinates of a mesh (x, y, height) to geocentric ones, and m the
-distance of G(middle of an edge) from the middle of the edge's ends on the globe. With G of second
+distance of G(middle of an edge) from the middle of the edge's ends on the globe. If G has second
 degree, a point of a triangle with barycentric coordinates λ is off by e(λ) = 4 Σ λᵢ λⱼ mᵢⱼ, as
 vectors: the second derivative D gives Σ λᵢ G(uᵢ) − G(Σ λᵢ uᵢ) = ½ Σ λᵢ λⱼ D(uᵢ − uⱼ)² over the
 three edges, and λ = ½, ½ gives m = ⅛ D(uᵢ − uⱼ)². `_worst_inside` is the largest value of this sum
@@ -9,8 +9,8 @@ over a triangle: max m in triangles with a right angle, 4/3 m in those with equa
 derivative adds a share of that, which sinks with the edges; `_THIRD_DEGREE` allows for it on edges
 up to `_LONGEST` of the body's radius.
 
-An edge is halved while m is more than a limit, whatever lies beside it. m of an edge follows from
-its two ends, so that both triangles, blocks or tiles beside it divide it alike.
+An edge is halved while m exceeds a limit. m depends only on the edge's two ends, so the triangles,
+blocks or tiles on both sides divide it alike.
 """
 
 from dataclasses import dataclass, replace
@@ -34,14 +34,14 @@ from terrainwave.place.vertical import (
 
 Numbers = NDArray[np.float64]
 
-# Of a triangle's error: what terms of third degree and more may add.
+# Allowance, as a factor of a triangle's error, for terms of third degree and more.
 _THIRD_DEGREE = 9 / 8
-# Of the radius: edges that such terms are small on. Their middle is L²/8R off.
+# Longest edges, in radii, for which such terms are small. Their middle is L²/8R off.
 _LONGEST = 1 / 16
-# The same where a grid of a datum, with a kink at each of its lines, bends the surface: a kink near
-# an edge's end is twice its m away from it.
+# The same if a datum's grid, with a kink at each of its lines, bends the surface: a kink near an
+# edge's end is twice its m away from it.
 _KINKS = 2.0
-# Triangles that dividing may add.
+# Largest number of triangles that division may add.
 _MOST_ADDED = 1 << 22
 # Steps of the search for the smallest limit within a budget of triangles.
 _BUDGET_STEPS, _BUDGET_RATIO = 12, 1.02
@@ -50,15 +50,15 @@ _NONE = -1
 
 @dataclass(frozen=True)
 class GlobeWay:
-    """The way of a mesh's points onto the globe.
+    """Conversion of a mesh's points to the globe.
 
     Parameters
     ----------
     place : Place
     metres : float
-        Per unit of height; negative where the CRS counts depths.
+        Per unit of height; negative if the CRS counts depths.
     vertical : EllipsoidalHeights, optional
-        None: heights are taken as above the ellipsoid.
+        None: heights are assumed to be above the ellipsoid.
     z_scale : float
         Factor of heights.
     is_radius : bool
@@ -72,24 +72,24 @@ class GlobeWay:
     is_radius: bool = False
 
     def describe(self, crs: str | None) -> dict[str, Any]:
-        """Return what files say of the heights on the globe."""
+        """Return the metadata of heights on the globe."""
         if self.is_radius:
             return describe_radii()
         return describe_as_is(crs) if self.vertical is None else self.vertical.describe()
 
     @property
     def slack(self) -> float:
-        """Return the share of `_worst_inside` that a triangle can be off by."""
+        """Return the factor of `_worst_inside` that bounds a triangle's error."""
         return _THIRD_DEGREE if self.vertical is None else _KINKS
 
     @property
     def of_edges(self) -> float:
-        """Return the share of a triangle's error that m of its edges may have."""
+        """Return the share of a triangle's error that m of its edges may take."""
         return 1 / (4 / 3 * self.slack)
 
     @property
     def per_unit(self) -> float:
-        """Return how many metres on the globe a unit of height is."""
+        """Return the metres on the globe per unit of height."""
         return abs(self.metres) * self.z_scale
 
     def geographic(self, points: Numbers) -> Numbers:
@@ -100,7 +100,7 @@ class GlobeWay:
         Raises
         ------
         InvalidHeightsError
-            If a point has no place there, or its height cannot be converted.
+            If a point has no position there, or its height cannot be converted.
         """
         placed = points.copy()
         placed[:, :2] = self.place.to_lonlat(points[:, :2])
@@ -125,19 +125,19 @@ class GlobeWay:
 
 
 def mesh_unit(mesh: MeshData) -> HeightUnit:
-    """Return the unit of a mesh's heights, and what they are."""
+    """Return the unit and the meaning of a mesh's heights."""
     return height_unit(mesh.units, mesh.crs, mesh.heights_are)
 
 
 def way_onto_globe(
     mesh: MeshData, place: Place, vertical: str = AS_IS, z_scale: float = 1.0
 ) -> GlobeWay:
-    """Return the way onto the globe of a mesh's points.
+    """Return the conversion of a mesh's points to the globe.
 
     Raises
     ------
     InvalidHeightsError
-        If the heights cannot be converted, or samples lie where no globe has a place.
+        If the heights cannot be converted, or samples lie at impossible positions.
     """
     if "impossible" in mesh.attributes:
         raise InvalidHeightsError(mesh.attributes["impossible"])
@@ -148,18 +148,18 @@ def way_onto_globe(
 
 
 def curvature(mesh: MeshData, way: GlobeWay) -> float:
-    """Return how far points of flat triangles can be from the curved surface, in metres.
+    """Return the largest distance of flat triangles from the curved surface, in metres.
 
     Vertically: along the normal of the ellipsoid at the point of the surface.
 
     Notes
     -----
-    A point of a triangle is off by at most e, its triangle's error. The part of e along the ground
-    moves it by at most e, which lifts it by the slopes on the way. The way may go on into other
-    triangles. Where e changes by at most half a metre per metre, it is at most twice the error of
-    each triangle that it enters, as it begins no further than its own length from there. So it is
-    lifted by at most max 2 σ e, with the slope σ and the error of the same triangle. Triangles too
-    narrow for that count with the steepest slope of all.
+    A point of a triangle is off by at most e, its triangle's error. The horizontal part of e moves
+    it by at most e, which lifts it by the slopes on its path. The path may enter other triangles.
+    Where e changes by at most half a metre per metre, it is at most twice the error of each
+    triangle that the path enters, as the path begins no further than its own length from there. So
+    the point is lifted by at most max 2 σ e, with the slope σ and the error of the same triangle.
+    Triangles too narrow for this count with the steepest slope of all.
     """
     found = _Bends(mesh, way)
     per_edge = found.of_triangles
@@ -171,13 +171,13 @@ def curvature(mesh: MeshData, way: GlobeWay) -> float:
     up = corners.mean(axis=1) / (1.0, 1.0, 1 - way.place.globe_ellipsoid.e2)
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     rise = np.abs((normals * up).sum(axis=1))
-    # Walls of bodies and skirts, which stand upright up to rounding, are no part of the surface.
+    # Walls of bodies and skirts, vertical up to rounding, are not part of the surface.
     is_ground = rise > 1e-6 * twice_areas
     if not is_ground.any():
         return float(errors.max(initial=0.0))
     slopes = np.sqrt(np.maximum((twice_areas[is_ground] / rise[is_ground]) ** 2 - 1, 0))
-    # The gradient of what linear interpolation leaves, with second derivatives up to `bend`:
-    # J. Shewchuk, What is a good linear element? (2002), table 1.
+    # The gradient of linear interpolation's error, for second derivatives up to `bend`: J.
+    # Shewchuk, What is a good linear element? (2002), table 1.
     bend = float((8 * per_edge / np.maximum(sides, 1.0) ** 2).max())
     ordered = np.sort(sides[is_ground], axis=1)
     inside = 2 * twice_areas[is_ground] / ordered.sum(axis=1) / 2
@@ -190,9 +190,9 @@ def curvature(mesh: MeshData, way: GlobeWay) -> float:
 def divided(mesh: MeshData, way: GlobeWay) -> MeshData:
     """Return a mesh whose edges are halved until the globe's curvature keeps to its share.
 
-    The share is the mesh's attribute ``curvature``; a mesh without it stays. New vertices lie on
-    the mesh's own triangles: its error stays. With a budget of triangles they are divided as far as
-    it allows.
+    The share is the mesh's attribute ``curvature``; a mesh without it is not changed. New vertices
+    lie on the mesh's own triangles, so its error does not change. A budget of triangles may end the
+    division.
 
     Parameters
     ----------
@@ -228,16 +228,16 @@ def divided(mesh: MeshData, way: GlobeWay) -> MeshData:
 
 
 def least_share(mesh: MeshData, way: GlobeWay) -> float:
-    """Return the smallest error, in the file's unit, that a mesh may be divided for.
+    """Return the smallest error, in the file's unit, that division can reach.
 
-    Smaller ones would take more than `_MOST_ADDED` further triangles.
+    Smaller ones would add more than `_MOST_ADDED` triangles.
     """
     worst = _Bends(mesh, way).of_triangles.max(axis=1)
     return _least_limit(worst) / way.of_edges / way.per_unit
 
 
 def share_of_edge(ends: Numbers, way: GlobeWay) -> float:
-    """Return the error, in the file's unit, for which an edge between two points stays whole."""
+    """Return the error, in the file's unit, for which an edge between two points is not divided."""
     return _bend_of(ends, way) / way.of_edges / way.per_unit
 
 
@@ -247,7 +247,7 @@ def _bend_of(ends: Numbers, way: GlobeWay) -> float:
 
 
 def _least_limit(worst: Numbers) -> float:
-    # A triangle becomes about as many as its largest m holds limits.
+    # A triangle becomes about as many as its largest m contains limits.
     return float(worst.sum()) / _MOST_ADDED
 
 
@@ -266,7 +266,7 @@ class _Bends:
     def _edges(
         self, triangles: NDArray[np.int32], vertices: Numbers, on_globe: Numbers
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], Numbers, Numbers, Numbers]:
-        """Return the edges, which of them each side is, their middles, these on the globe and m."""
+        """Return the edges, the edge of each side, their middles, these on the globe, and m."""
         sides = np.stack([triangles, triangles[:, [1, 2, 0]]], axis=2).astype(np.int64)
         sides.sort(axis=2)
         keys = sides[..., 0] * len(vertices) + sides[..., 1]
@@ -278,7 +278,7 @@ class _Bends:
         return edges, number.reshape(-1, 3), middles, placed, bends
 
     def halved(self, limit: float) -> MeshData:
-        """Return the mesh with no m above a limit: longer edges are halved, again and again."""
+        """Return the mesh with all m within a limit: longer edges are halved repeatedly."""
         mesh = self._mesh
         vertices, on_globe = mesh.vertices, self.on_globe
         is_long = (self.of_triangles > limit).any(axis=1)
@@ -298,10 +298,10 @@ class _Bends:
 
 
 def _parts(triangles: NDArray[np.int32], middles: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return the parts of triangles whose sides have a middle, or `_NONE`, each."""
+    """Return the parts of triangles; each side has a middle, or `_NONE`."""
     n_middles = (middles != _NONE).sum(axis=1)
     found = []
-    # Turned so that the side that differs from the others is the first one.
+    # Rotated so that the side that differs from the others is the first one.
     for n, differs in ((1, True), (2, False)):
         rows = np.flatnonzero(n_middles == n)
         first = np.argmax((middles[rows] != _NONE) == differs, axis=1)
@@ -320,7 +320,7 @@ def _parts(triangles: NDArray[np.int32], middles: NDArray[np.int32]) -> NDArray[
 def _worst_inside(m: Numbers) -> Numbers:
     """Return the largest 4 (a λ₂λ₃ + b λ₃λ₁ + c λ₁λ₂) over a triangle, for rows (a, b, c).
 
-    Inside, where its derivatives are equal; on an edge, if that is outside.
+    In the interior, where its derivatives are equal; on an edge, if that point is outside.
     """
     low, middle, high = np.sort(m, axis=1).T
     below = 2 * (low * middle + middle * high + high * low) - (m**2).sum(axis=1)

@@ -1,4 +1,4 @@
-"""A raster of heights above the ellipsoid, made of one of heights above a geoid or a tide."""
+"""Conversion of a raster from heights above a geoid or a tide to heights above the ellipsoid."""
 
 import math
 import warnings
@@ -20,20 +20,20 @@ from terrainwave.place.units import height_unit
 from terrainwave.place.vertical import EllipsoidalHeights, on_own_datum, radii_on_own_datum
 from terrainwave.raster_io.raster_info import RasterInfo
 
-# Metres per metre by which PROJ's way from one height to another may stretch a difference.
+# Metres per metre by which PROJ's conversion may stretch a difference of heights.
 _STRETCH = 1e-6
 
 
 @dataclass(frozen=True)
 class AboveEllipsoid:
-    """What a GeoTIFF of ellipsoidal heights says, and the heights of its windows.
+    """Metadata of a GeoTIFF with ellipsoidal heights, and the heights of its windows.
 
     Parameters
     ----------
     info : RasterInfo
         In metres, of the CRS with ellipsoidal heights.
     stated : dict of str
-        What it states of its heights: the bound of the full grid; nothing of coarse levels.
+        Metadata of its heights: the bound of the full grid; none for coarse levels.
     """
 
     info: RasterInfo
@@ -45,7 +45,7 @@ class AboveEllipsoid:
     def heights(
         self, part: Region, whole: Region, heights: NDArray[Any], valid: NDArray[np.bool_]
     ) -> NDArray[Any]:
-        """Return the heights of a window above the ellipsoid; voids hold anything.
+        """Return the heights of a window above the ellipsoid; voids are undefined.
 
         Parameters
         ----------
@@ -72,16 +72,16 @@ class AboveEllipsoid:
 def above_ellipsoid(
     terrain: TerrainFile, info: RasterInfo, level: int, *, is_early: bool
 ) -> AboveEllipsoid:
-    """Return what a raster becomes above the ellipsoid of its own CRS, and warn how.
+    """Return the conversion of a raster to heights above its own CRS's ellipsoid; warn about it.
 
     Parameters
     ----------
     terrain : TerrainFile
     info : RasterInfo
-        Of the window that is written, as it would be.
+        Of the window to write, before the conversion.
     level : int
     is_early : bool
-        Only a part of the bits is read: the file's bound doesn't hold.
+        Only a part of the bits is read: the file's bound does not hold.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def above_ellipsoid(
     converted = replace(
         info,
         dtype=dtype,
-        # A number could be a converted height.
+        # A number could equal a converted height.
         nodata=None if info.nodata is None else math.nan,
         mask_kind="nan" if info.mask_kind == "nodata" else info.mask_kind,
         units="metre",
@@ -120,7 +120,7 @@ def above_ellipsoid(
 
 
 def _bound(terrain: TerrainFile, metres: float, dtype: np.dtype[Any]) -> float:
-    """Return the bound of converted heights, in metres: the file's, and what the type rounds."""
+    """Return the bound of converted heights, in metres: the file's, plus the type's rounding."""
     summary = terrain.info()
     largest = max(abs(summary.minimum or 0.0), abs(summary.maximum or 0.0)) * metres
     spacing = float(np.spacing(dtype.type(2 * largest + 256)))

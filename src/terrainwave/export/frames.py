@@ -18,7 +18,7 @@ FRAMES = ("local", "native", "ecef")
 
 
 def find_place(mesh: MeshData, *, radius: float | None = None, has_frames: bool = False) -> Place:
-    """Say how the mesh's coordinates are meant; see `place_of`."""
+    """Return the position of the mesh's coordinates; see `place_of`."""
     is_placed = mesh.attributes.get("is_placed") is not False
     return place_of(
         mesh.crs, mesh.bounds, is_placed=is_placed, radius=radius, has_frames=has_frames
@@ -35,7 +35,7 @@ def quiet_place(mesh: MeshData, radius: float | None) -> Place:
 def globe_way(
     mesh: MeshData, radius: float | None = None, vertical: str = AS_IS, z_scale: float = 1.0
 ) -> GlobeWay:
-    """Return the way of a mesh's points onto the globe, without the warnings of `to_frame`."""
+    """Return the conversion of a mesh's points to the globe, without the warnings of `to_frame`."""
     return way_onto_globe(mesh, quiet_place(mesh, radius), vertical, z_scale)
 
 
@@ -49,7 +49,7 @@ def to_frame(
 ) -> MeshData:
     """Return the mesh in a frame; `error` stays in the file's unit.
 
-    With ``ecef``, `error` includes what the globe, and the geoid, bend between vertices.
+    With ``ecef``, `error` includes the curvature of the globe and of the geoid between vertices.
 
     Parameters
     ----------
@@ -60,29 +60,28 @@ def to_frame(
         Degrees are scaled by the ellipsoid's radii of curvature there; feet become metres; axes to
         the west or south are turned. ``native``: coordinates of the CRS, heights in the file's
         unit. ``ecef``: geocentric metres, on WGS 84 for the Earth, else on the ellipsoid of the
-        CRS; heights are taken as above that ellipsoid. By default ``local`` for degrees, else
+        CRS; heights are assumed to be above that ellipsoid. By default ``local`` for degrees, else
         ``native``.
     z_scale : float
         Heights are multiplied by it; > 0.
     radius : float, optional
         Radius of the sphere in metres that degrees lie on, instead of the CRS's ellipsoid.
     vertical : {"as-is", "ellipsoid"}
-        With ``ecef``: take heights as above the ellipsoid, with a note where the CRS names another
-        datum, or convert them by PROJ's grid.
+        With ``ecef``: assume that heights are above the ellipsoid, with a note if the CRS names
+        another datum, or convert them by PROJ's grid.
 
     Returns
     -------
     mesh : MeshData
-        ``attributes["frame"]`` tells what was done: ``name``, ``z_scale``, ``unit`` and, for
-        ``local``, ``centre`` in the CRS, ``metres`` per unit of x, y and height, and ``axes``
-        where x does not go east and y north: the directions of the CRS's x and y, ``zero`` where
-        heights are radii: the one that lies at z 0; for ``ecef``
-        ``vertical``, what its heights are.
+        ``attributes["frame"]`` describes the frame: ``name``, ``z_scale``, ``unit``. For ``local``
+        also ``centre`` in the CRS, ``metres`` per unit of x, y and height, ``axes`` (the directions
+        of the CRS's x and y, unless they are east and north) and, if heights are radii, ``zero``,
+        the radius at z 0. For ``ecef`` also ``vertical``, the meaning of its heights.
 
     Raises
     ------
     InvalidHeightsError
-        If an option is out of range or the frame cannot be had.
+        If an option is out of range or the frame is not available.
     """
     if frame is not None:
         check_choice("frame", frame, FRAMES)
@@ -145,7 +144,7 @@ def _local(mesh: MeshData, place: Place, z_scale: float) -> MeshData:
 
 
 def _facing_up(mesh: MeshData, axes: LocalAxes) -> NDArray[np.int32]:
-    """Return triangles that are counter-clockwise on the ground, as they are in x and y."""
+    """Return triangles that are counter-clockwise on the ground, as in x and y."""
     return mesh.triangles[:, ::-1] if axes.is_mirrored else mesh.triangles
 
 
@@ -171,7 +170,7 @@ def _ecef(mesh: MeshData, place: Place, z_scale: float, vertical: str) -> MeshDa
 
 
 def note_heights(mesh: MeshData, vertical: str) -> None:
-    """Warn of what heights are taken for on the globe."""
+    """Warn of assumptions about heights on the globe."""
     unit = mesh_unit(mesh)
     unit.note_kind()
     if not check_vertical(vertical) and not unit.is_radius:
@@ -226,5 +225,5 @@ def vertex_normals(mesh: MeshData) -> NDArray[np.float64]:
         normals[mesh.n_vertices - len(skirts.above) :] = normals[skirts.above]
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     up = np.array([0.0, 1.0, 0.0] if mesh.attributes.get("up") == "y" else [0.0, 0.0, 1.0])
-    # A vertex that is in no triangle looks upwards.
+    # Vertices without triangles point upwards.
     return np.where(lengths > 0, normals / np.maximum(lengths, np.finfo(np.float64).tiny), up)

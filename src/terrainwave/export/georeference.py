@@ -1,7 +1,7 @@
-"""What a GeoTIFF says of its place, against what it ought to: GDAL's writer cannot hold every CRS.
+"""Check of a GeoTIFF's georeference: GDAL's writer cannot hold every CRS.
 
-Systems of turned poles, of axes to the west, and vertical ones without a code come back as others
-or not at all. A file is opened again, and what differs goes into the .aux.xml beside it.
+Systems with rotated poles, axes to the west, or vertical systems without a code come back changed
+or not at all. So the file is opened again, and differences are written to the .aux.xml next to it.
 """
 
 import os
@@ -26,22 +26,22 @@ _SAME_FACTOR = 1e-7
 
 
 def info_to_write(terrain: TerrainFile) -> RasterInfo:
-    """Return the raster's description with the unit that its CRS names, where the band has none.
+    """Return the raster's metadata with the unit of its CRS if the band has none.
 
-    GDAL makes one up of the vertical CRS as a GeoTIFF holds it, which may be another one.
+    Otherwise GDAL derives one from the vertical CRS as stored in the GeoTIFF, which may differ.
     """
     return replace(terrain.raster_info, units=terrain.units)
 
 
 def keep_place(path: str | os.PathLike[str], info: RasterInfo) -> None:
-    """Open a GeoTIFF again; put what it does not say into the .aux.xml beside it, and warn.
+    """Open a GeoTIFF again; write missing metadata to the .aux.xml next to it, and warn.
 
     Parameters
     ----------
     path : path
         A GeoTIFF that has just been finished, without an .aux.xml.
     info : RasterInfo
-        What it ought to say of the CRS and the unit.
+        The intended CRS and unit.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def _differences(path: str | os.PathLike[str], crs: CRS, info: RasterInfo) -> li
 
 
 def _crs_of(info: RasterInfo) -> CRS | None:
-    """Return the CRS, without a warning: who wrote the GeoTIFF has told what is wrong with it."""
+    """Return the CRS without a warning, which writing the GeoTIFF has issued."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TerrainwaveWarning)
         found: CRS | None = info.rasterio_crs()
@@ -88,7 +88,7 @@ def _crs_of(info: RasterInfo) -> CRS | None:
 
 
 def crs_differences(wanted: CRS, found: CRS | None) -> list[str]:
-    """Return in what a CRS differs from the one wanted, in a few words each; names don't count."""
+    """Return the differences of a CRS from the intended one, in a few words each; not names."""
     if found is None:
         return ["it has none of it"]
     if found.to_wkt() == wanted.to_wkt():
@@ -137,7 +137,7 @@ def _described(crs: CRS) -> Description:
 
 
 def _as_proj4(crs: CRS) -> str:
-    """Return the CRS as PROJ 4 has it, by which equal systems of different names are the same."""
+    """Return the CRS as a PROJ 4 string, in which equal systems of different names are equal."""
     try:
         text = str(crs.to_proj4())
     except CRSError:
@@ -146,14 +146,14 @@ def _as_proj4(crs: CRS) -> str:
 
 
 def warn_of_crs(head: bytes, info: RasterInfo) -> None:
-    """Warn of what a GeoTIFF without a file beside it does not say of a CRS.
+    """Warn of CRS properties that a GeoTIFF without other files cannot hold.
 
     Parameters
     ----------
     head : bytes
         The GeoTIFF's.
     info : RasterInfo
-        What it ought to say.
+        The intended metadata.
     """
     crs = _crs_of(info)
     found = [] if crs is None else crs_differences(crs, crs_of_geotiff(head))

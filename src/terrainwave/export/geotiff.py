@@ -1,4 +1,4 @@
-"""Write a .twz file back to a GeoTIFF or COG, in bounded memory; or as a 16-bit height tile."""
+"""Write a .twz file to a GeoTIFF or COG, in bounded memory; or to a 16-bit height tile."""
 
 import os
 import warnings
@@ -39,9 +39,9 @@ from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.geotiff.sink import RasterSink
 from terrainwave.read.lost import Losses
 
-# Samples of one window: whole rows of groups where they fit, 32 MiB of float64.
+# Samples of one window: whole rows of groups if they fit, 32 MiB of float64.
 _WINDOW_SAMPLES = 4 << 20
-# Damaged blocks that warnings name.
+# Number of damaged blocks that warnings name.
 _MOST_NAMED = 10
 
 # Heights and validity.
@@ -73,9 +73,9 @@ def decompress(
     src : path, URL, bytes or binary file object
         The .twz file.
     dst : path
-        The file to make. It appears complete or not at all. A name that ends in ``.tif`` or
-        ``.tiff`` makes a GeoTIFF; ``.r16`` or ``.png`` a 16-bit height tile for game engines, with
-        a ``.json`` beside it that has its scale and georeference. Other names are refused.
+        Output file. It appears complete or not at all. A name that ends in ``.tif`` or ``.tiff``
+        makes a GeoTIFF; ``.r16`` or ``.png`` a 16-bit height tile for game engines, with its scale
+        and georeference in a ``.json`` next to it. Other names are refused.
     window, bounds, level
         Part and resolution to write, as in `Terrain.read`. Levels are samples, not averages.
     cog : bool
@@ -85,9 +85,9 @@ def decompress(
         square. ``"window"`` writes the window's own samples. By default the largest 2ⁿ + 1 that
         fits into the window.
     voids : {"exact", "any", "lowest", "fill"} or float, optional
-        For a GeoTIFF, ``"exact"`` or ``"any"``: which samples of a coarse level are void, as in
-        `Terrain.read`. For a height tile, the height that voids get: the tile's lowest (default),
-        one from around them (``"fill"``), or a height in physical units.
+        For a GeoTIFF, ``"exact"`` or ``"any"``: voids of a coarse level, as in `Terrain.read`. For
+        a height tile, the height of voids: the tile's lowest (default), that of their surroundings
+        (``"fill"``), or a height in physical units.
     quality : float, optional
         For files of method cdf53: read only this number of bits per sample, as in
         `Terrain.read_early`.
@@ -98,7 +98,7 @@ def decompress(
         TERRAINWAVE is the bound, for the full grid and not in a COG.
     on_error : {"raise", "mask"}
         ``"mask"``: damaged blocks become void, and a warning names each of them; a file that ends
-        too early gives what is there. A raster that has no mark for voids gets a mask.
+        too early is read as far as possible. A raster without nodata value gets a mask.
     on_lost : callable, optional
         With `on_error` ``"mask"``: called once with the `Losses`, at the end, if there are any.
     threads : int, optional
@@ -185,7 +185,7 @@ def decompress(
 def _tell_lost(
     terrain: TerrainFile, level: int, region: Region, on_lost: Callable[[Losses], None] | None
 ) -> None:
-    """Warn of the damaged blocks that became void, and name the first of many."""
+    """Warn of the damaged blocks that became void; of many, name the first."""
     lost, missing = terrain.lost, terrain.container.n_missing
     if not lost and not missing:
         return
@@ -218,7 +218,7 @@ def _n_samples(region: Region) -> int:
 def _check_height_tile(
     dst: str | os.PathLike[str], *, cog: bool, quality: float | None, is_converted: bool
 ) -> None:
-    """Raise `InvalidArgumentError` if an option is for GeoTIFFs."""
+    """Raise `InvalidArgumentError` for options of GeoTIFFs."""
     if cog:
         raise InvalidArgumentError(f"{os.fspath(dst)}: a height tile cannot be a COG")
     if quality is not None:
@@ -233,7 +233,7 @@ def _check_height_tile(
 def _check_geotiff(
     dst: str | os.PathLike[str], voids: str | float | None, size: int | str | None
 ) -> None:
-    """Raise `InvalidArgumentError` if an option is for height tiles."""
+    """Raise `InvalidArgumentError` for options of height tiles."""
     if not (voids is None or (isinstance(voids, str) and voids in VOIDS)):
         raise InvalidArgumentError(
             f"{os.fspath(dst)}: found `voids` {shown(voids)}, which is for height tiles, expected"
@@ -247,7 +247,7 @@ def _check_geotiff(
 
 
 def _may_have_heights(terrain: TerrainFile, level: int, region: Region) -> bool:
-    """Say whether a region of a level may have heights: damage is left to who reads it."""
+    """Return whether a region of a level may have heights; reading it reports damage."""
     try:
         return next(terrain.coded_parts(region, level), None) is not None
     except CorruptStreamError:
@@ -257,7 +257,7 @@ def _may_have_heights(terrain: TerrainFile, level: int, region: Region) -> bool:
 def _converted(
     converted: AboveEllipsoid, read: Callable[[Region], _Samples], region: Region, part: Region
 ) -> _Samples:
-    """Return a part of a region above the ellipsoid."""
+    """Return a part of a region, converted to heights above the ellipsoid."""
     heights, valid = read(part)
     return converted.heights(part, region, heights, valid), valid
 
@@ -272,7 +272,7 @@ def _write(
 ) -> None:
     """Write a region in parts along the borders of groups, so that each is decoded once.
 
-    Parts without heights are left out, where that can be told.
+    Parts known to have no heights are skipped.
     """
     itemsize = np.dtype(sink.info.dtype).itemsize
     n_rows = max(side, _WINDOW_SAMPLES // max(region.n_cols, 1) // side * side)

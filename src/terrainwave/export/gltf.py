@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from terrainwave.export.frames import vertex_normals
 from terrainwave.mesh.mesh_data import MeshData
 
-# Of the specification: types of components, what a buffer's part is for, filters and wrapping.
+# Constants of the specification: types of components, targets of views, filters and wrapping.
 _FLOAT, _UNSIGNED = 5126, 5125
 _VERTICES, _INDICES = 34962, 34963
 _LINEAR, _LINEAR_MIPMAP, _TO_EDGE = 9729, 9987, 33071
@@ -20,7 +20,7 @@ _KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3"}
 _WHITE_PIXEL = base64.b64decode(
     "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGP4DwABAQEAsTj2FAAAAABJRU5ErkJggg=="
 )
-# Of the ground without a picture: as glTF counts, in proportion to light, and as pictures do, sRGB.
+# Colour of the ground without a picture: linear, as in glTF, and sRGB, as in pictures.
 _COLOR = 0.75, 0.72, 0.66
 GROUND_COLOR = 225, 221, 212
 _MAGIC, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
@@ -49,7 +49,7 @@ def _as_json(document: dict[str, Any]) -> bytes:
 
 
 class _Buffer:
-    """The only buffer of a file: parts that begin at multiples of four bytes."""
+    """The only buffer of a file; its parts begin at multiples of four bytes."""
 
     def __init__(self) -> None:
         self._parts: list[bytes] = []
@@ -58,7 +58,7 @@ class _Buffer:
         self.accessors: list[dict[str, Any]] = []
 
     def add(self, data: bytes, **view: Any) -> int:
-        """Append bytes and return the number of their view."""
+        """Append bytes and return the index of their view."""
         self.views.append(
             {"buffer": 0, "byteOffset": self._n_bytes, "byteLength": len(data)} | view
         )
@@ -68,7 +68,7 @@ class _Buffer:
         return len(self.views) - 1
 
     def add_array(self, values: NDArray[np.generic], kind: int, target: int, **more: Any) -> int:
-        """Append numbers and return the number of their accessor."""
+        """Append numbers and return the index of their accessor."""
         view = self.add(values.tobytes(), target=target)
         n_columns = values.shape[1] if values.ndim > 1 else 1
         self.accessors.append(
@@ -79,7 +79,6 @@ class _Buffer:
         return len(self.accessors) - 1
 
     def data(self) -> bytes:
-        """Return all of it."""
         return b"".join(self._parts)
 
 
@@ -106,7 +105,7 @@ def _document(mesh: MeshData, about: dict[str, Any]) -> tuple[dict[str, Any], by
         # glTF counts v from the top of a picture.
         places = np.column_stack([uv[:, 0], 1 - uv[:, 1]]).astype("<f4")
         attributes["TEXCOORD_0"] = buffer.add_array(places, _FLOAT, _VERTICES)
-        # Without a picture there is one to be replaced: the places belong to it.
+        # A placeholder picture that can be replaced: the texture coordinates belong to it.
         data, kind = texture or (_WHITE_PIXEL, "image/png")
         document["images"] = [{"name": "ground", "mimeType": kind, "bufferView": buffer.add(data)}]
         sampler = {"magFilter": _LINEAR, "minFilter": _LINEAR_MIPMAP}
@@ -116,7 +115,7 @@ def _document(mesh: MeshData, about: dict[str, Any]) -> tuple[dict[str, Any], by
     corners = np.ascontiguousarray(mesh.triangles, dtype="<u4").reshape(-1)
     parts = [corners]
     if texture is not None and solid is not None:
-        # Walls and base have no place in a picture from above.
+        # Walls and base are not visible in a picture from above.
         parts = np.split(corners, [3 * solid["n_triangles"]])
         materials.append(_material("walls", _COLOR))
     primitives = [
@@ -145,7 +144,7 @@ def _document(mesh: MeshData, about: dict[str, Any]) -> tuple[dict[str, Any], by
 
 
 def _material(name: str, color: tuple[float, float, float]) -> dict[str, Any]:
-    # Without a material programs take polished metal.
+    # Without a material programs assume polished metal.
     rough = {"baseColorFactor": [*color, 1.0], "metallicFactor": 0.0, "roughnessFactor": 1.0}
     return {"name": name, "pbrMetallicRoughness": rough}
 

@@ -1,7 +1,7 @@
-"""16-bit height tiles for game engines: raw little-endian (.r16) or PNG, with a JSON file beside.
+"""16-bit height tiles for game engines: raw little-endian (.r16) or PNG, with a JSON file.
 
-A tile's samples lie on the corners of its cells, the outermost on its edge, as engines want it:
-2ⁿ + 1 of them on a side. ``height = offset + scale * sample``.
+A tile's samples lie on the corners of its cells, the outermost on its edge, as engines expect: 2ⁿ +
+1 samples on a side. ``height = offset + scale * sample``.
 """
 
 import json
@@ -38,14 +38,14 @@ MAX_SIZE = 16385
 _MAX_SAMPLES = MAX_SIZE**2
 _HIGHEST = 65535
 _SMOOTHING_ROUNDS = 4
-# Beyond this the shape of what is drawn changes visibly.
+# Beyond this the drawn shape changes visibly.
 _LARGEST_STRETCH = 0.005
-# Samples that are read at a time: 32 MiB of float64.
+# Samples to read at a time: 32 MiB of float64.
 _BAND_SAMPLES = 4 << 20
 
 
 def is_tile_size(size: int) -> bool:
-    """Say whether `size` is 2ⁿ + 1, from 3 to `MAX_SIZE`."""
+    """Return whether `size` is 2ⁿ + 1, from 3 to `MAX_SIZE`."""
     return 3 <= size <= MAX_SIZE and (size - 1) & (size - 2) == 0
 
 
@@ -73,17 +73,17 @@ def write_height_tile(
     ----------
     terrain : TerrainFile
     path : path
-        Ends in ``.r16`` or ``.png``; the JSON has the same name with ``.json`` behind it. Both
-        appear complete or not at all.
+        Ends in ``.r16`` or ``.png``; the JSON has the same name plus ``.json``. Both appear
+        complete or not at all.
     region : Region
         Of `level`; at least 2 x 2 samples.
     level : int
     size : int, "window" or None
         Side of the tile, 2ⁿ + 1; the window is resampled bilinearly to this square, corner sample
-        to corner sample. ``"window"`` writes the window's samples as they are. None is as they are
-        where they form such a square, else the largest tile that is not larger than the window.
+        to corner sample. ``"window"`` writes the window's samples without resampling; None too if
+        they form such a square, else it selects the largest tile within the window's size.
     voids : {"lowest", "fill"} or float
-        What voids become: the lowest height of the tile, what its surroundings have, or a height.
+        Height of voids: the lowest of the tile, that of their surroundings, or a number.
     overwrite : bool
     reporter : Reporter
 
@@ -99,11 +99,11 @@ def write_height_tile(
     heights, valid = _read(terrain, region, level, shape, reporter)
     scale, offset = terrain.raster_info.scale, terrain.raster_info.offset
     heights = heights * scale + offset
-    if terrain.height_unit.is_depth:  # what reads such tiles knows heights alone
+    if terrain.height_unit.is_depth:  # programs for such tiles only know heights
         terrain.height_unit.note_kind()
         heights = -heights
     _warn_of_aspect(terrain, region, level, shape)
-    # A float is what all voids become; without any nothing is stretched to hold it.
+    # A float replaces all voids; without voids the range must not be stretched to it.
     if filling == "fill":
         heights = fill_voids(heights, valid)
     elif isinstance(filling, float):
@@ -170,7 +170,7 @@ def _read(
 
 
 def _bands(rows: NDArray[np.float64], n_cols: int) -> Iterator[tuple[int, int]]:
-    """Yield runs of output rows whose input rows are few enough to be held."""
+    """Yield runs of output rows whose input rows fit into memory."""
     n_held = max(_BAND_SAMPLES // n_cols, 2)
     start = 0
     while start < len(rows):
@@ -180,7 +180,7 @@ def _bands(rows: NDArray[np.float64], n_cols: int) -> Iterator[tuple[int, int]]:
 
 
 def _quantize(heights: NDArray[np.float64], valid: NDArray[np.bool_]) -> _Quantized:
-    """Spread the valid heights over 0 … 65535; voids take the lowest."""
+    """Spread the valid heights over 0 … 65535; voids get the lowest."""
     if not valid.any():
         return _Quantized(np.zeros(heights.shape, dtype=np.uint16), 1.0, 0.0, 0.0)
     low, high = float(heights[valid].min()), float(heights[valid].max())
@@ -235,7 +235,7 @@ def _describe(
 
 
 def _metres(terrain: TerrainFile, transform: Transform) -> list[float] | None:
-    """Return width and height of a pixel in metres; None where the CRS does not say."""
+    """Return width and height of a pixel in metres; None if the CRS does not define them."""
     raster = terrain.raster_info
     if raster.crs is None:
         return None
@@ -256,7 +256,7 @@ def _metres(terrain: TerrainFile, transform: Transform) -> list[float] | None:
 def _warn_of_aspect(
     terrain: TerrainFile, region: Region, level: int, shape: tuple[int, int]
 ) -> None:
-    """Say loudly where a landscape is stretched: engines take cells for squares."""
+    """Warn if a landscape is stretched: engines assume square cells."""
     by_row, by_col = (region.n_rows - 1) / (shape[0] - 1), (region.n_cols - 1) / (shape[1] - 1)
     if abs(by_row / by_col - 1) <= _LARGEST_STRETCH:
         return
@@ -282,17 +282,17 @@ def checked_voids(voids: str | float) -> str | float:
     if isinstance(voids, str):
         if voids in FILLINGS:
             return voids
-        # The command line's are texts.
+        # The command line passes texts.
         with suppress(ValueError):
             voids = float(voids)
     return checked_number("voids", voids, expected="lowest, fill or a height")
 
 
 def fill_voids(heights: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return heights whose voids have what is around them, smoothly; copies.
+    """Return a copy of heights whose voids are filled smoothly from their surroundings.
 
-    Averages of 2 x 2 samples fill what they can, those of coarser ones the rest; on each size a few
-    rounds of averaging with the neighbours make it smooth.
+    Averages of 2 x 2 samples fill as many as they can, those of coarser levels the rest; on each
+    level a few rounds of averaging with the neighbours make the result smooth.
     """
     if valid.all() or not valid.any():
         return heights.copy()
@@ -319,7 +319,7 @@ def _tile_transform(
     """Return the affine of the tile's pixels, around its samples, from that of the region's."""
     a, b, c, d, e, f = transform
     by_col, by_row = (region.n_cols - 1) / (shape[1] - 1), (region.n_rows - 1) / (shape[0] - 1)
-    x, y = c + (a + b) / 2, f + (d + e) / 2  # of the first sample, which stays where it is
+    x, y = c + (a + b) / 2, f + (d + e) / 2  # of the first sample, which does not move
     a, b, d, e = a * by_col, b * by_row, d * by_col, e * by_row
     return a, b, x - (a + b) / 2, d, e, y - (d + e) / 2
 

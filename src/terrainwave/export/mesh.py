@@ -1,4 +1,4 @@
-"""`Mesh`: a triangulated surface in world coordinates, as users hold it."""
+"""`Mesh`: a triangulated surface in world coordinates, for users."""
 
 import os
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ class Mesh(MeshData):
     triangles : ndarray of int32, shape (n_triangles, 3)
         Indices of vertices, counter-clockwise seen from above (from +z, x to the right, y up).
     origin : tuple of float
-        What to add to vertices: x, y, height.
+        Offset to add to vertices: x, y, height.
     error : float
         No valid original sample under the mesh is vertically further from it, in the file's unit.
     crs : str, optional
@@ -29,8 +29,9 @@ class Mesh(MeshData):
     units : str, optional
         Unit of heights and of `error`.
     heights_are : {"height", "depth", "radius"}, optional
-        What heights are, as `compress` has it. None: heights, or depths where the CRS's vertical
-        axis goes down. Depths and radii are turned where the mesh is saved in another frame.
+        Meaning of heights, as in `compress`. None: heights, or depths if the CRS's vertical axis
+        points down. Depths and radii are converted to heights if the mesh is saved in another
+        frame.
     """
 
     def save(
@@ -54,27 +55,28 @@ class Mesh(MeshData):
         path : path
             The extension selects the format: .ply, .obj, .stl, .glb, .gltf, .vtu, .vtk, .terrain.
         frame : {"local", "native", "ecef"}, optional
-            Metres from the middle (default for degrees), the CRS (otherwise), or geocentric: then
-            edges are divided where the globe is too curved for them, and the error has the rest.
+            Metres from the middle (default for degrees), the CRS (otherwise), or geocentric. For
+            geocentric files edges are divided where the globe curves too much, and the error
+            includes the rest.
         z_scale : float
             Heights are multiplied by it; > 0.
         solid : float, optional
             Close the mesh with walls and a flat base at this height, in the file's unit.
         skirts : float, optional
             Hang walls of this height, in the file's unit, from all borders; > 0. They hide gaps
-            beside meshes of another error.
+            next to meshes of another error.
         radius : float, optional
             Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
         vertical : {"as-is", "ellipsoid"}
-            For geocentric coordinates and .terrain: use heights as if they were above the
-            ellipsoid, or convert them from the CRS's vertical datum with PROJ's grid.
+            For geocentric coordinates and .terrain: assume that heights are above the ellipsoid, or
+            convert them from the CRS's vertical datum with PROJ's grid.
         up : {"y", "z"}, optional
             The axis that points upwards in the file; y means coordinates (x, z, -y). By default y
             in glTF, which has no other, and z in other formats.
         drape : path, optional
             Path or URL of a picture to put into a .glb or .gltf, as for `Terrain.view`: warped to
-            the mesh's CRS, at most 8192 pixels a side. One without any coordinates covers the
-            whole raster, or the mesh if it is of none.
+            the mesh's CRS, at most 8192 pixels a side. A picture without coordinates covers the
+            whole raster, or the mesh if that has no raster.
         overwrite : bool
             Replace an existing file.
 
@@ -82,7 +84,7 @@ class Mesh(MeshData):
         ------
         TerrainwaveError
             If the extension is unknown, an option does not fit, a package is missing, or the file
-            cannot be written; nothing is left behind.
+            cannot be written. No file remains.
         """
         from terrainwave.export.mesh_files import save_mesh
 

@@ -1,4 +1,4 @@
-"""Meshes to files of other programs: in which frame, how far rounding moves them, written whole."""
+"""Files of meshes: coordinate frames, errors of rounding, atomic writing."""
 
 import logging
 import os
@@ -42,13 +42,13 @@ from terrainwave.mesh.mesh_data import CURVATURE_SHARE, CurvatureShare, MeshData
 
 _log = logging.getLogger(__name__)
 
-# Tries to make a mesh that keeps to its bound in the file, and how much more than the rounding of
-# the last try each of them leaves for it.
+# Tries to make a mesh that keeps its bound in the file, and the factor of the last try's rounding
+# that each of them reserves.
 _TRIES = 3
 _ROUNDING_SLACK = 1.25
 # Further tries on a globe, each with half of the share of the curvature: steep triangles can add
-# many times that share. They end where a half adds more than this part of what the whole did:
-# the rest is rounding, and each half doubles the triangles.
+# many times that share. They end when halving saves less than this factor: the rest is rounding,
+# and each half doubles the triangles.
 _HALVINGS, _LESS = 5, 0.8
 
 Made = TypeVar("Made", bound=MeshData)
@@ -56,12 +56,12 @@ Made = TypeVar("Made", bound=MeshData)
 
 @dataclass(frozen=True)
 class Shape:
-    """How a mesh is to be in a file: options of `save_mesh`, told there.
+    """Form of a mesh in a file: options of `save_mesh`, described there.
 
     Raises
     ------
     InvalidArgumentError
-        If two of them do not go together.
+        If two options conflict.
     """
 
     frame: str | None = None
@@ -74,13 +74,7 @@ class Shape:
     drape: str | os.PathLike[str] | None = None
 
     def check(self, extension: str) -> None:
-        """Refuse what does not go together, or not with a format.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If something does not.
-        """
+        """Raise `InvalidArgumentError` for options that conflict with others or with a format."""
         if self.solid is not None and self.skirts is not None:
             raise InvalidArgumentError(
                 "found `solid` and `skirts`, expected one of them: the walls of a body reach its"
@@ -114,7 +108,7 @@ class Shape:
             )
 
     def is_on_globe(self, extension: str) -> bool:
-        """Say whether triangles are flat on a globe."""
+        """Return whether triangles are flat on a globe."""
         return extension == TILE or self.frame == "ecef"
 
     def axis_up(self, extension: str) -> str:
@@ -136,16 +130,16 @@ def save_mesh(
     drape: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
 ) -> SavedMesh:
-    """Write a mesh; the extension of `path` tells the format.
+    """Write a mesh in the format of the extension of `path`.
 
     Parameters
     ----------
     mesh : MeshData
     path : path
         ``.ply``, ``.obj``, ``.vtu``, ``.vtk`` hold float64 or decimal coordinates; ``.stl``,
-        ``.glb``, ``.gltf`` hold float32, relative to an origin that is written beside them;
-        ``.terrain`` is one Cesium quantized-mesh tile over the mesh's bounds. The file appears
-        complete or not at all.
+        ``.glb``, ``.gltf`` hold float32, relative to an origin that the file states; ``.terrain``
+        is one Cesium quantized-mesh tile over the mesh's bounds. The file appears complete or not
+        at all.
     frame, z_scale, radius, vertical
         As in `to_frame`; a ``.terrain`` tile takes `vertical` too.
     solid : float, optional
@@ -156,16 +150,16 @@ def save_mesh(
         The axis that points upwards in the file: with ``y`` the coordinates are (x, z, -y) of the
         frame's. By default ``y`` in glTF, which has no other, and ``z`` in other formats.
     drape : path, optional
-        A picture to put into a ``.glb`` or ``.gltf``, as of `raster_io.drape.texture_of`; a mesh
-        that has one (`with_texture`) keeps it.
+        A picture for a ``.glb`` or ``.gltf``, as for `raster_io.drape.texture_of`; a mesh that has
+        one (`with_texture`) keeps it.
     overwrite : bool
         Replace an existing file.
 
     Raises
     ------
     InvalidHeightsError
-        If the extension is none of the known ones, an option does not fit, or the picture is none
-        of the ground under the mesh.
+        If the extension is unknown, an option does not fit, or the picture does not show the ground
+        under the mesh.
     TerrainwaveError
         If the package that writes the format is missing.
     StorageError
@@ -195,7 +189,7 @@ def save_mesh(
         texture = with_texture(mesh, drape).attributes["texture"]
         attributes = framed_file.attributes | {"texture": texture}
         framed_file = replace(framed_file, attributes=attributes)
-    # Libraries count on numpy's own settings, which callers may have changed.
+    # Libraries rely on numpy's default settings, which callers may have changed.
     with np.errstate(all="ignore"):
         data = writer.write(framed_file, about, Path(path))
     with publish(path, overwrite) as part, storage_errors(f"cannot write {path}"):
@@ -225,7 +219,7 @@ def with_texture(mesh: MeshData, drape: str | os.PathLike[str]) -> MeshData:
     mesh : MeshData
         In its CRS.
     drape : path
-        As of `save_mesh`.
+        As for `save_mesh`.
 
     Raises
     ------
@@ -244,12 +238,12 @@ def with_texture(mesh: MeshData, drape: str | os.PathLike[str]) -> MeshData:
 
 
 def check_drape(terrain: TerrainFile, drape: str | os.PathLike[str] | None) -> None:
-    """Raise now what `save_mesh` would raise for most pictures: the mesh may take long to make.
+    """Raise most errors of a later `save_mesh` about pictures now, as the mesh may take long.
 
     Raises
     ------
     InvalidHeightsError, StorageError
-        If it is no picture, cannot be read, or lies beside the terrain.
+        If it is not a picture, cannot be read, or does not overlap the terrain.
     """
     if drape is None:
         return
@@ -260,7 +254,7 @@ def check_drape(terrain: TerrainFile, drape: str | os.PathLike[str] | None) -> N
 
 
 def file_rounding(mesh: MeshData, path: str | os.PathLike[str], **options: Any) -> float:
-    """Return the error that rounding in the file adds to the mesh's, without writing it.
+    """Return the error that rounding in the file adds to the mesh's, without writing the file.
 
     The options are those of `save_mesh`.
     """
@@ -283,8 +277,8 @@ def mesh_for_file(
 ) -> tuple[Made, bool]:
     """Return a mesh for a file, and whether it keeps to the error in the file, too.
 
-    Rounding in the file adds to a mesh's error: the mesh is made again with so much less. On a
-    globe, the curvature has a share of what the heights leave of the error.
+    Rounding in the file adds to a mesh's error, so the mesh is made again with a smaller one. On a
+    globe the curvature gets a share of the error that the heights leave.
 
     Parameters
     ----------
@@ -298,9 +292,9 @@ def mesh_for_file(
     Raises
     ------
     InvalidArgumentError
-        If the curvature of the globe does not keep to the error.
+        If the curvature of the globe exceeds the error.
     InvalidHeightsError
-        If the mesh has no place in the frame.
+        If the mesh has no position in the frame.
     """
     shape = Shape(**options)
     is_on_globe = shape.is_on_globe(check_extension(path))
@@ -309,7 +303,7 @@ def mesh_for_file(
     try:
         first = make(max_error - share)
         if is_on_globe and (wanted := _share_of_cells(first, shape)) > share < left / 2:
-            # Dividing all cells takes more triangles than a mesh that is nearer to the heights.
+            # Dividing all cells takes more triangles than a mesh closer to the heights.
             share = min(wanted, left / 2)
             first = make(max_error - share)
     except InvalidHeightsError:
@@ -332,7 +326,7 @@ def mesh_for_file(
         if is_bent:
             share, rounding = share / 2, rounding / 2
         try:
-            # The next mesh is another one: its rounding may be somewhat more.
+            # The next mesh differs, so its rounding may be somewhat larger.
             surface = make(max_error - _ROUNDING_SLACK * rounding)
         except InvalidHeightsError:
             if not is_bent:
@@ -352,20 +346,14 @@ def _share_of_cells(mesh: MeshData, shape: Shape) -> float:
 
 
 def _with_share(mesh: Made, share: float) -> Made:
-    """Return a mesh whose edges will be divided until the curvature keeps to an error."""
+    """Return a mesh whose edges are to be divided until the curvature keeps to an error."""
     known: CurvatureShare = mesh.attributes.get("curvature", CurvatureShare(share))
     curvature = known._replace(error=share)
     return replace(mesh, attributes=mesh.attributes | {"curvature": curvature})
 
 
 def _refuse_small_share(mesh: MeshData, share: float, shape: Shape, max_error: float) -> None:
-    """Raise if the curvature cannot keep to an error.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If that would take too many triangles.
-    """
+    """Raise `InvalidArgumentError` if an error leaves too little for the curvature."""
     least = least_share(mesh, _way(mesh, shape))
     if share < least:
         smallest = max_error + _ROUNDING_SLACK * (least - share) / CURVATURE_SHARE
@@ -377,7 +365,7 @@ def _refuse_small_share(mesh: MeshData, share: float, shape: Shape, max_error: f
 
 
 def note_on_rounding(max_error: float) -> str:
-    """Say that a file cannot keep to an error, and which can."""
+    """Return a note that a file cannot keep to an error, with one that it can keep."""
     return (
         f"rounding of coordinates in the file makes the error larger than {max_error:g};"
         " .ply, .obj and .vtu keep the bound"
@@ -389,7 +377,7 @@ def _to_write(
 ) -> tuple[MeshData, NDArray[np.float64], float]:
     """Return the mesh in its frame, its vertices as the file holds them, and their rounding.
 
-    Its attribute ``uv`` holds places in a picture of its area, if the format has them.
+    Its attribute ``uv`` holds coordinates in a picture of its area, if the format has them.
     """
     if shape.frame == "ecef":
         mesh = divided(mesh, _way(mesh, shape))
@@ -405,7 +393,7 @@ def _to_write(
         whole = add_skirts(mesh, shape.skirts, is_downward=_is_downward(mesh, shape))
     writer = WRITERS[extension]
     if writer.has_normals and (shape.solid is None or shape.drape is not None):
-        # A body's walls have no place in a picture from above.
+        # A body's walls are not visible in a picture from above.
         whole = replace(whole, attributes=whole.attributes | {"uv": _texture_places(whole)})
     framed = to_frame(
         whole, shape.frame, z_scale=shape.z_scale, radius=shape.radius, vertical=shape.vertical
@@ -422,7 +410,7 @@ def _to_write(
 
 
 def _is_downward(mesh: MeshData, shape: Shape) -> bool:
-    """Say whether heights are depths that the frame turns over."""
+    """Return whether heights are depths that the frame turns over."""
     return shape.frame != "native" and mesh_unit(mesh).metres < 0
 
 
@@ -439,12 +427,12 @@ def check_extension(path: str | os.PathLike[str]) -> str:
 
 
 def prepare(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Raise now what `save_mesh` would raise for this path: the mesh may take long to make.
+    """Raise the errors of a later `save_mesh` about this path now, as the mesh may take long.
 
     Raises
     ------
     InvalidArgumentError, TerrainwaveError, StorageError
-        If the extension is unknown, its package missing, or the file exists and is to be kept.
+        If the extension is unknown, its package missing, or the file exists and must be kept.
     """
     extension = check_extension(path)
     package = "quantized_mesh_encoder" if extension == TILE else WRITERS[extension].package
@@ -467,7 +455,7 @@ def describe(mesh: MeshData, error: float) -> dict[str, Any]:
 
 
 def _texture_places(mesh: MeshData) -> NDArray[np.float64]:
-    """Return where vertices lie in a picture of the mesh's area: (0, 0) is its lower left."""
+    """Return positions of vertices in a picture of the mesh's area: (0, 0) is the lower left."""
     left, bottom, right, top = mesh.area
     size = np.maximum((right - left, top - bottom), np.finfo(np.float64).tiny)
     places: NDArray[np.float64] = (mesh.points[:, :2] - (left, bottom)) / size
@@ -477,7 +465,7 @@ def _texture_places(mesh: MeshData) -> NDArray[np.float64]:
 def _recentred(mesh: MeshData) -> MeshData:
     """Return the mesh with its origin in its middle, so that float32 holds small numbers.
 
-    Heights stay as they are, except geocentric ones.
+    Heights are not shifted, except geocentric ones.
     """
     if mesh.attributes["frame"]["name"] != "native":
         return mesh
@@ -490,11 +478,12 @@ def _recentred(mesh: MeshData) -> MeshData:
 def _rounding(
     mesh: MeshData, framed: MeshData, written: NDArray[np.float64], radius: float | None
 ) -> float:
-    """Return by how much the surface in the file can differ from the mesh's, in the file's unit.
+    """Return the largest difference of the surface in the file from the mesh's, in the file's unit.
 
     A point of a triangle moves with its corners: horizontally by at most (dx, dy), vertically by
-    dz. Where it came to lie the surface is higher or lower by at most the steepest slopes on the
-    way: dz + max |∂z/∂x| dx + max |∂z/∂y| dy.
+    dz. At its new position the surface is higher or lower by at most the steepest slopes on its
+    path: dz + max
+    |∂z/∂x| dx + max |∂z/∂y| dy.
     """
     frame = framed.attributes["frame"]
     moved = np.abs(written - framed.vertices).max(axis=0)
@@ -504,7 +493,7 @@ def _rounding(
         slope = _steepest_on(framed, quiet_place(mesh, radius).globe_ellipsoid)
         rounding = float(np.linalg.norm(moved)) * (1 + slope)
     else:
-        # A body's walls and base have none or a negative one.
+        # A body's walls and base have zero or negative areas.
         if (areas(replace(framed, vertices=written)) > 0).sum() < (areas(framed) > 0).sum():
             raise InvalidHeightsError(
                 "the format's float32 cannot hold the small triangles of a mesh this wide;"
@@ -523,7 +512,7 @@ def _steepest_on(mesh: MeshData, ellipsoid: Any) -> float:
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     rise = (normals * up).sum(axis=1)
     lengths = np.linalg.norm(normals, axis=1)
-    # Walls stand upright, up to their rounding.
+    # Walls are vertical up to rounding.
     faces_up = rise > 1e-6 * lengths
     if not faces_up.any():
         return 0.0

@@ -1,7 +1,7 @@
-"""The formats of mesh files: each writer returns the bytes of a file.
+"""Formats of mesh files: each writer returns the bytes of a file.
 
-trimesh and meshio write them, except OBJ and glTF: of their writers, none has the normals and the
-places in a picture without a further file or a remark of the format's validator.
+trimesh and meshio write them, except OBJ and glTF: their writers cannot put normals and texture
+coordinates into one file without complaints of the format's validator.
 """
 
 import io
@@ -22,20 +22,20 @@ from terrainwave.export.gltf import glb_bytes, gltf_bytes
 from terrainwave.extras import need
 from terrainwave.mesh.mesh_data import MeshData
 
-# Installs what writes the files.
+# Extra that installs the packages of the writers.
 EXTRA = "mesh"
 _STL_HEADER = 80
 _VTK_TITLE = 255
-# Digits after the point of an OBJ file: of metres or feet, and of what may be degrees.
+# Decimals in an OBJ file: of metres or feet, and of possible degrees.
 _DIGITS = 5
 _DIGITS_OF_DEGREES = 10
-# Of parts of a unit vector and of a picture, as float32 holds them.
+# Decimals of unit vectors and texture coordinates, as float32 holds them.
 _DIGITS_OF_PARTS = 7
 
 
 @dataclass(frozen=True)
 class SavedMesh:
-    """What was written.
+    """A written mesh file.
 
     Parameters
     ----------
@@ -44,26 +44,26 @@ class SavedMesh:
         Those of a body include its walls and base.
     error : float
         No valid original sample under the mesh is vertically further from the surface in the file,
-        in `units`: the mesh's error and what the rounding of coordinates in the file can add. On a
-        globe it holds between samples, too, along the normal of the ellipsoid.
+        in `units`: the mesh's error plus the rounding of coordinates in the file. On a globe it
+        also holds between samples, along the normal of the ellipsoid.
     rounding : float
         The part of `error` that rounding can add.
     units : str, optional
-        Unit of the .twz file's heights and of `error`; not of the file written, whose heights may
+        Unit of the .twz file's heights and of `error`; not of the written file, whose heights may
         be scaled.
     frame : str
         ``"local"``, ``"native"`` or ``"ecef"``.
     origin : tuple of float
-        What to add to the coordinates in the file to have those of the frame.
+        Offset to add to the coordinates in the file to get those of the frame.
     curvature : float
-        Metres that flat triangles can be off the curved body between their vertices: a part of
-        `error`, in geocentric coordinates only.
+        Largest distance, in metres, of flat triangles from the curved body: a part of `error`, only
+        in geocentric coordinates.
     vertical : dict, optional
-        Of geocentric coordinates: what heights are (``heights``: ``"as-is"`` or ``"ellipsoid"``),
-        the CRS's ``datum``, or PROJ's ``operation`` and its ``grids``.
+        For geocentric coordinates: the kind of heights (``heights``: ``"as-is"`` or
+        ``"ellipsoid"``), the CRS's ``datum``, or PROJ's ``operation`` and its ``grids``.
     share : float, optional
-        Of meshes without a guarantee: the share of samples within the tolerance that guaranteed
-        meshes have.
+        For meshes without a guarantee: the share of samples within the tolerance of guaranteed
+        meshes.
     """
 
     path: str
@@ -119,7 +119,7 @@ def _write_obj(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
             _lines("vn", vertex_normals(mesh), _DIGITS_OF_PARTS),
         ]
         corner = "%d/%d/%d"
-    # Vertices count from 1; each has its own normal and place in the picture.
+    # Vertices count from 1; each has its own normal and texture coordinates.
     numbers = np.repeat(mesh.triangles.astype(np.int64) + 1, corner.count("%"), axis=1)
     line = f"f {corner} {corner} {corner}\n"
     parts.append(line * mesh.n_triangles % tuple(numbers.ravel().tolist()))
@@ -127,14 +127,14 @@ def _write_obj(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
 
 
 def _lines(word: str, values: NDArray[np.float64], digits: int) -> str:
-    """Return a line for each row of numbers, behind a word."""
+    """Return a line for each row of numbers, after a word."""
     line = word + f" %.{digits}f" * values.shape[1] + "\n"
     rounded = np.round(values, digits) + 0.0  # no -0
     return line * len(values) % tuple(rounded.ravel().tolist())
 
 
 def obj_digits(mesh: MeshData) -> int:
-    """Return how many digits after the point the coordinates of an OBJ file have."""
+    """Return the number of decimals of an OBJ file's coordinates."""
     width = float(np.ptp(mesh.vertices[:, 0]))
     may_be_degrees = mesh.attributes["frame"]["name"] == "native" and width <= 360
     return _DIGITS_OF_DEGREES if may_be_degrees else _DIGITS
@@ -144,7 +144,8 @@ def _write_stl(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
     from trimesh.exchange.stl import export_stl
 
     data = bytes(export_stl(to_trimesh(mesh)))
-    # Not `solid`: that begins a text file. 80 bytes have room for the origin, not for more.
+    # It must not begin with `solid`, which marks a text file. 80 bytes have room only for the
+    # origin.
     origin = " ".join(f"{value:.15g}" for value in about["frame"].get("centre", mesh.origin))
     header = f"terrainwave origin {origin}".encode()[:_STL_HEADER]
     return header.ljust(_STL_HEADER) + data[_STL_HEADER:]
@@ -189,7 +190,7 @@ def _write_vtk(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
 
 
 def _written_by_path(mesh: MeshData, path: Path, name: str) -> bytes:
-    """Let meshio write where it insists on a path."""
+    """Use meshio with a temporary file where it requires a path."""
     with scratch(path) as part, storage_errors(f"cannot write {path}"):
         _meshio_mesh(mesh).write(part.path, file_format=name)
         return part.path.read_bytes()
@@ -197,11 +198,10 @@ def _written_by_path(mesh: MeshData, path: Path, name: str) -> bytes:
 
 @dataclass(frozen=True)
 class Writer:
-    """How a format is written: by which package, and what it holds.
+    """Writer of a format: its package, and its features.
 
-    `has_normals` says that surfaces have normals and places in a picture, `has_picture` that the
-    picture itself can be in the file; `up` is the axis that points upwards unless another one is
-    asked for.
+    With `has_normals`, surfaces have normals and texture coordinates; with `has_picture`, the
+    picture itself can be in the file; `up` is the default upward axis.
     """
 
     package: str | None

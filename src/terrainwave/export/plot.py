@@ -16,7 +16,7 @@ from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.place.position import axis_labels
 from terrainwave.place.units import unit_text
 
-# From the north-west, 45 degrees above the horizon, as maps are lit.
+# From the north-west, 45 degrees above the horizon, as is usual on maps.
 _LIGHT = np.array([-0.5, 0.5, math.sqrt(0.5)])
 _AMBIENT = 0.35
 _EDGE = {"edgecolors": (0, 0, 0, 0.45), "linewidths": 0.25}
@@ -24,7 +24,7 @@ _EDGE = {"edgecolors": (0, 0, 0, 0.45), "linewidths": 0.25}
 
 # Metres: no dry land of the Earth lies lower.
 _DEEPEST_LAND = -450.0
-# Shares of matplotlib's gist_earth where its sea and its land begin and end.
+# Shares of matplotlib's gist_earth at which its sea and its land begin and end.
 _SEA_SHARES, _LAND_SHARES = (0.05, 0.28), (0.45, 1.0)
 _N_COLOURS = 256
 _EARTH_RADII = (6.35e6, 6.39e6)
@@ -35,9 +35,9 @@ def colours_of_heights(
 ) -> Any:
     """Return the colour map of heights from `low` to `high`, of `unit` metres each.
 
-    `unit` is negative where numbers are depths: the largest is then the lowest place. None
-    as `cmap` is gist_earth: its land alone, or on the Earth its sea below 0 too, where heights are
-    lower than all dry land.
+    `unit` is negative for depths: the largest is then the lowest place. None as `cmap` is
+    gist_earth: only its land, or on the Earth also its sea below 0 if heights are lower than all
+    dry land.
     """
     pyplot = need("matplotlib.pyplot", extra="demo")
     if cmap is not None:
@@ -84,7 +84,7 @@ def plot(mesh: MeshData, ax: Any, *, wireframe: bool, cmap: str | None) -> Any:
     scale = colours_of_heights(cmap, low, high, unit, is_earth=is_earth)
     colours = scale((heights - low) / ((high - low) or 1.0))
     colours[:, :3] *= brightness[:, np.newaxis]
-    # Edges of the faces' own colour close the hairlines between neighbours.
+    # Edges in the faces' own colour close the hairlines between neighbours.
     edges: dict[str, Any] = _EDGE if wireframe else {"edgecolors": "face", "linewidths": 0.1}
     ax.add_collection(collections.PolyCollection(corners[:, :, :2], facecolors=colours, **edges))
     ax.set_xlim(left, right)
@@ -104,7 +104,7 @@ def _labels(mesh: MeshData) -> tuple[str, str]:
 
 
 def label_axes(ax: Any, x: str, y: str) -> None:
-    """Name axes; numbers are written out, as coordinates are."""
+    """Label axes, with coordinates written in full."""
     ax.set_xlabel(x)
     ax.set_ylabel(y)
     with contextlib.suppress(AttributeError, TypeError):  # axes with ticks of their own
@@ -113,7 +113,6 @@ def label_axes(ax: Any, x: str, y: str) -> None:
 
 
 def add_colour_bar(ax: Any, norm: Any, cmap: Any, units: str | None, word: str) -> None:
-    """Say beside axes what colours of heights mean."""
     pyplot = need("matplotlib.pyplot", extra="demo")
     scale = pyplot.cm.ScalarMappable(norm=norm, cmap=cmap)
     ax.figure.colorbar(scale, ax=ax, shrink=0.8, label=f"{word}, {unit_text(units)}")

@@ -1,7 +1,7 @@
 """Cesium quantized-mesh tiles, encoded by quantized-mesh-encoder.
 
 A tile holds longitude, latitude and height in 1/32767 of its own extent. The mesh's error holds for
-the heights handed to the encoder; what this rounding adds is computed from the rounded vertices.
+the heights passed to the encoder; the error of rounding is computed from the rounded vertices.
 """
 
 import io
@@ -36,12 +36,12 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 STEPS = 32767
-# Radii from the middle of the globe, of a point beyond all horizons.
+# Distance, in radii from the middle of the globe, of a point beyond all horizons.
 _FAR = 1e6
 
 
 class Tile(NamedTuple):
-    """The bytes of a tile and how far rounding can lift or lower its surface, in metres."""
+    """Bytes of a tile and the largest vertical effect of rounding, in metres."""
 
     data: bytes
     rounding: float
@@ -51,9 +51,9 @@ class Tile(NamedTuple):
 
 @dataclass(frozen=True)
 class GeographicMesh:
-    """A mesh in degrees and metres, and the ellipsoid these are counted on.
+    """A mesh in degrees and metres, and their ellipsoid.
 
-    `curvature` in metres is the part of the mesh's error that flat triangles on the globe have.
+    `curvature` in metres is the part of the mesh's error from flat triangles on the globe.
     """
 
     mesh: MeshData
@@ -67,8 +67,8 @@ def on_globe(
     """Return the mesh in longitude, latitude (degrees) and metres.
 
     Meshes of the Earth go to WGS 84, which Cesium uses; others stay on their own body. Heights are
-    taken as above the ellipsoid, or converted: `vertical` as in `to_frame`. Edges are divided for
-    the globe's curvature (`export.curvature`).
+    assumed to be above the ellipsoid, or converted: `vertical` as in `to_frame`. Edges are divided
+    for the globe's curvature (`export.curvature`).
     """
     if not mesh.n_triangles:
         raise InvalidHeightsError("the mesh is empty: there are no valid heights under it")
@@ -133,11 +133,11 @@ def tile_bytes(
     points : ndarray of float64, shape (n_vertices, 3)
         Longitude, latitude in degrees and height in metres, in the order of their first use.
     quantized : ndarray of int16, shape (n_vertices, 3)
-        The same as the tile holds them: (u, v, h) in 0 … 32767.
+        The same as in the tile: (u, v, h) in 0 … 32767.
     triangles : ndarray of int64, shape (n_triangles, 3)
         Counter-clockwise seen from above.
     heights : tuple of float
-        What h = 0 and h = 32767 stand for; numbers that float32 has.
+        Heights of h = 0 and h = 32767; exact in float32.
     about : dict
         For the metadata extension.
     """
@@ -146,7 +146,8 @@ def tile_bytes(
     from quantized_mesh_encoder.extensions import MetadataExtension
 
     axis, e2 = ellipsoid
-    # `encode` itself takes positions as float32, nearly a metre at 180 degrees, and rounds down.
+    # `encode` takes positions as float32, which are off by nearly a metre at 180 degrees, and
+    # rounds down.
     with np.errstate(all="ignore"):
         header = encoder.compute_header(
             points, "naive", ellipsoid=EncoderEllipsoid(a=axis, b=axis * float(np.sqrt(1 - e2)))
@@ -158,7 +159,7 @@ def tile_bytes(
         encoder.write_vertices(out, quantized, len(quantized))
         encoder.write_indices(out, triangles.astype(np.uint32), len(quantized))
         encoder.write_edge_indices(out, quantized, len(quantized))
-        # The format wants the length before the text; from a dict the encoder leaves it out.
+        # The format requires the length before the text; the encoder omits it for a dict.
         text = json.dumps({"generator": f"terrainwave {__version__}"} | about).encode()
         out.write(MetadataExtension(data=struct.pack("<I", len(text)) + text).encode())
     return out.getvalue()
@@ -167,10 +168,11 @@ def tile_bytes(
 def _occlusion_point(points: NDArray[np.float64], ellipsoid: Ellipsoid) -> dict[str, float]:
     """Return the point that is behind the horizon if all of the tile is.
 
-    Along the direction of the vertices' middle, on the ellipsoid scaled to a unit sphere, at the
-    largest 1 / (cos α cos β − sin α sin β), α the angle to a vertex and cos β = 1 / its distance
-    (Ring 2013, Computing the horizon occlusion point). There is none where α + β reaches a right
-    angle, as in tiles of half a globe: then a point so far out that it is hidden with their middle.
+    It lies in the direction of the vertices' middle, on the ellipsoid scaled to a unit sphere, at
+    the largest 1 / (cos α cos β − sin α sin β), α the angle to a vertex and cos β = 1 / its
+    distance (Ring 2013, Computing the horizon occlusion point). It does not exist if α + β reaches
+    a right angle, as in tiles of half a globe: then the result is a very distant point, hidden with
+    their middle.
     """
     axes = np.array([1.0, 1.0, np.sqrt(1 - ellipsoid.e2)]) * ellipsoid.axis
     scaled = points / axes
@@ -185,7 +187,7 @@ def _occlusion_point(points: NDArray[np.float64], ellipsoid: Ellipsoid) -> dict[
 
 
 def _in_order_of_use(mesh: MeshData) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return vertices in the order in which triangles first use them, as the format wants."""
+    """Return vertices in the order in which triangles first use them, as the format requires."""
     used, first, places = np.unique(mesh.triangles.ravel(), return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty(len(order), dtype=np.int64)
@@ -220,7 +222,7 @@ def save_tile(
 ) -> SavedMesh:
     """Write a mesh as one quantized-mesh tile over its own bounds.
 
-    The bounds, which a tile tells by its place in a tile set only, are in its metadata extension.
+    The bounds are in its metadata extension; otherwise only the position in a tile set gives them.
     """
     globe = on_globe(mesh, radius=radius, vertical=vertical)
     tile = encode_tile(globe, globe.mesh.bounds)

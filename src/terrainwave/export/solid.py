@@ -1,4 +1,4 @@
-"""Walls below a surface: of a closed body with a flat base, for printing, or skirts."""
+"""Walls below a surface: a closed body with a flat base, for printing, or skirts."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -10,8 +10,8 @@ from terrainwave.arguments import checked_number
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.mesh.mesh_data import MeshData
 
-# How far a vertex that joins two corners is moved into each of them, as a share of the way to the
-# middle of a triangle there; halved while a triangle would turn over.
+# Distance by which a vertex that joins two corners is moved into each of them, as a share of the
+# way to the middle of a triangle there; halved while a triangle would turn over.
 _FIRST_SHARE = 1 / 1024
 _HALVINGS = 20
 
@@ -20,8 +20,8 @@ def solidify(mesh: MeshData, base: float) -> MeshData:
     """Close the mesh with walls along all its borders, those of voids too, and a flat base.
 
     The base has the triangles of the surface, turned over. Where two parts of the surface touch
-    in one vertex only, the vertex is doubled and moved a little into each: the vertical edge below
-    it would else belong to four walls.
+    only in one vertex, the vertex is doubled and moved a little into each: otherwise the vertical
+    edge below it would belong to four walls.
 
     Parameters
     ----------
@@ -33,9 +33,8 @@ def solidify(mesh: MeshData, base: float) -> MeshData:
     Returns
     -------
     mesh : MeshData
-        ``attributes["solid"]`` holds ``base``, ``n_triangles``, how many triangles are the surface,
-        which come first, and ``moved``: how far, in units of the CRS, a doubled vertex was moved at
-        most.
+        ``attributes["solid"]`` holds ``base``, ``n_triangles`` (of the surface, which come first),
+        and ``moved``, the largest shift of a doubled vertex in units of the CRS.
 
     Raises
     ------
@@ -67,7 +66,7 @@ def solidify(mesh: MeshData, base: float) -> MeshData:
 
 
 class Skirts(NamedTuple):
-    """Of a mesh with skirts: its last vertices lie below those named by `above`.
+    """Skirts of a mesh: its last vertices lie below those listed in `above`.
 
     Its first `n_triangles` triangles are the surface.
     """
@@ -86,7 +85,7 @@ def add_skirts(mesh: MeshData, depth: float, *, is_downward: bool = False) -> Me
     depth : float
         Height of the walls in the file's unit; > 0.
     is_downward : bool
-        Heights are depths: what lies lower has a larger one.
+        Heights are depths: lower points have larger ones.
 
     Returns
     -------
@@ -147,7 +146,7 @@ def _used_only(
 def _split_joints(
     vertices: NDArray[np.float64], triangles: NDArray[np.int32]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], float]:
-    """Double the vertices at which several fans of triangles meet, and pull the fans apart."""
+    """Double the vertices where several fans of triangles meet, and pull the fans apart."""
     # On a surface whose borders don't touch, each vertex starts at most one border edge.
     starts, counts = np.unique(border_edges(triangles)[:, 0], return_counts=True)
     joints = starts[counts > 1]
@@ -176,7 +175,7 @@ def _split_joints(
 
 
 def _fans(triangles: NDArray[np.int32], joint: int, incident: list[int]) -> list[list[int]]:
-    """Group the triangles around a vertex into those that hang together by edges."""
+    """Group the triangles around a vertex into fans connected by edges."""
     following: dict[int, tuple[int, int]] = {}
     for index in incident:
         a, b, c = (int(corner) for corner in triangles[index])
@@ -199,7 +198,7 @@ def _fans(triangles: NDArray[np.int32], joint: int, incident: list[int]) -> list
 def _pull_in(
     vertices: NDArray[np.float64], triangles: NDArray[np.int32], vertex: int, fan: list[int]
 ) -> float:
-    """Move a vertex horizontally into the middle triangle of its fan; return how far.
+    """Move a vertex horizontally into the middle triangle of its fan; return the distance.
 
     No triangle may turn over.
     """

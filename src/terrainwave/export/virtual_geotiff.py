@@ -1,7 +1,7 @@
-"""A .twz file as a GeoTIFF that is made when it is read: for GDAL, QGIS and all they feed.
+"""A .twz file as a GeoTIFF computed on reading: for GDAL, QGIS and programs that use them.
 
-The bytes are those of a tiled, uncompressed (Big)TIFF. Its head is known at once and so is where
-each tile lies; a tile's heights are decoded when its bytes are asked for.
+The bytes are those of a tiled, uncompressed (Big)TIFF. Its head and the positions of all tiles are
+known at once; a tile's heights are decoded when its bytes are read.
 """
 
 from functools import cached_property
@@ -18,14 +18,14 @@ from terrainwave.raster_io.geotiff.sink import TILE
 from terrainwave.raster_io.geotiff.sparse import Plane, sparse_geotiff
 from terrainwave.raster_io.raster_info import stored_nodata
 
-# Made tiles that are kept: GDAL reads heights and mask of one place after each other.
+# Cache of tiles: GDAL reads heights and mask of an area one after the other.
 _CACHE_BYTES = 32 << 20
 
 Tile = tuple[NDArray[Any], NDArray[np.bool_]]
 
 
 class VirtualGeoTIFF:
-    """The bytes of a GeoTIFF of a terrain, any of them at any time; thread-safe.
+    """Bytes of a GeoTIFF of a terrain, in any order; thread-safe.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class VirtualGeoTIFF:
     Notes
     -----
     Heights of the full grid are those of `TerrainFile.read`, within its bound. Those of overviews
-    are averages, centred where GDAL takes their pixels to be, and have no bound.
+    are averages, centred in GDAL's pixels, and have no bound.
     """
 
     def __init__(self, terrain: TerrainFile) -> None:
@@ -59,7 +59,7 @@ class VirtualGeoTIFF:
         return sparse_geotiff(info_to_write(terrain), n_overviews, stated)
 
     def warn_of_crs(self) -> None:
-        """Warn of what a GeoTIFF does not hold of the raster's CRS."""
+        """Warn of properties of the raster's CRS that a GeoTIFF cannot hold."""
         warn_of_crs(self._layout[0], self.terrain.raster_info)
 
     @property
@@ -73,7 +73,7 @@ class VirtualGeoTIFF:
         Raises
         ------
         CorruptStreamError
-            If a block that is needed is damaged.
+            If a required block is damaged.
         StorageError
             If the .twz file cannot be read.
         """
@@ -91,7 +91,7 @@ class VirtualGeoTIFF:
         return b"".join(parts)
 
     def _tile_bytes(self, plane: Plane, row: int, col: int) -> bytes:
-        """Return the bytes of a tile; what lies outside of the raster is void."""
+        """Return the bytes of a tile; samples outside of the raster are void."""
         key = plane.shift, row * plane.tile, col * plane.tile
         heights, valid = self._tiles.get_or_make(key, lambda: self._tile(plane, *key[1:]))
         if plane.is_mask:
@@ -119,7 +119,7 @@ class VirtualGeoTIFF:
         return self._stored(means, is_valid), is_valid
 
     def _stored(self, means: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[Any]:
-        """Return averages as the raster stores heights; none reads as void."""
+        """Return averages in the type of the raster; none equals the void value."""
         info, dtype = self.terrain.raster_info, self.terrain.dtype
         void = stored_nodata(info.void_value, dtype)
         if dtype.kind != "f":
@@ -141,8 +141,8 @@ def _beside(void: Any) -> Any:
 def _averaged(values: NDArray[np.float64], stride: int, axis: int, n: int) -> NDArray[np.float64]:
     """Return `n` weighted sums of samples 2i, 2i + 1, 2i + 2 along an axis, centred in their pixel.
 
-    Samples lie `stride` pixels of the full grid apart, in the middles of pixels: pixel i of the
-    overview has its centre stride - 1/2 pixels behind sample 2i.
+    Samples lie `stride` pixels of the full grid apart, in the middle of pixels: pixel i of the
+    overview has its centre stride - 1/2 pixels after sample 2i.
     """
     last = (0.5 - 0.5 / stride) / 2
     values = np.moveaxis(values, axis, 0)

@@ -1,7 +1,7 @@
 """Clusters of dask.distributed for `compress`; needs the extra ``distributed``.
 
-`compress` takes any client that `write.tasks.workers.executor_of` knows, so that this module only
-connects and looks whether the workers can do the work.
+`compress` takes any client that `write.tasks.workers.executor_of` supports, so this module only
+connects and checks the workers.
 """
 
 import logging
@@ -19,7 +19,7 @@ _TIMEOUT = 15.0  # seconds
 
 @contextmanager
 def connected(address: str) -> Iterator[Any]:
-    """Give a client of the scheduler at `address`, such as ``tcp://10.0.0.5:8786``.
+    """Yield a client of the scheduler at `address`, such as ``tcp://10.0.0.5:8786``.
 
     Raises
     ------
@@ -31,7 +31,7 @@ def connected(address: str) -> Iterator[Any]:
     distributed = need("distributed", extra="distributed", purpose="a cluster")
     addressing = need("distributed.comm.addressing", extra="distributed", purpose="a cluster")
     try:
-        # A client whose connection fails prints a traceback when it is collected.
+        # A client that fails to connect prints a traceback when it is collected.
         socket.create_connection(addressing.get_address_host_port(address), _TIMEOUT).close()
         client = distributed.Client(address, timeout=_TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
@@ -49,7 +49,7 @@ def connected(address: str) -> Iterator[Any]:
 
 @contextmanager
 def _without_closed_connections() -> Iterator[None]:
-    """Keep tornado from a traceback for each result that is on its way when a client is closed."""
+    """Suppress tornado's tracebacks for results still on their way when a client is closed."""
 
     def is_other(record: logging.LogRecord) -> bool:
         error = record.exc_info[1] if record.exc_info else None

@@ -1,4 +1,4 @@
-"""What a notebook shows of a `Terrain`: a static picture and a table, without scripts.
+"""Notebook display of a `Terrain`: a static picture and a table, without scripts.
 
 All text may come from an untrusted file: it is escaped and stripped of control characters.
 """
@@ -24,23 +24,24 @@ from terrainwave.render.scene.frame import Frame, frame_of
 # Pixels of the picture's longer side.
 _SIDE = 320
 _VOID = 238
-# From the north-west, 45 degrees above the horizon, as maps are lit.
+# From the north-west, 45 degrees above the horizon, as is usual on maps.
 _LIGHT = np.array([-0.5, -0.5, np.sqrt(0.5)])
 _AMBIENT = 0.4
-# Slopes are stretched until the steepest twentieth is steeper than this: relief is seen on plains.
+# Slopes are stretched until the steepest twentieth exceeds this, so that relief is visible on
+# plains.
 _STEEP = 0.8
 _LONGEST_TEXT = 200
 
 
 def terrain_html(terrain: TerrainFile) -> str:
-    """Return the HTML that a notebook shows: picture, size, bound, levels and place."""
+    """Return the HTML for a notebook: picture, size, bound, levels and position."""
     try:
         data = base64.b64encode(encode_png(picture(terrain))).decode()
         image = (
             f'<img alt="shaded relief" src="data:image/png;base64,{data}"'
             ' style="image-rendering:auto;max-width:100%">'
         )
-    except TerrainwaveError as error:  # damaged or closed: the table needs the header only
+    except TerrainwaveError as error:  # damaged or closed: the table only needs the header
         image = f"<p>no picture: {_escaped(error)}</p>"
     rows = "".join(
         f'<tr><th style="text-align:left">{name}</th>'
@@ -103,7 +104,7 @@ def picture(terrain: TerrainFile) -> NDArray[np.uint8]:
     image = np.full((*shape, 3), _VOID, dtype=np.uint8)
     if valid.any():
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", TerrainwaveWarning)  # a picture shows what is meant
+            warnings.simplefilter("ignore", TerrainwaveWarning)  # a picture needs no warnings
             frame = frame_of(terrain)
         heights = (heights - frame.zero) * math.copysign(1, frame.metres[2])
         low, high = float(heights[valid].min()), float(heights[valid].max())
@@ -121,7 +122,7 @@ def picture(terrain: TerrainFile) -> NDArray[np.uint8]:
 def _ramp(
     heights: NDArray[np.float64], low: float, high: float, sea: float | None
 ) -> NDArray[np.uint8]:
-    """Return the colours of heights from `low` to `high`, those of the ends beyond."""
+    """Return the colours of heights from `low` to `high`; others are clamped."""
     share = np.clip((heights - low) / ((high - low) or 1.0), 0, 1)
     index = (share * (N_COLORS - 1)).astype(np.int64)
     colours: NDArray[np.uint8] = ramp_colors("tints", low, high, sea)[index]
@@ -131,7 +132,7 @@ def _ramp(
 def _depths(
     terrain: TerrainFile, frame: Frame, heights: NDArray[np.float64], valid: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Return where the sea's floor is, by heights upwards in the file's unit."""
+    """Return which samples are the sea's floor, by heights upwards in the file's unit."""
     if frame.body != EARTH or not may_have_water(terrain, frame):
         return np.zeros(heights.shape, dtype=np.bool_)
     metres, waves = heights * frame.error_metres, waves_of(terrain, frame)
@@ -139,7 +140,7 @@ def _depths(
 
 
 def _brightness(heights: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return Lambert's cosine of each sample, 1 where it faces the light."""
+    """Return Lambert's cosine of each sample, 1 facing the light."""
     if min(heights.shape) < 2:
         return np.ones(heights.shape)
     south, east = np.gradient(heights)

@@ -1,7 +1,7 @@
-"""A folder for static web servers: the page of `serve`, .twz files, and the reader in JavaScript.
+"""A folder for static web servers: the page of `serve`, .twz files, and the JavaScript reader.
 
-Nothing computes on the server's side: the page reads a file by byte ranges and makes its tiles in
-the browser. What that needs PROJ for is computed here and written into terrains.json.
+The server computes nothing: the page reads a file by byte ranges and makes its tiles in the
+browser. Data that need PROJ are computed here and written to terrains.json.
 """
 
 import json
@@ -30,10 +30,10 @@ from terrainwave.render.look.style import check_sea_level
 
 _log = logging.getLogger(__name__)
 
-# What every such folder has.
+# File in every such folder.
 LIST = "terrains.json"
 _STATIC = Path(__file__).parent / "serve" / "static"
-# The reader's folders, as they lie in js/ of the repository; an installed package has a copy.
+# The reader's folders in js/ of the repository; an installed package has a copy.
 _READER = ("src", "map")
 _PART = 8 << 20
 _END_OF_HEAD = "</head>"
@@ -47,12 +47,13 @@ class PublishedTerrain:
     Parameters
     ----------
     name : str
-        As the page names it.
+        Its name on the page.
     file : str
         Its name in the folder.
     n_bytes : int
     place_error : float
-        Samples of the full grid: how far places in the browser are from PROJ's (`fit_places`).
+        Largest difference of positions in the browser from PROJ's, in samples of the full grid
+        (`fit_places`).
     """
 
     name: str
@@ -84,21 +85,21 @@ def publish_site(
     radius : float, optional
         Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
     encoding : {"mapbox", "terrarium"}
-        Of the terrain-RGB tiles that the page makes; a warning names each file with heights that it
-        cannot hold.
+        Encoding of the page's terrain-RGB tiles; a warning names each file with heights outside its
+        range.
     sea_level : {"auto", "none"} or float
-        Of the page's colours: the height in metres below which all is water, or none; by default 0
-        where there are heights below -450 m.
+        Height in metres below which the page's colours show water, or none; by default 0 if there
+        are heights below -450 m.
     overwrite : bool
         Replace an existing folder of this kind.
 
     Raises
     ------
     InvalidHeightsError
-        If a file's method is not read in browsers, the raster has no place on a globe or none that
-        polynomials tell, or two files have the same name.
+        If browsers cannot read a file's method, the raster has no position on a globe or none that
+        polynomials can express, or two files have the same name.
     CorruptStreamError
-        If something is no .twz file.
+        If a file is not a .twz file.
     StorageError
         If something cannot be read or written.
     """
@@ -135,7 +136,7 @@ def publish_site(
 
 
 def _opened(opened: ExitStack, path: str, radius: float | None) -> tuple[Globe, FittedPlaces]:
-    """Return an open file on its globe, and where its samples lie there."""
+    """Return an open file on its globe, and the polynomials of its samples."""
     try:
         globe = Globe(opened.enter_context(TerrainFile(path)), radius=radius)
         return globe, fit_places(globe)
@@ -155,10 +156,10 @@ def _write_page(new: Path) -> None:
 
 
 def _early(new: Path) -> str:
-    """Return what the page of a published folder has at the end of its head.
+    """Return the end of the head of a published folder's page.
 
-    Browsers then ask for all modules at once, not for each when another one names it, and the
-    worker begins while MapLibre is on its way.
+    Browsers then request all modules at once, not each when another one imports it, and the worker
+    starts while MapLibre is loading.
     """
     modules = [*_modules(new / "static" / "published.js"), *_modules(new / "static" / "page.js")]
     lines = [
@@ -173,7 +174,7 @@ def _early(new: Path) -> str:
 
 
 def _modules(module: Path) -> list[Path]:
-    """Return a module and all that it imports."""
+    """Return a module and all its imports."""
     found = [module]
     for name in _IMPORT.findall(module.read_text(encoding="utf-8")):
         found += _modules((module.parent / name).resolve())
@@ -181,7 +182,7 @@ def _modules(module: Path) -> list[Path]:
 
 
 def _copy_tree(source: Path, target: Path, ignored: str | None = None) -> None:
-    """Copy the contents of a folder, with new files' modes: those of the package may be read-only.
+    """Copy the contents of a folder, with the modes of new files: the package's may be read-only.
 
     Files whose names end in `ignored` are left out.
     """
@@ -198,7 +199,7 @@ def _write_list(path: Path, descriptions: list[dict[str, Any]]) -> None:
 
 
 def reader_directory() -> Path:
-    """Return where the reader in JavaScript lies: in the package, or in its repository.
+    """Return the folder of the JavaScript reader: in the package, or in its repository.
 
     Raises
     ------

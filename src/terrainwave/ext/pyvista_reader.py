@@ -31,8 +31,8 @@ def read_twz(
     path : str
         Path or URL.
     max_error, max_triangles, level, window, bounds, optimise
-        As for `Terrain.mesh`: which mesh, and of what. Of a file without meshes, by default one
-        within its own error and its vertical quantum.
+        Mesh and area, as for `Terrain.mesh`. For a file without meshes, the default is a mesh
+        within its own error plus its vertical quantum.
     frame, z_scale
         Coordinates as for `Mesh.save`: local metres, or ``"native"`` or ``"ecef"``.
 
@@ -40,8 +40,9 @@ def read_twz(
     -------
     surface : pyvista.PolyData
         Points relative to ``field_data["origin"]``; point data ``heights`` in the file's unit;
-        ``field_data`` has also ``error``, the distance from any valid original, ``units``, ``crs``.
-        The error is that of the surface as returned: pyvista's filters copy it to others.
+        ``field_data`` also has ``error``, the largest distance from any valid original, ``units``,
+        ``crs``. The error only holds for the returned surface, although pyvista's filters copy it
+        to others.
 
     Raises
     ------
@@ -62,7 +63,7 @@ def read_twz(
             )  # fmt: skip
 
         if frame == "ecef" and asked is not None:
-            # Like a file that rounds nothing.
+            # As in a file without rounding.
             shape = {"frame": frame, "z_scale": z_scale}
             mesh, _ = mesh_for_file(made, "mesh.vtu", asked, terrain.quanta_error, **shape)
         else:

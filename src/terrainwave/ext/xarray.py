@@ -27,11 +27,11 @@ class TerrainwaveAccessor:
     def to_twz(self, path: str | os.PathLike[str], **options: Any) -> CompressResult:
         """Compress the array to a .twz file; see `terrainwave.compress` for the options.
 
-        Place, CRS and voids are taken from coordinates, attributes and encoding, as rioxarray and
-        ``open_dataset`` write them. Where `bound` finds the heights in the .twz file that they came
-        from, its bound is added to that of the new file. A lazy array is computed window by window:
-        three times, as `compress` scans, codes and proves, and once more for `bound`, so persist it
-        if that is dear.
+        Transform, CRS and voids are taken from coordinates, attributes and encoding, as rioxarray
+        and ``open_dataset`` write them. If `bound` finds the heights in the .twz file that they
+        came from, its bound is added to that of the new file. A lazy array is computed window by
+        window: three times, as `compress` scans, codes and proves, and once more for `bound`, so
+        persist it if that is expensive.
         """
         return compress(self._array, path, **options)
 
@@ -40,10 +40,10 @@ class TerrainwaveAccessor:
 
         No valid sample is further from the file's original than the bound, which is in the file's
         unit. It is returned only if the array is a part of the file, or of one of its levels:
-        values, voids and place are compared with those of the file that ``encoding["source"]``
-        names, which xarray keeps when heights change. None for anything else: changed or resampled
-        heights, several layers, a file that is gone, damaged or replaced. Call it again after each
-        operation; a lazy array is computed for it.
+        values, voids and position are compared with those of the file in ``encoding["source"]``,
+        which xarray keeps when heights change. Otherwise the result is None: for changed or
+        resampled heights, several layers, or a file that is missing, damaged or replaced. Call it
+        again after each operation; it computes a lazy array.
         """
         try:
             with RasterSource(self._array, warn=False) as source:

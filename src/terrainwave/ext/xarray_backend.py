@@ -39,7 +39,7 @@ class TerrainwaveBackend(BackendEntrypoint):
     supports_groups = True
 
     def guess_can_open(self, filename_or_obj: Any) -> bool:
-        """Tell a .twz by its name, bytes and file objects by their first bytes."""
+        """Recognise a .twz by its name, bytes and file objects by their first bytes."""
         if isinstance(filename_or_obj, str | os.PathLike):
             return is_twz_name(filename_or_obj)
         if isinstance(filename_or_obj, bytes | bytearray | memoryview):
@@ -70,7 +70,7 @@ class TerrainwaveBackend(BackendEntrypoint):
         drop_variables : str or iterable of str, optional
             Variables to leave out.
         mask_and_scale : bool
-            Voids become NaN, scale and offset are applied; else values as stored.
+            Set voids to NaN and apply scale and offset; otherwise return values as stored.
         level : int
             Resolution level: -1 the full grid, -2 half, …; 0 the coarsest.
         cache_bytes, threads
@@ -97,7 +97,7 @@ class TerrainwaveBackend(BackendEntrypoint):
     ) -> dict[str, xr.Dataset]:
         """Return a dataset for each level: ``/level_0`` is the coarsest, the last the full grid.
 
-        The levels share one open file and its cache; the root ``/`` holds what they share.
+        The levels share one open file and its cache; the root ``/`` holds their common variables.
         """
         terrain = TerrainFile(filename_or_obj, cache_bytes=cache_bytes, threads=threads)
         try:
@@ -133,10 +133,10 @@ def terrain_dataset(
     """Return a level of an open file as a lazy dataset; it lives as long as `terrain` is open.
 
     Its variable is ``heights(y, x)``; ``spatial_ref`` holds CRS and transform as rioxarray writes
-    them. Coordinates are rioxarray's too, to the last bit: x and y of columns and rows, or xc and
-    yc of each sample where the raster is turned. Whatever writes the dataset finds a value for
-    voids in the encoding, or a float type. Neither attributes nor encoding state a bound: both
-    survive operations that change the heights.
+    them. Coordinates equal rioxarray's to the last bit: x and y of columns and rows, or xc and yc
+    of each sample if the raster is rotated. The encoding has a value for voids, or a float type,
+    for writers of the dataset. Neither attributes nor encoding state a bound, because both survive
+    operations that change the heights.
     """
     index = terrain.level_index(level)
     raster = terrain.raster_info
@@ -164,11 +164,11 @@ def terrain_dataset(
             )
         attrs |= packing.fields
         if "scale_factor" in packing.fields and heights.dtype.kind == "f":
-            encoding["dtype"] = terrain.dtype  # says that floats are packed
+            encoding["dtype"] = terrain.dtype  # marks floats as packed
     elif packing.fields and packing.fill is not None:
         encoding |= packing.fields | {"dtype": terrain.dtype}
     elif heights.dtype.kind == "f":
-        # No number is left for voids in the file's type: the array's own is written, which has NaN.
+        # The file's type has no number left for voids: write the array's own type, which has NaN.
         encoding["_FillValue"] = heights.dtype.type(np.nan)
     variable = xr.Variable(
         ("y", "x"), indexing.LazilyIndexedArray(heights), attrs=attrs, encoding=encoding
@@ -177,7 +177,7 @@ def terrain_dataset(
 
 
 def _origin(terrain: TerrainFile) -> dict[str, Any]:
-    """Return the encoding that names the file, whose heights an array is compared with."""
+    """Return the encoding that names the file, for a later comparison of heights."""
     if not isinstance(terrain.name, str | os.PathLike) or terrain.name == "<bytes>":
         return {}
     name = str(terrain.name)
@@ -185,7 +185,7 @@ def _origin(terrain: TerrainFile) -> dict[str, Any]:
 
 
 class _Packing(NamedTuple):
-    """How stored values are to be read, named by the CF conventions, and what marks voids."""
+    """Interpretation of stored values, named by the CF conventions, and the value of voids."""
 
     fields: dict[str, Any]
     fill: np.generic | None
@@ -196,7 +196,7 @@ def _packing(terrain: TerrainFile) -> _Packing:
     is_scaled = (raster.scale, raster.offset) != (1.0, 0.0)
     fields: dict[str, Any] = {}
     fill = _fill_value(terrain)
-    # What has no voids needs no value for them, unless it declares one or is read as floats.
+    # Without voids no value is needed, unless one is declared or the array is read as floats.
     is_needed = _may_have_voids(terrain) or raster.mask_kind in ("nodata", "nan") or is_scaled
     if fill is not None and is_needed:
         fields["_FillValue"] = fill
@@ -206,12 +206,12 @@ def _packing(terrain: TerrainFile) -> _Packing:
 
 
 def _may_have_voids(terrain: TerrainFile) -> bool:
-    """Say whether samples may be void: the file has voids, or damaged blocks are read as such."""
+    """Return whether samples may be void: the file has voids, or damaged blocks read as void."""
     return terrain.header.has_voids or terrain.on_error == MASK
 
 
 def _fill_value(terrain: TerrainFile) -> np.generic | None:
-    """Return a value that marks voids and that no height has; None if all may be heights."""
+    """Return a value for voids that no height has; None if all may be heights."""
     raster, header, dtype = terrain.raster_info, terrain.header, terrain.dtype
     if raster.nodata is not None:
         return stored_nodata(raster.nodata, dtype)
@@ -245,7 +245,7 @@ def _coordinates(terrain: TerrainFile, level: int) -> dict[str, xr.Variable]:
 
 
 class _LazyGrid(BackendArray):
-    """Numbers of a level's samples, of which a window is made when it is indexed."""
+    """Numbers of a level's samples, computed for a window when it is indexed."""
 
     shape: tuple[int, int]
     dtype: np.dtype[Any]
@@ -256,7 +256,7 @@ class _LazyGrid(BackendArray):
         )
 
     def _read(self, key: tuple[int | slice, ...]) -> NDArray[Any]:
-        """Index as numpy does, by whole numbers and slices."""
+        """Index like numpy, by whole numbers and slices."""
         axes = [_Axis(part, size) for part, size in zip(key, self.shape, strict=True)]
         row, col = axes
         if row.n and col.n:
@@ -270,7 +270,7 @@ class _LazyGrid(BackendArray):
 
 
 class _LazyPlaces(_LazyGrid):
-    """x (axis 0) or y (1) of each sample of a turned raster."""
+    """x (axis 0) or y (1) of each sample of a rotated raster."""
 
     dtype = np.dtype(np.float64)
 
@@ -283,7 +283,7 @@ class _LazyPlaces(_LazyGrid):
 
 
 class _LazyHeights(_LazyGrid):
-    """A level of a file: as stored, or what scale and voids make of it."""
+    """A level of a file: as stored, or with scale and voids applied."""
 
     def __init__(self, terrain: TerrainFile, level: int, *, mask_and_scale: bool) -> None:
         raster = terrain.raster_info
@@ -298,7 +298,7 @@ class _LazyHeights(_LazyGrid):
         elif self._is_masked and self.dtype.kind != "f":
             # Whole numbers up to 2^24 are exact in float32.
             self.dtype = np.dtype(np.float32 if self.dtype.itemsize <= 2 else np.float64)
-        # As stored, what the source has in voids may be any height.
+        # In stored voids the source may have any height.
         self._void = np.nan if self._is_masked else _fill_value(terrain)
 
     def _window(self, window: tuple[int, int, int, int]) -> NDArray[Any]:
@@ -312,7 +312,7 @@ class _LazyHeights(_LazyGrid):
 
 
 class _Axis:
-    """A whole number or slice as a contiguous part of an axis and what to take of that part."""
+    """Contiguous part of an axis for a whole number or slice, and the selection from that part."""
 
     def __init__(self, key: int | slice, size: int) -> None:
         if not isinstance(key, slice):

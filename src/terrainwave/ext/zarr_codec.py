@@ -1,7 +1,7 @@
 """The Zarr v3 codec ``terrainwave``: an array's chunks as .twz files, each within `max_error`.
 
-An array-to-bytes codec (Zarr v3 specification, "Codecs"): it goes in as ``serializer=``. Every
-chunk is a whole .twz file (FORMAT.md) of its two last dimensions, without meshes.
+An array-to-bytes codec (Zarr v3 specification, "Codecs"), passed as ``serializer=``. Every chunk is
+a whole .twz file (FORMAT.md) of its two last dimensions, without meshes.
 """
 
 import asyncio
@@ -36,9 +36,9 @@ from terrainwave.raster_io.undeclared_voids import note_on_marks
 from terrainwave.write.compress import compress_to_bytes
 
 CODEC_NAME = "terrainwave"
-# Zarr codes several chunks at a time; a chunk as large as this is worth threads of its own.
+# Zarr codes several chunks at a time; a chunk of this size justifies threads of its own.
 _THREADED_SAMPLES = 1 << 22
-# What a task of zarr's decodes before it encodes are chunks that it writes a part of.
+# Chunks that a zarr task decodes before it encodes are ones that it writes in part.
 _has_decoded: ContextVar[bool] = ContextVar("_has_decoded", default=False)
 
 
@@ -52,15 +52,15 @@ class TerrainwaveCodec(ArrayBytesCodec):
         Largest allowed error in the array's units; >= 0. 0 is lossless: every bit of a height
         comes back, the sign of -0.0 too.
     nodata : float, optional
-        Samples of this value come back exactly, and so does NaN. By default the array's fill
-        value, unless that is 0, which is Zarr's own default and a height as any other.
+        Samples of this value come back exactly, and so does NaN. By default the array's fill value,
+        unless that is 0, which is Zarr's own default and an ordinary height.
     effort : str
         ``"fast"``, ``"default"`` or ``"best"``.
     stable : bool
         Keep `max_error` however often chunks are written in parts, appended to or copied: heights
-        are rounded to fixed steps, and what a write does not touch stays as it is, bit for bit.
-        Without it the bound holds for chunks that are written once and as a whole, and these are
-        smaller (docs/integrations.md).
+        are rounded to fixed steps, and a write does not change other samples, bit for bit. Without
+        it the bound holds only for chunks that are written once and as a whole, which are smaller
+        (docs/integrations.md).
 
     Raises
     ------
@@ -69,10 +69,10 @@ class TerrainwaveCodec(ArrayBytesCodec):
 
     Notes
     -----
-    Chunks are two-dimensional, or have further leading dimensions of length 1. Each is decoded
-    and compared before its bytes are returned. Heights that no fixed step can stand for (floats
-    that lie further apart than `max_error`, heights whose step is the nodata value) are kept
-    exactly, and so is what lies in the same chunk.
+    Chunks are two-dimensional, or have further leading dimensions of length 1. Each is decoded and
+    compared before its bytes are returned. Heights without a fixed step (floats that lie further
+    apart than `max_error`, heights whose step is the nodata value) are kept exactly, together with
+    their whole chunk.
     """
 
     is_fixed_size = False
@@ -102,12 +102,12 @@ class TerrainwaveCodec(ArrayBytesCodec):
         object.__setattr__(self, "max_error", max_error)
         object.__setattr__(self, "nodata", nodata)
         object.__setattr__(self, "effort", effort)
-        # Without loss nothing ever moves.
+        # Without loss nothing ever changes.
         object.__setattr__(self, "stable", stable or max_error == 0)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Self:
-        """Return the codec that array metadata name."""
+        """Return the codec in array metadata."""
         configuration = data.get("configuration") or {}
         unknown = sorted(set(configuration) - {"max_error", "nodata", "effort", "stable"})
         if data.get("name") != CODEC_NAME or unknown or "max_error" not in configuration:
@@ -128,7 +128,7 @@ class TerrainwaveCodec(ArrayBytesCodec):
         return {"name": CODEC_NAME, "configuration": configuration}
 
     def validate(self, *, shape: tuple[int, ...], dtype: Any, chunk_grid: Any) -> None:
-        """Refuse types and shapes that cannot be coded, when the array is made."""
+        """Raise for types and shapes that cannot be coded, when the array is created."""
         native = np.dtype(dtype.to_native_dtype()).newbyteorder("=")
         if native.name not in SUPPORTED_DTYPES:
             raise InvalidHeightsError(
@@ -153,7 +153,7 @@ class TerrainwaveCodec(ArrayBytesCodec):
     async def encode(
         self, chunks_and_specs: Iterable[tuple[NDBuffer | None, ArraySpec]]
     ) -> Iterable[Buffer | None]:
-        """Encode a batch of chunks; warn where parts of them were decoded with a loss before."""
+        """Encode a batch of chunks; warn if parts of them were decoded with a loss before."""
         if not self.stable and _has_decoded.get():
             warnings.warn(
                 "a chunk was written in part: the rest of it was decoded and coded again, which can"
@@ -180,7 +180,7 @@ class TerrainwaveCodec(ArrayBytesCodec):
             _warn_of_marks(own, heights, _nodata_of(own, mark))
         data = compress_to_bytes(
             heights,
-            # Beside a height that has no step all are kept as they are now.
+            # With a height without a step in the chunk, all are kept exactly.
             max_error=self.max_error if is_stepped or not self.stable else 0,
             nodata=_nodata_of(heights, mark),
             effort=self.effort,
@@ -208,15 +208,15 @@ class TerrainwaveCodec(ArrayBytesCodec):
             what = "cannot be read" if is_other else "is damaged"
             raise type(error)(f"a chunk of the codec {CODEC_NAME} {what}: {error}") from error
         decoded = heights.astype(dtype, copy=False).reshape(chunk_spec.shape)
-        prototype: Any = chunk_spec.prototype  # its protocol of arrays is narrower than numpy's
+        prototype: Any = chunk_spec.prototype  # its array protocol is narrower than numpy's
         return prototype.nd_buffer.from_ndarray_like(decoded)
 
     def compute_encoded_size(self, input_byte_length: int, chunk_spec: ArraySpec) -> int:
-        """Refuse: sizes depend on the heights."""
+        """Raise, because sizes depend on the heights."""
         raise NotImplementedError
 
     def _mark_of(self, dtype: np.dtype[Any], fill_value: Any) -> float | int | None:
-        """Return the value that marks voids in an array; None for none but NaN."""
+        """Return the value that marks voids in an array; None if only NaN does."""
         chosen = fill_value if self.nodata is None else self.nodata
         if chosen is None or (self.nodata is None and chosen == 0):
             return None
@@ -227,10 +227,10 @@ class TerrainwaveCodec(ArrayBytesCodec):
     ) -> tuple[NDArray[Any], bool]:
         """Return heights on fixed steps, and whether all have one.
 
-        Each sample by itself, whatever else the chunk holds.
+        Each sample is rounded independently of its chunk.
 
-        Coding rounds them, too, but not where one of a chunk's heights is on no step: the others
-        would be stored as they are, and rounded when that one is gone.
+        Coding rounds them, too, but not if one of a chunk's heights has no step: the others would
+        then be stored exactly, and rounded once that height is gone.
         """
         dtype = heights.dtype.newbyteorder("=")
         nodata = None if mark is None or math.isnan(mark) else stored_nodata(mark, dtype).item()
@@ -238,7 +238,7 @@ class TerrainwaveCodec(ArrayBytesCodec):
         if steps is None:
             return heights, False
         rounded = steps.rounded(heights)
-        with np.errstate(invalid="ignore"):  # NaN, and infinite ones, which are refused later
+        with np.errstate(invalid="ignore"):  # NaN, and infinite heights, which are refused later
             apart = np.abs(rounded.astype(np.float64) - heights.astype(np.float64))
         if (apart > self.max_error).any():
             raise BoundViolationError(
@@ -252,7 +252,7 @@ class TerrainwaveCodec(ArrayBytesCodec):
 
 
 def _plain(number: Any) -> Any:
-    """Return a number of numpy's as one of Python's, which metadata can hold."""
+    """Return a numpy number as a Python number, which metadata can hold."""
     return number.item() if isinstance(number, np.generic) else number
 
 
@@ -269,9 +269,9 @@ def _nodata_of(heights: NDArray[Any], mark: float | int | None) -> float | int |
 
 
 def _warn_of_marks(own: NDArray[Any], rounded: NDArray[Any], nodata: float | int | None) -> None:
-    """Warn of values that look like voids and are rounded; `compress` does of those that are not.
+    """Warn of rounded values that look like voids; `compress` warns of those that are not rounded.
 
-    The array's attributes, such as xarray's ``_FillValue``, are not the codec's to see.
+    The codec cannot see the array's attributes, such as xarray's ``_FillValue``.
     """
     with RasterSource(own, nodata=nodata) as source:
         _, valid = source.read(0, 0, *own.shape)

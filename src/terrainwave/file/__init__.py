@@ -53,7 +53,7 @@ class TerrainFile(DescribedFile):
     Parameters
     ----------
     source : path, URL, bytes or binary file object
-        The .twz file. Opening it reads the header and the first index page only.
+        The .twz file. Opening it reads only the header and the first index page.
     cache_bytes : int
         Memory for decoded heights; the least recently used are dropped first.
     threads : int, optional
@@ -62,9 +62,9 @@ class TerrainFile(DescribedFile):
         Read heights with the native library if the package terrainwave-native is installed. The
         heights are the same. ``TERRAINWAVE_NATIVE=0`` in the environment turns it off everywhere.
     on_error : str
-        What reads do where the file is damaged, unless they say otherwise: ``"raise"``, or
-        ``"mask"``, which leaves damaged blocks void and lists them in `lost`. A file that ends too
-        early opens with ``"mask"`` alone; it gives every level and block that is there.
+        Default behaviour of reads on damage: ``"raise"``, or ``"mask"``, which leaves damaged
+        blocks void and lists them in `lost`. A file that ends too early opens only with ``"mask"``,
+        and gives all levels and blocks that it has.
 
     Raises
     ------
@@ -108,7 +108,7 @@ class TerrainFile(DescribedFile):
 
     @property
     def is_native(self) -> bool:
-        """True if the native library reads heights: it is installed, fits, and is not turned off.
+        """True if the native library reads heights: installed, compatible, and not turned off.
 
         Raises
         ------
@@ -124,7 +124,7 @@ class TerrainFile(DescribedFile):
         return native.installed() if is_fit and native.is_wanted() else None
 
     def _native(self) -> "NativeFile | None":
-        """Return what reads the file by the native library; None where that is not to be used."""
+        """Return the reader with the native library; None if that is not used."""
         from terrainwave.read import native
 
         library = self._library()
@@ -135,7 +135,7 @@ class TerrainFile(DescribedFile):
         )
 
     def info(self) -> Info:
-        """Return a summary of the file, from its header alone."""
+        """Return a summary of the file, only from its header."""
         return info_of(self)
 
     def read(
@@ -161,8 +161,9 @@ class TerrainFile(DescribedFile):
         window : optional
             Part of the level to read, in samples of that level; clipped to it. One of:
 
-            - ``(first_row, first_col, n_rows, n_cols)``: rows before columns, then how many of
-              each. ``(100, 50, 20, 30)`` is rows 100 … 119 of columns 50 … 79.
+            - ``(first_row, first_col, n_rows, n_cols)``: first row and column, then
+              numbers of rows and columns. ``(100, 50, 20, 30)`` is rows 100 … 119 of columns
+              50 … 79.
             - a rasterio ``Window``, in whole samples;
             - ``numpy.s_[100:120, 50:80]``: a slice of rows and one of columns, without steps.
         bounds : (left, bottom, right, top), optional
@@ -179,11 +180,11 @@ class TerrainFile(DescribedFile):
             ``"raise"``, or ``"mask"``: damaged blocks are void (`lost` lists them), and the rest
             is returned. Default: as the file was opened.
         voids : str
-            Which samples of a coarse level are void. ``"exact"``: those where the full grid is
-            void. ``"any"``: only those with nothing valid around them; others have a fill, a height
-            from around them, as meshes need it.
+            Voids of a coarse level. ``"exact"``: samples where the full grid is void. ``"any"``:
+            only samples without valid surroundings; other voids are filled from their surroundings,
+            as in meshes.
         max_bytes : int
-            Refuse a larger result.
+            Raise if the result is larger.
 
         Returns
         -------
@@ -256,7 +257,7 @@ class TerrainFile(DescribedFile):
         return self._filled(*self._levels.read(asked.level, asked.region, on_error, voids))
 
     def _settled(self, on_error: str | None) -> str:
-        """Return what becomes of damaged blocks: as a read says, else as the file was opened."""
+        """Return how to handle damage: as the read requests, else as the file was opened."""
         if on_error is None:
             return self.on_error
         check_choice("on_error", on_error, ON_ERROR)
@@ -334,8 +335,8 @@ class TerrainFile(DescribedFile):
         Parameters
         ----------
         points : sequence of (x, y), or array of shape (n_points, 2)
-            Places in the file's CRS. Longitudes may be of any turn: -170 and 190 are the same, and
-            a raster around the whole globe goes on from its last column to its first.
+            Points in the file's CRS. Longitudes may be of any turn: -170 and 190 are the same, and
+            in a raster around the whole globe the first column follows the last.
         level, voids
             As in `read`.
 
@@ -372,7 +373,7 @@ class TerrainFile(DescribedFile):
     def _heights_at(
         self, level: int, rows: NDArray[np.float64], cols: NDArray[np.float64], voids: str
     ) -> NDArray[np.float64]:
-        """Return bilinear heights at fractional samples; NaN outside the outermost and in voids."""
+        """Return bilinear heights at fractional samples; NaN outside the grid and in voids."""
         n_rows, n_cols = self.grid.level_shape(level)
         inside = (rows >= 0) & (rows <= n_rows - 1) & (cols >= 0) & (cols <= n_cols - 1)
         heights = np.full(len(rows), np.nan)
@@ -392,9 +393,9 @@ class TerrainFile(DescribedFile):
         return n_voids
 
     def coded_parts(self, region: Region, level: int = -1) -> Iterator[Region]:
-        """Yield the parts of a region of a level in which there may be heights, by the index alone.
+        """Yield the parts of a region of a level that may have heights, by the index only.
 
-        All else is void: little is read of a file that is mostly void.
+        All else is void, so little is read of a mostly void file.
         """
         from terrainwave.read.coded import coded_parts
 
@@ -403,7 +404,7 @@ class TerrainFile(DescribedFile):
         return coded_parts(self.container, self.level_index(level), region)
 
     def even_blocks(self) -> "EvenBlocks | None":
-        """Return what finds parts of one height without decoding each; None for tiled methods."""
+        """Return the finder of blocks of one height; None for tiled methods."""
         from terrainwave.read.coded import EvenBlocks
 
         if METHODS[self.header.method].is_tiled:
@@ -413,9 +414,9 @@ class TerrainFile(DescribedFile):
     def digest(self) -> str | None:
         """Return the root of the file's digests, 64 hexadecimal digits; None if it has none.
 
-        It stands for all decoded heights of the full grid, which samples are void, and where the
-        heights lie: size, type, CRS, transform, units, scale and offset (FORMAT.md §4.9). How a
-        file is coded does not change it. Nothing is decoded: `verify` compares heights with it.
+        It identifies all decoded heights of the full grid, the voids, and the position of the
+        heights: size, type, CRS, transform, units, scale and offset (FORMAT.md §4.9). It does not
+        depend on the coding of the file. Nothing is decoded: `verify` compares heights with it.
 
         Raises
         ------
@@ -426,10 +427,10 @@ class TerrainFile(DescribedFile):
         return None if tree is None else tree.root(self.header)
 
     def check(self, root: str | None = None) -> Iterator[str]:
-        """Check all checksums and decode every unit; yield what is wrong, in plain words.
+        """Check all checksums and decode every unit; yield problems, in plain words.
 
-        Heights are compared with the file's digests, if it has some, and with `root`, a root as
-        `digest` returns it.
+        Heights are compared with the file's digests, if any, and with `root`, a root as `digest`
+        returns it.
         """
         from terrainwave.read.check import check_units
 
@@ -447,5 +448,5 @@ class TerrainFile(DescribedFile):
 def _with_valid(
     heights: NDArray[Any], void: NDArray[np.bool_] | None
 ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """Return heights and validity, of heights and what is void."""
+    """Return heights and validity, from heights and voids."""
     return heights, np.ones(heights.shape, dtype=np.bool_) if void is None else ~void

@@ -1,4 +1,4 @@
-"""`DescribedFile`: an open .twz file and what its header and its index say; no heights."""
+"""`DescribedFile`: an open .twz file with its header and its index; no heights."""
 
 import os
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ DEFAULT_CACHE_BYTES = 256 << 20
 
 
 class DescribedFile:
-    """An open .twz file: its grid, its place, its bounds on errors. Opening needs no numba."""
+    """An open .twz file: its grid, its position, its error bounds. Opening needs no numba."""
 
     def __init__(
         self,
@@ -63,7 +63,7 @@ class DescribedFile:
             self.container = Container(self._source, may_be_cut=on_error == MASK)
             header = self.container.header
             check_file_tables(header.method, header.file_tables)
-            # Null means the same as a key that is missing (FORMAT.md §4.2).
+            # Null means the same as a missing key (FORMAT.md §4.2).
             known = {name: value for name, value in header.metadata.items() if value is not None}
             known |= {"n_rows": header.n_rows, "n_cols": header.n_cols, "dtype": header.dtype}
             self._raster = RasterInfo.from_metadata(known)
@@ -130,7 +130,7 @@ class DescribedFile:
 
     @property
     def raster_info(self) -> RasterInfo:
-        """Return the source raster's description: size, type, nodata, place, units."""
+        """Return the source raster's metadata: size, type, nodata, position, units."""
         return self._raster
 
     @property
@@ -145,7 +145,7 @@ class DescribedFile:
 
     @cached_property
     def height_unit(self) -> HeightUnit:
-        """Return the unit of heights, and who names it."""
+        """Return the unit of heights, and its origin."""
         return unit_of(self._raster.units, self._raster.crs, self._raster.heights_are)
 
     @property
@@ -165,7 +165,7 @@ class DescribedFile:
 
     @property
     def max_error(self) -> float:
-        """Return the bound that was asked for, in physical units (after scale and offset).
+        """Return the requested bound, in physical units (after scale and offset).
 
         It includes the bound of an earlier lossy file that the heights came from.
         """
@@ -173,14 +173,14 @@ class DescribedFile:
 
     @property
     def effective_error(self) -> float:
-        """Return the bound that holds, in physical units; at most `max_error`."""
+        """Return the effective bound, in physical units; at most `max_error`."""
         return self.header.effective_error * abs(self._raster.scale)
 
     @property
     def quanta_error(self) -> float:
-        """Return the bound of the heights that meshes are made of, in physical units.
+        """Return the bound of the heights used in meshes, in physical units.
 
-        `effective_error`, but in exact files of heights on no grid, whose meshes are made of
+        It is `effective_error`, except in exact files of heights without a grid, whose meshes use
         heights rounded to the vertical quantum.
         """
         return self.header.quanta_error * abs(self._raster.scale)
@@ -199,7 +199,7 @@ class DescribedFile:
 
     @cached_property
     def _level_names(self) -> str:
-        """Return what a level may be called, in words."""
+        """Return the valid names of levels, in words."""
         if self.n_levels == 1:
             return "0 or -1: the file has one level, the full grid"
         return f"0 (coarsest) to {self.n_levels - 1}, or -1 (full grid) to -{self.n_levels}"
@@ -212,8 +212,8 @@ class DescribedFile:
     def transform(self) -> Affine:
         """Return the affine transform of the full grid, as rasterio's datasets have it.
 
-        x = a col + b row + c and y = d col + e row + f at pixel corners. `transform_of` gives that
-        of levels and windows.
+        x = a col + b row + c and y = d col + e row + f at pixel corners. `transform_of` returns
+        that of levels and windows.
         """
         return Affine(*self._raster.transform)
 
@@ -233,7 +233,7 @@ class DescribedFile:
         Raises
         ------
         InvalidArgumentError
-            If there is no such level, or `window` is no window.
+            If there is no such level, or `window` is not a window.
         """
         row, col = 0, 0
         if window is not None:
@@ -242,13 +242,13 @@ class DescribedFile:
         return Affine(a, b, c, d, e, f)
 
     def level_place(self, level: int = -1, row: int = 0, col: int = 0) -> LevelPlace:
-        """Return a level's shape and place, from one of its samples on, and the raster's bounds."""
+        """Return shape and position of a level, from a sample on, and the raster's bounds."""
         index = self.level_index(level)
         transform = of_level(self._raster.transform, self.grid.stride(index), row, col)
         return LevelPlace(index, self.grid.level_shape(index), transform, self.bounds)
 
     def is_turned(self, level: int = -1) -> bool:
-        """Say whether x or y changes along both the rows and the columns of a level."""
+        """Return whether x or y changes along both the rows and the columns of a level."""
         return is_turned(self.level_place(level).transform, self.level_shape(level))
 
     def coordinates(
@@ -261,8 +261,8 @@ class DescribedFile:
         level : int
             Resolution level, as in `read`.
         window : optional
-            A window as in `read`. Returns x and y of each of its samples, as needed if the level
-            `is_turned`. By default x of columns and y of rows.
+            A window as in `read`. Returns x and y of each of its samples, for levels that are
+            turned (`is_turned`). By default x of columns and y of rows.
 
         Returns
         -------
@@ -301,7 +301,7 @@ class DescribedFile:
         return decode_error(code) * self.quantizer.quantum * abs(self._raster.scale)
 
     def block_box(self, block: Block) -> tuple[float, float]:
-        """Return lowest and highest height of a block and all below it, in physical units.
+        """Return the lowest and highest height of a block and all below it, in physical units.
 
         Every original under the block lies between, and so does the bilinear surface of each block
         at or below it. A block without valid samples has the box of its parent.
@@ -313,9 +313,10 @@ class DescribedFile:
         return min(ends), max(ends)
 
     def box_quanta(self, block: Block) -> tuple[int, int]:
-        """Return a block's lowest and highest height as the index states them, in quanta."""
+        """Return a block's lowest and highest height from the index, in quanta."""
         header, key = self.header, block.parent
-        # Inside the box of the key if the segment of the key lists that block, else the raster's.
+        # Relative to the box of the key if the segment of the key lists that block, else to the
+        # raster's.
         is_first = block.level == 0 or self.grid.segment_head(key) == key
         outer = (header.z_min, header.z_max) if is_first else self.box_quanta(key)
         below, above = self.container.codes(block)[:2]
@@ -328,7 +329,7 @@ class DescribedFile:
 
     @property
     def has_measured_meshes(self) -> bool:
-        """Say whether the file states errors of the meshes of all its levels."""
+        """Return whether the file stores errors of the meshes of all its levels."""
         if self.mesh_kind == "none":
             return False
         return not (self.container.segment(None).page.codes[:, 3] == UNMEASURED).any()
@@ -336,7 +337,7 @@ class DescribedFile:
     def stored_mesh_error(self, block: Block) -> float | None:
         """Return the stored error of a block's mesh, an upper bound, in physical units.
 
-        No valid original that the mesh covers is further from it. None if the file does not say.
+        No valid original that the mesh covers is further from it. None if the file has none.
         """
         code = UNMEASURED if self.mesh_kind == "none" else self.container.codes(block)[3]
         if code == UNMEASURED:
@@ -369,7 +370,6 @@ class DescribedFile:
     ) -> LevelWindow:
         """Return the part as `region` does, with its level and what was cut off.
 
-        Arguments and errors are those of `region`, which see: here they are checked, and what is
-        below takes them as they are.
+        Arguments and errors are those of `region`. They are checked only here.
         """
         return self.level_place(level).window(window, bounds)

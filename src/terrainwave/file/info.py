@@ -1,4 +1,4 @@
-"""What a file says about itself in one record: `Info`."""
+"""Summary of a file in one record: `Info`."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -14,19 +14,17 @@ from terrainwave.raster_io.earlier_loss import earlier_files
 class Info:
     """Summary of a .twz file; errors are in physical units.
 
-    `faithful` says whether the file was made with `faithful=True` (`Cdf97`).
-    `float_error` is how much more than `max_error` stored floats may differ: one float spacing if
-    they stand for decimal numbers and the file is not strict, otherwise 0.
-    `bound` is the side of the original on which heights lie: ``"both"``, ``"above"`` (none is below
-    its original) or ``"below"``.
-    `moved_error` is the part of `effective_error` that comes from an earlier file.
-    `earlier` lists the .twz files that the heights went through before: ``"file"`` and its bound
-    from the original, ``"max_error"``.
-    `units` is the unit of heights, and `units_from` its origin: the ``"band"`` or the ``"CRS"``.
-    `units_of_crs` is the unit of the CRS's vertical axis, if the band names another one.
-    `heights_are` is what the numbers are: ``"height"``, ``"depth"`` or ``"radius"``.
-    `voids` is how the source marks voids: ``"none"``, a ``"nodata"`` value, ``"nan"`` or a
-    ``"mask"``. `has_voids` says whether any sample may be void: False means that none is.
+    `faithful` is true if the file was made with `faithful=True` (`Cdf97`). `float_error` is the
+    amount by which stored floats may exceed `max_error`: one float spacing if they represent
+    decimal numbers and the file is not strict, otherwise 0. `bound` is the side of the original on
+    which heights lie: ``"both"``, ``"above"`` (none is below its original) or ``"below"``.
+    `moved_error` is the part of `effective_error` that comes from an earlier file. `earlier` lists
+    the .twz files that the heights went through before: ``"file"`` and its bound from the original,
+    ``"max_error"``. `units` is the unit of heights, and `units_from` its origin: the ``"band"`` or
+    the ``"CRS"``. `units_of_crs` is the unit of the CRS's vertical axis, if the band names another
+    one. `heights_are` is the meaning of the numbers: ``"height"``, ``"depth"`` or ``"radius"``.
+    `voids` is the source's marking of voids: ``"none"``, a ``"nodata"`` value, ``"nan"`` or a
+    ``"mask"``. `has_voids` is False if no sample is void.
     """
 
     path: str
@@ -76,7 +74,7 @@ class Info:
     earlier: tuple[dict[str, Any], ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values; what JSON cannot say becomes a string."""
+        """Return plain values; values that JSON lacks become strings."""
         fields = asdict(self)
         if isinstance(self.nodata, float) and not np.isfinite(self.nodata):
             fields["nodata"] = str(self.nodata)

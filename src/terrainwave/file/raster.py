@@ -1,4 +1,4 @@
-"""A .twz file as a source of heights, as a GeoTIFF is one: for another bound, method, or mosaic."""
+"""A .twz file as a raster source, like a GeoTIFF: for another bound, method, or mosaic."""
 
 import os
 from collections.abc import Iterator
@@ -18,19 +18,19 @@ from terrainwave.raster_io.source import RasterSource
 
 
 def raster_source(source: Any, **options: Any) -> RasterSource:
-    """Return a `RasterSource` that opens .twz files, too; options as it has them."""
+    """Return a `RasterSource` that also opens .twz files; options as it has them."""
     return RasterSource(source, open_terrain=TerrainBackend, **options)
 
 
 class TerrainBackend:
-    """A .twz file, whose decoded heights are read (`raster_io.backend`).
+    """A .twz file as a backend that reads decoded heights (`raster_io.backend`).
 
     Parameters
     ----------
     source : path, URL or TerrainFile
         An open file is not closed.
     georeference : bool
-        False leaves place and CRS out.
+        False leaves out transform and CRS.
     """
 
     is_file = True
@@ -62,7 +62,6 @@ class TerrainBackend:
         self.earlier: EarlierLoss | None = EarlierLoss(bound, files)
 
     def notes(self) -> Iterator[str]:
-        """Yield what is left out or was chosen, one sentence each."""
         return (f"{self.name}: {remark}" for remark in self.remarks())
 
     def remarks(self) -> Iterator[str]:
@@ -70,11 +69,10 @@ class TerrainBackend:
         return iter(())
 
     def asides(self) -> Iterator[str]:
-        """Yield what is no reason for a warning: none."""
+        """Yield notes that need no warning: none."""
         return iter(())
 
     def tags(self) -> dict[str, Any]:
-        """Return the fields of RasterInfo that do not bear on the heights."""
         info = self._info
         return {
             "crs": info.crs if self._is_placed else None,
@@ -92,16 +90,15 @@ class TerrainBackend:
     def read(
         self, row: int, col: int, n_rows: int, n_cols: int
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Return decoded heights and False where they are void."""
+        """Return decoded heights and validity."""
         return self._terrain.read_with_mask((row, col, n_rows, n_cols))
 
     def even(self, region: Region) -> Even | None:
-        """Return a void for a region in which the file has no payloads; else None."""
+        """Return a void for a region without payloads; else None."""
         if next(self._terrain.coded_parts(region), None) is not None:
             return None
         return Even(stored_nodata(self._info.void_value, self.dtype), False)
 
     def close(self) -> None:
-        """Close what was opened here."""
         if self._owned:
             self._terrain.close()

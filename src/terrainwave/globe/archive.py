@@ -1,7 +1,7 @@
 """A PMTiles archive (version 3) of a terrain's terrain-RGB tiles: one file for a static host.
 
-The package ``pmtiles`` of the format's authors writes directories and header. Tiles lie in the
-order of the format's curve, so that readers take neighbours in one request.
+The package ``pmtiles`` of the format's authors writes directories and header. Tiles are stored in
+the order of the format's curve, so that readers fetch neighbours in one request.
 """
 
 import logging
@@ -37,21 +37,21 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-# Tiles under work or waiting to be written, per thread.
+# Tiles per thread that are in progress or wait to be written.
 _AHEAD = 4
 
 
 @dataclass(frozen=True)
 class ArchivedZoom:
-    """What was written of one zoom; errors in metres, the largest of its tiles (`RgbTile`).
+    """Summary of one zoom; errors in metres, the largest of its tiles (`RgbTile`).
 
     Parameters
     ----------
     zoom, n_tiles, n_bytes : int
     surface_error : float
-        Of resampling to Web Mercator and of the steps of the encoding.
+        From resampling to Web Mercator and the steps of the encoding.
     terrain_error : float
-        What originals can be from the level that the tiles were made from.
+        Largest distance of originals from the level that the tiles were made from.
     """
 
     zoom: int
@@ -89,18 +89,19 @@ def write_pmtiles(
         The first zoom, and the last: by default the first one whose pixels are no larger than the
         raster's, which is the largest allowed.
     rim : int
-        Pixels by which heights go on beyond the terrain's edges and into voids (`rgb_tile`).
+        Pixels by which heights are continued beyond the terrain's edges and into voids
+        (`rgb_tile`).
     void_height : float, optional
-        Height in metres of voids, which the format does not have; by default 1 m below the lowest.
+        Height in metres of voids, which the format lacks; by default 1 m below the lowest height.
     encoding : {"mapbox", "terrarium"}
-        How pixels stand for heights: in steps of 0.1 m from -10000 m, or of 1/256 m from -32768 m.
-        A warning says which heights it cannot hold.
+        Encoding of heights: steps of 0.1 m from -10000 m, or of 1/256 m from -32768 m. A warning
+        lists heights outside its range.
     transparent_voids : bool
         Give pixels of voids alpha 0.
     radius : float, optional
         Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
     attribution : str
-        For the metadata: whose data these are.
+        Owner of the data, for the metadata.
     threads : int, optional
         All processors by default; the bytes don't depend on it.
     overwrite : bool
@@ -109,7 +110,8 @@ def write_pmtiles(
     Raises
     ------
     InvalidHeightsError
-        If an argument is out of range, or the raster has no valid height, or no place on a globe.
+        If an argument is out of range, or the raster has no valid height, or no position on a
+        globe.
     CorruptStreamError
         If a block is damaged.
     StorageError
@@ -119,7 +121,7 @@ def write_pmtiles(
 
     Notes
     -----
-    Tiles without terrain are left out. Until the end the tiles are in a temporary file too.
+    Tiles without terrain are left out. While it runs, a temporary file holds the tiles as well.
     """
     check_ending(target, (ARCHIVE_ENDING,))
     need("PIL", extra="pmtiles", purpose="a terrain-RGB tile")
@@ -145,7 +147,7 @@ def write_pmtiles(
         storage_errors(f"cannot write {os.fspath(target)}"),
     ):
         writer = writing.Writer(part.file)
-        temporary.enter_context(closing(writer.tile_f))  # the writer does not where it fails
+        temporary.enter_context(closing(writer.tile_f))  # the writer leaves it open after a failure
         for zoom in zooms:
             written = []
             for number, tile in _tiles(
@@ -174,7 +176,7 @@ def _checked_zooms(globe: Globe, first: int, last: int | None) -> range:
     Raises
     ------
     InvalidArgumentError
-        If there are none, or their pixels would be smaller than the raster's.
+        If the range is empty, or their pixels are smaller than the raster's.
     """
     finest = tiling.max_zoom(globe)
     expected = f"0 … {finest}: pixels of the last are no larger than the raster's"
@@ -211,7 +213,7 @@ def _tiles(
     executor: ThreadPoolExecutor,
     n_ahead: int,
 ) -> Iterator[tuple[int, tiling.RgbTile | None]]:
-    """Yield numbers and tiles in order; few wait at a time."""
+    """Yield numbers and tiles in order; only a few wait at a time."""
     place_of = need("pmtiles.tile", extra="pmtiles").tileid_to_zxy
 
     def tile(number: int) -> tiling.RgbTile | None:
@@ -230,7 +232,7 @@ def _description(
     kinds = need("pmtiles.tile", extra="pmtiles")
     west, south, east, north = globe.extent
     longitude, latitude = globe.extent.centre
-    if east > 180:  # bounds end there: the whole round, of which most tiles are empty
+    if east > 180:  # bounds cannot cross 180 degrees: use the whole round, with mostly empty tiles
         west, east = -180.0, 180.0
     south, north = (
         min(max(lat, -tiling.MAX_LATITUDE), tiling.MAX_LATITUDE) for lat in (south, north)

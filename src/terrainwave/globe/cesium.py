@@ -1,10 +1,10 @@
 """Cesium terrain: a pyramid of quantized-mesh tiles of a terrain, one at a time or all of them.
 
 Tiles are squares of longitude and latitude in the TMS scheme: 2 x 1 on zoom 0, rows from the south,
-each cut into four on the next zoom. A tile's heights are the terrain's at N x N cells, on the level
-whose samples are just as near; its mesh is the `halves` of these heights within a tolerance. The
-cells along an edge have the same places, heights and neighbours in both tiles beside it, and border
-lines follow from these alone, so both have the same vertices on it.
+each cut into four on the next zoom. A tile's heights are the terrain's at N x N cells, from the
+level of the same spacing; its mesh is the `halves` of these heights within a tolerance. The cells
+along an edge have the same positions, heights and neighbours in both adjacent tiles. Border lines
+depend only on these, so both tiles have the same vertices there.
 """
 
 import json
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 LAYER = "layer.json"
-# Tiles under work or waiting to be written, per thread.
+# Tiles per thread that are in progress or wait to be written.
 _AHEAD = 4
 
 
@@ -45,7 +45,7 @@ class TilePyramid(TileScheme):
     terrain : TerrainFile or Globe
         Stays open and belongs to the caller.
     void_height : float
-        Height in metres above the ellipsoid of what the raster does not cover.
+        Height in metres above the ellipsoid outside of the raster.
     fill_voids : bool
         Give voids in the raster the same height. By default they are holes.
     cells : int
@@ -55,18 +55,18 @@ class TilePyramid(TileScheme):
         has its own.
     max_zoom : int, optional
         The finest zoom; by default, and at most, the first one whose cells are no larger than
-        pixels. Its tiles are within the file's own error of every sample, and what they need more.
+        pixels. Its tiles are within the file's own error of every sample, plus their own.
     min_zoom : int
         The coarsest zoom besides zoom 0, which Cesium begins with.
     vertical : {"as-is", "ellipsoid"}
-        Take heights as above the ellipsoid, or convert them from the CRS's vertical datum by PROJ's
-        grid.
+        Assume that heights are above the ellipsoid, or convert them from the CRS's vertical datum
+        by PROJ's grid.
 
     Raises
     ------
     InvalidHeightsError
-        If the raster has no place on a globe, heights cannot be converted or are beyond ±4000 km,
-        or (when tiles are asked for) a zoom is out of range.
+        If the raster has no position on a globe, heights cannot be converted or are beyond ±4000
+        km, or (when tiles are requested) a zoom is out of range.
 
     Notes
     -----
@@ -91,19 +91,19 @@ class TilePyramid(TileScheme):
         self._mesher = TileMesher(self, self._heights)
 
     def tolerance(self, zoom: int) -> float:
-        """Return how far a tile's mesh may be from the heights at its cells, in metres."""
+        """Return the largest distance of a tile's mesh from the heights at its cells, in metres."""
         return self._heights.tolerance(zoom)
 
     @property
     def vertical(self) -> dict[str, Any]:
-        """Return what heights in tiles are."""
+        """Return the metadata of heights in tiles."""
         return self._heights.vertical
 
     def layer(self, *, version: str = "1.0.0", attribution: str = "") -> dict[str, Any]:
         """Return the content of ``layer.json``, as plain values.
 
-        Cesium takes a metadata extension in tiles for part of what tells which tiles there are:
-        ``metadataAvailability`` says that the root tiles tell it for all zooms.
+        If tiles have a metadata extension, Cesium looks there for the list of available tiles, too:
+        ``metadataAvailability`` states that the root tiles list it for all zooms.
         """
         west, south, east, north = self.extent
         if east > 180:
@@ -128,7 +128,7 @@ class TilePyramid(TileScheme):
         }
 
     def tile(self, zoom: int, x: int, y: int) -> TileMesh | None:
-        """Return a tile; None if there is none.
+        """Return a tile; None if it does not exist.
 
         Parameters
         ----------
@@ -148,7 +148,7 @@ class TilePyramid(TileScheme):
 def terrain_tile(
     terrain: "TerrainFile", zoom: int, x: int, y: int, *, void_height: float = 0.0
 ) -> bytes | None:
-    """Return one quantized-mesh tile of a terrain; None if there is none.
+    """Return one quantized-mesh tile of a terrain; None if it does not exist.
 
     Parameters
     ----------
@@ -156,12 +156,12 @@ def terrain_tile(
     zoom, x, y : int
         TMS: x from longitude -180 eastwards, y from latitude -90 northwards.
     void_height : float
-        Height in metres above the ellipsoid of what the raster does not cover; voids are holes.
+        Height in metres above the ellipsoid outside of the raster; voids are holes.
 
     Raises
     ------
     InvalidHeightsError
-        If the raster has no place on a globe.
+        If the raster has no position on a globe.
     CorruptStreamError
         If a block is damaged.
     TerrainwaveError
@@ -182,18 +182,18 @@ def layer_json(terrain: "TerrainFile", *, attribution: str = "") -> dict[str, An
 
 @dataclass(frozen=True)
 class ZoomSummary:
-    """What was written of one zoom; errors in metres.
+    """Summary of one zoom; errors in metres.
 
     Parameters
     ----------
     zoom, n_tiles, n_triangles, n_bytes : int
     geometric_error : float
-        What Cesium takes a tile's error for.
+        Cesium's assumption about a tile's error.
     surface_error : float or None
-        Largest one of the tiles: how far the heights of the level read, which are bilinear between
-        samples, are from them; see `TileMesh`.
+        Largest one of the tiles: distance of the bilinear heights of the level read from the tile;
+        see `TileMesh`.
     error : float or None
-        Largest one of the tiles: the same, and what originals can be from these heights.
+        Largest one of the tiles: the same, plus the distance of originals from these heights.
     """
 
     zoom: int
@@ -209,17 +209,11 @@ def write_tiles(
     terrain: "TerrainFile",
     directory: str | os.PathLike[str],
     *,
-    min_zoom: int = 0,
-    max_zoom: int | None = None,
-    void_height: float = 0.0,
-    fill_voids: bool = False,
-    cells: int = CELLS,
-    radius: float | None = None,
-    vertical: str = AS_IS,
     attribution: str = "",
     threads: int | None = None,
     overwrite: bool = False,
     progress: ProgressCallback | None = None,
+    **options: Any,
 ) -> list[ZoomSummary]:
     """Write all tiles of a terrain and ``layer.json`` into a new directory.
 
@@ -228,19 +222,19 @@ def write_tiles(
     terrain : TerrainFile
     directory : path
         ``{z}/{x}/{y}.terrain`` and ``layer.json``; it appears complete or not at all.
-    min_zoom, max_zoom, void_height, fill_voids, cells, radius, vertical
-        As in `TilePyramid`.
     attribution : str
-        For ``layer.json``: whose data these are.
+        Owner of the data, for ``layer.json``.
     threads : int, optional
         All processors by default; the bytes don't depend on it.
     overwrite : bool
         Replace an existing directory of tiles.
+    options
+        Of `TilePyramid`.
 
     Raises
     ------
     InvalidHeightsError
-        If an option is out of range, or the raster has no place on a globe.
+        If an option is out of range, or the raster has no position on a globe.
     CorruptStreamError
         If a block is damaged.
     StorageError
@@ -249,17 +243,8 @@ def write_tiles(
         If quantized-mesh-encoder is missing.
     """
     need("quantized_mesh_encoder", extra="mesh")
-    pyramid = TilePyramid(
-        terrain,
-        void_height=void_height,
-        fill_voids=fill_voids,
-        cells=cells,
-        radius=radius,
-        max_zoom=max_zoom,
-        min_zoom=min_zoom,
-        vertical=vertical,
-    )
-    if vertical == AS_IS and not terrain.height_unit.is_radius:
+    pyramid = TilePyramid(terrain, **options)
+    if options.get("vertical", AS_IS) == AS_IS and not terrain.height_unit.is_radius:
         note_as_is(terrain.crs)
     zooms = pyramid.zooms
     n_threads = checked_threads(threads)
@@ -305,7 +290,7 @@ def write_tiles(
 def _tiles_of(
     pyramid: TilePyramid, zoom: int, executor: ThreadPoolExecutor, n_ahead: int
 ) -> Iterator[tuple[int, int, TileMesh]]:
-    """Yield x, y and the tile, for all of a zoom in order; few wait at a time."""
+    """Yield x, y and the tile, for all of a zoom in order; only a few wait at a time."""
     places = (place for area in pyramid.available(zoom) for place in area.tiles())
     while batch := list(islice(places, n_ahead)):
         tiles = executor.map(lambda place: pyramid.tile(zoom, *place), batch)

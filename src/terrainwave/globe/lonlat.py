@@ -1,8 +1,8 @@
-"""A terrain on its globe: heights at longitudes and latitudes, and where its samples lie.
+"""A terrain on its globe: heights at longitudes and latitudes, and positions of its samples.
 
-Between samples heights are bilinear, past the last sample of a coarse level they go on linearly, as
-in a block's error (FORMAT.md §4.4). The outermost half pixel has the heights of the outermost
-samples. A raster around the whole globe goes on from its last column to its first.
+Between samples heights are bilinear; beyond the last sample of a coarse level they are continued
+linearly, as in a block's error (FORMAT.md §4.4). The outermost half pixel has the heights of the
+outermost samples. In a raster around the whole globe the first column follows the last.
 """
 
 import math
@@ -25,18 +25,18 @@ if TYPE_CHECKING:
 Numbers = NDArray[np.float64]
 Places = tuple[Numbers, Numbers]
 
-# Degrees by which a place may miss itself on the way to the raster's CRS and back.
+# Degrees by which a point may differ after conversion to the raster's CRS and back.
 _SAME_PLACE = 1e-6
-# Of a pixel: what rounding may put beyond the raster's edge.
+# Share of a pixel that rounding may move a point beyond the raster's edge.
 _AT_EDGE = 1e-6
-# Columns that may lie unused between two used ones before they are read apart.
+# Largest run of unused columns that is read along with used ones.
 _MAX_GAP = 256
-# Points along each side of the raster, and inside it, that tell what part of the globe it covers.
+# Points along each side of the raster, and inside it, used to find its extent on the globe.
 _N_ALONG, _N_INSIDE = 129, 17
-# Of an extent: how far a side may bulge between those points.
+# Share of an extent by which a side may bulge between those points.
 _BULGE = 0.01
-# Places along each side that tell how far a datum lies from the ellipsoid, and the share of the
-# difference that may be beyond what they tell.
+# Points along each side used to find the distance of a datum from the ellipsoid, and the share of
+# their difference by which other points may exceed it.
 _N_OF_DATUM, _DATUM_SLACK = 65, 0.2
 _POLE = 90.0
 
@@ -55,7 +55,7 @@ class Window(NamedTuple):
 
 
 class Extent(NamedTuple):
-    """What part of the globe a raster covers, in degrees; `east` may be beyond 180."""
+    """Part of the globe that a raster covers, in degrees; `east` may be beyond 180."""
 
     west: float
     south: float
@@ -69,7 +69,7 @@ class Extent(NamedTuple):
         return (longitude + 180) % 360 - 180, (self.south + self.north) / 2
 
     def holds(self, lon: Numbers, lat: Numbers) -> NDArray[np.bool_]:
-        """Say which places are in it or, as its sides may bulge a little, close by."""
+        """Return which points lie in it, or close by, as its sides may bulge a little."""
         slack = _BULGE * max(self.east - self.west, self.north - self.south)
         beyond_west = np.mod(lon - self.west + slack, 360)
         return (
@@ -93,7 +93,7 @@ class Globe:
     Raises
     ------
     InvalidHeightsError
-        If the raster has no place on a globe, or one that no globe has.
+        If the raster has no position on a globe, or an impossible one.
     """
 
     def __init__(self, terrain: "TerrainFile", *, radius: float | None = None) -> None:
@@ -116,17 +116,17 @@ class Globe:
         self.body = place.body
         self.ellipsoid: Ellipsoid = place.globe_ellipsoid
         a, b, _, d, _, _ = raster.transform
-        # Columns of 360 degrees, where rows are parallels.
+        # Columns of 360 degrees, if rows are parallels.
         rows_are_parallels = place.is_plain and place.longitude_axis == 0 and b == d == 0
         self.turn = 360 / (abs(a) * place.unit) if rows_are_parallels else None
         self.is_whole_turn = self.turn is not None and abs(self.turn - terrain.shape[1]) < 0.01
-        # Per unit of height; negative where heights are depths.
+        # Per unit of height; negative if heights are depths.
         unit = terrain.height_unit
         unit.note_kind()
         self.metres = unit.metres
         self.has_radii = unit.is_radius
 
-    # Places
+    # Positions
 
     def to_samples(self, lon: Numbers, lat: Numbers) -> Places:
         """Return fractional rows and columns of the full grid; NaN outside the raster's pixels.
@@ -134,7 +134,7 @@ class Globe:
         Parameters
         ----------
         lon, lat : ndarray of float64, shape (n_places,)
-            Degrees; each result depends on its place alone.
+            Degrees; each result depends only on its point.
         """
         if self._place.is_lonlat:
             return self._to_samples(lon, lat)
@@ -145,10 +145,10 @@ class Globe:
         return rows, cols
 
     def continued_samples(self, lon: Numbers, lat: Numbers) -> Places:
-        """Return fractional rows and columns as if the full grid went on beyond its edges.
+        """Return fractional rows and columns as if the full grid continued beyond its edges.
 
-        NaN where the raster's system has no place. Of degrees the columns are those of the turn
-        that the raster is in the middle of.
+        NaN where the raster's system is undefined. For degrees, columns belong to the turn around
+        the raster's middle.
         """
         xy = self._place.from_lonlat(np.stack([lon, lat], axis=1))
         axis = self._place.longitude_axis
@@ -169,7 +169,7 @@ class Globe:
                 cols, is_col = _clamped(cols, self.terrain.shape[1])
         inside = is_row & is_col
         if not self._place.is_lonlat and inside.any():
-            # Projections give places to points of the other side of the globe too.
+            # Projections may also give positions to points on the other side of the globe.
             inside[inside] = self._come_back(rows[inside], cols[inside], lon[inside], lat[inside])
         return np.where(inside, rows, np.nan), np.where(inside, cols, np.nan)
 
@@ -181,7 +181,7 @@ class Globe:
     def _come_back(
         self, rows: Numbers, cols: Numbers, lon: Numbers, lat: Numbers
     ) -> NDArray[np.bool_]:
-        """Say which places their samples lead back to; clamping moves by half a pixel at most."""
+        """Return which points their samples lead back to; clamping moves at most half a pixel."""
         found_lon, found_lat = self.from_samples(rows, cols)
         slack = max(_SAME_PLACE, math.degrees(2 * self.pixel / self.ellipsoid.axis))
         apart = np.abs(np.mod(found_lon - lon + 180, 360) - 180) * np.cos(np.radians(lat))
@@ -196,12 +196,12 @@ class Globe:
 
     @property
     def units(self) -> str | None:
-        """Return m, the unit of heights here; None where nobody knows it: they are as stored."""
+        """Return m, the unit of heights here; None if it is unknown: then they are as stored."""
         return None if self.terrain.units is None else "m"
 
     @cached_property
     def pixel(self) -> float:
-        """Return the smaller distance of neighbouring samples in the raster's middle, metres."""
+        """Return the smaller distance of neighbouring samples in the raster's middle, in metres."""
         row, col = ((size - 1) / 2 for size in self.terrain.shape)
         lon, lat = self.from_samples(
             np.array([row, row + 0.5, row]), np.array([col, col, col + 0.5])
@@ -229,7 +229,7 @@ class Globe:
         if not known.any():
             raise InvalidHeightsError("the raster has no place in longitude and latitude")
         middle = self.from_samples(np.array([(n_rows - 1) / 2]), np.array([(n_cols - 1) / 2]))[0][0]
-        # Longitudes as they go on from the middle, across the antimeridian too.
+        # Longitudes continuous from the middle, also across the antimeridian.
         if not self._place.is_lonlat:
             lon = middle + np.mod(lon - middle + 180, 360) - 180
         west, east = float(lon[known].min()), float(lon[known].max())
@@ -249,7 +249,7 @@ class Globe:
 
     @property
     def effective_error(self) -> float:
-        """Return the bound that holds at samples of the full grid, in metres."""
+        """Return the effective bound at samples of the full grid, in metres."""
         return self.terrain.effective_error * abs(self.metres)
 
     def level_for(self, spacing: float) -> int:
@@ -258,15 +258,15 @@ class Globe:
         return max(self.terrain.grid.k_max - n_coarser, 0)
 
     def heights_at(self, rows: Numbers, cols: Numbers, level: int) -> tuple[Numbers, Window | None]:
-        """Return the bilinear heights of a level at places of `to_samples`, and what was read.
+        """Return the bilinear heights of a level at positions of `to_samples`, and the window read.
 
         Returns
         -------
         heights : ndarray of float64, shape (n_places,)
-            Metres; NaN at places that are NaN, and where a sample needed is void. Each depends on
-            its place alone.
+            Metres; NaN at positions that are NaN, and where a sample needed is void. Each depends
+            only on its position.
         window : Window or None
-            The samples that the heights come from; None if no place is in the raster.
+            The samples that the heights come from; None if no position is in the raster.
         """
         heights = np.full(rows.shape, np.nan)
         inside = np.isfinite(rows)
@@ -275,7 +275,7 @@ class Globe:
         stride, grid = self.terrain.grid.stride(level), self.terrain.grid
         n_rows, n_cols = grid.level_shape(level)
         row, col = rows[inside] / stride, cols[inside] / stride
-        # The last cell goes on linearly, to a weight of up to 2.
+        # The last cell is continued linearly, with a weight of up to 2.
         top = np.clip(np.floor(row).astype(np.int64), 0, max(n_rows - 2, 0))
         down = row - top if n_rows > 1 else np.zeros_like(row)
         if self.is_whole_turn:
@@ -296,9 +296,9 @@ class Globe:
         return heights, window
 
     def _above(self, metres: Numbers, rows: Numbers, cols: Numbers) -> Numbers:
-        """Return heights at places of metres as samples have them: of radii, those beyond the body.
+        """Return heights in metres at samples; for radii, their excess over the body.
 
-        After interpolation: between two samples of a coarse level an ellipsoid bends.
+        Subtracted after interpolation, as an ellipsoid bends between two samples of a coarse level.
         """
         if not self.has_radii:
             return metres
@@ -309,7 +309,7 @@ class Globe:
     def _around(
         self, col: Numbers, n_cols: int, stride: int
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], Numbers]:
-        """Return the columns left and right of places, the last one's neighbour being the first."""
+        """Return the columns left and right of positions; the last one's neighbour is the first."""
         turn = self.terrain.shape[1] / stride
         col = np.mod(col, turn)
         left = np.minimum(np.floor(col).astype(np.int64), n_cols - 1)
@@ -351,7 +351,7 @@ class Globe:
     # Above the ellipsoid
 
     def onto_ellipsoid(self) -> EllipsoidalHeights:
-        """Return the way from the file's heights to those above the globe's ellipsoid.
+        """Return the conversion of the file's heights to the globe's ellipsoid.
 
         Raises
         ------
@@ -370,7 +370,7 @@ class Globe:
         return ellipsoidal.heights(x, y, heights)
 
     def range_on(self, ellipsoidal: EllipsoidalHeights) -> tuple[float, float]:
-        """Return metres above the ellipsoid that no height is below or above."""
+        """Return lower and upper limits of all heights, in metres above the ellipsoid."""
         low, high = self.height_range
         n_rows, n_cols = self.terrain.shape
         rows, cols = np.meshgrid(
@@ -385,7 +385,7 @@ class Globe:
         return low + least - slack, high + most + slack
 
     def heights_error(self, window: Window) -> float:
-        """Return how far originals can be from the bilinear surface of a window, in metres."""
+        """Return the largest distance of originals from a window's surface, in metres."""
         grid, terrain = self.terrain.grid, self.terrain
         if window.level == grid.k_max:
             return self.effective_error
@@ -404,7 +404,7 @@ class Globe:
 
     @cached_property
     def height_range(self) -> tuple[float, float]:
-        """Return the lowest and highest decoded height in metres; (0, 0) without any."""
+        """Return the lowest and highest decoded height in metres; (0, 0) without heights."""
         info = self.terrain.info()
         if info.minimum is None or info.maximum is None:
             return 0.0, 0.0
@@ -427,7 +427,7 @@ def _distinct(first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np
 
 
 def _among(columns: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the places of columns among those of a window."""
+    """Return the indices of columns among those of a window."""
     if columns[-1] - columns[0] == columns.size - 1:
         return wanted - columns[0]
     return np.searchsorted(columns, wanted)
@@ -441,8 +441,8 @@ def _weighted(
 ) -> tuple[Numbers, NDArray[np.bool_] | None]:
     """Return weighted sums of four samples of a window, and where one of these is void.
 
-    `rows` and `cols` are places in the window with their weights. None instead of what is void if
-    nothing in the window is.
+    `rows` and `cols` are positions in the window with their weights. The second result is None if
+    nothing in the window is void.
     """
     n_cols = window.columns.size
     is_whole = bool(window.valid.all())
@@ -463,7 +463,7 @@ def _weighted(
 
 
 def _clamped(places: Numbers, n_samples: int) -> tuple[Numbers, NDArray[np.bool_]]:
-    """Return places moved onto the outermost samples, and which are at most half a pixel away."""
+    """Return positions clamped to the samples, and which were at most half a pixel off."""
     limit = 0.5 + _AT_EDGE
     inside = (places >= -limit) & (places <= n_samples - 1 + limit)
     return np.clip(places, 0, n_samples - 1), inside

@@ -1,9 +1,9 @@
-"""Where longitudes and latitudes lie in a raster, as polynomials that need no projection library.
+"""Conversion of longitudes and latitudes to samples by polynomials, without a projection library.
 
-Rows and columns of a full grid are smooth functions of longitude and latitude wherever a projection
-is. They are interpolated at Chebyshev nodes of the raster's extent, coefficients too small to count
-are dropped, and what is left is compared with PROJ at other places: the error is measured, not
-proved. A reader evaluates sums of products (docs/decisions/0014).
+Rows and columns of a full grid are smooth functions of longitude and latitude wherever the
+projection is smooth. They are interpolated at Chebyshev nodes of the raster's extent, negligible
+coefficients are dropped, and the result is compared with PROJ at other points: the error is
+measured, not proved. A reader evaluates sums of products (docs/decisions/0014).
 """
 
 import math
@@ -21,11 +21,11 @@ Numbers = NDArray[np.float64]
 
 # Nodes along each axis: the polynomials' degree is at most one less.
 _N_NODES = 65
-# Places along each axis that the polynomials are compared at.
+# Points along each axis used for the comparison.
 _N_CHECKED = 150
-# Samples. Coefficients that add up to less are dropped; a larger error is refused.
+# Samples. Coefficients with a smaller sum are dropped; a larger error is refused.
 _DROPPED, MAX_ERROR = 1e-5, 0.05
-# Of the extent: by how much the polynomials reach beyond it, as its sides may bulge.
+# Share of the extent by which the polynomials reach beyond it, as its sides may bulge.
 _BEYOND = (1e-3, 0.0)
 
 
@@ -36,13 +36,13 @@ class FittedPlaces:
     Attributes
     ----------
     domain : Extent
-        Degrees that the arguments -1 … 1 of the polynomials stand for.
+        Degrees that map to the arguments -1 … 1 of the polynomials.
     rows, cols : ndarray of float64, shape (n_lat, n_lon)
-        Coefficients of products of Chebyshev polynomials. Where the raster's rows are parallels
+        Coefficients of products of Chebyshev polynomials. If the raster's rows are parallels,
         columns of another turn differ by `Globe.turn`.
     error : float
         Samples. Largest difference from PROJ's rows and columns within the raster, found at
-        22,500 places.
+        22,500 points.
     """
 
     domain: Extent
@@ -73,8 +73,8 @@ def fit_places(globe: Globe) -> FittedPlaces:
     Raises
     ------
     InvalidHeightsError
-        If they miss PROJ's by more than `MAX_ERROR` samples: a projection that is cut, or one
-        without places somewhere in the raster's extent.
+        If they differ from PROJ's by more than `MAX_ERROR` samples: a projection that is
+        interrupted, or undefined somewhere in the raster's extent.
     """
     found = [_fitted(globe, domain) for domain in _domains(globe.extent)]
     best = min(found, key=lambda places: places.error)
@@ -122,7 +122,7 @@ def _grid(domain: Extent, at: Numbers) -> tuple[Numbers, Numbers]:
 
 
 def _samples_at(globe: Globe, domain: Extent, at: Numbers) -> tuple[Numbers, Numbers]:
-    """Return rows and columns at all pairs of arguments; columns go on beyond a turn."""
+    """Return rows and columns at all pairs of arguments; columns continue beyond a turn."""
     lon, lat = _grid(domain, at)
     rows, cols = globe.continued_samples(lon.ravel(), lat.ravel())
     if globe.turn is not None:
@@ -134,7 +134,7 @@ def _samples_at(globe: Globe, domain: Extent, at: Numbers) -> tuple[Numbers, Num
 
 
 def _without_small(coefficients: Numbers) -> Numbers:
-    """Return coefficients without the last rows and columns that add up to next to nothing."""
+    """Return coefficients without the last rows and columns whose sum is negligible."""
     sizes = np.abs(coefficients)
     if not np.isfinite(sizes).all():
         return np.full((1, 1), np.nan)
@@ -147,7 +147,7 @@ def _without_small(coefficients: Numbers) -> Numbers:
 def _measured_error(globe: Globe, domain: Extent, rows: Numbers, cols: Numbers) -> float:
     """Return the largest difference from PROJ within the raster.
 
-    Infinite where PROJ has no place, or says that another place has the same samples.
+    Infinite if PROJ has no position, or another point has the same samples.
     """
     at = (2 * np.arange(_N_CHECKED) + 1) / _N_CHECKED - 1
     there = _samples_at(globe, domain, at)
@@ -172,7 +172,7 @@ def _measured_error(globe: Globe, domain: Extent, rows: Numbers, cols: Numbers) 
 
 
 def _lie_in(globe: Globe, places: tuple[Numbers, Numbers], beyond: float) -> NDArray[np.bool_]:
-    """Say which samples lie within the raster's pixels and `beyond` around them."""
+    """Return which samples lie within the raster's pixels and `beyond` around them."""
     n_rows, n_cols = globe.terrain.shape
     rows, cols = places
     if globe.turn is not None:

@@ -25,11 +25,11 @@ _EXTENSIONS = (
     "https://stac-extensions.github.io/raster/v1.1.0/schema.json",
     "https://stac-extensions.github.io/file/v2.1.0/schema.json",
 )
-# Where a raster says when its ground was measured, the best first.
+# Tags with a raster's date of measurement, the best first.
 _DATES = ("ACQUISITION_DATE", "TIFFTAG_DATETIME")
 # Points of an outline along each side of the raster.
 _N_ALONG = 8
-# Degrees of longitude: a raster that covers more has its box as outline.
+# Degrees of longitude: a wider raster has its box as outline.
 _WIDE = 180
 _POLE = 90
 _SLACK = 1e-6
@@ -47,12 +47,12 @@ def stac_item(terrain: "TerrainFile", href: str | None = None) -> dict[str, Any]
     ----------
     terrain : TerrainFile
     href : str, optional
-        Where the item says that the file is; by default as it was opened.
+        Address of the file in the item; by default as it was opened.
 
     Raises
     ------
     InvalidHeightsError
-        If the raster has no place on a globe.
+        If the raster has no position on a globe.
     """
     info, name = terrain.info(), str(terrain.name)
     globe = Globe(terrain)
@@ -75,9 +75,9 @@ def stac_item(terrain: "TerrainFile", href: str | None = None) -> dict[str, Any]
         **_crs(terrain),
         "proj:shape": [info.n_rows, info.n_cols],
         "proj:transform": list(info.transform),
-        # In metres on the globe; in the unit of the heights where nobody names it.
+        # In metres on the globe; in the unit of the heights if that is unknown.
         "terrainwave:max_error": globe.effective_error,
-        # Whose range the statistics are; heights are what is expected.
+        # Meaning of the statistics; heights are the default.
         "terrainwave:heights_are": None if info.heights_are == HEIGHT else info.heights_are,
         "terrainwave:method": info.method,
         "terrainwave:levels": info.n_levels,
@@ -105,7 +105,7 @@ def stac_item(terrain: "TerrainFile", href: str | None = None) -> dict[str, Any]
 
 
 def _statistics(terrain: "TerrainFile") -> dict[str, float] | None:
-    """Return the range of pixels, before scale and offset as nodata is; None if all are void."""
+    """Return the range of pixels, before scale and offset (like nodata); None if all are void."""
     header = terrain.header
     if header.z_min > header.z_max:
         return None
@@ -126,7 +126,7 @@ def _without_nothing(fields: dict[str, Any]) -> dict[str, Any]:
 
 
 def _datetime(tags: Mapping[str, str], name: str) -> str:
-    """Return when the raster was made, if a tag says so; else when the file was, or is read."""
+    """Return the raster's date from a tag; else the time of the file, or of reading."""
     for key in _DATES:
         for form in ("%Y:%m:%d %H:%M:%S", "%Y-%m-%d %H:%M:%S", "%Y-%m-%d"):
             try:
@@ -151,8 +151,8 @@ def _checksum(source: ByteSource) -> str:
 def _outline(globe: Globe) -> tuple[dict[str, Any], list[float]]:
     """Return the raster's outline in longitude and latitude, and its box.
 
-    The outline is the box where a raster crosses 180 degrees, which cuts it in two, or holds a pole
-    or a whole parallel.
+    The outline is the box if a raster crosses 180 degrees, which cuts it in two, or holds a pole or
+    a whole parallel.
     """
     west, south, east, north = globe.extent
     if east > 180:
@@ -173,7 +173,7 @@ def _ring_of_box(west: float, south: float, east: float, north: float) -> Ring:
 
 
 def _ring_of_raster(globe: Globe) -> Ring | None:
-    """Return points along the outer edges of a raster's pixels; None if one has no place."""
+    """Return points along the outer edges of a raster's pixels; None if one has no position."""
     n_rows, n_cols = globe.terrain.shape
     along = np.linspace(0, 1, _N_ALONG, endpoint=False)
     zero, one = np.zeros(_N_ALONG), np.ones(_N_ALONG)
@@ -187,7 +187,7 @@ def _ring_of_raster(globe: Globe) -> Ring | None:
     turns = sum(
         (b[0] - a[0]) * (b[1] + a[1]) for a, b in zip(ring, [*ring[1:], ring[0]], strict=True)
     )
-    if turns > 0:  # GeoJSON wants outlines counterclockwise
+    if turns > 0:  # GeoJSON requires counterclockwise outlines
         ring.reverse()
     return [*ring, ring[0]]
 

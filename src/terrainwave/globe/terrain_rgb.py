@@ -33,12 +33,12 @@ _HIGHEST_CODE = (1 << 24) - 1
 
 
 class Encoding(NamedTuple):
-    """How pixels stand for heights; metres.
+    """Encoding of heights as pixels; metres.
 
     Parameters
     ----------
     name : str
-        As TileJSON and MapLibre's sources call it.
+        As in TileJSON and MapLibre's sources.
     lowest : float
         The height of code 0.
     step : float
@@ -55,16 +55,15 @@ class Encoding(NamedTuple):
         return self.lowest + _HIGHEST_CODE * self.step
 
     def holds(self, low: float, high: float) -> bool:
-        """Say whether heights from `low` to `high` are at most half a step from their codes'."""
+        """Return whether heights from `low` to `high` are at most half a step from their codes'."""
         half = self.step / 2
         return self.lowest - half <= low and high <= self.highest + half
 
     def codes(self, heights: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the codes that stand for heights, the nearest there are; NaN stays."""
+        """Return the nearest codes of heights; NaN stays."""
         return np.clip(np.rint((heights - self.lowest) / self.step), 0, _HIGHEST_CODE)
 
     def heights(self, codes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the heights that codes stand for."""
         return codes * self.step + self.lowest
 
 
@@ -76,14 +75,14 @@ MAPBOX = "mapbox"
 
 
 class Look(NamedTuple):
-    """How tiles show heights and voids.
+    """Appearance of heights and voids in tiles.
 
     Parameters
     ----------
     encoding : str
         One of `ENCODINGS`.
     transparent_voids : bool
-        Pixels without heights have alpha 0, all others 255. Their colours are the same as without.
+        Pixels without heights have alpha 0, all others 255. Colours are not affected.
     """
 
     encoding: str = MAPBOX
@@ -91,7 +90,7 @@ class Look(NamedTuple):
 
     @property
     def voids(self) -> str:
-        """Name of the look of voids in addresses."""
+        """Return the name of the appearance of voids in addresses."""
         return "transparent" if self.transparent_voids else "height"
 
 
@@ -99,12 +98,12 @@ PLAIN = Look()
 
 
 def encoding_of(name: str) -> Encoding:
-    """Return the encoding of a name.
+    """Return the encoding with this name.
 
     Raises
     ------
     InvalidArgumentError
-        If there is none.
+        If it is unknown.
     """
     check_choice("encoding", name, ENCODINGS)
     return ENCODINGS[name]
@@ -117,7 +116,7 @@ class RgbTile:
     Attributes
     ----------
     png : bytes
-        `TILE_SIZE` pixels square, RGB; RGBA where voids are transparent.
+        `TILE_SIZE` pixels square, RGB; RGBA if voids are transparent.
     error : float
         Metres. Largest distance found between the tile's bilinear surface, in the steps of its
         encoding, and the bilinear surface of the decoded samples it was made from, at the tile's
@@ -128,7 +127,7 @@ class RgbTile:
     level : int
         The resolution level of the samples, counted from 0.
     voids : ndarray of uint8, shape (TILE_SIZE, TILE_SIZE)
-        How much of each pixel is void: 0 nothing, 255 all.
+        Void share of each pixel: 0 nothing, 255 all.
     """
 
     png: bytes
@@ -173,7 +172,7 @@ def max_zoom(globe: Globe) -> int:
 
 
 def meets(globe: Globe, z: int, x: int, y: int, rim: int = 0) -> bool:
-    """Say whether a tile is at most `rim` pixels away from the terrain's bounds."""
+    """Return whether a tile is at most `rim` pixels away from the terrain's bounds."""
     west, south, east, north = globe.extent
     far = rim / TILE_SIZE
     if not row_of(z, north) - far < y + 1 or not row_of(z, south) + far > y:
@@ -201,7 +200,7 @@ def rgb_tile(
     *,
     void_height: float | None = None,
 ) -> RgbTile | None:
-    """Return the terrain-RGB tile z/x/y (XYZ, Web Mercator), or None where there is no terrain.
+    """Return the terrain-RGB tile z/x/y (XYZ, Web Mercator), or None if it has no terrain.
 
     Parameters
     ----------
@@ -209,22 +208,23 @@ def rgb_tile(
     z, x, y : int
         0 ≤ z ≤ `MAX_ZOOM`, 0 ≤ x, y < 2^z.
     rim : int
-        Pixels, 0 … `MAX_RIM`, by which heights go on beyond the terrain's edges and into voids, so
-        that surfaces through the pixels don't fall off within the terrain. It is not in `error`.
+        Pixels, 0 … `MAX_RIM`, by which heights are continued beyond the terrain's edges and into
+        voids, so that surfaces through the pixels don't fall off within the terrain. `error` does
+        not include it.
     look : Look
-        What the encoding cannot hold becomes the nearest height that it can.
+        Heights outside the encoding's range become its nearest height.
     void_height : float, optional
-        Metres, of pixels without heights: the format has no void. By default `VOID_DEPTH` below
-        the terrain's lowest.
+        Height in metres of pixels without heights, as the format has no voids. By default
+        `VOID_DEPTH` below the terrain's lowest.
 
     Notes
     -----
-    A height depends on its place and z alone, so that neighbouring tiles continue each other.
+    A height depends only on its position and z, so that neighbouring tiles match.
     """
     if not meets(globe, z, x, y, rim):
         return None
     level = level_for(globe, z, y)
-    # Pixel centres are the odd places of a grid twice as fine, which is what errors are taken at.
+    # Pixel centres are the odd positions of a grid twice as fine, on which errors are measured.
     fine = np.arange(2 * (TILE_SIZE + 2 * rim) - 1) / (2 * TILE_SIZE) + (0.5 - rim) / TILE_SIZE
     longitudes, latitudes = np.meshgrid(longitudes_of(z, x + fine), latitudes_of(z, y + fine))
     rows, cols = globe.to_samples(longitudes.ravel(), latitudes.ravel())
@@ -257,13 +257,7 @@ def _void_code(globe: Globe, pixels: Encoding, void_height: float | None) -> flo
 
 
 def check_void_height(height: float, encoding: str) -> None:
-    """Refuse a height of voids that an encoding cannot hold.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it cannot.
-    """
+    """Raise `InvalidArgumentError` for a height of voids outside an encoding's range."""
     pixels = encoding_of(encoding)
     if not pixels.lowest <= height <= pixels.highest:
         raise InvalidArgumentError(
@@ -273,7 +267,7 @@ def check_void_height(height: float, encoding: str) -> None:
 
 
 def note_on_range(globe: Globe, encoding: str) -> str | None:
-    """Say which heights of a terrain an encoding cannot hold; None if it holds all."""
+    """Return a note on heights of a terrain outside an encoding's range, or None."""
     low, high = globe.height_range
     pixels = encoding_of(encoding)
     if pixels.holds(low, high):
@@ -304,7 +298,7 @@ def _without(values: NDArray[np.float64], n: int) -> NDArray[np.float64]:
 
 
 def _grown(heights: NDArray[np.float64], n_times: int) -> NDArray[np.float64]:
-    """Return heights that reach `n_times` pixels into NaN: there, the mean of known neighbours."""
+    """Return heights continued `n_times` pixels into NaN, by the mean of known neighbours."""
     for _ in range(n_times):
         is_known = np.isfinite(heights)
         total, count = _sum_of_nine(np.where(is_known, heights, 0.0)), _sum_of_nine(is_known * 1.0)
@@ -314,7 +308,7 @@ def _grown(heights: NDArray[np.float64], n_times: int) -> NDArray[np.float64]:
 
 
 def _sum_of_nine(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the sums of values and their eight neighbours; there are zeros outside."""
+    """Return the sums of values and their eight neighbours, with zeros outside."""
     values = np.pad(values, 1)
     values = values[:-2] + values[1:-1] + values[2:]
     return values[:, :-2] + values[:, 1:-1] + values[:, 2:]
@@ -329,7 +323,6 @@ def _void_shares(is_void: NDArray[np.bool_], rim: int) -> NDArray[np.uint8]:
 
 
 def height_of_voids(globe: Globe) -> float:
-    """Return the height in metres that stands for voids."""
     return globe.height_range[0] - VOID_DEPTH
 
 
@@ -344,7 +337,7 @@ def _largest_distance(tile: NDArray[np.float64], surface: NDArray[np.float64]) -
 
 
 def _png(codes: NDArray[np.float64], void: float, look: Look) -> bytes:
-    """Return a PNG of codes; NaN gets the code `void`, and no opacity if voids are transparent."""
+    """Return a PNG of codes; NaN gets the code `void`, and alpha 0 if voids are transparent."""
     image = need("PIL.Image", extra="serve", purpose="a terrain-RGB tile")
     is_void = np.isnan(codes)
     whole = np.where(is_void, void, codes).astype(np.uint32)
@@ -365,15 +358,15 @@ def tile_json(globe: Globe, url: str, name: str, encoding: str = MAPBOX) -> dict
     ----------
     globe : Globe
     url : str
-        Of a tile, with ``{z}``, ``{x}`` and ``{y}`` in it.
+        Address of a tile, with ``{z}``, ``{x}`` and ``{y}`` in it.
     name : str
-        What clients may show.
+        Name that clients may show.
     encoding : str
-        Of the tiles at that URL.
+        Encoding of the tiles at that URL.
     """
     west, south, east, north = globe.extent
     last = max_zoom(globe)
-    if east > 180:  # bounds end there: the whole round, of which most tiles are empty
+    if east > 180:  # bounds cannot cross 180 degrees: use the whole round, with mostly empty tiles
         west, east = -180.0, 180.0
     return {
         "tilejson": "3.0.0",

@@ -1,4 +1,4 @@
-"""The heights of a tile at its cells, in whole units, and how near its mesh has to be to them."""
+"""Heights of a tile at its cells, in whole units, and the tolerance of its mesh."""
 
 import math
 from typing import Any, NamedTuple
@@ -13,8 +13,8 @@ from terrainwave.globe.lonlat import Window
 from terrainwave.globe.tile_scheme import TileScheme
 from terrainwave.place.vertical import check_vertical, describe_as_is, describe_radii
 
-# A mesh may take half of the error that Cesium assumes, and no more than 1/16 of the terrain's
-# range of heights.
+# Share of Cesium's assumed error that a mesh may take; at most 1/16 of the terrain's range of
+# heights.
 _TOLERANCE_SHARE = 2
 _RANGE_SHARE = 16
 # Metres of a unit.
@@ -23,15 +23,15 @@ _MAX_HEIGHT = 1 << 30
 # Bits of a number that float32 holds, less one for the sum of two.
 _FLOAT_BITS = 22
 _POLE = 90.0
-# Places along a parallel whose mean is the height of a pole.
+# Points along a parallel whose mean is the height of a pole.
 _N_AT_POLE = 64
 
 
 class TileSamples(NamedTuple):
-    """A tile's heights in whole units at (N + 3) x (N + 3) places: the tile's and one around.
+    """A tile's heights in whole units at (N + 3) x (N + 3) positions: the tile's and one around.
 
-    `exact` are the heights in metres before they were rounded; NaN where void. `holes` are the
-    places in the raster that are void, unless voids are filled.
+    `exact` are the heights in metres before they were rounded; NaN where void. `holes` are the void
+    positions in the raster, unless voids are filled.
     """
 
     heights: NDArray[np.int32]
@@ -65,7 +65,7 @@ class TileHeights:
 
     @property
     def vertical(self) -> dict[str, Any]:
-        """Return what heights in tiles are."""
+        """Return the metadata of heights in tiles."""
         if self._ellipsoidal is not None:
             return self._ellipsoidal.describe()
         if self._globe.has_radii:
@@ -73,31 +73,31 @@ class TileHeights:
         return describe_as_is(self._globe.terrain.crs)
 
     def tolerance(self, zoom: int) -> float:
-        """Return how far a tile's mesh may be from the heights at its cells, in metres."""
+        """Return the largest distance of a tile's mesh from the heights at its cells, in metres."""
         of_range = (self._high - self._low) * UNIT / _RANGE_SHARE
         return min(self._scheme.geometric_error(zoom) / _TOLERANCE_SHARE, of_range)
 
     def edge_tolerance(self, zoom: int) -> float:
-        """Return how far a tile's mesh may be from the heights on its edges, in metres.
+        """Return the largest distance of a tile's mesh from the heights on its edges, in metres.
 
-        On the finest zoom also from the raster's samples within: by half of the file's bound, or by
-        what a tile can tell.
+        On the finest zoom also from the raster's samples inside: by half of the file's bound, or by
+        the resolution of a tile.
         """
         return min(self.tolerance(zoom), self.curvature_tolerance(zoom))
 
     def curvature_tolerance(self, zoom: int) -> float:
-        """Return how far edges may lie below the globe, in metres."""
+        """Return the largest distance of edges below the globe, in metres."""
         if not self._scheme.is_finest(zoom):
             return self._scheme.geometric_error(zoom) / _TOLERANCE_SHARE
         return max(self._globe.effective_error / 2, self.edge_step(zoom) * UNIT)
 
     def samples(self, zoom: int, x: int, y: int) -> TileSamples:
-        """Return a tile's heights, those of its edges the same in all tiles beside it."""
+        """Return a tile's heights; those of its edges are the same in all adjacent tiles."""
         lon, lat = self._scheme.places(zoom, x, y)
         shape = len(lat), len(lon)
         exists = np.repeat(np.isfinite(lat)[:, None], len(lon), axis=1)
         level = self._globe.level_for(self._scheme.cell_size(zoom))
-        # One height for each pole: all longitudes meet there.
+        # One height for each pole, where all longitudes meet.
         poles = np.flatnonzero(np.abs(lat) == _POLE)
         lats = np.where(np.isfinite(lat), lat, 0.0)
         rows, cols = self._globe.to_samples(np.tile(lon, len(lat)), np.repeat(lats, len(lon)))
@@ -119,7 +119,7 @@ class TileHeights:
     def _heights_at(
         self, rows: NDArray[np.float64], cols: NDArray[np.float64], level: int
     ) -> tuple[NDArray[np.float64], Window | None]:
-        """Return `Globe.heights_at`, above what tiles count from."""
+        """Return `Globe.heights_at`, above the tiles' reference surface."""
         heights, window = self._globe.heights_at(rows, cols, level)
         if self._ellipsoidal is not None:
             heights = self._globe.heights_on(self._ellipsoidal, rows, cols, heights)
@@ -135,7 +135,7 @@ class TileHeights:
     def edge_step(self, zoom: int) -> int:
         """Return the quantum of heights on edges, in units: a power of two.
 
-        Every tile of the zoom can tell them, whatever its lowest and highest height.
+        Every tile of the zoom can represent it, whatever its range of heights.
         """
         reach = self._high - self._low + 2 * math.ceil(self.tolerance(zoom) / UNIT) + 2
         needed = max(
@@ -146,7 +146,7 @@ class TileHeights:
     def samples_in_tile(
         self, window: Window, zoom: int, x: int, y: int
     ) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]:
-        """Return rows and columns in cells of the samples of a window in a tile; their heights."""
+        """Return rows, columns (in cells) and heights of the samples of a window in a tile."""
         (lon, lat), heights = self._globe.places_of(window, self._ellipsoidal)
         size = 180 / (1 << zoom)
         rows = ((y + 1) * size - 90 - lat) / size * self._scheme.cells

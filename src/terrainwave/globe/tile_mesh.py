@@ -1,7 +1,7 @@
-"""The mesh of a tile: made of its heights, counted in the steps of its file, and measured.
+"""Mesh of a tile: made of its heights, rounded to the steps of its file, and measured.
 
-On the finest zoom the raster's own samples are put into it where it is too far from them. Edges
-stay, so that tiles beside one another agree.
+On the finest zoom the raster's own samples are inserted where the mesh is too far from them. Edges
+do not change, so that adjacent tiles agree.
 """
 
 import math
@@ -28,7 +28,7 @@ _SMALLEST_STEP = 1.0 / (1 << FRACTION_BITS)
 
 
 class TileMesh(NamedTuple):
-    """A tile and what is known of it.
+    """A tile and its errors.
 
     Parameters
     ----------
@@ -37,10 +37,11 @@ class TileMesh(NamedTuple):
     n_vertices, n_triangles : int
     surface_error : float or None
         Metres. No sample of the level read, and no bilinear height at the tile's cells, is further
-        from the tile's surface; on the finest zoom no sample of the full grid. With what the globe
-        bends between vertices. None where no triangle has valid heights at all its corners.
+        from the tile's surface; on the finest zoom no sample of the full grid. It includes the
+        globe's curvature between vertices. None if no triangle has valid heights at all its
+        corners.
     error : float or None
-        The same, and what originals can be from the level's bilinear surface.
+        The same, plus the distance of originals from the level's bilinear surface.
     """
 
     data: bytes
@@ -59,7 +60,7 @@ class TileMesher:
         self._way = GlobeWay(Place(GEOGRAPHIC, 1.0, globe.ellipsoid, globe.body), 1.0)
 
     def _mesh(self, samples: TileSamples, zoom: int) -> BlockMesh:
-        """Return the mesh of a tile's heights, places in half cells from its north-west corner."""
+        """Return the mesh of a tile's heights, in half cells from its north-west corner."""
         inner = slice(1, -1)
         heights = np.ascontiguousarray(samples.heights[inner, inner])
         # Vertices stay on both sides of a void's edge, so that it is as steep as the cells allow.
@@ -70,14 +71,14 @@ class TileMesher:
         )
         spacing = self._scheme.lattice(zoom, self._heights.curvature_tolerance(zoom))
         locked[::spacing, ::spacing] = True
-        if samples.holes.any():  # no triangle reaches from a hole to what lies beyond the raster
+        if samples.holes.any():  # no triangle may connect a hole with the outside of the raster
             locked |= np.where(
                 samples.holes[inner, inner],
                 beside_void(samples.holes | ~samples.exists),
                 beside_void(~samples.holes | ~samples.exists),
             )
         tolerance = math.floor(self._heights.tolerance(zoom) / UNIT * (1 << FRACTION_BITS))
-        # Nothing is put into edges later.
+        # Nothing is inserted into edges later.
         at_edges = math.floor(self._heights.edge_tolerance(zoom) / UNIT * (1 << FRACTION_BITS))
         lines = border_lines(
             BlockSamples(heights, samples.valid[inner, inner], locked),
@@ -87,15 +88,14 @@ class TileMesher:
         everywhere = np.ones_like(locked)
         mesh = triangulate(heights, everywhere, locked, lines, tolerance)
         if (_areas(_rounded(mesh, self._scheme.cells)) <= 0).any():
-            # Rounding has turned a sliver over: then all cells.
+            # Rounding has turned a sliver over: use all cells.
             mesh = triangulate(heights, everywhere, everywhere, lines, tolerance)
         return mesh
 
     def tile(self, zoom: int, x: int, y: int) -> TileMesh:
-        """Return a tile."""
         samples = self._heights.samples(zoom, x, y)
         mesh = self._mesh(samples, zoom)
-        # A vertex of a merged cell stands for valid heights only, or for voids only.
+        # A vertex of a merged cell has only valid heights, or only voids.
         at = tuple(np.rint(values).astype(np.int64) >> 1 for values in (mesh.rows, mesh.cols))
         is_valid, is_hole = samples.valid[1:-1, 1:-1][at], samples.holes[1:-1, 1:-1][at]
         if is_hole.any():
@@ -145,9 +145,9 @@ class TileMesher:
         return TileMesh(data, len(points), len(triangles), surface_error, error)
 
     def _height_steps(self, mesh: BlockMesh, zoom: int) -> tuple[int, float]:
-        """Return the lowest height and the step that a tile counts in, in units.
+        """Return the lowest height and the step of a tile's heights, in units.
 
-        The step is the edges' or that halved as often as the tile's range, and float32, allow.
+        The step is the edges' one, halved as often as the tile's range and float32 allow.
         """
         edge_step = self._heights.edge_step(zoom)
         low = math.floor(int(mesh.heights.min()) / (edge_step << FRACTION_BITS)) * edge_step
@@ -164,8 +164,8 @@ class TileMesher:
     def _with_exact_heights(self, mesh: BlockMesh, samples: TileSamples) -> BlockMesh:
         """Return a mesh whose vertices inside the tile have the raster's bilinear heights.
 
-        Those of merged cells have others, which a coarse tolerance allows, and samples beside them
-        would stand out. Vertices beside voids stay.
+        Vertices of merged cells have other heights, within a coarse tolerance, and inserted samples
+        next to them would stand out. Vertices next to voids do not change.
         """
         last = 2 * self._scheme.cells
         rows, cols = (np.rint(values).astype(np.int64) for values in (mesh.rows, mesh.cols))
@@ -188,14 +188,14 @@ class TileMesher:
         heights: NDArray[np.float64],
         tolerance: float,
     ) -> BlockMesh:
-        """Return a mesh with the samples that it is further from than the tolerance, in metres.
+        """Insert the samples that are further from a mesh than the tolerance, in metres.
 
-        `places` are rows and columns in cells; vertices come behind the mesh's own.
+        `places` are rows and columns in cells; new vertices follow the mesh's own.
         """
         cells = self._scheme.cells
         scale, fine = STEPS / (2 * cells), 1 << FRACTION_BITS
         rounded = _rounded(mesh, cells)
-        # The places that a tile can tell; its v counts from the south.
+        # The positions that a tile can represent; its v counts from the south.
         own = np.rint(np.stack([rounded.cols, rounded.rows], axis=1) * scale).astype(np.int64)
         rows, cols = places
         points = np.stack([np.rint(cols * 2 * scale), STEPS - np.rint(STEPS - rows * 2 * scale)], 1)
@@ -246,7 +246,7 @@ class TileMesher:
 
 
 def _rounded(mesh: BlockMesh, cells: int) -> BlockMesh:
-    """Return a mesh at the places that a tile can tell."""
+    """Return a mesh rounded to positions that a tile can represent."""
     scale = STEPS / (2 * cells)
     rows = (STEPS - np.rint(STEPS - mesh.rows * scale)) / scale
     return mesh._replace(rows=rows, cols=np.rint(mesh.cols * scale) / scale)
@@ -260,20 +260,20 @@ def _areas(mesh: BlockMesh) -> NDArray[np.float64]:
 
 
 def _all_of(is_so: NDArray[np.bool_], triangles: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Say of which triangles all corners are so."""
+    """Return for which triangles all corners are true."""
     a, b, c = (is_so[triangles[:, corner]] for corner in range(3))
     found: NDArray[np.bool_] = a & b & c
     return found
 
 
 def _without(mesh: BlockMesh, is_hole: NDArray[np.bool_]) -> BlockMesh:
-    """Return a mesh without the triangles of holes; if none is left, with one of no size."""
+    """Return a mesh without the triangles of holes; if none is left, with one of zero size."""
     kept = mesh.triangles[_all_of(~is_hole, mesh.triangles)]
     return mesh._replace(triangles=kept if len(kept) else np.zeros((1, 3), dtype=np.int32))
 
 
 def _in_order_of_use(mesh: BlockMesh) -> tuple[BlockMesh, NDArray[np.int32]]:
-    """Return a mesh whose vertices come as triangles, turned over, first use them; their order."""
+    """Return a mesh with triangles turned over and vertices in order of first use; that order."""
     turned = mesh.triangles[:, ::-1]
     used, first, places = np.unique(turned.ravel(), return_index=True, return_inverse=True)
     order = np.argsort(first)

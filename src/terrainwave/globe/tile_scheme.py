@@ -1,4 +1,4 @@
-"""Which tiles there are of a globe, where they lie, and what errors Cesium takes them to have."""
+"""Tiles of a globe: which exist, where they lie, and Cesium's assumptions about their errors."""
 
 import math
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from terrainwave.globe.lonlat import Extent, Globe
 # Cells along a tile's side.
 CELLS = 128
 MAX_ZOOM = 24
-# Cesium takes the error of zoom 0 for a quarter of the spacing of 65 cells along a tile's edge.
+# Cesium assumes for zoom 0 an error of a quarter of the spacing of 65 cells along a tile's edge.
 _CESIUM_CELLS, _CESIUM_QUALITY = 65, 0.25
 
 
@@ -29,12 +29,11 @@ class TileRange:
     last_y: int
 
     def contains(self, x: int, y: int) -> bool:
-        """Say whether a tile is among them."""
+        """Return whether a tile is among them."""
         return self.first_x <= x <= self.last_x and self.first_y <= y <= self.last_y
 
     @property
     def n_tiles(self) -> int:
-        """Return how many they are."""
         return (self.last_x - self.first_x + 1) * (self.last_y - self.first_y + 1)
 
     def tiles(self) -> Iterator[tuple[int, int]]:
@@ -45,7 +44,7 @@ class TileRange:
 
 
 class TileScheme:
-    """Tiles of `cells` x `cells` cells on zoom 0, and on those from one to another asked for."""
+    """Tiles of `cells` x `cells` cells on zoom 0, and on a requested range of zooms."""
 
     def __init__(self, globe: Globe, cells: int, asked_zoom: int | None, min_zoom: int = 0) -> None:
         expected = "a power of two, 2 … 1024"
@@ -66,7 +65,6 @@ class TileScheme:
 
     @cached_property
     def max_zoom(self) -> int:
-        """Return the finest zoom there is."""
         finest = self._finest
         if self._asked is None:
             return finest
@@ -83,7 +81,7 @@ class TileScheme:
 
     @property
     def zooms(self) -> list[int]:
-        """Return the zooms that have tiles: Cesium needs those of zoom 0 to begin with."""
+        """Return the zooms that have tiles; Cesium always needs zoom 0."""
         return sorted({0, *range(self.min_zoom, self.max_zoom + 1)})
 
     @cached_property
@@ -95,11 +93,11 @@ class TileScheme:
         return zoom
 
     def is_finest(self, zoom: int) -> bool:
-        """Say whether a zoom is the one whose cells are no larger than the raster's pixels."""
+        """Return whether a zoom is the one whose cells are no larger than the raster's pixels."""
         return zoom == self._finest
 
     def geometric_error(self, zoom: int) -> float:
-        """Return the error in metres that Cesium takes a tile of this zoom to have.
+        """Return Cesium's assumed error of a tile of this zoom, in metres.
 
         ``a * 2π * 0.25 / (65 * 2)`` on zoom 0, half of it on each next one.
         """
@@ -107,7 +105,7 @@ class TileScheme:
         return around * _CESIUM_QUALITY / (_CESIUM_CELLS * 2) / (1 << zoom)
 
     def available(self, zoom: int) -> list[TileRange]:
-        """Return the tiles of a zoom that there are; on zoom 0 both, as Cesium needs them."""
+        """Return the existing tiles of a zoom; on zoom 0 both, as Cesium needs them."""
         if zoom == 0:
             return [TileRange(0, 0, 1, 0)]
         if not max(self.min_zoom, 1) <= zoom <= self.max_zoom:
@@ -129,11 +127,10 @@ class TileScheme:
         ]
 
     def n_tiles(self, zoom: int) -> int:
-        """Return the number of tiles of a zoom."""
         return sum(tiles.n_tiles for tiles in self.available(zoom))
 
     def availability(self, first: int) -> list[list[dict[str, int]]]:
-        """Return the tiles of each zoom from `first` on, as JSON tells them."""
+        """Return the tiles of each zoom from `first` on, as values for JSON."""
         return [
             [
                 {
@@ -148,9 +145,9 @@ class TileScheme:
         ]
 
     def places(self, zoom: int, x: int, y: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return longitudes and latitudes (NaN beyond a pole) of a tile's lines, one around.
+        """Return longitudes and latitudes (NaN beyond a pole) of a tile's lines, plus one around.
 
-        They follow from a line's number on the globe alone.
+        They depend only on a line's number on the globe.
         """
         n_lines = self.cells << zoom
         offsets = np.arange(-1, self.cells + 2)
@@ -165,7 +162,7 @@ class TileScheme:
         A merged cell holds none, so that it is at most one lattice cell by half of one and no edge
         is longer than one and a half of them in either direction: e = 1.5√2 * π/(m 2^zoom) radians
         on the globe for m of them along a tile. It lies R e²/8 below the globe, which may be
-        `error` in metres. A cell that is too large for it stays whole.
+        `error` in metres. A cell that is too large for it is not merged.
         """
         squared = 9 / 16 * math.pi**2 * self.globe.ellipsoid.axis / (4**zoom * error)
         needed = 1 << max(math.ceil(math.log2(max(squared, 1.0)) / 2), 0)
@@ -173,6 +170,6 @@ class TileScheme:
 
 
 def _tile_at(place: float, n_tiles: int, *, ends: bool = False) -> int:
-    """Return the tile at a place counted in tiles; on a border the next one, or the one before."""
+    """Return the tile at a position counted in tiles; on a border one of the two."""
     number = math.ceil(place - 1e-9) - 1 if ends else math.floor(place + 1e-9)
     return min(max(number, 0), n_tiles - 1)

@@ -1,12 +1,13 @@
-"""Where pixels and samples lie in the world: affine transforms as tuples (a, b, c, d, e, f).
+"""Affine transforms (a, b, c, d, e, f) of pixels and samples to world coordinates.
 
-x = a col + b row + c and y = d col + e row + f, as rasterio counts: whole rows and columns are the
+x = a col + b row + c and y = d col + e row + f, as in rasterio: whole rows and columns are the
 corners of pixels, and a sample lies in the middle of its pixel. Functions take numbers or arrays.
 
-Not by the package `affine`: its inverse rounds 1 / determinant and a shift far from the raster, so
-that most middles of pixels of 30 m come back 1e-11 beside a whole sample, where `sample` would look
-at a neighbour that may be void. Here the shift goes first and the determinant divides last; whole
-metres come back whole. (And its operators are `*` before version 3 and `@` from then on.)
+The package `affine` is not used: its inverse rounds 1 / determinant and a shift far from the
+raster, so that most middles of 30 m pixels come back 1e-11 off a whole sample, where `sample` would
+use a neighbour that may be void. Here the shift is subtracted first and the determinant divides
+last; whole metres come back whole. (And its operators are `*` before version 3 and `@` from then
+on.)
 """
 
 import math
@@ -21,18 +22,18 @@ Numbers = TypeVar("Numbers", float, NDArray[np.float64])
 
 
 class Footprint(NamedTuple):
-    """Place of a raster: its transform, and its rows and columns."""
+    """Area of a raster: its transform, and its rows and columns."""
 
     affine: Transform
     shape: tuple[int, int]
 
 
-# Of an array that nobody placed.
+# Transform of an array without georeference.
 IDENTITY: Transform = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 
 
 def determinant(transform: Transform) -> float:
-    """Return the area of a pixel: negative where rows go down, 0 where there is no inverse."""
+    """Return the area of a pixel: negative if rows go down, 0 if there is no inverse."""
     a, b, _, d, e, _ = transform
     return a * e - b * d
 
@@ -44,15 +45,15 @@ def pixel_size(transform: Transform) -> tuple[float, float]:
 
 
 def pixels_to_places(transform: Transform, rows: Numbers, cols: Numbers) -> tuple[Numbers, Numbers]:
-    """Return x and y of places counted in pixels from the corner of the first one."""
+    """Return x and y of positions counted in pixels from the corner of the first one."""
     a, b, c, d, e, f = transform
     return a * cols + b * rows + c, d * cols + e * rows + f
 
 
 def places_to_pixels(transform: Transform, x: Numbers, y: Numbers) -> tuple[Numbers, Numbers]:
-    """Return rows and columns of places; the determinant must not be 0.
+    """Return rows and columns of points; the determinant must not be 0.
 
-    Where numbers are extreme the result is NaN or infinite, and numpy warns.
+    For extreme numbers the result is NaN or infinite, and numpy warns.
     """
     a, b, c, d, e, f = transform
     area = determinant(transform)
@@ -74,7 +75,7 @@ def places_to_samples(transform: Transform, x: Numbers, y: Numbers) -> tuple[Num
 
 
 def without_shift(transform: Transform) -> Transform:
-    """Return a transform's linear part, for differences of places."""
+    """Return a transform's linear part, for differences of points."""
     a, b, _, d, e, _ = transform
     return a, b, 0.0, d, e, 0.0
 
@@ -89,7 +90,7 @@ def of_window(transform: Transform, row: float, col: float) -> Transform:
 def of_level(transform: Transform, stride: int, row: float = 0, col: float = 0) -> Transform:
     """Return the transform of a level that has every `stride`-th sample, from one of them on.
 
-    Samples stay where they are and pixels grow around them: the corner of the first one moves out.
+    Samples stay in place and pixels grow around them: the corner of the first one moves out.
     """
     return of_strides(transform, row * stride, col * stride, stride, stride)
 
@@ -97,7 +98,7 @@ def of_level(transform: Transform, stride: int, row: float = 0, col: float = 0) 
 def of_strides(
     transform: Transform, row: float, col: float, row_stride: int, col_stride: int
 ) -> Transform:
-    """Return the transform of every so many samples of a grid, from one of them on."""
+    """Return the transform of samples at strides on a grid, from one of them on."""
     a, b, c, d, e, f = of_window(transform, row + (1 - row_stride) / 2, col + (1 - col_stride) / 2)
     return a * col_stride, b * row_stride, c, d * col_stride, e * row_stride, f
 
@@ -107,7 +108,7 @@ def bounds(
 ) -> tuple[float, float, float, float]:
     """Return (left, bottom, right, top) of a grid's pixels.
 
-    With `inset` 0.5 of its samples, or of any place so many pixels inside the edge.
+    With `inset` 0.5, of its samples; generally of points `inset` pixels inside the edge.
     """
     corners = [
         pixels_to_places(transform, row, col)
@@ -118,26 +119,29 @@ def bounds(
     return min(xs), min(ys), max(xs), max(ys)
 
 
-# Coordinates of arrays: centres of pixels, one number per row and column or, turned, per sample.
+# Coordinates of arrays: centres of pixels, one number per row and column or, if rotated, per
+# sample.
 
-# Of a pixel: by so much samples of one grid may lie beside those of another.
+# Share of a pixel by which samples of one grid may differ from those of another.
 EVEN = 0.01
-# And coordinates beside their own: 64 Gaussian latitudes, which are no grid, lie 0.011 beside one.
+# The same for coordinates and their own grid: 64 Gaussian latitudes, which are not a grid, are off
+# by
+# 0.011.
 _STRAIGHT = 0.001
-# As their text or type may have rounded them: digits are looked at up to here, and float32 may be
-# coarser than a pixel allows, but not so much that neighbours could change places.
+# Rounding of coordinates by text or type: digits are considered up to here, and float32 may be
+# coarser than a pixel allows, but not so coarse that neighbours could change places.
 _DECIMALS = 10
 _COARSEST = 0.25
-# What the package `affine`, and so rioxarray, takes for 0 in a turned transform.
+# The package `affine`, and so rioxarray, takes smaller terms of a rotated transform for 0.
 _EPSILON = 1e-5
-# Rows that are looked at together.
+# Rows processed together.
 _ROWS = 256
-# Significant digits with which somebody may have written a pixel.
+# Significant digits of a pixel size written by a person.
 _DIGITS = range(16, 2, -1)
 
 
 class Fit(NamedTuple):
-    """A transform that coordinates follow, how far they lie beside it and may lie, in pixels."""
+    """A transform that coordinates follow, and their actual and allowed deviation, in pixels."""
 
     transform: Transform
     deviation: float
@@ -145,7 +149,7 @@ class Fit(NamedTuple):
 
     @property
     def is_even(self) -> bool:
-        """Say whether the coordinates lie on the grid; NaN does not."""
+        """Return whether the coordinates lie on the grid; NaN does not."""
         return self.deviation <= self.allowed
 
 
@@ -159,10 +163,10 @@ class Strides(NamedTuple):
 
 
 def coordinates(transform: Transform, rows: Numbers, cols: Numbers) -> tuple[Numbers, Numbers]:
-    """Return x and y of whole samples, to the last bit as rioxarray computes coordinates.
+    """Return x and y of whole samples, equal to rioxarray's coordinates to the last bit.
 
-    Libraries join arrays by equal coordinates, so that `samples_to_places`, which may differ by one
-    ulp, would lose samples. Here the shift to the middle of the first pixel comes first.
+    Libraries join arrays by equal coordinates: with `samples_to_places`, which may differ by one
+    ulp, they would lose samples. Here the shift to the middle of the first pixel comes first.
     """
     a, b, c, d, e, f = transform
     x, y = a * 0.5 + b * 0.5 + c, d * 0.5 + e * 0.5 + f
@@ -170,9 +174,9 @@ def coordinates(transform: Transform, rows: Numbers, cols: Numbers) -> tuple[Num
 
 
 def is_turned(transform: Transform, shape: tuple[int, int]) -> bool:
-    """Say whether rows and columns of a grid need coordinates of both x and y.
+    """Return whether rows and columns of a grid need coordinates of both x and y.
 
-    Not where all of a turn is within `EVEN`, as rounding makes it, and rioxarray sees none either.
+    False if the whole rotation is within `EVEN`, an effect of rounding, or rioxarray ignores it.
     """
     a, b, _, d, e, _ = transform
     if (b, d) == (0, 0):
@@ -185,7 +189,7 @@ def is_turned(transform: Transform, shape: tuple[int, int]) -> bool:
 def grid_of_axes(x: NDArray[np.generic], y: NDArray[np.generic]) -> tuple[Fit, Fit]:
     """Return the grid of columns at `x` and that of rows at `y`, each for its own axis.
 
-    A single coordinate has a pixel 0 wide.
+    A single coordinate has a pixel width of 0.
     """
     a, c, x_deviation, x_allowed = _even_axis(x)
     e, f, y_deviation, y_allowed = _even_axis(y)
@@ -194,7 +198,7 @@ def grid_of_axes(x: NDArray[np.generic], y: NDArray[np.generic]) -> tuple[Fit, F
 
 
 def _even_axis(centres: NDArray[np.generic]) -> tuple[float, float, float, float]:
-    """Return pixel, edge of the first, largest deviation from even ones, that allowed."""
+    """Return pixel, edge of the first, largest deviation from an even grid, allowed deviation."""
     numbers = centres.astype(np.float64)
     first, n_pixels = float(numbers[0]), numbers.size - 1
     is_finite = bool(np.isfinite(numbers).all())
@@ -209,7 +213,7 @@ def _even_axis(centres: NDArray[np.generic]) -> tuple[float, float, float, float
 
 
 def _allowed(centres: NDArray[np.generic], pixel: float) -> float:
-    """Return how far coordinates may lie beside their grid, in pixels: what rounding explains."""
+    """Return the deviation from a grid that rounding can explain, in pixels."""
     spacing = 0.0
     if centres.dtype.kind == "f":
         spacing = float(np.spacing(np.abs(centres).max()))
@@ -223,10 +227,10 @@ def _allowed(centres: NDArray[np.generic], pixel: float) -> float:
 
 
 def _written_axis(centres: NDArray[np.float64], pixel: float) -> tuple[float, float]:
-    """Return pixel and edge, such that `coordinates` gives the very numbers where one does.
+    """Return pixel and edge for which `coordinates` returns exactly these numbers, if possible.
 
-    A pixel of few digits that says the same is likelier than one that was computed by their ends,
-    and so is one part of a whole number: 1/3600.
+    A pixel size with few digits is preferred to one computed from the ends, and so is one part of a
+    whole number: 1/3600.
     """
     first, indices = float(centres[0]), np.arange(centres.size, dtype=np.float64)
     zeros = np.zeros_like(indices)
@@ -247,10 +251,10 @@ def _few_digits(number: float) -> list[float]:
 def grid_of_places(
     read: Callable[[int, int], tuple[NDArray[Any], NDArray[Any]]], shape: tuple[int, int]
 ) -> Fit:
-    """Return the grid that samples with an x and a y each follow.
+    """Return the grid of samples that have an x and a y each.
 
-    `read` gives both of some rows, from a first one on. A single row or column has no step in one
-    direction: no transform that could be turned back.
+    `read` returns both for some rows, from a first one on. A single row or column has no step in
+    one direction: the transform has no inverse.
     """
     n_rows, n_cols = shape
     top, bottom = read(0, 1), read(n_rows - 1, 1)
@@ -277,10 +281,10 @@ def grid_of_places(
 
 
 def strides_on(transform: Transform, shape: tuple[int, int], other: Transform) -> Strides | None:
-    """Return where all samples of a grid lie on the samples of another one; None if they don't.
+    """Return the strides of a grid's samples on another grid; None if they do not coincide.
 
-    Ends are compared, as a stride that is nearly whole goes astray over many. Where there is one
-    row or column only, its stride is 1.
+    Ends are compared, as a nearly whole stride deviates over many samples. A single row or column
+    has stride 1.
     """
     if determinant(other) == 0:
         return None

@@ -16,10 +16,10 @@ Number = TypeVar("Number", np.int32, np.float64)
 
 @dataclass
 class BlockStats:
-    """What is known of the originals under a block: their range, and the error of its heights.
+    """Statistics of a block: the range of the originals under it, and the error of its heights.
 
-    In quanta; an empty block (all void) has ``z_low > z_high``. `apart`, in 1/4 quanta, is how far
-    the next level is from the block's surface (`distance_of_children`), where that is asked for.
+    In quanta; an empty block (all void) has ``z_low > z_high``. `apart`, in 1/4 quanta, is the
+    distance of the next level from the block's surface (`distance_of_children`), if requested.
     `has_mesh`: its decoded samples have triangles.
     """
 
@@ -31,11 +31,11 @@ class BlockStats:
 
     @property
     def is_empty(self) -> bool:
-        """Say whether no valid sample lies under the block."""
+        """Return whether no valid sample lies under the block."""
         return self.z_low > self.z_high
 
     def merge(self, other: "BlockStats") -> None:
-        """Take in what was measured on another part of the block."""
+        """Merge statistics of another part of the block."""
         self.z_low = min(self.z_low, other.z_low)
         self.z_high = max(self.z_high, other.z_high)
         self.error = max(self.error, other.error)
@@ -80,7 +80,7 @@ def measure_block(
     originals, mask : ndarray, shape (n_rows, n_cols)
         Full-grid quanta and validity of a window whose first sample is (`row`, `col`).
     limits : tuple of int, optional
-        Between which the valid originals are, where that is known.
+        Range of the valid originals, if known.
 
     Returns
     -------
@@ -102,7 +102,7 @@ def measure_block(
     # Twice the span in the units of the surface must fit.
     dtype = np.int32 if span << 2 * shift + 1 < 1 << 31 else np.int64
     n_places = ((col + n_cols - 1 >> shift) - first_cells[1] + 1) * stride + 1
-    # Not empty: a row of the surface above the first one is worked out, and not used.
+    # Not empty: a row of the surface above the first one is computed, but not used.
     lines = np.zeros(_N_LINES * n_places, dtype=dtype)
     first = row - first_cells[0] * stride, col - first_cells[1] * stride
     scaled = _largest_deviation(
@@ -118,7 +118,7 @@ def measure_block(
     return int(-(-scaled // (stride * stride)))
 
 
-# Of lines that `_largest_deviation` works in: two to halve distances in, then `_UPPER` …
+# Rows of scratch lines in `_largest_deviation`: two for halving distances, then `_UPPER` …
 _UPPER, _RISE, _SURFACE, _N_LINES = 2, 3, 4, 5
 
 
@@ -178,7 +178,7 @@ def _largest_deviation(
 
 
 def distance_of_children(heights: Heights, finer: Heights, mask: Mask) -> int:
-    """Return how far samples of a block's children are from its bilinear surface: Err_Int.
+    """Return the largest distance of children's samples from a block's surface: Err_Int.
 
     E. Yusov, V. Turlapov 2010, §2.2.
 
@@ -187,8 +187,8 @@ def distance_of_children(heights: Heights, finer: Heights, mask: Mask) -> int:
     heights : ndarray of int32
         The block's samples in quanta.
     finer, mask : ndarray, shape (n_rows, n_cols)
-        Those of the next level, the first ones at the same place, and which are valid. Samples past
-        the block's last row or column inside the raster are left out.
+        Heights and validity on the next level; the first samples coincide. Samples past the block's
+        last row or column inside the raster are left out.
 
     Returns
     -------
@@ -212,7 +212,7 @@ def _twice_as_fine(values: NDArray[np.int64]) -> NDArray[np.int64]:
 def measure_samples(originals: Heights, mask: Mask, decoded: Heights, at: Region) -> BlockStats:
     """Return the range of valid originals and their largest distance from `decoded`.
 
-    Those of the region `at` of all three, which begin at sample (0, 0).
+    Uses the region `at` of all three, which begin at sample (0, 0).
     """
     low, high, error = _range_and_error(
         np.ascontiguousarray(originals),

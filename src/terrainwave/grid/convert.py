@@ -7,7 +7,7 @@ from terrainwave.coding.native_library import also_in_c
 
 _IN_C = "terrainwave.grid.convert_in_c"
 
-# Stands for a void in the input of `push`.
+# Marks a void in the input of `push`.
 UNKNOWN = -(1 << 31)
 _ONE = np.uint64(1)
 
@@ -65,7 +65,7 @@ def dequantize_floats(quanta, numerator, denominator, base, out):
 @also_in_c(_IN_C)
 @kernel
 def push(fine, first_row, first_col, lines, values, known):
-    """Average what is known of a level around each sample of the level above.
+    """Average the known samples of a level around each sample of the level above.
 
     Sample (i, j) of `values` lies on ``fine[2 i + first_row, 2 j + first_col]``; weights are
     (1, 2, 1) both ways, past the edge of `fine` those of its border. Samples of `fine` (int32) that
@@ -103,10 +103,10 @@ def push(fine, first_row, first_col, lines, values, known):
 @also_in_c(_IN_C)
 @kernel
 def pull(coarse, first_row, first_col, known, values):
-    """Give samples that are not `known` the mean of those around them on the level above, rounded.
+    """Fill samples that are not `known` with the rounded mean of those around, a level above.
 
-    `values` is in place. Its sample (i, j) lies on ``coarse[(i + first_row) / 2, (j + first_col) /
-    2]``, int32, or between samples, the last one counting twice where none follows.
+    `values` is changed in place. Its sample (i, j) lies on ``coarse[(i + first_row) / 2, (j +
+    first_col) / 2]``, int32, or between samples, the last one counting twice if none follows.
     """
     last_row, last_col = np.uint64(coarse.shape[0] - 1), np.uint64(coarse.shape[1] - 1)
     for i in range(values.shape[0]):

@@ -1,4 +1,4 @@
-"""Threads that work side by side."""
+"""Pool of threads in which the calling thread works as well."""
 
 import threading
 from collections.abc import Callable, Iterable, Iterator
@@ -13,15 +13,15 @@ Result = TypeVar("Result")
 
 
 class Crew(ThreadPoolExecutor):
-    """Threads that work side by side; the one that asks them to is one of them.
+    """Pool of threads; the thread that submits work takes part in it.
 
-    What it does itself needs no hand-over, which costs more than many a task. With one thread no
-    other is started.
+    Its own work needs no hand-over, which costs more than many a task. With one thread no other is
+    started.
 
     Parameters
     ----------
     n_threads : int
-        How many work at a time; >= 1.
+        Number of threads that work at a time; >= 1.
     """
 
     def __init__(self, n_threads: int) -> None:
@@ -30,16 +30,16 @@ class Crew(ThreadPoolExecutor):
         self._begun: dict[Future[Any], Callable[..., Any]] = {}
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Do as `Executor.submit`."""
         future = super().submit(fn, *args, **kwargs)
         self._begun[future] = fn
         future.add_done_callback(lambda ended: self._begun.pop(ended, None))
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Do as `Executor.shutdown`; what this thread has not taken of `map` is not done.
+        """Do as `Executor.shutdown`; pending tasks of `map` are dropped.
 
-        After an error nobody takes it, but the traceback keeps the iterator, with tasks for hours.
+        After an error nobody takes them, but the traceback keeps the iterator, with tasks for
+        hours.
         """
         for work in list(self._begun.values()):
             turns = getattr(work, "__self__", None)
@@ -53,7 +53,7 @@ class Crew(ThreadPoolExecutor):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Wait for the threads, even if Ctrl-C interrupts that: they read what is closed next."""
+        """Wait for the threads, even after Ctrl-C: they still read objects about to close."""
         interruption: BaseException | None = None
         is_ended = False
         while not is_ended:
@@ -74,9 +74,9 @@ class Crew(ThreadPoolExecutor):
         timeout: float | None = None,
         chunksize: int = 1,  # noqa: ARG002  of pools of processes
     ) -> Iterator[Result]:
-        """Do as `Executor.map`; what waits for a result works meanwhile. There is no `timeout`.
+        """Do as `Executor.map`; the caller works while it waits for a result. No `timeout`.
 
-        One thread does nothing until it is asked for the first result.
+        A single thread does nothing until the first result is requested.
         """
         if timeout is not None:
             raise ValueError(f"found `timeout` {timeout}, expected None")
@@ -86,10 +86,10 @@ class Crew(ThreadPoolExecutor):
         return turns.results()
 
     def grow(self, work: Callable[[T], Iterable[T]], things: Iterable[T]) -> None:
-        """Call `work` with things and with those that it returns, until there are none.
+        """Call `work` with things and with all things that it returns.
 
-        The newest first: few wait at a time. The first error is raised when all threads have
-        ended what they were at.
+        The newest first, so only few wait at a time. The first error is raised when all threads
+        have finished their current work.
         """
         growth = _Growth(work, list(things))
         others = [self.submit(growth.take_all) for _ in range(self.n_threads - 1)]
@@ -99,7 +99,7 @@ class Crew(ThreadPoolExecutor):
             growth.stop()
             raise
         finally:
-            # Not for those that have not begun: they may be behind the work of another caller.
+            # Pending ones are not waited for: they may be queued behind another caller's work.
             begun = [other for other in others if not other.cancel()]
             wait(begun)
         for other in begun:
@@ -123,7 +123,7 @@ class _Turns(Generic[Result]):
             pass
 
     def results(self) -> Iterator[Result]:
-        """Yield results in order; do tasks while the next one is not there."""
+        """Yield results in order; do tasks while the next one is pending."""
         try:
             for index in range(len(self.tasks)):
                 while index not in self._found and self._take_one():
@@ -151,20 +151,20 @@ class _Turns(Generic[Result]):
             result = self._function(*self.tasks[index])
         except BaseException as raised:  # noqa: BLE001  raised where its result is awaited
             error = raised
-            self.stop()  # of those before it, each is taken
+            self.stop()  # all earlier ones are taken
         with self._changed:
             self._found[index] = result, error
             self._changed.notify_all()
         return True
 
     def stop(self) -> None:
-        """Let threads end after what they are at."""
+        """Let threads end after their current task."""
         with self._changed:
             self._next = len(self.tasks)
 
 
 class _Growth(Generic[T]):
-    """Things that wait for a thread, newest last, and how many threads may add to them."""
+    """Things that wait for a thread, newest last, and the number of threads that may add some."""
 
     def __init__(self, work: Callable[[T], Iterable[T]], things: list[T]) -> None:
         self._work = work
@@ -174,7 +174,7 @@ class _Growth(Generic[T]):
         self._changed = threading.Condition()
 
     def take_all(self) -> None:
-        """Work until nothing waits, and nothing more can come."""
+        """Work until nothing waits, and nothing more can be added."""
         while True:
             interrupts.check()
             with self._changed:
@@ -198,7 +198,7 @@ class _Growth(Generic[T]):
                     self._changed.notify_all()
 
     def stop(self) -> None:
-        """Let threads end after what they are at."""
+        """Let threads end after their current task."""
         with self._changed:
             self._is_stopped = True
             self._waiting.clear()

@@ -1,33 +1,33 @@
-"""The bound of heights on no vertical grid, where none is named: it follows from unit and range."""
+"""Default bound of heights without a vertical grid, derived from unit and range."""
 
 from fractions import Fraction
 from typing import NamedTuple
 
 from terrainwave.grid.quantum import as_fraction
 
-# Metres; where no unit is named, of whatever the heights are in.
+# Metres; or the heights' own unit if that is unknown.
 _USUAL = Fraction(1, 100)
-# Of the range of the heights: what is taken where the usual bound has no meaning, and the most that
-# the usual one may be of heights in a unit of length.
+# Shares of the range of heights: the bound if the usual one has no meaning, and the upper limit of
+# the usual one for heights in a unit of length.
 _SHARE, _MOST = Fraction(1, 10_000), Fraction(1, 100)
 
 
 class DefaultBound(NamedTuple):
-    """A bound in physical units, and in words why it is this one."""
+    """A bound in physical units, and the reason for it."""
 
     error: Fraction
     reason: str
 
 
 def default_bound(span: Fraction, unit: str | None, length: float | None) -> DefaultBound:
-    """Return the bound of heights that lie on no vertical grid; 0 if all are the same.
+    """Return the bound of heights without a vertical grid; 0 if all are equal.
 
     Parameters
     ----------
     span : Fraction
         Highest less lowest height, in physical units.
     unit : str, optional
-        What they are in, where that is known.
+        Their unit, if known.
     length : float, optional
         Metres of the unit, if it is one of length.
     """

@@ -1,8 +1,8 @@
-"""A digest of a raster's heights that does not depend on how the raster is read.
+"""Digest of a raster's heights that does not depend on the order of reading.
 
-Each valid sample gives 64 bits that depend on its place and on the bits of its height; the digest
-is their sum modulo 2^64. A sum has no order: windows of any shape, threads and machines give the
-same. It finds changes, not forgeries.
+Each valid sample gives 64 bits that depend on its position and on the bits of its height; the
+digest is their sum modulo 2^64. Windows of any shape, threads and machines give the same sum. It
+detects changes, not forgeries.
 
 The mixing function is the finaliser of splitmix64 (Steele, Lea & Flood 2014).
 """
@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 _PLACE, _FIRST, _SECOND = (
     np.uint64(number) for number in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
 )
-# Samples at a time: what is computed from them stays in the processor's cache.
+# Samples at a time, so that intermediate values stay in the processor's cache.
 _CHUNK = 1 << 14
 _MASK = (1 << 64) - 1
 
 
 class HeightDigest:
-    """The sum over all windows seen so far; call `update` with every sample once.
+    """Sum over all windows so far; call `update` with every sample once.
 
     Parameters
     ----------
@@ -36,12 +36,12 @@ class HeightDigest:
     def update(
         self, raw: NDArray[np.generic], valid: NDArray[np.bool_], row: int, col: int
     ) -> None:
-        """Take in the window whose first sample is at (row, col)."""
+        """Add the window whose first sample is at (row, col)."""
         bits = np.ascontiguousarray(raw).view(f"u{raw.dtype.itemsize}")
         n_rows, n_cols = raw.shape
         width = min(n_cols, _CHUNK)
         height = max(_CHUNK // max(width, 1), 1)
-        # Where a place would not fit 64 bits there are more than 2^50 samples, which no file holds.
+        # A position beyond 64 bits would need more than 2^50 samples, which no file holds.
         for top in range(0, n_rows, height):
             for left in range(0, n_cols, width):
                 part = np.s_[top : top + height, left : left + width]
@@ -49,11 +49,11 @@ class HeightDigest:
         self._sum &= _MASK
 
     def merge(self, other: "HeightDigest") -> None:
-        """Take in what another digest has seen of the same raster."""
+        """Add another digest of the same raster."""
         self._sum = (self._sum + other._sum) & _MASK
 
     def take(self, text: str) -> None:
-        """Go on from a digest of windows that are not to be seen again."""
+        """Continue from a digest of windows that will not be added again."""
         self._sum = int(text, 16)
 
     @property
@@ -63,10 +63,10 @@ class HeightDigest:
 
 
 def _sum_of(bits: NDArray[Any], valid: NDArray[np.bool_], row: int, col: int, n_cols: int) -> int:
-    """Return the sum of what the valid samples of a part give; below 2^64 times their number."""
+    """Return the sum over the valid samples of a part; below 2^64 times their number."""
     rows = np.arange(row, row + bits.shape[0], dtype=np.uint64) * np.uint64(n_cols)
     mixed = rows[:, np.newaxis] + np.arange(col + 1, col + 1 + bits.shape[1], dtype=np.uint64)
-    # Mixed before and after the height: no two samples can stand for each other.
+    # Mixed before and after the height, so that no two samples are interchangeable.
     mixed *= _PLACE
     _mix(mixed)
     mixed ^= bits

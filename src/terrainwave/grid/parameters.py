@@ -1,4 +1,4 @@
-"""What all coded units of a file have in common (FORMAT.md §2.4)."""
+"""Parameters shared by all coded units of a file (FORMAT.md §2.4)."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -8,7 +8,7 @@ from terrainwave.grid.quantum import Quantizer
 
 @dataclass(frozen=True)
 class CodecParameters:
-    """What all units of a file have in common."""
+    """Parameters shared by all units of a file."""
 
     step: int
     z_min: int
@@ -16,13 +16,13 @@ class CodecParameters:
     forbidden: tuple[int, int]
     rings: int
     effort: int
-    # Bytes per sample of remainders, which make heights exact beyond their quanta; 0 without.
+    # Bytes per sample of remainders, which make heights exact beyond their quanta; else 0.
     remainder_bytes: int = 0
-    # Whether the file follows its method's paper (FORMAT.md §7.9).
+    # True if the file follows its method's paper (FORMAT.md §7.9).
     is_faithful: bool = False
-    # Whether samples may be void (FORMAT.md §5.2).
+    # True if samples may be void (FORMAT.md §5.2).
     has_voids: bool = True
-    # Whether payloads may put heights back in the loop (FORMAT.md §5.4).
+    # True if payloads may have corrections (FORMAT.md §5.4).
     has_corrections: bool = False
 
     @property
@@ -42,7 +42,7 @@ class CodecParameters:
         has_voids: bool = True,
         has_corrections: bool = False,
     ) -> Self:
-        """Return the parameters of heights with a nodata value, in raw units, if there is one."""
+        """Return the parameters of heights with a nodata value, in raw units, if any."""
         return cls(
             step=quantizer.step,
             z_min=quantizer.z_min,

@@ -32,14 +32,14 @@ class Region(NamedTuple):
         return slice(row, row + self.n_rows), slice(col, col + self.n_cols)
 
     def intersect(self, other: "Region") -> "Region":
-        """Return the common part; empty (zero rows or columns) if there is none."""
+        """Return the common part; empty (zero rows or columns) if disjoint."""
         row, col = max(self.row, other.row), max(self.col, other.col)
         n_rows = min(self.row + self.n_rows, other.row + other.n_rows) - row
         n_cols = min(self.col + self.n_cols, other.col + other.n_cols) - col
         return Region(row, col, max(n_rows, 0), max(n_cols, 0))
 
     def tiles(self, n_rows: int, n_cols: int, *, is_aligned: bool = False) -> Iterator["Region"]:
-        """Yield the parts of this region, row by row, of so many rows and columns at most.
+        """Yield the parts of this region, row by row, of at most `n_rows` x `n_cols` samples.
 
         They begin at its corner or, aligned, at the multiples of their size: then the first ones
         may be smaller, too.
@@ -67,7 +67,7 @@ class Block(NamedTuple):
 
     @property
     def is_root_key(self) -> bool:
-        """Say whether this is the key of a root block: its position on `ROOT_LEVEL`."""
+        """Return whether this is the key of a root block: its position on `ROOT_LEVEL`."""
         return self.level == ROOT_LEVEL
 
 
@@ -89,7 +89,7 @@ class Grid:
     """The quadtree over an ``n_rows x n_cols`` raster cut into blocks of `block` cells.
 
     `k_max` is the smallest number of refinements for which the longer side of level 0 has at most
-    one block, so that there is one root block.
+    one block, which makes one root block.
     """
 
     n_rows: int
@@ -122,14 +122,14 @@ class Grid:
         return max(1, -(-_ceil_shift(cells, shift) // self.block))
 
     def contains(self, block: Block) -> bool:
-        """Say whether the quadtree has this block."""
+        """Return whether the quadtree has this block."""
         if not 0 <= block.level <= self.k_max:
             return False
         rows, cols = self.level_blocks(block.level)
         return 0 <= block.row < rows and 0 <= block.col < cols
 
     def is_inside(self, block: Block) -> bool:
-        """Say whether a block has neighbours on all sides."""
+        """Return whether a block has neighbours on all sides."""
         around = (Block(block.level, block.row + by, block.col + by) for by in (-1, 1))
         return all(map(self.contains, around))
 

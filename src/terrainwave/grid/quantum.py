@@ -2,8 +2,8 @@
 
 A raw height (as stored in the raster, before scale and offset) is ``(base + k) * p`` with an int32
 number of quanta ``k``. On a *true grid* every sample is such a multiple exactly; otherwise p is a
-power of two well below the bound and rounding to it is charged to the bound as `rho`. A bound that
-leaves no room for that is kept by remainders, which make every height exact (`grid.remainders`).
+power of two well below the bound and rounding to it is charged to the bound as `rho`. A bound too
+small for that needs remainders, which make every height exact (`grid.remainders`).
 """
 
 import math
@@ -24,15 +24,15 @@ from terrainwave.grid.steps import FixedSteps
 from terrainwave.names import methods_that
 
 MAX_QUANTA = 1 << 30
-# A base below and a quantum fit 32 bits together.
+# A smaller base plus a quantum fits 32 bits.
 _LARGE = 1 << 29
 # An exact quotient needs numerators below 2^53 (the float64 significand).
 _MAX_NUMERATOR = 1 << 53
 # Rounding to p = 2^-FINE_BITS * bound costs less than 0.01 bit per sample; COARSE_BITS is the
-# least that is accepted.
+# minimum.
 _FINE_BITS, _COARSE_BITS = 9, 5
-# Quanta above remainders, in spacings: finer ones make `rapid` code noise, which costs it a third
-# on rough ground; 16 and 256 differ by some per cent either way.
+# Quanta with remainders, in spacings: finer ones make `rapid` code noise, at a cost of a third on
+# rough ground; 16 and 256 differ by some per cent either way.
 _REMAINDER_SPACINGS = 16
 # Keep (|base| + 2^31) * p below 2^63, and both parts of p in their fields (FORMAT.md §4.1).
 _MAX_HEIGHT = 1 << 59
@@ -50,7 +50,7 @@ GRID_CANDIDATES = tuple(
 
 
 def as_fraction(value: float) -> Fraction:
-    """Return the decimal number a person would read in `value`: 0.1 gives 1/10."""
+    """Return the decimal number that a person reads in `value`: 0.1 gives 1/10."""
     return Fraction(repr(float(value)))
 
 
@@ -69,11 +69,11 @@ class Quantizer:
     step : int
         Odd quantiser width n, in quanta; decoded heights lie within ``(step - 1) / 2`` quanta.
     rho : float
-        What rounding to the grid and to `dtype` may add, in raw units; 0 on a true grid.
+        Largest error of rounding to the grid and to `dtype`, in raw units; 0 on a true grid.
     z_min, z_max : int
         Smallest and largest quantum of the valid samples.
     remainder_bytes : int
-        Bytes of a sample where remainders make heights of the full grid exact, else 0.
+        Bytes per sample of remainders that make heights of the full grid exact, else 0.
     """
 
     dtype: str
@@ -93,23 +93,23 @@ class Quantizer:
 
     @property
     def effective_error(self) -> float:
-        """Return the bound that holds, in raw units; 0 where remainders make heights exact."""
+        """Return the effective bound, in raw units; 0 if remainders make heights exact."""
         return 0.0 if self.remainder_bytes else self.quanta_error
 
     @property
     def quanta_error(self) -> float:
-        """Return how far heights are from the originals by their quanta alone, in raw units.
+        """Return the largest distance of quantised heights from the originals, in raw units.
 
-        ``(step - 1) / 2 * p + rho``: meshes and coarse levels know of no remainders.
+        ``(step - 1) / 2 * p + rho``: meshes and coarse levels do not use remainders.
         """
         return float((self.step >> 1) * Fraction(self.numerator, self.denominator)) + self.rho
 
     @property
     def float_error(self) -> float:
-        """Return how much further apart stored floats may be than the heights that they name.
+        """Return how much further stored floats may differ than the heights they represent.
 
-        In raw units. Two floats are each at most half a spacing from their multiples of p; 0 where
-        every multiple is a float itself, and off the grid, where `rho` has it.
+        In raw units. Two floats are each at most half a spacing from their multiples of p; 0 if
+        every multiple is a float itself, and off the grid, where `rho` includes it.
         """
         if np.dtype(self.dtype).kind != "f" or self.rho > 0:
             return 0.0
@@ -119,10 +119,10 @@ class Quantizer:
         return float(_float_error(Fraction(self.numerator, self.denominator), spacing))
 
     def is_strict(self, bound: float, error: float | None = None) -> bool:
-        """Say whether stored values themselves are within a bound, in raw units.
+        """Return whether stored values themselves are within a bound, in raw units.
 
-        ``abs(decoded - original) <= bound``, exactly and as numpy computes it in `dtype`, where the
-        heights that they name are within `error`, by default `effective_error`.
+        ``abs(decoded - original) <= bound``, exactly and as numpy computes it in `dtype`, if the
+        heights they represent are within `error`, by default `effective_error`.
         """
         error = self.effective_error if error is None else error
         limit = _rounded_down(as_fraction(bound), self.dtype)
@@ -141,13 +141,13 @@ class Quantizer:
         # Integers too far apart for their own grid are rounded to a coarser one, as floats are.
         is_whole = np.dtype(self.dtype).kind in "iu" and self.rho == 0
         if is_whole and self.numerator == 1 and raw.dtype.itemsize < 8:
-            # No kernel has to be compiled for this.
+            # Needs no compiled kernel.
             wide = np.int32 if raw.dtype.itemsize < 4 and abs(self.base) < _LARGE else np.int64
             np.subtract(raw, self.base, out=quanta, dtype=wide, casting="unsafe")
             if not valid.all():
                 quanta *= valid
             return quanta
-        # Kernels are compiled for arrays without gaps alone.
+        # Kernels are compiled only for contiguous arrays.
         raw, valid = np.ascontiguousarray(raw), np.ascontiguousarray(valid)
         if is_whole:
             convert.quantize_integers(raw, valid, self.numerator, self.base, quanta)
@@ -160,19 +160,19 @@ class Quantizer:
     ) -> NDArray[np.generic]:
         """Return the raw heights of `quanta` in `dtype`, clipped to its range; in `out` if given.
 
-        What lies outside of `z_min` … `z_max`, as voids may, can come out as any height.
-        Integers are exact; floats are the correctly rounded float64 quotient, cast. Both are the
-        same on every machine.
+        Quanta outside of `z_min` … `z_max`, as in voids, give undefined heights. Integers are
+        exact; floats are the correctly rounded float64 quotient, cast. Both are the same on every
+        machine.
         """
-        # Imported here: what reads only a header needs no numba.
+        # Imported here, because reading a header needs no numba.
         from terrainwave.grid import convert
 
         if out is None:
             out = np.empty(quanta.shape, dtype=self.dtype)
         if out.dtype.kind in "iu":
-            if self._only_shifts:
-                # No kernel has to be compiled for this. In one step, as threads whose units meet
-                # fill the samples of the border that both have: each time with the same.
+            if self.shift is not None:
+                # Needs no compiled kernel. In one step, as threads whose units meet fill the
+                # samples of their common border: each time with the same values.
                 if self.base:
                     np.add(quanta, self.base, out=out, casting="unsafe")
                 else:
@@ -187,22 +187,25 @@ class Quantizer:
         return out
 
     @cached_property
-    def _only_shifts(self) -> bool:
-        """Say whether whole heights are quanta plus `base`, and none is beyond the dtype."""
+    def shift(self) -> int | None:
+        """Return the difference of whole heights and quanta, if none is beyond the dtype."""
+        if np.dtype(self.dtype).kind not in "iu":
+            return None
         limits = np.iinfo(np.dtype(self.dtype))
         heights = self.z_min + self.base, self.z_max + self.base
         is_usual = self.numerator == self.denominator == 1 and abs(self.base) < _LARGE
-        return is_usual and limits.min <= heights[0] and heights[1] <= limits.max
+        fits = limits.min <= heights[0] and heights[1] <= limits.max
+        return self.base if is_usual and fits else None
 
     def quanta_of_value(self, value: float | int | None) -> tuple[int, int]:
-        """Return the closed interval of quanta that give `value`; (0, -1) if there is none."""
+        """Return the closed interval of quanta that give `value`; (0, -1) if it is empty."""
         if value is None or not math.isfinite(value):
             return 0, -1
-        if np.dtype(self.dtype).kind == "f":  # nodata 0.1 of float32's means the one nearest to it
+        if np.dtype(self.dtype).kind == "f":  # nodata 0.1 of float32 means the nearest float32
             with np.errstate(over="ignore", under="ignore"):
                 value = float(np.dtype(self.dtype).type(value))
-        # Heights grow with quanta. A search, as an untrusted header may make all of 2^30 quanta
-        # give one value.
+        # Heights grow with quanta. A binary search, as an untrusted header may map all of 2^30
+        # quanta to one value.
         quanta = range(self.z_min, self.z_max + 1)
         first = bisect_left(quanta, value, key=self.height_of)
         end = bisect_right(quanta, value, lo=first, key=self.height_of)
@@ -220,15 +223,16 @@ class Quantizer:
         return min(max(product, int(limits.min)), int(limits.max))
 
 
-# Integers whose common divisor is found at a time: of most rasters it is 1 after the first.
+# Integers whose common divisor is computed at a time: for most rasters it is 1 after the first
+# chunk.
 _GCD_CHUNK = 4096
 
 
 class HeightScan:
-    """Range, validity and vertical quantum of a raster, gathered window by window.
+    """Range, validity and vertical quantum of a raster, collected window by window.
 
-    Call `update` with every window once, then `quantizer`. With `steps` the heights are to be
-    rounded to these, if all of them can be. A `digest` is updated with it.
+    Call `update` with every window once, then `quantizer`. With `steps` heights will be rounded to
+    these, if all of them can be. A `digest` is updated with it.
     """
 
     def __init__(
@@ -247,13 +251,13 @@ class HeightScan:
 
     @property
     def has_voids(self) -> bool:
-        """Say whether any sample seen so far is not valid."""
+        """Return whether any sample so far is void."""
         return self.n_valid < self.n_samples
 
     def update(
         self, raw: NDArray[np.generic], valid: NDArray[np.bool_], row: int = 0, col: int = 0
     ) -> None:
-        """Take one window into account; only the digest asks where it lies."""
+        """Add one window; only the digest needs its position."""
         self.n_samples += raw.size
         if self.digest is not None:
             self.digest.update(raw, valid, row, col)
@@ -277,7 +281,7 @@ class HeightScan:
             self.steps = None
 
     def update_even(self, value: np.generic, n_samples: int, *, is_valid: bool) -> None:
-        """Take in samples of one value; a digest, which asks where valid ones lie, does not."""
+        """Add samples of one value, except to a digest, which needs the positions of valid ones."""
         if self.digest is not None and is_valid:
             raise ValueError("a digest needs every valid sample at its place")
         self.update(np.full((1, 1), value, dtype=self.dtype), np.full((1, 1), is_valid))
@@ -285,7 +289,7 @@ class HeightScan:
         self.n_valid += (n_samples - 1) * is_valid
 
     def merge(self, other: "HeightScan") -> None:
-        """Take in what another scan has seen of the same raster."""
+        """Merge another scan of the same raster."""
         self.n_samples += other.n_samples
         if self.digest is not None and other.digest is not None:
             self.digest.merge(other.digest)
@@ -303,7 +307,7 @@ class HeightScan:
         Raises
         ------
         InvalidHeightsError
-            If the type of the raster has no such heights.
+            If the type of the raster cannot hold them.
         """
         wide = copy(self)
         if not self.n_valid:
@@ -324,7 +328,7 @@ class HeightScan:
         return wide
 
     def to_state(self) -> dict[str, Any]:
-        """Return what has been seen, as plain values for JSON."""
+        """Return the state of the scan, as plain values for JSON."""
         return {
             "counts": [self.n_samples, self.n_valid, self._gcd],
             "range": [self.minimum, self.maximum],
@@ -335,7 +339,7 @@ class HeightScan:
         }
 
     def take_state(self, state: dict[str, Any]) -> None:
-        """Go on from what `to_state` has returned of a scan of the same raster."""
+        """Continue from the `to_state` of a scan of the same raster."""
         self.n_samples, self.n_valid, self._gcd = state["counts"]
         self.minimum, self.maximum = state["range"]
         self._candidates = [Fraction(*p) for p in state["candidates"]]
@@ -348,7 +352,7 @@ class HeightScan:
         wide = heights.astype(np.float64)
         passed: list[Fraction] = []
         for p in self._candidates:
-            # A multiple of p that holds implies p: both name the same rational numbers.
+            # A multiple of p that holds implies p: both mean the same rational numbers.
             if any((q / p).denominator == 1 for q in passed) or _on_grid(heights, wide, p):
                 passed.append(p)
         self._candidates = passed
@@ -378,14 +382,14 @@ class HeightScan:
     ) -> Quantizer:
         """Choose p, base and step for a bound in raw units.
 
-        `is_strict`: it is to hold for the floats that are stored (`Quantizer.is_strict`), not for
-        the multiples of p that they name.
+        `is_strict`: the bound applies to the stored floats (`Quantizer.is_strict`), not to the
+        multiples of p that they represent.
 
         Raises
         ------
         InvalidHeightsError
-            If the bound cannot be kept without remainders: 0 without a true grid, or below what the
-            range of the heights leaves to 30 bits. The message names the smallest possible bound.
+            If the bound needs remainders: 0 without a true grid, or too small for the range of the
+            heights in 30 bits. The message gives the smallest possible bound.
         """
         if self.n_valid == 0:
             return Quantizer(self.dtype, 1, 1, 0, 1, 0.0, 0, 0)
@@ -437,7 +441,7 @@ class HeightScan:
                 f" losslessly or this exactly: found `max_error` {float(max_error):g}, expected at"
                 f" least {rounded_up(smallest)} (raw units), or method {fit}, which can"
             )
-        # A bound beyond the range buys nothing, and heights must be exact in float64 before they
+        # A bound beyond the range has no benefit, and heights must be exact in float64 before they
         # are rounded to the output's type.
         p = _power_of_two_above(min(max_error, max(self.span, smallest))) / (1 << _FINE_BITS)
         p = max(min(p, _COARSEST_QUANTUM), finest, _power_of_two_above(largest / _MAX_NUMERATOR))
@@ -445,7 +449,7 @@ class HeightScan:
 
     @property
     def span(self) -> Fraction:
-        """Return highest less lowest height, in raw units; 0 where none is valid."""
+        """Return highest less lowest height, in raw units; 0 if none is valid."""
         if not self.n_valid:
             return Fraction(0)
         return as_fraction(self.maximum) - as_fraction(self.minimum)
@@ -455,13 +459,13 @@ class HeightScan:
         return max(_power_of_two_above(self.span / (MAX_QUANTA - 2)), _FINEST_QUANTUM)
 
     def least_bound(self) -> Fraction:
-        """Return the smallest bound of heights on no grid without remainders, in raw units."""
+        """Return the smallest bound without a grid and without remainders, in raw units."""
         return max(self._finest() * (1 << _COARSE_BITS), 2 * as_fraction(self._output_ulp()))
 
     def _exact(self, finest: Fraction, half_ulp: Fraction) -> Quantizer:
         """Return a quantizer with remainders: quanta are some spacings of the largest float32.
 
-        Of a float64 too, so that those which were float32's leave remainders of few bits.
+        Of a float64 too, so that values that came from float32 have remainders of few bits.
         """
         spacing = as_fraction(np.spacing(np.float32(float(self._largest()))))
         p = max(_power_of_two_above(spacing) * _REMAINDER_SPACINGS, finest)
@@ -469,11 +473,11 @@ class HeightScan:
         return replace(quantizer, remainder_bytes=np.dtype(self.dtype).itemsize)
 
     def _with_quantum(self, p: Fraction, max_error: Fraction, rho: Fraction) -> Quantizer:
-        # Exact, not as a person would read them: the last bit may tell which step is the nearest.
+        # Exact, not as a person reads them: the last bit may decide which step is the nearest.
         number = as_fraction if self.steps is None else Fraction
         low, high = (round(number(end) / p) for end in (self.minimum, self.maximum))
         base = low + (high - low) // 2
-        # A bound beyond the range buys nothing; the cap keeps the step within its field.
+        # A bound beyond the range has no benefit; the cap keeps the step within its field.
         half = max(min(math.floor((max_error - rho) / p), high - low), 0)
         return Quantizer(
             self.dtype,
@@ -488,12 +492,11 @@ class HeightScan:
 
 
 def _spacing(dtype: str, largest: float) -> float:
-    """Return the spacing of floats at a height."""
     return float(np.spacing(np.dtype(dtype).type(largest)))
 
 
 def _float_error(p: Fraction, spacing: float) -> Fraction:
-    """Return how much further apart than multiples of p the floats nearest to them may be."""
+    """Return how much further the nearest floats may differ than multiples of p."""
     exact = as_fraction(spacing)
     if _is_binary(p) and p >= exact:
         return Fraction(0)
@@ -502,12 +505,12 @@ def _float_error(p: Fraction, spacing: float) -> Fraction:
 
 
 def _is_binary(p: Fraction) -> bool:
-    """Say whether multiples of p are binary fractions."""
+    """Return whether multiples of p are binary fractions."""
     return p.denominator & (p.denominator - 1) == 0
 
 
 def _rounded_down(bound: Fraction, dtype: str) -> Fraction:
-    """Return a bound that no difference exceeds once it is rounded to a type, as numpy rounds."""
+    """Return a bound that no difference exceeds after numpy rounds it to a type."""
     if np.dtype(dtype).kind != "f":
         return bound
     floats = np.dtype(dtype).type
@@ -518,7 +521,7 @@ def _rounded_down(bound: Fraction, dtype: str) -> Fraction:
 
 
 def _on_grid(heights: NDArray[np.generic], wide: NDArray[np.float64], p: Fraction) -> bool:
-    # A cheap look at a few samples first: most grids fail at once.
+    # A cheap check of a few samples first: most grids fail at once.
     for part, part_wide in ((heights[:64], wide[:64]), (heights, wide)):
         multiples = part_wide * p.denominator / p.numerator
         if not (np.abs(multiples) < _MAX_NUMERATOR / max(p.numerator, 1)).all():
@@ -531,7 +534,7 @@ def _on_grid(heights: NDArray[np.generic], wide: NDArray[np.float64], p: Fractio
 
 
 def rounded_up(value: Fraction) -> str:
-    """Return a decimal number of six digits that is not below `value`: a bound to type in."""
+    """Return a decimal number of six digits that is not below `value`, for a user to type."""
     upward = Context(prec=6, rounding=ROUND_CEILING)
     return f"{float(upward.divide(Decimal(value.numerator), Decimal(value.denominator))):g}"
 

@@ -1,8 +1,8 @@
-"""What the numbers of a raster are more than their quanta say: the rest that makes them exact.
+"""Remainders: differences of a raster's heights from their quanta, which make them exact.
 
-Floats are counted here in the order of their values: next to each other are 1 apart, across 0 too
-(-0.0 lies next to 0.0). A remainder is how many floats the original lies above the decoded one, in
-two's complement of the type's width; of whole numbers it is the plain difference (FORMAT.md §5.3).
+Floats are counted here in the order of their values: neighbours are 1 apart, also across 0 (-0.0 is
+next to 0.0). A remainder is the number of floats from the decoded height up to the original, in
+two's complement of the type's width; for whole numbers it is the plain difference (FORMAT.md §5.3).
 """
 
 from typing import Any
@@ -27,7 +27,7 @@ def remainders(
     -------
     ndarray of int32 or int64, same shape
     """
-    with np.errstate(over="ignore"):  # sums wrap, and back when they are added again
+    with np.errstate(over="ignore"):  # sums wrap, and wrap back when they are added again
         rest: Remainders = np.where(valid, _ordered(raw) - _ordered(decoded), 0)
     return rest
 
@@ -47,6 +47,6 @@ def _ordered(heights: NDArray[np.generic]) -> Remainders:
 
 def _swapped(bits: Remainders) -> Remainders:
     """Return the bits of a float as a number in the order of floats, or the other way round."""
-    below = bits >> (8 * bits.itemsize - 1)  # all ones where negative
+    below = bits >> (8 * bits.itemsize - 1)  # all ones if negative
     swapped: Remainders = bits ^ (below & np.iinfo(bits.dtype).max)
     return swapped

@@ -1,4 +1,4 @@
-"""Windows of the full grid that stand for a raster, chosen by position alone (encoder only)."""
+"""Representative windows of the full grid, chosen only by position (encoder only)."""
 
 from collections.abc import Callable
 from typing import TypeAlias
@@ -10,11 +10,11 @@ from terrainwave.grid.quadtree import Grid, Region
 
 Heights: TypeAlias = NDArray[np.int32]
 Mask: TypeAlias = NDArray[np.bool_]
-# Return targets, int32 quanta, and validity of a region of a level.
+# Returns targets, int32 quanta, and validity of a region of a level.
 HeightsOf: TypeAlias = Callable[[int, Region], Heights]
 MaskOf: TypeAlias = Callable[[int, Region], Mask]
 
-# Places are looked through for windows that are not mostly void.
+# Candidates per window, to find windows that are not mostly void.
 _PLACES_PER_WINDOW = 4
 
 
@@ -23,8 +23,8 @@ def spread_windows(
 ) -> tuple[Heights, Mask]:
     """Return windows of the full grid, spread evenly: heights and validity.
 
-    Shapes (n, n_rows, n_cols), up to `side` samples a side; fewer than `n_windows` where they would
-    be the same. Windows that are mostly void are left out where there are others.
+    Shapes (n, n_rows, n_cols), up to `side` samples per side; fewer than `n_windows` if more would
+    coincide. Mostly void windows are left out if there are others.
     """
     places = _places(grid, side, n_windows)
     n_wanted = max(1, len(places) // _PLACES_PER_WINDOW)
@@ -42,7 +42,7 @@ def spread_windows(
 
 
 def _places(grid: Grid, side: int, n_windows: int) -> list[Region]:
-    """Return `_PLACES_PER_WINDOW` places for each window wanted, the likeliest first."""
+    """Return `_PLACES_PER_WINDOW` candidates for each window, the likeliest first."""
     n = _PLACES_PER_WINDOW * n_windows
     shape = min(side, grid.n_rows), min(side, grid.n_cols)
     rows, cols = grid.n_rows - shape[0], grid.n_cols - shape[1]

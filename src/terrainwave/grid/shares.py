@@ -1,4 +1,4 @@
-"""What threads take in turns of things that lie on a grid."""
+"""Distribution of things on a grid to threads."""
 
 from collections.abc import Callable, Iterable
 from itertools import zip_longest
@@ -6,16 +6,16 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-# So many blocks of two levels above are gone through side by side.
+# Number of blocks two levels above that are processed in parallel.
 _AT_ONCE = 8
 
 
 def shares_of(things: Iterable[T], place: Callable[[T], tuple[int, int]]) -> list[list[T]]:
     """Return things in shares, one for each block of the level above them.
 
-    Shares that follow each other lie below different blocks of the level above that: threads that
-    take them in turns seldom wait for what another one makes of a block above. They stay close
-    together all the same, so that few such blocks are in use at a time.
+    Consecutive shares lie below different blocks of the level above that: threads that take them in
+    turns seldom wait for each other's ancestors. They still stay close together, so that few such
+    blocks are in use at a time.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Fixed steps: heights rounded to multiples of a height that follows from bound and type alone.
+"""Fixed steps: heights rounded to multiples of a height that depends only on bound and type.
 
-What was rounded once is not moved when it is rounded again, whatever lies around it: a sample's
-result depends on that sample only. Steps are about twice the bound wide, so that the nearest is
+Rounded heights do not move when they are rounded again, whatever lies around them, as the result
+depends only on the sample itself. Steps are about twice the bound wide, so that the nearest is
 within the bound.
 """
 
@@ -13,12 +13,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-# Significant bits of a step: few of them leave many to its multiples, which then are floats
-# themselves, with no rounding. Of float32 5 bits take 0.03 bits per sample on average, nothing of
-# bounds like 0.5, 1 or 3, and reach 2^19 steps to each side.
+# Significant bits of a step: few of them leave many to its multiples, which are then floats
+# themselves. For float32, 5 bits take 0.03 bits per sample on average, nothing for bounds like 0.5,
+# 1 or 3, and reach 2^19 steps to each side.
 _STEP_BITS = {"float32": 5, "float64": 12}
 # Significant bits of multiples. One less than a float64 has: the middles between steps are floats,
-# too, and then the rounded quotient never lies on another side of a half than the exact one.
+# too, so the rounded quotient never lies on another side of a half than the exact one.
 _FLOAT_BITS = {"float32": 24, "float64": 52}
 # Limits of quanta and heights of all files (`grid.quantum`, FORMAT.md §4.1).
 _WIDEST, _FINEST_EXPONENT, _LARGEST_EXPONENT = (1 << 31) - 1, -62, 59
@@ -33,9 +33,9 @@ class FixedSteps:
     dtype : str
         Type of the raw heights.
     numerator, denominator : int
-        The step. Of whole numbers it is odd and whole.
+        The step. For whole numbers it is odd and whole.
     nodata : int or float, optional
-        The value of voids: stays as it is, and no other height is rounded to it.
+        The value of voids: it does not change, and no other height is rounded to it.
     """
 
     dtype: str
@@ -45,7 +45,7 @@ class FixedSteps:
 
     @classmethod
     def of(cls, bound: Fraction, dtype: str, nodata: int | float | None = None) -> Self | None:
-        """Return the widest steps that keep a bound in raw units; None where each height counts.
+        """Return the widest steps that keep a bound in raw units; None if each height is a step.
 
         `nodata` is the value as the raster stores it.
         """
@@ -71,20 +71,20 @@ class FixedSteps:
 
     @property
     def loss(self) -> Fraction:
-        """Return how far a height may be from its step, in raw units."""
+        """Return the largest distance of a height from its step, in raw units."""
         return (self.step if np.dtype(self.dtype).kind == "f" else self.step - 1) / 2
 
     def rounded(self, heights: NDArray[Any]) -> NDArray[Any]:
         """Return heights on their nearest steps, in `dtype`, any shape. Copies.
 
-        Clipped to the range of whole numbers. Voids stay as they are, and so do heights that no
-        step can stand for: where floats lie too far apart, and where the step is the nodata value.
+        Clipped to the range of whole numbers. Voids are unchanged, and so are heights without a
+        step: where floats lie too far apart, and where the step is the nodata value.
         """
         nearest, has_step = self._nearest(heights)
         return np.where(has_step, nearest, heights.astype(self.dtype, copy=False))
 
     def hold(self, heights: NDArray[Any]) -> bool:
-        """Say whether each of some valid heights has a step."""
+        """Return whether each of some valid heights has a step."""
         return bool(self._nearest(heights)[1].all())
 
     def _nearest(self, heights: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
@@ -102,7 +102,7 @@ class FixedSteps:
         return nearest, has_step
 
     def _nearest_floats(self, own: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        step = float(self.step)  # exact: of few bits
+        step = float(self.step)  # exact: few bits
         most = (1 << _FLOAT_BITS[self.dtype]) // self.numerator
         if self.denominator == 1:
             # A power of two in the numerator takes no bits of a float.
@@ -114,6 +114,6 @@ class FixedSteps:
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):
             count = np.rint(own.astype(np.float64) / step)
             has_step = np.abs(count) <= most
-            # + 0.0: no height is -0.0, which would be another than 0.0 bit for bit.
+            # + 0.0: no height is -0.0, which differs from 0.0 bit for bit.
             nearest = (count * step + 0.0).astype(own.dtype)
         return nearest, has_step

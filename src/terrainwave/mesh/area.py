@@ -1,13 +1,13 @@
 """One crack-free mesh over any area of a file, from the meshes of its blocks.
 
-The area is cut into blocks of several levels: coarse ones where the index says that their heights
-take no more than a quarter of the error asked for, blocks of the full grid elsewhere. Each is
-meshed with what its heights leave of the error; what a coarse mesh does between its samples is
-measured. Where levels meet, the finer block takes the coarser one's border line as it is: on nested
-grids its vertices are samples of the finer block too, and the coarse mesh's error covers the
-samples between them. So no gap is stitched and no error added.
+The area is cut into blocks of several levels: coarse ones if the index gives their heights at most
+a quarter of the requested error, blocks of the full grid elsewhere. Each mesh gets the rest of the
+error; the error of a coarse mesh between its samples is measured. Where levels meet, the finer
+block uses the coarser one's border line unchanged: on nested grids its vertices are samples of the
+finer block too, and the coarse mesh's error covers the samples between them. So no gap is stitched
+and no error added.
 
-With a budget of triangles the outlines of voids are those of a level that the budget has room for
+With a budget of triangles the outlines of voids come from a level that fits the budget
 (`mesh.outlines`): all originals are covered, and small voids may be.
 """
 
@@ -48,23 +48,23 @@ from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 
 _log = logging.getLogger(__name__)
 
-# A budget of triangles is met within this ratio of the smallest error, and goes on to the next one
-# while more than a twentieth of it is left.
+# A budget of triangles is met within this ratio of the smallest error; then the search continues to
+# the second ratio while more than a twentieth of the budget is left.
 _BUDGET_RATIO, _LAST_RATIO = Fraction(102, 100), Fraction(1001, 1000)
 _LEAST_USED = Fraction(95, 100)
-# Of a budget: one edge of a void's outline on so many triangles. Sweeps that blocks with voids get.
+# Triangles of a budget per edge of a void's outline. Sweeps for blocks with voids.
 _OUTLINE_SHARE = 4
 _OUTLINE_SWEEPS = 8
 _ROUNDING = 2.0**-48
-# Of the samples under a mesh of zero trees: within tolerance "almost everywhere", as Yusov &
-# Turlapov 2010, §2.4, say. Thresholds of significance sink until then, in so many steps at most.
+# Share of samples within tolerance, "almost everywhere" in Yusov & Turlapov 2010, §2.4. Thresholds
+# of significance are lowered until it is reached, in at most this number of steps.
 _LOOSE_SHARE, _MOST_STEPS = 0.95, 10
 
 Made = TypeVar("Made", bound=MeshData)
 
 
 class _UnreachableError(InvalidHeightsError):
-    """A coarse level's meshes can't keep to the error, as its samples are too far apart."""
+    """A coarse level's meshes cannot keep to the error: its samples are too far apart."""
 
 
 class _TooManyTrianglesError(InvalidHeightsError):
@@ -84,7 +84,7 @@ def mesh_area(
     guarantee: bool = True,
     progress: ProgressCallback | None = None,
 ) -> Made:
-    """Return the mesh of `Terrain.mesh`, which has the arguments and errors, as one of `kind`."""
+    """Return the mesh of `Terrain.mesh`, with its arguments and errors, as one of `kind`."""
     check_flags(guarantee=guarantee)
     max_error = checked_error("max_error", max_error)
     if max_triangles is not None:
@@ -106,7 +106,7 @@ def mesh_area(
             f"found an area of {region.n_rows} x {region.n_cols} samples, expected at least"
             " 2 x 2: a mesh lies between samples"
         )
-    # A budget is met by another error in each area: their edges do not match anyway.
+    # A budget leads to another error in each area, so edges would not match anyway.
     area = Area(terrain.grid, region, asked.level, optimise, is_tile=max_triangles is None)
     with ThreadPoolExecutor(terrain.n_threads, thread_name_prefix="terrainwave") as executor:
         extractor = _Extractor(terrain, area, kind, executor, Reporter(progress))
@@ -118,7 +118,7 @@ def mesh_area(
 
 
 def _level_with_trees(terrain: TerrainFile, level: int) -> int:
-    """Return the level to mesh by zero trees: the finest that has some, where -1 is asked for."""
+    """Return the level to mesh by zero trees; -1 means the finest level that has some."""
     index = terrain.level_index(level)
     if terrain.n_levels == 1 or (level >= 0 and index == terrain.n_levels - 1):
         raise InvalidArgumentError(
@@ -129,7 +129,7 @@ def _level_with_trees(terrain: TerrainFile, level: int) -> int:
 
 
 class _Extractor(Generic[Made]):
-    """Makes the mesh of an area, as one of `kind`."""
+    """Builder of the mesh of an area, as one of `kind`."""
 
     def __init__(
         self,
@@ -148,7 +148,7 @@ class _Extractor(Generic[Made]):
         self._executor = executor
         self._reporter = reporter
         self._n_tries = 0
-        # The error that meshes are made for; None: that which they have.
+        # The error to mesh for; None: that of the stored meshes.
         self._goal: Fraction | None = None
         self._max_triangles: int | None = None
         scale = abs(as_fraction(terrain.raster_info.scale))
@@ -162,9 +162,9 @@ class _Extractor(Generic[Made]):
         return self._mesh_within(self._goal)
 
     def _asked(self, max_error: float) -> Fraction:
-        """Return an error in quanta, unless the heights are further from the originals."""
+        """Return an error in quanta; raise if the heights are further from the originals."""
         smallest = self._errors.smallest()
-        # What the file states of itself, as float64, is enough.
+        # The precision of float64 suffices, as in the file's own fields.
         if max_error < float(smallest * self._quantum) * (1 - _ROUNDING):
             raise InvalidArgumentError(
                 f"found `max_error` {max_error:g}, expected at least"
@@ -195,7 +195,7 @@ class _Extractor(Generic[Made]):
         return self._assemble(dict(self._each(build, blocks)))
 
     def loose_mesh(self) -> Made:
-        """Return the mesh of the zero trees alone, with the error that it turns out to have."""
+        """Return the mesh of only the zero trees, with its measured error."""
         level = self._area.level
         for n_steps in range(_MOST_STEPS + 1):
             loose = LooseMesher(self._terrain, n_steps)
@@ -217,7 +217,7 @@ class _Extractor(Generic[Made]):
     def _each(
         self, build: Callable[[Block], MeshedBlock], blocks: list[Block]
     ) -> Generator[tuple[Block, MeshedBlock]]:
-        """Yield blocks with what is built of them, in threads, and tell how far it is."""
+        """Yield blocks with the results of `build`, computed in threads; report progress."""
         self._n_tries += 1
         stage = "meshing" if self._n_tries == 1 else f"meshing, try {self._n_tries}"
         n_samples = self._grid.block**2
@@ -232,9 +232,9 @@ class _Extractor(Generic[Made]):
         Raises
         ------
         _UnreachableError
-            If a coarse level can't keep to it.
+            If a coarse level cannot keep to it.
         _TooManyTrianglesError
-            If it has more than `n_most` triangles; the rest of it is not made.
+            If it has more than `n_most` triangles; the rest is not built.
         """
         level, are_nested = self._area.level, self._terrain.pyramid == "nested"
         samples_of = self._fitter.samples_of
@@ -259,7 +259,7 @@ class _Extractor(Generic[Made]):
     def _mesh_if_reached(self, error: Fraction, n_most: int) -> Made | None:
         """Return the mesh for an error in quanta.
 
-        None if it has more than `n_most` triangles or a coarse level can't keep to the error.
+        None if it has more than `n_most` triangles or a coarse level cannot keep to the error.
         """
         try:
             return self._mesh_within(error, n_most)
@@ -268,7 +268,7 @@ class _Extractor(Generic[Made]):
 
     def _build_all(self, cut: Cut, n_most: int | None = None) -> dict[Block, MeshedBlock]:
         built, n_triangles = {}, 0
-        # Closed before its end, it begins no more.
+        # Closed early, it starts no more work.
         build = partial(self._fitter.build, cut)
         with closing(self._each(build, sorted(cut.pieces))) as meshes:
             for block, meshed in meshes:
@@ -284,7 +284,7 @@ class _Extractor(Generic[Made]):
         return len(clipped(*joined(self._grid, [block], [mesh]), self._area.limits())[1])
 
     def within_budget(self, max_triangles: int, max_error: float | None) -> Made:
-        """Return the mesh of the smallest error, up to 2 %, that has at most `max_triangles`."""
+        """Return the mesh of the smallest error (within 2 %) that has at most `max_triangles`."""
         self._max_triangles = max_triangles
         self._simplify_outlines(max_triangles)
         high = self._largest_error()
@@ -316,7 +316,7 @@ class _Extractor(Generic[Made]):
         return best
 
     def _simplify_outlines(self, max_triangles: int) -> None:
-        """Keep so much of the outlines of voids as a budget of triangles has room for."""
+        """Reduce the outlines of voids to a level that fits a budget of triangles."""
         if not self._terrain.header.has_voids:
             return
         area, decoder = self._area, self._terrain.decoder
@@ -341,7 +341,7 @@ class _Extractor(Generic[Made]):
         )
 
     def _curvature_share(self, error: float) -> CurvatureShare:
-        """Return what a globe's curvature may add: so much as if it had its share of a goal.
+        """Return the error that a globe's curvature may add: its share of a goal.
 
         It is the same for all areas of a file that are made for the same error.
         """
@@ -373,7 +373,7 @@ class _Extractor(Generic[Made]):
         else:
             triangles = np.ascontiguousarray(triangles[:, ::-1])
         origin = (*samples_to_places(raster.transform, float(row_0), float(col_0)), 0.0)
-        # An array without a place: its columns and rows are no degrees.
+        # An array without georeference: its columns and rows are not degrees.
         attributes: dict[str, Any] = {"is_placed": raster.transform != IDENTITY}
         if raster.impossible_places is not None:
             attributes["impossible"] = raster.impossible_places

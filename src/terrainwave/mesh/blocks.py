@@ -1,6 +1,6 @@
 """Meshes of blocks from decoded heights, and their measured errors.
 
-A block's mesh follows from its decoded samples, the voids beside it, the error codes of the index
+A block's mesh depends on its decoded samples, the voids next to it, the error codes of the index
 and, for the kinds of `tri.stored_kinds`, the block's bytes in the mesh sections.
 """
 
@@ -36,8 +36,8 @@ from terrainwave.tri.zerotree.labels import Trees
 # Of a coarse block's error against the originals, the share its mesh may add (Y10 §2.8).
 _MESH_SHARE = 4
 _MAX_TOLERANCE = 1 << 40
-# Of meshes that are made for views, above the finest level: by how much they are looser, and how
-# far vertices between samples may be from the bilinear surface, in tolerances (decision 29).
+# For meshes of views above the finest level: the factor of their tolerance, and the largest
+# distance of vertices between samples from the bilinear surface, in tolerances (decision 29).
 _LOOSER = 2
 _LEASH = Fraction(3, 2)
 _CACHED_MESHES = 64
@@ -47,7 +47,7 @@ Originals = Callable[[Region], tuple[Heights, Mask]]
 
 
 class LevelSamples(Protocol):
-    """Whatever has the samples of a file's levels, as its decoder does."""
+    """Source of the samples of a file's levels, such as its decoder."""
 
     def window(self, level: int, region: Region) -> tuple[Heights, Mask]:
         """Return heights and validity of any region inside a level."""
@@ -55,9 +55,9 @@ class LevelSamples(Protocol):
 
 
 class BlockSamples(NamedTuple):
-    """The samples of a block with what its mesh has to know of its surroundings.
+    """Samples of a block with the surroundings that its mesh needs.
 
-    `locked` are the samples that are void or beside a void, on either side of a border.
+    `locked` are the samples that are void or next to a void, on either side of a border.
     """
 
     heights: Heights
@@ -66,10 +66,10 @@ class BlockSamples(NamedTuple):
 
 
 class StoredSamples(NamedTuple):
-    """What a stored mesh follows from: `BlockSamples`, and more for kinds that follow it.
+    """Input of a stored mesh: `BlockSamples`, and more for some kinds.
 
-    `trees` are the zero trees of the group that refines the block, `coefficients` the magnitudes
-    of wavelet coefficients at its samples, in quanta.
+    `trees` are the zero trees of the group that refines the block, `coefficients` the magnitudes of
+    wavelet coefficients at its samples, in quanta.
     """
 
     heights: Heights
@@ -98,15 +98,15 @@ class BlockMesher:
     tolerance : int
         Tolerance on the finest level, in 1/16 quanta.
     has_voids : bool
-        Whether the raster may have voids; if so, neighbours are decoded for their masks.
+        True if the raster may have voids; neighbours are then decoded for their masks.
     kind : str
         ``"halves"`` or one of `tri.stored_kinds.STORED_KINDS`.
     part : callable, optional
-        The stored bytes of a block's mesh; kinds other than halves need them.
+        Returns the stored bytes of a block's mesh; needed for kinds other than halves.
     trees : callable, optional
-        The zero trees that meshes follow (`mesh.trees.tree_source`), for the kinds that do.
+        Returns the zero trees that meshes follow (`mesh.trees.tree_source`), if any.
     coefficients : callable, optional
-        The coefficients that they follow (`mesh.coefficients.coefficient_source`), likewise.
+        Returns the coefficients that they follow (`mesh.coefficients.coefficient_source`), if any.
     """
 
     def __init__(
@@ -144,7 +144,7 @@ class BlockMesher:
         return min(max(self._tolerance * self._grid.stride(block.level), own), _MAX_TOLERANCE)
 
     def side_tolerances(self, block: Block) -> SideTolerances:
-        """Return the tolerance of each border line: the smaller one of the two blocks beside it."""
+        """Return the tolerance of each border line: the smaller one of the two adjacent blocks."""
         own = self.tolerance(block)
         if block.level == self._grid.k_max:
             return SideTolerances(own, own, own, own)
@@ -157,10 +157,10 @@ class BlockMesher:
         return SideTolerances(*tolerances)
 
     def samples(self, block: Block) -> BlockSamples:
-        """Return the samples of a block, reaching past the raster's edge where the block does.
+        """Return the samples of a block, reaching past the raster's edge if the block does.
 
         Outside samples continue the last two rows or columns linearly, as in the block's error
-        (FORMAT.md §4.4), and are valid where the last ones are.
+        (FORMAT.md §4.4), and are valid if the last ones are.
         """
         grid = self._grid
         region = grid.block_region(block)
@@ -202,14 +202,14 @@ class BlockMesher:
     def zero_trees(self, block: Block) -> Trees | None:
         """Return the zero trees that the mesh of a block follows, by the samples in the raster.
 
-        None for kinds without, on the finest level, and where nothing is known of the group below.
+        None for kinds without, on the finest level, and if the group below has none.
         """
         if block.level == self._grid.k_max or self._trees is None:
             return None
         return self._trees(block, self.tolerance(block))
 
     def has_mesh(self, block: Block) -> bool:
-        """Say whether the block's samples have triangles; decodes only where there may be voids."""
+        """Return whether the block's samples have triangles; decodes only if there may be voids."""
         if self._has_voids:
             return has_triangles(self.samples(block).mask)
         return min(_full_shape(self._grid, block)) > 1
@@ -219,10 +219,10 @@ class BlockMesher:
     ) -> int | None:
         """Return the bound on a finest block's mesh from its originals, less `lost` quanta.
 
-        The block's own error, which has what is lost in it, and the tolerance, in 1/16 quanta; by
-        construction, without making the mesh. None where measuring may tell much less: where the
-        originals are so alike that the block may have one height, and where the mask leaves open
-        whether it has a mesh. Nor for kinds whose tolerance is no bound.
+        It is the block's own error, which includes the loss, plus the tolerance, in 1/16 quanta;
+        known without making the mesh. None if measuring may give much less: for originals so alike
+        that the block may have one height, and if the mask does not decide whether it has a mesh.
+        Also None for kinds whose tolerance is not a bound.
 
         Parameters
         ----------
@@ -242,8 +242,8 @@ class BlockMesher:
         """Return the codes of errors of meshes, as `mesh_codes`.
 
         With the recursion none is below Err_Appr + Err_Tri, equation (3) of Yusov & Turlapov 2010.
-        Measured errors can be larger: the equation takes a surface of triangles for the bilinear
-        one.
+        Measured errors can be larger, because the equation treats a surface of triangles as
+        bilinear.
         """
         codes = mesh_codes(errors, lost)
         if not by_recursion:
@@ -254,11 +254,11 @@ class BlockMesher:
         }
 
     def derived_error(self, block: Block, mesh: BlockMesh) -> int:
-        """Return a bound for a mesh of a coarse block that nobody has measured, in 1/16 quanta.
+        """Return a bound on an unmeasured mesh of a coarse block, in 1/16 quanta.
 
-        The block's own error, from the originals, and how far the mesh is from the surface that
-        this error is of. Own error and tolerance are no bound: between samples, meshes are further
-        from the surface than at samples.
+        It is the block's own error, from the originals, plus the distance of the mesh from the
+        surface of that error. Own error plus tolerance is not a bound: between samples, meshes are
+        further from the surface than at samples.
         """
         samples = self.samples(block)
         apart = deviation_from_bilinear(mesh, samples.heights, samples.mask)
@@ -270,9 +270,9 @@ class BlockMesher:
         return own if block.level == self._grid.k_max else min(_LOOSER * own, _MAX_TOLERANCE)
 
     def view_mesh(self, block: Block) -> BlockMesh:
-        """Return a mesh of a coarse block that takes few triangles for its `derived_error`.
+        """Return a mesh of a coarse block with few triangles for its `derived_error`.
 
-        Of kind `halves`, whatever the file's kind is, and not the file's mesh.
+        Always of kind `halves`, and not the file's mesh.
         """
         sides = (min(_LOOSER * side, _MAX_TOLERANCE) for side in self.side_tolerances(block))
         tolerance, samples = self.view_tolerance(block), self.samples(block)
@@ -280,7 +280,7 @@ class BlockMesher:
         return triangulate(*samples, lines, tolerance, leash=int(_LEASH * tolerance))
 
     def mesh(self, block: Block) -> BlockMesh:
-        """Return the block's stored mesh; places count from the block's first sample.
+        """Return the block's stored mesh; positions count from the block's first sample.
 
         Raises
         ------
@@ -319,7 +319,7 @@ class BlockMesher:
 
 
 def _full_shape(grid: Grid, block: Block) -> tuple[int, int]:
-    """Return a block's numbers of rows and columns with those past the raster's edge."""
+    """Return a block's numbers of rows and columns, including those past the raster's edge."""
     stride = grid.stride(block.level)
     n_rows = min(grid.block, -(-(grid.n_rows - 1) // stride) - block.row * grid.block) + 1
     n_cols = min(grid.block, -(-(grid.n_cols - 1) // stride) - block.col * grid.block) + 1
@@ -327,7 +327,7 @@ def _full_shape(grid: Grid, block: Block) -> tuple[int, int]:
 
 
 def has_mesh(grid: Grid, block: Block, mask: Mask) -> bool:
-    """Say whether a block has a mesh, of the validity of its samples inside the raster."""
+    """Return whether a block has a mesh, by the validity of its samples inside the raster."""
     if has_triangles(mask):
         return True
     outside = [(0, n - own) for n, own in zip(_full_shape(grid, block), mask.shape, strict=True)]
@@ -335,7 +335,7 @@ def has_mesh(grid: Grid, block: Block, mask: Mask) -> bool:
 
 
 def _with_outside_mask(beyond: Mask, n_outside: int) -> Mask:
-    """Let outside rows be as the last one inside; `beyond` has an apron, True where nothing is."""
+    """Copy the last inside row's validity to outside rows; `beyond` has an apron, True outside."""
     if not n_outside:
         return beyond
     last = np.repeat(beyond[-2:-1], n_outside, axis=0)
@@ -350,13 +350,13 @@ def border_lines(
 ) -> Lines:
     """Return the vertices of the four border lines of a rectangle of samples.
 
-    `offset` is the place of its first sample in its block of `side` cells.
+    `offset` is the position of its first sample in its block of `side` cells.
     """
     return Lines(*vertices_of_lines(samples.heights, samples.locked, *offset, side, *tolerances))
 
 
 def mesh_tolerance(error: Fraction, quantum: Fraction) -> int:
-    """Return an error as the tolerance that a header holds: in 1/16 quanta, rounded down."""
+    """Return an error as the tolerance in a header: in 1/16 quanta, rounded down."""
     return min(int(error / quantum * (1 << FRACTION_BITS)), MAX_MESH_TOLERANCE)
 
 
@@ -372,10 +372,10 @@ def _sum_code(error_code: int, tolerance: int) -> int:
 def unmeasured_codes(
     grid: Grid, meshed: Iterable[Block], errors: Mapping[Block, int], tolerance: int
 ) -> dict[Block, int]:
-    """Return the codes of errors of meshes that nobody has made, of the blocks that have one.
+    """Return the error codes of unmeasured meshes, for the blocks that have one.
 
-    On the finest level own error and tolerance are a bound. On coarse ones they are none: codes
-    leave it to who makes the mesh (`BlockMesher.derived_error`).
+    On the finest level own error plus tolerance is a bound. On coarse ones it is not: codes leave
+    the bound to `BlockMesher.derived_error`.
 
     Parameters
     ----------
@@ -407,13 +407,13 @@ def measure_meshes(
     lost: Fraction,
     blocks: list[Block] | None = None,
 ) -> dict[Block, int]:
-    """Return how far the valid originals under each block are from its mesh, in 1/16 quanta.
+    """Return the distance of the valid originals under each block from its mesh, in 1/16 quanta.
 
     One walk over the full grid in windows; every window measures the meshes of all ancestors of its
-    finest block, which can differ from the originals by more than their own error and their
-    tolerance. The finest one's cannot: it takes this bound, or is measured too
-    (`BlockMesher.bounded_error`). Blocks without a mesh are left out. With `blocks`, some of the
-    finest level, only the originals under these. To all errors, `lost` quanta are to be added.
+    finest block, which can differ from the originals by more than their own error plus tolerance.
+    The finest one cannot: it takes this bound, or is measured too (`BlockMesher.bounded_error`).
+    Blocks without a mesh are left out. With `blocks`, some of the finest level, only the originals
+    under these. The caller adds `lost` quanta to all errors.
     """
     meshes: Cache[Block, BlockMesh] = Cache(_CACHED_MESHES)
     largest: dict[Block, int] = {}

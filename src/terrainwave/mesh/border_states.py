@@ -1,7 +1,8 @@
-"""Meshes of a subtree's blocks while they agree with those beside them on border vertices.
+"""Meshes of a subtree's blocks while they agree with their neighbours on border vertices.
 
 Rounds are those of `tri.zerotree.agreement`: a block's draft is a function of its samples and of
-the vertices it was told to keep, so that a state holds these and what came of them, and no draft.
+the vertices demanded of it, so a state holds the demands and the resulting border vertices, but no
+draft.
 """
 
 from collections.abc import Iterable, Mapping
@@ -21,7 +22,7 @@ Demands = Mapping[Block, BorderVertices | None]
 
 
 class BorderState(NamedTuple):
-    """Border vertices of blocks, and what each was told to keep when it was last triangulated."""
+    """Border vertices of blocks, and the demands of each block's last triangulation."""
 
     borders: dict[Block, BorderVertices]
     demanded: dict[Block, BorderVertices]
@@ -46,7 +47,7 @@ class BorderState(NamedTuple):
         return BorderState(self.borders | newer.borders, self.demanded | newer.demanded)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the state as arrays, one bit per place on a border."""
+        """Return the state as arrays, one bit per position on a border."""
         arrays: dict[str, NDArray[Any]] = {}
         for name, borders in (("border", self.borders), ("demanded", self.demanded)):
             sizes = [(border.top.size, border.left.size) for border in borders.values()]
@@ -58,7 +59,6 @@ class BorderState(NamedTuple):
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Undo `to_arrays`."""
         return cls(*(_borders(arrays, name) for name in ("border", "demanded")))
 
 
@@ -76,7 +76,7 @@ def _borders(arrays: Mapping[str, NDArray[Any]], name: str) -> dict[Block, Borde
 
 
 def draft_blocks(mesher: BlockMesher, demands: Demands) -> BorderState:
-    """Triangulate blocks, each with at least the border vertices demanded; void ones are left out.
+    """Triangulate blocks, each with at least the demanded border vertices; void ones are left out.
 
     `mesher` is of a kind of `tri.stored_kinds`.
     """

@@ -1,4 +1,4 @@
-"""The wavelet coefficients that stored meshes follow, by their kind (Zheng, Wang, Wang)."""
+"""Wavelet coefficients that stored meshes follow, by their kind (Zheng, Wang, Wang)."""
 
 from collections.abc import Callable
 
@@ -10,17 +10,17 @@ from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.read.decoder import TreeDecoder
 from terrainwave.read.tile_decoder import with_coefficients
 
-# Magnitudes in quanta by the samples of a block that lie inside the raster.
+# Returns magnitudes in quanta at the samples of a block that lie inside the raster.
 BlockCoefficients = Callable[[Block], NDArray[np.int64]]
 
 
 def coefficient_source(kind: str, decoder: TreeDecoder) -> BlockCoefficients | None:
-    """Return where meshes of a kind have coefficients from; None if they follow none.
+    """Return the source of coefficients for a kind of meshes; None if it follows none.
 
     Raises
     ------
     InvalidArgumentError
-        If they do, and the file's method has none.
+        If it does, and the file's method has none.
     """
     if kind not in UNBOUNDED_MESHES:
         return None

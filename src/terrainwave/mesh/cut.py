@@ -1,11 +1,11 @@
-"""Which blocks of several levels make up an area, for an error: a cut through the quadtree.
+"""Cut through the quadtree: blocks of several levels that make up an area, for an error.
 
-Coarse blocks where the index says that their heights take no more than a quarter of the error,
-blocks of the area's level elsewhere. No void lies where levels meet.
+It has coarse blocks if the index gives their heights at most a quarter of the error, blocks of the
+area's level elsewhere. Levels meet only where there is no void.
 
-Along edges of a tile that are no edges of the raster, all blocks are of the area's level, and so
-are their neighbours: then the meshes there, and the vertices on these edges, depend on the heights
-and the error alone. The mesh of the tile beyond has the same.
+Along edges of a tile that are not edges of the raster, all blocks and their neighbours are of the
+area's level: then the meshes there, and the vertices on these edges, depend only on the heights and
+the error. The mesh of the adjacent tile has the same.
 """
 
 from collections.abc import Callable, Iterator
@@ -21,17 +21,17 @@ from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.mesh.blocks import BlockMesher, BlockSamples, SideTolerances
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 
-# Coarse blocks whose heights take at most this share of the error asked for are not refined.
+# Coarse blocks whose heights take at most this share of the requested error are not refined.
 _COARSE_SHARE = 4
 TOWARDS = {"top": (-1, 0), "bottom": (1, 0), "left": (0, -1), "right": (0, 1)}
 OPPOSITE = {"top": "bottom", "bottom": "top", "left": "right", "right": "left"}
 
 
 class Area(NamedTuple):
-    """What part of a terrain to mesh, and how.
+    """Part of a terrain to mesh, and options.
 
-    `region` is in samples of `level`; `sweeps` counts sweeps of collapses. `is_tile` says that the
-    mesh is to have the vertices of the areas beyond on its edges.
+    `region` is in samples of `level`; `sweeps` counts sweeps of collapses. With `is_tile` the mesh
+    has the vertices of the adjacent areas on its edges.
     """
 
     grid: Grid
@@ -42,7 +42,7 @@ class Area(NamedTuple):
 
     @property
     def is_finest(self) -> bool:
-        """Say whether the area is one of the full grid."""
+        """Return whether the area is one of the full grid."""
         return self.level == self.grid.k_max
 
     def limits(self) -> tuple[int, int, int, int]:
@@ -75,10 +75,10 @@ class Area(NamedTuple):
         return found
 
     def touches_cut_edge(self, block: Block) -> bool:
-        """Say whether a block holds one of the area's level that lies at an edge within the raster.
+        """Return whether a block has one of the area's level at an edge within the raster.
 
-        Also counted are neighbours of blocks that such an edge runs through: their border lines are
-        those blocks', too.
+        Also counted are neighbours of blocks that such an edge crosses, as these share border
+        lines.
         """
         region, (n_rows, n_cols) = self.region, self.grid.level_shape(self.level)
         span = 1 << (self.level - block.level)
@@ -95,7 +95,7 @@ class Area(NamedTuple):
         return False
 
     def meets(self, block: Block) -> bool:
-        """Say whether cells of the block lie in the area."""
+        """Return whether cells of the block lie in the area."""
         region, scale = self.region, self.grid.stride(self.level)
         stride = self.grid.stride(block.level) * self.grid.block
         return (
@@ -110,7 +110,7 @@ class CutBlock(NamedTuple):
     """A block of the cut: tolerances in 1/16 quanta, errors in quanta.
 
     `heights_error` is that of the block's heights (on coarse levels: of their bilinear surface),
-    `error` what the mesh has to keep to.
+    `error` the limit for the mesh.
     """
 
     tolerance: int
@@ -120,28 +120,27 @@ class CutBlock(NamedTuple):
 
 
 class Errors:
-    """What heights of blocks take of an error, and what they leave of it to meshes; in quanta."""
+    """Shares of an error that blocks' heights take and leave to meshes; in quanta."""
 
     def __init__(self, terrain: TerrainFile, area: Area) -> None:
         header = terrain.header
         self._container, self._grid, self._area = terrain.container, terrain.grid, area
-        # What the codec and patches take.
+        # The codec's and patches' share.
         self.coded = Fraction(header.coded_error) + Fraction(header.rho) / header.quantum
 
     def heights(self, block: Block) -> Fraction:
-        """Return the error of a block's heights."""
         if block.level == self._grid.k_max:
             return self.coded
         return Fraction(decode_error(self._container.codes(block)[2]))
 
     def smallest(self) -> Fraction:
-        """Return the smallest error that may be asked for."""
+        """Return the smallest error that may be requested."""
         if self._area.is_finest:
             return self.coded
         return max(map(self.heights, self._area.blocks(self._area.level)))
 
     def piece(self, block: Block, error: Fraction) -> CutBlock:
-        """Return a block as it has to be meshed for an error."""
+        """Return a block with its tolerances for an error."""
         own, sides = self._left_over(block, error), []
         for row, col in TOWARDS.values():
             beside = Block(block.level, block.row + row, block.col + col)
@@ -150,13 +149,13 @@ class Errors:
         return CutBlock(own, SideTolerances(*sides), self.heights(block), error)
 
     def stored_piece(self, block: Block, mesher: BlockMesher) -> CutBlock:
-        """Return a finest block as the file's meshes have it."""
+        """Return a finest block with the tolerances of the file's meshes."""
         tolerance = mesher.tolerance(block)
         error = self.coded + Fraction(tolerance, 1 << FRACTION_BITS)
         return CutBlock(tolerance, mesher.side_tolerances(block), self.heights(block), error)
 
     def of_mesh(self, block: Block, mesh: BlockMesh, mesher: BlockMesher) -> Fraction:
-        """Return a bound of the error of a block's own mesh: the file's, if it states any."""
+        """Return a bound on the error of a block's own mesh: the file's, if stated."""
         code = self._container.codes(block)[3]
         if code != UNMEASURED:
             return Fraction(decode_error(code))
@@ -169,14 +168,13 @@ class Errors:
 
 
 class Cut:
-    """Blocks to mesh beside one another; they cover an area and do not overlap."""
+    """Blocks to mesh together; they cover an area and do not overlap."""
 
     def __init__(self, area: Area, pieces: dict[Block, CutBlock]) -> None:
         self._area, self._grid = area, area.grid
         self.pieces = pieces
 
     def covering(self, block: Block) -> Block | None:
-        """Return the block of the cut that contains a block."""
         while block.level >= 0:
             if block in self.pieces:
                 return block
@@ -184,7 +182,7 @@ class Cut:
         return None
 
     def finer(self, block: Block) -> Iterator[tuple[str, Block]]:
-        """Yield (side of the block, a finer block of the cut beside it)."""
+        """Yield (side of the block, an adjacent finer block of the cut)."""
         for side, (row, col) in TOWARDS.items():
             beside = Block(block.level, block.row + row, block.col + col)
             if not self._grid.contains(beside) or self.covering(beside) is not None:
@@ -192,7 +190,7 @@ class Cut:
             waiting = [beside]
             while waiting:
                 for child in self._grid.children(waiting.pop()):
-                    # Of the neighbour's children, those on the shared line.
+                    # The neighbour's children on the shared line.
                     if (row and child.row & 1 != (row < 0)) or (col and child.col & 1 != (col < 0)):
                         continue
                     if child in self.pieces:
@@ -207,9 +205,9 @@ class ErrorCut(Cut):
     Parameters
     ----------
     samples_of : callable
-        Returns the samples of a block: where they are void, levels do not meet.
+        Returns the samples of a block: levels do not meet where they are void.
     are_nested : bool
-        Coarse samples are samples of finer levels, too, as meshes of both beside one another need.
+        Coarse samples are samples of finer levels, too, as adjacent meshes of both need.
     """
 
     def __init__(
@@ -237,14 +235,14 @@ class ErrorCut(Cut):
         self._close()
 
     def _add(self, block: Block) -> list[Block]:
-        """Add a block, or what is below it; return what was added."""
+        """Add a block, or those below it; return the added ones."""
         if block.level == self._area.level or self._is_usable(block):
             self.pieces[block] = self._errors.piece(block, self._error)
             return [block]
         return [added for child in self._area.children(block) for added in self._add(child)]
 
     def _is_usable(self, block: Block) -> bool:
-        """Say whether a coarse block's stored mesh may stand beside finer ones."""
+        """Return whether a coarse block's stored mesh may be adjacent to finer ones."""
         if not self._are_nested or (self._area.is_tile and self._area.touches_cut_edge(block)):
             return False
         return self._errors.heights(block) * _COARSE_SHARE <= self._error
@@ -276,7 +274,7 @@ class ErrorCut(Cut):
         return again
 
     def _fits_beside(self, block: Block) -> bool:
-        """Say whether no void lies where a coarse block meets finer ones, on lines that both have.
+        """Return whether a coarse block meets finer ones without voids, on lines that both have.
 
         The finer ones' corners must be samples of the coarse one, to be vertices of its border.
         """
@@ -292,9 +290,9 @@ class ErrorCut(Cut):
         return True
 
     def _ends_between_samples(self, block: Block, side: str) -> bool:
-        """Say whether a border line goes on to a sample past the raster's edge.
+        """Return whether a border line extends to a sample past the raster's edge.
 
-        A finer level has no such sample at the same place.
+        A finer level has no such sample at the same position.
         """
         side_cells = self._grid.block * self._grid.stride(block.level)
         is_upright = side in ("left", "right")

@@ -1,6 +1,6 @@
 """Meshes of the blocks of a cut, whose borders are the same lines on both sides.
 
-Where levels meet, the finer block takes the coarser one's border line as it is.
+Where levels meet, the finer block uses the coarser one's border line unchanged.
 """
 
 from fractions import Fraction
@@ -17,14 +17,14 @@ from terrainwave.tri.halves.halves import Lines, triangulate
 from terrainwave.tri.halves.simplify import simplify
 from terrainwave.tri.mesh_distance import deviation_from_bilinear, largest_deviation
 
-# Tries to mesh a block of a coarse level that was asked for within the error. Other coarse blocks
-# have one before they are refined: finer ones take fewer triangles than a mesh that is tried again.
+# Tries to mesh a coarse block within the requested error. Other coarse blocks have one try before
+# they are refined: finer ones take fewer triangles than further tries.
 _TRIES = 3
 _CACHE_BYTES = 64 << 20
 
 
 class MeshedBlock(NamedTuple):
-    """A block's mesh and its error against the originals in quanta; None: it can't keep to it."""
+    """A block's mesh and its error against the originals in quanta; None if too large."""
 
     mesh: BlockMesh
     error: Fraction | None
@@ -33,7 +33,7 @@ class MeshedBlock(NamedTuple):
 class BlockFitter:
     """Meshes blocks of a cut; samples of blocks come from a mesher, through a cache.
 
-    `sweeps_at_voids` are those of collapses that blocks with voids get at least.
+    `sweeps_at_voids` is the least number of sweeps of collapses for blocks with voids.
     """
 
     def __init__(self, area: Area, mesher: BlockMesher, sweeps_at_voids: int = 0) -> None:
@@ -43,11 +43,10 @@ class BlockFitter:
         self._samples: Cache[Block, BlockSamples] = Cache(_CACHE_BYTES, size_of=_n_bytes)
 
     def samples_of(self, block: Block) -> BlockSamples:
-        """Return the samples of a block."""
         return self._samples.get_or_make(block, lambda: self._mesher.samples(block))
 
     def build(self, cut: Cut, block: Block) -> MeshedBlock:
-        """Return the mesh of a block of a cut, which keeps to the error of its piece."""
+        """Return the mesh of a block of a cut, within the error of its piece."""
         samples = self._samples.get(block) or self._mesher.samples(block)
         piece, lines = cut.pieces[block], self._lines(cut, block, samples)
         if block.level == self._grid.k_max:
@@ -67,7 +66,7 @@ class BlockFitter:
         return MeshedBlock(mesh, None)
 
     def _lines(self, cut: Cut, block: Block, samples: BlockSamples) -> Lines:
-        """Return the block's border lines, those of coarser neighbours where there are any."""
+        """Return the block's border lines, those of coarser neighbours if there are any."""
         lines = self._own_lines(cut, block, samples)
         for side, (row, col) in TOWARDS.items():
             place = Block(block.level, block.row + row, block.col + col)
@@ -104,7 +103,7 @@ class BlockFitter:
     def _triangulated(
         self, block: Block, samples: BlockSamples, lines: Lines, tolerance: int
     ) -> BlockMesh:
-        """Return the mesh of a block's samples, with fewer triangles where sweeps are asked for."""
+        """Return the mesh of a block's samples, with fewer triangles if sweeps are requested."""
         mesh = triangulate(*samples, lines, tolerance)
         sweeps = self._area.sweeps if block.level == self._grid.k_max else 0
         if not samples.mask.all():

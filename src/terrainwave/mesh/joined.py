@@ -13,7 +13,7 @@ _NEAR = 2.0**-20
 def joined(
     grid: Grid, blocks: list[Block], meshes: list[BlockMesh]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Return the vertices and triangles of all blocks; vertices that blocks share are one.
+    """Return the vertices and triangles of all blocks; vertices shared by blocks are merged.
 
     A vertex is (row, column, height), in half samples of the full grid and 1/16 quanta.
     """
@@ -67,7 +67,7 @@ def clipped(
 def _cut_off(
     vertices: NDArray[np.float64], triangles: NDArray[np.int32], inside: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Keep what lies where `inside`, linear over the plane, is >= 0.
+    """Keep the part where `inside`, linear over the plane, is >= 0.
 
     An edge that crosses the line gets one new vertex, the same in both its triangles.
     """
@@ -77,7 +77,7 @@ def _cut_off(
     n_in = is_in.sum(axis=1)
     kept = [triangles[n_in == 3]]
     edges: list[NDArray[np.int64]] = []
-    # Turned so that the odd one out comes first: one inside, or one outside.
+    # Rotated so that the odd one out comes first: one inside, or one outside.
     for n, odd in ((1, True), (2, False)):
         rows = np.flatnonzero(n_in == n)
         first = np.argmax(is_in[rows] == odd, axis=1)
@@ -88,8 +88,8 @@ def _cut_off(
     a, b = unique[:, 0], unique[:, 1]
     share = inside[a] / (inside[a] - inside[b])
     crossing = vertices[a] + share[:, None] * (vertices[b] - vertices[a])
-    # Rounding must not put a crossing beside a half sample it lies on, such as the area's corner:
-    # no other one is so near, as denominators are lengths of edges.
+    # Rounding must not move a crossing off a half sample it lies on, such as the area's corner: no
+    # other one is so near, as denominators are lengths of edges.
     whole = np.rint(crossing[:, :2])
     is_near = np.abs(crossing[:, :2] - whole) < _NEAR
     crossing[:, :2] = np.where(is_near, whole, crossing[:, :2])
@@ -101,7 +101,7 @@ def _cut_off(
     one, two = edges[0][:, 0, 0], edges[1][:, :, 1]
     ends_one, ends_two = new[:n_one], new[n_one:]
     kept.append(np.stack([one, ends_one[:, 0], ends_one[:, 1]], 1).astype(np.int32))
-    # The quad beyond the corner outside: new 1, corner 1, corner 2, new 2.
+    # The quad without the outside corner: new 1, corner 1, corner 2, new 2.
     kept.append(np.stack([ends_two[:, 0], two[:, 0], two[:, 1]], 1).astype(np.int32))
     kept.append(np.stack([ends_two[:, 0], two[:, 1], ends_two[:, 1]], 1).astype(np.int32))
     vertices = np.concatenate([vertices, crossing])

@@ -1,9 +1,9 @@
-"""Largest error of each level: as stored in the file, or by equations (2) and (3) of Y10.
+"""Largest error of each level: stored in the file, or by equations (2) and (3) of Y10.
 
 E. Yusov, V. Turlapov 2010 (Y10), §2.2 and §2.6. Stored is the measured error: the largest distance
 of valid originals under a block from the bilinear surface of its decoded samples. The equations
-need no original. They give errors above the measured ones, but for originals past the last sample
-of a coarse level; and (3) takes a surface of triangles for the bilinear one.
+need no original. They exceed the measured errors, except for originals past the last sample of a
+coarse level; and (3) treats a surface of triangles as bilinear.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ class LevelErrors(NamedTuple):
     heights : list of float
         Of the bilinear surfaces of blocks.
     meshes : list of float, optional
-        Of their meshes, by equation (3). None where the file has no meshes with a tolerance.
+        Of their meshes, by equation (3). None if the file has no meshes with a tolerance.
     """
 
     heights: list[float]
@@ -54,14 +54,14 @@ def recursive_errors(
 ) -> list[NDArray[np.float64]]:
     """Return Err_Appr of every block, by Y10 equation (2).
 
-    On the full grid Err_Appr(B) = delta, the bound that holds. Above it Err_Appr(B) = the largest
-    of B's children + Err_Int(B) + delta, where Err_Int(B) is the largest distance of the children's
+    On the full grid Err_Appr(B) = delta, the effective bound. Above it Err_Appr(B) = the largest of
+    B's children + Err_Int(B) + delta, where Err_Int(B) is the largest distance of the children's
     decoded samples from B's bilinear surface.
 
     Parameters
     ----------
     count : callable
-        Called with numbers of samples of the full grid as they have been looked at.
+        Called with numbers of finished samples of the full grid.
 
     Returns
     -------
@@ -105,7 +105,7 @@ def _mesh_errors(terrain: Any, errors: list[NDArray[np.float64]]) -> list[NDArra
 
 
 def _interpolation_error(terrain: Any, level: int, row: int, col: int) -> float:
-    """Return how far the next level is from the bilinear surface of the block at (row, col)."""
+    """Return the distance of the next level from the surface of the block at (row, col)."""
     side = terrain.grid.block
     n_rows, n_cols = terrain.level_shape(level + 1)
     fine_region = Region(2 * row, 2 * col, 2 * side + 1, 2 * side + 1).intersect(

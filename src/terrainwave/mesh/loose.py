@@ -1,8 +1,8 @@
-"""Non-guaranteed triangulations: what the zero trees alone say (Yusov & Turlapov 2010, §2.4).
+"""Triangulations of only the zero trees, without a guarantee (Yusov & Turlapov 2010, §2.4).
 
 Every sample of a block moves to the root of the zero tree that holds it. The trees are those that
-the file's meshes follow, and those of decoded layers where they follow none. Nothing bounds the
-error beforehand: it is measured.
+the file's meshes follow, or else those of decoded layers. The error has no bound beforehand: it is
+measured.
 """
 
 from collections.abc import Callable, Iterable
@@ -22,13 +22,13 @@ from terrainwave.tri.zerotree.labels import Trees
 
 
 class LooseMesher:
-    """The non-guaranteed mesh of any block above the finest level of a file.
+    """Meshes without a guarantee of blocks above the finest level of a file.
 
     Parameters
     ----------
     n_steps : int
-        How often the threshold from which details of decoded layers are significant becomes three
-        quarters of what it was.
+        How often the threshold of significant details of decoded layers is multiplied by three
+        quarters.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class LooseMesher:
         return len(apart), int((apart <= self._mesher.tolerance(block)).sum())
 
     def mesh(self, block: Block) -> BlockMesh:
-        """Return the mesh of a block alone; its borders may differ from its neighbours'."""
+        """Return the mesh of a single block; its borders may differ from its neighbours'."""
         loose = self._triangulate(block, None)
         return no_mesh() if loose is None else loose.mesh
 
@@ -77,7 +77,7 @@ class LooseMesher:
 
         def triangulate(position: Position, demanded: BorderVertices | None) -> LooseMesh:
             loose = self._triangulate(Block(level, *position), demanded)
-            assert loose is not None  # `has_mesh` has said so
+            assert loose is not None  # `has_mesh` is true
             return loose
 
         agreed, _ = agree(
@@ -96,6 +96,6 @@ class LooseMesher:
         if demanded is not None:
             keep = keep | demanded.keep(keep.shape)
         trees = samples.trees
-        if trees is None:  # the group below is coded without: all detail may be there
+        if trees is None:  # the group below is coded without trees: all detail may be there
             trees = np.zeros(keep.shape, dtype=np.uint8)
         return loose_mesh(samples.heights, samples.mask, trees, keep)

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from terrainwave.arguments import count_of, crs_name, in_one_line
 
-# Of what heights leave of an error: for the curvature of a globe. The rest is the mesh's.
-# 1/16 took the fewest triangles on rasters of 30 to 100 m (1/32 … 1/2 were tried).
+# Share of the error left by heights for the curvature of a globe; the rest is the mesh's. 1/16 took
+# the fewest triangles on rasters of 30 to 100 m (1/32 … 1/2 were tried).
 CURVATURE_SHARE = 1 / 16
 
 
@@ -19,11 +19,11 @@ class CurvatureShare(NamedTuple):
     Parameters
     ----------
     error : float
-        0: as little as without cells divided.
+        0: as small as possible without dividing cells.
     cell : ndarray of float64, shape (2, 3), optional
         Two opposite corners of a cell in the middle of the raster, at height 0.
     max_triangles : int, optional
-        With it the curvature adds as little as this number of triangles allows, down to `error`.
+        The curvature adds as little as this number of triangles allows, down to `error`.
     """
 
     error: float
@@ -33,11 +33,11 @@ class CurvatureShare(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class MeshData:
-    """A triangulated surface in world coordinates: the fields of `export.mesh.Mesh`, told there.
+    """Triangulated surface in world coordinates; `export.mesh.Mesh` describes the fields.
 
-    `attributes` are passed on with the mesh: ``is_placed`` tells whether its x and y are places,
-    ``impossible`` why these are on no globe, ``area`` what `area` returns, ``share`` what `share`
-    does, ``curvature`` a `CurvatureShare`, ``footprint`` the `Footprint` of the raster.
+    `attributes` are passed on with the mesh: ``is_placed`` (x and y are georeferenced),
+    ``impossible`` (why they are on no globe), ``area`` (for `area`), ``share`` (for `share`),
+    ``curvature`` (a `CurvatureShare`), ``footprint`` (the `Footprint` of the raster).
     """
 
     vertices: NDArray[np.float64]
@@ -86,19 +86,18 @@ class MeshData:
 
     @property
     def share(self) -> float | None:
-        """Return the share of samples within tolerance; None of meshes that guarantee it.
+        """Return the share of samples within tolerance; None for meshes that guarantee it.
 
-        Of the samples of the mesh's level under it, and the tolerance that guaranteed meshes of
-        its blocks have.
+        It counts samples of the mesh's level under it, and uses the tolerance of guaranteed meshes.
         """
         return self.attributes.get("share")
 
     @property
     def area(self) -> tuple[float, float, float, float]:
-        """Return (left, bottom, right, top) of the area that the mesh is of, in the CRS.
+        """Return (left, bottom, right, top) of the meshed area, in the CRS.
 
-        Between the centres of its outermost pixels. Voids there make `bounds` smaller, and other
-        meshes of the area have other bounds then. By default those are returned.
+        Between the centres of its outermost pixels. With voids there, `bounds` is smaller, and
+        differs from that of other meshes of the area. By default the result is `bounds`.
         """
         area = self.attributes.get("area")
         return self.bounds if area is None else area

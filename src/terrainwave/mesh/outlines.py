@@ -1,10 +1,10 @@
-"""Heights with simpler outlines of voids: for meshes of fewer triangles than the outlines have.
+"""Heights with simpler outlines of voids, for meshes of fewer triangles than the outlines have.
 
 A level's samples are valid wherever a valid original touches their cells, so coarse levels cover
-every original, and small voids besides. What a coarse level covers is covered on the finer ones
+every original, and also small voids. Areas that a coarse level covers are covered on the finer ones
 too: a void sample there gets the mean of the samples around it one level coarser, level by level,
-so that the made heights join the real ones. Below level 0 more levels are made, down to two by two
-samples. Made heights stand for no original; what a mesh covers there is void.
+so that filled heights join the real ones. Below level 0 more levels are made, down to two by two
+samples. Filled heights represent no original; a mesh covers voids there.
 """
 
 import threading
@@ -18,7 +18,7 @@ from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.read.decoder import TreeDecoder
 
-# Rows and columns that are looked at at a time, and of the coarsest level that is made.
+# Rows and columns to process at a time, and of the coarsest level that is made.
 _WINDOW, _SMALLEST = 512, 2
 
 
@@ -28,7 +28,7 @@ class _Samples(NamedTuple):
 
 
 class CoveredSamples:
-    """Windows of a file's levels, with voids covered where a coarse level has no void.
+    """Windows of a file's levels, with voids covered if a coarse level has no void.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class CoveredSamples:
         For the file's own samples.
     outline : int
         The level whose outlines are kept; below 0 for levels coarser than the file has. Windows of
-        this level and coarser ones are as decoded.
+        this level and coarser ones are not changed.
     """
 
     def __init__(self, grid: Grid, decoder: TreeDecoder, outline: int) -> None:
@@ -67,7 +67,7 @@ class CoveredSamples:
         return _covered(_Samples(heights, mask), coarse, region.row & 1, region.col & 1)
 
     def _first_level(self) -> _Samples:
-        """Return level 0, covered by levels made of it."""
+        """Return level 0, covered by levels made from it."""
         with self._lock:
             if self._first is None:
                 region = Region(0, 0, *self._grid.level_shape(0))
@@ -84,21 +84,21 @@ class CoveredSamples:
 def finest_outline(
     grid: Grid, decoder: TreeDecoder, level: int, region: Region, n_most: int
 ) -> int:
-    """Return the finest level whose outlines of voids have at most so many edges in a region.
+    """Return the finest level whose outlines of voids have at most `n_most` edges in a region.
 
     Parameters
     ----------
     level : int
-        No finer one is looked at.
+        The finest candidate.
     region : Region
         In samples of `level`.
     n_most : int
-        Pairs of neighbours of which one is void.
+        Pairs of a void and a valid neighbour.
 
     Returns
     -------
     int
-        Below 0 for a level that the file does not have; see `CoveredSamples`.
+        Below 0 for a level coarser than the file's; see `CoveredSamples`.
     """
 
     def n_edges(k: int) -> int:
@@ -120,7 +120,7 @@ def finest_outline(
 
 
 def _coarser(region: Region, shift: int) -> Region:
-    """Return the samples of a level so much coarser that lie in a region, and those before them."""
+    """Return the samples of a level `shift` coarser that lie in a region, and those before them."""
     row, col = region.row >> shift, region.col >> shift
     last_row, last_col = region.row + region.n_rows - 1, region.col + region.n_cols - 1
     return Region(row, col, (last_row >> shift) - row + 1, (last_col >> shift) - col + 1)
@@ -137,15 +137,15 @@ def _cut(mask: Mask, region: Region) -> Mask:
 
 
 def _n_edges(mask: Mask) -> int:
-    """Return how many neighbours there are of which one is void."""
+    """Return the number of neighbouring pairs with one void."""
     across, down = mask[:, 1:] != mask[:, :-1], mask[1:] != mask[:-1]
     return int(np.count_nonzero(across)) + int(np.count_nonzero(down))
 
 
 def _covered(own: _Samples, coarse: _Samples, row: int, col: int) -> _Samples:
-    """Return a level's samples, and where they are void, means of coarser ones that are valid.
+    """Return a level's samples; voids get the means of valid coarser ones.
 
-    `row` and `col` are 1 where the first sample lies between two of the coarser level.
+    `row` and `col` are 1 if the first sample lies between two of the coarser level.
     """
     rows = np.arange(row, row + own.mask.shape[0])
     cols = np.arange(col, col + own.mask.shape[1])
@@ -164,7 +164,7 @@ def _covered(own: _Samples, coarse: _Samples, row: int, col: int) -> _Samples:
 
 
 def _halved(samples: _Samples) -> _Samples:
-    """Return every other sample, and where it is void, the mean of the valid ones that touch it."""
+    """Return every other sample; voids get the mean of the valid ones that touch them."""
     shape = tuple(n + 2 + (n & 1 ^ 1) for n in samples.mask.shape)
     heights, mask = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
     inner = slice(1, samples.mask.shape[0] + 1), slice(1, samples.mask.shape[1] + 1)

@@ -1,4 +1,4 @@
-"""Mesh sections: the bytes of meshes beside the payloads they go with (FORMAT.md §4.5)."""
+"""Mesh sections: the bytes of meshes, stored with payloads (FORMAT.md §4.5)."""
 
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor
@@ -21,7 +21,7 @@ _CACHED_SECTIONS = 64
 def pack_section(parts: list[bytes]) -> bytes:
     """Return the section of a key: the parts of its blocks, each after its length.
 
-    A section all of whose parts are empty is empty, so that void areas take no bytes.
+    A section with only empty parts is empty, so that void areas take no bytes.
     """
     if not any(parts):
         return b""
@@ -34,7 +34,7 @@ def unpack_section(data: bytes, n_parts: int) -> list[bytes]:
     Raises
     ------
     CorruptStreamError
-        If a length is beyond the section's end, bytes are left over, or all lengths are 0.
+        If a length exceeds the section, bytes are left over, or all lengths are 0.
     """
     if not data:
         return [b""] * n_parts
@@ -56,7 +56,7 @@ def unpack_section(data: bytes, n_parts: int) -> list[bytes]:
 
 
 def parts_of_blocks(grid: Grid, section: Callable[[Block], bytes]) -> Callable[[Block], bytes]:
-    """Turn a reader of sections, by key, into one of the bytes of a block's mesh."""
+    """Turn a reader of sections by key into a reader of the bytes of a block's mesh."""
 
     @lru_cache(_CACHED_SECTIONS)
     def parts(key: Block) -> dict[Block, bytes]:
@@ -80,7 +80,7 @@ def make_sections(
     mesher : BlockMesher
         For samples, tolerances and the kind of meshes.
     on_samples : callable
-        Told how many samples of the full grid have a mesh, now and then.
+        Called now and then with the number of full-grid samples that have a mesh.
     levels : iterable of int, optional
         Levels of blocks to mesh; all by default.
 
@@ -181,7 +181,7 @@ def mesher_of(
 ) -> BlockMesher:
     """Return the mesher of an open file, for the stored mesh of any block.
 
-    `samples` and `trees` stand in for the file's own, in meshes that are made anew.
+    `samples` and `trees` replace the file's own, for new meshes.
     """
     header = file.header
     return BlockMesher(

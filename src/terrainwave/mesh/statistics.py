@@ -1,4 +1,4 @@
-"""What the meshes of each level of a file take, and what their zero trees hold."""
+"""Statistics of the meshes of each level of a file, and of their zero trees."""
 
 from typing import NamedTuple
 
@@ -19,11 +19,11 @@ class MeshLevel(NamedTuple):
     n_triangles : int
         Of the stored meshes.
     label_bits : float
-        Bits per sample of the level that the meshes are stored by (Yusov & Turlapov 2010, tables 1
-        and 2); 0 for kinds that follow from heights alone.
+        Stored bits of the meshes per sample of the level (Yusov & Turlapov 2010, tables 1 and 2); 0
+        for kinds computed from heights.
     significant : float, optional
-        Share of the finest nodes of the trees with a significant coefficient. This and the next
-        are None for meshes that follow no zero trees, and on the finest level.
+        Share of the finest nodes of the trees with a significant coefficient. This and the next are
+        None for meshes without zero trees, and on the finest level.
     n_loose : int, optional
         Triangles of the blocks' non-guaranteed meshes, each block by itself.
     """
@@ -36,9 +36,9 @@ class MeshLevel(NamedTuple):
 
 
 def mesh_levels(terrain: TerrainFile) -> list[MeshLevel]:
-    """Return what there is to say about each level's meshes, the coarsest first.
+    """Return the statistics of each level's meshes, the coarsest first.
 
-    Decodes all of the file, and makes its meshes; levels one after the other.
+    Decodes the whole file, and makes its meshes; one level at a time.
     """
     if terrain.header.mesh == "none":
         return []

@@ -1,4 +1,4 @@
-"""The zero trees that stored meshes follow, by their kind (Yusov & Turlapov 2010, §2.4)."""
+"""Zero trees that stored meshes follow, by their kind (Yusov & Turlapov 2010, §2.4)."""
 
 from collections.abc import Callable
 
@@ -9,7 +9,8 @@ from terrainwave.read.decoder import TreeDecoder, unit_key
 from terrainwave.tri.zerotree.labels import Trees
 from terrainwave.tri.zerotree.layer_trees import layer_trees
 
-# Of a block and its tolerance, in 1/16 quanta; None where nothing is known of the group below it.
+# Returns the trees of a block and its tolerance, in 1/16 quanta; None if the group below it has
+# none.
 ZeroTrees = Callable[[Block, int], Trees | None]
 
 
@@ -28,7 +29,7 @@ def layer_source(decoder: TreeDecoder) -> ZeroTrees:
 
 
 def coded_source(decoder: TreeDecoder) -> ZeroTrees:
-    """Return the trees that payloads have coded; there are none in a unit of plain bits."""
+    """Return the trees that payloads have coded; a unit of plain bits has none."""
     return lambda block, _: decoder.unit(block).labels
 
 
@@ -36,6 +37,6 @@ _SOURCES = {"zerotree-layer": layer_source, "zerotree-coded": coded_source}
 
 
 def tree_source(kind: str, decoder: TreeDecoder) -> ZeroTrees | None:
-    """Return where meshes of a kind have their zero trees from; None if they have none."""
+    """Return the source of zero trees for a kind of meshes; None if it has none."""
     source = _SOURCES.get(kind)
     return None if source is None else source(decoder)

@@ -1,8 +1,8 @@
-"""Where and what: all that a coordinate reference system says, read once, asked by all rooms.
+"""Coordinate reference systems: everything that the other packages need to know about them.
 
-`description` tells what a CRS says of its axes, its vertical part and its body; that needs no
-pyproj. `system` transforms, by pyproj, and knows ellipsoids. `position` (`Place`) is what the other
-rooms hold: degrees or metres, the way to longitude and latitude, the local frame. `units` has
-vertical units, `vertical` the heights above the ellipsoid. Nobody else reads WKT, imports pyproj or
-asks a CRS whether it is geographic.
+`description` reads axes, vertical part and body of a CRS, without pyproj. `system` transforms, with
+pyproj, and knows ellipsoids. `position` (`Place`) is what the other packages hold: degrees or
+metres, conversion to longitude and latitude, the local frame. `units` has vertical units,
+`vertical` heights above the ellipsoid. No other package reads WKT, imports pyproj or asks whether a
+CRS is geographic.
 """

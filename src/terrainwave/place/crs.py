@@ -1,4 +1,4 @@
-"""Coordinate reference systems as short text and back."""
+"""Conversion of coordinate reference systems to short text and back."""
 
 import contextlib
 import re
@@ -18,10 +18,10 @@ _WKT_START = re.compile(r"\s*[A-Z][A-Z0-9_]*\s*[\[(]")
 
 
 def parse_crs(text: str | None) -> CRS | None:
-    """Return the CRS that ``"AUTH:CODE"`` or WKT stands for; warn and return None if none does.
+    """Return the CRS of ``"AUTH:CODE"`` or WKT; warn and return None if it is neither.
 
-    Nothing else is understood, as the text may come from an untrusted file: given a URL or a path
-    instead, GDAL would fetch it.
+    Other texts are refused, because they may come from an untrusted file: given a URL or a path,
+    GDAL would fetch it.
     """
     if text is None:
         return None
@@ -43,14 +43,14 @@ def parse_crs(text: str | None) -> CRS | None:
 
 
 def crs_of_grid_mapping(mapping: dict[str, Any]) -> CRS:
-    """Return the CRS of a CF grid mapping that holds no WKT.
+    """Return the CRS of a CF grid mapping without WKT.
 
     Raises
     ------
     ImportError
         Without pyproj.
     CRSError, KeyError, RuntimeError, TypeError, ValueError
-        If it does not understand the mapping.
+        If pyproj cannot read the mapping.
     """
     from pyproj import CRS as ProjCRS
 
@@ -58,36 +58,36 @@ def crs_of_grid_mapping(mapping: dict[str, Any]) -> CRS:
 
 
 class _Said(NamedTuple):
-    """What a file says of a CRS, and whether the same system comes back from it."""
+    """Text of a CRS in a file, and whether it gives the same system back."""
 
     text: str
     is_exact: bool
 
 
 def format_crs(crs: CRS | None) -> str | None:
-    """Return ``"AUTH:CODE"`` where that code means exactly `crs`, else its WKT; None for none.
+    """Return ``"AUTH:CODE"`` if that code means exactly `crs`, else its WKT; None for None.
 
-    Equal means: the same WKT. Looser comparisons (PROJ's, rasterio's ``==``) call two systems the
-    same whose ellipsoids differ in the ninth digit. The WKT compared is rasterio's default, as
-    GeoTIFF keys don't carry the areas and ensembles that the registry's WKT2 has.
+    Equal means: the same WKT. Looser comparisons (PROJ's, rasterio's ``==``) equate systems whose
+    ellipsoids differ in the ninth digit. The WKT compared is rasterio's default, as GeoTIFF keys
+    lack the areas and ensembles of the registry's WKT2.
     """
     return _said_of(crs).text if crs else None
 
 
 def is_exact(crs: CRS | None) -> bool:
-    """Tell whether `format_crs` gives text from which the same system comes back."""
+    """Return whether the text of `format_crs` gives the same system back."""
     return _said_of(crs).is_exact if crs else True
 
 
 def _said_of(crs: CRS) -> _Said:
-    """Return what is said of a CRS; PROJ is asked once about each, which takes milliseconds."""
+    """Return the text of a CRS; PROJ is asked only once about each, which takes milliseconds."""
     return _SAID.get_or_make(_texts_of(crs), lambda: _say(crs))
 
 
 def _texts_of(crs: CRS) -> tuple[str, ...]:
-    """Return WKT of a CRS that together says all of it.
+    """Return WKT texts of a CRS that together describe it completely.
 
-    Not WKT1 by name: where it cannot hold a system, GDAL's error meets the next call of rasterio.
+    Not WKT1 by name: if it cannot represent a system, GDAL's error appears at rasterio's next call.
     """
     texts = [str(crs.to_wkt())]
     with contextlib.suppress(CRSError):
@@ -101,7 +101,7 @@ def _say(crs: CRS) -> _Said:
         with contextlib.suppress(CRSError):
             if CRS.from_authority(*authority).to_wkt() == own:
                 return _Said(":".join(authority), True)
-    # WKT2 as GDAL writes it drops the codes of inner parts that WKT1 keeps, and WKT1 cannot say
+    # GDAL's WKT2 drops the codes of inner parts that WKT1 keeps, and WKT1 cannot express
     # everything: take the first that gives the same system back.
     candidates = []
     for version in _WKT_VERSIONS:

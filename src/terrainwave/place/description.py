@@ -1,8 +1,7 @@
-"""What a coordinate reference system says: axes, units, the vertical part, the body.
+"""Description of a coordinate reference system: axes, units, the vertical part, the body.
 
-Read from its PROJJSON, which GDAL writes; nothing here needs pyproj. GDAL and PROJ order axes as
-maps do: x is the second axis where the first one goes north and the second one east; all other
-orders stay as they are.
+Read from its PROJJSON, which GDAL writes; needs no pyproj. GDAL and PROJ order axes as on maps: x
+is the second axis if the first one points north and the second one east; all other orders are kept.
 """
 
 import contextlib
@@ -21,9 +20,9 @@ _KINDS = {
     "ProjectedCRS": PROJECTED,
     "DerivedProjectedCRS": PROJECTED,
 }
-# CRSs on the way to the one that has the axes.
+# Members of a CRS that lead to the one with the axes.
 _INNER = ("source_crs", "base_crs")
-# Names of vertical systems and datums that mean the ellipsoid, as GeoTIFF's keys and ESRI say it.
+# Names of ellipsoidal vertical systems and datums, in GeoTIFF's keys and ESRI's WKT.
 _ELLIPSOIDAL = ("ellipsoid", "ellipsoidal")
 _HORIZONTAL = {"east": (1.0, 0.0), "west": (-1.0, 0.0), "north": (0.0, 1.0), "south": (0.0, -1.0)}
 _UNIT_LABELS = {"metre": "m", "meter": "m", "degree": "degrees", "unknown": "unit unknown"}
@@ -31,7 +30,7 @@ _CACHED = 64
 
 
 class Axis(NamedTuple):
-    """An axis of x or y: its name, direction and unit, and metres or degrees per unit."""
+    """Axis of x or y: its name, direction and unit, and metres or degrees per unit."""
 
     name: str
     direction: str
@@ -46,12 +45,12 @@ class Axis(NamedTuple):
 
 
 class Vertical(NamedTuple):
-    """The vertical axis of a CRS.
+    """Vertical axis of a CRS.
 
     Parameters
     ----------
     name : str
-        Of the vertical CRS, such as ``NAVD88 height``; of a CRS of three axes that of the axis.
+        Of the vertical CRS, such as ``NAVD88 height``; of a CRS with three axes that of the axis.
     unit : str
     metres : float
         Per unit.
@@ -72,18 +71,18 @@ class Vertical(NamedTuple):
 
 
 class Description(NamedTuple):
-    """What a CRS says, in plain values.
+    """Properties of a CRS, as plain values.
 
     Parameters
     ----------
     kind : str
-        ``geographic``: plain longitudes and latitudes; ``derived``: those of a turned pole or
+        ``geographic``: plain longitudes and latitudes; ``derived``: those of a rotated pole or
         another derived system; ``projected``; ``other``: local and geocentric ones.
     x, y : Axis
         In the order of GDAL's coordinates.
     vertical : Vertical or None
     iau_code : int or None
-        The code, where the authority is the IAU.
+        The code, if the authority is the IAU.
     radius : float or None
         Semi-major axis of its ellipsoid in metres.
     """
@@ -97,14 +96,14 @@ class Description(NamedTuple):
 
     @property
     def in_degrees(self) -> bool:
-        """Whether x and y are angles on the body."""
+        """Return whether x and y are angles on the body."""
         return self.kind in (GEOGRAPHIC, DERIVED)
 
     @property
     def directions(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Return (east, north) of a step along x and along y.
 
-        Around a pole, and where a system does not say, x goes to the right and y up, as on its map.
+        Around a pole, and if the system does not state it, x points right and y up, as on its map.
         """
         along_x, along_y = (_HORIZONTAL.get(axis.direction) for axis in (self.x, self.y))
         if along_x is None or along_y is None or 0 == _cross(along_x, along_y):
@@ -117,7 +116,7 @@ def _cross(a: tuple[float, float], b: tuple[float, float]) -> float:
 
 
 def describe_crs(crs_text: str | None) -> Description | None:
-    """Return what a CRS says; None, with `parse_crs`'s warning, where there is none to read.
+    """Return the description of a CRS; None, with `parse_crs`'s warning, if it cannot be read.
 
     Parameters
     ----------
@@ -133,7 +132,7 @@ def describe_crs(crs_text: str | None) -> Description | None:
 
 
 def describe_quietly(crs_text: str | None) -> Description | None:
-    """As `describe_crs`, without a warning: who opened the file has told it."""
+    """Return `describe_crs`'s result without a warning, which opening the file has issued."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TerrainwaveWarning)
         return describe_crs(crs_text)
@@ -152,7 +151,7 @@ def _described(crs_text: str) -> Description:
 
 
 def read_projjson(told: dict[str, Any]) -> Description:
-    """Return what a PROJJSON document says; what it leaves open is metres to the right and up."""
+    """Return the description in a PROJJSON document; by default metres to the right and up."""
     flat, vertical = _parts(told)
     axes = flat.get("coordinate_system", {}).get("axis", [])
     x, y = (
@@ -175,9 +174,9 @@ def _is_north_first(x: Axis, y: Axis) -> bool:
 
 
 def added_vertical(one: Any, other: Any) -> tuple[str, str] | None:
-    """Return the name of the vertical CRS that one of two has, and the text of that compound CRS.
+    """Return the name and the compound CRS of a vertical CRS that only one of two has.
 
-    None unless this is all in which the two differ. The text is what GDAL takes for a CRS.
+    None if they differ in anything else. The second result is a text for GDAL.
 
     Parameters
     ----------
@@ -200,7 +199,7 @@ def added_vertical(one: Any, other: Any) -> tuple[str, str] | None:
 
 
 def _core(told: Any) -> Any:
-    """Return what a CRS defines, without what is said about it."""
+    """Return the definition in a CRS, without names and remarks."""
     if isinstance(told, dict):
         left_out = ("$schema", "id", "ids", "scope", "area", "bbox", "usages", "remarks")
         return {key: _core(value) for key, value in told.items() if key not in left_out}
@@ -253,7 +252,7 @@ def _vertical(vertical: dict[str, Any] | None, axes: list[dict[str, Any]]) -> Ve
 
 
 def _radius(told: dict[str, Any]) -> float | None:
-    """Return the semi-major axis of a CRS's ellipsoid in metres, of the system behind it too."""
+    """Return the semi-major axis of a CRS's ellipsoid in metres, or of its base system."""
     for owner in (told.get("datum"), told.get("datum_ensemble")):
         ellipsoid = (owner or {}).get("ellipsoid", {})
         axis = ellipsoid.get("semi_major_axis", ellipsoid.get("radius"))
@@ -268,7 +267,7 @@ def _radius(told: dict[str, Any]) -> float | None:
 
 
 def _iau_code(told: dict[str, Any]) -> int | None:
-    """Return the code of the first system, from the outside in, that names the IAU."""
+    """Return the code of the first system, from the outside in, whose authority is the IAU."""
     name = told.get("id") or {}
     if str(name.get("authority", "")).upper().startswith("IAU"):
         with contextlib.suppress(TypeError, ValueError):

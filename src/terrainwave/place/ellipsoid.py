@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-# WGS 84: taken for the Earth where nothing says otherwise.
+# WGS 84: assumed for the Earth if nothing else is stated.
 _EARTH_AXIS = 6378137.0
 _EARTH_INVERSE_FLATTENING = 298.257223563
 
@@ -26,7 +26,7 @@ class Ellipsoid(NamedTuple):
         return self.axis * (1 - self.e2) / root**3, self.axis / root
 
     def surface_radius(self, latitudes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return how far places on the ellipsoid are from its centre, in metres.
+        """Return the distance of points on the ellipsoid from its centre, in metres.
 
         Parameters
         ----------
@@ -38,7 +38,7 @@ class Ellipsoid(NamedTuple):
     def heights_of_radii(
         self, latitudes: NDArray[np.float64], radii: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the heights of places, along the normal, that lie `radii` metres from the centre.
+        """Return the heights along the normal of points `radii` metres from the centre.
 
         With N the normal's length, h² + 2 h N (1 − e² sin² φ) + ρ² = r², ρ the ellipsoid's own.
         """

@@ -1,6 +1,6 @@
 """Meaning of a raster's numbers: heights, depths, or distances from the centre of a body.
 
-`told_by` reads marks and names, `settled_kind` compares them with the numbers.
+`told_by` reads metadata and names, `settled_kind` compares them with the numbers.
 """
 
 import re
@@ -14,45 +14,45 @@ from terrainwave.place.description import describe_quietly
 HEIGHT, DEPTH, RADIUS = "height", "depth", "radius"
 KINDS = (HEIGHT, DEPTH, RADIUS)
 PLURALS = {HEIGHT: "heights", DEPTH: "depths", RADIUS: "radii"}
-# The attribute of the CF conventions, and its values.
+# An attribute of the CF conventions, and its values.
 POSITIVE, UP, DOWN = "positive", "up", "down"
-# What of an array's attributes a file keeps for that.
+# Attributes of an array that a file keeps for its meaning.
 MARKS = (POSITIVE, "standard_name")
-# Of the CF conventions, of which "depth_below_geoid" is one. Others that have "depth" in them are
-# thicknesses or lie below the ground, such as the depth of snow, soil, or the water table.
+# Names of the CF conventions, such as "depth_below_geoid". Other names with "depth" mean
+# thicknesses or depths below the ground, such as those of snow, soil, or the water table.
 _STANDARD_NAMES = re.compile(r"depth|depth_below_geoid|sea_?floor_depth(_below_\w+)?")
 _VARIABLES = re.compile(r"depths?|deptho|(sea_?floor|seabed|sea_bed)_depth(_below_\w+)?")
-# Titles, of which only plain ones count.
+# Plain titles; others do not count.
 _SEA = r"sea[ _-]?(floor|bed|level|surface)|seafloor|ocean floor|geoid|chart datum"
 _TITLES = re.compile(
     rf"((sea[ _-]?(floor|bed)|ocean floor) )?depths?( (below|under) .*({_SEA}).*)?"
     r"( [(\[](m|metres?|meters?)[)\]])?"
 )
-# What depths are of that are no terrain: that of a flood is above the ground, not below it.
+# Depths that are not terrain: a flood's depth is above the ground, not below it.
 _OTHER_WORDS = re.compile(
     r"water|flood|inundat|snow|ice\b|frost|soil|bedrock|root|layer|thick|active|optical|burial"
     r"|height|elevation|altitude"
 )
-# Formats of hydrographers: GDAL's drivers name bands by what they are. That of S-102 gives depths,
-# or on request elevations; that of BAG elevations, also where the CRS has an axis downwards.
+# Hydrographic formats: GDAL's drivers name bands by their contents. The driver of S-102 gives
+# depths, or on request elevations; that of BAG elevations, even if the CRS has an axis downwards.
 _NAMING_DRIVERS = ("BAG", "S102")
-# Of the body's radius: how far radii may be from it, and how small a body may be, metres.
+# Share of the body's radius by which radii may differ from it, and the smallest body in metres.
 _RADIUS_SHARE, _LEAST_BODY = 0.1, 100_000.0
 
 
 class Told(NamedTuple):
-    """Meaning that marks and names give to the numbers.
+    """Meaning of the numbers by metadata and names.
 
     Parameters
     ----------
     kind : {"height", "depth"} or None
-        ``height`` only where that is said against the CRS's vertical axis.
+        ``height`` only if that contradicts the CRS's vertical axis.
     by : str
-        What says so, in few words.
+        The source of this meaning, in few words.
     is_name : bool
-        Only a name says it, which other numbers have too.
+        Based only on a name, which other numbers may have too.
     note : str
-        What contradicts itself, a sentence; else empty.
+        A contradiction in the metadata, as a sentence; else empty.
     """
 
     kind: str | None = None
@@ -64,7 +64,7 @@ class Told(NamedTuple):
 class Names(NamedTuple):
     """Names of a band or array: variable and title.
 
-    `has_length` is False if its unit is no length. `driver` is GDAL's, of files.
+    `has_length` is False if its unit is not a length. `driver` is GDAL's, for files.
     """
 
     variable: str | None = None
@@ -82,7 +82,7 @@ def check_kind(heights_are: str | None) -> None:
 
 
 def told_by(marks: Mapping[str, str], names: Names, crs_text: str | None) -> Told:
-    """Return what attributes or tags, else names, say of the numbers.
+    """Return the meaning of the numbers by attributes or tags, else by names.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def told_by(marks: Mapping[str, str], names: Names, crs_text: str | None) -> Tol
         Attributes of the array, or tags of the band.
     names : Names
     crs_text : str, optional
-        Whose vertical axis may go down.
+        Its vertical axis may point down.
     """
     said = {name.lower(): str(value).strip().lower() for name, value in marks.items()}
     title = " ".join((names.title or "").lower().split())
@@ -119,7 +119,7 @@ def told_by(marks: Mapping[str, str], names: Names, crs_text: str | None) -> Tol
 
 
 def _depth_name(said: Mapping[str, str], names: Names, title: str) -> str | None:
-    """Return the name that means depths; a standard name counts before all others."""
+    """Return the name that means depths; a standard name takes precedence."""
     # With a modifier, such as standard_error, it is a quantity of another kind.
     standard_name = said.get("standard_name", "")
     if standard_name:
@@ -144,14 +144,14 @@ class Settled(NamedTuple):
 def settled_kind(
     told: Told, crs_text: str | None, metres: tuple[float, float], *, is_mostly_negative: bool
 ) -> Settled:
-    """Return the meaning of the numbers, from marks, names and their values.
+    """Return the meaning of the numbers, by metadata, names and their values.
 
     Parameters
     ----------
     told : Told
     crs_text : str, optional
     metres : (low, high)
-        Of all valid numbers, without a sign turned.
+        Of all valid numbers, with their original sign.
     is_mostly_negative : bool
     """
     if told.kind == DEPTH and told.is_name and is_mostly_negative:

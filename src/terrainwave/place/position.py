@@ -1,4 +1,4 @@
-"""`Place`: how coordinates lie on a body. What all rooms ask."""
+"""`Place`: position of coordinates on a body, for all other packages."""
 
 import math
 import warnings
@@ -22,15 +22,15 @@ from terrainwave.place.system import System, system_of
 Numbers = NDArray[np.float64]
 
 _EAST_NORTH = (1.0, 0.0), (0.0, 1.0)
-# Degrees: pixels of a raster of the whole Earth reach half a pixel too far.
+# Degrees: pixels of a raster of the whole Earth extend half a pixel beyond it.
 _BEYOND_THE_POLE = 2.0
-# Degrees: where a degree of longitude has next to no length.
+# Degrees: beyond this a degree of longitude has almost no length.
 _NEAR_THE_POLE = 89.99
-# Degrees, and the share of a pixel by which samples may lie beyond it.
+# Degrees, and the share of a pixel by which samples may lie beyond the pole.
 _POLE, _OF_A_PIXEL = 90.0, 0.1
 # Degrees: rasters from 180 to 540 are whole turns, too.
 _MOST_LONGITUDE = 540.0
-# Columns by which a raster may miss the whole turn.
+# Columns by which a raster may differ from a whole turn.
 _SAME_COLUMN = 0.01
 
 
@@ -52,12 +52,12 @@ class LocalAxes(NamedTuple):
 
     @property
     def is_mirrored(self) -> bool:
-        """Whether what runs counter-clockwise in x and y runs clockwise on the ground."""
+        """Return whether counter-clockwise in x and y is clockwise on the ground."""
         return self.x[0] * self.y[1] < self.x[1] * self.y[0]
 
     @property
     def names(self) -> tuple[str, str]:
-        """Return where x and y go, in words."""
+        """Return the directions of x and y, in words."""
         return _direction(*self.x), _direction(*self.y)
 
 
@@ -69,7 +69,7 @@ def _direction(east: float, north: float) -> str:
 
 @dataclass(frozen=True)
 class Place:
-    """How coordinates lie on a body.
+    """Position of coordinates on a body.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class Place:
     unit : float
         Degrees or metres per unit of x and y.
     ellipsoid : Ellipsoid
-        Of the CRS, or a sphere that was asked for.
+        Of the CRS, or a sphere chosen by the user.
     body : str
         One of `bodies`' names.
     directions : ((east, north), (east, north))
@@ -87,7 +87,7 @@ class Place:
     system : System, optional
         None without a CRS.
     has_own_radius : bool
-        A radius was asked for: degrees stay as they are.
+        The user chose a radius: degrees stay unchanged.
     """
 
     kind: str
@@ -100,34 +100,34 @@ class Place:
 
     @property
     def in_degrees(self) -> bool:
-        """Whether x and y are angles on the body."""
+        """Return whether x and y are angles on the body."""
         return self.kind in (GEOGRAPHIC, DERIVED)
 
     @property
     def is_plain(self) -> bool:
-        """Whether x and y are longitude and latitude themselves, not those of a turned pole."""
+        """Return whether x and y are longitude and latitude, not those of a rotated pole."""
         return self.kind == GEOGRAPHIC
 
     @property
     def has_globe(self) -> bool:
-        """Whether there is a way to longitude and latitude to try."""
+        """Return whether a conversion to longitude and latitude may exist."""
         return self.in_degrees or self.system is not None
 
     @property
     def longitude_axis(self) -> int | None:
-        """Return which of x (0) and y (1) is a longitude, of a derived system too."""
+        """Return which of x (0) and y (1) is a longitude, also of a derived system."""
         if not self.in_degrees:
             return None
         return 0 if self.directions[0][0] else 1
 
     @property
     def globe_ellipsoid(self) -> Ellipsoid:
-        """Return what `to_lonlat`'s degrees lie on: WGS 84 for the Earth, spheres of it too."""
+        """Return the ellipsoid of `to_lonlat`'s degrees: for the Earth always WGS 84."""
         return EARTH if self.body in (THE_EARTH, UNKNOWN) else self.ellipsoid
 
     @cached_property
     def is_lonlat(self) -> bool:
-        """Whether `to_lonlat` changes nothing but the unit."""
+        """Return whether `to_lonlat` changes nothing but the unit."""
         if self.kind != GEOGRAPHIC or self.directions != _EAST_NORTH:
             return False
         if self.system is None or self.has_own_radius:
@@ -136,7 +136,7 @@ class Place:
         return bool(self.unit == 1 and system.flat.equals(system.globe, ignore_axis_order=True))
 
     def to_lonlat(self, xy: Numbers) -> Numbers:
-        """Return longitudes and latitudes in degrees; NaN where a point has none.
+        """Return longitudes and latitudes in degrees; NaN if a point has none.
 
         On WGS 84 for the Earth, else on the datum of the CRS.
 
@@ -175,7 +175,7 @@ class Place:
         return self.system
 
     def note_sphere(self) -> None:
-        """Warn where degrees of a sphere are taken for those of WGS 84."""
+        """Warn if degrees of a sphere are taken for those of WGS 84."""
         if self.body == THE_EARTH and self.ellipsoid.e2 == 0:
             warnings.warn(
                 f"the coordinates are counted on a sphere of {self.ellipsoid.axis:,.10g} m, which"
@@ -187,18 +187,18 @@ class Place:
     # Around a point
 
     def latitude(self, x: float, y: float) -> float:
-        """Return the latitude in degrees of coordinates in degrees, of a derived system its own."""
+        """Return the latitude in degrees; of a derived system its own."""
         return self.unit * (x * self.directions[0][1] + y * self.directions[1][1])
 
     def local_axes(self, x: float, y: float, *, most: float | None = None) -> LocalAxes:
-        """Return the metres of steps along x and y around a point.
+        """Return the metres of steps along x and y at a point.
 
-        Degrees by the ellipsoid's radii of curvature there; maps as they are, feet in metres.
+        Degrees use the ellipsoid's radii of curvature there; lengths on maps are used directly.
 
         Parameters
         ----------
         most : float, optional
-            Latitude in degrees that stands for all beyond it.
+            Latitude in degrees that replaces all beyond it.
 
         Raises
         ------
@@ -224,7 +224,7 @@ class Place:
         )
 
     def surface_radius(self, x: float, y: float) -> float:
-        """Return how far the ellipsoid's surface at a point is from its centre, metres."""
+        """Return the distance of the ellipsoid's surface at a point from its centre, in metres."""
         if self.ellipsoid.e2 == 0 or not self.has_globe:
             return self.ellipsoid.axis
         latitude = self.to_lonlat(np.array([[x, y]]))[:, 1]
@@ -233,10 +233,10 @@ class Place:
     def side_latitudes(
         self, bounds: tuple[float, float, float, float]
     ) -> tuple[float, float] | None:
-        """Return the latitudes of the middles of the southern and the northern side of bounds.
+        """Return the latitudes at the middle of the southern and the northern side of bounds.
 
-        In degrees; of a map around a pole of the lower and the upper one. None where they cannot be
-        told.
+        In degrees; for a map around a pole those of the lower and the upper side. None if they are
+        unknown.
         """
         left, bottom, right, top = bounds
         points = np.array([[(left + right) / 2, (bottom + top) / 2]] * 2)
@@ -248,7 +248,7 @@ class Place:
             south, north = self.to_lonlat(points)[:, 1].tolist()
         except InvalidHeightsError:
             return None
-        if not max(abs(south), abs(north)) <= 90 + _BEYOND_THE_POLE:  # NaN too
+        if not max(abs(south), abs(north)) <= 90 + _BEYOND_THE_POLE:  # also NaN
             return None
         return min(max(south, -90.0), 90.0), min(max(north, -90.0), 90.0)
 
@@ -261,20 +261,20 @@ def place_of(
     radius: float | None = None,
     has_frames: bool = False,
 ) -> Place:
-    """Say how coordinates are meant, from their CRS; guess and warn where there is none.
+    """Return the position of coordinates by their CRS; without one, guess and warn.
 
     Parameters
     ----------
     crs_text : str, optional
         ``AUTH:CODE`` or WKT.
     bounds : (left, bottom, right, top)
-        What the coordinates span; told from where there is no CRS.
+        Range of the coordinates, used if there is no CRS.
     is_placed : bool
-        False for an array without a place, whose columns and rows are no degrees.
+        False for an array without georeference, whose columns and rows are not degrees.
     radius : float, optional
         Radius in metres of the sphere that degrees lie on, instead of the CRS's ellipsoid.
     has_frames : bool
-        Whether who asks has an argument `frame` too, which the warning can name.
+        True if the caller also has an argument `frame`, which the warning then names.
 
     Raises
     ------
@@ -310,10 +310,10 @@ def impossible_places(
     *,
     is_placed: bool = True,
 ) -> str | None:
-    """Return a sentence if samples lie at degrees that no globe has, with the likely cause.
+    """Return a sentence with the likely cause if samples lie at impossible degrees.
 
     Centres of samples may lie a tenth of a pixel beyond a pole, which rounding explains; outer
-    edges of a grid that has samples on the pole lie half a pixel beyond it.
+    edges of a grid with samples on the pole lie half a pixel beyond it.
 
     Parameters
     ----------
@@ -323,7 +323,7 @@ def impossible_places(
         From columns and rows to x and y.
     shape : (rows, columns)
     is_placed : bool
-        False for an array without a place, whose columns and rows are no degrees.
+        False for an array without georeference, whose columns and rows are not degrees.
     """
     told = describe_quietly(crs_text)
     if told is None or not told.in_degrees or not is_placed:
@@ -386,7 +386,7 @@ def axis_labels(crs_text: str | None, *, is_placed: bool = True) -> tuple[str, s
 
 
 def axis_attributes(crs_text: str | None) -> tuple[dict[str, str], dict[str, str]]:
-    """Return the attributes of x and y that the CF conventions ask for."""
+    """Return the attributes of x and y that the CF conventions require."""
     x_attrs, y_attrs = {"axis": "X"}, {"axis": "Y"}
     told = describe_quietly(crs_text)
     if told is not None and told.in_degrees:
@@ -407,13 +407,13 @@ def axis_attributes(crs_text: str | None) -> tuple[dict[str, str], dict[str, str
 
 
 class Turn(NamedTuple):
-    """Which of x (0) and y (1) is a longitude, and how many of its units go once around."""
+    """The longitude among x (0) and y (1), and the number of its units in a whole turn."""
 
     axis: int
     length: float
 
     def is_whole(self, transform: tuple[float, ...], n_cols: int) -> bool:
-        """Say whether rows are parallels and go around the whole globe, to `_SAME_COLUMN`."""
+        """Return whether rows are parallels around the whole globe, within `_SAME_COLUMN`."""
         a, b, _, d, _, _ = transform
         if self.axis != 0 or not b == d == 0:
             return False
@@ -422,7 +422,7 @@ class Turn(NamedTuple):
     def near(
         self, places: NDArray[np.float64], bounds: tuple[float, float, float, float]
     ) -> NDArray[np.float64]:
-        """Return places whose longitudes lie within half a turn of the bounds' middle; copies."""
+        """Return points moved to longitudes within half a turn of the bounds' middle; copies."""
         middle = (bounds[self.axis] + bounds[self.axis + 2]) / 2
         moved = places.copy()
         with np.errstate(invalid="ignore"):
@@ -433,7 +433,7 @@ class Turn(NamedTuple):
 
 
 def longitude_turn(crs_text: str | None) -> Turn | None:
-    """Return how the longitudes of a CRS repeat; None where it has none. Needs no pyproj."""
+    """Return the period of a CRS's longitudes; None if it has none. Needs no pyproj."""
     told = describe_quietly(crs_text)
     if told is None or not told.in_degrees:
         return None

@@ -1,4 +1,4 @@
-"""A coordinate reference system that transforms, by pyproj; made once for each text."""
+"""A coordinate reference system that transforms, with pyproj; created once for each text."""
 
 import contextlib
 import re
@@ -34,14 +34,14 @@ def need_pyproj(*, extra: str = "mesh", purpose: str = "a coordinate reference s
     Raises
     ------
     TerrainwaveError
-        If it is missing; the line names the extra that installs it.
+        If it is missing; the message names the extra that installs it.
     """
     need("pyproj.exceptions", extra=extra, purpose=purpose)
     return need("pyproj", extra=extra, purpose=purpose)
 
 
 class System:
-    """A CRS: what it says, its ellipsoid and body, and the way to longitude and latitude.
+    """A CRS: its description, ellipsoid and body, and conversion to longitude and latitude.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class System:
 
     @cached_property
     def flat(self) -> Any:
-        """Return pyproj's CRS of x and y alone."""
+        """Return pyproj's CRS of only x and y."""
         known = self.known
         if known.is_compound:
             known = known.sub_crs_list[0]
@@ -68,7 +68,7 @@ class System:
         axes = told.get("coordinate_system", {})
         if axes.get("subtype") != "spherical":
             return known
-        # PROJ puts longitudes first for whoever asks, but not beside planetocentric latitudes.
+        # PROJ puts longitudes first on request, but not with planetocentric latitudes.
         axes["axis"].sort(key=lambda axis: axis["direction"] in ("north", "south"))
         return need_pyproj().CRS.from_json_dict(told)
 
@@ -81,7 +81,7 @@ class System:
         Raises
         ------
         InvalidHeightsError
-            If nothing of that kind is behind the CRS.
+            If the CRS is not based on one.
         """
         pyproj = need_pyproj()
         base = None if self.known is None else self.known.geodetic_crs
@@ -116,7 +116,7 @@ class System:
             ) from error
 
     def to_globe(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return longitudes and latitudes in degrees; NaN where a point has none.
+        """Return longitudes and latitudes in degrees; NaN if a point has none.
 
         Parameters
         ----------
@@ -129,15 +129,15 @@ class System:
         return moved(self._to_globe, xy)
 
     def from_globe(self, lonlat: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return x and y of longitudes and latitudes; NaN where there are none."""
+        """Return x and y of longitudes and latitudes; NaN where undefined."""
         return moved(self._from_globe, lonlat)
 
 
 def moved(transformer: Any, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return points that a pyproj Transformer has moved, shape (n_points, 2 or 3); NaN for none."""
+    """Return points transformed by pyproj, shape (n_points, 2 or 3); NaN on failure."""
     if not len(points):
         return points
-    # Libraries count on numpy's own settings, which callers may have changed.
+    # Libraries rely on numpy's default settings, which callers may have changed.
     with np.errstate(all="ignore"):
         found = np.column_stack(transformer.transform(*points.T, errcheck=False))
     found[~np.isfinite(found).all(axis=1)] = np.nan
@@ -145,7 +145,7 @@ def moved(transformer: Any, points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def system_of(crs_text: str | None) -> System | None:
-    """Return the system of a CRS; None, with a warning, where it is not understood.
+    """Return the system of a CRS; None, with a warning, if it cannot be parsed.
 
     Raises
     ------
@@ -167,9 +167,9 @@ def _made(crs_text: str) -> System:
 
 
 def _known_to_pyproj(crs_text: str) -> Any:
-    """Return pyproj's CRS of a text that GDAL understands; None if PROJ does not read it.
+    """Return pyproj's CRS of a text that GDAL can parse; None if PROJ cannot.
 
-    The text first, as GDAL's WKT drops the codes of inner parts, by which PROJ finds its way.
+    The text first, as GDAL's WKT drops the codes of inner parts, which PROJ uses.
     """
     pyproj = need_pyproj()
     code = _CODE.fullmatch(crs_text)
@@ -189,7 +189,7 @@ def _known_to_pyproj(crs_text: str) -> Any:
 
 
 def _ellipsoid_of(known: Any) -> Ellipsoid:
-    """Return the ellipsoid of pyproj's CRS; WGS 84 where it has none."""
+    """Return the ellipsoid of pyproj's CRS; WGS 84 if it has none."""
     ellipsoid = None if known is None else known.ellipsoid
     if ellipsoid is None or not ellipsoid.semi_major_metre > 0:
         return EARTH

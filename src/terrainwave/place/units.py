@@ -1,4 +1,4 @@
-"""Vertical units: what they are, where they are told, and how many metres they have."""
+"""Vertical units: their names, their origin, and their metres."""
 
 import re
 import warnings
@@ -9,7 +9,7 @@ from terrainwave.place.description import Vertical, describe_quietly
 from terrainwave.place.meaning import DEPTH, HEIGHT, PLURALS, RADIUS, Told
 
 _FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
-# As `_plain` writes them; of longer words without the s of a plural.
+# Keys as `_plain` writes them; longer words without a plural s.
 _METRES = {
     "m": 1.0, "metre": 1.0, "meter": 1.0, "masl": 1.0, "mamsl": 1.0,
     "dm": 0.1, "decimetre": 0.1, "decimeter": 0.1,
@@ -34,15 +34,15 @@ _METRES = {
     "fathom": 1.8288,
     "mile": 1609.344, "mi": 1609.344, "nautical mile": 1852.0, "nmi": 1852.0,
 }  # fmt: skip
-# Letters of words that an s makes something else: ms are no metres.
+# Letters of words that an s would change: ms are not metres.
 _SHORT = 3
-# What may stand behind a length: what heights are above. Depths are below, which is no unit.
+# Reference surfaces that may follow a length. Depths are below, which is not a unit.
 _REFERENCE = re.compile(
     r" (?:above|over|asl|amsl|msl|agl|hae|ahd|odn|nap|nhn|nn|(?:navd|ngvd|egm) ?\d*)\b.*"
     r"| \((?!per\b)[^/()^-]*\)$"
 )
 _HYPHEN = re.compile(r"(?<=[a-z])-(?=[a-z])")
-# What drivers write where no unit is known.
+# Drivers' texts for an unknown unit.
 _NO_UNIT = ("unspecified", "unknown", "undefined", "none", "n/a", "-")
 BAND, CRS = "band", "CRS"
 # Relative: the survey foot has several roundings, and differs from the foot by 2e-6.
@@ -50,18 +50,18 @@ _SAME_UNIT = 1e-7
 
 
 class HeightUnit(NamedTuple):
-    """The unit of heights.
+    """Unit of heights.
 
     Parameters
     ----------
     name : str or None
-        None where nobody names it.
+        None if it is not named.
     source : {"band", "CRS"} or None
-        Who does.
+        Origin of the name.
     vertical : Vertical or None
-        What the CRS says.
+        Vertical axis of the CRS.
     kind : {"height", "depth", "radius"} or None
-        What the numbers are; None where only the CRS tells it.
+        Meaning of the numbers; None if only the CRS states it.
     """
 
     name: str | None
@@ -71,9 +71,9 @@ class HeightUnit(NamedTuple):
 
     @property
     def metres(self) -> float:
-        """Return the metres per unit, negative where the numbers are depths: up is positive.
+        """Return the metres per unit, negative for depths: up is positive.
 
-        A name that is not known is warned of and taken for metres.
+        An unknown name gives a warning and counts as metres.
         """
         sign = -1.0 if self.is_depth else 1.0
         length = self.length
@@ -81,7 +81,7 @@ class HeightUnit(NamedTuple):
 
     @property
     def length(self) -> float | None:
-        """Return the metres per unit, without sign; None where it is not named, or no length."""
+        """Return the metres per unit, without sign; None if it is not named, or not a length."""
         vertical = self.vertical
         if vertical is not None and (self.source == CRS or self._is_the_same_name):
             return vertical.metres
@@ -89,23 +89,23 @@ class HeightUnit(NamedTuple):
 
     @property
     def is_depth(self) -> bool:
-        """Say whether the numbers are depths: a mark and the CRS together turn them once."""
+        """Return whether the numbers are depths: metadata and CRS together turn them once."""
         if self.kind is not None:
             return self.kind == DEPTH
         return self.vertical is not None and self.vertical.is_down
 
     @property
     def word(self) -> str:
-        """Return what a number is: a ``height``, ``depth`` or ``radius``."""
+        """Return the word for a number: ``height``, ``depth`` or ``radius``."""
         return DEPTH if self.is_depth else self.kind or HEIGHT
 
     @property
     def is_radius(self) -> bool:
-        """Say whether the numbers are distances from the centre of the body."""
+        """Return whether the numbers are distances from the centre of the body."""
         return self.kind == RADIUS
 
     def note_kind(self) -> None:
-        """Warn where numbers are depths, which are turned to go down, or radii."""
+        """Warn that numbers are depths, which are turned to go down, or radii."""
         if self.is_radius:
             words = "the numbers are radii; heights are what they have beyond the body's own radius"
         elif not self.is_depth:
@@ -120,7 +120,7 @@ class HeightUnit(NamedTuple):
 
     @property
     def of_crs(self) -> str | None:
-        """Return the CRS's unit where the band names another one."""
+        """Return the CRS's unit if the band names another one."""
         if self.source != BAND or self.vertical is None or self._is_the_same_name:
             return None
         return None if _is_same(self.length, self.vertical.metres) else self.vertical.unit
@@ -139,10 +139,10 @@ def height_unit(
     Parameters
     ----------
     units : str, optional
-        What the band says.
+        The band's unit.
     crs_text : str, optional
     heights_are : {"height", "depth", "radius"}, optional
-        As `RasterInfo` has it.
+        As in `RasterInfo`.
     """
     vertical = vertical_of(crs_text)
     if units and units.strip() and _plain(units) not in _NO_UNIT:
@@ -153,23 +153,23 @@ def height_unit(
 
 
 def kind_name(heights_are: str | None, crs_text: str | None) -> str:
-    """Return what numbers are, in a word: ``heights``, ``depths`` or ``radii``."""
+    """Return the word for the numbers: ``heights``, ``depths`` or ``radii``."""
     return PLURALS[height_unit(None, crs_text, heights_are).word]
 
 
 def kind_problem(
     own: tuple[str | None, Told, str | None], other: tuple[Told, str | None]
 ) -> str | None:
-    """Return what is wrong where a raster has depths and a file heights, or the other way round.
+    """Return the problem if a raster has depths and a file heights, or the other way round.
 
-    Nothing is where the file has what its own tags do not say: who made it chose that. A name that
-    was not believed then counts against other names alone.
+    None if the file's meaning is not that of its own tags: its maker chose it. A name that
+    was not trusted then only counts against other names.
 
     Parameters
     ----------
-    own : (heights_are, what its tags say, CRS)
+    own : (heights_are, kind by its tags, CRS)
         Of the file.
-    other : (what it says, CRS)
+    other : (kind by its tags, CRS)
         Of the raster.
     """
     heights_are, told, crs_text = own
@@ -184,14 +184,14 @@ def kind_problem(
 
 
 class Meeting(NamedTuple):
-    """What to do where the heights of two sources meet; nothing where both are empty.
+    """Consequence of combining heights of two sources; both fields are empty if it has none.
 
     Parameters
     ----------
     problem : str
-        Why the one cannot be taken beside the other, and what to do: refuse.
+        Why they cannot be combined, and what to do: raise.
     note : str
-        What was taken for granted.
+        Assumption for the user.
     """
 
     problem: str = ""
@@ -199,10 +199,10 @@ class Meeting(NamedTuple):
 
 
 def meeting(name: str, found: HeightUnit, other_name: str, other: HeightUnit) -> Meeting:
-    """Return what to do where heights of `name` are to meet those of `other_name`.
+    """Return the consequence of combining heights of `name` with those of `other_name`.
 
-    Units of any spelling are the same if their lengths are. Nothing is converted: heights that are
-    rounded on the way would be within the bound of other heights than the given ones.
+    Spellings of units with the same length are equal. Nothing is converted: conversion rounds
+    heights, which would be within the bound of other heights than the given ones.
     """
     if found.name is None and other.name is None:
         return Meeting()
@@ -236,7 +236,7 @@ def vertical_of(crs_text: str | None) -> Vertical | None:
 
 
 def metres_per_unit(units: str | None) -> float:
-    """Return the metres of one vertical unit; 1 where it is not told, or (warned) not known."""
+    """Return the metres of one vertical unit; 1 if it is missing, or (with a warning) unknown."""
     if units is None or not units.strip():
         return 1.0
     length = _length(units)
@@ -250,7 +250,7 @@ def metres_per_unit(units: str | None) -> float:
 
 
 def _length(name: str) -> float | None:
-    """Return the metres of a unit of length; None of all others."""
+    """Return the metres of a unit of length; None for all others."""
     name = _plain(name)
     for words in (name, _REFERENCE.sub("", name)):
         singular = words.removesuffix("s") if len(words) > _SHORT else words
@@ -265,18 +265,18 @@ def _is_same(length: float | None, other: float | None) -> bool:
 
 
 def is_length(units: str | None) -> bool:
-    """Say whether a unit is a length that is known, or nobody names one."""
+    """Return whether a unit is a known length, or missing."""
     unit = height_unit(units, None)
     return unit.name is None or unit.length is not None
 
 
 def _plain(units: str) -> str:
-    """Return a name of a unit as all of its spellings are written."""
+    """Return the normalised name of a unit."""
     for mark, plain in (("[", " "), ("]", " "), ("_", " "), (".", ""), ("\u03bc", "\u00b5")):
         units = units.replace(mark, plain)
     return " ".join(_HYPHEN.sub(" ", units.lower()).split())
 
 
 def unit_text(units: str | None) -> str:
-    """Return a vertical unit as labels have it."""
+    """Return a vertical unit as written in labels."""
     return units.strip() if units and units.strip() else "unit unknown"

@@ -1,8 +1,8 @@
-"""Heights above the ellipsoid: of heights above a geoid or a tide, by PROJ's grids.
+"""Heights above the ellipsoid, from heights above a geoid or a tide, by PROJ's grids.
 
-The best operation that PROJ knows for the place is taken, or none: with another one in its stead,
-as PROJ itself would do where a grid is missing, the same command would give other heights on other
-machines. Nothing is fetched.
+Only the operation that PROJ considers best for the area is used. If its grid is missing, PROJ
+itself would take another one, and the same command would give other heights on other machines.
+Nothing is downloaded.
 """
 
 import os
@@ -26,31 +26,31 @@ Numbers = NDArray[np.float64]
 
 # Longitude, latitude in degrees and ellipsoidal height in metres, of WGS 84.
 _WGS_84 = "EPSG:4979"
-# Places along each side of the raster that tell the part of the globe it lies in.
+# Points along each side of the raster used to find its area on the globe.
 _N_ALONG = 9
 # In PROJ's definitions and names of operations.
 _GRIDS = re.compile(r"grids=(\S+)")
 _NO_CHANGE = re.compile(r"^axis order change \(2D\) \+ | \+ axis order change \(2D\)")
-# What makes heights above the ellipsoid of distances from the centre.
+# Description of heights computed from distances to the centre.
 RADII = "radii less those of the ellipsoid"
 # Missing files that a message names.
 _MOST_NAMED = 6
 
 
 def check_vertical(vertical: str) -> bool:
-    """Say whether heights are to be brought onto the ellipsoid.
+    """Return whether heights must be converted to the ellipsoid.
 
     Raises
     ------
     InvalidArgumentError
-        If the word is neither of `VERTICAL`.
+        If the word is not in `VERTICAL`.
     """
     check_choice("vertical", vertical, VERTICAL)
     return vertical == ELLIPSOID
 
 
 def note_as_is(crs_text: str | None) -> None:
-    """Warn where heights of a geoid, or depths, are taken for heights above the ellipsoid."""
+    """Warn if heights above a geoid, or depths, are taken for heights above the ellipsoid."""
     told = vertical_of(crs_text)
     if told is None or told.is_ellipsoidal:
         return
@@ -67,7 +67,7 @@ def _reference(told: Vertical) -> str:
 
 
 def describe_as_is(crs_text: str | None) -> dict[str, str]:
-    """Return what files say of heights that are taken as they are."""
+    """Return the metadata of unconverted heights."""
     told = vertical_of(crs_text)
     if told is None:
         return {"heights": AS_IS}
@@ -75,18 +75,18 @@ def describe_as_is(crs_text: str | None) -> dict[str, str]:
 
 
 def describe_radii() -> dict[str, Any]:
-    """Return what files say of heights that were radii."""
+    """Return the metadata of heights that were radii."""
     return {"heights": ELLIPSOID, "operation": RADII, "grids": []}
 
 
 @dataclass(frozen=True)
 class EllipsoidalHeights:
-    """The way to heights above the ellipsoid.
+    """Conversion to heights above the ellipsoid.
 
     Parameters
     ----------
     description : str
-        PROJ's name of the operation; empty where heights lie on the ellipsoid already.
+        PROJ's name of the operation; empty if heights are above the ellipsoid already.
     grids : tuple of str
         The files it reads.
     target : str or None
@@ -103,7 +103,7 @@ class EllipsoidalHeights:
 
     @classmethod
     def of_radii(cls, place: Place) -> Self:
-        """Return the way of heights that radii have become: they stay as they are."""
+        """Return the conversion of heights computed from radii, which changes nothing."""
         return cls(RADII, (), None, None, place, 1.0)
 
     def heights(self, x: Numbers, y: Numbers, heights: Numbers) -> Numbers:
@@ -112,13 +112,13 @@ class EllipsoidalHeights:
         Parameters
         ----------
         x, y : ndarray of float64
-            Places in the raster's CRS.
+            Points in the raster's CRS.
         heights : ndarray of float64, same shape
 
         Raises
         ------
         InvalidHeightsError
-            If a place with a height is not covered by the grid.
+            If a point with a height is not covered by the grid.
         """
         found = np.array(heights, dtype=np.float64)
         if self._has_radii:
@@ -137,7 +137,7 @@ class EllipsoidalHeights:
         return found
 
     def raised(self, x: Numbers, y: Numbers, heights: Numbers) -> Numbers:
-        """Return by how much `heights` grow at places; NaN where the grid has none."""
+        """Return the increase of `heights` at points; NaN outside of the grid."""
         if self._transformer is None:
             return np.zeros(heights.shape)
         raised = self._moved(x, y, heights) - heights
@@ -153,7 +153,7 @@ class EllipsoidalHeights:
         return new
 
     def describe(self) -> dict[str, Any]:
-        """Return what files say of these heights."""
+        """Return the metadata of these heights."""
         about: dict[str, Any] = {"heights": ELLIPSOID}
         if self.description:
             about |= {"operation": self.description, "grids": list(self.grids)}
@@ -161,7 +161,7 @@ class EllipsoidalHeights:
 
     @property
     def words(self) -> str:
-        """Return what was done, in a sentence's end."""
+        """Return the conversion as the end of a sentence."""
         if not self.description:
             return "heights are above the ellipsoid already"
         if self.description == RADII:
@@ -171,34 +171,34 @@ class EllipsoidalHeights:
 
 
 def onto_wgs84(place: Place, bounds: tuple[float, float, float, float]) -> EllipsoidalHeights:
-    """Return the way to heights above the ellipsoid of WGS 84.
+    """Return the conversion to heights above the ellipsoid of WGS 84.
 
     Parameters
     ----------
     place : Place
     bounds : (left, bottom, right, top)
-        Of the raster: PROJ chooses the operation by them.
+        Of the raster, by which PROJ chooses the operation.
 
     Raises
     ------
     InvalidHeightsError
-        If the CRS names no vertical system, or PROJ has no operation or not all of its files.
+        If the CRS has no vertical system, or PROJ has no operation or lacks files for it.
     """
     return _way(place, bounds, _WGS_84)
 
 
 def on_own_datum(place: Place, bounds: tuple[float, float, float, float]) -> EllipsoidalHeights:
-    """Return the way to heights above the ellipsoid of the raster's own CRS."""
+    """Return the conversion to heights above the ellipsoid of the raster's own CRS."""
     return _way(place, bounds, None)
 
 
 def radii_on_own_datum(place: Place) -> EllipsoidalHeights:
-    """Return the way from radii to heights above the ellipsoid of the raster's own CRS.
+    """Return the conversion of radii to heights above the ellipsoid of the raster's own CRS.
 
     Raises
     ------
     InvalidHeightsError
-        If there is none.
+        If PROJ has no conversion.
     """
     if place.system is None:
         raise InvalidHeightsError(
@@ -238,7 +238,7 @@ def _way(
 
 
 def _area(place: Place, bounds: tuple[float, float, float, float]) -> Any:
-    """Return the part of the globe that bounds cover, as PROJ wants it."""
+    """Return the part of the globe that bounds cover, for PROJ."""
     left, bottom, right, top = bounds
     x, y = np.meshgrid(np.linspace(left, right, _N_ALONG), np.linspace(bottom, top, _N_ALONG))
     lonlat = place.to_lonlat(np.column_stack([x.ravel(), y.ravel()]))
@@ -254,14 +254,14 @@ def _area(place: Place, bounds: tuple[float, float, float, float]) -> Any:
 
 
 def _best_operation(system: System, goal: Any, area: Any, told: Vertical) -> Any:
-    """Return the operation that PROJ puts first, if all of its grids are there.
+    """Return PROJ's first operation, if all of its grids are installed.
 
-    Ballpark ones, which return the height unchanged, are none.
+    Ballpark operations, which return the height unchanged, do not count.
     """
     pyproj = need_pyproj()
     _look_where_proj_data_says()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # pyproj's of missing grids, told below
+        warnings.simplefilter("ignore", UserWarning)  # pyproj's, reported below
         try:
             found = pyproj.transformer.TransformerGroup(
                 system.known, goal, always_xy=True, area_of_interest=area, allow_ballpark=False
@@ -294,7 +294,7 @@ def _best_operation(system: System, goal: Any, area: Any, told: Vertical) -> Any
 
 
 def _look_where_proj_data_says() -> None:
-    """Let pyproj find grids in PROJ_DATA's directories, after its own: wheels leave them out."""
+    """Make pyproj search PROJ_DATA's directories after its own; its wheels do not."""
     datadir = need_pyproj().datadir
     own = datadir.get_data_dir().split(os.pathsep)
     for folder in os.environ.get("PROJ_DATA", "").split(os.pathsep):

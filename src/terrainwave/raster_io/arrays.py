@@ -25,7 +25,7 @@ class ArrayBackend:
 
     is_file = False
     earlier: EarlierLoss | None = None
-    # Plain numbers say nothing, and fit whatever a file has.
+    # Plain numbers carry no metadata, and fit any file.
     told: Told | None = None
     name = "the array"
     undeclared: tuple[int | float, ...] = ()
@@ -55,18 +55,15 @@ class ArrayBackend:
         self._tags = tags or {}
 
     def notes(self) -> Iterator[str]:
-        """Yield what is left out or was chosen, one sentence each."""
         return iter(())
 
     def tags(self) -> dict[str, Any]:
-        """Return the fields of RasterInfo that do not bear on the heights."""
         return self._tags
 
     def even(self, region: Region) -> None:
-        """Return nothing: only reading tells."""
+        """Return None: an array has no index."""
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return heights (a copy) and False where a mask says void."""
         part = self._array[row : row + n_rows, col : col + n_cols]
         if not isinstance(part, np.ndarray):
             part = part.values
@@ -74,15 +71,15 @@ class ArrayBackend:
         return heights, ~np.ma.getmaskarray(part)
 
     def close(self) -> None:
-        """Do nothing: the array is the caller's."""
+        """Do nothing: the array belongs to the caller."""
 
 
 class LabelledBackend(ArrayBackend):
-    """A layer of heights of xarray's, with all that its names and attributes say.
+    """xarray's layer of heights with its names and attributes.
 
     Understood: a Dataset with one variable of heights, a dimension ``band`` and others of length 1,
     x and y in either order, the coordinate that ``grid_mapping`` names (``spatial_ref``) and
-    rioxarray's ``.rio`` accessor, what marks voids, the attributes ``units``, ``long_name``,
+    rioxarray's ``.rio`` accessor, nodata values, the attributes ``units``, ``long_name``,
     ``positive``, ``standard_name``, ``AREA_OR_POINT``, ``scale_factor`` and ``add_offset``. A lazy
     array is read in its own chunks.
     """
@@ -127,7 +124,7 @@ class LabelledBackend(ArrayBackend):
         self.came_from = _came_from(variable)
 
     def _declare(self, values: list[int | float]) -> None:
-        """Take the first finite value as nodata; the others are voids as well."""
+        """Use the first finite value as nodata; the others mark voids as well."""
         fitting = []
         for value in values:
             _, problem = fit_nodata(value, self.dtype)
@@ -140,7 +137,7 @@ class LabelledBackend(ArrayBackend):
             return
         self.nodata = (finite or fitting)[0]
         own = stored_nodata(self.nodata, self.dtype)
-        # As stored: 1e20 and what float32 makes of it are one value.
+        # Compared as stored: 1e20 and its float32 are one value.
         stored = {stored_nodata(value, self.dtype): value for value in fitting if value == value}
         others = [value for number, value in stored.items() if number != own]
         self._others = [number for number in stored if number != own]
@@ -151,18 +148,16 @@ class LabelledBackend(ArrayBackend):
             )
 
     def notes(self) -> Iterator[str]:
-        """Yield what is left out or was chosen, one sentence each."""
         return iter(self._notes)
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return heights (a copy) and False where a sample is void."""
         heights, valid = super().read(row, col, n_rows, n_cols)
         for value in self._others:
             valid &= heights != value
         if self._valid_range is not None:
             low, high = map(
                 np.float64, self._valid_range
-            )  # not as float32, which may not hold them
+            )  # not as float32, which may be too narrow
             valid &= (heights >= low) & (heights <= high)
         return heights, valid
 
@@ -172,12 +167,12 @@ def _text(name: Any) -> str | None:
 
 
 def _is_loaded(array: Any) -> bool:
-    """Return True if the values of a DataArray are in memory, not read when they are needed."""
+    """Return True if the values of a DataArray are in memory, not read lazily."""
     return bool(getattr(getattr(array, "variable", None), "_in_memory", True))
 
 
 def _came_from(array: Any) -> str | None:
-    """Return the .twz file that the encoding of an array names; its heights may have changed."""
+    """Return the .twz file that an array's encoding names; the heights may have changed since."""
     # Arithmetic keeps coordinates, and drops the encoding.
     holders = [array, *(coord for coord in array.coords.values() if not getattr(coord, "ndim", 1))]
     paths = (getattr(holder, "encoding", {}).get("source") for holder in holders)

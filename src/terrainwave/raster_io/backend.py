@@ -1,4 +1,4 @@
-"""`RasterBackend`: what a mosaic needs of each of its rasters; `Readers` of one in threads."""
+"""`RasterBackend`: a raster of a mosaic; `Readers`: one raster in several threads."""
 
 import threading
 from collections.abc import Iterator
@@ -15,11 +15,11 @@ from terrainwave.raster_io.even import Even
 
 
 class RasterBackend(Protocol):
-    """One band of a raster that lies somewhere: a dataset of GDAL's, or a .twz file.
+    """One band of a raster with a position: a dataset of GDAL, or a .twz file.
 
-    `undeclared` are values that it declares to be void and that `nodata` makes heights of;
-    `is_lost` says that nothing tells where its samples lie, `has_mask` that `read` knows voids that
-    no nodata value marks. `told` is what it says of its numbers.
+    `undeclared` are values that the raster declares void and that `nodata` turns into heights;
+    `is_lost` is true if its position is unknown, `has_mask` if `read` finds voids without a nodata
+    value. `told` is its statement on the meaning of its numbers.
     """
 
     name: str
@@ -38,56 +38,52 @@ class RasterBackend(Protocol):
     told: Told
 
     def notes(self) -> Iterator[str]:
-        """Yield what is left out or was chosen, one sentence each."""
+        """Yield notes on omissions and choices, one sentence each."""
 
     def remarks(self) -> Iterator[str]:
         """Yield the notes without the raster's name."""
 
     def asides(self) -> Iterator[str]:
-        """Yield what is no reason for a warning, one sentence each."""
+        """Yield notes that need no warning, one sentence each."""
 
     def tags(self) -> dict[str, Any]:
-        """Return the fields of RasterInfo that do not bear on the heights."""
+        """Return the fields of RasterInfo that do not concern the heights."""
 
     def read(
         self, row: int, col: int, n_rows: int, n_cols: int
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Return heights (a copy) and False where a mask says void."""
+        """Return heights (a copy) and validity by the mask."""
 
     def even(self, region: Region) -> Even | None:
-        """Return what all samples of a region are without reading them; None: only that tells."""
+        """Return the content of a region if the index gives it; None if only reading can tell."""
 
-    def close(self) -> None:
-        """Close what was opened here."""
+    def close(self) -> None: ...
 
 
 class Readable(Protocol):
-    """What of a raster can be used by one thread at a time."""
+    """Reader of a raster for one thread at a time."""
 
     def read(
         self, row: int, col: int, n_rows: int, n_cols: int
-    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Do as `RasterBackend.read`."""
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]: ...
 
-    def even(self, region: Region) -> Even | None:
-        """Do as `RasterBackend.even`."""
+    def even(self, region: Region) -> Even | None: ...
 
-    def close(self) -> None:
-        """Close what was opened here."""
+    def close(self) -> None: ...
 
 
 @runtime_checkable
 class Reopening(Readable, Protocol):
-    """What can be opened once more, for another thread."""
+    """Raster that can be opened again for another thread."""
 
     def again(self) -> Readable | None:
-        """Return the same raster, opened once more; None if that is not sure to be the same."""
+        """Return the raster opened again; None if the file may have changed."""
 
 
 class Readers:
-    """A raster, opened once more for each further thread that reads it, where that can be.
+    """A raster, opened again for each further thread that reads it.
 
-    Threads take turns with one that cannot.
+    If it cannot be opened again, threads take turns.
     """
 
     def __init__(self, first: Readable) -> None:
@@ -98,7 +94,7 @@ class Readers:
 
     @contextmanager
     def lent(self) -> Iterator[Readable]:
-        """Lend the raster, as it was opened at any time, to one thread."""
+        """Yield a reader for the use of one thread."""
         other = None
         if not self._lock.acquire(blocking=False):
             other = self._other()
@@ -121,6 +117,5 @@ class Readers:
         return other
 
     def close(self) -> None:
-        """Close all that was opened."""
         for backend in (self._first, *self._others):
             backend.close()

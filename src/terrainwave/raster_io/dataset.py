@@ -40,22 +40,22 @@ from terrainwave.raster_io.tags import PLAIN_COLORS, is_statistic, select_tags
 from terrainwave.raster_io.vrt.copied import Unreported, unreported
 from terrainwave.raster_io.vrt.warped import is_warped, remark_on_windows
 
-# What GDAL tells of a file rather than keeps in it, and places, which have a note of their own.
+# Tags that GDAL derives rather than stores, and positions, which have a note of their own.
 _DERIVED_TAGS = (
     "", "IMAGE_STRUCTURE", "DERIVED_SUBDATASETS", "SUBDATASETS", "RPC", "TIFF", "xml:VRT",
     "OVERVIEWS", "LocationInfo", "vrt_sources", "new_vrt_sources", "GEOLOCATION",
 )  # fmt: skip
-# Of a band, as netCDF names values that mark voids; GDAL takes one of them as nodata.
+# netCDF's tags of a band with values that mark voids; GDAL uses one of them as nodata.
 _VOID_TAGS = ("_FillValue", "missing_value")
-# Names that a note lists.
+# Number of names that a note lists.
 _N_NAMES = 4
 
-# Held while filters of warnings are changed, which are those of the process.
+# Held while warning filters, which belong to the process, are changed.
 _FILTERING = threading.Lock()
 
 
 def open_dataset(path: str) -> Any:
-    """Open `path` by rasterio; translate each failure into one line that says what to do."""
+    """Open `path` with rasterio; turn each failure into one line with advice."""
     local = Path(path)
     is_local = "://" not in path and not path.startswith("/vsi")
     if is_local and is_twz(local):
@@ -67,7 +67,7 @@ def open_dataset(path: str) -> Any:
         with _FILTERING, bounded_env(), warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             dataset = rasterio.open(path)
-    except UnicodeEncodeError as error:  # bytes of a name that are no text
+    except UnicodeEncodeError as error:  # bytes of a name that are not text
         raise StorageError(
             f"{path}: the name is not UTF-8, which GDAL expects; rename the file"
         ) from error
@@ -91,15 +91,15 @@ def open_dataset(path: str) -> Any:
 
 
 def refuse_raster(target: str | os.PathLike[str]) -> None:
-    """Raise `StorageError` if a file that is to be replaced by a .twz is a raster, by any name.
+    """Raise `StorageError` if a .twz would replace a raster, whatever its name.
 
-    It may be the only copy of what took years to measure.
+    The raster may be the only copy of years of measurements.
     """
     if not os.path.exists(target):
         return
     try:
         open_dataset(os.path.realpath(target)).close()
-    except TerrainwaveError:  # a .twz, or nothing that GDAL knows
+    except TerrainwaveError:  # a .twz, or unknown to GDAL
         return
     raise StorageError(
         f"{os.fspath(target)} is a raster and is never replaced; expected another name for the"
@@ -108,7 +108,7 @@ def refuse_raster(target: str | os.PathLike[str]) -> None:
 
 
 def _reason(error: BaseException) -> str:
-    """Return GDAL's reason for a failed read, and what helps where a VRT has many sources."""
+    """Return GDAL's reason for a failed read, with advice for a VRT of many sources."""
     reason = one_line(error)
     if os.strerror(errno.EMFILE) in reason:
         reason += (
@@ -119,7 +119,7 @@ def _reason(error: BaseException) -> str:
 
 
 def is_twz(path: str | os.PathLike[str]) -> bool:
-    """Tell a local terrainwave file by its first bytes."""
+    """Return whether a local file is a terrainwave file, by its first bytes."""
     try:
         with Path(path).open("rb") as file:
             return b"TWZ" in file.read(8).upper()
@@ -128,7 +128,7 @@ def is_twz(path: str | os.PathLike[str]) -> bool:
 
 
 def _band_names(numbers: list[int], descriptions: tuple[str | None, ...]) -> str:
-    """Return "band 2 (slope), band 3", or the first and the last of many."""
+    """Return "band 2 (slope), band 3"; of many bands the first and the last."""
     if len(numbers) > 2 * _N_NAMES:
         return f"{len(numbers)} bands, from {numbers[0]} to {numbers[-1]}"
     names = [descriptions[number - 1] for number in numbers]
@@ -139,7 +139,7 @@ def _band_names(numbers: list[int], descriptions: tuple[str | None, ...]) -> str
 
 
 def _number(text: str) -> float | None:
-    """Return the number that a tag is; None if it is none, or NaN, which is always void."""
+    """Return a tag as a number; None if it is not one, or is NaN, which is always void."""
     try:
         value = float(text)
     except ValueError:
@@ -148,7 +148,7 @@ def _number(text: str) -> float | None:
 
 
 def is_placed(dataset: Any) -> bool:
-    """Say whether a dataset has a transform; rasterio gives the identity where GDAL has none."""
+    """Return whether a dataset has a transform; rasterio returns the identity if it has none."""
     if tuple(dataset.transform[:6]) != IDENTITY:
         return True
     if _other_places(dataset):
@@ -163,7 +163,7 @@ def is_placed(dataset: Any) -> bool:
 
 
 def _other_places(dataset: Any) -> list[str]:
-    """Return what else than a transform tells places of samples: of rows and columns, or each."""
+    """Return a dataset's positioning other than a transform: GCPs, RPCs, geolocation."""
     found = {
         "GCPs": dataset.gcps[0],
         "RPCs": getattr(dataset, "rpcs", None),
@@ -173,7 +173,7 @@ def _other_places(dataset: Any) -> list[str]:
 
 
 def _stamp(dataset: Any) -> tuple[int, ...] | None:
-    """Return what tells a local GeoTIFF from another one of its name; None of other datasets."""
+    """Return the identity of a local GeoTIFF's contents; None for other datasets."""
     try:
         found = os.stat(dataset.name)
     except (OSError, ValueError):
@@ -184,7 +184,7 @@ def _stamp(dataset: Any) -> tuple[int, ...] | None:
 
 
 def told_of(dataset: Any, band: int) -> Told:
-    """Return what the tags and names of a band say of its numbers."""
+    """Return the meaning of a band's numbers by its tags and names."""
     marks = dataset.tags(band)
     if dataset.count == 1:
         marks = {**dataset.tags(), **marks}
@@ -242,11 +242,11 @@ class DatasetBackend:
             self.transform, self.crs = IDENTITY, None
         flags = dataset.mask_flag_enums[band - 1]
         colors = [color.name for color in dataset.colorinterp]
-        # GDAL takes an alpha for a mask in 8 and 16 bits alone, and beside no nodata value.
+        # GDAL uses an alpha as mask only in 8 and 16 bits, and only without a nodata value.
         self._alphas = [
             number for number, color in enumerate(colors, 1) if color == "alpha" and number != band
         ]
-        # Neither flag: a mask band of this band alone.
+        # Neither flag: a mask band of only this band.
         is_plain = MaskFlags.all_valid in flags or flags == [MaskFlags.nodata]
         self._has_own_mask = not is_plain and MaskFlags.alpha not in flags
         self.has_mask = self._has_own_mask or bool(self._alphas)
@@ -255,11 +255,9 @@ class DatasetBackend:
         self.told = told_of(dataset, band)
 
     def notes(self) -> Iterator[str]:
-        """Yield what is left out or was chosen, one sentence each."""
         return (f"{self.name}: {remark}" for remark in self.remarks())
 
     def remarks(self) -> Iterator[str]:
-        """Yield the notes without the raster's name."""
         dataset, band = self._dataset, self._band
         others = self._other_bands()
         if others and band == 1:
@@ -298,15 +296,15 @@ class DatasetBackend:
             yield f"dropped, as a .twz file does not hold them: {what}"
 
     def _other_bands(self) -> str:
-        """Return the names of the bands that are neither taken nor a mask."""
+        """Return the names of the bands that are neither used nor a mask."""
         dataset, used = self._dataset, (self._band, *self._alphas)
         others = [number for number in range(1, dataset.count + 1) if number not in used]
         return _band_names(others, dataset.descriptions)
 
     def asides(self) -> Iterator[str]:
-        """Yield what is no reason for a warning, one sentence each.
+        """Yield notes that need no warning, one sentence each.
 
-        Bands beside one that was chosen, and what can be made of the heights again.
+        These concern other bands if one was chosen, and data that can be derived from the heights.
         """
         others = self._other_bands()
         if others and self._band != 1:
@@ -366,7 +364,6 @@ class DatasetBackend:
                 )
 
     def tags(self) -> dict[str, Any]:
-        """Return the fields of RasterInfo that do not bear on the heights."""
         dataset, index = self._dataset, self._band - 1
         color = dataset.colorinterp[index].name
         return {
@@ -387,7 +384,6 @@ class DatasetBackend:
         return unreported(self._dataset, self._band)
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return heights (a copy) and False where a mask says void."""
         window = Window(col, row, n_cols, n_rows)
         try:
             with bounded_env():
@@ -405,15 +401,15 @@ class DatasetBackend:
             ) from error
 
     def again(self) -> "DatasetBackend | None":
-        """Return the band of the same file, opened once more; None if it is not sure to be that.
+        """Return the band of the same file opened again; None if the file may have changed.
 
-        It is of a local GeoTIFF that is as it was, without masks, which may be other files.
+        Only for unchanged local GeoTIFFs without masks, which may lie in other files.
         """
         if self._stamp is None or self.has_mask:
             return None
         try:
             dataset = open_dataset(self.name)
-        except TerrainwaveError:  # too many files are open
+        except TerrainwaveError:  # too many open files
             return None
         if _stamp(dataset) != self._stamp:
             dataset.close()
@@ -426,10 +422,10 @@ class DatasetBackend:
         return other
 
     def even(self, region: Region) -> Even | None:
-        """Return what all samples of a region are, by the file's index; None: only reading tells.
+        """Return the content of a region by the file's index; None if only reading can tell.
 
-        Voids that a mask marks are left to reading, and datasets that somebody else has opened,
-        who may have done so in part or to write.
+        Not for voids by a mask, and not for datasets that the caller opened, perhaps in part or for
+        writing.
         """
         if self._stored is None:
             return None
@@ -448,12 +444,11 @@ class DatasetBackend:
         return self.read(row, col, 1, 1)[0][0, 0]
 
     def _open_member(self, path: str, band: int) -> Any:
-        """Open a source of this VRT, whose voids are heights like others there."""
+        """Open a source of this VRT; its voids count as heights."""
         return closing(
             DatasetBackend(open_dataset(path), band, owned=True, nested=self._nested + 1)
         )
 
     def close(self) -> None:
-        """Close what was opened here."""
         if self._owned:
             self._dataset.close()

@@ -1,4 +1,4 @@
-"""An orthophoto, warped to the grid of a terrain, as one picture for a texture or inside a file."""
+"""An orthophoto, warped to the grid of a terrain: a picture for a texture or for a mesh file."""
 
 import math
 import threading
@@ -37,20 +37,20 @@ from terrainwave.raster_io.dataset import open_dataset
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
 
 _TEXEL_BYTES = 4
-# Points per side along which bounds are projected: sides become curves.
+# Points per side used to project bounds: straight sides become curves.
 _DENSITY = 21
-# Texels a side that tiles are fetched for: some hundred tiles of 256 pixels.
+# Largest side, in texels, of pictures from tiles: some hundred tiles of 256 pixels.
 _MOST_TILED = 2048
 _PATIENCE = 2.0  # seconds
-# Overviews whose factor is so little above the one wanted serve as well.
+# Overviews whose factor exceeds the wanted one by this ratio are used, too.
 _ROUNDED = 1.01
-# How GDAL asks: by name, not for long, and for nothing but what it was told to read.
+# GDAL's HTTP options: a user agent, short timeouts, and no other files.
 _WEB = {
     "GDAL_HTTP_USERAGENT": "terrainwave", "GDAL_HTTP_TIMEOUT": 30, "GDAL_HTTP_CONNECTTIMEOUT": 10,
     "GDAL_HTTP_MAX_RETRY": 2, "GDAL_HTTP_RETRY_DELAY": 1,
     "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",
 }  # fmt: skip
-# Zooms 0 to 19 as one image with overviews; what a server does not have is clear.
+# Zooms 0 to 19 as one image with overviews; missing tiles are transparent.
 _TILES = (
     '<GDAL_WMS><Service name="TMS"><ServerUrl>{url}</ServerUrl></Service><DataWindow>'
     "<UpperLeftX>-{edge}</UpperLeftX><UpperLeftY>{edge}</UpperLeftY>"
@@ -62,26 +62,26 @@ _TILES = (
     "<ZeroBlockHttpCodes>204,404</ZeroBlockHttpCodes></GDAL_WMS>"
 )
 _ANY_CRS = CRS.from_epsg(3857)
-# Pixels a side of a picture in a mesh's file: what WebGL, phones and game engines take. A power of
-# two, as its sides are.
+# Largest side, in pixels, of a picture in a mesh's file: the limit of WebGL, phones and game
+# engines. A power of two, like all sides.
 _MOST_IN_FILE = 8192
-# Cells a side of the grid by which a photo is compared with a mesh's area.
+# Cells per side of the grid used to compare a photo with a mesh's area.
 _CELLS = 4096
-# Colours of a map, rather than of a photo: those of a palette, and the ground's.
+# Most colours of a map, as opposed to a photo: a palette, and the background.
 _FEW_COLORS = 257
 _JPEG_QUALITY = 90
 _ROWS_AT_ONCE = 256
 
 
 class Drape(NamedTuple):
-    """A picture over a part of a grid.
+    """Picture over a part of a grid.
 
     Parameters
     ----------
     pixels : ndarray of uint8, shape (height, width, 4)
         Red, green, blue, alpha; the first row lies along the grid's first row.
     col, row, n_cols, n_rows : float
-        What it covers, in pixels of the full grid, corners counted from 0.
+        Covered area in pixels of the full grid, corners counted from 0.
     """
 
     pixels: NDArray[np.uint8]
@@ -92,31 +92,31 @@ class Drape(NamedTuple):
 
 
 class Photo:
-    """An open image that windows are read of, warped to a grid. Thread-safe; a context manager.
+    """An open image, read in windows warped to a grid. Thread-safe; a context manager.
 
-    What a window needs is read and no more: parts of the file, or of its overviews where these are
-    fine enough; of tiles, those of the zoom that fits.
+    A window reads only what it needs: parts of the file or of a sufficiently fine overview; tiles
+    of the matching zoom.
 
     Parameters
     ----------
     path : str
         A file, or a URL: of a file that is read by ranges, such as a COG, or of tiles of 256 x 256
-        pixels in Web Mercator, with ``{z}``, ``{x}`` and ``{y}``. Bands grey or red, green, blue,
-        each with an alpha band or not, or a palette; 8 bits.
+        pixels in Web Mercator, with ``{z}``, ``{x}`` and ``{y}``. Bands are grey or red, green,
+        blue, with or without alpha, or a palette; 8 bits.
     crs : str, optional
-        Of the grid, as `parse_crs` reads it.
+        CRS of the grid, as `parse_crs` reads it.
     affine : tuple of float
         a, b, c, d, e, f of the grid: x = a col + b row + c.
     shape : tuple of int
         Rows and columns of the grid.
     plain_on : Footprint, optional
-        In the grid's CRS: what a picture covers that does not say where it lies. Without it such a
+        Area, in the grid's CRS, that a picture without georeference covers. Without it such a
         picture is refused.
 
     Raises
     ------
     InvalidHeightsError
-        If it is no such image, has no place on the ground, or does not overlap the grid.
+        If it is not such an image, has no georeference, or does not overlap the grid.
     StorageError
         If it cannot be read.
     """
@@ -142,7 +142,7 @@ class Photo:
             self._file = _open(path)
             self._plain_on = plain_on if _is_plain(self._file) else None
             _check(path, self._file, grid_crs, is_plain=self._plain_on is not None)
-            # Where neither says what its coordinates are, any projected system does for both.
+            # If neither states its CRS, any projected system works for both.
             self._grid_crs = grid_crs or _ANY_CRS
             self._crs = self._grid_crs if self._plain_on else self._file.crs or _ANY_CRS
             placed = self._placed(self._file)
@@ -176,29 +176,29 @@ class Photo:
 
     @property
     def credit(self) -> str | None:
-        """Return the server whose tiles they are; None for a file."""
+        """Return the server of the tiles; None for a file."""
         return urlsplit(self._path).hostname if self.is_tiled else None
 
     def size(self, max_side: int, max_bytes: int) -> tuple[int, int]:
-        """Return width and height, in texels, of the picture of all of it within these limits."""
+        """Return width and height, in texels, of the whole photo within these limits."""
         _, _, n_cols, n_rows = self.place
         max_side = min(max_side, _MOST_TILED) if self.is_tiled else max_side
         return _size(n_cols * self.finer, n_rows * self.finer, max_side, max_bytes)
 
     def whole(self, max_side: int, max_bytes: int) -> Drape:
-        """Return all of it that lies on the grid, at its own resolution as far as limits allow.
+        """Return all of the photo that lies on the grid, at its own resolution if limits allow.
 
-        `max_side` and `max_bytes` are of the picture, whose texels take four bytes. Tiles are
-        fetched for 2048 texels a side at most.
+        `max_side` and `max_bytes` limit the picture, with four bytes per texel. From tiles it has
+        2048 texels per side at most.
         """
         return self.part(self.place, self.size(max_side, max_bytes))
 
     def over_grid(self, max_side: int) -> tuple[Drape, tuple[int, int]]:
-        """Return a picture of the whole grid, clear where the photo ends.
+        """Return a picture of the whole grid, transparent beyond the photo.
 
-        Its sides are powers of two, as engines want them for smaller copies of a texture: the next
-        ones after the photo's own resolution along rows and columns, up to `max_side`, which is
-        one. The second result is the width and height at the photo's own resolution.
+        Its sides are powers of two, as engines need for mipmaps: the next ones above the photo's
+        own resolution along rows and columns, up to `max_side`, itself a power of two. The second
+        result is width and height at the photo's own resolution.
         """
         n_rows, n_cols = self._shape
         along, down = self._finer
@@ -249,7 +249,7 @@ class Photo:
         self.close()
 
     def close(self) -> None:
-        """Close the file; one that another thread is still reading is left to the process's end."""
+        """Close the file, unless another thread is still reading it."""
         if not self._lock.acquire(timeout=_PATIENCE):
             return
         try:
@@ -261,14 +261,13 @@ class Photo:
 
 
 def is_tile_url(path: str) -> bool:
-    """Say whether a path is the URL of tiles."""
     return path.startswith(("http://", "https://")) and all(
         part in path for part in ("{z}", "{x}", "{y}")
     )
 
 
 def check_photo(path: str, *, crs: str | None, footprint: Footprint) -> None:
-    """Raise now what `texture_of` would raise for this photo of a terrain, without warping it.
+    """Raise the errors of `texture_of` for this photo of a terrain now, without warping it.
 
     Raises
     ------
@@ -286,32 +285,32 @@ def texture_of(
     plain_on: Footprint | None,
     color: tuple[int, int, int],
 ) -> tuple[bytes, str]:
-    """Return a picture of an area for a mesh's file: the left, upper corner comes first.
+    """Return a picture of an area for a mesh's file; the upper left corner is first.
 
     Parameters
     ----------
     path : str
-        As of `Photo`. A warning names one with more than 8192 pixels a side over the area.
+        As for `Photo`. A warning names a photo with more than 8192 pixels per side over the area.
     crs : str, optional
-        Of the area.
+        CRS of the area.
     area : tuple of float
         Left, bottom, right, top.
     plain_on : Footprint, optional
-        What a picture without a place covers; by default the area.
+        Area that a picture without georeference covers; by default `area`.
     color : tuple of int
-        Red, green, blue where the photo is clear, void or ends.
+        Red, green, blue where the photo is transparent, void or missing.
 
     Returns
     -------
     data : bytes
-        A PNG if it has at most 257 colours and is no larger as such, else a JPEG.
+        A PNG if it has at most 257 colours and is not larger than a JPEG, else a JPEG.
     kind : str
         ``image/png`` or ``image/jpeg``.
 
     Raises
     ------
     InvalidHeightsError, StorageError
-        As `Photo`, and if nothing of it is over the area.
+        As `Photo`, and if no part of it is over the area.
     """
     left, bottom, right, top = area
     affine = ((right - left) / _CELLS, 0.0, left, 0.0, (bottom - top) / _CELLS, top)
@@ -338,7 +337,7 @@ def texture_of(
 
 
 def _opaque(pixels: NDArray[np.uint8], color: tuple[int, int, int]) -> NDArray[np.uint8]:
-    """Return red, green and blue of a picture over a ground of one colour."""
+    """Return red, green and blue of a picture on a background of one colour."""
     ground = np.array(color, dtype=np.uint16)
     made = np.empty((*pixels.shape[:2], 3), dtype=np.uint8)
     for row in range(0, len(pixels), _ROWS_AT_ONCE):
@@ -351,7 +350,7 @@ def _opaque(pixels: NDArray[np.uint8], color: tuple[int, int, int]) -> NDArray[n
 
 
 def _encoded(pixels: NDArray[np.uint8]) -> tuple[bytes, str]:
-    """Return a picture of red, green and blue in the kind of file that suits it, and the kind."""
+    """Return an RGB picture in the more suitable file format, and its media type."""
     photo = _as_file(pixels, driver="JPEG", quality=_JPEG_QUALITY), "image/jpeg"
     if not _has_few_colors(pixels):
         return photo
@@ -370,7 +369,7 @@ def _has_few_colors(pixels: NDArray[np.uint8]) -> bool:
 
 
 def _as_file(pixels: NDArray[np.uint8], **profile: Any) -> bytes:
-    """Return a picture as GDAL writes it."""
+    """Return a picture as a file written by GDAL."""
     height, width = pixels.shape[:2]
     with bounded_env(), warnings.catch_warnings(), MemoryFile() as memory:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -390,7 +389,7 @@ def _open(path: str, **options: Any) -> Any:
 
 
 def _is_plain(photo: Any) -> bool:
-    """Say whether a picture has nothing that could tell where it lies."""
+    """Return whether a picture has no georeference of any kind."""
     return (
         photo.transform.is_identity
         and photo.crs is None
@@ -400,7 +399,7 @@ def _is_plain(photo: Any) -> bool:
 
 
 def _check(path: str, photo: Any, grid_crs: Any, *, is_plain: bool) -> None:
-    """Refuse what cannot be draped."""
+    """Raise if a photo cannot be draped."""
     n_colors = photo.count - (ColorInterp.alpha in photo.colorinterp)
     if n_colors not in (1, 3, 4) or photo.dtypes[0] != "uint8":
         raise InvalidHeightsError(
@@ -423,7 +422,7 @@ def _check(path: str, photo: Any, grid_crs: Any, *, is_plain: bool) -> None:
 
 
 def _bounds(placed: Any, width: int, height: int) -> tuple[float, float, float, float]:
-    """Return left, bottom, right, top of a raster, which may be turned."""
+    """Return left, bottom, right, top of a raster, which may be rotated."""
     corners = [(row, col) for row in (0.0, height) for col in (0.0, width)]
     xs, ys = zip(*(pixels_to_places(tuple(placed)[:6], *one) for one in corners), strict=True)
     return min(xs), min(ys), max(xs), max(ys)
@@ -437,7 +436,7 @@ def _overlap(
     grid: Transform,
     shape: tuple[int, int],
 ) -> tuple[float, float, float, float]:
-    """Return column, row, columns and rows of the grid that the photo covers."""
+    """Return column, row, columns and rows of the part of the grid that the photo covers."""
     left, bottom, right, top = transform_bounds(photo_crs, grid_crs, *bounds, densify_pts=_DENSITY)
     corners = [places_to_pixels(grid, x, y) for x in (left, right) for y in (bottom, top)]
     rows, cols = zip(*corners, strict=True)
@@ -455,10 +454,7 @@ def _overlap(
 def _texels_per_pixel(
     placed: Any, photo_crs: Any, grid_crs: Any, grid: Transform, col: float, row: float
 ) -> tuple[float, float]:
-    """Return how many pixels of the photo lie along one of the grid, near a place of it.
-
-    Along a row of the grid, and along a column.
-    """
+    """Return the photo's pixels per grid pixel along a row and along a column, near a point."""
     near = ((row, col), (row, col + 1), (row + 1, col))
     places = [pixels_to_places(grid, *pixel) for pixel in near]
     xs, ys = transform(grid_crs, photo_crs, *zip(*places, strict=True))

@@ -1,4 +1,4 @@
-"""What heights had lost before they are read: those of a .twz file that is a source itself."""
+"""Earlier loss of heights that come from .twz files."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -7,16 +7,16 @@ from terrainwave.container.metadata import EARLIER
 
 
 class EarlierFile(NamedTuple):
-    """One file that heights went through, and its bound from their original, in physical units."""
+    """A file that heights went through, and its bound from their original, in physical units."""
 
     file: str
     max_error: float
 
 
 class EarlierLoss(NamedTuple):
-    """How far heights may be from their original, in physical units, and the files between.
+    """Largest distance of heights from their original, in physical units, and the files between.
 
-    The last file's bound is `max_error`. A lossless file leaves no file.
+    `max_error` is the last file's bound. Lossless files are not listed.
     """
 
     max_error: float
@@ -27,7 +27,7 @@ NO_LOSS = EarlierLoss(0.0)
 
 
 def earlier_files(metadata: Mapping[str, object]) -> tuple[EarlierFile, ...]:
-    """Return the files that a file's heights went through before; what is no such list is none."""
+    """Return the files that heights went through before; empty if the metadata are malformed."""
     found = metadata.get(EARLIER)
     files = found if isinstance(found, list) else []
     return tuple(

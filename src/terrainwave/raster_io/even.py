@@ -1,4 +1,4 @@
-"""What a raster's index says of its heights without reading them: windows of one value.
+"""Windows of one value, found in a raster's index without reading heights.
 
 Gaps of a VRT, blocks of a sparse GeoTIFF that have no bytes. GDAL reads the same value at all
 samples there, found by reading one of them. In doubt nothing is said: then heights are read.
@@ -8,8 +8,8 @@ import copy
 import math
 import os
 import xml.etree.ElementTree as ET
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 from itertools import product
 from typing import Any, NamedTuple, Protocol
 
@@ -18,30 +18,22 @@ from numpy.typing import NDArray
 
 from terrainwave.errors import TerrainwaveError
 from terrainwave.grid.quadtree import Region
+from terrainwave.raster_io.gdal import GDAL_ERRORS
 
 # Blocks of a GeoTIFF of which is kept whether they have bytes: one byte each.
 _MOST_BLOCKS = 1 << 25
-# Bytes of a VRT that is read; some 100,000 sources.
-_MOST_BYTES = 1 << 27
 # A VRT of VRTs of VRTs is looked through, deeper ones are not.
 _MOST_NESTED = 3
-# Sources of a VRT are found by cells of so many samples a side; windows of more cells look at all.
-_CELL = 8192
-_MOST_CELLS = 64
+# Rows of the bands in which sources of a VRT are looked for, at least.
+_BAND = 1024
 
-# What a band of a VRT may have besides sources: none of it changes the heights of a gap.
-_PLAIN = {
-    "NoDataValue", "HideNoDataValue", "ColorInterp", "Description", "UnitType", "Offset", "Scale",
-    "Metadata", "Histograms", "CategoryNames", "ColorTable", "GDALRasterAttributeTable", "Overview",
-    "MaskBand",
-}  # fmt: skip
-# Sources that change nothing outside of their place, and what those have that copy samples.
+# Sources that change nothing outside of their place, and the elements of those that copy samples.
 _SOURCES = {"SimpleSource", "ComplexSource"}
 _COPIES = {"SourceFilename", "SourceBand", "SourceProperties", "SrcRect", "DstRect", "NODATA"}
 
 
 class Even(NamedTuple):
-    """What all samples of a window are: their stored value, and whether they are valid."""
+    """Stored value and validity that all samples of a window share."""
 
     value: Any
     is_valid: bool
@@ -77,14 +69,14 @@ def even_parts(region: Region, side: int, even_of: EvenOf) -> Iterator[tuple[Reg
 
 
 class StoredValues(Protocol):
-    """What a format tells of its samples."""
+    """Facts about samples that a format states."""
 
     def value(self, region: Region) -> Any:
         """Return the stored value of all samples of a region; None where only reading tells."""
 
 
 class Composite:
-    """What lies over each other in a region, in order: the last one that covers a sample counts."""
+    """Sources of a region in order: the last one that covers a sample counts."""
 
     def __init__(self, region: Region) -> None:
         self._region = region
@@ -214,11 +206,11 @@ class SparseBlocks:
 
 
 class _Source(NamedTuple):
-    """A source of a VRT's band: what it covers, and what it copies, None if it does more."""
+    """A source of a VRT's band: its place, and the samples that it copies, None if it does more."""
 
     place: Region
-    copies: tuple[str, int, Region] | None
-    nodata: float | None
+    copies: tuple[str, int, Region] | None = None
+    nodata: float | None = None
 
 
 class VrtSources:
@@ -238,29 +230,22 @@ class VrtSources:
         read_sample: Callable[[int, int], Any],
     ) -> None:
         self._sources = sources
-        self._value_of = value_of
+        # Each file is opened once for this, however often it is asked for.
+        self._value_of = cache(value_of)
         self._read_sample = read_sample
         self._fill: Any = None
-        # Each file is opened once for this, however often it is asked for.
-        self._values: dict[tuple[str, int, Region], Any] = {}
-        regions = np.array([one.place for one in sources], dtype=np.int64).reshape(-1, 4)
-        self._corners = regions[:, :2], regions[:, :2] + regions[:, 2:]
-        self._cells: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
-        self._has_cells = True
-        for number, one in enumerate(sources):
-            cells = _cells_of(one.place)
-            if len(cells) > _MOST_CELLS**2:
-                self._has_cells = False
-                break
-            for cell in cells:
-                self._cells[cell].append(number)
+        places = np.array([one.place for one in sources], dtype=np.int64).reshape(-1, 4).T
+        self._edges = np.vstack([np.arange(len(sources)), places[:2], places[:2] + places[2:]])
+        # Bands of the mean height: each source is in few of them.
+        self._band = max(_BAND, int(places[2].sum()) // max(len(sources), 1))
+        self._edges_of = cache(self._edges_from)
 
     def value(self, region: Region) -> Any:
         """Return the value of all samples of a region, as its sources lie over each other."""
         composite = Composite(region)
         for number in self._touching(region):
             source = self._sources[number]
-            value = self._source_value(source)
+            value = None if source.copies is None else self._value_of(*source.copies)
             if value is None:
                 return None
             if source.nodata is not None:
@@ -279,34 +264,19 @@ class VrtSources:
 
     def _touching(self, region: Region) -> list[int]:
         """Return the sources that a region touches, in their order."""
-        cells = _cells_of(region, _MOST_CELLS) if self._has_cells else None
-        near: Any = slice(None)
-        if cells is not None:
-            near = sorted({number for cell in cells for number in self._cells.get(cell, ())})
-            if not near:
-                return []
-        first, last = (corners[near] for corners in self._corners)
-        end = region.row + region.n_rows, region.col + region.n_cols
-        touching = np.flatnonzero(((first < end) & (last > region[:2])).all(axis=1)).tolist()
-        return touching if cells is None else [near[at] for at in touching]
+        is_low = region.n_rows <= self._band
+        edges = self._edges_of(region.row // self._band) if is_low else self._edges
+        if not edges.size:
+            return []
+        numbers, top, left, bottom, right = edges
+        row, col, n_rows, n_cols = region
+        within_rows = (top < row + n_rows) & (bottom > row)
+        return numbers[within_rows & (left < col + n_cols) & (right > col)].tolist()
 
-    def _source_value(self, source: _Source) -> Any:
-        if source.copies is None:
-            return None
-        if source.copies not in self._values:
-            self._values[source.copies] = self._value_of(*source.copies)
-        return self._values[source.copies]
-
-
-def _cells_of(region: Region, most: int | None = None) -> Any:
-    """Return the cells that a region touches; None if they are more than `most`."""
-    rows, cols = (
-        range(first // _CELL, (first + n - 1) // _CELL + 1)
-        for first, n in zip(region[:2], region.shape, strict=True)
-    )
-    if most is not None and len(rows) * len(cols) > most:
-        return None
-    return [(row, col) for row in rows for col in cols]
+    def _edges_from(self, band: int) -> NDArray[np.int64]:
+        """Return edges of the sources that regions beginning in a band, and as low, may touch."""
+        first, end = band * self._band, (band + 2) * self._band
+        return self._edges[:, (self._edges[1] < end) & (self._edges[3] > first)]
 
 
 def _is_nearly(value: Any, number: float) -> bool:
@@ -318,124 +288,45 @@ def _is_number(value: Any, number: float) -> bool:
     return float(value) == number or (math.isnan(number) and math.isnan(float(value)))
 
 
-def vrt_sources(path: str, shape: tuple[int, int], band: int) -> list[_Source] | None:
-    """Return the sources of a band of a VRT file; None if they may not be all that makes it."""
-    try:
-        if not os.path.isfile(path) or os.path.getsize(path) > _MOST_BYTES:
-            return None
-        root = ET.parse(path).getroot()
-        if root.tag != "VRTDataset" or root.get("subClass") is not None:
-            return None
-        if (int(root.get("rasterYSize", "0")), int(root.get("rasterXSize", "0"))) != shape:
-            return None
-        bands = root.findall("VRTRasterBand")
-        numbers = [int(one.get("band", str(place))) for place, one in enumerate(bands, 1)]
-        if numbers != list(range(1, len(bands) + 1)):
-            return None
-        chosen = bands[band - 1]
-        if chosen.get("subClass") not in (None, "VRTSourcedRasterBand"):
-            return None
-        sources = [
-            _source_of(one, os.path.dirname(path), shape) for one in chosen if one.tag not in _PLAIN
-        ]
-    except (OSError, ValueError, IndexError, ET.ParseError):
+def _vrt_sources(dataset: Any, band: int) -> list[_Source] | None:
+    """Return the sources of a band of a VRT; None if they may not be all that makes it."""
+    root = ET.fromstring("".join(dataset.tags(ns="xml:VRT").values()))
+    own = root.findall("VRTRasterBand")[band - 1 : band]
+    sources = [one for each in own for one in each if one.tag.endswith("Source")]
+    kinds = {root.get("subClass"), *(one.get("subClass") for one in own)}
+    if not own or kinds - {None, "VRTSourcedRasterBand"} or {one.tag for one in sources} - _SOURCES:
         return None
-    known = [one for one in sources if one is not None]
-    return _joined(known) if len(known) == len(sources) else None
+    whole = Region(0, 0, dataset.height, dataset.width)
+    folder = os.path.dirname(str(dataset.name))
+    found = [_source_of(one, folder, whole) for one in sources]
+    return [one for one in found if min(one.place.shape)]
 
 
-def _joined(sources: list[_Source]) -> list[_Source]:
-    """Return sources with those as one that follow each other, copy the same, and lie side by side.
-
-    A sea of thousands of tiles may be one file, named for each of them: if it is of one value, so
-    are they, and else nothing is known of any of them.
-    """
-    n_before = len(sources) + 1
-    while len(sources) < n_before:
-        n_before = len(sources)
-        joined: list[_Source] = []
-        for one in sources:
-            last = joined[-1] if joined else one
-            place = _union(last.place, one.place)
-            is_alike = one.copies is not None and one[1:] == last[1:]
-            if joined and is_alike and place is not None:
-                joined[-1] = one._replace(place=place)
-            else:
-                joined.append(one)
-        sources = joined
-    return sources
-
-
-def _union(one: Region, other: Region) -> Region | None:
-    """Return two regions as one if they are a rectangle that both have a whole side of."""
-    row, col = min(one.row, other.row), min(one.col, other.col)
-    if (one.col, one.n_cols) == (other.col, other.n_cols):
-        if max(one.row, other.row) == row + (one if one.row == row else other).n_rows:
-            return Region(row, col, one.n_rows + other.n_rows, one.n_cols)
-    elif (one.row, one.n_rows) == (other.row, other.n_rows):
-        if max(one.col, other.col) == col + (one if one.col == col else other).n_cols:
-            return Region(row, col, one.n_rows, one.n_cols + other.n_cols)
-    return None
-
-
-def _source_of(element: ET.Element, folder: str, shape: tuple[int, int]) -> _Source | None:
-    if element.tag not in _SOURCES:
-        return None
-    place = _rectangle(element.find("DstRect"))
-    if place is None:
-        return _Source(Region(0, 0, *shape), None, None)
-    top, left, n_rows, n_cols = place
-    bottom, right = top + n_rows, left + n_cols
-    is_whole = all(float(number).is_integer() for number in place)
-    # GDAL rounds what is not in whole samples: it is kept a sample away.
-    margin = 0 if is_whole else 1
-    outer = Region(
-        math.floor(top) - margin,
-        math.floor(left) - margin,
-        math.ceil(bottom) - math.floor(top) + 2 * margin,
-        math.ceil(right) - math.floor(left) + 2 * margin,
-    ).intersect(Region(0, 0, *shape))
-    copies = _copied(element, folder) if is_whole else None
-    nodata = element.findtext("NODATA")
-    if copies is not None and copies[2].shape != (n_rows, n_cols):
-        copies = None
-    if copies is not None and outer.shape != copies[2].shape:  # reaches beyond the raster
-        copies = None
-    return _Source(outer, copies, None if nodata is None else float(nodata))
-
-
-def _rectangle(element: ET.Element | None) -> tuple[float, float, float, float] | None:
-    """Return row, column, rows and columns; None without all of them."""
-    if element is None:
-        return None
-    parts = [element.get(name) for name in ("yOff", "xOff", "ySize", "xSize")]
-    if None in parts:
-        return None
-    row, col, n_rows, n_cols = (float(part) for part in parts)  # type: ignore[arg-type]
-    if not all(map(math.isfinite, (row, col, n_rows, n_cols))) or n_rows < 0 or n_cols < 0:
-        raise ValueError("a rectangle without a size")
-    return row, col, n_rows, n_cols
-
-
-def _copied(element: ET.Element, folder: str) -> tuple[str, int, Region] | None:
-    """Return file, band and place of the samples that a source copies; None if it does more."""
-    if {child.tag for child in element} - _COPIES:
-        return None
-    name, place = element.find("SourceFilename"), _rectangle(element.find("SrcRect"))
-    if name is None or not name.text or place is None:
-        return None
-    if not all(number.is_integer() and number >= 0 for number in place):
-        return None
-    band = element.findtext("SourceBand", "1")
-    if not band.isdecimal():
-        return None
-    path = name.text
-    if name.get("relativeToVRT") == "1":
-        path = os.path.join(folder, path)
-    if not os.path.isfile(path):
-        return None
-    row, col, n_rows, n_cols = map(int, place)
-    return path, int(band), Region(row, col, n_rows, n_cols)
+def _source_of(element: ET.Element, folder: str, whole: Region) -> _Source:
+    """Return a source of a VRT that GDAL has written: all numbers are there, or no rectangle."""
+    rectangles = [
+        [float(rectangle.get(name, "nan")) for name in ("yOff", "xOff", "ySize", "xSize")]
+        for rectangle in map(element.find, ("SrcRect", "DstRect"))
+        if rectangle is not None
+    ]
+    if len(rectangles) < 2 or min(rectangles[1][2:]) < 0:
+        return _Source(whole)
+    if all(number.is_integer() for rectangle in rectangles for number in rectangle):
+        source, place = (Region(*map(int, rectangle)) for rectangle in rectangles)
+        name, band = element.find("SourceFilename"), element.findtext("SourceBand", "1")
+        is_copy = source.shape == place.shape and place.intersect(whole) == place
+        is_copy &= not {child.tag for child in element} - _COPIES and band.isdecimal()
+        if is_copy and name is not None and min(source) >= 0:
+            is_relative = name.get("relativeToVRT") == "1"
+            path = os.path.join(folder if is_relative else "", name.text or "")
+            nodata = element.findtext("NODATA")
+            if os.path.isfile(path):
+                copies = path, int(band), source
+                return _Source(place, copies, None if nodata is None else float(nodata))
+    # GDAL rounds what is not in whole samples: a sample more on each side.
+    row, col, n_rows, n_cols = rectangles[1]
+    outer = math.floor(row) - 1, math.floor(col) - 1, math.ceil(n_rows) + 3, math.ceil(n_cols) + 3
+    return _Source(Region(*outer).intersect(whole))
 
 
 def stored_values(
@@ -445,7 +336,7 @@ def stored_values(
     open_member: Callable[[str, int], Any],
     nested: int = 0,
 ) -> StoredValues | None:
-    """Return what tells of even windows of a band of a dataset that was opened to be read.
+    """Return the finder of even windows of a band of a dataset opened for reading.
 
     `open_member` opens a band of another file as a context: a raster with `dtype`, size and `even`.
     """
@@ -453,7 +344,10 @@ def stored_values(
         return SparseBlocks(dataset, band, read_sample)
     if dataset.driver != "VRT" or nested >= _MOST_NESTED:
         return None
-    sources = vrt_sources(str(dataset.name), (dataset.height, dataset.width), band)
+    try:
+        sources = _vrt_sources(dataset, band)
+    except (*GDAL_ERRORS, ET.ParseError, ValueError, OverflowError):
+        return None
     if sources is None:
         return None
     dtype = np.dtype(dataset.dtypes[band - 1])

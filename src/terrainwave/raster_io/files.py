@@ -1,4 +1,4 @@
-"""The files that a raster is read from, to notice that one of them has changed."""
+"""Files that a raster is read from, to detect changes."""
 
 import os
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from terrainwave.raster_io.dataset import is_twz, open_dataset
 def files_of(path: str) -> list[str]:
     """Return the files that GDAL reads a raster from, sorted; empty if it names none.
 
-    Of a VRT also those that its sources are read from, however deep.
+    For a VRT this includes the files of its sources, recursively.
 
     Raises
     ------
@@ -22,7 +22,7 @@ def files_of(path: str) -> list[str]:
     def named(name: str) -> list[str]:
         try:
             return _listed(name)
-        except TerrainwaveError:  # a file beside a raster, such as metadata
+        except TerrainwaveError:  # an accompanying file, such as metadata
             return []
 
     return sorted(_all_below(_listed(path), named))
@@ -31,8 +31,8 @@ def files_of(path: str) -> list[str]:
 def stamps_of(src: Any) -> list[list[str | int]] | None:
     """Return names, sizes and times of the files that rasters are read from.
 
-    Of a .twz file its own; of VRTs those of their sources, too. None if something is no file of
-    this machine, such as an array or a URL.
+    For VRTs these include the files of their sources. None if a source is not a local file, such as
+    an array or a URL.
 
     Raises
     ------
@@ -51,13 +51,13 @@ def stamps_of(src: Any) -> list[list[str | int]] | None:
             seen = os.stat(name)
         except (OSError, ValueError):
             return None
-        # Whatever changes a file changes this time, also what puts back the other one.
+        # Every change of a file sets this time, even one that restores the time of modification.
         stamps.append([os.path.abspath(name), seen.st_size, seen.st_mtime_ns, seen.st_ctime_ns])
     return stamps
 
 
 def _files_below(source: Any) -> set[str]:
-    """Return the files of a raster, those that a VRT names as well; empty if it is in none."""
+    """Return the files of a raster, including those that a VRT names; empty if it has none."""
     if hasattr(source, "files") and hasattr(source, "block_shapes"):
         waiting = [os.fspath(name) for name in source.files]
     elif not isinstance(source, str | os.PathLike):
@@ -71,7 +71,7 @@ def _files_below(source: Any) -> set[str]:
 
 
 def _all_below(names: list[str], named: Callable[[str], list[str]]) -> set[str]:
-    """Return files and all that they name, however deep."""
+    """Return files and all that they name, recursively."""
     found: set[str] = set()
     waiting = [*names]
     while waiting:

@@ -1,4 +1,4 @@
-"""How GDAL is used here: its memory, its errors, the order of its blocks."""
+"""Use of GDAL: its memory, errors and order of blocks."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -10,18 +10,18 @@ from rasterio.errors import RasterioError
 
 from terrainwave.grid.quadtree import Region
 
-# GDAL's default block cache is 5 % of the machine's memory, which alone can break a memory limit.
+# GDAL's default block cache, 5 % of the machine's memory, may exceed a memory limit by itself.
 GDAL_CACHE_BYTES = 64 * 2**20
 
-# Samples per window that is written: 32 MB of float64, large against GDAL's overhead per call.
+# Samples per window to write: 32 MB of float64, large compared with GDAL's overhead per call.
 SCAN_SAMPLES = 4 * 2**20
 
-# What rasterio raises when GDAL fails; a failed copy gives the last two.
+# Errors of rasterio when GDAL fails; a failed copy raises the last two.
 GDAL_ERRORS = (RasterioError, OSError, CPLE_BaseError, SystemError)
 
 
 def bounded_env(**options: Any) -> Any:
-    """Return the GDAL environment all work here is done in."""
+    """Return the GDAL environment for all work of this package."""
     return rasterio.Env(GDAL_CACHEMAX=GDAL_CACHE_BYTES, **options)
 
 
@@ -43,5 +43,5 @@ def scan_windows(
         cols -= cols % block_cols
     elif cols == n_cols:
         rows = min(n_rows, max(max_samples // (rows * n_cols), 1) * rows)
-    # One row of blocks at a time, also where the rows of a huge block are taken in several parts.
+    # One row of blocks at a time, even if the rows of huge blocks are divided.
     yield from Region(0, 0, n_rows, n_cols).tiles(rows, cols)

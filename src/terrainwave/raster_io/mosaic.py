@@ -1,4 +1,4 @@
-"""Several rasters of one grid as one: what a mosaic or its missing parts read as."""
+"""Mosaic: several rasters of one grid as one."""
 
 import math
 import os
@@ -26,18 +26,18 @@ from terrainwave.raster_io.even import Composite, Even, samples_in
 from terrainwave.raster_io.raster_info import SUPPORTED_DTYPES, fit_nodata, stored_nodata
 from terrainwave.raster_io.tags import common_tags
 
-# Parts of a pixel by which grids may differ: tiles name their corners with ten digits or so.
+# Largest difference of grids in pixels: tiles give their corners with about ten digits.
 _TOLERANCE = 0.01
-# Files that are open at a time: a row of tiles, well below what a process may open.
+# Files open at a time: a row of tiles, well below the limit of a process.
 _MAX_OPEN = 128
-# What a mosaic has where all of its rasters agree in it, and what notes call that.
+# Properties of a mosaic on which all rasters agree, and their names in notes.
 _ALIKE = {
     "coordinate_epoch": "the coordinate epoch",
     "area_or_point": "AREA_OR_POINT",
     "description": "the band's description",
     "color_interpretation": "the band's colour interpretation",
 }
-# Why a mosaic of degrees may be nearly empty.
+# Likely reason why a mosaic in degrees is nearly empty.
 _ACROSS = (
     ": they lie on both sides of 180 degrees (or of 0), so that their longitudes are a whole turn"
     " apart; give one side longitudes that go on from the other's, for example by gdal_translate"
@@ -48,9 +48,9 @@ _WIDE = 1024
 
 
 class _Turn(NamedTuple):
-    """How the rows and columns of a raster lie on a grid of another order.
+    """Orientation of a raster's rows and columns relative to another grid.
 
-    First rows and columns change places, then the order of rows and of columns is reversed.
+    First rows and columns are exchanged, then the order of rows and of columns is reversed.
     """
 
     swap: bool = False
@@ -58,13 +58,13 @@ class _Turn(NamedTuple):
     flip_cols: bool = False
 
     def of_shape(self, shape: tuple[int, int]) -> tuple[int, int]:
-        """Return the number of rows and columns of a turned raster."""
+        """Return rows and columns of a turned raster."""
         return (shape[1], shape[0]) if self.swap else shape
 
     def of_transform(
         self, transform: tuple[float, ...], shape: tuple[int, int]
     ) -> tuple[float, ...]:
-        """Return the transform of a raster of `shape` that is turned."""
+        """Return the transform of a turned raster of `shape`."""
         a, b, c, d, e, f = transform
         n_rows, n_cols = self.of_shape(shape)
         if self.swap:
@@ -76,12 +76,12 @@ class _Turn(NamedTuple):
         return a, b, c, d, e, f
 
     def of_array(self, array: NDArray[Any]) -> NDArray[Any]:
-        """Return a view of a raster's samples that is turned."""
+        """Return a turned view of a raster's samples."""
         turned = array.T if self.swap else array
         return turned[:: -1 if self.flip_rows else 1, :: -1 if self.flip_cols else 1]
 
     def before(self, part: Region, shape: tuple[int, int]) -> Region:
-        """Return where a window of the turned raster, of `shape`, lies in the raster itself."""
+        """Return the window of the raster itself for a window of the turned raster, of `shape`."""
         row = shape[0] - part.row - part.n_rows if self.flip_rows else part.row
         col = shape[1] - part.col - part.n_cols if self.flip_cols else part.col
         if self.swap:
@@ -93,7 +93,7 @@ _TURNS = tuple(_Turn(*turn) for turn in product((False, True), repeat=3))
 
 
 class _Member(NamedTuple):
-    """One raster of a mosaic: its place in the mosaic and how its voids are told."""
+    """Raster of a mosaic: its position in the mosaic and its nodata."""
 
     source: Any  # a path, or an open dataset or .twz file
     name: str
@@ -106,7 +106,7 @@ class _Member(NamedTuple):
 
 
 class _Description(NamedTuple):
-    """What the rasters of a mosaic must agree in, and where they lie."""
+    """Position of a raster, and properties on which a mosaic must agree."""
 
     name: str
     shape: tuple[int, int]
@@ -132,7 +132,7 @@ class _Description(NamedTuple):
         return height_unit(self.tags["units"], self.tags["crs"])
 
     def on_grid_of(self, first: Self) -> Self:
-        """Return the raster in the order of rows and columns that `first` has, if it can be."""
+        """Return the raster in the order of rows and columns of `first`, if possible."""
         pixel, size = _pixel(first.transform), max(*first.shape, *self.shape)
         for turn in _TURNS:
             transform = turn.of_transform(self.transform, self.shape)
@@ -149,33 +149,33 @@ class _Description(NamedTuple):
 class MosaicBackend:
     """Several rasters on one grid; where they overlap, the last one's valid heights count.
 
-    Rows and columns lie as those of the first; rasters that are stored in another order (south
-    first, turned by right angles) are turned while they are read.
+    Rows and columns are ordered as in the first raster; rasters in another order (south first,
+    turned by right angles) are turned while they are read.
 
     Parameters
     ----------
     sources : sequence
-        What `open_member` takes.
+        Arguments of `open_member`.
     open_member : callable
-        Opens one of them as it is.
+        Opens one of them.
     nodata : NodataChoice
         Adds to the nodata value of each, or replaces it.
     heights_are : str, optional
-        What the numbers of all of them are, whatever they say.
+        Meaning of all numbers; overrides the metadata.
 
     Raises
     ------
     InvalidHeightsError
-        If several have no place, or they differ in CRS, resolution, type, scale, offset or units,
-        or one has depths and another one heights, or their pixels don't lie on one grid; the
-        message says which and what to do.
+        If several have no georeference, or they differ in CRS, resolution, type, scale, offset or
+        units, or in depths and heights, or their pixels don't lie on one grid; the message names
+        the raster and says what to do.
     StorageError
         If one cannot be opened.
 
     Notes
     -----
-    The mosaic's nodata value is the first one declared. A valid height of another raster that has
-    that value is refused when it is read. Without any such value, whole numbers get a mask.
+    The mosaic's nodata value is the first one declared. A valid height of another raster with that
+    value is refused when it is read. Without any nodata value, whole numbers get a mask.
     """
 
     is_file = True
@@ -199,7 +199,7 @@ class MosaicBackend:
                 " gdal_edit -a_ullr"
             )
         rasters = [one.on_grid_of(first) for one in rasters]
-        # The first that names a unit: it is that of all.
+        # The first raster with a unit gives the unit of all.
         named = next((one for one in rasters if one.unit.name is not None), first)
         for other in rasters[1:]:
             _check_alike(first, other, named)
@@ -282,13 +282,12 @@ class MosaicBackend:
         )
 
     def _backend(self, source: Any) -> RasterBackend:
-        """Return an open raster; of files, the one that was not read longest is closed."""
+        """Return an open raster; the least recently read file is closed if there are too many."""
         if not isinstance(source, str | os.PathLike):
             return self._open_member(source)
         return self._open.get_or_make(os.fspath(source), lambda: self._open_member(source))
 
     def notes(self) -> Iterator[str]:
-        """Yield what is left out or was chosen, one sentence each."""
         yield from self._notes
         if self._differing:
             names = ", ".join(self._differing)
@@ -320,11 +319,9 @@ class MosaicBackend:
         return bool((last + moved).max() - (first + moved).min() < (end - start) / 2)
 
     def asides(self) -> Iterator[str]:
-        """Yield what is no reason for a warning."""
         yield from self._asides
 
     def tags(self) -> dict[str, Any]:
-        """Return the fields of RasterInfo that do not bear on the heights."""
         return self._tags
 
     def read(
@@ -335,7 +332,7 @@ class MosaicBackend:
         Raises
         ------
         InvalidHeightsError
-            If a valid height has the value that marks voids.
+            If a valid height equals the nodata value.
         """
         window = Region(row, col, n_rows, n_cols)
         heights = np.full(window.shape, self._void_value(), dtype=self.dtype)
@@ -349,7 +346,7 @@ class MosaicBackend:
         return heights, valid
 
     def declared_voids(self, window: Region) -> NDArray[np.bool_]:
-        """Return which heights of a window their raster declares to be void, against `nodata`."""
+        """Return which heights of a window are declared void by their raster, against `nodata`."""
         found = np.zeros(window.shape, dtype=np.bool_)
         for member in self._touching(window):
             part = member.region.intersect(window)
@@ -359,7 +356,7 @@ class MosaicBackend:
         return found
 
     def even(self, region: Region) -> Even | None:
-        """Return what all samples of a region are: those of gaps, and of rasters of one value."""
+        """Return the common content of a region: of a gap, or of rasters with one value."""
         composite, is_any = Composite(region), False
         for member in self._touching(region):
             if member.even is None:
@@ -367,7 +364,7 @@ class MosaicBackend:
             value = member.even.value
             if not member.even.is_valid or self._is_void(value, *member.voids):
                 continue
-            if self._is_void(value, self.nodata):  # which reading refuses
+            if self._is_void(value, self.nodata):  # refused when read
                 return None
             if not composite.put(value, member.region):
                 return None
@@ -385,7 +382,7 @@ class MosaicBackend:
 
     def _touching(self, region: Region) -> Iterator[_Member]:
         """Yield the rasters that a region touches, in their order."""
-        # All at once: there may be thousands.
+        # Vectorised: there may be thousands.
         first, last = self._corners
         end = region.row + region.n_rows, region.col + region.n_cols
         touching = (first < end) & (last > region[:2])
@@ -419,7 +416,6 @@ class MosaicBackend:
         return heights, valid
 
     def close(self) -> None:
-        """Close what was opened here."""
         self._open.clear()
 
 
@@ -447,7 +443,7 @@ def _common(
 def _check_alike(first: _Description, other: _Description, named: _Description) -> None:
     """Raise InvalidHeightsError unless a raster can be part of the first one's mosaic.
 
-    `named` is the raster whose unit they have.
+    `named` is the raster whose unit is used.
     """
     if first.crs != other.crs:
         if first.crs and other.crs and (vertical := added_vertical(first.crs, other.crs)):
@@ -532,18 +528,18 @@ def _place(first: _Description, other: _Description) -> tuple[int, int]:
 
 
 def _pixel(transform: tuple[float, ...]) -> float:
-    """Return about how large a pixel is."""
+    """Return the approximate size of a pixel."""
     a, b, _, d, e, _ = transform
     return max(abs(a), abs(b), abs(d), abs(e))
 
 
 def _difference(mine: tuple[float, ...], theirs: tuple[float, ...]) -> float:
-    """Return by how much the steps from pixel to pixel of two transforms differ."""
+    """Return the difference of two transforms' steps from pixel to pixel."""
     return max(abs(mine[k] - theirs[k]) for k in (0, 1, 3, 4))
 
 
 def _grid_text(transform: tuple[float, ...]) -> str:
-    """Return the size of pixels, and how far rows are turned from west to east."""
+    """Return the size of pixels, and the rotation of rows from west to east, as text."""
     a, b, _, d, e, _ = transform
     size = f"pixels of {math.hypot(a, d):.10g} x {math.hypot(b, e):.10g}"
     angle = math.degrees(math.atan2(d, a))
@@ -551,7 +547,7 @@ def _grid_text(transform: tuple[float, ...]) -> str:
 
 
 def _gathered(said: Iterable[tuple[_Description, tuple[str, ...]]]) -> Iterator[str]:
-    """Yield what rasters say of themselves; once what several of them say alike."""
+    """Yield the statements of rasters, equal ones only once."""
     of_remarks: dict[str, list[_Description]] = {}
     for one, remarks in said:
         for remark in remarks:
@@ -561,13 +557,13 @@ def _gathered(said: Iterable[tuple[_Description, tuple[str, ...]]]) -> Iterator[
 
 
 def _names(rasters: Sequence[Any]) -> str:
-    """Return the first one's name and how many more there are."""
+    """Return the first one's name and the number of the others."""
     more = f" and {len(rasters) - 1} more" if len(rasters) > 1 else ""
     return f"{rasters[0].name}{more}"
 
 
 def _notes_on_nodata(rasters: Sequence[_Description], kept: float | None) -> Iterator[str]:
-    """Say where the rasters declare several nodata values, of which the mosaic has one."""
+    """Yield a note if the rasters declare several nodata values, and the mosaic has one."""
     values = dict.fromkeys(repr(one.nodata) for one in rasters if one.nodata is not None)
     if len(values) > 1 or (values and repr(kept) not in values):
         yield (
@@ -579,7 +575,7 @@ def _notes_on_nodata(rasters: Sequence[_Description], kept: float | None) -> Ite
 def _corner_transform(
     rasters: Sequence[_Description], places: Sequence[tuple[int, int]], top: int, left: int
 ) -> tuple[float, ...]:
-    """Return the mosaic's transform; exactly as the files have it, where they are not rotated."""
+    """Return the mosaic's transform; exactly as in the files if these are not rotated."""
     a, b, _, d, e, _ = rasters[0].transform
     if (b, d) == (0, 0):
         x = next(one.transform[2] for one, (_, col) in zip(rasters, places) if col == left)

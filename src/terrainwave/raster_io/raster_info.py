@@ -1,4 +1,4 @@
-"""All of a raster but its heights: size, type, nodata, place, units; as plain metadata."""
+"""Metadata of a raster: size, type, nodata, position, units."""
 
 import math
 from collections.abc import Iterable
@@ -23,7 +23,7 @@ Tags = tuple[tuple[str, str], ...]
 
 @dataclass(frozen=True)
 class RasterInfo:
-    """All of a raster but its heights.
+    """Metadata of a raster.
 
     Attributes
     ----------
@@ -33,12 +33,12 @@ class RasterInfo:
         numpy's name of the sample type, one of `SUPPORTED_DTYPES`.
     nodata : int, float or None
         The declared nodata value: int for integer types, float (NaN and infinities allowed) for
-        float types, None if there is none.
+        float types, or None.
     crs : str or None
-        ``"AUTH:CODE"`` where that code's definition equals the raster's, else WKT (2, where that
-        gives the same system back, or 1).
+        ``"AUTH:CODE"`` if that code's definition equals the raster's, else WKT (version 2 if it
+        gives the same system back, else 1).
     coordinate_epoch : float or None
-        Year that the coordinates of a dynamic CRS are of, such as 2020.5.
+        Epoch of coordinates in a dynamic CRS, as a year such as 2020.5.
     transform : tuple of 6 float
         Affine map from (col, row) to (x, y): ``x = a*col + b*row + c``, ``y = d*col + e*row + f``.
     units : str or None
@@ -46,19 +46,19 @@ class RasterInfo:
     scale, offset : float
         Physical height = ``scale * stored + offset``.
     area_or_point : str or None
-        ``"Area"`` or ``"Point"`` where the file says so.
+        ``"Area"`` or ``"Point"`` if the file states it.
     description : str or None
         Description of the band.
     tags, band_tags : tuple of (name, value)
-        What else the file and its band say, sorted by name: source, licence, and so on.
+        Other metadata of the file and its band, sorted by name: source, licence, and so on.
     color_interpretation : str or None
-        GDAL's name of what the band stands for, where it is not plain ``"gray"``.
+        GDAL's name of the band's colour, unless it is plain ``"gray"``.
     mask_kind : str
-        How voids are told from heights: ``"none"`` (there are none), ``"nodata"`` (a number),
-        ``"nan"``, or ``"mask"`` (a mask band or alpha, perhaps beside a nodata value).
+        Representation of voids: ``"none"`` (no voids), ``"nodata"`` (a number), ``"nan"``, or
+        ``"mask"`` (a mask band or alpha, perhaps with a nodata value).
     heights_are : str or None
-        What the stored numbers are, one of `place.meaning.KINDS`; None: heights, or depths where
-        the CRS's vertical axis goes down.
+        Meaning of the stored numbers, one of `place.meaning.KINDS`; None: heights, or depths if the
+        CRS's vertical axis points down.
     """
 
     n_rows: int
@@ -86,19 +86,19 @@ class RasterInfo:
 
     @property
     def void_value(self) -> int | float:
-        """What a void sample holds in an array or file of this raster."""
+        """Value of a void sample in an array or file of this raster."""
         if self.nodata is not None:
             return self.nodata
         return math.nan if np.dtype(self.dtype).kind == "f" else 0
 
     @property
     def crs_name(self) -> str:
-        """The CRS in few words."""
+        """Short name of the CRS."""
         return crs_name(self.crs)
 
     @property
     def told(self) -> Told:
-        """Return what the band's own tags and names say of its numbers."""
+        """Return the meaning of the numbers by the band's own tags and names."""
         names = Names(None, self.description, is_length(self.units))
         return told_by(dict(self.band_tags), names, self.crs)
 
@@ -109,23 +109,23 @@ class RasterInfo:
 
     @property
     def impossible_places(self) -> str | None:
-        """Return a sentence if samples lie at degrees that no globe has, with the likely cause."""
-        # Imported here: `terrainwave info` needs no rasterio.
+        """Return a sentence with the likely cause if samples lie at impossible degrees."""
+        # Imported here, because `terrainwave info` needs no rasterio.
         from terrainwave.place.position import impossible_places
 
         is_placed = self.transform != IDENTITY
         return impossible_places(self.crs, self.transform, self.shape, is_placed=is_placed)
 
     def to_physical(self, heights: NDArray[Any]) -> NDArray[Any]:
-        """Return heights after scale and offset, in float64; as they are where there are none."""
+        """Return heights after scale and offset, in float64; unchanged without these."""
         if (self.scale, self.offset) == (1.0, 0.0):
             return heights
         # float32 would add its rounding to the bound.
         return heights.astype(np.float64) * self.scale + self.offset
 
     def rasterio_crs(self) -> Any:
-        """Return the CRS as rasterio's object; None, with a warning, if it cannot be understood."""
-        # Imported here: `terrainwave info` needs no rasterio.
+        """Return the CRS as rasterio's object; None, with a warning, if it cannot be parsed."""
+        # Imported here, because `terrainwave info` needs no rasterio.
         from terrainwave.place.crs import parse_crs
 
         return parse_crs(self.crs)
@@ -142,14 +142,13 @@ class RasterInfo:
     def from_metadata(cls, fields: dict[str, Any]) -> Self:
         """Rebuild the info from `to_metadata`'s values; unknown keys are ignored.
 
-        The values may come from an untrusted file. A CRS that PROJ does not understand is kept as
-        the string it is: it must not prevent reading the heights, and whoever asks for it through
-        `rasterio_crs` gets a warning.
+        The values may come from an untrusted file. A CRS that PROJ cannot parse is kept as a
+        string: it must not prevent reading the heights, and `rasterio_crs` warns about it.
 
         Raises
         ------
         CorruptStreamError
-            If a key is missing where it is needed or a value has the wrong type or range.
+            If a required key is missing, or a value has the wrong type or range.
         """
         try:
             return cls._from_plain(fields)
@@ -189,7 +188,7 @@ class RasterInfo:
             tags=_tags(fields.get("tags")),
             band_tags=_tags(fields.get("band_tags")),
             color_interpretation=_optional_text(fields.get("color_interpretation")),
-            # What a reader does not know means nothing to it (FORMAT.md §4.2).
+            # Readers ignore unknown words (FORMAT.md §4.2).
             heights_are=heights_are if heights_are in KINDS else None,
             coordinate_epoch=_year(fields.get("coordinate_epoch")),
         )
@@ -202,7 +201,7 @@ def _number_to_plain(value: int | float | None) -> int | float | str | None:
 
 
 def _year(value: Any) -> float | None:
-    """Return the epoch that a file states; None for what is no number (FORMAT.md §4.2)."""
+    """Return the epoch that a file states; None if it is not a number (FORMAT.md §4.2)."""
     with suppress(ValueError):
         return _finite(value)
     return None
@@ -247,7 +246,7 @@ def _optional_text(value: Any) -> str | None:
 
 
 def fit_nodata(nodata: int | float, dtype: np.dtype[Any]) -> tuple[int | float | None, str | None]:
-    """Return `nodata` as a value that `dtype` can hold, or None and the reason why it can't."""
+    """Return `nodata` as a value of `dtype`; or None and the reason if it does not fit."""
     if not isinstance(nodata, int | float | np.integer | np.floating):
         return None, f"nodata {str(nodata)[:20]!r} is not a number"
     try:
@@ -256,7 +255,8 @@ def fit_nodata(nodata: int | float, dtype: np.dtype[Any]) -> tuple[int | float |
         return None, f"nodata {str(nodata)[:20]}… is outside {dtype.name}"
     if dtype.kind == "f":
         limit = float(np.finfo(dtype).max)
-        # Half an ulp above the limit still rounds to it: files write float32's with few digits.
+        # Half an ulp above the limit still rounds to it: files write float32's limits with few
+        # digits.
         if math.isfinite(value) and abs(value) > limit * (1 + 2.0**-25):
             return None, f"nodata {nodata!r} is outside {dtype.name}"
         return value, None
@@ -271,12 +271,12 @@ def fit_nodata(nodata: int | float, dtype: np.dtype[Any]) -> tuple[int | float |
 def undeclared_by(
     choice: NodataChoice, declared: Iterable[Any], dtype: np.dtype[Any]
 ) -> tuple[int | float, ...]:
-    """Return the declared nodata values that `nodata` makes heights of; NaN stays a void."""
+    """Return the declared nodata values that `nodata` turns into heights; NaN stays void."""
     if choice.keeps_declared or dtype.name not in SUPPORTED_DTYPES:
         return ()
     fitting = (fit_nodata(value, dtype)[0] for value in declared if value is not None)
     found = dict.fromkeys(value for value in fitting if value is not None and value == value)
-    # One that does not fit is refused later.
+    # A value that does not fit is refused later.
     kept = None if choice.value is None else fit_nodata(choice.value, dtype)[0]
     return tuple(value for value in found if kept is None or not is_same_value(value, kept, dtype))
 
@@ -289,7 +289,7 @@ def is_same_value(one: int | float, other: int | float, dtype: np.dtype[Any]) ->
 
 
 def stored_nodata(nodata: int | float, dtype: np.dtype[Any]) -> Any:
-    """Return the sample value that means `nodata`."""
+    """Return the stored sample value that means `nodata`."""
     with np.errstate(over="ignore", under="ignore"):
         value = np.float64(nodata).astype(dtype) if dtype.kind == "f" else dtype.type(nodata)
     if dtype.kind == "f" and math.isfinite(nodata) and not np.isfinite(value):

@@ -45,8 +45,8 @@ from terrainwave.raster_io.raster_info import (
     stored_nodata,
 )
 
-# What to convert an unsupported type to; the narrowest of ours that holds all of its values, or
-# the one that holds elevations in practice.
+# Replacements of unsupported types: the narrowest supported one with all of their values, or the
+# one that holds elevations in practice.
 _CONVERT_TO = {
     "int8": "int16",
     "uint32": "int32 (or float64 above 2147483647)",
@@ -65,15 +65,15 @@ _GDAL_NAMES = {
 }
 
 
-# Opens a .twz file, given by its path or open already, as a raster.
+# Opens a .twz file, given by its path or already open, as a raster.
 OpenTerrain = Callable[..., RasterBackend]
-# A window narrower than this fraction of the width decodes mostly samples it does not want.
+# Windows narrower than this fraction of the width decode mostly unwanted samples.
 _NARROW_COLS = 1024
-# Samples a side of the smallest parts of windows that are asked whether they are even.
+# Side, in samples, of the smallest parts of windows that are checked for even content.
 _EVEN_SIDE = 512
 _BAND_ROWS = 4096
-# Samples per window of a sequential scan: large against GDAL's overhead per call, and several
-# of a small raster, so that threads share them.
+# Samples per window of a sequential scan: large compared with GDAL's overhead per call, but several
+# windows even for a small raster, so that threads share them.
 _SCAN_SAMPLES = 1 << 19
 
 
@@ -83,41 +83,41 @@ class RasterSource:
     Parameters
     ----------
     source : path, rasterio dataset, list of these, ndarray, masked array, DataArray or Dataset
-        What to read. A list is a mosaic: rasters of one grid, of which the last counts where they
-        overlap. A dataset of rasterio is not closed; those of xarray may be lazy. With
+        The raster. A list is a mosaic: rasters of one grid; where they overlap, the last one
+        counts. A dataset of rasterio is not closed; those of xarray may be lazy. With
         `open_terrain` also .twz files, by their paths or open.
     band : int
-        Number of the band, from 1. Band 1 of several is noted, as it may not be a choice.
+        Number of the band, from 1. A note says if other bands exist and none was chosen.
     nodata : int, float or str, optional
-        A value that marks voids, besides the values that the raster declares; ``"only:V"`` takes V
+        A value that marks voids, besides the values that the raster declares; ``"only:V"`` uses V
         instead of these, ``"none"`` no value at all.
     georeference : bool
-        False leaves place and CRS out, whatever the source says of them.
+        False ignores the source's transform and CRS.
     heights_are : {"height", "depth", "radius"}, optional
-        What the numbers are, whatever the source says of them.
+        Meaning of the numbers; overrides the metadata.
     warn : bool
-        Issue `notes` as warnings; tasks that open the same raster again don't.
+        Issue `notes` as warnings; off in tasks that open the same raster again.
     open_terrain : callable, optional
         Opens a .twz file as a raster (`file.raster`); without it they are refused.
 
     Attributes
     ----------
     info : RasterInfo
-        Everything but the heights.
+        All metadata.
     name : str
-        How messages call the source.
+        Name of the source in messages.
     notes : tuple of str
-        What the source left out or chose, one sentence each; issued as `TerrainwaveWarning`, but
-        for bands beside one that was chosen, and for what the heights give again.
+        Notes on omissions and choices, one sentence each; issued as `TerrainwaveWarning`, except
+        those of `_asides`.
     n_bytes_read : int
-        Bytes of heights, as numbers, that have been read so far.
+        Bytes of heights read so far.
     told : Told or None
-        What it says of its numbers; None of plain arrays, which say nothing.
+        Meaning of the numbers by the metadata; None for plain arrays.
     is_asked : bool
         `heights_are` was given.
     is_striped : bool
-        True if a narrow window makes the source decode much wider ones: a scan in the order of
-        `blocks` is then many times cheaper than small windows.
+        True if narrow windows decode much wider ones: a scan in the order of `blocks` is then many
+        times cheaper than small windows.
 
     Raises
     ------
@@ -125,7 +125,7 @@ class RasterSource:
         If the band is missing, its type is unsupported, the array is not 2-D or empty, or
         `nodata` does not fit the type; or if a .twz file is given.
     StorageError
-        If the file is missing or no raster.
+        If the file is missing or not a raster.
 
     Notes
     -----
@@ -171,9 +171,9 @@ class RasterSource:
         self._dtype = np.dtype(self.info.dtype)
 
     def _settle_nodata(self, choice: NodataChoice, notes: list[str]) -> int | float | None:
-        """Return the file's nodata value, and keep which other values are voids."""
+        """Return the file's nodata value; store the other values that mark voids."""
         dtype, declared = self._backend.dtype, self._backend.nodata
-        # Stored values that mark voids, of which the file's nodata value is one.
+        # Stored values that mark voids, including the file's nodata value.
         self._voids: list[Any] = []
         nodata = None
         if choice.value is not None:
@@ -198,7 +198,7 @@ class RasterSource:
         return nodata
 
     def _complete_info(self, choice: NodataChoice, notes: list[str]) -> RasterInfo:
-        """Check the band's type and settle nodata; appends to `notes`."""
+        """Check the band's type and decide nodata; append to `notes`."""
         backend = self._backend
         dtype = backend.dtype
         _check_dtype(dtype, self.name)
@@ -233,21 +233,21 @@ class RasterSource:
             )
         return info
 
-    def settled(self, minimum: float, maximum: float) -> tuple[RasterInfo, list[str]]:
-        """Return `info` with what the numbers are, and notes on it, by all valid ones.
+    def with_meaning(self, minimum: float, maximum: float) -> tuple[RasterInfo, list[str]]:
+        """Return `info` with the meaning of the numbers, decided by all valid ones, and notes.
 
-        Reads the raster again where only a name says that they are depths and some are below 0.
+        Reads the raster again if only a name suggests depths and some values are below 0.
 
         Parameters
         ----------
         minimum, maximum : float
-            Of all valid heights, as stored.
+            Extremes of all valid heights, as stored.
         """
         info = self.info
         if self.is_asked or minimum > maximum:
             return info, []
         low, high = sorted(end * info.scale + info.offset for end in (minimum, maximum))
-        unit = math.nan  # no length
+        unit = math.nan  # not a length
         if is_length(info.units):
             unit = abs(height_unit(info.units, info.crs).metres)
         told = self.told or Told()
@@ -269,7 +269,7 @@ class RasterSource:
         return 2 * n_below > n_valid
 
     def _asides(self) -> Iterator[str]:
-        """Yield notes that are no reason for a warning."""
+        """Yield notes that need no warning."""
         backend = self._backend
         if isinstance(backend, DatasetBackend):
             yield from (f"{self.name}: {aside}" for aside in backend.asides())
@@ -278,22 +278,22 @@ class RasterSource:
 
     @property
     def earlier(self) -> EarlierLoss | None:
-        """Return what the heights of .twz files had lost, the most of several; None of others."""
+        """Return the earlier loss of heights from .twz files, the largest of several; else None."""
         return self._backend.earlier
 
     @property
     def came_from(self) -> str | None:
-        """Return the .twz file that an array names as its source, if it names one."""
+        """Return the .twz file that an array names as its source, if any."""
         return self._backend.came_from if isinstance(self._backend, LabelledBackend) else None
 
     @property
     def is_file(self) -> bool:
-        """Tell whether windows are decoded from a file."""
+        """Return whether windows are decoded from a file."""
         return self._backend.is_file
 
     @property
     def is_striped(self) -> bool:
-        """Tell whether a narrow window makes the source decode whole rows of blocks."""
+        """Return whether a narrow window makes the source decode whole rows of blocks."""
         block_cols = self._backend.block_shape[1]
         return block_cols >= self.info.n_cols > _NARROW_COLS and self.is_file
 
@@ -303,7 +303,7 @@ class RasterSource:
         Returns
         -------
         heights : ndarray of the source's dtype, shape (n_rows, n_cols)
-            A copy, writable; void samples hold whatever the source has there.
+            A writable copy; void samples hold the source's values.
         valid : ndarray of bool, shape (n_rows, n_cols)
             False where the sample is void.
 
@@ -337,9 +337,9 @@ class RasterSource:
         return heights, valid
 
     def even(self, region: Region) -> Even | None:
-        """Return what all samples of a region inside the grid are, without reading them.
+        """Return the common content of a region inside the grid, without reading it.
 
-        None where the source does not know it by its index alone.
+        None if the source's index does not give it.
         """
         with self._readers.lent() as backend:
             even = backend.even(region)
@@ -347,16 +347,16 @@ class RasterSource:
             return even
         value = even.value
         is_float = self._dtype.kind == "f"
-        if is_float and np.isinf(value):  # which reading refuses
+        if is_float and np.isinf(value):  # refused when read
             return None
         is_void = is_float and bool(np.isnan(value))
         is_void |= any(bool(value == one) for one in self._voids)
         return Even(value, not is_void)
 
     def undeclared(self, region: Region) -> np.ndarray | None:
-        """Return which heights of a region a source declares to be void, against `nodata`.
+        """Return which heights of a region the source declares void, against `nodata`.
 
-        None where no such value was declared.
+        None if no such value was declared.
         """
         if not self._backend.undeclared:
             return None
@@ -369,11 +369,11 @@ class RasterSource:
 
     @property
     def undeclared_values(self) -> tuple[int | float, ...]:
-        """Return the values that sources declare to be void, and `nodata` does not."""
+        """Return the values that sources declare void, but `nodata` does not."""
         return tuple(self._backend.undeclared)
 
     def holds(self, region: Region, even: Even) -> bool:
-        """Say whether corners and middle of a region, read, are what the index says."""
+        """Read corners and middle of a region; return whether they match the index."""
         return is_seen(self._read, region, even)
 
     def _check_finite(self, heights: np.ndarray, valid: np.ndarray, row: int, col: int) -> None:
@@ -387,24 +387,24 @@ class RasterSource:
             )
 
     def blocks(self, max_samples: int = _SCAN_SAMPLES) -> Iterator[Region]:
-        """Yield windows that cover the grid once, in the order the source stores its blocks.
+        """Yield windows that cover the grid once, in the order of the source's blocks.
 
-        Each holds at most `max_samples` samples: full-width strips where they fit, else rows of
-        whole blocks cut in width.
+        Each holds at most `max_samples` samples: full-width strips if they fit, else rows of whole
+        blocks cut in width.
         """
         info = self.info
         block_rows, block_cols = self._backend.block_shape
         yield from scan_windows(info.n_rows, info.n_cols, block_rows, block_cols, max_samples)
 
     def parts(self) -> Iterator[tuple[Region, Even | None]]:
-        """Yield windows that cover the grid once, as `blocks` does, with what even ones are.
+        """Yield windows that cover the grid once, as `blocks` does, with the content of even ones.
 
-        A window of which a part is even comes in several.
+        A window with an even part is divided.
         """
         bands: dict[int, Even | None] = {}
         band = Region(0, 0, 0, 0)
         for block in self.blocks():
-            # Blocks may be thousands of times as wide as high: many below each other at a time.
+            # Blocks may be thousands of times as wide as high: take many rows of them at a time.
             if block.row + block.n_rows > band.row + band.n_rows:
                 bands.clear()
                 n_rows = max(block.n_rows, min(_BAND_ROWS, self.info.n_rows - block.row))
@@ -422,7 +422,7 @@ class RasterSource:
                 yield from parts
 
     def close(self) -> None:
-        """Close what the source opened itself."""
+        """Close files that were opened here."""
         self._readers.close()
 
     def __enter__(self) -> Self:
@@ -438,7 +438,7 @@ class RasterSource:
 
 
 def _problem_of(transform: Transform) -> str:
-    """Say why an affine transform places no samples; nothing if it does."""
+    """Return why an affine transform cannot place samples; "" if it can."""
     if not all(math.isfinite(value) for value in transform):
         return "the affine transform is not finite"
     a, b, _, d, e, _ = transform
@@ -464,7 +464,7 @@ def _check_dtype(dtype: np.dtype[Any], name: str) -> None:
 
 @dataclass(frozen=True)
 class _Opening:
-    """How sources are opened: arguments of `RasterSource`."""
+    """Arguments of `RasterSource` that concern opening."""
 
     band: int
     nodata: NodataChoice
@@ -473,12 +473,12 @@ class _Opening:
     heights_are: str | None
 
     def backend(self, source: Any) -> RasterBackend | MosaicBackend | ArrayBackend:
-        """Return the opened source.
+        """Open the source.
 
         Raises
         ------
         InvalidArgumentError
-            If it is none that is understood.
+            If its type is not supported.
         """
         if isinstance(source, list | tuple) and source and all(map(self._is_raster, source)):
             if len(source) > 1:
@@ -505,12 +505,12 @@ class _Opening:
         )
 
     def _is_raster(self, source: Any) -> bool:
-        """Say whether it is the path of a raster, or something opened that lies somewhere."""
+        """Return whether it is the path of a raster, or an open raster with a position."""
         is_dataset = hasattr(source, "read_masks") and hasattr(source, "block_shapes")
         return is_dataset or isinstance(source, str | os.PathLike) or self._is_terrain(source)
 
     def _is_terrain(self, source: Any) -> bool:
-        """Say whether it is a .twz file that can be opened here."""
+        """Return whether it is a .twz file that can be opened here."""
         if self.open_terrain is None:
             return False
         if isinstance(source, str | os.PathLike):
@@ -529,7 +529,7 @@ class _Opening:
         )
 
     def _refuse_options_of_rasters(self, source: Any) -> None:
-        """Raise `InvalidArgumentError` where an option cannot be meant for a .twz file."""
+        """Raise `InvalidArgumentError` for options that do not apply to .twz files."""
         name = shown(getattr(source, "name", source))
         if self.band != 1:
             raise InvalidArgumentError(

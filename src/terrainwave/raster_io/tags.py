@@ -1,26 +1,26 @@
-"""Tags of rasters: which of them a file keeps, and what an output may be told."""
+"""Tags of rasters: those that a file keeps, and those that an output gets."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 from terrainwave.raster_io.raster_info import Tags
 
-# UTF-8 bytes of the names and values of one set: files open with one short read.
+# Limit in UTF-8 bytes of the names and values of one set: files open with one short read.
 _MOST_BYTES = 16 << 10
-# What bands are by default; an alpha or a palette would mean another thing in the output.
+# Usual colours of bands; an alpha or a palette would have another meaning in the output.
 PLAIN_COLORS = ("gray", "undefined", "alpha", "palette")
 # A domain that GDAL's commands do not copy. They copy plain tags to rasters that were resampled or
 # computed, for which a bound does not hold.
 DOMAIN = "TERRAINWAVE"
-# A field of its own, and what was measured before heights were rounded.
+# Stored in a field of its own; statistics were computed before heights were rounded.
 _OWN = "AREA_OR_POINT"
 _MEASURED = "STATISTICS_"
-# What rasterio's `update_tags` takes for something else.
+# Names that rasterio's `update_tags` uses for its own arguments.
 _RESERVED = ("ns", "bidx")
 
 
 class KeptTags(NamedTuple):
-    """The tags that are kept, and the names of those that are too long or no text."""
+    """Kept tags, and the names of those that are too long or not text."""
 
     kept: Tags
     left_out: tuple[str, ...]
@@ -54,7 +54,7 @@ def writable_tags(tags: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:
 
 
 def is_statistic(name: str) -> bool:
-    """Tell whether a tag holds what was measured of the heights."""
+    """Return whether a tag is a statistic of the heights."""
     return name.upper().startswith(_MEASURED)
 
 
@@ -63,7 +63,7 @@ def _is_own(name: str) -> bool:
 
 
 def _size(text: str) -> int:
-    """Return the UTF-8 bytes of a text; -1 if it is none."""
+    """Return the UTF-8 bytes of a text; -1 if it is not text."""
     try:
         return len(text.encode())
     except UnicodeEncodeError:

@@ -1,4 +1,4 @@
-"""Two-dimensional temporary arrays that stay in memory while small and on disk otherwise."""
+"""Temporary 2-D arrays that stay in memory while small and on disk otherwise."""
 
 import errno
 import os
@@ -14,19 +14,19 @@ from terrainwave.container.spool import TEMPORARY_ADVICE, cannot_write, storage_
 from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.even import are_bits
 
-# Arrays up to this many bytes are held in memory: below it the disk would only cost time.
+# Arrays up to this many bytes stay in memory: the disk would only cost time.
 MEMORY_LIMIT = 20 << 20
 TILE = 256
-# What a tile is: never written, or of one value, which needs no room; else it is in the file, in so
-# many bytes a sample.
+# State of a tile: never written, or of one value (neither needs space); else its bytes per sample
+# in the file.
 _UNWRITTEN, _OF_ONE_VALUE = 0, 255
 
 
 class Spool:
     """A 2-D array of fixed shape with windowed reads and writes; thread-safe for disjoint writes.
 
-    Whole numbers of a tile that lie close together take one or two bytes each in the file, as
-    distances from the lowest, if the tile was written as a whole.
+    In the file, a tile of whole numbers with a small range takes one or two bytes per sample, as
+    distances from the lowest, if it was written as a whole.
 
     Parameters
     ----------
@@ -35,11 +35,11 @@ class Spool:
     dtype : dtype
         Element type.
     directory : Path
-        Where the temporary file lies if one is needed; it is deleted by `close`.
+        Directory of the temporary file, if one is needed; it is deleted by `close`.
     origin : tuple of int
         Row and column of the first sample: regions are counted as those of a larger array.
     path : Path, optional
-        The file to use instead, which may be there already and is not deleted.
+        The file to use instead; it may exist already and is not deleted.
     """
 
     def __init__(
@@ -65,20 +65,20 @@ class Spool:
         if path is not None:
             self._open(path, n_tiles)
             return
-        # Unbuffered, unnamed where the system can: nothing is left behind by a kill.
+        # Unbuffered, and unnamed if the system can: a kill leaves nothing behind.
         self._file = tempfile.TemporaryFile(dir=directory, buffering=0)
         self._states: Any = np.full(n_tiles, _UNWRITTEN, dtype=np.uint8)
-        # The value of all samples of a tile that is not in the file, or the lowest.
+        # The only value of a tile that is not in the file, or its lowest value.
         self._values: Any = np.zeros(n_tiles, dtype=self.dtype)
-        # Where a tile lies in the file, in tiles of one byte a sample.
+        # Position of a tile in the file, in tiles of one byte per sample.
         self._slots: Any = np.zeros(n_tiles, dtype=np.int32)
         self._n_slots = 0
 
     def _open(self, path: Path, n_tiles: tuple[int, int]) -> None:
-        """Use a file that outlives this object, in which each tile has a place of its own.
+        """Use a file that outlives this object, with a fixed place for each tile.
 
-        What takes less has a hole there. Of two others beside it, one says what the tiles are, and
-        the other their values.
+        Compressed tiles leave holes there. One of two accompanying files holds the states of the
+        tiles, the other their values.
         """
         states, values = _beside(path)
         is_there = self.was_there = path.exists() and states.exists() and values.exists()
@@ -117,7 +117,7 @@ class Spool:
         return window
 
     def view(self, region: Region) -> NDArray[Any]:
-        """Return the samples of `region`, which are not to be written to: no copy in memory.
+        """Return the samples of `region`, read-only; not copied if they are in memory.
 
         Raises
         ------
@@ -136,7 +136,7 @@ class Spool:
     def write(self, region: Region, values: NDArray[Any]) -> None:
         """Store `values` in `region`; windows made of whole tiles are written without reading.
 
-        Tiles of one value take no room.
+        Tiles of one value take no space.
         """
         if self._memory is not None:
             self._memory[region.slices_in(self.region)] = values
@@ -153,16 +153,16 @@ class Spool:
             with self._lock:
                 content = self._whole_tile(at)
                 content[part.slices_in(tile)] = new
-                # What is written in parts keeps its place, and what was there stays in it.
+                # Tiles written in parts keep their place and their old samples.
                 is_one = _is_one(content[own.slices_in(tile)])
                 is_one &= not _is_in_file(self._states[at])
                 low = content[0, 0]
                 self._write_tile(at, content, low, 0 if is_one else self.dtype.itemsize)
 
     def fill(self, region: Region, value: Any) -> None:
-        """Store one value in a region; whole tiles that were never written take no room.
+        """Store one value in a region; whole tiles that were never written take no space.
 
-        Whole tiles that an earlier run has written are left as they are: it wrote over this value.
+        Whole tiles from an earlier run are not changed: that run wrote them after filling.
         """
         if self._memory is not None:
             self._memory[region.slices_in(self.region)] = value
@@ -213,7 +213,7 @@ class Spool:
         ]
 
     def _offset(self, at: tuple[int, int]) -> int:
-        """Return where a tile begins in the file."""
+        """Return the offset of a tile in the file."""
         if self.is_kept:
             number = (at[0] * self._states.shape[1] + at[1]) * self.dtype.itemsize
         else:
@@ -221,7 +221,7 @@ class Spool:
         return number * TILE * TILE
 
     def _whole_tile(self, at: tuple[int, int]) -> NDArray[Any]:
-        """Return all samples of a tile, with the lock."""
+        """Return all samples of a tile; the caller holds the lock."""
         if not _is_in_file(self._states[at]):
             return np.full((TILE, TILE), self._values[at])
         n_bytes = int(self._states[at])
@@ -241,7 +241,7 @@ class Spool:
     def _samples(
         self, at: tuple[int, int], data: bytes, n_bytes: int, part: tuple[slice, slice]
     ) -> NDArray[Any]:
-        """Return samples of a tile of a file's bytes, which are fewer where a write has failed."""
+        """Return samples of a tile from bytes, which may end early after a failed write."""
         is_narrow = n_bytes < self.dtype.itemsize
         stored = np.dtype(f"u{n_bytes}") if is_narrow else self.dtype
         tile = np.frombuffer(data.ljust(TILE * TILE * n_bytes, b"\0"), dtype=stored)
@@ -253,11 +253,11 @@ class Spool:
     def _write_tile(
         self, at: tuple[int, int], content: NDArray[Any], low: Any, n_bytes: int
     ) -> None:
-        """Store a tile in so many bytes a sample, with the lock; 0 where all are `low`."""
+        """Store a tile with `n_bytes` per sample (0: all are `low`); the caller holds the lock."""
         if n_bytes:
             if n_bytes < self.dtype.itemsize:
                 content = (content - low).astype(f"u{n_bytes}")
-            if content.shape != (TILE, TILE):  # the array's edge cuts it
+            if content.shape != (TILE, TILE):  # cut by the array's edge
                 content = np.pad(content, [(0, TILE - n) for n in content.shape])
             if not self.is_kept and n_bytes > self._n_bytes_in_file(at):
                 self._slots[at] = self._n_slots
@@ -277,12 +277,12 @@ class Spool:
 
 
 def is_small(shape: tuple[int, int], dtype: DTypeLike) -> bool:
-    """Say whether an array is held in memory."""
+    """Return whether an array stays in memory."""
     return shape[0] * shape[1] * np.dtype(dtype).itemsize <= MEMORY_LIMIT
 
 
 def _beside(path: Path) -> list[Path]:
-    """Return the files that say what the tiles of a kept one are, and their values."""
+    """Return the accompanying files of a kept spool: states and values of tiles."""
     return [path.with_name(f"{path.stem}-{name}{path.suffix}") for name in ("tiles", "values")]
 
 
@@ -291,9 +291,10 @@ def _is_in_file(states: Any) -> Any:
 
 
 def _narrowest(values: NDArray[Any]) -> tuple[Any, int]:
-    """Return the lowest of the values, and the bytes that each distance from it needs.
+    """Return the lowest value, and the bytes needed for each distance from it.
 
-    0 if there is one value; the size of the type, and any value, if they are not whole numbers.
+    0 bytes if all values are equal; the size of the type, and any value, if they are not whole
+    numbers.
     """
     if _is_one(values):
         return values[0, 0], 0
@@ -307,6 +308,6 @@ def _narrowest(values: NDArray[Any]) -> tuple[Any, int]:
 
 
 def _is_one(values: NDArray[Any]) -> bool:
-    """Say whether all values are the same, bit for bit."""
+    """Return whether all values are equal, bit for bit."""
     first = values[0, 0]
     return bool(are_bits(values[0], first).all() and are_bits(values, first).all())

@@ -1,4 +1,4 @@
-"""Values that look like voids and are not declared."""
+"""Values that look like voids but are not declared."""
 
 from functools import partial
 from typing import Any, NamedTuple
@@ -10,20 +10,19 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.raster_io.raster_info import stored_nodata
 from terrainwave.raster_io.source import RasterSource
 
-# Values that programs write for unknown heights: ends of integer types, and rows of nines.
+# Values that programs write for unknown heights: limits of integer types, and rows of nines.
 _MARKS = (
     -9999, -32768, -32767, -99999, -999999, -2147483648, -2147483647,
     9999, 32767, 65535, 99999, 999999, 2147483647,
 )  # fmt: skip
-# Programs that distinguish several kinds of unknown heights number them one by one: ISIS writes
-# -32768 to -32764.
+# Programs number several kinds of unknown heights consecutively: ISIS writes -32768 to -32764.
 _NEAR = 4
-# No height, on any body in any unit: ±3.4e38 of float32, 1e30, netCDF's 9.97e36, ±1.8e308.
+# Not a height on any body in any unit: ±3.4e38 of float32, 1e30, netCDF's 9.97e36, ±1.8e308.
 _BEYOND = 1e30
 
 
 class _Found(NamedTuple):
-    """Samples of one value: their number, and the place of the first."""
+    """Samples of one value: their number, and the position of the first."""
 
     value: Any
     n_samples: int
@@ -39,7 +38,7 @@ class _Found(NamedTuple):
 
 
 class _Survey(NamedTuple):
-    """Values near a mark, and the ranges of all other heights, with 0 and without."""
+    """Values near a mark, and the ranges of all other heights, with and without 0."""
 
     found: list[_Found]
     ranges: list[tuple[float, float]]
@@ -55,18 +54,18 @@ class _Survey(NamedTuple):
 def note_on_marks(source: RasterSource, minimum: float, maximum: float) -> list[str]:
     """Return a sentence for each value that looks like an undeclared void.
 
-    Reads the raster again where an end of the heights is close to a number that programs write for
-    voids, else nothing. Several such values may lie next to each other.
+    Reads the raster again only if an extreme is close to a common marker of voids. Several such
+    values may lie next to each other.
 
     Parameters
     ----------
     minimum, maximum : float
-        Of all valid heights, as stored.
+        Extremes of all valid heights, as stored.
 
     Raises
     ------
     InvalidHeightsError
-        If an end is far beyond any height.
+        If an extreme is far beyond any height.
     """
     ends = dict.fromkeys((minimum, maximum))
     for end in ends:
@@ -94,18 +93,18 @@ def note_on_marks(source: RasterSource, minimum: float, maximum: float) -> list[
 def note_on_undeclared(
     source: RasterSource, minimum: float = -np.inf, maximum: float = np.inf
 ) -> list[str]:
-    """Return a sentence that counts the heights that were voids but for `nodata`.
+    """Return a sentence that counts heights that would be voids without `nodata`.
 
-    Reads the raster again where such a value is among its heights, else nothing.
+    Reads the raster again only if such a value can be among its heights.
 
     Parameters
     ----------
     minimum, maximum : float
-        Of all valid heights, as stored.
+        Extremes of all valid heights, as stored.
     """
     dtype = np.dtype(source.info.dtype)
     values = source.undeclared_values
-    # As stored: heights of float32 are compared with what float32 makes of a value.
+    # Compared as stored: heights of float32 with the value's float32.
     if not any(minimum <= float(stored_nodata(value, dtype)) <= maximum for value in values):
         return []
     count = 0
@@ -131,7 +130,7 @@ def _is_near_mark(heights: Any) -> Any:
 
 
 def _survey(source: RasterSource, is_suspect: Any) -> _Survey:
-    """Read all heights; return the suspect ones by their values, and the ranges of the others."""
+    """Read all heights; return the suspect ones by value, and the ranges of the others."""
     found: dict[Any, _Found] = {}
     ranges = {True: (np.inf, -np.inf), False: (np.inf, -np.inf)}
     for region, even in source.parts():

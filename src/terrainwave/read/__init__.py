@@ -1,1 +1,1 @@
-"""Heights out of a file: units decoded on demand, parts of streams, resampling."""
+"""Heights from a file: units decoded on demand, partial streams, resampling."""

@@ -1,4 +1,4 @@
-"""Whether checksums hold, every unit decodes, neighbours agree, and digests are the heights'."""
+"""Check of a file: checksums, decoding of every unit, agreement of neighbours, digests."""
 
 from collections.abc import Iterator
 from itertools import product
@@ -20,10 +20,10 @@ from terrainwave.read.window_reader import WindowReader, exact_heights
 def check_units(
     container: Container, decoder: TreeDecoder, root: str | None = None
 ) -> Iterator[str]:
-    """Check all checksums and decode every unit; yield what is wrong, in plain words.
+    """Check all checksums and decode every unit; yield problems, in plain words.
 
-    Digests are compared with the heights, and with `root` the root of these with that one. At the
-    end, how much of each level is lost, if anything is.
+    Digests are compared with the heights, and their root with `root`. The last lines give the lost
+    share of each level, if any.
     """
     yield from container.check()
     even, lost, sound = EvenBlocks(container, decoder), list[Block](), set[Content]()
@@ -38,7 +38,7 @@ def check_units(
 
 
 def _shares(grid: Grid, lost: list[Block]) -> Iterator[str]:
-    """Yield how much of each level lies in or below units that cannot be read."""
+    """Yield the share of each level in or below unreadable units."""
     for level in range(grid.k_max + 1):
         n_rows, n_cols = grid.level_shape(level)
         regions = [
@@ -46,7 +46,7 @@ def _shares(grid: Grid, lost: list[Block]) -> Iterator[str]:
             for key in lost
             if key.level < level
         ]
-        # Neighbours share samples: each counts those before its end.
+        # Neighbours share samples: each counts the ones before its end.
         n_lost = sum(max(one.n_rows - 1, 1) * max(one.n_cols - 1, 1) for one in regions)
         if n_lost:
             share = 100 * min(n_lost / (max(n_rows - 1, 1) * max(n_cols - 1, 1)), 1)
@@ -63,7 +63,7 @@ def _check_below(
     lost: list[Block],
     sound: set[Content],
 ) -> Iterator[str]:
-    """Check a unit and all below it; `sound` are segments in which there was nothing to tell."""
+    """Check a unit and all below it; `sound` are the segments without problems."""
     try:
         content = None if key.is_root_key else even.content(key)
         if content in sound and _is_beside(even, key, sound):
@@ -75,7 +75,7 @@ def _check_below(
     except CorruptStreamError as exc:
         lost.append(key)
         yield str(exc)
-        return  # what lies below cannot be decoded either
+        return  # nothing below can be decoded either
     if digests is not None and content is not None:
         digests.begin()
     problems = list(seams.differences(key))
@@ -97,7 +97,7 @@ def _check_below(
 
 
 class _Digests:
-    """Digests of tiles of the full grid, each made when the last unit of the tile is checked."""
+    """Digests of tiles of the full grid, made once the last unit of a tile is checked."""
 
     def __init__(self, container: Container, decoder: TreeDecoder, even: EvenBlocks) -> None:
         self._container = container
@@ -106,12 +106,12 @@ class _Digests:
         header, self._grid = container.header, container.grid
         self._tiles = TileDigests((header.n_rows, header.n_cols))
         self._windows = WindowReader("", self._grid, header.quantizer, 1)
-        # Tiles of the segment that is being learnt, and of segments by their content.
+        # Tiles of the current segment, and of segments by their content.
         self._recent: dict[Place, bytes] | None = None
         self._known: dict[Content, dict[Place, bytes]] = {}
 
     def take(self, key: Block) -> None:
-        """Digest the tiles whose last samples a unit of the full grid holds."""
+        """Digest the tiles whose last samples are in a unit of the full grid."""
         grid = self._grid
         if key.level + 1 != grid.k_max:
             return
@@ -139,20 +139,20 @@ class _Digests:
         return raw, np.ones(region.shape, dtype=np.bool_) if void is None else ~void
 
     def begin(self) -> None:
-        """Begin a finest segment that others may be like."""
+        """Begin a finest segment that others may equal."""
         self._recent = {}
 
     def learn(self, head: Block, content: Content) -> None:
-        """Keep the tiles of the segment that ends here, for others with its content."""
+        """Store the tiles of the current segment for others with its content."""
         self._known[content] = self._moved(self._recent or {}, head, -1)
         self._recent = None
 
     def repeat(self, head: Block, content: Content) -> None:
-        """Take in the tiles of a segment that decodes to what another one did."""
+        """Add the tiles of a segment that decodes like another one."""
         self._tiles.add(self._moved(self._known[content], head, 1))
 
     def _moved(self, tiles: dict[Place, bytes], head: Block, sign: int) -> dict[Place, bytes]:
-        """Return tiles with places counted from a segment's corner (-1), or from the raster's."""
+        """Return tiles with positions relative to a segment's corner (-1), or to the raster's."""
         n_tiles = sign * (self._grid.block << SEGMENT_LEVELS) // TILE
         down, right = head.row * n_tiles, head.col * n_tiles
         return {(row + down, col + right): digest for (row, col), digest in tiles.items()}
@@ -187,22 +187,22 @@ def _tiles_ending_in(index: int, n_samples: int, side: int, n_units: int) -> Ite
 
 
 def _check_heights(container: Container, unit: Decoded) -> None:
-    """Raise if remainders make a height that is not finite (FORMAT.md §5.3)."""
+    """Raise if remainders give a height that is not finite (FORMAT.md §5.3)."""
     if unit.remainders is not None:
         exact_heights(container.header.quantizer, unit)
 
 
 def _is_beside(even: EvenBlocks, head: Block, sound: set[Content]) -> bool:
-    """Say whether the segments before one, which it shares samples with, are such as itself."""
+    """Return whether the segments before one, with which it shares samples, equal it."""
     before = (head._replace(row=head.row - 1), head._replace(col=head.col - 1))
     return all(even.content(one) in sound for one in before)
 
 
 class _Seams:
-    """Whether units hold the same of the samples that they share (FORMAT.md §2.4).
+    """Comparison of the samples that units share (FORMAT.md §2.4).
 
-    Units of a level come in Morton order: those above and to the left have come before, and left
-    what they share with the next. Memory: a line of samples along the units still to come.
+    Units of a level come in Morton order: the ones above and to the left come first, and store
+    their shared samples. Memory: a line of samples along the pending units.
     """
 
     def __init__(self, decoder: TreeDecoder, even: EvenBlocks) -> None:
@@ -211,7 +211,7 @@ class _Seams:
         self._lines: dict[tuple[Block, Block], Decoded] = {}
 
     def differences(self, key: Block) -> Iterator[str]:
-        """Compare a unit, which can be decoded, with those before it."""
+        """Compare a decodable unit with earlier ones."""
         if key.is_root_key:
             return
         for row, col in ((-1, 0), (0, -1)):
@@ -224,9 +224,9 @@ class _Seams:
                 self._lines[key, other] = self._shared(key, other)
 
     def differences_of_absent(self, container: Container, head: Block) -> Iterator[str]:
-        """Compare the units of an absent segment, and all below it, with those before them.
+        """Compare the units of an absent segment, and all below it, with earlier ones.
 
-        All of them are void. Segments before it that are absent, too, hold no unit to compare.
+        All of them are void. Earlier segments that are absent, too, have no unit to compare.
         """
         grid = self._decoder.grid
         for row, col in ((-1, 0), (0, -1)):
@@ -249,7 +249,7 @@ class _Seams:
                     ]
 
     def _shared(self, key: Block, other: Block) -> Decoded:
-        """Return what a unit holds of the samples that another one holds as well."""
+        """Return the samples of a unit that another one holds as well."""
         height = self._even.of_unit(key)
         if height is None:
             return self._decoder.shared(key, other)
@@ -262,7 +262,7 @@ class _Seams:
             try:
                 one = self._shared(before, key)
             except CorruptStreamError:
-                return True  # has been told
+                return True  # already reported
         other = self._shared(key, before)
         rests = [0 if part.remainders is None else part.remainders for part in (one, other)]
         is_other = (one.heights != other.heights) | (rests[0] != rests[1])
@@ -276,11 +276,10 @@ def _difference(key: Block, other: Block) -> str:
 
 
 def _is_absent(container: Container, decoder: TreeDecoder, block: Block) -> bool:
-    """Say whether `block` heads a segment that is left out, and all below it is void.
+    """Return whether `block` heads a segment that is left out, with all below it void.
 
-    Units of a tile can be in such a segment: the tile holds their samples.
-
-    A file of a few hundred bytes may claim 2^50 void samples.
+    Units of a tile can be in such a segment: the tile holds their samples. A file of a few hundred
+    bytes may claim 2^50 void samples.
     """
     if container.grid.segment_head(block) != block:
         return False
@@ -289,4 +288,4 @@ def _is_absent(container: Container, decoder: TreeDecoder, block: Block) -> bool
             return False
         return decoder.source.are_apart or not decoder.unit(block).mask.any()
     except CorruptStreamError:
-        return False  # its units will say so
+        return False  # its units will report it

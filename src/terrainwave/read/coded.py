@@ -1,6 +1,6 @@
-"""What a file tells without decoding: which parts are void, and which segments decode alike.
+"""Properties of a file found without decoding: void parts, and segments that decode alike.
 
-The latter are sea: a planet has thousands.
+The latter are sea: a planet has thousands of them.
 """
 
 from collections.abc import Iterable, Iterator
@@ -12,18 +12,18 @@ from terrainwave.container.reader import Container
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Region
 from terrainwave.read.decoder import TreeDecoder, unit_key
 
-# Bytes of a segment of one height, and of a payload: longer ones are not.
+# Upper limits for segments and payloads of one height, in bytes.
 _MOST_BYTES, _MOST_IN_PAYLOAD = 1 << 16, 1 << 10
-# Blocks and payloads whose heights are kept, and segments.
+# Cached heights of blocks and payloads, and of segments.
 _MOST_KNOWN = 1 << 14
 _MOST_CONTENTS = 1 << 8
 
 
 class Content(NamedTuple):
-    """All that the units of a finest segment decode to follows from.
+    """All data that determine the decoded units of a finest segment.
 
-    The one height of the block above them, lengths and checksums of their payloads, and these.
-    Where the checksums are those of another segment, they are right if they are right there.
+    These are the height of the block above them, lengths and checksums of their payloads, and the
+    payloads. Equal checksums need be verified only once.
     """
 
     height: int
@@ -33,24 +33,24 @@ class Content(NamedTuple):
 
 
 class EvenBlocks:
-    """Blocks of one height, found without decoding each: by payloads that are known to give it.
+    """Blocks of one height, found without decoding each, by payloads known to give it.
 
-    A unit with neighbours on all sides, below a block of one height, decodes to what every other
-    one of its level with the same payload does. Of each payload one unit is decoded. Thread-safe.
+    Units of a level with neighbours on all sides, below a block of one height, decode alike if
+    their payloads are equal. One unit is decoded for each payload. Thread-safe.
     """
 
     def __init__(self, container: Container, decoder: TreeDecoder) -> None:
         self._container = container
         self._decoder = decoder
         self._are_apart = decoder.source.are_apart
-        # Of a unit's level, the height above it and its payload; False where it has several.
+        # By a unit's level, the height above it and its payload; False if it has several heights.
         self._known: Cache[tuple[int, tuple[int, int], int, bytes], int | bool] = Cache(_MOST_KNOWN)
         self._heights: Cache[Block, int | bool] = Cache(_MOST_KNOWN)
-        # Of finest segments: the one height below; False where there are several.
+        # For finest segments: the one height below; False if there are several.
         self._below: Cache[Content, int | bool] = Cache(_MOST_CONTENTS)
 
     def of_block(self, block: Block) -> int | None:
-        """Return the one height of a block and its apron; None if not all have it, all valid."""
+        """Return the one height of a block and its apron; None if samples differ or are void."""
         found = self._heights.get_or_make(block, lambda: self._of_block(block))
         return None if found is False else found
 
@@ -59,9 +59,9 @@ class EvenBlocks:
         return _one_height(self._decoder.block(block)) if height is None else height
 
     def of_unit(self, key: Block) -> int | None:
-        """Return the one height of a unit, which need not be decoded then.
+        """Return the one height of a unit without decoding it.
 
-        None where it has several, or its payload alone does not tell.
+        None if it has several, or its payload does not suffice.
         """
         if key.is_root_key or not self._are_apart or not self._container.grid.is_inside(key):
             return None
@@ -78,9 +78,9 @@ class EvenBlocks:
         return None if found is False else found
 
     def below(self, block: Block) -> set[int] | None:
-        """Return heights of the full grid under a block, the lowest and the highest among them.
+        """Return heights of the full grid under a block, including the lowest and the highest.
 
-        None if not all are valid, or remainders tell more of them.
+        None if not all samples are valid, or remainders change them.
         """
         grid, found, blocks = self._container.grid, set[int](), [block]
         while blocks:
@@ -98,9 +98,9 @@ class EvenBlocks:
         return found
 
     def own(self, region: Region) -> int | None:
-        """Return the one height of a region of the full grid, if a block has just that for itself.
+        """Return the one height of a region of the full grid, if a block owns exactly that.
 
-        None where it is not so, or no larger than a unit, or larger than a segment.
+        None otherwise, or if the region is no larger than a unit, or larger than a segment.
         """
         grid = self._container.grid
         depth = (region.n_rows // grid.block).bit_length() - 1
@@ -122,10 +122,10 @@ class EvenBlocks:
         return found.pop() if found is not None and len(found) == 1 else False
 
     def content(self, head: Block) -> Content | None:
-        """Return what the units of the segment of `head` decode to follows from.
+        """Return the content that determines the units of the segment of `head`.
 
-        None where that is more: unless it is one of the finest, has neighbours on all sides, and
-        lies below a block that is of one height.
+        None unless it is one of the finest segments, has neighbours on all sides, and lies below a
+        block of one height.
         """
         grid = self._container.grid
         is_finest = head.level + SEGMENT_LEVELS == grid.k_max and grid.segment_head(head) == head
@@ -146,7 +146,7 @@ class EvenBlocks:
 
 
 def _one_height(unit: Decoded) -> int | bool:
-    """Return the one height of all samples; False if there are several, or not all are valid."""
+    """Return the one height of all samples; False if there are several, or some are void."""
     height = int(unit.heights[0, 0])
     if unit.validity.own_mask is not None or unit.remainders is not None:
         return False
@@ -154,9 +154,9 @@ def _one_height(unit: Decoded) -> int | bool:
 
 
 def coded_parts(container: Container, level: int, region: Region) -> Iterator[Region]:
-    """Yield the parts of a region of a level in which units have a payload, for methods of units.
+    """Yield the parts of a region of a level whose units have a payload, for methods of units.
 
-    A unit without one is void, as is all below it: so few are looked at where much is.
+    A unit without payload is void with all below it, so mostly void files need few lookups.
     """
     yield from _coded(container, level, region, container.grid.root_keys())
 

@@ -13,6 +13,7 @@ from terrainwave.codec.refiner import (
     GroupSpec,
     Heights,
     Mask,
+    Raw,
     Refiner,
     Rows,
     Validity,
@@ -34,7 +35,7 @@ WHOLE: RowsOf = {}
 
 
 class UnitSource(Protocol):
-    """Where a `TreeDecoder` has units from.
+    """Source of the units of a `TreeDecoder`.
 
     `are_apart` says that one unit can be decoded, and forgotten, without work for others;
     `has_parts` that rows of one can be decoded without the others.
@@ -53,8 +54,10 @@ class UnitSource(Protocol):
         """Return which rows of its parent heights a unit needs for some of its own."""
         ...
 
-    def decode(self, units: "TreeDecoder", key: Block, rows: RowsOf = WHOLE) -> Decoded:
-        """Decode a unit, or some rows of it; `units` has those above it."""
+    def decode(
+        self, units: "TreeDecoder", key: Block, rows: RowsOf = WHOLE, raw: Raw | None = None
+    ) -> Decoded:
+        """Decode a unit, or some rows of it; `units` has those above it. See `decode_unit`."""
         ...
 
 
@@ -65,7 +68,7 @@ class Groups:
     ----------
     decode : callable
         Decodes a payload: of the unit of a spec, below a block, None for a root block. Its last
-        argument is which rows are enough.
+        arguments are which rows are enough, and where raw heights may go.
     rows_above : callable, optional
         Returns which rows of a block it takes to decode some rows of a payload below; without it
         all units are decoded whole.
@@ -76,7 +79,7 @@ class Groups:
     def __init__(
         self,
         payloads: Payloads,
-        decode: Callable[[GroupSpec, Decoded | None, bytes, Rows], Decoded],
+        decode: Callable[[GroupSpec, Decoded | None, bytes, Rows, Raw | None], Decoded],
         *,
         rows_above: Callable[[GroupSpec, bytes, Rows], Rows] | None = None,
     ) -> None:
@@ -111,13 +114,15 @@ class Groups:
         except CorruptStreamError:  # which `decode` reports
             return ALL_ROWS
 
-    def decode(self, units: "TreeDecoder", key: Block, rows: RowsOf = WHOLE) -> Decoded:
-        """Decode a unit, or some rows of it."""
+    def decode(
+        self, units: "TreeDecoder", key: Block, rows: RowsOf = WHOLE, raw: Raw | None = None
+    ) -> Decoded:
+        """Decode a unit, or some rows of it. See `decode_unit`."""
         parent = None if key.is_root_key else units.block(key, rows)
         spec = units.spec(key)
         payload = self._fetched.take(key)
         try:
-            return self._decode(spec, parent, payload, rows.get(key, ALL_ROWS))
+            return self._decode(spec, parent, payload, rows.get(key, ALL_ROWS), raw)
         except CorruptStreamError as exc:
             raise type(exc)(f"{unit_name(key)} is damaged: {exc}") from exc
 
@@ -125,10 +130,12 @@ class Groups:
 def groups_by(refiner: Refiner, payloads: Payloads) -> Groups:
     """Return the units that a refiner decodes."""
 
-    def decode(spec: GroupSpec, parent: Decoded | None, payload: bytes, rows: Rows) -> Decoded:
+    def decode(
+        spec: GroupSpec, parent: Decoded | None, payload: bytes, rows: Rows, raw: Raw | None
+    ) -> Decoded:
         from terrainwave.codec.group import decode_unit  # numba, which not every reader needs
 
-        return decode_unit(refiner, spec, parent, payload, rows)
+        return decode_unit(refiner, spec, parent, payload, rows, raw)
 
     def above(spec: GroupSpec, payload: bytes, rows: Rows) -> Rows:
         from terrainwave.codec.group import rows_above
@@ -161,8 +168,8 @@ class TreeDecoder:
     def prefetch_for(self, keys: Sequence[Block], region: Region) -> tuple[list[Block], RowsOf]:
         """Do as `prefetch` for a region of their level; also return which rows of units are enough.
 
-        None are where the region takes whole units, or nearly: such a reader goes on beside it. And
-        a unit of which most rows are wanted is decoded to its end, which is checked there.
+        No unit is cut if the region takes nearly all of it: such a reader reads the next region,
+        too. A unit with most rows wanted is decoded to its end, which is checked there.
         """
         wanted: dict[Block, Rows] = {}
         if self.source.has_parts:
@@ -270,12 +277,13 @@ class TreeDecoder:
         return Decoded(found.heights.copy(), found.validity.copy(), None, rest)
 
     def part_once(
-        self, key: Block, region: Region, rows: RowsOf = WHOLE
+        self, key: Block, region: Region, rows: RowsOf = WHOLE, out: Raw | None = None
     ) -> tuple[tuple[slice, slice], Decoded]:
         """Return `part`, for a reader of a whole region.
 
         A unit of the full grid that is not at hand and lies in the region as a whole is not kept.
-        Its last row and column may be missing: whoever reads on beside it needs the next unit's.
+        Its last row and column may be missing: a reader of the next region needs the next unit's.
+        Its heights may go to the region's raw heights `out` (`Decoded.is_raw`).
         """
         spec = self.spec(key)
         here = spec.core.intersect(region)
@@ -283,7 +291,13 @@ class TreeDecoder:
         is_all = here.n_rows >= n_rows - 1 and here.n_cols >= n_cols - 1 and spec.is_finest
         if not is_all or not self.source.are_apart or self._cache.get(key) is not None:
             return self.part(key, region, rows)
-        return _part(self.source.decode(self, key, rows), spec, here, region)
+        there, raw = here.slices_in(region), None
+        if out is not None and (here.row, here.col) == (spec.region.row, spec.region.col):
+            raw = Raw(out.heights[there], out.base)
+        unit = self.source.decode(self, key, rows, raw)
+        if unit.is_raw:
+            return there, unit._replace(validity=unit.validity.part(here.slices_in(spec.region)))
+        return _part(unit, spec, here, region)
 
     def window(self, level: int, region: Region) -> tuple[Heights, Mask]:
         """Return decoded heights and validity of any region inside a level."""

@@ -1,4 +1,4 @@
-"""Reading files of method cdf53 in part: how much of which tile (format-cdf53.md, C.7)."""
+"""Partial reading of cdf53 files: choice of bytes per tile (format-cdf53.md, C.7)."""
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from terrainwave.grid.quadtree import Block, Region
 from terrainwave.read.decoder import TreeDecoder, unit_name, units_of
 from terrainwave.read.tile_decoder import make_decoder
 
-# Bytes of each payload that are read to see its head; more where that is longer.
+# Bytes read first of each payload, for its head; longer heads need more.
 _FIRST_READ = 512
 
 
@@ -32,7 +32,7 @@ class _Begun:
     n_below: int
 
     def n_bytes(self, position: float) -> int:
-        """Return the bytes of the payload to be read for a position (`plane_cut`)."""
+        """Return the bytes to read of the payload for a position (`plane_cut`)."""
         kept = plane_cut(self.head.ends, self.head.n_stream, position - self.n_below)
         return max(len(self.start), self.n_head + prefix_length(kept, self.head.n_stream))
 
@@ -40,25 +40,25 @@ class _Begun:
 def early_decoder(
     container: Container, level: int, region: Region, quality: float, *, cache_bytes: int
 ) -> tuple[TreeDecoder, "EarlyPayloads"]:
-    """Return what decodes a region of so many bits per sample, and the payloads it takes."""
+    """Return the decoder of a region at a number of bits per sample, and its payloads."""
     max_bytes = int(quality * region.n_rows * region.n_cols / 8)
     payloads = EarlyPayloads(container, units_of(container.grid, level, region), max_bytes)
     return make_decoder(container.header, payloads, cache_bytes, are_prefixes=True), payloads
 
 
 class EarlyPayloads:
-    """The beginnings of payloads that make the best surface of so many bytes.
+    """Beginnings of payloads that give the best surface for a number of bytes.
 
     Parameters
     ----------
     keys : iterable of Block
-        Keys of the units that are wanted.
+        Keys of the wanted units.
     max_bytes : int
         Bytes to read of payloads; the heads of all tiles are read in any case.
 
     Notes
     -----
-    `n_bytes` is what has been read of payloads. Memory: those bytes.
+    `n_bytes` counts the bytes read of payloads, which stay in memory.
     """
 
     def __init__(self, container: Container, keys: Iterable[Block], max_bytes: int) -> None:
@@ -70,11 +70,11 @@ class EarlyPayloads:
         self._payloads = self._read_rest(parts, position)
 
     def __call__(self, keys: Sequence[Block]) -> list[bytes]:
-        """Return the bytes read of the payloads of `keys`; none of those without."""
+        """Return the bytes read of the payloads of `keys`; empty if none were read."""
         return [self._payloads.get(key, b"") for key in keys]
 
     def _tiles_above(self, keys: Iterable[Block]) -> list[Block]:
-        """Return the tiles that hold units, and those above them, once each."""
+        """Return the tiles that hold units, and their ancestors, once each."""
         tiles: dict[Block, None] = {}
         for unit in keys:
             key: Block | None = self._layout.key_of(unit)
@@ -116,7 +116,7 @@ class EarlyPayloads:
         return payloads
 
     def _read_on(self, payloads: dict[Block, bytes], ends: dict[Block, int]) -> None:
-        """Lengthen the beginnings of payloads up to `ends`, near ones in one request."""
+        """Extend the beginnings of payloads to `ends`, near ones in one request."""
         keys = [key for key, end in ends.items() if end > len(payloads[key])]
         parts = [(key, len(payloads[key]), ends[key]) for key in keys]
         for key, data in zip(keys, self._container.payload_parts(parts), strict=True):

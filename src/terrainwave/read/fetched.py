@@ -1,4 +1,4 @@
-"""Payloads between being fetched, many at a time, and being decoded, one at a time."""
+"""Payloads that are fetched many at a time and decoded one at a time."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -7,7 +7,7 @@ from terrainwave.errors import CorruptStreamError
 from terrainwave.forks import renew_after_fork
 from terrainwave.grid.quadtree import Block
 
-# Left over where what was fetched is not wanted any more: the oldest go.
+# Limit of fetched payloads that are no longer wanted: the oldest are dropped.
 _MAX_BYTES = 32 << 20
 # Returns the checked payloads of several units, near ones in one request.
 Payloads = Callable[[Sequence[Block]], list[bytes]]
@@ -18,22 +18,22 @@ class FetchedPayloads:
 
     def __init__(self, payloads: Payloads) -> None:
         self._payloads = payloads
-        self._here: dict[Block, bytes] = {}  # the oldest first
+        self._here: dict[Block, bytes] = {}  # oldest first
         self.renew()
         renew_after_fork(self)
 
     def renew(self) -> None:
-        """Begin anew after a fork: what was on its way is fetched again."""
+        """Reset after a fork: pending payloads are fetched again."""
         self._lock = threading.Lock()
         self._here.clear()
         self._n_bytes = 0
         self._on_the_way: dict[Block, threading.Event] = {}
 
     def fetch(self, keys: Sequence[Block]) -> None:
-        """Fetch, in one call, those that are neither here nor on their way to another thread.
+        """Fetch, in one call, payloads that are neither here nor pending in another thread.
 
-        A damaged payload is left for `take` to report, so that it costs no other unit; so is a
-        single one to fetch.
+        Damaged payloads are left to `take`, so that they do not affect other units; so is a single
+        one.
         """
         if len(keys) < 2:
             return
@@ -63,12 +63,12 @@ class FetchedPayloads:
             self._n_bytes -= len(self._here.pop(next(iter(self._here))))
 
     def peek(self, key: Block) -> bytes | None:
-        """Return a payload that is here, which stays; None if it is not."""
+        """Return a payload without removing it; None if it is not here."""
         with self._lock:
             return self._here.get(key)
 
     def take(self, key: Block) -> bytes:
-        """Return a payload, which is not kept; fetched now unless it is here or on its way.
+        """Return and remove a payload; fetched now unless it is here or pending.
 
         Raises
         ------

@@ -1,8 +1,8 @@
-"""Windows of levels with the voids that a reader asks for.
+"""Windows of levels with the voids that a reader wants.
 
-A sample of a coarse level is valid where any full-grid sample near it is; that is what the codec
-and meshes work with: *any*. Where the full-grid sample at its place is void, its height is a fill.
-*Exact* leaves these out, as the payloads tell.
+A sample of a coarse level is valid if any full-grid sample near it is: *any*. The codec and meshes
+use these. If the full-grid sample at its position is void, its height is a fill. *Exact* voids
+exclude fills, by information in the payloads.
 """
 
 import warnings
@@ -21,12 +21,12 @@ from terrainwave.read.lost import Lost
 from terrainwave.read.native import NativeError, NativeFile
 from terrainwave.read.window_reader import WindowReader, bilinear
 
-# Raw heights, and what is void; None where nothing is.
+# Raw heights, and voids or None.
 _Heights = tuple[NDArray[Any], NDArray[np.bool_] | None]
-# Raw heights, and which are valid.
+# Raw heights and validity.
 _Samples = tuple[NDArray[Any], NDArray[np.bool_]]
 _Found = TypeVar("_Found")
-# To the frame that called a method of an open file.
+# Stack level of the caller of an open file's method.
 _STACK = 4
 
 
@@ -36,11 +36,11 @@ class LevelReader:
     Parameters
     ----------
     name : str
-        What messages call the file.
+        Name of the file in messages.
     decoder : callable
-        Returns the decoder of the file's units, made when it is first needed.
+        Returns the decoder of the file's units, created on first use.
     native : NativeFile, optional
-        What reads the file by the native library, as far as that can.
+        Reader with the native library, for what it supports.
     n_threads : int
         Threads that decode.
     """
@@ -60,7 +60,6 @@ class LevelReader:
         self._grid = header.grid
 
     def close(self) -> None:
-        """Stop the threads."""
         self._windows.close()
         if self._native is not None:
             self._native.close()
@@ -79,10 +78,10 @@ class LevelReader:
         decoder: TreeDecoder | None = None,
         void_value: float | None = None,
     ) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
-        """Return raw heights of a region of a level and what is void; None where nothing is.
+        """Return raw heights of a region of a level and the voids, None without voids.
 
-        `decoder` decodes them, where it is not the file's own. With `void_value`, voids that are
-        not told have that height already.
+        `decoder` replaces the file's own. With `void_value`, voids get that height and are not
+        returned.
         """
         is_own = voids != ANY
 
@@ -104,9 +103,9 @@ class LevelReader:
         by_units: Callable[[TreeDecoder], _Found],
         on_error: str = "raise",
     ) -> _Found:
-        """Read by the native library; where it is missing or fails, by the file's decoder.
+        """Read with the native library; if it is missing or fails, with the file's decoder.
 
-        That decoder has the last word, and the words, on what is damaged.
+        That decoder decides what is damaged, and gives the message.
         """
         if self._native is None:
             return by_units(self._decoder())
@@ -134,7 +133,7 @@ class LevelReader:
         cols: NDArray[np.float64],
         voids: str,
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return bilinear raw heights at places inside a level, and where a void takes part."""
+        """Return bilinear raw heights at positions inside a level, and which involve a void."""
         is_own = voids != ANY
 
         def samples(row: NDArray[np.int64], col: NDArray[np.int64]) -> _Samples:

@@ -1,4 +1,4 @@
-"""What of a damaged file could not be read."""
+"""Unreadable parts of a damaged file."""
 
 import threading
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from terrainwave.grid.quadtree import Block, Grid
 
 
 class Lost(NamedTuple):
-    """A unit that is damaged, or lies below one that is: a level, a window of it, and why.
+    """A unit that is damaged, or lies below a damaged one: its level, window and problem.
 
     The window is ``(first_row, first_col, n_rows, n_cols)``, in samples of the level.
     """
@@ -29,17 +29,17 @@ class Lost(NamedTuple):
 
 @dataclass(frozen=True)
 class Losses:
-    """Damage of a file that was read all the same.
+    """Damage of a file that was read anyway.
 
     Attributes
     ----------
     share : float
-        Samples of the window that lie in damaged parts, of 1. Those on the border to a whole part
-        are still there.
+        Share of the window's samples in damaged parts, 0 … 1. Samples on the border to an intact
+        part are not lost.
     missing_bytes : int
-        Bytes that the file lacks at its end.
+        Bytes missing at the end of the file.
     parts : tuple of Lost
-        What is damaged, coarse levels first.
+        Damaged units, coarse levels first.
     """
 
     share: float
@@ -47,7 +47,7 @@ class Losses:
     parts: tuple[Lost, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the fields, as JSON has them."""
+        """Return the fields as values for JSON."""
         return {
             "share": self.share,
             "missing_bytes": self.missing_bytes,
@@ -56,7 +56,7 @@ class Losses:
 
 
 class LostUnits:
-    """Gathers what is lost, each unit once; from any number of threads."""
+    """Collects lost units, each once; from any number of threads."""
 
     def __init__(self, grid: Grid) -> None:
         self._grid = grid
@@ -65,16 +65,16 @@ class LostUnits:
         renew_after_fork(self)
 
     def renew(self) -> None:
-        """Begin anew after a fork."""
+        """Reset after a fork."""
         self._lock = threading.Lock()
 
     def note(self, key: Block, error: CorruptStreamError) -> None:
-        """Note that a unit cannot be read."""
+        """Record that a unit cannot be read."""
         with self._lock:
             self._problems.setdefault(key, str(error))
 
     def list(self) -> list[Lost]:
-        """Return what is lost, coarse levels first."""
+        """Return the lost units, coarse levels first."""
         with self._lock:
             found = sorted(self._problems.items())
         return [self._lost(key, problem) for key, problem in found]

@@ -126,9 +126,9 @@ class Library:
 
 @cache
 def installed() -> Library | None:
-    """Return the library of the package terrainwave-native; None where there is none that fits.
+    """Return the library of the package terrainwave-native; None without one that fits.
 
-    A library that does not fit is reported by one warning.
+    One that does not fit is named in one warning.
     """
     native = loaded()
     if native is None:
@@ -147,7 +147,7 @@ def installed() -> Library | None:
 
 
 class _Handles:
-    """What the library has allocated for one open file."""
+    """Memory that the library has allocated for one open file."""
 
     def __init__(self, library: Library, size: int, cache_bytes: int, n_threads: int) -> None:
         self.library = library

@@ -1,4 +1,4 @@
-"""Which samples of a level a window, bounds or places in the world name."""
+"""Conversion of windows, bounds and world coordinates to samples of a level."""
 
 import math
 from collections.abc import Sequence
@@ -12,12 +12,12 @@ from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.grid.affine import EVEN, Transform, determinant, places_to_samples
 from terrainwave.grid.quadtree import Region
 
-# Samples: what coordinates that name pixel edges may be beside them, by rounding.
+# Samples: allowed deviation of rounded coordinates from pixel edges.
 _FORGIVEN = 0.001
 
 
 class LevelPlace(NamedTuple):
-    """A level whose parts windows and bounds name; `own` are the raster's bounds."""
+    """Shape and position of a level; `own` are the raster's bounds."""
 
     level: int
     shape: tuple[int, int]
@@ -53,10 +53,10 @@ class LevelPlace(NamedTuple):
 
 
 class LevelWindow(NamedTuple):
-    """A part of a level that a user has named: inside the level, and not empty.
+    """Checked part of a level: inside the level, and not empty.
 
-    Made once, by `LevelPlace.window`; whoever gets one need not check it. `asked` is what was
-    named, before it was clipped, by `bounds` or without.
+    Only `LevelPlace.window` makes it, so it need not be checked again. `asked` is the part before
+    clipping, given by `bounds` or not.
     """
 
     place: LevelPlace
@@ -70,9 +70,10 @@ class LevelWindow(NamedTuple):
         return self.place.level
 
     def note_on_cut(self, pixel: tuple[float, float]) -> str | None:
-        """Say that more was named than the level has, and what is left; None if not.
+        """Return a note if the part was clipped, else None.
 
-        `pixel` is the size of the finest pixels, of which rounding of coordinates leaves out some.
+        `pixel` is the size of the finest pixels: a cut that rounding of coordinates explains is not
+        noted.
         """
         region, shape = self.region, self.place.shape
         left = (
@@ -90,17 +91,17 @@ class LevelWindow(NamedTuple):
 
 
 def region_of_window(window: Any, shape: tuple[int, int]) -> Region:
-    """Return the region that a window of a level of `shape` names, not clipped.
+    """Return the region of a window of a level of `shape`, not clipped.
 
     A window is (row, col, n_rows, n_cols), a rasterio Window, or a slice of rows and one of
-    columns. Slices count as Python does: from the end if negative, at most to the end.
+    columns. Slices count as in Python: from the end if negative, at most to the end.
 
-    A `Region` has been checked.
+    A `Region` is already checked.
 
     Raises
     ------
     InvalidArgumentError
-        If it is none of them, or not in whole samples.
+        If it is none of these, or not in whole samples.
     """
     if isinstance(window, Region):
         return window
@@ -111,7 +112,7 @@ def region_of_window(window: Any, shape: tuple[int, int]) -> Region:
             rows, cols = (_of_slice(part, size) for part, size in zip(window, shape, strict=True))
             return Region(rows.start, cols.start, len(rows), len(cols))
         return Region(*checked_numbers("window", window, "row, col, n_rows, n_cols", is_whole=True))
-    except (TypeError, ValueError):  # none of them, no four whole numbers
+    except (TypeError, ValueError):  # no iterable of four whole numbers
         raise InvalidArgumentError(
             f"found `window` {shown(window)}, expected (row, col, n_rows, n_cols) in whole samples,"
             " a rasterio Window, or two slices without a step: rows, columns"
@@ -119,7 +120,7 @@ def region_of_window(window: Any, shape: tuple[int, int]) -> Region:
 
 
 def _of_rasterio(window: Any) -> Region:
-    """Return a Window's samples; what `rasterio.windows.from_bounds` rounds is forgiven."""
+    """Return a Window's samples; rounding of `rasterio.windows.from_bounds` is ignored."""
     given = (window.row_off, window.col_off, window.height, window.width)
     if not all(
         math.isfinite(number) and abs(number - round(number)) <= _FORGIVEN for number in given
@@ -144,7 +145,7 @@ def region_of_bounds(bounds: Sequence[float], transform: Transform) -> Region:
     Raises
     ------
     InvalidArgumentError
-        If the bounds are empty, or the transform cannot place them.
+        If the bounds are empty, or the transform cannot be inverted.
     """
     left, bottom, right, top = checked_numbers("bounds", bounds, "left, bottom, right, top")
     if not (left < right and bottom < top):
@@ -158,7 +159,7 @@ def region_of_bounds(bounds: Sequence[float], transform: Transform) -> Region:
             f"found `bounds` {tuple(bounds)}, expected finite ones that the affine transform"
             f" {tuple(transform)} can place; read by window instead"
         )
-    # Samples are pixel centres: half a pixel away begins the next pixel.
+    # Samples are pixel centres: the next pixel begins half a pixel away.
     first_row, first_col = (_round_half_up(ends.min() + _FORGIVEN) for ends in (rows, cols))
     last_row, last_col = (_round_half_up(ends.max() - _FORGIVEN) for ends in (rows, cols))
     return Region(first_row, first_col, last_row - first_row + 1, last_col - first_col + 1)
@@ -176,7 +177,7 @@ def to_samples(
     """
     if determinant(transform) == 0:
         raise InvalidHeightsError("the affine transform cannot be inverted; read by window instead")
-    # Extreme numbers of a file or a caller become NaN or infinite: no place in the raster.
+    # Extreme numbers of a file or a caller become NaN or infinite: outside the raster.
     with np.errstate(all="ignore"):
         return places_to_samples(transform, places[:, 0], places[:, 1])
 
@@ -186,22 +187,22 @@ def _round_half_up(value: float) -> int:
 
 
 def places_of(points: Any) -> NDArray[np.float64]:
-    """Return places as an array of shape (n_points, 2).
+    """Return points as an array of shape (n_points, 2).
 
     Raises
     ------
     InvalidArgumentError
-        If they are no pairs of numbers.
+        If they are not pairs of numbers.
     """
     try:
         listed = points if isinstance(points, np.ndarray) else list(points)
         given = np.asarray(listed)
         places = given.astype(np.float64) if given.dtype.kind in "iuf" else None
-    except (TypeError, ValueError):  # nothing to iterate over, pairs of several lengths
+    except (TypeError, ValueError):  # not iterable, or pairs of several lengths
         places = None
     if places is not None and places.size == 0:
         return np.empty((0, 2))
-    if places is not None and places.shape == (2,):  # one place
+    if places is not None and places.shape == (2,):  # a single point
         return places[None]
     if places is None or places.ndim != 2 or places.shape[1] != 2:
         raise InvalidArgumentError(

@@ -1,4 +1,4 @@
-"""Resample windows to a given shape, reading no more of the file than that needs."""
+"""Resample windows to a given shape, reading only as much of the file as needed."""
 
 import math
 from collections.abc import Callable
@@ -12,12 +12,12 @@ from terrainwave.grid.quadtree import Grid, Region
 
 RESAMPLING = ("nearest", "bilinear", "average")
 
-# Samples that averaging holds at a time: 32 MiB of float64, several times over.
+# Samples in memory while averaging: 32 MiB of float64, several times over.
 _BAND_SAMPLES = 4 << 20
 
-# Heights, and what is void; None only where nothing is.
+# Heights, and voids or None.
 _Heights = tuple[NDArray[Any], NDArray[np.bool_] | None]
-# Returns a region of the level `shift` steps coarser than the one asked.
+# Returns a region of the level `shift` steps coarser than the requested one.
 ReadLevel = Callable[[int, Region], _Heights]
 
 
@@ -30,7 +30,7 @@ def resample(
     grid: Grid,
     max_bytes: int,
 ) -> _Heights:
-    """Return heights of `region` of `level`, resampled to `out_shape`, and what is void.
+    """Return heights of `region` of `level`, resampled to `out_shape`, and the voids.
 
     Output pixel i covers the samples from ``i * scale`` to ``(i + 1) * scale``, as in rasterio.
     ``nearest`` and ``bilinear`` take samples of the coarsest level that is not coarser than the
@@ -131,7 +131,7 @@ def _average(
     for start in range(0, region.n_rows, rows_per_band):
         stop = min(start + rows_per_band, region.n_rows)
         heights, void = read(0, Region(region.row + start, region.col, stop - start, region.n_cols))
-        # The output rows that the band meets, each with its part of the band.
+        # The output rows that touch the band, each with its part of the band.
         first = int(np.searchsorted(row_edges, start, side="right")) - 1
         last = int(np.searchsorted(row_edges, stop, side="left"))
         edges = np.clip(row_edges[first : last + 1], start, stop) - start
@@ -160,7 +160,7 @@ def _integrate(edges: NDArray[np.float64], values: NDArray[np.float64]) -> NDArr
 def weighted_means(
     total: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return means, and where there is one: void is what has no weight."""
+    """Return means, and where they exist: without weight there is a void."""
     valid = weights > 1e-9
     return np.divide(total, weights, out=np.zeros_like(total), where=valid), valid
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from terrainwave.cache import Cache
 from terrainwave.codec.cdf53.refiner import LevelHeights, decode_tile
 from terrainwave.codec.cdf53.tile_layout import TileLayout, TileSpec
-from terrainwave.codec.refiner import ALL_ROWS, Decoded, Refiner, Rows, as_array
+from terrainwave.codec.refiner import ALL_ROWS, Decoded, Raw, Refiner, Rows, as_array
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.coding.lifting53 import forward_transform, places_of
 from terrainwave.container.header import Header
@@ -32,12 +32,12 @@ Coefficients = NDArray[np.int64]
 
 
 class Tiles:
-    """Units of a file of tiles, a `UnitSource`: each is cut from its tile.
+    """Units of a file with tiles, a `UnitSource`: each is cut from its tile.
 
     Parameters
     ----------
     cache_bytes : int
-        What decoded tiles may take; coefficients, which few ask for, as much again.
+        Memory for decoded tiles; as much again for coefficients, which few callers use.
     decode : callable
         Decodes the payload of a tile, below its head's block.
     """
@@ -69,9 +69,9 @@ class Tiles:
         keys: Sequence[Block],
         rows: RowsOf = WHOLE,  # noqa: ARG002
     ) -> list[Block]:
-        """Fetch the payloads of the tiles that decoding `keys` will need, in one call.
+        """Fetch the payloads of the tiles needed to decode `keys`, in one call.
 
-        Returns none: a unit needs tiles and no other unit.
+        Returns an empty list: a unit needs tiles but no other units.
         """
         needed: dict[Block, None] = {}
         for key in keys:
@@ -91,6 +91,7 @@ class Tiles:
         units: TreeDecoder,
         key: Block,
         rows: RowsOf = WHOLE,  # noqa: ARG002
+        raw: Raw | None = None,  # noqa: ARG002
     ) -> Decoded:
         """Return a unit, cut from its tile."""
         tile_key = self._layout.key_of(key)
@@ -105,8 +106,9 @@ class Tiles:
     def coefficients(self, level: int, region: Region) -> Coefficients:
         """Return the magnitude of the wavelet coefficient at each sample of a level, in quanta.
 
-        Of the transform that makes the coarsest level with this sample; the sample that all levels
-        begin at has none: 0. Alike in all tiles that share a sample, and on all levels.
+        It belongs to the transform that makes the coarsest level with this sample; the samples of
+        the coarsest level of all have none: 0. Equal in all tiles that share a sample, and on all
+        levels.
 
         Parameters
         ----------
@@ -115,7 +117,7 @@ class Tiles:
         """
         found = np.empty(region.shape, dtype=np.int64)
         side = self._grid.block
-        # One block of those that share a line is enough.
+        # One of the blocks that share a line is enough.
         for row in _blocks_along(region.row, region.n_rows, side):
             for col in _blocks_along(region.col, region.n_cols, side):
                 block = Block(level, row, col)
@@ -136,9 +138,10 @@ class Tiles:
         return self._coefficients.get_or_make(key, lambda: self._transform_tile(key))
 
     def _transform_tile(self, key: Block) -> Coefficients:
-        """Return the magnitudes of a tile's coefficients by the samples of its finest level.
+        """Return the magnitudes of a tile's coefficients at the samples of its finest level.
 
-        The transform is reversible, so what it makes of the decoded heights is what was decoded.
+        The transform is reversible, so transforming the decoded heights gives the decoded
+        coefficients.
         """
         spec, above = self._layout.spec(key), self._layout.above(key)
         field = self._tile(key)[-1].heights.astype(np.int64)
@@ -154,7 +157,7 @@ class Tiles:
         return found
 
     def _tile(self, key: Block) -> Tile:
-        """Return a decoded tile; those above it are decoded as needed."""
+        """Return a decoded tile; its ancestors are decoded as needed."""
         # Tiles above never wait for those below.
         return self._tiles.get_or_make(key, lambda: self._decode_tile(key))
 
@@ -178,10 +181,10 @@ def make_decoder(
     refiner: Refiner | None = None,
     are_prefixes: bool = False,
 ) -> TreeDecoder:
-    """Return the decoder of a file that has this header.
+    """Return the decoder of a file with this header.
 
-    Its tables are parsed, unless their `refiner` is at hand. `are_prefixes` says whether payloads
-    may end early (`Terrain.read_early`).
+    Its tables are parsed unless `refiner` is given. With `are_prefixes`, payloads may end early
+    (`Terrain.read_early`).
     """
     grid, parameters = header.grid, header.codec_parameters
     if not METHODS[header.method].is_tiled:
@@ -194,7 +197,7 @@ def make_decoder(
 
 
 def with_coefficients(decoder: TreeDecoder) -> Tiles:
-    """Return the tiles of a decoder, which have wavelet coefficients.
+    """Return the tiles of a decoder that has wavelet coefficients.
 
     Raises
     ------
@@ -222,8 +225,7 @@ def _n_bytes(tile: Tile) -> int:
 def final_heights(level: LevelHeights, parameters: CodecParameters) -> Decoded:
     """Return a level's final heights: quanta in the raster's range, off the nodata value.
 
-    A height that would read as nodata goes up, or down where there is no room (format-cdf53.md,
-    C.6).
+    A height that equals nodata goes up, or down if there is no room (format-cdf53.md, C.6).
     """
     wide = level.heights.astype(np.int64) * parameters.step
     heights = np.clip(wide, parameters.z_min, parameters.z_max).astype(np.int32)

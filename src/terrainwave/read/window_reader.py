@@ -1,4 +1,4 @@
-"""Windows and places of a level as users get them: units decoded in threads, quanta converted."""
+"""Windows and samples of a level: units decoded in threads, quanta converted to heights."""
 
 import contextlib
 import logging
@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.refiner import Decoded
+from terrainwave.codec.refiner import Decoded, Raw
 from terrainwave.errors import CorruptStreamError, StorageError
 from terrainwave.forks import renew_after_fork
 from terrainwave.grid.crew import Crew
@@ -31,7 +31,7 @@ class WindowReader:
     Parameters
     ----------
     name : str
-        What messages call the file.
+        Name of the file in messages.
     n_threads : int
         Threads that decode; none are started for one.
     """
@@ -47,11 +47,10 @@ class WindowReader:
         renew_after_fork(self)
 
     def renew(self) -> None:
-        """Begin anew after a fork, which takes no threads along: the first read starts some."""
+        """Reset after a fork, which copies no threads: the first read starts some."""
         self._crew = Crew(self._n_threads)
 
     def close(self) -> None:
-        """Stop the threads."""
         self._is_closed = True
         self._crew.shutdown()
 
@@ -65,12 +64,16 @@ class WindowReader:
         is_own: bool,
         void_value: float | None = None,
     ) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
-        """Return raw heights of a region of a level and what is void; None where nothing is.
+        """Return raw heights of a region of a level and the voids, None without voids.
 
-        With `on_error` ``"mask"``, damaged units read as void; with `is_own`, what is not valid by
-        itself is. With `void_value` voids have that height, and are not told.
+        With `on_error` ``"mask"``, damaged units read as void; with `is_own`, so do samples that
+        are not valid by themselves. With `void_value` voids have that height, and are not returned.
         """
-        heights = np.zeros(region.shape, dtype=self._dtype)
+        # A part of a flat array, as units that write to it take it.
+        heights = np.zeros(region.n_rows * region.n_cols, dtype=self._dtype).reshape(region.shape)
+        base, out = self._quantizer.shift, None
+        if base is not None and self._dtype in (np.int16, np.int32):  # kernels for few types
+            out = Raw(heights, base)
         voids: _Voids | _Filled
         if void_value is None:
             voids = _Voids(region, are_all=on_error == "mask")
@@ -81,8 +84,9 @@ class WindowReader:
 
         def fill(key: Block, rows: RowsOf) -> None:
             try:
-                there, unit = decoder.part_once(key, region, rows)
-                self._fill(unit, heights[there])
+                there, unit = decoder.part_once(key, region, rows, out)
+                if not unit.is_raw:
+                    self._fill(unit, heights[there])
                 voids.note(there, unit.validity.own_mask if is_own else unit.validity.mask)
             except CorruptStreamError as error:
                 if on_error == "raise":
@@ -95,7 +99,8 @@ class WindowReader:
         for first in range(0, len(keys), _BATCH):
             batch = keys[first : first + _BATCH]
             missing, rows = decoder.prefetch_for(batch, region)
-            # What is above one unit is a chain, in which threads would only wait for one another.
+            # The units above a single unit are a chain, in which threads would only wait for one
+            # another.
             if len(batch) == 1 or self._n_threads == 1:
                 for key in batch:
                     fill(key, rows)
@@ -113,7 +118,7 @@ class WindowReader:
         *,
         is_own: bool,
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Return raw heights of single samples of a level, and which are valid."""
+        """Return raw heights and validity of single samples of a level."""
         found = decoder.samples(level, rows, cols)
         raw = np.zeros((1, rows.size), dtype=self._dtype)
         self._fill(found, raw)
@@ -124,11 +129,11 @@ class WindowReader:
         if unit.remainders is None:
             self._quantizer.dequantize(unit.heights, out)
             return
-        # Not in place: a thread with a unit beside this one fills the samples that both share.
+        # Not in place: another thread fills the samples shared with a neighbouring unit.
         out[...] = exact_heights(self._quantizer, unit)
 
     def _run(self, work: Callable[[Block], None], keys: list[Block]) -> None:
-        """Call `work` for every unit, those above it first, in the threads."""
+        """Call `work` for every unit in the threads, ancestors first."""
         first, below = _by_parent(keys)
 
         def work_through(key: Block) -> list[Block]:
@@ -137,7 +142,7 @@ class WindowReader:
 
         try:
             self._crew.grow(work_through, first)
-        except RuntimeError as error:  # its threads have been stopped
+        except RuntimeError as error:  # its threads were stopped
             if not self._is_closed:
                 raise
             raise StorageError(f"{self._name} is closed") from error
@@ -159,7 +164,7 @@ def exact_heights(quantizer: Quantizer, unit: Decoded) -> NDArray[Any]:
 
 
 def _by_parent(keys: list[Block]) -> tuple[list[Block], dict[Block, list[Block]]]:
-    """Return the keys of units without one above them, and the keys below each unit."""
+    """Return the keys of units whose ancestors are not wanted, and the keys below each unit."""
     first: list[Block] = []
     below: dict[Block, list[Block]] = {key: [] for key in keys}
     for key in keys:
@@ -176,9 +181,9 @@ def bilinear(
         [NDArray[np.int64], NDArray[np.int64]], tuple[NDArray[Any], NDArray[np.bool_]]
     ],
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return bilinear raw heights at places inside a level, and where a void takes part.
+    """Return bilinear raw heights at positions inside a level, and which involve a void.
 
-    `samples` returns raw heights at rows and columns, and which are valid.
+    `samples` returns raw heights and validity at rows and columns.
     """
     n_rows, n_cols = shape
     top, left = np.floor(rows).astype(np.int64), np.floor(cols).astype(np.int64)
@@ -194,9 +199,9 @@ def bilinear(
 
 
 class _Voids:
-    """The void samples of a region; `marked` is None while there are none.
+    """Voids of a region; `marked` is None before the first.
 
-    With `are_all` all samples are void that nothing is noted of.
+    With `are_all`, samples count as void until they are noted.
     """
 
     def __init__(self, region: Region, *, are_all: bool) -> None:
@@ -206,7 +211,7 @@ class _Voids:
         self._lock = threading.Lock()
 
     def note(self, there: tuple[slice, slice], valid: NDArray[np.bool_] | None) -> None:
-        """Note which samples of a part of the region are valid; None: all are."""
+        """Record the valid samples of a part of the region; None: all are."""
         if valid is None and not self._are_all:
             return
         if self.marked is None:
@@ -220,16 +225,16 @@ class _Voids:
 
 
 class _Filled(NamedTuple):
-    """Heights whose voids get a value, of each unit while it is in the processor's cache."""
+    """Heights whose voids get a value, unit by unit while it is in the processor's cache."""
 
     heights: NDArray[Any]
     value: float
     marked: None = None
 
     def note(self, there: tuple[slice, slice], valid: NDArray[np.bool_] | None) -> None:
-        """Fill the voids of a part of the region, whose heights are there; None: it has none."""
+        """Fill the voids of a part of the region, after its heights are set; None: it has none."""
         if valid is not None:
-            # After the heights, so that what two threads' units share ends up the same.
+            # After the heights, so that samples shared by two threads' units end up equal.
             np.copyto(self.heights[there], self.value, where=np.logical_not(valid))
 
 
@@ -239,13 +244,13 @@ def _fill_or_decode(
     fill: Callable[[Block, RowsOf], None],
     rows: RowsOf,
 ) -> Callable[[Block], None]:
-    """Return a function that fills `keys` and decodes what is above them."""
+    """Return a function that fills `keys` and decodes their ancestors."""
 
     def work(key: Block) -> None:
         if key in keys:
             fill(key, rows)
         else:
-            # What is damaged above a key is reported with it.
+            # Damage above a key is reported with the key.
             with contextlib.suppress(CorruptStreamError):
                 decoder.unit(key, rows)
 

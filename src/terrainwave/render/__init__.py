@@ -1,9 +1,9 @@
-"""Pictures of compressed terrain: a window to fly in, and the same pictures without one.
+"""Pictures of compressed terrain, in a window or without one.
 
-`scene` has what is seen from where, `modes` the ways to draw a terrain, `paging` what comes and
-goes as a camera moves, `look` colours and what lies over pictures: all of these are numbers alone.
-`gpu` draws, `window` is the window and what commands ask for.
+`scene` has cameras and geometry, `modes` the ways to draw a terrain, `paging` the loading and
+dropping of pieces, `look` colours and overlays: these work only with numbers. `gpu` draws; `window`
+has the window and the commands' pictures.
 """
 
-# Of memory on the GPU, where nothing else is asked for.
+# Default limit of memory on the GPU.
 DEFAULT_MAX_BYTES = 1 << 30

@@ -1,4 +1,4 @@
-"""What triangulations of a block produce: `BlockMesh`, in samples and quanta."""
+"""Result of triangulating a block: `BlockMesh`, in samples and quanta."""
 
 from typing import NamedTuple
 
@@ -15,13 +15,13 @@ class BlockMesh(NamedTuple):
     Parameters
     ----------
     rows, cols : ndarray of int32, shape (n_vertices,)
-        Places in half samples from the rectangle's first sample: vertices lie on samples (even) or
-        between two (odd).
+        Positions in half samples from the rectangle's first sample: vertices lie on samples (even)
+        or between two (odd).
     heights : ndarray of int64, shape (n_vertices,)
         In 1/16 quanta.
     triangles : ndarray of int32, shape (n_triangles, 3)
-        Indices of vertices; clockwise as seen with columns to the right and rows downwards, so
-        that the area ``(c1 - c0) * (r2 - r0) - (c2 - c0) * (r1 - r0)`` is positive.
+        Indices of vertices; clockwise with columns to the right and rows downwards, so that the
+        area ``(c1 - c0) * (r2 - r0) - (c2 - c0) * (r1 - r0)`` is positive.
     """
 
     rows: NDArray[np.int32]

@@ -1,4 +1,4 @@
-"""What meshes that follow a camera are told, and say; the factor of τ that keeps to a budget."""
+"""Input and output of meshes that follow a camera; the factor of τ that keeps to a budget."""
 
 from typing import NamedTuple
 
@@ -7,17 +7,17 @@ from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidHeightsError
 
-# Open sides, where the raster goes on beyond its samples: top, left, bottom, right; here none is.
+# No open sides, where the raster continues beyond its samples: top, left, bottom, right.
 CLOSED = False, False, False, False
 
-# Where there are too many vertices, τ is raised by steps; it sinks again by smaller ones.
+# With too many vertices τ is raised by steps; it is lowered again by smaller ones.
 _RISE, _RELIEF = 1.1, 1.02
-# No view is shown coarser; what is around the eye has no error small enough.
+# Coarsest view; around the eye no error is small enough.
 _LARGEST = 1e6
 
 
 class Eye(NamedTuple):
-    """What errors on screen depend on.
+    """Camera: the input of errors on screen.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class Eye(NamedTuple):
     forward : ndarray of float64, shape (3,)
         Unit vector along the axis of the view.
     planes : ndarray of float64, shape (n_planes, 4)
-        Inward planes of what is in view: n·p + w >= 0 inside. Without any, all is.
+        Inward planes of the view: n·p + w >= 0 inside. Without planes everything is in view.
     focal : float
         Focal length in pixels, the paper's f = d_near s / r_near: half the picture's diagonal over
         the tangent of half its angle.
@@ -45,22 +45,22 @@ class Eye(NamedTuple):
 
 
 class Followed(NamedTuple):
-    """What marks say after they have followed a view.
+    """Statistics after marks have followed a view.
 
     Parameters
     ----------
     threshold : float
         Errors on screen below this were merged, pixels: τ, or τ / λ with a morph.
     tau : float
-        Pixels; above what was asked for if the budget demands it.
+        Pixels; above the requested one if the budget requires it.
     within : float
-        What the mesh keeps with measured errors, pixels: τ, or more while steps lag behind.
+        Error kept with measured errors, in pixels: τ, or more while steps lag behind.
     n_vertices : int
         Roots that are not void.
     n_touched : int
-        Nodes that marking looked at.
+        Nodes visited by marking.
     n_changed : int
-        Nodes that became a root or ceased to be one; 0 where marks have settled.
+        Nodes that became a root or ceased to be one; 0 once marks are stable.
     """
 
     threshold: float
@@ -72,7 +72,7 @@ class Followed(NamedTuple):
 
 
 def check_update(tau: float, morph: float) -> None:
-    """Check what meshes that follow a camera are asked for.
+    """Check the options of meshes that follow a camera.
 
     Raises
     ------
@@ -84,13 +84,7 @@ def check_update(tau: float, morph: float) -> None:
 
 
 def check_budget(max_vertices: int | None, least: int, what: str) -> None:
-    """Refuse a budget below the vertices that there always are, one per `what`.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If it is smaller.
-    """
+    """Raise `InvalidHeightsError` for a budget below the least vertices, one per `what`."""
     if max_vertices is not None and max_vertices < least:
         raise InvalidHeightsError(
             f"found max_vertices {max_vertices}, expected at least one per {what}: {least}"
@@ -98,7 +92,7 @@ def check_budget(max_vertices: int | None, least: int, what: str) -> None:
 
 
 class Pressure:
-    """A factor of τ, at least 1, that rises at once and sinks slowly.
+    """Factor of τ, at least 1, that rises at once and falls slowly.
 
     Attributes
     ----------
@@ -109,11 +103,11 @@ class Pressure:
         self.factor = 1.0
 
     def relieve(self) -> None:
-        """Let it sink by a step; once a frame."""
+        """Lower it by a step; once a frame."""
         self.factor = max(self.factor / _RELIEF, 1.0)
 
     def rise(self) -> bool:
-        """Raise it by a step; false if it is as large as it may be."""
+        """Raise it by a step; return False at its maximum."""
         if self.factor >= _LARGEST:
             return False
         self.factor *= _RISE

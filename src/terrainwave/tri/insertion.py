@@ -1,12 +1,12 @@
-"""Points put into a triangulation where it is too far from them: greedily, the worst one first.
+"""Insertion of points into a triangulation that is too far from them: greedy, the worst one first.
 
 After M. Garland and P. S. Heckbert, Fast Polygonal Approximation of Terrains and Height Fields
-(1995), greedy insertion with a Delaunay triangulation. It differs in that the worst point of each
-triangle goes in, in no order over all triangles, and in that edges beside triangles that are not to
-be changed, and those of the triangulation's border, stay.
+(1995), greedy insertion with a Delaunay triangulation. Departures: the worst point of each triangle
+goes in, in no order over all triangles; edges next to triangles that must not change, and edges of
+the triangulation's border, stay.
 
-Places are integers, so that it is exact where a point lies; which of two diagonals is better is
-told by float64.
+Positions are integers, so point location is exact; the better of two diagonals is chosen in
+float64.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from terrainwave.coding.jit import kernel
 
 _NONE = -1
-# Places of a triangulation are below this, so that products of two differences fit.
+# Limit of positions, so that products of two differences fit.
 MAX_PLACE = 1 << 20
 
 
@@ -38,7 +38,7 @@ def insert_points(
     triangles : ndarray of int32, shape (n_triangles, 3)
         Counter-clockwise in x and y; each edge belongs to one or two.
     is_open : ndarray of bool, shape (n_triangles,)
-        Triangles that points may be put into.
+        Triangles that accept points.
     points : ndarray of int64, shape (n_points, 2)
     point_heights : ndarray of float64, shape (n_points,)
     tolerance : float
@@ -71,7 +71,7 @@ def insert_points(
 
 
 def _neighbours(triangles: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Return the triangle beyond the edge opposite to each corner; -1 where there is none."""
+    """Return the triangle beyond the edge opposite to each corner; -1 on the border."""
     starts = triangles[:, [1, 2, 0]].astype(np.int64).ravel()
     ends = triangles[:, [2, 0, 1]].astype(np.int64).ravel()
     size = int(triangles.max(initial=0)) + 1
@@ -84,13 +84,13 @@ def _neighbours(triangles: NDArray[np.int32]) -> NDArray[np.int64]:
 
 @kernel
 def _cross(x, y, a, b, p_x, p_y):
-    """Return twice the area of vertices a, b and a place."""
+    """Return twice the area of vertices a, b and a point."""
     return (x[b] - x[a]) * (p_y - y[a]) - (y[b] - y[a]) * (p_x - x[a])
 
 
 @kernel
 def _holds(x, y, corners, t, p_x, p_y):
-    """Say whether a place lies in a triangle or on its edges."""
+    """Return whether a point lies in a triangle or on its edges."""
     a, b, c = corners[t, 0], corners[t, 1], corners[t, 2]
     return (
         _cross(x, y, a, b, p_x, p_y) >= 0
@@ -115,7 +115,7 @@ def _share_out(x, y, corners, chain, first, following, where, p_x, p_y):
 
 @kernel
 def _replace(beside, t, old, new):
-    """Let a triangle, if there is one, have another neighbour instead of an old one."""
+    """Replace a neighbour of a triangle, if the triangle exists."""
     if t >= 0:
         for k in range(3):
             if beside[t, k] == old:
@@ -131,7 +131,7 @@ def _set(corners, beside, t, a, b, c, at_a, at_b, at_c):
 
 @kernel
 def _worst(x, y, z, corners, t, first, following, points):
-    """Return the point of a triangle's chain that is furthest from its plane, and how far."""
+    """Return the point of a triangle's chain that is furthest from its plane, and its distance."""
     p_x, p_y, p_z = points
     a, b, c = corners[t, 0], corners[t, 1], corners[t, 2]
     area = float(_cross(x, y, a, b, x[c], y[c]))
@@ -159,7 +159,7 @@ def _unlink(first, following, t, point):
 
 @kernel
 def _joined_chains(first, following, t, u):
-    """Return the points of two triangles as one chain, and leave them none."""
+    """Return the points of two triangles as one chain, and empty theirs."""
     chain = first[t]
     if chain < 0:
         chain = first[u]
@@ -174,7 +174,7 @@ def _joined_chains(first, following, t, u):
 
 @kernel
 def _is_in_circle(x, y, a, b, c, d):
-    """Say whether vertex d lies inside the circle through a, b, c, clearly."""
+    """Return whether vertex d lies clearly inside the circle through a, b, c."""
     a_x, a_y = float(x[a] - x[d]), float(y[a] - y[d])
     b_x, b_y = float(x[b] - x[d]), float(y[b] - y[d])
     c_x, c_y = float(x[c] - x[d]), float(y[c] - y[d])
@@ -182,13 +182,13 @@ def _is_in_circle(x, y, a, b, c, d):
     one = a_x * (b_y * c_2 - c_y * b_2)
     two = a_y * (b_x * c_2 - c_x * b_2)
     three = a_2 * (b_x * c_y - c_x * b_y)
-    # What float64 may lose must not flip an edge to and fro.
+    # Rounding of float64 must not flip an edge to and fro.
     return one - two + three > 1e-12 * (abs(one) + abs(two) + abs(three))
 
 
 @kernel
 def _turn_to(corners, beside, t, corner):
-    """Turn a triangle's lists so that a corner comes first."""
+    """Rotate a triangle's lists so that a corner comes first."""
     while corners[t, 0] != corner:
         a, b, c = corners[t, 0], corners[t, 1], corners[t, 2]
         _set(corners, beside, t, b, c, a, beside[t, 1], beside[t, 2], beside[t, 0])
@@ -196,7 +196,7 @@ def _turn_to(corners, beside, t, corner):
 
 @kernel
 def _opposite(corners, beside, t, neighbour):
-    """Return the corner of a triangle that a neighbour is opposite to."""
+    """Return the corner of a triangle opposite to a neighbour."""
     for k in range(3):
         if beside[t, k] == neighbour:
             return corners[t, k]
@@ -205,9 +205,9 @@ def _opposite(corners, beside, t, neighbour):
 
 @kernel
 def _flip(x, y, corners, beside, open_, t, first, following, p_x, p_y, where):
-    """Exchange the edge opposite to a triangle's first corner where the other one is better.
+    """Flip the edge opposite to a triangle's first corner if the other diagonal is better.
 
-    Returns the triangle beyond, or -1 where the edge stays.
+    Returns the triangle beyond, or -1 if the edge stays.
     """
     w = beside[t, 0]
     if w < 0 or not (open_[t] and open_[w]):
@@ -234,9 +234,9 @@ def _flip(x, y, corners, beside, open_, t, first, following, p_x, p_y, where):
 
 @kernel
 def _split(corners, beside, open_, t, on_edge, v, n, where):
-    """Put vertex v into triangle t, or on its edge opposite to the first corner.
+    """Insert vertex v into triangle t, or on its edge opposite to the first corner.
 
-    New triangles are n and n + 1. Those with v then have it first; `where` lists them.
+    New triangles are n and n + 1. In those with v it then comes first; `where` lists them.
     """
     a, b, c = corners[t, 0], corners[t, 1], corners[t, 2]
     beyond_bc, beyond_ca, beyond_ab = beside[t, 0], beside[t, 1], beside[t, 2]
@@ -296,7 +296,7 @@ def _insert(x, y, z, n, corners, beside, open_, n_triangles, points, tolerance, 
                 n_zero += 1
                 opposite = k
         if n_zero > 1 or (n_zero == 1 and beside[t, opposite] < 0):
-            # On a vertex or the border, which stay: the next worst.
+            # On a vertex or the border, which stay: use the next worst.
             waiting[n_waiting] = t
             is_waiting[t] = True
             n_waiting += 1
@@ -335,7 +335,7 @@ def _insert(x, y, z, n, corners, beside, open_, n_triangles, points, tolerance, 
 
 @kernel
 def _locate(x, y, corners, open_, n_triangles, points, first, following):
-    """Give each point to an open triangle that holds it; points lie in rows of equal y or not."""
+    """Assign each point to an open triangle that holds it; points may lie in rows of equal y."""
     p_x, p_y, _ = points
     order = np.argsort(p_y)
     sorted_y = p_y[order]

@@ -1,4 +1,4 @@
-"""How far samples are from a mesh, measured at every sample it covers."""
+"""Distance of samples from a mesh, measured at every sample that it covers."""
 
 import math
 
@@ -10,9 +10,9 @@ from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.triangle import area_of
 
 _MAX_EXACT_AREA = 1 << 25
-# More than float64 loses of heights below 2^36.
+# Upper bound on float64's error for heights below 2^36.
 _ROUNDING = 2.0**-10
-# Of a triangle's area: points so little outside count as on its edge.
+# Share of a triangle's area: points this close outside count as on its edge.
 _ON_EDGE = 1e-9
 
 
@@ -49,11 +49,10 @@ def largest_deviation(
 
 @kernel
 def _covered(weight_0, growth_0, weight_1, growth_1, weight_2, growth_2, last):
-    """Return from which to which place, 0 ... last, no weight is negative.
+    """Return the range, within 0 ... last, in which no weight is negative.
 
-    Weights, at place 0, grow by their steps from place to place. They are below 2^53, so that the
-    float64 quotients round to the right floor and ceiling (`tri.halves.height_fit`), faster than
-    integers divide.
+    Weights, at position 0, grow by their steps. They are below 2^53, so the float64 quotients round
+    to the right floor and ceiling (`tri.halves.height_fit`), faster than integer division.
     """
     first = np.int64(0)
     for k in range(3):
@@ -71,9 +70,9 @@ def _covered(weight_0, growth_0, weight_1, growth_1, weight_2, growth_2, last):
 
 @inlined_kernel
 def _exceeds(samples, mask, row, col, count, level, slope, limit):
-    """Say whether valid samples from (row, col) on may be further than `limit` from a surface.
+    """Return whether valid samples from (row, col) on may be further than `limit` from a surface.
 
-    It begins at height `level` and rises by `slope`. A loop that vectorises.
+    It begins at height `level` and rises by `slope`. A vectorisable loop.
     """
     n_beyond = 0
     for k in range(count):
@@ -90,7 +89,7 @@ def _largest_deviation(rows, cols, heights, triangles, stride, samples, mask, fi
     largest = np.int64(0)
     for t in range(triangles.shape[0]):
         p_0, p_1, p_2 = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        # Doubled places relative to the window's first sample.
+        # Doubled positions relative to the window's first sample.
         row_0 = np.int64(rows[p_0]) * stride - 2 * first_row
         row_1 = np.int64(rows[p_1]) * stride - 2 * first_row
         row_2 = np.int64(rows[p_2]) * stride - 2 * first_row
@@ -168,8 +167,8 @@ def deviation_from_bilinear(
     Notes
     -----
     In a triangle's part of a cell the distance is a saddle: it is largest on the edge of that part,
-    and along lines of the grid at their ends. So samples and the edges of triangles are looked at,
-    along which the distance is a parabola from one line of the grid to the next.
+    and along lines of the grid at their ends. So samples and the edges of triangles suffice; along
+    an edge the distance is a parabola from one line of the grid to the next.
     """
     whole = mask[:-1, :-1] & mask[:-1, 1:] & mask[1:, :-1] & mask[1:, 1:]
     arrays = mesh.rows, mesh.cols, mesh.heights, mesh.triangles
@@ -216,7 +215,7 @@ def _largest_at_samples(rows, cols, heights, triangles, samples, mask):
 def _to_next_line(start, change):
     """Return the shares of an edge up to the first line of the grid, and from line to line.
 
-    It begins at a place, and ends after a change, both in half samples.
+    Start and change are in half samples.
     """
     if change > 0:
         return float(2 * (start >> 1) + 2 - start) / float(change), 2.0 / float(change)
@@ -283,20 +282,20 @@ def deviation_at_points(
     heights: NDArray[np.float64],
     side: int,
 ) -> tuple[float, int]:
-    """Return the largest vertical distance of points from triangles, and how many lie on them.
+    """Return the largest vertical distance of points from triangles, and the number on them.
 
     Parameters
     ----------
     mesh : BlockMesh
-        Its places may be fractions of half samples.
+        Its positions may be fractions of half samples.
     is_counted : ndarray of bool, shape (n_triangles,)
-        Which triangles are looked at.
+        True for triangles to use.
     rows, cols, heights : ndarray of float64, shape (n_points,)
         Points in samples, 0 … side, and 1/16 quanta.
     side : int
         Cells of the mesh's square.
     """
-    # Points by the cell they lie in, so that a triangle looks at its own cells only.
+    # Points by cell, so that a triangle only tests points in its own cells.
     cell_rows = np.clip(np.floor(rows).astype(np.int64), 0, side - 1)
     cell_cols = np.clip(np.floor(cols).astype(np.int64), 0, side - 1)
     cells = cell_rows * side + cell_cols

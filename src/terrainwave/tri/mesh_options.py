@@ -1,4 +1,4 @@
-"""The options of kinds of meshes, and the kind of meshes that a file then holds."""
+"""Options of kinds of meshes, and the kinds that files store."""
 
 from dataclasses import dataclass
 from importlib import import_module
@@ -16,7 +16,7 @@ class MeshOptions(OptionSet):
     argument = "mesh"
 
     def stored(self, method: Method, *, is_faithful: bool) -> str:
-        """Return the kind of meshes that a file of a method holds, as `names.MESHES` has it.
+        """Return the kind of meshes that a file of a method holds, one of `names.MESHES`.
 
         Parameters
         ----------
@@ -28,7 +28,7 @@ class MeshOptions(OptionSet):
         Raises
         ------
         InvalidArgumentError
-            If such a file does not have what the kind follows.
+            If such a file lacks the data that the kind follows.
         """
         raise NotImplementedError
 
@@ -44,7 +44,7 @@ def options_of(name: str) -> type[MeshOptions] | None:
 
 
 def check_mesh(mesh: object, *, or_none: bool) -> None:
-    """Check what kind of meshes is asked for; "none" is one only where that is allowed.
+    """Check a kind of meshes; "none" is only valid with `or_none`.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def check_mesh(mesh: object, *, or_none: bool) -> None:
 
 
 def stored_mesh(mesh: str | MeshOptions, method: Method, *, is_faithful: bool) -> str:
-    """Return the kind of meshes that a file of a method holds where `mesh` is asked for."""
+    """Return the kind of meshes that a file of a method stores for `mesh`."""
     if isinstance(mesh, str):
         kind = options_of(mesh)
         if kind is None:

@@ -7,11 +7,11 @@ from terrainwave.coding.jit import kernel
 
 @kernel
 def surface_at(rows, cols, heights, triangles, factor, first_row, first_col, numbers, out):
-    """Fill `out`, float64, with a mesh's heights at points of a grid; others stay as they are.
+    """Fill `out`, float64, with a mesh's heights at points of a grid; uncovered ones do not change.
 
-    `numbers`, int32, has the points: place (r, c), which is (first_row + r, first_col + c) in units
-    of which a vertex's row and column count `factor` each, is point `numbers[r, c]`, or none where
-    that is < 0.
+    `numbers`, int32, numbers the points: position (r, c) is point `numbers[r, c]` at (first_row +
+    r, first_col + c), or none if that is < 0. A vertex's rows and columns count `factor` of these
+    units each.
     """
     n_rows, n_cols = numbers.shape
     for t in range(triangles.shape[0]):

@@ -1,8 +1,8 @@
-"""The quads of the grid, their triangles, and the mesh of triangles between samples.
+"""Quads of the grid, their triangles, and the mesh of triangles between samples.
 
-Voids: a quad of the grid has its triangles only where their samples are valid, and one whose
-corners are valid but for one keeps the triangle of the other three. Samples that touch a missing
-triangle stay vertices in every cut (`void_edges`), so void edges are exact.
+Voids: a quad of the grid has only the triangles with valid samples, and with a single void corner
+it keeps the triangle of the other three. Samples that touch a missing triangle stay vertices in
+every cut (`void_edges`), so void edges are exact.
 """
 
 import numpy as np
@@ -29,10 +29,10 @@ def void_edges(mask: NDArray[np.bool_]) -> Keep:
 
 @kernel
 def triangles_of_quad(mask, row, col):
-    """Return a number of bits: which triangles the quad at (row, col) of the full grid has.
+    """Return bits for the triangles of the quad at (row, col) of the full grid.
 
-    Corners a (row, col), b right of it, c below b, d below a. 1: a b c, 2: a c d, and where just
-    one corner is void 4: b c d, 8: a b d.
+    Corners a (row, col), b right of it, c below b, d below a. 1: a b c, 2: a c d, and with just one
+    void corner 4: b c d, 8: a b d.
     """
     a, b = mask[row, col], mask[row, col + 1]
     c, d = mask[row + 1, col + 1], mask[row + 1, col]

@@ -1,4 +1,4 @@
-"""Memory that is filled anew each frame: meshes that one thread draws share it."""
+"""Memory reused in each frame by the meshes that one thread draws."""
 
 from typing import Any
 
@@ -7,13 +7,13 @@ from numpy.typing import DTypeLike, NDArray
 
 
 class Scratch:
-    """Arrays by name, as large as they have ever been asked for. Used by one thread."""
+    """Arrays by name, as large as the largest request. Used by one thread."""
 
     def __init__(self) -> None:
         self._arrays: dict[str, NDArray[Any]] = {}
 
     def take(self, name: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-        """Return an array; what it holds is of whoever took it before."""
+        """Return an array; it is uninitialised."""
         size = int(np.prod(shape))
         array = self._arrays.get(name)
         if array is None or array.size < size or array.dtype != dtype:

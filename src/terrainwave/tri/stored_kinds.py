@@ -1,8 +1,8 @@
-"""The kinds of meshes that files store bytes of: what a block's bytes are, and its mesh of them.
+"""Kinds of meshes with stored bytes: the bytes of a block, and the mesh they describe.
 
-`halves` follows from decoded samples alone. The border vertices of these kinds depend on what the
-neighbours' insides need (`zerotree.agreement`), so each block's bytes tell what its own samples do
-not: `zerotree` the whole cut, `rqt` the border vertices that its own selection has not.
+`halves` depends only on decoded samples. The border vertices of these kinds depend on the inside of
+neighbours (`zerotree.agreement`), so each block's bytes hold what its own samples lack: for
+`zerotree` the whole cut, for `rqt` the border vertices outside its own selection.
 """
 
 import zlib
@@ -30,7 +30,8 @@ from terrainwave.tri.zerotree.guarantee import guaranteed_cut
 from terrainwave.tri.zerotree.labels import Trees
 from terrainwave.tri.zerotree.refinement import decode_refinement, encode_refinement
 
-# A border line has at most 4097 samples; contexts: spacing, and how many ends are vertices.
+# A border line has at most 4097 samples; contexts: spacing, and the number of ends that are
+# vertices.
 _N_SPACINGS = 13
 _N_MODELS = 3 * _N_SPACINGS
 
@@ -44,11 +45,11 @@ class Samples(Protocol):
 
     @property
     def mask(self) -> NDArray[np.bool_]:
-        """Which samples are valid."""
+        """True for valid samples."""
 
     @property
     def locked(self) -> NDArray[np.bool_]:
-        """Which samples are void or beside a void, in the block or beyond its border."""
+        """True for samples that are void or next to a void, in the block or beyond its border."""
 
     @property
     def coefficients(self) -> NDArray[np.int64] | None:
@@ -60,26 +61,26 @@ class Samples(Protocol):
 
 
 class Draft(NamedTuple):
-    """A block's triangulation while its level has not agreed yet; `packed` is the kind's own."""
+    """A block's triangulation before its level agrees; `packed` is the kind's own data."""
 
     border: BorderVertices
     packed: bytes
 
 
 class StoredKind(Protocol):
-    """A kind of mesh that takes bytes."""
+    """Kind of mesh with stored bytes."""
 
     def draft(self, samples: Samples, tolerance: int, demanded: BorderVertices | None) -> Draft:
         """Return a triangulation with at least the demanded border vertices."""
 
     def encode(self, samples: Samples, tolerance: int, draft: Draft) -> bytes:
-        """Return the bytes of a draft that the level has agreed on."""
+        """Return the bytes of a draft in agreement with its level."""
 
     def alone(self, samples: Samples, tolerance: int) -> BlockMesh:
-        """Return the mesh of a block that no neighbour demands anything of."""
+        """Return the mesh of a block without demands of neighbours."""
 
     def mesh(self, samples: Samples, tolerance: int, data: bytes) -> BlockMesh:
-        """Return the mesh that `encode` has written.
+        """Return the mesh written by `encode`.
 
         Raises
         ------
@@ -89,7 +90,7 @@ class StoredKind(Protocol):
 
 
 def has_triangles(mask: NDArray[np.bool_]) -> bool:
-    """Say whether some quad of samples has at least three valid corners."""
+    """Return whether some quad of samples has at least three valid corners."""
     if np.count_nonzero(mask[:2, :2]) >= 3:  # nearly everywhere
         return True
     corners = mask.astype(np.uint8)
@@ -106,11 +107,11 @@ def _kept(samples: Samples, demanded: BorderVertices | None) -> NDArray[np.bool_
 class StoredZerotree:
     """Algorithm I; the bytes are its refinement labels (`zerotree.refinement`).
 
-    With zero trees the mesh is nowhere coarser than they are, and labels tell the difference.
+    With zero trees the mesh is nowhere coarser than they are, and labels hold the difference.
     """
 
     def draft(self, samples: Samples, tolerance: int, demanded: BorderVertices | None) -> Draft:
-        """Return the cut, packed to wait."""
+        """Return the cut, packed."""
         keep = _kept(samples, demanded)
         cut = guaranteed_cut(samples.heights, samples.mask, tolerance, samples.trees, keep)
         return Draft(border_of_cut(cut), zlib.compress(cut.tobytes(), 1))
@@ -134,7 +135,7 @@ class StoredZerotree:
 
 
 def _select(samples: Samples, tolerance: int, keep: NDArray[np.bool_]) -> Selection:
-    """Return a block's restricted quadtree, by coefficients where there are some."""
+    """Return a block's restricted quadtree, by coefficients if there are any."""
     return select_vertices(
         samples.heights, samples.mask, tolerance, keep=keep, coefficients=samples.coefficients
     )
@@ -143,16 +144,16 @@ def _select(samples: Samples, tolerance: int, keep: NDArray[np.bool_]) -> Select
 class StoredRqt:
     """The restricted quadtree; the bytes are the border vertices that only neighbours need.
 
-    With coefficients these select vertices, and the tolerance is no bound.
+    With coefficients these select vertices, and the tolerance is not a bound.
     """
 
     def draft(self, samples: Samples, tolerance: int, demanded: BorderVertices | None) -> Draft:
-        """Return the border vertices; the rest follows from them."""
+        """Return the border vertices, which determine the rest."""
         selection = _select(samples, tolerance, _kept(samples, demanded))
         return Draft(border_of(vertices_of(selection, samples.mask.shape)), b"")
 
     def encode(self, samples: Samples, tolerance: int, draft: Draft) -> bytes:
-        """Return the border vertices beyond the block's own; no bytes if there are none."""
+        """Return the border vertices beyond the block's own; perhaps empty."""
         own = self.draft(samples, tolerance, None).border
         shape = samples.mask.shape
         known, wanted = own.keep(shape), draft.border.keep(shape)
@@ -194,9 +195,9 @@ STORED_KINDS: dict[str, StoredKind] = {
 
 @kernel
 def _code_border(flags, wanted, coder):
-    """Encode which border samples are vertices, or decode where `wanted` is None.
+    """Encode which border samples are vertices, or decode if `wanted` is None.
 
-    `flags`, shape (n_rows, n_cols), holds those known to be, and becomes all. Lines in the order
+    `flags`, shape (n_rows, n_cols), holds the known vertices, and receives all. Lines in the order
     top, left, bottom, right; in each spacings downwards, and samples in order.
     """
     last_row, last_col = flags.shape[0] - 1, flags.shape[1] - 1

@@ -18,12 +18,12 @@ from terrainwave.tri.block_mesh import FRACTION_BITS
 MAX_SIDE = 4097
 # Tolerances are in 1/16 quanta; larger ones mean the same for heights below 2**30.
 MAX_TOLERANCE = 1 << (31 + FRACTION_BITS)
-# Triangles at most so wide are scanned column by column.
+# Triangles at most this wide are scanned column by column.
 _NARROW = 16
 
 
 def check_block(heights: NDArray[Any], mask: NDArray[np.bool_]) -> None:
-    """Check that heights and mask are what the kernels of this package are proven for.
+    """Check that heights and mask meet the requirements of this package's kernels.
 
     Raises
     ------
@@ -76,19 +76,19 @@ def columns_inside(row, r0, c0, r1, c1, r2, c2):
 def deviation(heights, r0, c0, r1, c1, r2, c2, limit):
     """Return the largest deviation of samples from the plane, times twice the area (> 0).
 
-    Vertices have the heights of their samples. Stops, with what it has found, above `limit`.
+    Vertices have the heights of their samples. Returns early above `limit`.
     """
     area = area_of(r0, c0, r1, c1, r2, c2)
     worst = np.int64(0)
     if area == 1:
-        return worst  # no sample but its vertices (Pick)
+        return worst  # no sample except its vertices (Pick)
     base = np.int64(heights[r0, c0])
     rise_1, rise_2 = np.int64(heights[r1, c1]) - base, np.int64(heights[r2, c2]) - base
     per_col = rise_1 * (r2 - r0) - rise_2 * (r1 - r0)
     per_row = (c1 - c0) * rise_2 - (c2 - c0) * rise_1
     left, right = min(c0, c1, c2), max(c0, c1, c2)
     if right - left <= _NARROW:
-        # Divisions would cost more than looking at the samples beside it.
+        # Divisions would cost more than testing the adjacent samples.
         for row in range(min(r0, r1, r2), max(r0, r1, r2) + 1):
             edge_0 = (c1 - c0) * (row - r0) - (left - c0) * (r1 - r0)
             edge_1 = (c2 - c1) * (row - r1) - (left - c1) * (r2 - r1)
@@ -120,7 +120,7 @@ def deviation(heights, r0, c0, r1, c1, r2, c2, limit):
 
 @kernel
 def fits(heights, r0, c0, r1, c1, r2, c2, tolerance):
-    """Say whether the triangle has positive area and all its samples lie within `tolerance`."""
+    """Return whether the triangle has positive area and all its samples lie within `tolerance`."""
     area = area_of(r0, c0, r1, c1, r2, c2)
     if area <= 0:
         return False

@@ -1,1 +1,1 @@
-"""Comparison of files with their originals; knows nothing of what made them."""
+"""Comparison of files with their originals, independent of the encoder."""

@@ -1,4 +1,4 @@
-"""The check of one `Mesh` over an area of the full grid: a surface, within its error everywhere."""
+"""Check of one `Mesh` over an area of the full grid: a surface, within its error everywhere."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -15,9 +15,9 @@ from terrainwave.verification.on_grid import (
     surface_of_mesh,
 )
 
-# Relative; what a decimal error loses as float64.
+# Relative tolerance for decimal errors as float64.
 _SLACK = 1e-9
-# Heights are read and compared in strips of about this many samples.
+# Samples per strip in which heights are read and compared.
 _STRIP_SAMPLES = 1 << 24
 
 ReadOriginal = Callable[[Region], tuple[NDArray[np.generic], NDArray[np.bool_]]]
@@ -30,7 +30,7 @@ def area_problems(
     max_error: float | None,
     read: ReadOriginal | None = None,
 ) -> tuple[list[str], float]:
-    """Return what is wrong with a `Mesh`, and the largest distance of samples from it.
+    """Return the problems of a `Mesh`, and the largest distance of samples from it.
 
     Parameters
     ----------
@@ -38,10 +38,10 @@ def area_problems(
     mesh : Mesh
         Of `region`, which is one of the full grid.
     max_error : float, optional
-        What was asked for; None for the stored meshes.
+        The requested error; None for the stored meshes.
     read : callable, optional
         Returns raw originals and validity of a region. Without it errors are measured from the
-        decoded heights, and may exceed what the mesh states by the file's own bound.
+        decoded heights, and may exceed the stated ones by the file's own bound.
     """
     ruler, problems, worst = QuantaScale(terrain), [], 0
     if max_error is not None and mesh.error > max_error * (1 + _SLACK):
@@ -51,7 +51,7 @@ def area_problems(
     surface, stated = surface_of_mesh(terrain, mesh, region), ruler.in_sixteenths(mesh.error)
     limit = stated * (1 + _SLACK) + ruler.slack + (0 if read else ruler.coded)
     for strip in region.tiles(max(_STRIP_SAMPLES // region.n_cols, 2), region.n_cols):
-        # A row more at the end: quads are covered between rows.
+        # One more row at the end: quads are covered between rows.
         last = min(strip.row + strip.n_rows + 1, region.row + region.n_rows)
         strip = strip._replace(n_rows=last - strip.row)
         raw, valid = (read or terrain.read_with_mask)(strip)
@@ -67,7 +67,7 @@ def area_problems(
 def error_problems(
     ruler: QuantaScale, errors: Deviation, stated: float, region: Region, what: str
 ) -> Iterator[str]:
-    """Yield a line where samples are further from a mesh than it states, in 1/16 quanta."""
+    """Yield a line if samples are further from a mesh than it states, in 1/16 quanta."""
     if errors.n_beyond:
         yield (
             f"{errors.n_beyond} {what} are further from it than the stated error"
@@ -78,7 +78,7 @@ def error_problems(
 
 
 def missing_samples(errors: Deviation, wanted: NDArray[np.bool_], region: Region) -> Iterator[str]:
-    """Yield a line where samples that a mesh has to cover are not."""
+    """Yield a line if a mesh does not cover samples that it must cover."""
     missing = wanted & ~errors.is_covered
     if missing.any():
         row, col = np.argwhere(missing)[0].tolist()

@@ -1,7 +1,7 @@
-"""A mesh as it is checked, and how far samples are from it.
+"""A mesh to check, and the distance of samples from it.
 
-Given integers, all of it is exact; given floats (meshes cut along a window), what is nearer than
-1e-6 to an edge counts as on it.
+With integers all of it is exact; with floats (meshes cut along a window), points within 1e-6 of an
+edge count as on it.
 """
 
 from dataclasses import dataclass
@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 from terrainwave.coding.jit import kernel
 
 FLOAT_TOLERANCE = 1e-6
-# What float64 may lose of heights below 2^40 sixteenths, in 1/16 quanta.
+# Bound on float64's error for heights below 2^40 sixteenths, in 1/16 quanta.
 _FLOAT_LOSS = 2.0**-8
 _MAX_PRODUCT = 1 << 61
 
 
 class CheckedMesh(NamedTuple):
-    """A mesh as it is checked.
+    """A mesh to check.
 
     Parameters
     ----------
     rows, cols : ndarray of int64 or float64, shape (n_vertices,)
-        In half samples of the grid that it is checked on.
+        In half samples of the grid used for the check.
     heights : ndarray of int64 or float64, shape (n_vertices,)
         In 1/16 quanta.
     triangles : ndarray of int, shape (n_triangles, 3)
@@ -42,7 +42,7 @@ class CheckedMesh(NamedTuple):
 
     @property
     def is_exact(self) -> bool:
-        """Say whether places and heights are integers, small enough for exact products."""
+        """Return whether positions and heights are integers, small enough for exact products."""
         if any(v.dtype.kind == "f" for v in (self.rows, self.cols, self.heights)):
             return False
         if not len(self.rows):
@@ -55,7 +55,7 @@ class CheckedMesh(NamedTuple):
 
 @dataclass(frozen=True)
 class Deviation:
-    """How far samples are from a mesh; `worst` in 1/16 quanta, rounded up, at (`row`, `col`)."""
+    """Distance of samples from a mesh; `worst` in 1/16 quanta, rounded up, at (`row`, `col`)."""
 
     worst: int
     row: int
@@ -73,7 +73,7 @@ def deviation(
 ) -> Deviation:
     """Return the largest vertical distance of valid samples from a surface.
 
-    Exact, rounded up, where `CheckedMesh.is_exact`; else it may be up to 2^-8 less than it is.
+    Exact, rounded up, if `CheckedMesh.is_exact`; otherwise it may be up to 2^-8 too small.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def _deviation(surface, samples, valid, limit, place, tolerance, loss, covered, 
             continue
         for row in range(top, bottom + 1):
             for col in range(left, right + 1):
-                # Twice the areas of the triangles that the sample makes with each edge.
+                # Twice the areas of the triangles of the sample with each edge.
                 w_0 = (c_1 - 2 * col) * (r_2 - 2 * row) - (c_2 - 2 * col) * (r_1 - 2 * row)
                 w_1 = (c_2 - 2 * col) * (r_0 - 2 * row) - (c_0 - 2 * col) * (r_2 - 2 * row)
                 w_2 = area - w_0 - w_1
@@ -134,7 +134,7 @@ def _deviation(surface, samples, valid, limit, place, tolerance, loss, covered, 
                     w_0 * (heights[p] - sample) + w_1 * (heights[q] - sample)
                     + w_2 * (heights[s] - sample)
                 ) - loss * area  # fmt: skip
-                # Integers: exact, as limit is one; floats: with what they lose taken off.
+                # Integers: exact, as limit is one; floats: less their possible error.
                 up = -(-apart // area)
                 if up > worst:
                     worst, worst_row, worst_col = np.float64(up), row, col

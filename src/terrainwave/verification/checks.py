@@ -1,10 +1,10 @@
-"""Check any mesh against a raster, knowing nothing of how meshes are made.
+"""Check of any mesh against a raster, independent of how meshes are made.
 
-A mesh covers its area once, without folds, cracks and T-junctions, if all its triangles turn the
-same way and the edges that only one triangle has are exactly the area's boundary, each once. Both
-are checked, and beside it what is covered around each sample is counted.
+A mesh covers its area once, without folds, cracks and T-junctions, if all its triangles have the
+same orientation and the edges with only one triangle are exactly the area's boundary, each once.
+Both are checked; in addition the cover around each sample is counted.
 
-Places are in half samples; heights and errors in 1/16 quanta (`surface`).
+Positions are in half samples; heights and errors in 1/16 quanta (`surface`).
 """
 
 from collections.abc import Iterator
@@ -36,16 +36,16 @@ def problems_of(
     *,
     at_least: NDArray[np.uint8] | None = None,
 ) -> Iterator[str]:
-    """Check that a surface is a height field over its area; yield what is wrong.
+    """Check that a surface is a height field over its area; yield problems.
 
     Parameters
     ----------
     shape : tuple of int
-        Numbers of rows and columns of samples that the surface lies over.
+        Numbers of rows and columns of samples under the surface.
     expected : ndarray of uint8, optional
-        What it has to cover of each quad, exactly.
+        Exact cover of each quad.
     at_least : ndarray of uint8, optional
-        What it has to cover at least.
+        Least cover of each quad.
     """
     rows, cols, triangles = surface.rows, surface.cols, surface.triangles
     if triangles.size and (triangles.min() < 0 or triangles.max() >= len(rows)):
@@ -63,7 +63,7 @@ def problems_of(
         )
     pieces, n_twice, place = coverage(surface, shape)
     if n_twice:
-        yield f"{n_twice} places are covered twice, one beside sample {place}"
+        yield f"{n_twice} places are covered twice, one next to sample {place}"
     whole = np.isin(pieces, (NOTHING, WHOLE, ABC, ACD, ABD, BCD))
     if not whole.all():
         yield f"{np.count_nonzero(~whole)} quads are covered in part, one at {_first(~whole)}"
@@ -122,7 +122,7 @@ def _vertex_problems(surface: CheckedMesh, shape: tuple[int, int]) -> Iterator[s
 
 
 def boundary_edges(triangles: NDArray[np.integer], n_vertices: int) -> NDArray[np.int64]:
-    """Return the directed edges that no triangle has the other way, shape (n_edges, 2)."""
+    """Return the directed edges without a triangle in the other direction, shape (n_edges, 2)."""
     edges = _directed_edges(triangles, n_vertices)
     there, back = edges // max(n_vertices, 1), edges % max(n_vertices, 1)
     turned = np.sort(back * n_vertices + there)
@@ -137,7 +137,7 @@ def _directed_edges(triangles: NDArray[np.integer], n_vertices: int) -> NDArray[
 
 
 def _n_distinct(numbers: NDArray[np.integer]) -> int:
-    """Return how many different numbers there are; `np.unique` hashes, 16 times slower on edges."""
+    """Return the number of distinct numbers; `np.unique` hashes, 16 times slower for edges."""
     in_order = np.sort(numbers, axis=None)
     return min(len(in_order), 1) + int(np.count_nonzero(in_order[1:] != in_order[:-1]))
 
@@ -183,7 +183,7 @@ def _runs(
     runs : ndarray of float64, shape (n_runs, 5)
         Row step, column step, line, from, to; sorted.
     n_slanted : int
-        Edges that lie neither along the grid nor along its diagonals.
+        Edges neither along the grid nor along its diagonals.
     place : tuple
         Row and column of one of them.
     """

@@ -1,9 +1,9 @@
-"""Check independently that every decoded height is within the bound of the original.
+"""Independent check that every decoded height is within the bound of the original.
 
-Shares nothing with the encoder: the original is read by rasterio alone (`original`), the decoded
-heights come from an ordinary `Terrain`. Only where the index of both files says that all is void,
-samples are read instead of all; and of large parts of one height in both, one sample for all that
-have these heights. Memory holds a few windows.
+Shares no code with the encoder: the original is read only with rasterio (`original`), the decoded
+heights with an ordinary `Terrain`. Not all samples are read where the index of both files says that
+all is void, and for large parts of one height in both, one represents all with the same heights.
+Memory holds a few windows.
 """
 
 import math
@@ -53,9 +53,9 @@ from terrainwave.verification.raster_metadata import (
 if TYPE_CHECKING:
     from terrainwave.verification.mesh_walk import MeshReport
 
-# Problems of one kind are listed up to this number, then counted.
+# Largest number of problems of one kind that are listed; further ones are counted.
 _MAX_LISTED = 10
-# Damaged parts of a file that are listed.
+# Largest number of damaged parts of a file that are listed.
 _MOST_LISTED = 100
 
 # An integer bound of 8 quanta stored as 0.1 * 8 may read 7.999999999999999 quanta.
@@ -64,32 +64,31 @@ _SLACK = Fraction(1, 10**9)
 
 @dataclass(frozen=True)
 class VerifyReport:
-    """What `verify` found.
+    """Result of `verify`.
 
     Attributes
     ----------
     path, original : str or None
-        The files compared; `original` is None if the file was only checked by itself.
+        The compared files; `original` is None if there was none.
     bound : float
-        The bound that every sample was compared with, in physical units.
+        The bound used for every sample, in physical units.
     max_error, effective_error : float
-        The bound asked for at compression, and the bound that the file states.
+        The bound requested at compression, and the bound that the file states.
     errors : ErrorReport or None
-        What was measured; None without an original.
+        Measured errors; None without an original.
     problems : tuple of str
-        One sentence each; empty if all is well.
+        One sentence each.
     is_strict : bool or None
-        Whether ``abs(decoded - original) <= bound`` holds for all stored values, exactly and as
-        numpy computes it in their type; `bound` here is `max_error`, or the one given. False
-        without problems means that it holds for the decimal numbers that floats stand for: 0.01,
-        0.02 … None without an original.
+        True if ``abs(decoded - original) <= bound`` holds for all stored values, exactly and as
+        numpy computes it in their type, with the `bound` given or else `max_error`. False without
+        problems means that it holds for the decimal numbers that the floats represent: 0.01, 0.02 …
+        None without an original.
     mesh : MeshReport or None
-        What was checked of the meshes, if that was asked for.
+        Result for the meshes, if requested.
     earlier : tuple of dict
-        The .twz files that the heights went through before, as `Info` has them.
+        The .twz files that the heights went through before, as in `Info`.
     window : tuple of int or None
-        (row, col, n_rows, n_cols): the part of the file that was compared, with `part`; None
-        without it.
+        With `part`, the compared part of the file: (row, col, n_rows, n_cols); otherwise None.
     root : str or None
         The root of the file's digests, as `Terrain.digest` returns it.
     """
@@ -109,7 +108,7 @@ class VerifyReport:
 
     @property
     def ok(self) -> bool:
-        """Tell whether no problem was found."""
+        """Return whether no problem was found."""
         return not self.problems
 
     def to_dict(self) -> dict[str, Any]:
@@ -131,39 +130,38 @@ def verify(
     threads: int | None = None,
     progress: ProgressCallback | None = None,
 ) -> VerifyReport:
-    """Check a .twz file against the raster it was made of, or by itself.
+    """Check a .twz file against its original raster, or by itself.
 
-    With `original`: every sample must be within the bound, void where the original is void and
-    only there, and size, type, nodata, CRS, transform, units, scale and offset must be the same.
-    Heights of another size, type or unit are not compared.
-    Without: all checksums are checked, every block of every level is decoded, and heights are
-    compared with the file's digests, if it has some. That finds damage. It does not show that the
-    file is the one that was published: whoever changes heights can change digests, too. For that,
-    give its `root`.
+    With `original`: every sample must be within the bound, void where the original is void and only
+    there, and size, type, nodata, CRS, transform, units, scale and offset must be the same. Heights
+    of another size, type or unit are not compared. Without: all checksums are checked, every block
+    of every level is decoded, and heights are compared with the file's digests, if any. That finds
+    damage, but not deliberate changes of both heights and digests. To check that the file is the
+    published one, give its `root`.
 
     Parameters
     ----------
     twz : path
         The file to check.
     original : path, optional
-        The raster it was made of.
+        The raster that it was made from.
     max_error : float, optional
         Check this bound, in physical units, instead of the file's own.
     band : int
         The band of `original` that was compressed.
     nodata : float or str, optional
-        What was given at compression, where it differs from the raster's own value.
+        The `nodata` given at compression, if any.
     heights_are : {"height", "depth", "radius"}, optional
-        What the numbers of `original` are, whatever it says of them.
+        Meaning of the numbers of `original`; overrides its metadata.
     part : bool
-        `original` covers a part of the file, or all of it, on its grid: compare that part only,
-        for example after `patch` with the new raster. Size, description and nodata value may be
-        others than the file's, as in `patch`.
+        `original` covers a part of the file, or all of it, on its grid: compare that part only, for
+        example after `patch` with the new raster. Size, description and nodata value may differ
+        from the file's, as in `patch`.
     mesh : bool
         Check all meshes too: each covers its area once, without gaps, folds and T-junctions;
         neighbours fit; and no sample is further from a mesh than the mesh states.
     root : str, optional
-        The published root of the heights (`Terrain.digest`), 64 hexadecimal digits: without
+        The published root of the heights (`Terrain.digest`), 64 hexadecimal digits. Not with
         `original`. The file need not have digests.
     threads : int, optional
         Threads that decode; the number of processors by default.
@@ -173,7 +171,7 @@ def verify(
     Returns
     -------
     VerifyReport
-        Problems in its `problems`, not as exceptions, wherever the file could be opened.
+        If the file can be opened, problems are in its `problems`, not exceptions.
 
     Raises
     ------
@@ -184,14 +182,15 @@ def verify(
 
     Notes
     -----
-    The bound is the file's effective error, which is at most the one asked for. Integer heights are
+    The bound is the file's effective error, which is at most the requested one. Integer heights are
     compared in whole steps, exactly. Float heights on a decimal grid are stored as the float
     nearest to k*p, which is not k*p itself: two of them are each up to half an ulp off, so their
-    difference may exceed the bound by one ulp of the larger without any sample having left its
-    place. One ulp of the stored type is therefore allowed, only for float files on such a grid and
-    a bound above 0; a bound of 0 means equal, and continuous floats get no allowance. A file made
-    with `max_error` 0 has the bits of all valid floats, the sign of -0.0 too (but for method cdf53,
-    which keeps numbers). Which NaN marked a void is not kept and not compared.
+    difference may exceed the bound by one ulp of the larger although the numbers k*p are within it.
+    One ulp of the stored type is therefore allowed, only for float files on such a grid and a bound
+    above 0; a bound of 0 means equal, and continuous floats get no allowance. A file made with
+    `max_error` 0 has the bits of all valid floats, including the sign of -0.0 (except for method
+    cdf53, which keeps only numbers). The bits of a NaN that marks a void are neither kept nor
+    compared.
     """
     check_flags(part=part, mesh=mesh)
     if part and (original is None or mesh):
@@ -210,7 +209,7 @@ def verify(
         checked_path(original)
     from terrainwave.terrain import Terrain
 
-    # What is there of a file that ends too early is checked like the rest.
+    # The existing part of a truncated file is checked like the rest.
     on_error = RAISE if original is not None else MASK
     with Terrain(twz, threads=threads, on_error=on_error) as terrain:
         if original is None:
@@ -251,12 +250,12 @@ def _checked_root(root: Any, original: Any) -> str | None:
 
 
 def _problems_of_bytes(terrain: Any, root: str | None) -> Iterator[str]:
-    """Yield what is wrong with a file by itself, each once; of many problems the first and last."""
+    """Yield the problems of a file by itself, each once; of many problems the first and last."""
     missing, n_bytes = terrain.container.n_missing, terrain.container.extents.file_size
     if missing:
         yield f"the file has {n_bytes - missing:,} of its {n_bytes:,} bytes"
     problems = list(dict.fromkeys(terrain.check(root)))
-    # How much of each level is lost comes last.
+    # The lost shares of levels come last.
     n_left_out = len(problems) - _MOST_LISTED - terrain.n_levels
     if n_left_out > 0:
         problems[_MOST_LISTED : -terrain.n_levels] = [f"{n_left_out:,} more like these"]
@@ -266,7 +265,7 @@ def _problems_of_bytes(terrain: Any, root: str | None) -> Iterator[str]:
 def _with_meshes(
     report: VerifyReport, terrain: Any, read: Any, progress: ProgressCallback | None
 ) -> VerifyReport:
-    """Add the checks of meshes to a report, unless the heights can't be read."""
+    """Add the checks of meshes to a report, unless heights cannot be read."""
     # Imported here: numba.
     from terrainwave.verification.mesh_walk import verify_meshes
 
@@ -309,12 +308,12 @@ def _root(terrain: Any) -> str | None:
     try:
         found: str | None = terrain.digest()
     except CorruptStreamError:
-        return None  # a check of the file says so
+        return None  # the check of the file reports it
     return found
 
 
 class _Comparison:
-    """A decoded file beside its original."""
+    """Comparison of a decoded file with its original."""
 
     def __init__(
         self, terrain: Any, original: Original, max_error: float | None, part: bool
@@ -328,7 +327,7 @@ class _Comparison:
         self._even = terrain.even_blocks()
         # Samples that the index of both files knows to be void.
         self._n_known = 0
-        # Of heights of the file and the original: where they are first, and how many samples.
+        # By heights of the file and the original: their first region, and the number of samples.
         self._alike: dict[tuple[int, bytes], tuple[Region, int]] = {}
 
     def run(self, twz: Any, original: Any, progress: ProgressCallback | None) -> VerifyReport:
@@ -393,9 +392,9 @@ class _Comparison:
         return errors, problems
 
     def _windows(self) -> Iterator[tuple[Region, int]]:
-        """Yield windows to compare, and how many samples each of theirs stands for.
+        """Yield windows to compare, and the number of samples that each sample represents.
 
-        Those that are void by the index of both files are left out.
+        Windows that are void by the index of both files are left out.
         """
         for window, even in self._original.windows():
             if even is None:
@@ -414,24 +413,24 @@ class _Comparison:
             yield first._replace(n_rows=1, n_cols=1), n_alike
 
     def _known(self, even: Even, region: Region) -> Even | None:
-        """Return what the file knows a region of an even one to be: void, or of one height."""
+        """Return the file's content of an even region of the original: void, or one height."""
         if not even.is_valid:
             return even if self._is_void(region) else None
         try:
             height = None if self._even is None else self._even.own(region)
-        except TerrainwaveError:  # whoever reads there is told
+        except TerrainwaveError:  # reading there raises
             return None
         return None if height is None else Even(height, True)
 
     def _is_void(self, region: Region) -> bool:
-        """Say whether the index of the .twz file has no heights in a region."""
+        """Return whether the .twz file's index has no heights in a region."""
         try:
             return next(self._terrain.coded_parts(region), None) is None
-        except TerrainwaveError:  # whoever reads there is told
+        except TerrainwaveError:  # reading there raises
             return False
 
     def _keeps_signs(self) -> bool:
-        """Say whether the file was to keep every bit, that of -0.0 too."""
+        """Return whether the file must keep every bit, including that of -0.0."""
         method = METHODS[self._terrain.info().method]
         is_exact = self._terrain.max_error == 0 == self._bound
         return self._dtype.kind == "f" and is_exact and not method.is_tiled
@@ -466,7 +465,7 @@ class _Comparison:
 
 
 class _Signs:
-    """Counts samples that are 0 on both sides, but -0.0 on one of them alone."""
+    """Counts samples that are 0 on both sides, but -0.0 on only one of them."""
 
     def __init__(self, counts: bool) -> None:
         self._counts = counts
@@ -504,7 +503,7 @@ class _Signs:
 
 
 class _Worst:
-    """Counts samples beyond what is allowed and keeps the one furthest beyond."""
+    """Counts samples beyond their allowance and keeps the worst."""
 
     def __init__(self) -> None:
         self._count = 0

@@ -1,7 +1,7 @@
-"""Check the meshes of a file, by code that shares nothing with what makes them (`checks`).
+"""Check of the meshes of a file, by code independent of their construction (`checks`).
 
 Walks the blocks of all levels depth first and holds a chain of ancestors, one window of originals,
-and the border lines of blocks whose neighbours have not come yet.
+and the border lines of blocks with pending neighbours.
 """
 
 from collections.abc import Iterator
@@ -34,20 +34,20 @@ from terrainwave.verification.on_grid import (
     must_be_covered,
 )
 
-# Meshes of areas are checked in windows of this many samples a side.
+# Side of the windows in which meshes of areas are checked, in samples.
 _WINDOW_SIDE = 2048
-# Factors of the smallest error at which meshes of areas are checked.
+# Factors of the smallest error for which meshes of areas are checked.
 _FACTORS = (2, 24)
 _MAX_LISTED = 20
 
 
 @dataclass(frozen=True)
 class LevelMeshes:
-    """The stored meshes of a level.
+    """Stored meshes of a level.
 
-    Errors in physical units: `stored_error` is the largest one in the index, where that has none
-    the largest bound that follows from the meshes, `measured_error` the largest distance that was
-    found, from the originals, or without them from the decoded heights.
+    Errors in physical units: `stored_error` is the largest one in the index, or else the largest
+    bound derived from the meshes; `measured_error` is the largest measured distance, from the
+    originals, or without them from the decoded heights.
     """
 
     level: int
@@ -59,9 +59,9 @@ class LevelMeshes:
 
 @dataclass(frozen=True)
 class AreaMeshes:
-    """What `Terrain.mesh` gives over the whole raster, window by window.
+    """Meshes of `Terrain.mesh` over the whole raster, window by window.
 
-    `max_error` is what was asked for, None for the stored meshes; `stated_error` and
+    `max_error` is the requested error, None for the stored meshes; `stated_error` and
     `measured_error` are the largest of all windows, in physical units.
     """
 
@@ -75,9 +75,9 @@ class AreaMeshes:
 
 @dataclass(frozen=True)
 class MeshReport:
-    """What was checked of a file's meshes.
+    """Result of checking a file's meshes.
 
-    `against` is ``"original"`` or ``"decoded"``: what errors were measured from.
+    `against` is ``"original"`` or ``"decoded"``: the reference of measured errors.
     """
 
     kind: str
@@ -87,7 +87,7 @@ class MeshReport:
 
 
 class _Stated(NamedTuple):
-    """A block, its mesh, and the error that is stated of it, in 1/16 quanta."""
+    """A block, its mesh, and the stated error of the mesh, in 1/16 quanta."""
 
     block: Block
     surface: CheckedMesh
@@ -96,13 +96,13 @@ class _Stated(NamedTuple):
 
 @dataclass
 class Checks:
-    """Problems, shortened to the first of them."""
+    """Problems, shortened to the first ones."""
 
     problems: list[str] = field(default_factory=list)
     n_left_out: int = 0
 
     def add(self, where: str, problems: Iterator[str] | list[str]) -> None:
-        """Note problems of a place."""
+        """Record problems of a place."""
         for problem in problems:
             if len(self.problems) < _MAX_LISTED:
                 self.problems.append(f"{where}: {problem}")
@@ -110,7 +110,7 @@ class Checks:
                 self.n_left_out += 1
 
     def all(self) -> list[str]:
-        """Return the problems noted, and how many more there are."""
+        """Return the recorded problems, and the number of further ones."""
         if not self.n_left_out:
             return self.problems
         return [*self.problems, f"… and {self.n_left_out} more problems of meshes"]
@@ -124,7 +124,7 @@ class MeshVerification:
     terrain : Terrain
     read : callable, optional
         Returns raw originals and validity of a region of the full grid; without it errors are
-        measured from the decoded heights, and may exceed what is stated by the file's own bound.
+        measured from the decoded heights, and may exceed the stated ones by the file's own bound.
     """
 
     def __init__(
@@ -138,7 +138,7 @@ class MeshVerification:
         self._read = read or self._decoded
         self._progress = progress
         self._ruler = QuantaScale(terrain)
-        # Of kinds that state what was measured and promise nothing more.
+        # Kinds that state measured errors and have no bound.
         self._is_unbounded = terrain.mesh_kind in UNBOUNDED_MESHES
         self._allowed = self._ruler.slack + (0 if read else self._ruler.coded)
         self._what = "heights" if read else "decoded heights"
@@ -150,7 +150,6 @@ class MeshVerification:
         self._n_done = self._n_total = 0
 
     def run(self) -> tuple[MeshReport, list[str]]:
-        """Return the report and all problems."""
         terrain, n_samples = self._terrain, self._grid.n_rows * self._grid.n_cols
         plans = list(self._plans())
         has_stored = terrain.mesh_kind != "none"
@@ -235,7 +234,7 @@ class MeshVerification:
                 self._checks.add(where, self._tolerance_problems(surface, region))
 
     def _tolerance_problems(self, surface: CheckedMesh, region: Region) -> Iterator[str]:
-        """Check a finest mesh against the decoded heights, which it is made from."""
+        """Check a finest mesh against the decoded heights that it is made from."""
         raw, valid = self._decoded(region)
         tolerance = self._ruler.in_sixteenths(self._terrain.info().mesh_tolerance)
         errors = deviation(
@@ -253,7 +252,7 @@ class MeshVerification:
             )
 
     def _check_lines(self, block: Block, surface: CheckedMesh) -> None:
-        """Compare borders with neighbours that came before; keep those of the ones to come."""
+        """Compare borders with earlier neighbours; keep those for later ones."""
         grid = self._grid
         mask_shape = block_mask(self._terrain, block).shape
         for axis, (down, right) in enumerate(((1, 0), (0, 1))):
@@ -277,11 +276,11 @@ class MeshVerification:
 
     def _plans(self) -> Iterator[tuple[float | None, int]]:
         if min(self._terrain.shape) < 2 or determinant(self._terrain.raster_info.transform) == 0:
-            return  # no area, or no place in the world
+            return  # no area, or no position in the world
         yield None, 0
         bound, quantum = self._terrain.quanta_error, self._ruler.quantum
         for factor in _FACTORS:
-            # With something of the bound left for the mesh.
+            # Leaves some of the bound to the mesh.
             yield max(bound * factor, bound + quantum * factor), int(factor == _FACTORS[-1])
 
     def _windows(self) -> Iterator[Region]:

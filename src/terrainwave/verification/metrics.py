@@ -1,4 +1,4 @@
-"""How far decoded heights are from the original ones, summed up window by window."""
+"""Errors of decoded heights, accumulated window by window."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -14,7 +14,7 @@ class ErrorReport:
     Attributes
     ----------
     n_valid : int
-        Number of samples compared.
+        Number of compared samples.
     max_error : float
         Largest absolute difference, in the units given to `ErrorSum`; 0 if nothing was compared.
     rmse : float
@@ -63,7 +63,7 @@ class ErrorSum:
         decoded_valid: np.ndarray,
         n_alike: int = 1,
     ) -> np.ndarray:
-        """Add the window at (row, col), each of whose samples stands for `n_alike`.
+        """Add the window at (row, col), each of whose samples represents `n_alike`.
 
         Returns
         -------
@@ -90,7 +90,7 @@ class ErrorSum:
         return differences
 
     def is_within(self, bound: float, dtype: np.dtype[Any]) -> bool:
-        """Say whether all unscaled differences are within a bound, rounded to a type as well."""
+        """Return whether all unscaled differences are within a bound, also rounded to a type."""
         rounded = float(dtype.type(self._largest)) if dtype.kind == "f" else self._largest
         return max(self._largest, rounded) <= bound
 
@@ -121,7 +121,7 @@ def _differences(original: np.ndarray, decoded: np.ndarray, both: np.ndarray) ->
 def _small_differences(
     original: np.ndarray, decoded: np.ndarray, both: np.ndarray, *, is_whole: bool
 ) -> np.ndarray:
-    """Return the same of integers up to 16 bits, as int32: three times as fast."""
+    """Return the same for integers of up to 16 bits, as int32: three times as fast."""
     differences: np.ndarray = np.subtract(decoded, original, dtype=np.int32)
     if not is_whole:
         np.copyto(differences, 0, where=~both)

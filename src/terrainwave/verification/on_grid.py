@@ -1,4 +1,4 @@
-"""A file's meshes as surfaces on its grids, and what its samples say that they cover."""
+"""A file's meshes as surfaces on its grids, and the required cover by its samples."""
 
 import math
 from collections.abc import Iterator
@@ -15,12 +15,12 @@ from terrainwave.verification.checks import boundary_edges, problems_of
 from terrainwave.verification.pieces import NOTHING, pieces_of_mask, refined_pieces
 
 SIXTEENTHS = 16
-# Relative; what a decimal error loses as float64.
+# Relative tolerance for decimal errors as float64.
 _SLACK = 1e-9
 
 
 class QuantaScale:
-    """Heights of a file in 1/16 quanta, by the numbers of its header alone."""
+    """Conversion of a file's heights to 1/16 quanta, only by the numbers of its header."""
 
     def __init__(self, terrain: Any) -> None:
         header, info = terrain.header, terrain.info()
@@ -37,10 +37,10 @@ class QuantaScale:
         self.coded = math.ceil(terrain.quanta_error / self.quantum * SIXTEENTHS * (1 - _SLACK))
 
     def _of_decoded(self, header: Any) -> int:
-        """Return how far decoded heights off the grid are from their quanta, at most.
+        """Return the largest distance of decoded heights off the grid from their quanta.
 
-        By half a float's spacing, which is what `rho` is more than half a quantum; with remainders
-        by all of `rho`.
+        It is half a float's spacing, the excess of `rho` over half a quantum; with remainders all
+        of `rho`.
         """
         rounded = Fraction(header.rho) / header.quantum
         if not header.has_remainders:
@@ -67,7 +67,7 @@ class QuantaScale:
         return (raw * self._denominator / self._numerator - self._base) * SIXTEENTHS
 
     def in_sixteenths(self, error: float) -> float:
-        """Return a physical error in 1/16 quanta, whole where it is nearly so."""
+        """Return a physical error in 1/16 quanta, rounded if it is nearly whole."""
         exact = error / self.quantum * SIXTEENTHS
         near = round(exact)
         return float(near) if abs(exact - near) <= _SLACK * max(near, 1) else exact
@@ -89,9 +89,9 @@ def block_surface(terrain: Any, block: Block) -> CheckedMesh:
 
 
 def block_mask(terrain: Any, block: Block) -> NDArray[np.bool_]:
-    """Return the validity of a block's samples, with those past the raster's edge.
+    """Return the validity of a block's samples, including those past the raster's edge.
 
-    Samples of coarse levels may lie there; they are valid where the last ones inside are.
+    Samples of coarse levels may lie there; they are valid if the last ones inside are.
     """
     grid = terrain.grid
     region = grid.block_region(block)
@@ -103,7 +103,7 @@ def block_mask(terrain: Any, block: Block) -> NDArray[np.bool_]:
 
 
 def block_problems(terrain: Any, block: Block, surface: CheckedMesh) -> Iterator[str]:
-    """Check that a block's mesh covers once what its samples span."""
+    """Check that a block's mesh covers the span of its samples once."""
     mask = block_mask(terrain, block)
     if min(mask.shape) < 2:
         if len(surface.triangles):
@@ -113,7 +113,7 @@ def block_problems(terrain: Any, block: Block, surface: CheckedMesh) -> Iterator
 
 
 class BorderLine(NamedTuple):
-    """What a mesh has on a border line: vertices, and edges as pairs of places along it."""
+    """Part of a mesh on a border line: vertices, and edges as pairs of positions along it."""
 
     places: NDArray[np.int64]
     heights: NDArray[np.int64]
@@ -131,10 +131,10 @@ def border_line(surface: CheckedMesh, axis: int, at: int) -> BorderLine:
 
 
 def line_problems(one: BorderLine, other: BorderLine) -> Iterator[str]:
-    """Check that two meshes leave no gap along the line they share.
+    """Check that two meshes leave no gap along their common line.
 
-    Vertices at one place have one height, and none lies inside an edge of the other mesh. Where a
-    void touches the line, only one of the two may have vertices.
+    Vertices at one position have one height, and none lies inside an edge of the other mesh. Where
+    a void touches the line, vertices of only one of the two are allowed.
     """
     _, here, there = np.intersect1d(one.places, other.places, return_indices=True)
     n_apart = np.count_nonzero(one.heights[here] != other.heights[there])
@@ -157,10 +157,10 @@ def line_problems(one: BorderLine, other: BorderLine) -> Iterator[str]:
 def surface_of_mesh(terrain: Any, mesh: Any, region: Region) -> CheckedMesh:
     """Return a `Mesh` in half samples of the full grid, from the first sample of `region`.
 
-    Integers where all vertices lie on half samples, else floats: where it was cut.
+    Integers if all vertices lie on half samples, else floats, as in a clipped mesh.
     """
     transform = terrain.raster_info.transform
-    # The place of the origin's pixel centre, first: vertices are near it, so nothing is lost.
+    # Relative to the origin's pixel centre: vertices are near it, so no precision is lost.
     centre_row, centre_col = places_to_samples(transform, *mesh.origin[:2])
     down, right = places_to_pixels(without_shift(transform), *mesh.vertices[:, :2].T)
     cols = 2 * (right + round(centre_col) - region.col)
@@ -175,7 +175,7 @@ def surface_of_mesh(terrain: Any, mesh: Any, region: Region) -> CheckedMesh:
 
 
 def _snapped(values: NDArray[np.float64]) -> NDArray[Any]:
-    """Return numbers within 1e-6 of integers, or of what float64 holds there, as these."""
+    """Return numbers; those within 1e-6 or float64's precision of integers are rounded."""
     whole = np.rint(values)
     return np.where(np.abs(values - whole) <= 1e-6 + 1e-14 * np.abs(values), whole, values)
 
@@ -205,8 +205,8 @@ def area_pieces(terrain: Any, region: Region, level: int) -> NDArray[np.uint8]:
 def mesh_problems(terrain: Any, mesh: Any, region: Region, level: int | None) -> Iterator[str]:
     """Check a `Mesh` over `region` of the full grid as a surface.
 
-    `level` is that of all its blocks; None if they may be of several: it then covers at least what
-    the full grid's samples span, and coarser blocks may cover more.
+    `level` is that of all its blocks. None if they may be of several: it must then cover at least
+    the span of the full grid's samples, and coarser blocks may cover more.
     """
     surface = surface_of_mesh(terrain, mesh, region)
     shape = region.n_rows, region.n_cols
@@ -221,7 +221,7 @@ def mesh_problems(terrain: Any, mesh: Any, region: Region, level: int | None) ->
 
 
 def must_be_covered(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the samples that are corners of what `pieces_of_mask` gives."""
+    """Return the samples that are corners of the result of `pieces_of_mask`."""
     covered = np.zeros(valid.shape, dtype=np.bool_)
     if min(valid.shape) < 2:
         return covered

@@ -1,7 +1,7 @@
-"""The original raster, read by rasterio alone; what is valid is decided here anew.
+"""The original raster, read only with rasterio; validity is decided here independently.
 
-Where its index knows, as `compress` asks it, that all of a large window is void, or of one value,
-some samples are read instead of all.
+Where its index, as used by `compress`, says that all of a large window is void, or of one value,
+only some samples are read.
 """
 
 import math
@@ -29,17 +29,17 @@ from terrainwave.raster_io.even import Even, even_parts, is_seen
 from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.raster_io.vrt.copied import unreported
 
-# Samples per window, and its height where the original is striped: windows of few rows would make
-# the decoder run the same blocks again and again.
+# Samples per window, and its height if the original is striped: with windows of few rows the
+# decoder would decode the same blocks again and again.
 _WINDOW_SAMPLES = 4 * 2**20
 _WINDOW_SIDE = 2048
 _WINDOW_ROWS = 256
 
-# Part of a pixel by which places of one grid may differ.
+# Share of a pixel by which positions in one grid may differ.
 _SAME_PIXEL = 1e-6
-# The same for a raster that covers a part of a file, as `patch` takes it.
+# The same for a raster that covers a part of a file, as in `patch`.
 _SAME_PLACE = 1e-3
-# Numbers of a transform that are the size and direction of pixels.
+# Indices of a transform's numbers for size and direction of pixels.
 _LINEAR = (0, 1, 3, 4)
 
 _GDAL_CACHE_BYTES = 64 * 2**20
@@ -66,14 +66,14 @@ def open_original(path: str | os.PathLike[str]) -> Any:
 
 
 class Original:
-    """A band of a dataset of rasterio; `nodata` and `heights_are` as in `compress`.
+    """A band of a rasterio dataset; `nodata` and `heights_are` as in `compress`.
 
-    Rows and columns are read in the order that `transform` has, a file's, where the dataset stores
-    them the other way round, such as with the southernmost row first.
+    Rows and columns are read in the order of `transform`, a file's, even if the dataset stores them
+    in the opposite order, such as with the southernmost row first.
 
     With `whole`, the shape of the file, the dataset may cover only a part of it: `place` is that
-    part, or None where the dataset does not lie on the file's grid or reaches beyond the file.
-    Regions to read are the file's.
+    part, or None if the dataset does not lie on the file's grid or extends beyond the file. Regions
+    to read are the file's.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class Original:
         return height_unit(units, format_crs(self.dataset.crs))
 
     def kind_problem(self, info: RasterInfo) -> str | None:
-        """Return what is wrong where it has depths and the file heights, or the other way round."""
+        """Return the problem if it has depths and the file heights, or the other way round."""
         told, own = told_of(self.dataset, self.band), info.told
         if self._asked_kind is not None:
             told, own = Told(self._asked_kind, "`heights_are`"), Told(info.heights_are)
@@ -124,7 +124,6 @@ class Original:
         return kind_problem((info.heights_are, own, info.crs), found)
 
     def coordinate_epoch(self) -> float | None:
-        """Return the epoch of the original's coordinates."""
         return unreported(self.dataset, self.band).coordinate_epoch if self.dataset.crs else None
 
     def area_or_point(self) -> str:
@@ -154,7 +153,7 @@ class Original:
         return heights[order], valid[order]
 
     def _stored(self, region: Region) -> Region:
-        """Return where a region of the file lies in the dataset, in its order of rows, columns."""
+        """Return the region of the dataset, in its own order, for a region of the file."""
         row, col, n_rows, n_cols = region
         if self.place is not None:
             row, col = row - self.place.row, col - self.place.col
@@ -164,7 +163,7 @@ class Original:
         return Region(row, col, n_rows, n_cols)
 
     def _is_void(self, heights: np.ndarray) -> np.ndarray:
-        """Return which heights are a value that marks voids."""
+        """Return which heights equal a value that marks voids."""
         found = (self.equals(heights, value) for value in self._voids)
         return np.logical_or.reduce(list(found))
 
@@ -182,7 +181,7 @@ class Original:
     def windows(self) -> Iterator[tuple[Region, Even | None]]:
         """Yield windows that suit both sides: squares for tiles, wide strips for strips.
 
-        Or larger ones whose samples are all the same by the index, and `holds` says so, too.
+        Larger windows have equal samples by the index, confirmed by `holds`.
         """
         if self.place is None:
             return
@@ -194,7 +193,7 @@ class Original:
 
     @property
     def side(self) -> int:
-        """Return the side of the smallest windows that the index is asked for."""
+        """Return the side of the smallest windows for which the index is used."""
         rows, cols = self.window_shape
         return -(-max(rows, cols) // rows) * rows
 
@@ -208,11 +207,11 @@ class Original:
         return max(_WINDOW_SAMPLES // cols // _WINDOW_ROWS, 1) * _WINDOW_ROWS, cols
 
     def holds(self, region: Region, even: Even) -> bool:
-        """Say whether corners and middle of a region, read, are what the index says."""
+        """Read corners and middle of a region; return whether they match the index."""
         return is_seen(self.read, region, even)
 
     def _even(self, region: Region) -> Even | None:
-        """Return what a region is by the file's index."""
+        """Return the content of a region by the file's index."""
         even = None if self._alphas else self._index.even(self._stored(region))
         if even is None:
             return None
@@ -236,11 +235,11 @@ def _turned(dataset: Any, flips: tuple[bool, bool]) -> tuple[float, ...]:
 
 
 def _flips(dataset: Any, wanted: tuple[float, ...]) -> tuple[bool, bool]:
-    """Return if rows and if columns of a dataset lie in the opposite order of a transform's."""
+    """Return whether rows and columns of a dataset are in the opposite order of a transform's."""
     for flips in ((True, False), (False, True), (True, True)):
         found = _turned(dataset, flips)
         pixel = max(abs(found[i]) for i in _LINEAR)
-        # Corners that were computed another way differ by rounding.
+        # Corners computed in another way differ by rounding.
         shift = max(abs(found[i] - wanted[i]) for i in (2, 5))
         if max(shift, _drift(dataset, found, wanted)) <= _SAME_PIXEL * pixel:
             return flips
@@ -248,7 +247,7 @@ def _flips(dataset: Any, wanted: tuple[float, ...]) -> tuple[bool, bool]:
 
 
 def _drift(dataset: Any, found: tuple[float, ...], wanted: tuple[float, ...]) -> float:
-    """Return how far pixels of two sizes or directions are apart at a dataset's end."""
+    """Return the distance of pixels of two sizes or directions at a dataset's end."""
     largest = max(abs(found[i] - wanted[i]) for i in _LINEAR)
     return max(dataset.height, dataset.width) * largest
 
@@ -274,11 +273,11 @@ def _place(
 
 
 def place_text(row: int, col: int, n_rows: int, n_cols: int) -> str:
-    """Name a window."""
+    """Describe a window."""
     return f"rows {row} to {row + n_rows - 1}, columns {col} to {col + n_cols - 1}"
 
 
 def as_stored(nodata: float, dtype: np.dtype[Any]) -> Any:
-    """Return the float that a file of `dtype` holds where it means `nodata`."""
+    """Return the float that means `nodata` in a file of `dtype`."""
     with np.errstate(over="ignore", under="ignore"):
         return np.float64(nodata).astype(dtype)

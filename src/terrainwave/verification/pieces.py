@@ -1,4 +1,4 @@
-"""What is covered of each quad of a grid: by a mesh, and by the samples that are valid."""
+"""Cover of each quad of a grid: by a mesh, and by the valid samples."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 from terrainwave.coding.jit import kernel
 from terrainwave.verification.checked_mesh import FLOAT_TOLERANCE, CheckedMesh
 
-# What a mesh covers of a quad a b (upper), d c (lower), seen from a downwards and to the right,
-# and from c upwards and to the left. All of it, or one of four triangles.
+# Cover of a quad a b (upper), d c (lower) by a mesh, seen from a downwards and to the right, and
+# from c upwards and to the left: all of it, or one of four triangles.
 _A_DOWN, _A_RIGHT, _C_UP, _C_LEFT = 1, 2, 4, 8
 NOTHING, WHOLE = 0, 15
 ABC, ACD, ABD, BCD = _A_RIGHT | _C_UP, _A_DOWN | _C_LEFT, _A_DOWN | _A_RIGHT, _C_UP | _C_LEFT
@@ -16,7 +16,7 @@ ABC, ACD, ABD, BCD = _A_RIGHT | _C_UP, _A_DOWN | _C_LEFT, _A_DOWN | _A_RIGHT, _C
 def coverage(
     surface: CheckedMesh, shape: tuple[int, int]
 ) -> tuple[NDArray[np.uint8], int, tuple[int, int] | None]:
-    """Measure how much of each quad is covered, and how many places around samples are twice.
+    """Measure the cover of each quad, and the number of positions covered twice.
 
     Parameters
     ----------
@@ -26,11 +26,11 @@ def coverage(
     Returns
     -------
     pieces : ndarray of uint8, shape (n_rows - 1, n_cols - 1)
-        `WHOLE`, `NOTHING`, `ABC` …, or another number where that cannot be.
+        `WHOLE`, `NOTHING`, `ABC` …, or another number if the cover is impossible.
     n_twice : int
-        Places covered more than once.
+        Positions covered more than once.
     place : tuple of int or None
-        The row and column of the sample beside one of them.
+        The row and column of a sample next to one of them.
     """
     is_exact = all(v.dtype.kind != "f" for v in (surface.rows, surface.cols))
     kind = np.int64 if is_exact else np.float64
@@ -138,7 +138,7 @@ def refined_pieces(pieces: NDArray[np.uint8], stride: int) -> NDArray[np.uint8]:
 
 
 def _unit_edges(pieces: NDArray[np.uint8]) -> list[tuple[NDArray[np.bool_], tuple[int, ...]]]:
-    """Return, for each kind of edge of a quad, where a piece has it, and its two corners."""
+    """Return, for each kind of edge of a quad, the pieces that have it, and its two corners."""
     corners = {"a": (0, 0), "b": (0, 1), "c": (1, 1), "d": (1, 0)}
     kinds = (
         ("ab", (WHOLE, ABC, ABD)), ("bc", (WHOLE, ABC, BCD)), ("cd", (WHOLE, ACD, BCD)),
@@ -170,7 +170,7 @@ def boundary_of_pieces(
 
 @kernel
 def n_unions(triangles, parent):
-    """Return how many unions of vertices were needed to join those of each triangle."""
+    """Return the number of unions of vertices needed to join those of each triangle."""
     n_joined = 0
     for t in range(triangles.shape[0]):
         for k in range(2):

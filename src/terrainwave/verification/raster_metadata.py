@@ -1,4 +1,4 @@
-"""Compare what a file says of its raster with what the original says."""
+"""Comparison of a file's raster metadata with the original's."""
 
 import math
 from collections.abc import Iterator
@@ -12,14 +12,14 @@ from terrainwave.place.units import height_unit, meeting
 from terrainwave.raster_io.dataset import is_placed
 from terrainwave.verification.original import Original, as_stored
 
-# What the raster of a part need not share with the file.
+# Metadata that the raster of a part need not share with the file.
 _OF_WHOLE = ("size", "description", "AREA_OR_POINT")
 
 
 def metadata_problems(terrain: Any, original: Original, *, part: bool = False) -> Iterator[str]:
-    """Yield what a file says of its raster that the original does not.
+    """Yield differences of a file's raster metadata from the original's.
 
-    Of the raster of a `part`, only what heights depend on, as `patch` does.
+    For the raster of a `part`, only metadata that affect heights, as in `patch`.
     """
     dataset, index = original.dataset, original.band - 1
     info = terrain.info()
@@ -34,7 +34,7 @@ def metadata_problems(terrain: Any, original: Original, *, part: bool = False) -
         ("scale", float(info.scale), original.scale),
         ("offset", float(info.offset), float(dataset.offsets[index])),
         ("description", info.description or None, dataset.descriptions[index] or None),
-        # Area is GDAL's default, and not kept by a GeoTIFF that lies nowhere.
+        # Area is GDAL's default, and is not stored in a GeoTIFF without georeference.
         ("AREA_OR_POINT", info.area_or_point or "Area", original.area_or_point()),
     ]
     unit, own_unit = original.unit().name, info.units or None
@@ -59,7 +59,7 @@ def metadata_problems(terrain: Any, original: Original, *, part: bool = False) -
     found, expected = tuple(terrain.transform)[:6], original.transform
     if found != expected:
         yield f"the transform is {found}, the original's is {expected}"
-    # Of samples that lie nowhere a file keeps no CRS.
+    # Without georeference a file keeps no CRS.
     if terrain.crs or is_placed(dataset):
         epoch, expected_epoch = info.coordinate_epoch, original.coordinate_epoch()
         if epoch != expected_epoch:
@@ -68,7 +68,7 @@ def metadata_problems(terrain: Any, original: Original, *, part: bool = False) -
 
 
 def place_problem(terrain: Any, original: Original) -> str:
-    """Return why the raster of a part cannot be compared: it lies elsewhere; empty if it can."""
+    """Return why the raster of a part lies elsewhere and cannot be compared; empty if it can."""
     if original.place is not None:
         return ""
     n_rows, n_cols = original.shape
@@ -81,7 +81,7 @@ def place_problem(terrain: Any, original: Original) -> str:
 
 
 def unit_problem(terrain: Any, original: Original) -> str:
-    """Return why heights cannot be compared: they are in different units; empty if they can."""
+    """Return why heights in different units cannot be compared; empty if they can."""
     unit = height_unit(terrain.info().units, terrain.crs)
     return meeting("the original", original.unit(), "the file", unit).problem
 
@@ -89,7 +89,7 @@ def unit_problem(terrain: Any, original: Original) -> str:
 def _same_nodata(nodata: Any, expected: Any, dtype: np.dtype[Any]) -> bool:
     if expected is not None and dtype.kind != "f":
         limits = np.iinfo(dtype)
-        # No sample can equal such a value; the file rightly has none.
+        # No sample can equal such a value, so the file has none.
         if not (math.isfinite(expected) and limits.min <= expected <= limits.max):
             expected = None
         elif expected != int(expected):
@@ -112,8 +112,8 @@ def _compare_crs(crs: Any, expected: CRS | None) -> Iterator[str]:
         if bool(crs) != bool(expected):
             yield f"the CRS is {crs or 'missing'}, the original's is {expected or 'missing'}"
         return
-    # Equal by WKT: rasterio's == calls systems the same whose ellipsoids differ in late digits.
-    # A string is from the file, hence parse_crs: rasterio would follow a URL in it.
+    # Compared by WKT: rasterio's == equates systems whose ellipsoids differ in late digits. A
+    # string is from the file, hence parse_crs: rasterio would follow a URL in it.
     crs = parse_crs(crs) if isinstance(crs, str) else crs
     if crs is None or crs.to_wkt() != expected.to_wkt():
         crs_text = "not understood" if crs is None else crs.to_wkt()

@@ -1,1 +1,1 @@
-"""Making and changing files: from raster to payloads, meshes and index."""
+"""Encoding and changing of files: from raster to payloads, meshes and index."""

@@ -1,4 +1,4 @@
-"""The codes of blocks in the index: boxes and errors, rounded outward (FORMAT.md §4.4)."""
+"""Codes of blocks in the index: boxes and errors, rounded outward (FORMAT.md §4.4)."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
@@ -18,10 +18,7 @@ _NONE: Mapping[Block, int] = {}
 def error_codes(
     stats: Stats, lost: int, bound: int | None = None, below: Mapping[Block, int] = _NONE
 ) -> dict[Block, int]:
-    """Return the codes of measured errors; `lost` quanta are added to each.
-
-    With a bound, those of `recursive_errors`.
-    """
+    """Return the codes of errors: measured ones plus `lost` quanta, or `recursive_errors`."""
     if bound is None:
         return {block: encode_error(own.error + lost) for block, own in stats.items()}
     errors = recursive_errors(stats, lost, bound, below)
@@ -33,20 +30,20 @@ def recursive_errors(
 ) -> dict[Block, int]:
     """Return Err_Appr of every block, by equation (2) of Yusov & Turlapov 2010, in 1/4 quanta.
 
-    The bound on the finest level; above it the largest of a block's children, and its children's
-    distance from it, and the bound. Where the measured error is larger, that: where originals lie
-    past the last samples of a coarse level, the equation does not see them.
+    On the finest level it is the bound; above, the largest of a block's children plus their
+    distance from it plus the bound. The measured error counts if it is larger: the equation does
+    not see originals past the last samples of a coarse level.
 
     Parameters
     ----------
     lost, bound : int
-        What is added to measured errors, and the bound, both in quanta.
+        Addend of measured errors, and the bound, both in quanta.
     below : mapping
-        Errors of blocks that are known, of whose children nothing is.
+        Known errors of blocks whose children are unknown.
     """
     errors = dict(below)
     children: dict[Block, int] = {}
-    for block in sorted(stats, reverse=True):  # the finest level first
+    for block in sorted(stats, reverse=True):  # finest level first
         own = stats[block]
         if own.is_empty:
             continue
@@ -59,9 +56,9 @@ def recursive_errors(
 
 
 def unmeasured_mesh_codes(job: Job, stats: Stats, errors: Mapping[Block, int]) -> dict[Block, int]:
-    """Return the codes of errors of meshes that are left to who makes the meshes.
+    """Return the error codes of meshes whose error readers compute.
 
-    Of none where a file has no meshes, or all are measured.
+    Empty if the file has no meshes or all of them are measured.
     """
     if job.options.measures_meshes or job.options.mesh_kind == "none":
         return {}
@@ -77,7 +74,7 @@ def set_codes(
     errors: Mapping[Block, int],
     mesh_errors: Mapping[Block, int],
 ) -> None:
-    """Give every block its box and errors, each box relative to its parent's in the segment.
+    """Set box and errors of every block, each box relative to its parent's in the segment.
 
     `whole` is the range of the raster; blocks without a box have no valid sample.
     """
@@ -102,17 +99,17 @@ def enclosing_boxes(
     below: Mapping[Block, Box],
     moved: int = 0,
 ) -> dict[Block, Box]:
-    """Return the range of originals and surfaces of each block and of all below it.
+    """Return the range of originals and surfaces of each block and of all blocks below it.
 
-    `below` are such ranges of what lies below blocks of `stats` and is not in `stats` itself,
-    `moved` how far originals may be from the heights that `stats` are of, in quanta.
+    `below` are the ranges below blocks of `stats` that `stats` itself lacks, `moved` the largest
+    distance of originals from the heights of `stats`, in quanta.
     """
     boxes = dict(below)
-    for block in sorted(stats, reverse=True):  # the finest level first
+    for block in sorted(stats, reverse=True):  # finest level first
         own = stats[block]
         if own.is_empty:
             continue
-        # Decoded heights are clamped to the originals' range, so boxes are as well.
+        # Decoded heights are clamped to the originals' range, and so are boxes.
         error = decode_error(errors[block]) + moved
         low, high = (
             max(own.z_low - error, whole[0]),

@@ -200,7 +200,7 @@ class DistributedPasses:
             )
 
         report(0)
-        finished = self.workers.run(stage, function, tasks, self._region)
+        finished = self.workers.run(stage, function, tasks)
         for n_tasks, (item, result) in enumerate(finished, 1):
             yield item, result
             done += _n_samples(self._region(item))
@@ -428,7 +428,7 @@ class _Copies:
 
 @dataclass
 class _Below:
-    """What tasks have told of the groups they coded, put together."""
+    """Joined reports of tasks on the groups that they coded."""
 
     segments: dict[Block | None, StoredSegment] = field(default_factory=dict)
     stats: Stats = field(default_factory=dict)
@@ -475,7 +475,7 @@ def _n_samples(region: Region) -> int:
 
 
 def _cross(head: Block, known: Mapping[Block, int]) -> list[Block]:
-    """Return a block and the four beside it, those of them that are in `known`."""
+    """Return those of a block and its four neighbours that are in `known`."""
     level, row, col = head
     places = ((row, col), (row - 1, col), (row + 1, col), (row, col - 1), (row, col + 1))
     return [Block(level, *place) for place in places if Block(level, *place) in known]

@@ -1,8 +1,8 @@
 """The encoder: raster in, .twz file out. Start reading at `compress`.
 
-Three passes over the source, windows at a time: A scans it and makes the pyramid of
-target heights, B codes the quadtree top down in a closed loop, C decodes the finished file from
-disk with the ordinary decoder and compares every sample. Memory stays flat in all of them.
+Three passes read the source in windows. Pass A scans it and makes the pyramid of target heights.
+Pass B codes the quadtree top down in a closed loop. Pass C decodes the finished file from disk with
+the ordinary decoder and compares every sample. No pass needs memory that grows with the raster.
 """
 
 import io
@@ -19,7 +19,6 @@ from typing import Any, BinaryIO, NamedTuple, cast
 
 from terrainwave.arguments import (
     TWZ_ENDINGS,
-    check_callback,
     check_ending,
     check_flags,
     checked_path,
@@ -42,7 +41,7 @@ from terrainwave.file.raster import raster_source
 from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Grid
 from terrainwave.place.units import height_unit
-from terrainwave.progress import ProgressCallback, Reporter, TaskCallback
+from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.undeclared_voids import note_on_marks, note_on_undeclared
@@ -67,11 +66,11 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class CompressResult:
-    """What `compress` made; errors in physical units.
+    """Result of `compress`; errors in physical units.
 
-    `measured_error`, compared with the given raster, is None if the proof was skipped. The file
-    states the other two errors. If the raster came out of a .twz file, they include the bound of
-    that file. `notes` say what a user should know.
+    `measured_error`, from the given raster, is None if the proof was skipped. The file states the
+    other two errors. They include the bound of a .twz file that the raster came from. `notes` are
+    remarks for the user.
     """
 
     path: str
@@ -114,28 +113,27 @@ def compress(
     fresh: bool = False,
     client: Any = None,
     task_samples: int | None = None,
-    on_task: TaskCallback | None = None,
     progress: ProgressCallback | None = None,
 ) -> CompressResult:
-    """Compress a raster to a .twz file in which every valid sample is within `max_error`.
+    """Compress a raster to a .twz file; every valid sample stays within `max_error`.
 
     Parameters
     ----------
     src : path, rasterio dataset, Terrain, list of these, ndarray, xarray DataArray or Dataset
-        One band of heights: uint8, int16, uint16, int32, float32 or float64. A list of rasters
-        with the same CRS and grid makes a mosaic. Where they overlap, the last counts; where there
-        is none, the mosaic is void. A path may be that of a .twz file: `max_error` is then the
-        bound from its original, and by default all heights stay as they are in the file. A Dataset
-        has one variable of heights (docs/integrations.md lists what is read from labels).
+        One band of heights: uint8, int16, uint16, int32, float32 or float64. A list of rasters with
+        the same CRS and grid makes a mosaic. Where they overlap, the last counts; where none lies,
+        the mosaic is void. For a .twz file `max_error` is the bound from its original, and by
+        default its heights are kept unchanged. A Dataset has one variable of heights
+        (docs/integrations.md lists what is read from labels).
     dst : path
-        The file to make. Its name ends in ``.twz``. It appears complete or not at all, and never
-        replaces a raster. Also the URL of storage that fsspec can write to, such as ``s3://``
-        (extra ``remote``): the file is made and proved on this machine, then uploaded.
+        Output file, whose name ends in ``.twz``. It appears complete or not at all, and never
+        replaces a raster. It may be a URL that fsspec can write to, such as ``s3://`` (extra
+        ``remote``): the file is made and proved on this machine, then uploaded.
     max_error : float, optional
         Largest allowed error (<=) in physical units, after scale and offset; >= 0. 0 keeps every
         bit. By default lossless if the heights are in whole steps (metres, centimetres, feet),
-        otherwise 0.01 m, or less: docs/choosing-a-bound.md has the rules, and `notes` of the
-        result say which one was used.
+        otherwise 0.01 m, or less: `notes` of the result give the rule that was used
+        (docs/choosing-a-bound.md).
     method : str, Rapid, Predictive, Cdf97, Cdf53 or Store
         ``"rapid"``, ``"predictive"``, ``"cdf97"``, ``"cdf53"``, ``"store"`` or ``"auto"``, which
         means rapid; or a method with its options, such as ``tw.Cdf97(faithful=True)``. Files of
@@ -143,46 +141,45 @@ def compress(
     block : int
         Cells per side of a block: 32, 64, … 1024.
     effort : str
-        ``"fast"``, ``"default"`` or ``"best"``: how many ways of coding methods predictive and
-        cdf97 try. Without a method, best selects predictive. Other methods ignore it.
+        ``"fast"``, ``"default"`` or ``"best"``: number of variants that predictive and cdf97 try.
+        Without a method, best selects predictive. Other methods ignore it.
     nodata : float or str, optional
         A value that marks voids, besides the raster's own. ``"only:V"`` takes the number V instead
-        of the raster's own, ``"none"`` no value; a note counts samples that become heights so.
+        of the raster's own, ``"none"`` none at all; a note counts the samples that become heights.
     band : int, optional
-        Band to compress, from 1.
+        Band to compress; the first is 1.
     georeference : bool
-        False compresses the heights without georeference and CRS, for example those of a
-        curvilinear grid, which are refused otherwise.
+        False drops georeference and CRS. Heights on a curvilinear grid can be compressed only so.
     heights_are : {"height", "depth", "radius"}, optional
-        What the numbers are; the file keeps it. Depths go down, radii count from the centre of the
-        body; both are stored as they are and turned on the globe, in meshes and views. By default
-        told from ``positive``, CF names, the format and the CRS's vertical axis, or, of radii, from
-        the numbers themselves (docs/where-things-are.md).
+        Meaning of the numbers, which the file records. Depths count downwards, radii from the
+        centre of the body; both are stored unchanged and converted to heights on the globe, in
+        meshes and in views. By default derived from ``positive``, CF names, the format and the
+        CRS's vertical axis; radii are recognised by their size (docs/where-things-are.md).
     mesh : str, Zerotree or Rqt
-        Triangulation of every block. ``"halves"`` (``"auto"``) is computed when it is read, and so
-        is its error (see `measure_meshes`). ``"zerotree"`` is the guaranteed triangulation of
-        Yusov & Turlapov 2010, stored as labels; with method cdf97 it follows zero trees. ``"rqt"``
-        is a restricted quadtree, which stores some vertices of borders. ``"none"`` makes no meshes.
-        zerotree and rqt have options, such as ``tw.Zerotree(labels="layer")``, and making them
-        takes memory that grows with the raster (`mesh.sections.make_sections`).
+        Triangulation of every block. ``"halves"`` (``"auto"``) is computed by readers, as is its
+        error (see `measure_meshes`). ``"zerotree"`` is the guaranteed triangulation of Yusov &
+        Turlapov 2010, stored as labels; with method cdf97 it follows zero trees. ``"rqt"`` is a
+        restricted quadtree; it stores some border vertices. ``"none"`` makes no meshes. zerotree
+        and rqt have options, such as ``tw.Zerotree(labels="layer")``, and making them takes memory
+        that grows with the raster (`mesh.sections.make_sections`).
     mesh_error : float, optional
         Largest vertical distance of the finest meshes from the decoded heights, in physical units.
         By default the guaranteed error, or the vertical quantum if that is larger (for lossless
-        heights that are on no vertical grid, the bound that these have by default).
+        heights without a quantum, their default bound).
     measure_meshes : bool
-        Make all meshes and store how far each is from the original. By default a file of `halves`
-        stores no errors of meshes above the finest level: who makes such a mesh finds a bound for
-        it, on average 1.7 times the true error. Measuring takes about as long as all the rest.
-        The other kinds of meshes are always measured, as are files of ``Cdf97(faithful=True)``;
+        Make all meshes and store their distances from the original. By default a file of `halves`
+        stores no mesh errors above the finest level: readers compute a bound with the mesh, on
+        average 1.7 times the true error. Measuring takes about as long as all the rest. The other
+        kinds of meshes are always measured, as are files of ``Cdf97(faithful=True)``;
         `store_meshes` measures the meshes of a file later.
     height_range : tuple of two floats, optional
-        Lowest and highest height that the file can hold, in physical units, besides its own: for
-        a later `patch`. By default a file holds the range of the raster, and `patch` refuses
-        heights outside it. A wider range costs few bytes, if any, unless it is so wide that floats
-        at its ends are too coarse for the bound: the file is then exact, and larger, which a note
-        says. Not for streams that are cut; a raster of voids alone has no range, as a note says.
+        Range of heights, in physical units, that a later `patch` may need. By default a file holds
+        the range of the raster, and `patch` refuses heights outside it. A wider range costs few
+        bytes, unless floats at its ends are too coarse for the bound: then the file is exact, and
+        larger, and a note says so. Not for streams that are cut; without effect, but with a note,
+        if the raster has only voids.
     strict : bool
-        For floats on a decimal grid (0.1, 0.01 …), keep the bound for the stored floats:
+        For floats on a decimal grid (0.1, 0.01 …), apply the bound to the stored floats:
         ``abs(decoded - original) <= max_error``, exactly and as numpy computes it in their type. By
         default the bound holds for the decimal numbers, and floats may differ by one float spacing
         more. With `strict`, decoded heights may be off the grid, and files become larger
@@ -194,15 +191,15 @@ def compress(
         `strict`. Files become larger (docs/integrations.md). Not with method cdf53, nor with
         ``Cdf97(faithful=True)``.
     keep_origin : bool
-        Store a digest of the heights and these options in the metadata, by which
-        ``compress --skip-existing`` recognises the file. ``compress --to`` always does.
+        Store a digest of the heights and these options in the metadata, which ``compress
+        --skip-existing`` compares. ``compress --to`` always stores it.
     digest : bool, optional
-        Store digests (SHA-256) of the decoded heights: `Terrain.digest` gives the one that stands
-        for all heights and where they lie, `verify` compares it. 40 bytes, and 32 more for each
-        4096 x 4096 samples. By default as `verify`, whose decoding they come from.
+        Store digests (SHA-256) of the decoded heights: `Terrain.digest` returns the one for all
+        heights and their position, `verify` checks it. They take 40 bytes, and 32 more for each
+        4096 x 4096 samples. The default is that of `verify`, because the proof computes them.
     temp_dir : path, optional
-        Directory for large temporary data; by default beside `dst`. With `client`, a path or a URL
-        that fsspec can write to and that all workers can use.
+        Directory for large temporary data; by default that of `dst`. With `client`, a path or URL
+        that all workers can write to.
     verify : bool
         Decode the file and compare every sample before it replaces `dst`.
     threads : int, optional
@@ -210,14 +207,12 @@ def compress(
     overwrite : bool
         Replace an existing `dst`.
     fresh : bool
-        Remove what an earlier run of the same call has left, instead of going on from there.
+        Discard unfinished work of an earlier run instead of continuing it.
     client : dask.distributed.Client or concurrent.futures.Executor, optional
-        Compress on the workers of a cluster, which must be able to read the paths `src` and `dst`.
-        The bytes are the same. Not with method cdf53.
+        Compress on the workers of a cluster, which need access to `src` and `dst`. The bytes are
+        the same. Not with method cdf53.
     task_samples : int, optional
         With `client`: the smallest number of samples of a task, by default 4096 x 4096.
-    on_task : callable, optional
-        With `client`: called with a `TaskReport` whenever an attempt at a task has ended.
     progress : callable, optional
         Called with a `Progress` at most ten times a second, from one thread at a time.
 
@@ -238,9 +233,9 @@ def compress(
     -----
     O(n_rows * n_cols) time; memory O(threads * block^2 * levels), whatever the size of the raster.
 
-    A run that fails, is interrupted or killed leaves its finished work in `temp_dir`, or beside
-    `dst`. The same call goes on from there (docs/how-to/resume.md). Not with `client`, and not for
-    rasters below 2^26 samples.
+    A run that fails, is interrupted or killed leaves its finished work in `temp_dir`, or next to
+    `dst`. The same call continues it (docs/how-to/resume.md). This needs 2^26 samples or more, and
+    no `client`.
     """
     options = Options(
         max_error=max_error,
@@ -259,7 +254,6 @@ def compress(
         threads=threads,
     )
     check_flags(overwrite=overwrite, fresh=fresh)
-    check_callback(on_task, "on_task", "a TaskReport")
     if task_samples is not None:
         task_samples = checked_whole("task_samples", task_samples, least=1)
     if temp_dir is not None:
@@ -271,9 +265,11 @@ def compress(
         is_remote = temp_dir is not None and "://" in os.fspath(temp_dir)
         raster = shared_raster(src, band, nodata, heights_are)
         url, temp_dir = (temp_dir, None) if is_remote else (None, temp_dir)
-        cluster = _Cluster(Workers(client, on_task), raster, url, task_samples or TASK_SAMPLES)
-    else:
-        _refuse_tasks(task_samples, on_task)
+        cluster = _Cluster(Workers(client), raster, url, task_samples or TASK_SAMPLES)
+    elif task_samples is not None:
+        raise InvalidArgumentError(
+            f"found `task_samples` {task_samples} without a client, expected both or none of them"
+        )
     check_ending(dst, TWZ_ENDINGS, or_url=True)
     refuse_own_source(src, dst)
     refuse_raster(dst)
@@ -328,7 +324,7 @@ def compress_to_bytes(
     verify: bool = True,
     threads: int | None = None,
 ) -> bytes:
-    """Compress to bytes instead of a file; `Terrain` opens them as it opens a file.
+    """Compress to bytes, which `Terrain` opens like a file.
 
     For arrays that fit into memory: chunks of a store, cells of a database. Options, bound and
     errors are those of `compress`, except that `mesh` is ``"none"`` and `digest` False by default.
@@ -357,13 +353,6 @@ def compress_to_bytes(
     return file.getvalue()
 
 
-def _refuse_tasks(task_samples: int | None, on_task: TaskCallback | None) -> None:
-    """Raise `InvalidArgumentError` for options of a cluster without one."""
-    if task_samples is not None or on_task is not None:
-        found = "`on_task`" if task_samples is None else f"`task_samples` {task_samples}"
-        raise InvalidArgumentError(f"found {found} without a client, expected both or none of them")
-
-
 def _url_beside_client(name: str) -> InvalidArgumentError:
     """Return the error for a target that workers cannot write to."""
     return InvalidArgumentError(
@@ -384,7 +373,7 @@ def _refuse_tiles(options: Options) -> None:
 def _made(
     name: str, *, overwrite: bool, temp_dir: str | os.PathLike[str] | None
 ) -> AbstractContextManager[Part]:
-    """Give a file to write that appears under its name, or at its URL, when the block ends."""
+    """Yield a file to write; it gets its name, or is uploaded, when the block ends."""
     if "://" in name:
         return uploaded(name, overwrite=overwrite, temp_dir=temp_dir)
     return publish(name, overwrite=overwrite)
@@ -401,7 +390,7 @@ def _directory(
     fresh: bool,
     is_kept: bool,
 ) -> Iterator[tuple[Path, Kept]]:
-    """Give a directory for temporary files, and what earlier runs have left; nobody else writes."""
+    """Yield a directory for temporary files, locked, and the finished work of earlier runs."""
     is_url = "://" in name
     final = Path(name) if is_url else Path(os.path.realpath(name))
     beside = Path(tempfile.gettempdir()) if is_url else final.parent
@@ -422,7 +411,7 @@ def _warn_of(notes: list[str]) -> None:
 
 @dataclass(frozen=True)
 class _Written:
-    """What a finished file keeps; errors in physical units."""
+    """Contents of a finished file that its user needs; errors in physical units."""
 
     method: str
     max_error: float
@@ -442,10 +431,7 @@ def _write(
     cluster: "_Cluster | None" = None,
     kept: Kept | None = None,
 ) -> _Written:
-    """Write the .twz of `source` to `file` and prove it.
-
-    `path` is where `file` lies; None for one in memory.
-    """
+    """Write the .twz of `source` to `file`, whose path is `path` (None in memory), and prove it."""
     grid = Grid(source.info.n_rows, source.info.n_cols, options.block)
     with Crew(options.n_threads) as executor:
         has_digest = options.keep_origin
@@ -455,14 +441,14 @@ def _write(
         with closing(made) as passes:
             left = for_heights_of(source, options)
             scan = passes.scan(fixed_steps(left, source.info))
-            info, marks = source.settled(scan.minimum, scan.maximum)
+            info, marks = source.with_meaning(scan.minimum, scan.maximum)
             marks += note_on_undeclared(source, scan.minimum, scan.maximum)
             marks += note_on_marks(source, scan.minimum, scan.maximum)
             earlier = earlier_of(source, options, scan.steps)
             job, notes = settled(left, scan, info, earlier)
             coded = _coded(passes, job, options.choice, source.info.n_bytes)
             if coded.job.options.named_method != options.named_method:
-                notes.append("the heights do not compress: stored as they are")
+                notes.append("the heights do not compress: stored raw")
             job = coded.job
             header = job.header(coded.file_tables)
             extents = assemble(file, header, coded.segments)
@@ -488,7 +474,7 @@ def _write(
 def _coded(
     passes: LocalPasses | DistributedPasses, job: Job, choice: MethodChoice, n_raw: int
 ) -> Coded:
-    """Return the raster coded by the chosen method, or as the choice says for larger than raw."""
+    """Return the raster coded by the chosen method, or the fallback if larger than raw."""
     own, _, reason, other = choice
     coded = passes.encode(job)
     if other is not None and coded.n_bytes > n_raw:
@@ -499,7 +485,7 @@ def _coded(
 
 
 class _Cluster(NamedTuple):
-    """Who does tasks, the raster as it sees it, and a URL of the depot if it is not local."""
+    """Workers, the raster as they open it, and the URL of the depot (None if it is local)."""
 
     workers: Workers
     raster: RasterPlace
@@ -518,7 +504,7 @@ def _passes(
     *,
     has_digest: bool,
 ) -> LocalPasses | DistributedPasses:
-    """Return the passes of this process, or of a cluster where there is enough for a task."""
+    """Return the passes of a cluster, or of this process if the raster is too small for a task."""
     level = None if cluster is None else task_level(grid, cluster.task_samples)
     if cluster is None or level is None:
         return LocalPasses(source, directory, executor, reporter, has_digest, kept or Kept())
@@ -537,7 +523,7 @@ def _passes(
 
 
 def _depot_root(url: str | os.PathLike[str] | None, directory: Path) -> str:
-    """Return where tasks leave their results: below a URL, or in a directory of this machine."""
+    """Return the place of the tasks' results: below a URL, or in a local directory."""
     if url is not None:
         return f"{os.fspath(url).rstrip('/')}/{directory.name}"
     depot = directory.absolute() / "depot"

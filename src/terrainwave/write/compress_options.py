@@ -1,4 +1,4 @@
-"""`Options`: what `compress` is asked for, checked where it is made and handed on whole."""
+"""`Options`: the options of `compress`, checked when they are made."""
 
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
@@ -20,15 +20,15 @@ from terrainwave.tri.mesh_options import MeshOptions, check_mesh, stored_mesh
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """Options of `compress`, which says what they mean.
+    """Options of `compress`; its docstring describes them.
 
-    Once made, `method` is the method's own options, and `mesh_kind` the kind of meshes that files
-    hold, as `names.MESHES` has it.
+    After construction `method` holds the method's own options, and `mesh_kind` the kind of meshes
+    that the file gets, as in `names.MESHES`.
 
     Raises
     ------
     InvalidArgumentError
-        If one of them, or two together, cannot be; the message says what was found and expected.
+        If an option, or a combination, is invalid; the message says what was found and expected.
     """
 
     max_error: float | None = None
@@ -50,17 +50,17 @@ class Options:
 
     def __post_init__(self) -> None:
         blocks = f"one of {', '.join(map(str, BLOCKS))}"
-        settled: dict[str, Any] = {
+        checked: dict[str, Any] = {
             "max_error": checked_error("max_error", self.max_error),
             "mesh_error": checked_error("mesh_error", self.mesh_error),
             "block": checked_whole("block", self.block, expected=blocks),
         }
         if self.height_range is not None:
-            settled["height_range"] = _checked_range(self.height_range)
-        if settled["block"] not in BLOCKS:
-            raise InvalidArgumentError(f"found `block` {settled['block']}, expected {blocks}")
+            checked["height_range"] = _checked_range(self.height_range)
+        if checked["block"] not in BLOCKS:
+            raise InvalidArgumentError(f"found `block` {checked['block']}, expected {blocks}")
         if self.threads is not None:
-            settled["threads"] = checked_threads(self.threads)
+            checked["threads"] = checked_threads(self.threads)
         flags = [field.name for field in fields(self) if isinstance(field.default, bool)]
         check_flags(**{name: getattr(self, name) for name in flags})
         if self.digest is not None:
@@ -71,13 +71,13 @@ class Options:
                 " the proof decodes"
             )
         choice = chosen(self.method, self.effort)
-        settled |= {"method": choice.own, "effort": choice.effort, "choice": choice}
+        checked |= {"method": choice.own, "effort": choice.effort, "choice": choice}
         if not self.mesh_kind:
             check_mesh(self.mesh, or_none=True)
-            settled["mesh_kind"] = stored_mesh(
+            checked["mesh_kind"] = stored_mesh(
                 self.mesh, choice.own.method, is_faithful=getattr(choice.own, "faithful", False)
             )
-        for name, value in settled.items():
+        for name, value in checked.items():
             object.__setattr__(self, name, value)
         self._check_goals()
 
@@ -115,53 +115,52 @@ class Options:
             )
 
     def to_metadata(self) -> dict[str, Any]:
-        """Return what files are made differently by, or checked; plain values for JSON."""
+        """Return the options that affect files or the proof, as plain values for JSON."""
         values = {field.name: getattr(self, field.name) for field in fields(self) if field.init}
         values |= {name: getattr(self, name) for name in _OF_METHODS}
         values |= {"method": self.named_method.name, "mesh": values.pop("mesh_kind")}
         return {
             name: value
             for name, value in values.items()
-            # By identity: a bound of 0 equals False.
+            # Compared by identity: a bound of 0 equals False.
             if name not in ("threads", "keep_origin") and value is not None and value is not False
         }
 
     def with_method(self, method: Method, mesh: str) -> "Options":
-        """Return the options with another method and other stored meshes; all else stays."""
+        """Return the options with another method and other stored meshes."""
         return replace(self, method=with_method(self.choice.own, method), mesh_kind=mesh)
 
     @property
     def named_method(self) -> Method:
-        """Return the method."""
         return self.choice.own.method
 
     @property
     def measures_meshes(self) -> bool:
-        """Say whether all meshes are made and measured against the original.
+        """Return whether all meshes are made and measured against the original.
 
-        Those that files store are, and those of files that follow a paper, whose errors it defines.
+        True for stored kinds, and for files that follow a paper, which defines their errors.
         """
         asked = self.measure_meshes or self.faithful or self.mesh_kind != DEFAULT_MESH
         return asked and self.mesh_kind != "none"
 
     @property
     def border_rings(self) -> int:
-        """Return how many rings of samples neighbouring blocks share."""
+        """Return the number of rings of samples that neighbouring blocks share."""
         return getattr(self.method, "border_rings", 1)
 
     @property
     def faithful(self) -> bool:
-        """Say whether the file follows its method's paper."""
+        """Return whether the file follows its method's paper."""
         return getattr(self.method, "faithful", False)
 
     @property
     def rate(self) -> float | None:
-        """Return the bits per sample that the file may take, where that is its goal."""
+        """Return the goal in bits per sample, if any."""
         return getattr(self.method, "rate", None)
 
     @property
     def psnr(self) -> float | None:
-        """Return the decibels that the file must reach, where that is its goal."""
+        """Return the goal in decibels, if any."""
         return getattr(self.method, "psnr", None)
 
     @property
@@ -171,22 +170,22 @@ class Options:
 
     @property
     def is_embedded(self) -> bool:
-        """Say whether streams are cut by size or mean error, not by a bound."""
+        """Return whether streams are cut by size or mean error instead of by a bound."""
         return self.rate is not None or self.psnr is not None
 
     @property
     def n_threads(self) -> int:
-        """Return how many threads encode."""
+        """Return the number of threads that encode."""
         return checked_threads(self.threads)
 
     @property
     def makes_digests(self) -> bool:
-        """Say whether the file gets digests of its heights."""
+        """Return whether the file gets digests of its heights."""
         return self.verify if self.digest is None else self.digest
 
     @property
     def notes(self) -> list[str]:
-        """Return remarks on options that change nothing."""
+        """Return remarks on options without effect."""
         notes = []
         if self.mesh_error is not None and self.mesh_kind == "none":
             notes.append("the mesh error changes nothing: the file gets no meshes")
@@ -207,12 +206,12 @@ class Options:
         ]
 
 
-# What `to_metadata` states beside the fields of `Options`, of any method.
+# Options of methods that `to_metadata` adds to the fields of `Options`.
 _OF_METHODS = ("rate", "psnr", "border_rings", "faithful")
 
 
 def _checked_range(found: Any) -> tuple[float, float]:
-    """Return the lowest and the highest height that a file shall be able to hold.
+    """Return the lowest and the highest height that the file must be able to hold.
 
     Raises
     ------

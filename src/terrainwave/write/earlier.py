@@ -1,11 +1,11 @@
-"""What heights had lost before: those of a .twz file, or of an array that came out of one.
+"""Earlier losses of heights: of those in a .twz file, and of arrays read from one.
 
-Of a .twz file the bound is known, and what `compress` is asked for is the bound from the original:
-the new loss may be what is left of it.
+A .twz file states its bound, and `max_error` is the bound from its original: the new loss may use
+the rest.
 
-An array names the file that it came from, and goes on naming it when its heights have become
-others: xarray keeps encodings. So a bound counts only where the heights have been compared with
-those of the file, and are the same. It adds to the bound that is asked for.
+An array names the file that it came from, even after its heights have changed, because xarray keeps
+encodings. So that bound counts only if the heights equal those of the file. It is added to the
+requested bound.
 """
 
 import os
@@ -29,21 +29,21 @@ from terrainwave.write.compress_options import Options
 
 
 class Earlier(NamedTuple):
-    """What heights had lost before.
+    """Earlier loss of some heights.
 
     Parameters
     ----------
     error : float
-        How far they may be from an original already, in physical units.
+        Largest distance from the original so far, in physical units.
     is_still : bool
-        They lie on fixed steps, where they stay: the new file loses nothing of them.
+        The heights lie on fixed steps already: the new file loses nothing.
     note : str
-        What a user should know of it; empty where nothing is claimed.
+        Remark for the user; empty if no loss is known.
     files : tuple of EarlierFile
         The .twz files that they went through.
     asked : Options, optional
-        What was asked of the bound from the original; None where that is not known, and the bound
-        that is asked for is the one from the heights.
+        Options with the bound from the original; None if that is unknown, and the requested bound
+        is the one from the heights.
     """
 
     error: float = 0.0
@@ -53,7 +53,7 @@ class Earlier(NamedTuple):
     asked: Options | None = None
 
     def beyond(self, own: float) -> tuple[float, list[str]]:
-        """Return what a file's bound is larger by than `own`, that from the heights; and notes."""
+        """Return the amount to add to `own`, the bound from the heights; and notes."""
         if not self.error:
             return 0.0, [self.note] * bool(self.note)
         if self.asked is not None and not self.asked.is_embedded:
@@ -68,9 +68,9 @@ NOTHING = Earlier()
 
 
 def for_heights_of(source: RasterSource, options: Options) -> Options:
-    """Return the options with the bound from the heights as they are; as given for rasters.
+    """Return the options with the bound from the given heights; unchanged for rasters.
 
-    Without a bound, heights of .twz files are kept as they are.
+    Without a bound, heights of .twz files are stored without loss.
 
     Raises
     ------
@@ -100,10 +100,10 @@ def for_heights_of(source: RasterSource, options: Options) -> Options:
 
 
 def earlier_of(source: RasterSource, asked: Options, steps: FixedSteps | None) -> Earlier:
-    """Return what heights had lost before.
+    """Return the earlier loss of heights.
 
-    Where an array came from a lossy file, reads the heights once more, and the file; else nothing.
-    `steps` are those that heights will be rounded to.
+    For an array from a lossy file this reads the heights, and the file. `steps` are the steps that
+    heights will be rounded to.
     """
     loss = source.earlier
     if loss is not None:
@@ -120,7 +120,8 @@ def earlier_of(source: RasterSource, asked: Options, steps: FixedSteps | None) -
         return NOTHING
     try:
         with TerrainFile(path) as terrain:
-            # Levels of a lossless file have errors; it is no reason to read its full grid.
+            # Coarse levels of a lossless file have errors, but reading its full grid for them costs
+            # too much.
             if not terrain.effective_error and _is_of_full_grid(terrain, source.info):
                 return NOTHING
             bound = _bound_of(terrain, source)
@@ -138,7 +139,7 @@ def earlier_of(source: RasterSource, asked: Options, steps: FixedSteps | None) -
 
 
 def _of_file(terrain: TerrainFile, bound: float, is_still: bool) -> Earlier:
-    """Return what heights of a file had lost, `bound`."""
+    """Return the loss `bound` of heights of a file."""
     if not bound:
         return NOTHING
     return Earlier(
@@ -154,10 +155,10 @@ def _of_file(terrain: TerrainFile, bound: float, is_still: bool) -> Earlier:
 
 
 def bound_of(source: RasterSource) -> float | None:
-    """Return the bound of an array's heights, if they are those of the file that it came from.
+    """Return the bound of an array's heights if they equal those of the file that it came from.
 
-    Reads both. The bound is from the file's original, in its unit. None where values, voids or
-    place are others, and where the array names no file.
+    Reads both. The bound is from the file's original, in its unit. None if values, voids or
+    position differ, or the array names no file.
 
     Raises
     ------
@@ -175,7 +176,7 @@ def _bound_of(terrain: TerrainFile, source: RasterSource) -> float | None:
     is_scaled = (info.scale, info.offset) != (1.0, 0.0)
     if is_scaled and (info.scale, info.offset) != (theirs.scale, theirs.offset):
         return None
-    # What is not said may have got lost on the way.
+    # Missing units may have got lost on the way.
     if info.units is not None:
         unit, own = height_unit(info.units, info.crs), height_unit(theirs.units, theirs.crs)
         if own.name is None or meeting(source.name, unit, str(terrain.name), own).problem:
@@ -190,19 +191,19 @@ def _bound_of(terrain: TerrainFile, source: RasterSource) -> float | None:
 
 
 def _strides(terrain: TerrainFile, level: int, info: RasterInfo) -> Strides | None:
-    """Return where all of an array lies on the samples of a level; None if it doesn't."""
+    """Return the position of an array on the samples of a level; None if it has none."""
     place = tuple(terrain.transform_of(level)[:6])
     return strides_on(info.transform, (info.n_rows, info.n_cols), place)
 
 
 def _is_of_full_grid(terrain: TerrainFile, info: RasterInfo) -> bool:
-    """Say whether an array lies on neighbouring samples, which coarser levels don't have."""
+    """Return whether an array has neighbouring samples, which coarser levels lack."""
     strides = _strides(terrain, terrain.n_levels - 1, info)
     return strides is not None and abs(strides.row_stride) == abs(strides.col_stride) == 1
 
 
 def _has_same_heights(terrain: TerrainFile, level: int, source: RasterSource) -> bool:
-    """Say whether all of an array is samples of a level, at the places that it says."""
+    """Return whether an array equals samples of a level at the positions that it states."""
     info, theirs = source.info, terrain.raster_info
     is_stored = (info.scale, info.offset) == (theirs.scale, theirs.offset)
     n_rows, n_cols = terrain.level_shape(level)
@@ -221,14 +222,14 @@ def _has_same_heights(terrain: TerrainFile, level: int, source: RasterSource) ->
         if not np.array_equal(is_valid[at], valid):
             return False
         physical = stored[at] if is_stored else theirs.to_physical(stored[at])
-        # As numbers: an array has them in the type that its voids or its scale need.
+        # Compared as numbers: voids or a scale may have changed the array's type.
         if not np.array_equal(physical[valid], heights[valid]):
             return False
     return True
 
 
 def _is_on(source: RasterSource, steps: FixedSteps) -> bool:
-    """Say whether all heights lie on steps already."""
+    """Return whether all heights lie on steps already."""
     for region in source.blocks():
         heights, valid = source.read(*region)
         if not np.array_equal(steps.rounded(heights)[valid], heights[valid]):
@@ -237,7 +238,7 @@ def _is_on(source: RasterSource, steps: FixedSteps) -> bool:
 
 
 def _samples(first: int, stride: int, begin: int, n: int) -> NDArray[np.int64]:
-    """Return the file's rows or columns that a window of the array is of."""
+    """Return the file's rows or columns in a window of the array."""
     return first + stride * np.arange(begin, begin + n, dtype=np.int64)
 
 

@@ -1,8 +1,8 @@
 """Pass B: code the units top down in a closed loop, depth first.
 
-A unit needs its parent's decoded block and nothing else, so the tree is walked with only the chain
-of decoded ancestors in memory, and subtrees run side by side, in threads of one process or on many
-machines. Nothing here depends on the order.
+A unit needs only its parent's decoded block. The walk holds one chain of decoded ancestors in
+memory, and subtrees run in parallel, in threads or on many machines. The result does not depend on
+their order.
 """
 
 import copy
@@ -35,22 +35,22 @@ from terrainwave.write.passes.repeats import RepeatingSink, Repeats
 from terrainwave.write.passes.resuming import KeptUnits
 from terrainwave.write.pyramid import Pyramid
 
-# Of levels with fewer blocks, threads share out units instead of subtrees.
+# On levels with fewer blocks, threads share units instead of subtrees.
 _MIN_SUBTREES = 8
 
 Stats = dict[Block, BlockStats]
 
 
 class PayloadSink(RepeatingSink, Protocol):
-    """Where finished payloads go; called from several threads, in any order."""
+    """Destination of finished payloads; called from several threads, in any order."""
 
     def leave_out(self, block: Block) -> None:
-        """Take note that all units below a block are void."""
+        """Record that all units below a block are void."""
         ...
 
 
 class _Taken:
-    """Keeps what is coded of a subtree, segments that are like others, too."""
+    """Keeps the payloads of a subtree, including those of repeated segments."""
 
     takes_repeats = False
 
@@ -71,8 +71,8 @@ class _Taken:
 def fitted_refiner(job: Job, heights: HeightsOf, mask: MaskOf, crew: Crew) -> tuple[Refiner, bytes]:
     """Return the refiner of a job's method, and the tables that are fitted to the raster.
 
-    `heights` and `mask` return targets and validity of a region of a level. The tables are empty
-    where the method has none, or no sample is valid. The threads of `crew` fit them.
+    `heights` and `mask` return targets and validity of a region of a level. The tables are empty if
+    the method has none, or no sample is valid. The threads of `crew` fit them.
     """
     refiner = refiner_by_name(job.options.named_method.name)
     if not isinstance(refiner, FittingRefiner) or not job.n_valid:
@@ -97,14 +97,14 @@ def distance_of(
     grid: Grid,
     limits: tuple[int, int] | None = None,
 ) -> int:
-    """Return the largest distance of valid originals of a core from a surface (`measure_block`)."""
+    """Return the largest distance of a core's valid originals from a surface (`measure_block`)."""
     stride = grid.stride(ancestor.block.level)
     row = core.row - ancestor.region.row * stride
     col = core.col - ancestor.region.col * stride
     return measure_block(ancestor.heights, stride, originals, mask, row, col, limits)
 
 
-# The key of a unit, the block above it as decoded, and that block's ancestors with it.
+# Key of a unit, the decoded block above it, and that block's ancestors including itself.
 Start = tuple[Block, Decoded | None, list[Ancestor]]
 
 
@@ -116,11 +116,11 @@ class UnitEncoder(ABC):
     on_samples : callable
         Called with the number of full-grid samples whose unit is finished, from any thread.
     last_level : int, optional
-        The finest level of blocks that is coded; by default all are.
+        The finest level to code; by default all levels.
     on_unit : callable, optional
         Called with the key of each unit and what it decodes to, from any thread.
     kept : KeptUnits, optional
-        Where coded subtrees are left for a later run, and taken from.
+        Store of coded subtrees, for a later run.
     """
 
     def __init__(
@@ -141,8 +141,8 @@ class UnitEncoder(ABC):
         self._on_samples = on_samples
         self._on_unit = on_unit
         self._last_level = grid.k_max if last_level is None else last_level
-        # Called, from any thread, with the head of a finest segment all of whose units are coded,
-        # and what was measured of the blocks below it, which is not kept then.
+        # Called, from any thread, with the head of a finest segment whose units are all coded, and
+        # the statistics of the blocks below it, which are then dropped.
         self.on_segment: Callable[[Block, Stats], None] | None = None
         self._stats: Stats = {}
         self._lock = threading.Lock()
@@ -150,9 +150,9 @@ class UnitEncoder(ABC):
         self._kept_units = kept
 
     def run(self, crew: Crew) -> Stats:
-        """Encode all down to the last level; return range and measured error of every block.
+        """Encode down to the last level; return range and measured error of every block.
 
-        Without the finest level nothing of the originals is measured.
+        Without the finest level, nothing is measured.
         """
         crew.grow(lambda start: self._encode_part(*start), self._starts())
         return self._stats
@@ -163,13 +163,13 @@ class UnitEncoder(ABC):
     def _encode_part(
         self, key: Block, parent: Decoded | None, chain: list[Ancestor]
     ) -> list[Start]:
-        """Encode a subtree, or of a large one the first unit; return what is left below it."""
+        """Encode a subtree, or the first unit of a large one; return the rest below it."""
         try:
             if key.is_root_key or math.prod(self._grid.level_blocks(key.level)) < _MIN_SUBTREES:
                 return self._encode_unit(key, parent, chain)
             self._encode_subtree(key, parent, chain)
         except BaseException:
-            # Ctrl-C, a full disk: subtrees that run in other threads end at their next unit.
+            # After Ctrl-C or on a full disk, subtrees in other threads end at their next unit.
             self._stopped.set()
             raise
         return []
@@ -177,8 +177,8 @@ class UnitEncoder(ABC):
     def run_subtree(self, head: Block, decoded: Callable[[Block], Decoded]) -> Stats:
         """Encode the groups of `head` and of all blocks below it, in this thread.
 
-        `decoded` returns `head` and its ancestors as decoded before. What is returned of ancestors
-        is what the originals below `head` tell of them.
+        `decoded` returns the decoded `head` and its ancestors. The statistics of ancestors cover
+        only originals below `head`.
         """
         chain = []
         for level in range(head.level + 1):
@@ -212,7 +212,7 @@ class UnitEncoder(ABC):
         return heads if heads[0].level == level else []
 
     def _finish_segments(self, heads: list[Block]) -> None:
-        """Pass on finest segments all of whose units are coded."""
+        """Pass on finest segments whose units are all coded."""
         for head in heads:
             if self.on_segment is None or self._stopped.is_set():
                 return
@@ -220,7 +220,7 @@ class UnitEncoder(ABC):
                 self.on_segment(head, self._taken_below(head))
 
     def _taken_below(self, head: Block) -> Stats:
-        """Take what was measured of the blocks of a segment, in which nothing comes any more."""
+        """Remove and return the statistics of a finished segment's blocks."""
         blocks = [
             block for key in self._grid.segment_groups(head) for block in self._grid.children(key)
         ]
@@ -228,9 +228,9 @@ class UnitEncoder(ABC):
             return {block: self._stats.pop(block) for block in blocks if block in self._stats}
 
     def _is_known(self, key: Block, parent: Decoded | None, chain: list[Ancestor]) -> bool:
-        """Say whether the source knows all below a block to be void, or of one height.
+        """Return whether the source knows that all below a block is void, or of one height.
 
-        Voids are left out then, and the units of one height passed on.
+        Voids are then left out, and units of one height passed on.
         """
         grid = self._grid
         if key.is_root_key or parent is None:
@@ -247,13 +247,13 @@ class UnitEncoder(ABC):
         return True
 
     def repeats(self, key: Block, parent: Decoded, chain: list[Ancestor], target: int) -> bool:
-        """Pass on all units below a block of one height, if it can be done: here it can't."""
+        """Pass on all units below a block of one height if possible; not in this class."""
         return False
 
     def _encode_kept(
         self, kept: KeptUnits, key: Block, parent: Decoded | None, chain: list[Ancestor]
     ) -> None:
-        """Take a subtree from what an earlier run has left, or encode it and leave it there."""
+        """Take a subtree from an earlier run's work, or encode and store it."""
         found = kept.load(key)
         if found is None:
             part = self.apart(chain)
@@ -277,22 +277,22 @@ class UnitEncoder(ABC):
         self._note(stats)
 
     def apart(self, chain: list[Ancestor]) -> Self:
-        """Return an encoder of a subtree below `chain` whose findings are its own."""
+        """Return an encoder of a subtree below `chain` with separate results."""
         part = copy.copy(self)
         part._stats, part._kept_units, part.on_segment = {}, None, None
         return part
 
     def found(self, chain: list[Ancestor]) -> dict[str, Any]:
-        """Return what `apart` has found besides statistics, as plain values for JSON."""
+        """Return the results of `apart` other than statistics, as plain values for JSON."""
         return {}
 
     def take(self, more: dict[str, Any]) -> None:  # noqa: B027  most find nothing more
-        """Take in what another encoder has `found`; called with the lock."""
+        """Merge the `found` of another encoder; the caller holds the lock."""
 
     def _encode_unit(
         self, key: Block, parent: Decoded | None, chain: list[Ancestor]
     ) -> list[Start]:
-        """Encode one unit; return what is to be encoded below it."""
+        """Encode one unit; return the units below it."""
         grid = self._grid
         spec = unit_spec(grid, self._parameters, key)
         target, mask = self._pyramid.targets(spec.level, spec.region)
@@ -322,7 +322,7 @@ class UnitEncoder(ABC):
     def code_unit(
         self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
     ) -> tuple[bytes, Decoded]:
-        """Return the payload of a unit and what it decodes to."""
+        """Return the payload and the decoded form of a unit."""
 
     def measured(self, region: Region, mask: Mask) -> Mask:
         """Return which samples of a region of the full grid are originals: all valid ones."""
@@ -365,7 +365,7 @@ class UnitEncoder(ABC):
             region = grid.block_region(block)
             at = region._replace(row=region.row - spec.core.row, col=region.col - spec.core.col)
             by_block[block] = measure_samples(originals, mask, heights, at)
-            # Blocks share a row or column of samples.
+            # Neighbouring blocks share a row or column of samples.
             whole.merge(by_block[block])
         for ancestor in chain:
             error = 0
@@ -376,7 +376,7 @@ class UnitEncoder(ABC):
         self._note(by_block)
 
     def _note(self, found: Stats) -> None:
-        """Take in what is known of blocks."""
+        """Merge results for blocks."""
         with self._lock:
             for block, stats in found.items():
                 self._stats.setdefault(block, BlockStats()).merge(stats)
@@ -401,14 +401,14 @@ class TreeEncoder(UnitEncoder):
             self._repeats = Repeats(grid, parameters, self.code_unit)
 
     def repeats(self, key: Block, parent: Decoded, chain: list[Ancestor], target: int) -> bool:
-        """Pass on all units below a block of one height, if they are of one height, too."""
+        """Pass on all units below a block of one height if they have one height as well."""
         if self._repeats is None:
             return False
         below = self._repeats.code(key, parent, target, self._sink)
         if below is None:
             return False
-        # How far it is from the blocks above is told by the samples of its level, between which
-        # their surfaces are linear.
+        # The samples of this level suffice to measure the distance from coarser blocks, whose
+        # surfaces are linear between them.
         region = self._grid.block_region(key)
         heights = np.full(region.shape, target, dtype=np.int32)
         mask = np.ones(region.shape, dtype=np.bool_)
@@ -425,7 +425,6 @@ class TreeEncoder(UnitEncoder):
     def code_unit(
         self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
     ) -> tuple[bytes, Decoded]:
-        """Return the payload of a unit and what it decodes to."""
         rest = partial(self._pyramid.remainders, spec.region) if spec.remainder_bytes else None
         own = None
         if spec.has_voids and not spec.is_finest:
@@ -434,5 +433,5 @@ class TreeEncoder(UnitEncoder):
         return encode_unit(self._refiner, spec, parent, target, mask, rest, own, kept)
 
     def kept(self, key: Block, spec: GroupSpec, target: Heights, mask: Mask) -> Heights | None:
-        """Return which heights of a unit must come back as they are (`encode_unit`)."""
+        """Return the heights of a unit that must come back exactly (`encode_unit`)."""
         return None

@@ -47,7 +47,7 @@ _FINE_BITS = 18
 
 @dataclass(frozen=True)
 class Job:
-    """What is settled once a raster has been scanned: plain values, the same on every machine.
+    """Settings of a run after the scan: plain values, the same on every machine.
 
     Attributes
     ----------
@@ -58,8 +58,8 @@ class Job:
     n_valid : int
         Samples of the raster that are valid.
     measured : float, optional
-        The bound that holds where the quantizer does not tell it, in raw units: of an embedded
-        file, once it is known, and where heights give way to the nodata value.
+        The bound that holds where it does not follow from the quantizer, in raw units: of an
+        embedded file, once it is known, and where heights give way to the nodata value.
     earlier : EarlierLoss
         How far the raster itself may be from an original that it was made of; of heights that do
         not move, beyond the file's own bound.
@@ -287,7 +287,7 @@ def fixed_steps(options: Options, info: RasterInfo) -> FixedSteps | None:
 def settled(
     options: Options, scan: HeightScan, info: RasterInfo, earlier: Earlier = NOTHING
 ) -> tuple[Job, list[str]]:
-    """Return the job for a raster that has been scanned, and what a user should know of it.
+    """Return the job for a scanned raster, and notes for the user.
 
     `options` have the bound from the raster, `earlier` what was asked of that from its original.
 

@@ -20,9 +20,9 @@ from terrainwave.write.passes.windows import Windows, check_free_space, scan_win
 
 @dataclass
 class LocalPasses:
-    """The passes over `source`, in the threads of `executor`; large data in `directory`.
+    """Passes over `source`, in the threads of `executor`; large data in `directory`.
 
-    What `kept` has of an earlier run is not done again.
+    Work that `kept` has from an earlier run is not repeated.
     """
 
     source: RasterSource
@@ -35,7 +35,7 @@ class LocalPasses:
 
     @property
     def windows(self) -> Windows:
-        """Return the raster's windows; there are some once it has been scanned."""
+        """Return the raster's windows, once it has been scanned."""
         assert self._windows is not None
         return self._windows
 
@@ -43,7 +43,7 @@ class LocalPasses:
         """Return range, validity and vertical quantum of every sample, and a digest if wanted."""
         check_free_space(self.source, self.directory, self.kept.n_bytes)
         by_heights = is_by_heights(self.kept)
-        # What other heights may have been read of is not kept.
+        # Records that may be of other heights are not used.
         kept = Kept() if by_heights else self.kept
         self._windows = Windows(self.source, self.directory, kept)
         first = self._windows.n_scanned()
@@ -69,6 +69,5 @@ class LocalPasses:
         return prove(path, job, self.windows, self.executor, self.reporter, self.kept)
 
     def close(self) -> None:
-        """Delete temporary data."""
         if self._windows is not None:
             self._windows.close()

@@ -1,4 +1,4 @@
-"""Add meshes to a finished file, without coding its heights again."""
+"""Add meshes to a finished file without coding its heights again."""
 
 import logging
 import os
@@ -54,7 +54,7 @@ def store_meshes(
     src : path or URL
         A .twz file, with or without meshes.
     dst : path
-        The file to make, whose name ends in ``.twz``. It appears complete or not at all.
+        Output file, whose name ends in ``.twz``. It appears complete or not at all.
     mesh : str, Zerotree or Rqt
         As in `compress`, but not ``"none"``.
     mesh_error : float, optional
@@ -71,7 +71,7 @@ def store_meshes(
     Raises
     ------
     InvalidHeightsError
-        If an option cannot be used, or `original` is not what the file was made of.
+        If an option cannot be used, or `original` is not the raster that the file was made from.
     CorruptStreamError
         If the file is damaged; `dst` is untouched.
     StorageError
@@ -120,7 +120,7 @@ def store_meshes(
         spools = _copied(terrain, codes, directory, sections)
         extents = assemble(part.file, header, spools)
         digests = container.digests()
-        if digests is not None:  # of heights, which stay
+        if digests is not None:  # digests of heights, which do not change
             append_digests(part.file, header, extents, digests)
         for spool in spools.values():
             spool.close()
@@ -139,7 +139,7 @@ def _tolerance(terrain: TerrainFile, mesh_error: float | None) -> int:
 
 
 def _originals(terrain: TerrainFile, original: Any) -> tuple[Originals, Fraction]:
-    """Return the heights that meshes are measured against, and the quanta to add to errors."""
+    """Return the heights to measure meshes against, and the quanta to add to errors."""
     header, level = terrain.header, terrain.n_levels - 1
     rho = Fraction(header.rho) / header.quantum
     if original is None:
@@ -176,7 +176,7 @@ def _copied(
     directory: Path,
     sections: Mapping[Block, bytes] | None = None,
 ) -> dict[Block | None, SegmentSpool]:
-    """Return the file's payloads with new codes and mesh sections (None: its own)."""
+    """Return the file's payloads with new codes and mesh sections (None keeps its own)."""
     container, grid = terrain.container, terrain.grid
     spools: dict[Block | None, SegmentSpool] = {}
     for head in grid.segment_heads():

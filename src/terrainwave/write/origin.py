@@ -1,4 +1,4 @@
-"""Is a file what `compress` would make of a raster now? Asked before the work is done again."""
+"""Comparison of a file with the one that `compress` would make now, without making it."""
 
 import os
 from collections.abc import Iterator
@@ -28,9 +28,9 @@ def difference(
     progress: ProgressCallback | None = None,
     **options: Any,
 ) -> str | None:
-    """Return why the file at `path` is not what `compress` makes of `src`; None if it is.
+    """Return why `path` differs from the file that `compress` makes of `src`; None if equal.
 
-    The raster is read only where all else is the same. The last words of a sentence: "it …".
+    The reason completes a sentence: "it …". The raster is read only if all else is equal.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def difference(
     Raises
     ------
     TerrainwaveError
-        If the raster cannot be read, or an option cannot be.
+        If the raster cannot be read, or an option is invalid.
     """
     asked = Options(**options)
     try:
@@ -69,12 +69,12 @@ def difference(
         if files != (source.earlier.files if source.earlier else ()):
             return "it was made of another .twz file"
         scan = scan_windows(info, _windows(source), Reporter(progress), has_digest=True)
-        info = source.settled(scan.minimum, scan.maximum)[0]
+        info = source.with_meaning(scan.minimum, scan.maximum)[0]
         if info.heights_are != kind:
             return "its numbers mean something else"
     if origin != origin_of(asked, scan):
         return "it was made of other heights"
-    # Another version may have another rule for the default.
+    # Another version may have another default.
     if asked.max_error is None and not files and not asked.is_embedded:
         job, _ = settled(asked, scan, info)
         if job.raw_bound != header.max_error:

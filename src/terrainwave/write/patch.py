@@ -1,13 +1,13 @@
 """Bring a file up to date with a newer raster of all or part of its area. Start at `patch`.
 
-A file does not hold its originals, so that a group's source counts as changed where the decoded
-heights are no longer within the bound of the new raster, or voids differ. Such groups, and those
-whose parent's decoded heights have changed, are coded again with the file's own parameters; a
-sample whose prediction is as it was gets its old height again, as only one multiple of the step is
-within the bound. All other payloads are copied.
+A file does not hold its originals. So a group's source counts as changed if the decoded heights are
+not within the bound of the new raster, or voids differ. Such groups, and groups whose parent's
+decoded heights have changed, are coded again with the file's own parameters. A sample with an
+unchanged prediction gets its old height again, as only one multiple of the step is within the
+bound. All other payloads are copied.
 
-Beyond the new raster the target is the original, if it is given, else the stored height, which must
-come back as it is: where predictions have changed, corrections put it back (FORMAT.md §5.4,
+Beyond the new raster the target is the original, if given, else the stored height, which must come
+back exactly: where predictions have changed, corrections restore it (FORMAT.md §5.4,
 docs/decisions/0023).
 """
 
@@ -67,12 +67,12 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class PatchResult:
-    """What `patch` did; errors in physical units, of the whole file.
+    """Result of `patch`; errors in physical units, of the whole file.
 
     `effective_error` is the bound that the file now states. No height is further than
     `measured_error` from its original. It is measured where originals are known (the new raster,
-    and `original`); for other blocks it is the error that the file states. `notes` say what a user
-    should know.
+    and `original`); for other blocks it is the error that the file states. `notes` are remarks for
+    the user.
     """
 
     path: str
@@ -106,18 +106,18 @@ def patch(
     ----------
     path : path
         A file of method rapid or predictive. It is replaced at the end; programs that have it open
-        keep the old contents. If nothing differs, it stays as it is. From the .aux.xml next to it,
-        if any, old statistics are removed.
+        keep the old contents. If nothing differs, it is not touched. Old statistics are removed
+        from the .aux.xml next to it, if any.
     src : path, rasterio dataset, ndarray or xarray DataArray
         The new heights: all or part of the file's area, on its grid and in its CRS and type. An
         array without a georeference covers the whole file. Its voids become voids of the file.
     band, nodata, temp_dir, threads, fresh, progress
         As in `compress`.
     heights_are : {"height", "depth", "radius"}, optional
-        What the numbers of `src` are, whatever it says of them. Depths go into files of depths.
+        Meaning of the numbers of `src`; overrides its metadata. A file of depths takes only depths.
     original : path, rasterio dataset, ndarray or xarray DataArray, optional
         The raster that the file was made from, with all earlier patches (band 1). Heights that
-        `src` does not cover then stay within the bound of it. Without it they stay as they are.
+        `src` does not cover then stay within the bound of it. Without it they do not change.
 
     Returns
     -------
@@ -132,16 +132,16 @@ def patch(
         If `src` or `original` does not fit the file: heights in another unit, with the other sign
         (depths and heights) or beyond the file's range, voids in a file that cannot mark them, a
         valid height that equals the file's nodata value, heights between its vertical steps; or if
-        `original` is not what the file was made of.
+        `original` is not the raster that the file was made from.
     BoundViolationError
         If the proof fails. The file is untouched.
 
     Notes
     -----
-    The proof decodes the whole result. Where `src` is, every sample is within the bound of it.
-    Elsewhere it has exactly the height it had, in a lossy file too, and on coarse levels as well;
-    with `original`, every sample is within the bound, whatever the patches before. Takes about the
-    time of decoding and measuring the whole file, and that of coding what differs.
+    The proof decodes the whole result. Where `src` lies, every sample is within the bound of it.
+    Elsewhere heights do not change at all, in lossy files and on coarse levels too; with
+    `original`, every sample is within the bound of it, after any number of patches. A patch takes
+    the time to decode and measure the whole file and to code the changes.
     """
     n_threads = checked_threads(threads)
     check_flags(fresh=fresh)
@@ -217,12 +217,12 @@ def _refuse_unfit(path: str | os.PathLike[str], header: Header) -> None:
         )
 
 
-# What the metadata say of losses before: known again where a patch covers all.
+# Metadata on earlier losses, which are known again if a patch covers everything.
 _OF_BEFORE = ("moved", EARLIER)
 
 
 class _Patcher:
-    """The passes over a file that is patched."""
+    """Passes over a file that is patched."""
 
     def __init__(
         self,
@@ -253,11 +253,11 @@ class _Patcher:
         self._pyramid.kept = kept
         self.header = terrain.header
         self.is_changed = False
-        # What blocks of the full grid state that is not known by originals, in raw units.
+        # Largest stated error of finest blocks without originals, in raw units.
         self.stated_error = 0.0
 
     def code(self) -> tuple[int, int]:
-        """Fill the sink; return how many units were coded again, and how many copied."""
+        """Fill the sink; return the numbers of units coded again and copied."""
         self._pyramid.build(lambda *_: None)
         encoder = PatchEncoder(
             self._terrain, self._merged, self._pyramid, self.sink, self._count("patching"),
@@ -284,7 +284,7 @@ class _Patcher:
         old = replace(old, metadata=without_origin(old.metadata))
         if not old.moved or not self._merged.covers(Region(0, 0, *self._terrain.shape)):
             return old
-        # What was lost before is known again.
+        # Earlier losses are known again.
         metadata = {key: value for key, value in old.metadata.items() if key not in _OF_BEFORE}
         bound = old.quantizer.effective_error
         return replace(
@@ -292,7 +292,7 @@ class _Patcher:
         )
 
     def _asked_bound(self) -> float:
-        """Return the bound that was asked for when the file was made, in raw units."""
+        """Return the bound that the file was made with, in raw units."""
         header = self._terrain.header
         if not header.moved:
             return header.max_error
@@ -309,17 +309,16 @@ class _Patcher:
         Returns
         -------
         error : float
-            The largest where the new raster is, in raw units.
+            Largest error where the new raster lies, in raw units.
         digests : DigestTree or None
             The digests of all heights, if the file has digests.
 
         Raises
         ------
         CorruptStreamError
-            If the file's digests were not those of its heights before.
+            If the file's digests did not match its heights before the patch.
         BoundViolationError
-            If a sample is further than the bound from the new raster, or one elsewhere is not what
-            it was.
+            If a sample is further than the bound from the new raster, or one elsewhere has changed.
         """
         quantizer, bound = self._terrain.quantizer, self._asked_bound()
         allowed = allowed_error(quantizer, bound, quantizer.effective_error)
@@ -351,7 +350,7 @@ class _Patcher:
         return measured_error(largest, quantizer), self._new_digests(tiles.tree())
 
     def _new_digests(self, found: DigestTree) -> DigestTree | None:
-        """Return the digests found, if the file has some: beyond the new raster they stay."""
+        """Return the new digests, if the file has any: beyond the new raster they stay."""
         before = self._terrain.container.digests()
         if before is None:
             return None
@@ -366,7 +365,7 @@ class _Patcher:
         return found
 
     def _compare_rest(self, result: TerrainFile, region: Region) -> None:
-        """Raise unless samples that the new raster does not cover are what they were."""
+        """Raise if samples that the new raster does not cover have changed."""
         level = self._grid.k_max
         (before, was_valid), (after, is_valid) = (
             terrain.decoder.window(level, region) for terrain in (self._terrain, result)

@@ -58,7 +58,7 @@ _UNKNOWN = np.int32(UNKNOWN)
 
 
 class SourceWindows(Protocol):
-    """What the pyramid needs of a raster."""
+    """Raster as the pyramid reads it."""
 
     def read(
         self, row: int, col: int, n_rows: int, n_cols: int
@@ -114,7 +114,7 @@ class SubtreeRegion(NamedTuple):
 
 
 class Base(NamedTuple):
-    """What a pyramid above one level is made of; the last four only where there are voids.
+    """Arrays of one level from which the next is made; the last four only with voids.
 
     `pushed` holds the averages of valid samples where there are any: where `known` says so; `own`
     says which samples are valid by themselves.

@@ -1,9 +1,9 @@
-"""What one machine does of a compression: tasks over the subtree below one block.
+"""Tasks of one machine: each works on the subtree below one block.
 
-A task reads a part of the raster and what other tasks have left in the depot, leaves its own
-results there and returns a few numbers: whoever shares out the tasks (`cluster`) sees no
-heights and no payloads. A task can be run again, and gives the same bytes. It works in one thread;
-memory is bounded by the subtree's levels in spools of 20 MiB each, the rest on the machine's disk.
+A task reads a part of the raster and the results of other tasks in the depot, stores its own
+results there and returns a few numbers: the client (`cluster`) sees neither heights nor payloads. A
+task can be repeated and gives the same bytes. It runs in one thread. Its memory is bounded: each
+level of the subtree has a spool of 20 MiB, the rest lies on the machine's disk.
 """
 
 import os
@@ -70,9 +70,9 @@ ABOVE, CODED, TOP, FINISHED = "above", "coded", "top", "finished"
 
 @dataclass(frozen=True)
 class RasterPlace:
-    """A raster, or a mosaic of several, that every machine can open.
+    """Raster, or mosaic of several, that every machine can open.
 
-    Where a task runs, `meter` counts what it reads, and `folder` is for its temporary files.
+    While a task runs, `meter` counts the bytes read, and `folder` is for its temporary files.
     """
 
     paths: tuple[str, ...]
@@ -83,12 +83,12 @@ class RasterPlace:
     folder: str | None = field(default=None, compare=False)
 
     def at(self, meter: Meter, folder: str) -> "RasterPlace":
-        """Return it for one task (`tasks.measured.Task`)."""
+        """Return a copy for one task (`tasks.task.Task`)."""
         return replace(self, meter=meter, folder=folder)
 
     @contextmanager
     def open(self) -> Iterator[RasterSource]:
-        """Open it; notes have been issued where the run began."""
+        """Open it; notes were issued where the run began."""
         name = self.paths[0] if len(self.paths) == 1 else list(self.paths)
         with raster_source(
             name, band=self.band, nodata=self.nodata, heights_are=self.heights_are, warn=False
@@ -101,10 +101,10 @@ class RasterPlace:
 
 @dataclass(frozen=True)
 class Site:
-    """What the tasks of a run share.
+    """State shared by the tasks of a run.
 
-    `level` is that of the blocks whose subtrees are tasks, `method` the one asked for, by which
-    results in the depot are named; `file_tables` are empty until they are known.
+    `level` is that of the blocks whose subtrees are tasks, `method` the requested one, which
+    prefixes names in the depot; `file_tables` are empty until they are known.
     """
 
     raster: RasterPlace
@@ -115,18 +115,17 @@ class Site:
     file_tables: bytes = b""
 
     def at(self, meter: Meter, folder: str) -> "Site":
-        """Return it for one task (`tasks.measured.Task`)."""
+        """Return a copy for one task (`tasks.task.Task`)."""
         depot = replace(self.depot, meter=meter, directory=folder)
         return replace(self, raster=self.raster.at(meter, folder), depot=depot)
 
     @property
     def grid(self) -> Grid:
-        """Return the quadtree."""
         return self.job.grid
 
     @property
     def shift(self) -> int:
-        """Return how many levels lie below the blocks that tasks begin at."""
+        """Return the number of levels below the blocks that tasks begin at."""
         return self.grid.k_max - self.level
 
     def refiner(self) -> Refiner:
@@ -134,7 +133,7 @@ class Site:
         return refiner_by_name(self.job.options.named_method.name, self.file_tables)
 
     def name(self, stage: str, head: Block) -> str:
-        """Return the name of what a task has left in the depot."""
+        """Return the name of a task's result in the depot."""
         return f"{self.method}-{stage}-{head.level}-{head.row}-{head.col}"
 
     def top_name(self, stage: str) -> str:
@@ -147,7 +146,7 @@ class Site:
         return [head for head in heads if head is None or head.level < self.level]
 
     def segments(self, stage: str, top_stage: str) -> StoredSegments:
-        """Return the segments that tasks have left in a stage, with those above them."""
+        """Return the segments of a stage that are in the depot, with those above them."""
 
         @cache
         def top() -> dict[Block | None, StoredSegment]:
@@ -169,7 +168,7 @@ class Site:
     def pyramid(
         self, source: RasterSource, region: Region, directory: Path, executor: Executor
     ) -> Pyramid:
-        """Return the pyramid of a part of the raster, of which nothing is made yet."""
+        """Return the pyramid of a part of the raster, not yet built."""
         return Pyramid(
             source,
             self.job.quantizer,
@@ -183,7 +182,7 @@ class Site:
 
 
 def own_region(grid: Grid, head: Block) -> Region:
-    """Return the full grid's samples under a block without those of the next block's border."""
+    """Return the full grid's samples under a block, without the next block's border."""
     row, col, n_rows, n_cols = grid.full_region(head)
     if grid.contains(Block(head.level, head.row + 1, head.col)):
         n_rows -= 1
@@ -200,7 +199,7 @@ def spool_of(values: np.ndarray, origin: tuple[int, int], directory: Path) -> Sp
 
 
 class _Bench(NamedTuple):
-    """What a task works with."""
+    """Working environment of a task."""
 
     source: RasterSource
     directory: Path
@@ -223,7 +222,7 @@ def _bench(raster: RasterPlace) -> Iterator[_Bench]:
 def scan_region(
     raster: RasterPlace, region: Region, has_digest: bool, steps: FixedSteps | None = None
 ) -> HeightScan:
-    """Return range, validity and vertical quantum of the heights in a region; a digest if asked."""
+    """Return range, validity and vertical quantum of a region; optionally a digest."""
     with raster.open() as source:
         digest = HeightDigest(source.info.n_cols) if has_digest else None
         scan = HeightScan(source.info.dtype, steps, digest)
@@ -233,7 +232,7 @@ def scan_region(
 
 
 def push_levels(site: Site, head: Block) -> None:
-    """Leave the mask of a subtree's coarsest level and the averages of its valid samples."""
+    """Store the mask of a subtree's coarsest level and the averages of its valid samples."""
     with _bench(site.raster) as bench:
         pyramid = site.pyramid(bench.source, site.grid.full_region(head), *bench[1:])
         pyramid.push()
@@ -245,7 +244,7 @@ def push_levels(site: Site, head: Block) -> None:
 
 
 def make_levels(site: Site, head: Block) -> None:
-    """Leave the target heights of a subtree's coarsest level."""
+    """Store the target heights of a subtree's coarsest level."""
     with _built_pyramid(site, head) as (pyramid, _):
         heights = pyramid.heights(site.level, site.grid.block_region(head))
     site.depot.save(site.name("heights", head), heights=heights)
@@ -253,7 +252,7 @@ def make_levels(site: Site, head: Block) -> None:
 
 @contextmanager
 def _built_pyramid(site: Site, head: Block) -> Iterator[tuple[Pyramid, _Bench]]:
-    """Give the levels of a subtree."""
+    """Yield the levels of a subtree."""
     with _bench(site.raster) as bench:
         pyramid = site.pyramid(bench.source, site.grid.full_region(head), *bench[1:])
         try:
@@ -272,11 +271,11 @@ def _built_pyramid(site: Site, head: Block) -> Iterator[tuple[Pyramid, _Bench]]:
 
 
 class EncodedSubtree(NamedTuple):
-    """What a task tells of the groups it has coded.
+    """Result of coding a subtree.
 
-    `ancestors` are what the originals below tell of the subtree's head and the blocks above it,
-    `box` what the head's box must enclose, None if all is void; `error` is the head's in a faithful
-    file (`boxes.recursive_errors`).
+    `ancestors` are the statistics of the subtree's head and the blocks above it, from originals
+    below the head. The head's box must enclose `box` (None if all is void); `error` is the head's
+    in a faithful file (`boxes.recursive_errors`).
     """
 
     head: Block
@@ -288,7 +287,7 @@ class EncodedSubtree(NamedTuple):
 
 
 def encode_subtree(site: Site, head: Block) -> EncodedSubtree:
-    """Code all groups of a subtree; their segments lie in the depot afterwards."""
+    """Code all groups of a subtree and store their segments in the depot."""
     job, grid = site.job, site.grid
     refiner = site.refiner()
     heads: list[Block | None] = [*grid.segment_heads_below(head)]
@@ -324,7 +323,7 @@ def encode_subtree(site: Site, head: Block) -> EncodedSubtree:
 
 
 class FinishedSubtree(NamedTuple):
-    """What a task tells of the meshes it has made: errors of ancestors in 1/16 quanta."""
+    """Result of meshing a subtree: errors of ancestors in 1/16 quanta."""
 
     head: Block
     places: tuple[StoredSegment, ...]
@@ -337,7 +336,6 @@ def mesher_of(
     error_code: Callable[[Block], int],
     part: Callable[[Block], bytes] | None = None,
 ) -> BlockMesher:
-    """Return the mesher of the file."""
     job = site.job
     return BlockMesher(
         site.grid,
@@ -355,7 +353,7 @@ def mesher_of(
 def _stored_mesher(
     site: Site, part: Callable[[StoredSegments], Callable[[Block], bytes]] | None = None
 ) -> Iterator[tuple[BlockMesher, StoredSegments]]:
-    """Give a mesher over the segments that tasks have coded."""
+    """Yield a mesher over the coded segments."""
     with site.segments(CODED, TOP) as stored:
         source = groups_by(site.refiner(), stored.payloads)
         decoder = TreeDecoder(site.grid, site.job.parameters, source, _CACHE_BYTES)
@@ -366,9 +364,8 @@ def _stored_mesher(
 def draft_subtree(site: Site, head: Block, rounds: dict[Block, int], number: int) -> bool:
     """Make a round of drafts of a subtree's meshes; return whether any changed.
 
-    See `tri.zerotree.agreement`. `rounds` are the numbers of the last rounds that changed
-    something, of this subtree and those beside it; empty in the first round. What has changed lies
-    in the depot.
+    See `tri.zerotree.agreement`. `rounds` are the numbers of the last rounds that changed this
+    subtree and its neighbours; empty in the first round. Changes are stored in the depot.
     """
     states = {
         start: BorderState.from_arrays(site.depot.load(_state_name(site, start, last)))
@@ -397,10 +394,10 @@ def _state_name(site: Site, head: Block, number: int) -> str:
 
 
 def finish_subtree(site: Site, head: Block, last_round: int | None) -> FinishedSubtree:
-    """Make and measure the meshes of a subtree; its finished segments lie in the depot afterwards.
+    """Make and measure the meshes of a subtree; store its finished segments in the depot.
 
-    `last_round` is that of `draft_subtree` that changed something here; None for meshes without
-    stored bytes.
+    `last_round` is the round of `draft_subtree` that last changed something here; None for meshes
+    without stored bytes.
     """
     grid = site.grid
     sections: dict[Block, bytes] = {}
@@ -463,7 +460,7 @@ def _finished_spools(
 
 
 def prove_region(site: Site, path: str | os.PathLike[str], region: Region) -> Proved:
-    """Return the largest difference between a finished file and the raster, and digests of tiles.
+    """Return the largest difference of a finished file from the raster, and digests of tiles.
 
     Raises
     ------

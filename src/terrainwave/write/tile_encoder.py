@@ -1,4 +1,4 @@
-"""Pass B of method cdf53: code tiles, cut their streams, measure what they decode to."""
+"""Pass B of method cdf53: code tiles, cut their streams, measure the decoded heights."""
 
 import threading
 from collections.abc import Callable
@@ -31,13 +31,13 @@ from terrainwave.write.encoder import PayloadSink, Stats, UnitEncoder
 from terrainwave.write.job import Job
 from terrainwave.write.pyramid import Pyramid
 
-# Halvings of a search by errors, which decodes everything each time.
+# Steps of the bisection by errors; each decodes everything.
 _ERROR_STEPS = 9
-# What a file is thought to take beside its payloads, in bytes: for itself and for each unit.
+# Estimated overhead of a file in bytes: in total, and for each unit.
 _FILE_BYTES, _UNIT_BYTES = 600, 24
 
 
-# The key of a tile that is to be decoded, and its head's block.
+# Key of a tile to decode, and its head's block.
 _Start = tuple[Block, LevelHeights | None]
 
 
@@ -49,7 +49,7 @@ def encode_tiles(
     on_samples: Callable[[int], None],
     executor: Crew,
 ) -> Stats:
-    """Code every tile, cut where the job says so; return what was measured."""
+    """Code every tile, cut as the job requires; return the statistics."""
     options, parameters = job.options, job.parameters
     coder = TileCoder(pyramid)
     if not options.is_embedded:
@@ -66,16 +66,16 @@ def encode_tiles(
 
 
 def _payload_bytes(job: Job, rate: float) -> int:
-    """Return the bytes that a file of `rate` bits per sample has for payloads."""
+    """Return the bytes available for payloads in a file of `rate` bits per sample."""
     n_samples = job.grid.n_rows * job.grid.n_cols
     return int(rate * n_samples / 8) - _FILE_BYTES - _UNIT_BYTES * job.grid.n_units()
 
 
 class TileSource(Protocol):
-    """Where the payload of a tile comes from, once the tile above is decoded."""
+    """Source of a tile's payload, once the tile above is decoded."""
 
     def __call__(self, spec: TileSpec, outer: LevelHeights | None) -> bytes:
-        """Return the payload; empty if nothing in the tile is valid."""
+        """Return the payload; empty if no sample of the tile is valid."""
         ...
 
 
@@ -94,7 +94,7 @@ class TileEncoder(UnitEncoder):
         super().__init__(grid, parameters, pyramid, sink, on_samples)
         self._layout = TileLayout(grid, parameters.has_voids)
         self._source = source
-        # Decoded tiles with units to come, and how many; the heads of tiles to come.
+        # Decoded tiles with pending units, and their number; the heads of pending tiles.
         self._tiles: dict[Block, list[LevelHeights]] = {}
         self._n_units: dict[Block, int] = {}
         self._heads: dict[Block, LevelHeights] = {}
@@ -102,7 +102,7 @@ class TileEncoder(UnitEncoder):
     def code_unit(
         self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
     ) -> tuple[bytes, Decoded]:
-        """Return a tile's payload with its first unit, and nothing with the others."""
+        """Return a tile's payload with its first unit, and empty payloads with the others."""
         tile_key = self._layout.key_of(key)
         payload = self._begin(key) if key == tile_key else b""
         level = self._tiles[tile_key][key.level + 1 - max(tile_key.level + 1, 0)]
@@ -114,7 +114,7 @@ class TileEncoder(UnitEncoder):
         return payload, decoded
 
     def _begin(self, key: Block) -> bytes:
-        """Code a tile and keep what it decodes to."""
+        """Code a tile and store it decoded."""
         spec = self._layout.spec(key)
         outer = None if spec.is_root else self._heads[key]
         payload = self._source(spec, outer)
@@ -129,7 +129,7 @@ class TileEncoder(UnitEncoder):
 
 
 class TileCoder:
-    """Codes the tiles of a raster without loss."""
+    """Lossless coder of a raster's tiles."""
 
     def __init__(self, pyramid: Pyramid) -> None:
         self._pyramid = pyramid
@@ -140,7 +140,7 @@ class TileCoder:
         return b"" if coded is None else coded.payload()
 
     def code(self, spec: TileSpec) -> CodedTile | None:
-        """Return a coded tile; None if nothing in it is valid."""
+        """Return a coded tile; None if no sample is valid."""
         levels = range(max(spec.first, 0), spec.last + 1)
         valid = [
             self._validity(level, region)
@@ -161,7 +161,7 @@ class TileCoder:
 
 
 class EmbeddedSource:
-    """Streams of all tiles, coded once, to be cut at one quality.
+    """Streams of all tiles, coded once and cut at one quality.
 
     Call `code` first, then set `position` by `cut_to_size` or `cut_to_error`.
     """
@@ -175,7 +175,6 @@ class EmbeddedSource:
         self.position = 0.0
 
     def close(self) -> None:
-        """Delete the spool."""
         self._spool.close()
 
     def code(self, executor: Executor, on_samples: Callable[[int], None]) -> None:
@@ -207,7 +206,7 @@ class EmbeddedSource:
         return unpack_tile(spec, next(self._spool.chunks([spec.key])))
 
     def _cut(self, key: Block, position: float) -> int:
-        """Return how many bytes of a tile's stream are kept."""
+        """Return the number of bytes to keep of a tile's stream."""
         _, ends, total, n_below = self._streams[key]
         return plane_cut(ends, total, position - n_below)
 
@@ -220,7 +219,7 @@ class EmbeddedSource:
 
     @property
     def _coarsest(self) -> float:
-        """Return the position at which nothing of any stream is left."""
+        """Return the position at which all streams are empty."""
         return max(
             (len(ends) + n_below for _, ends, _, n_below in self._streams.values()), default=0.0
         )
@@ -244,7 +243,7 @@ class EmbeddedSource:
     def cut_to_error(
         self, mean_square: float, parameters: CodecParameters, executor: Executor
     ) -> None:
-        """Set `position` to a coarse one at which the mean square error is at most that."""
+        """Set `position` to a coarse one whose mean square error is at most `mean_square`."""
         low, high = 0.0, float(self._coarsest)
         for _ in range(_ERROR_STEPS):
             middle = (low + high) / 2
@@ -257,7 +256,7 @@ class EmbeddedSource:
     def mean_square_error(
         self, position: float, parameters: CodecParameters, executor: Executor
     ) -> float:
-        """Return the mean square error of valid samples in quanta, cut at `position`."""
+        """Return the mean square error of valid samples, cut at `position`, in quanta."""
         self.position = position
 
         def compare(start: _Start) -> tuple[int, int, list[_Start]]:
@@ -277,7 +276,7 @@ class EmbeddedSource:
     def _decode_and_compare(
         self, key: Block, outer: LevelHeights | None, parameters: CodecParameters
     ) -> tuple[int, int, list[_Start]]:
-        """Return the sum of squares and the number of valid samples, and the tiles below."""
+        """Return the sum of squares, the number of valid samples, and the tiles below."""
         spec = self._layout.spec(key)
         finest = decode_tile(spec, outer, self(spec, outer))[-1]
         if spec.n_below:

@@ -1,4 +1,4 @@
-"""The commands, a module for each: parse, call, print."""
+"""Commands, one module each: parse, call, print."""
 
 import click
 

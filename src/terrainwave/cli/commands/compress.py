@@ -1,4 +1,4 @@
-"""The command compress: rasters become .twz files."""
+"""Command compress: rasters to .twz files."""
 
 import threading
 from contextlib import AbstractContextManager, nullcontext
@@ -41,7 +41,6 @@ from terrainwave.cli.own_options import (
     with_own_options,
 )
 from terrainwave.cli.streams import STREAM, printing_beside, written
-from terrainwave.cli.task_log import task_log
 from terrainwave.container.sources.addresses import display_name
 from terrainwave.names import (
     DEFAULT_EFFORT,
@@ -91,15 +90,15 @@ from terrainwave.progress import ProgressCallback
 @click.option(
     "--measure-meshes",
     is_flag=True,
-    help="Make all meshes and store how far each is from the original. Default: whoever makes a"
-    " mesh computes a bound for its error. Kinds other than halves are always measured.",
+    help="Make all meshes and store their distances from the original. Default: an error bound is"
+    " computed with each mesh. Kinds other than halves are always measured.",
 )
 @click.option(
     "--range",
     "height_range",
     type=Numbers("low,high", float),
-    help="Heights that the file can hold, besides the raster's own: patch refuses those outside."
-    " Default: the raster's lowest and highest.",
+    help="Range of heights that later patches may need: patch refuses heights outside it. Default:"
+    " the raster's range.",
 )
 @click.option(
     "--strict",
@@ -124,13 +123,14 @@ from terrainwave.progress import ProgressCallback
 @click.option(
     "--no-georeference",
     is_flag=True,
-    help="Compress the heights alone and ignore the raster's transform and CRS.",
+    help="Compress only the heights and ignore the raster's transform and CRS.",
 )
 @click.option(
     "--heights-are",
     type=click.Choice(KINDS),
-    help="What the numbers are. Depths and radii (distances from the centre of the body) are stored"
-    " as they are and turned on the globe, in meshes and views. Default: as the raster says.",
+    help="Meaning of the numbers. Depths and radii (distances from the centre of the body) are"
+    " stored unchanged and converted to heights on the globe, in meshes and in views. Default:"
+    " from the raster's metadata.",
 )
 @click.option(
     "--digest/--no-digest",
@@ -144,14 +144,6 @@ from terrainwave.progress import ProgressCallback
     "--scheduler",
     metavar="ADDRESS",
     help="Distribute the work over a dask cluster whose workers see SOURCE and TARGET.",
-)
-@click.option(
-    "--task-log",
-    "task_log_name",
-    type=Target((".csv",), or_stdout=False),
-    metavar="FILE.csv",
-    help="With --scheduler: write what each task took (worker, seconds, bytes read and written,"
-    " attempts), and print a table of the passes.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @batched
@@ -170,8 +162,8 @@ def compress(
 
     Several SOURCEs are a mosaic: rasters of one CRS and grid. Samples that no raster covers are
     void; where rasters overlap, the last one counts. A SOURCE or TARGET - is stdin or stdout.
-    TARGET may be a URL of storage that takes files, such as s3://bucket/dem.twz. With --to DIR
-    there is no TARGET: each SOURCE becomes a file of its own in DIR.
+    TARGET may be a URL of writable storage, such as s3://bucket/dem.twz. With --to DIR there is no
+    TARGET: each SOURCE becomes a file of its own in DIR.
 
     A SOURCE may be a .twz file, for a coarser bound, another method, or a mosaic. --max-error is
     then the bound from the original raster.
@@ -195,16 +187,12 @@ def _compress(
     target: str,
     *,
     scheduler: str | None,
-    task_log_name: str | None,
     as_json: bool,
     quiet: bool,
     **options: Any,
 ) -> None:
     """Make one file of one raster, or of a mosaic."""
     import terrainwave
-
-    if task_log_name is not None and scheduler is None:
-        raise click.UsageError("found --task-log without --scheduler, expected both or none")
 
     if not options["georeference"] and len(sources) > 1:
         raise click.UsageError(
@@ -216,19 +204,14 @@ def _compress(
         raise click.UsageError(f"found --scheduler and --method {method}, expected one of them")
     announce_compiling(quiet=quiet)
     with (
-        task_log(task_log_name, [*sources, target], overwrite=options["overwrite"]) as log,
         _cluster(scheduler) as client,
         Bar(quiet=quiet) as bar,
         written(target, ".twz") as path,
     ):
-        result = terrainwave.compress(
-            sources, path, client=client, on_task=log, progress=bar, **options
-        )
+        result = terrainwave.compress(sources, path, client=client, progress=bar, **options)
     with printing_beside(target):
         name = target if target == STREAM else result.path
         _print_result(replace(result, path=name), as_json=as_json, quiet=quiet)
-        if log is not None and not (as_json or quiet):
-            log.print()
 
 
 def _compress_each(
@@ -237,7 +220,6 @@ def _compress_each(
     *,
     skips: bool,
     scheduler: str | None,
-    task_log_name: str | None,
     as_json: bool,
     quiet: bool,
     **options: Any,
@@ -246,11 +228,10 @@ def _compress_each(
     import terrainwave
     from terrainwave.write.job import NO_BOUND
 
-    if scheduler is not None or task_log_name is not None:
-        found = "--scheduler" if scheduler is not None else "--task-log"
-        raise click.UsageError(f"found {found} and --to, expected one of them")
+    if scheduler is not None:
+        raise click.UsageError("found --scheduler and --to, expected one of them")
     if skips:
-        options["overwrite"] = True  # a file that is not as asked for is made again
+        options["overwrite"] = True  # outdated files are made again
 
     has_told = threading.Event()
 
@@ -273,7 +254,7 @@ def _compress_each(
     )  # fmt: skip
 
 
-# What is asked of the raster that is read, and of the run, and not of the file that is made.
+# Options of the source and of the run, which do not belong to the file.
 _OF_SOURCE = ("nodata", "band", "georeference", "heights_are")
 _OF_RUN = ("temp_dir", "overwrite", "threads", "fresh")
 
@@ -286,7 +267,7 @@ def _asked(options: dict[str, Any]) -> Any:
 
 
 def _manifest(directory: str, options: dict[str, Any]) -> Manifest:
-    """Return what tells which files of a batch are as asked for."""
+    """Return the manifest of a batch, which finds the files that are up to date."""
     from terrainwave.raster_io.files import files_of
     from terrainwave.write.origin import difference
 
@@ -296,7 +277,7 @@ def _manifest(directory: str, options: dict[str, Any]) -> Manifest:
         directory,
         {"command": "compress", **_asked(options).to_metadata(), **source},
         files_of=files_of,
-        # Whatever the manifest says: heights that are the same need no second file.
+        # Compared even if the manifest differs: equal heights need no new file.
         compare=lambda source, target, _, progress: difference(
             target, source, progress=progress, **of_files
         ),
@@ -304,17 +285,16 @@ def _manifest(directory: str, options: dict[str, Any]) -> Manifest:
 
 
 def _sources_and_target(paths: tuple[str, ...]) -> tuple[list[str], str]:
-    """Return the sources and the target of `compress`, by their order."""
     if len(paths) < 2:
         missing = "TARGET" if paths else "SOURCE"
         raise click.UsageError(f"Missing argument '{missing}'.")
     ctx = click.get_current_context()
     target = paths[-1]
     try:
-        # Not only a slip: with `*.tif` the last raster stands where the target does.
+        # A common slip: with `*.tif` the last raster is taken for the target.
         target = Target(TWZ_ENDINGS, or_url=True).convert(target, None, ctx)
     except click.BadParameter as error:
-        if not target or "://" in target:  # it is no raster
+        if not target or "://" in target:  # not a raster
             raise click.BadParameter(error.message, param_hint="TARGET") from error
         raise click.UsageError(
             f"TARGET is the last name: {error.message}; to compress each raster to a file of its"
@@ -324,7 +304,7 @@ def _sources_and_target(paths: tuple[str, ...]) -> tuple[list[str], str]:
 
 
 def _cluster(scheduler: str | None) -> AbstractContextManager[Any]:
-    """Give a client of a dask scheduler; None without an address."""
+    """Return a client of a dask scheduler as a context; None without an address."""
     if scheduler is None:
         return nullcontext()
     from terrainwave.ext.distributed import connected

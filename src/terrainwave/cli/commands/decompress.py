@@ -1,4 +1,4 @@
-"""The command decompress: .twz files become GeoTIFFs and height tiles."""
+"""Command decompress: .twz files to GeoTIFFs and height tiles."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -69,7 +69,7 @@ if TYPE_CHECKING:
 @click.option(
     "--quality",
     type=Positive(),
-    help=f"Read only so many bits per sample, of a file of method {CUTTABLE}.",
+    help=f"Read only this number of bits per sample, of a file of method {CUTTABLE}.",
 )
 @click.option("--cog", is_flag=True, help="Make a cloud-optimised GeoTIFF.")
 @click.option(
@@ -102,8 +102,8 @@ def decompress(paths: tuple[str, ...], to: str | None, skip_existing: bool, **op
     """Decompress SOURCE (.twz) to the GeoTIFF TARGET (.tif; - is stdout).
 
     If TARGET ends in .r16 or .png, the command writes a 16-bit height tile for game engines
-    instead, and TARGET.json with its scale and place. With --to DIR there is no TARGET: each SOURCE
-    becomes a GeoTIFF in DIR.
+    instead, and TARGET.json with its scale and position. With --to DIR there is no TARGET: each
+    SOURCE becomes a GeoTIFF in DIR.
     """
     refuse_options_of_batches(to, skip_existing=skip_existing, overwrite=options["overwrite"])
     check_one_area(options)
@@ -168,7 +168,7 @@ def _decompress_each(
 
 
 def _in_json(lost: list["Losses"], options: dict[str, Any]) -> dict[str, Any]:
-    """Return what was lost, where damage is not an error."""
+    """Return the losses if damage is not an error."""
     if options["on_error"] == RAISE:
         return {}
     return {"lost": lost[0].to_dict() if lost else None}
@@ -191,7 +191,7 @@ def _source_and_target(paths: tuple[str, ...]) -> tuple[str, str]:
 
 
 def _check_options_of_geotiff(target: str, options: dict[str, Any]) -> None:
-    """Refuse what is for height tiles."""
+    """Raise for options of height tiles."""
     if options["size"]:
         raise click.UsageError(f"{target}: --size is for height tiles, expected .r16 or .png")
     voids = options["voids"]
@@ -205,7 +205,7 @@ def _check_options_of_geotiff(target: str, options: dict[str, Any]) -> None:
 
 
 def _check_options_of_tile(target: str, options: dict[str, Any]) -> None:
-    """Refuse what is for GeoTIFFs."""
+    """Raise for options of GeoTIFFs."""
     if options["vertical"] != AS_IS:
         raise click.UsageError(
             f"{target}: found --vertical {options['vertical']}, expected none: a height tile keeps"
@@ -218,7 +218,7 @@ def _check_options_of_tile(target: str, options: dict[str, Any]) -> None:
 
 
 def _manifest(directory: str, options: dict[str, Any], *, skips: bool) -> Manifest:
-    """Return what tells which rasters of a batch of `decompress` are as asked for."""
+    """Return the manifest of a batch, which finds the rasters that are up to date."""
     unrelated = ("overwrite", "threads")
 
     def compare(_: str, target: str, known: str, __: ProgressCallback) -> str:

@@ -1,4 +1,4 @@
-"""The command demo: a real elevation model at four bounds."""
+"""Command demo: a real elevation model at four bounds."""
 
 import click
 
@@ -12,7 +12,7 @@ from terrainwave.extras import with_extra
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 @with_extra("demo")
 def demo(directory: str, quiet: bool) -> None:
-    """Compress a real elevation model at four bounds, check each, draw a picture; in DIRECTORY."""
+    """Compress a real elevation model at four bounds and draw a picture, in DIRECTORY."""
     from terrainwave.cli.demo import BOUNDS, run_demo
 
     announce_compiling(quiet=quiet)

@@ -1,4 +1,4 @@
-"""The command doctor: does this system's GDAL read .twz files."""
+"""Command doctor: check of the system's GDAL."""
 
 from dataclasses import asdict
 

@@ -1,4 +1,4 @@
-"""The command info: what a .twz file holds."""
+"""Command info: contents of a .twz file."""
 
 from dataclasses import asdict, dataclass
 from typing import Any, Self
@@ -67,7 +67,7 @@ def info(file: str, as_json: bool, stac: bool, threads: int | None, **more: Any)
 
 @dataclass(frozen=True)
 class _Found:
-    """What options ask for, None where they do not; and the root of the digests, if any."""
+    """Results of options, None if not requested; and the root of the digests, if any."""
 
     parts: Any
     level_errors: Any
@@ -79,7 +79,7 @@ class _Found:
     def of(
         cls, terrain: Any, *, errors: str | None, voids: bool, parts: bool, meshes: bool
     ) -> Self:
-        """Look it up in a file."""
+        """Read them from a file."""
         from terrainwave.mesh.level_errors import level_errors
         from terrainwave.mesh.statistics import mesh_levels
 
@@ -92,7 +92,7 @@ class _Found:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what was asked for, for --json."""
+        """Return the requested results for --json."""
         errors = self.level_errors
         fields = {
             "parts": None if self.parts is None else asdict(self.parts),
@@ -105,7 +105,7 @@ class _Found:
         return {name: value for name, value in fields.items() if value is not None}
 
     def print(self, summary: Any) -> None:
-        """Print tables of what was asked for."""
+        """Print the requested results as tables."""
         if self.parts is not None:
             _print_parts(self.parts)
         if self.level_errors is not None:
@@ -138,7 +138,7 @@ def _voids_in_words(info: Any, n_voids: int | None) -> str:
 
 
 def _print_parts(parts: Any) -> None:
-    """Print the bytes of each part of a file; levels only where each has bytes of its own."""
+    """Print the bytes of each part of a file; levels only if they have bytes of their own."""
     rows = [("header and metadata", parts.metadata), ("tables", parts.tables)]
     rows += [("index", parts.index), ("heights", sum(parts.heights))]
     if len(parts.heights) > 1:

@@ -1,7 +1,7 @@
-"""The command mesh: a mesh of a .twz file, or a copy of the file with meshes."""
+"""Command mesh: a mesh of a .twz file, or a copy of the file with meshes."""
 
 from collections.abc import Iterable
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -41,12 +41,12 @@ from terrainwave.cli.own_options import (
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.names import DEFAULT_MESH, MESH_KINDS
 
-# What --store takes, what it shares with meshes in files of their own, and what these take that
-# have a goal.
+# Options for --store, for --store and for separate meshes alike, and for separate meshes with a
+# goal.
 _STORE_OPTIONS = {"mesh", "own", "mesh_error", "original"}
 _COMMON_OPTIONS = {"threads", "overwrite", "quiet", "as_json"}
 _GOALS = {"max_error", "max_triangles", "optimise"}
-# What levels of detail follow from, so that it cannot be asked for, too.
+# Options that levels of detail determine themselves.
 _OF_ONE_MESH = {"max_triangles", "level", "loose"}
 
 
@@ -74,7 +74,7 @@ _OF_ONE_MESH = {"max_triangles", "level", "loose"}
 @click.option(
     "--loose",
     is_flag=True,
-    help="Write the triangulation of the zero trees alone, which guarantees no error (Yusov &"
+    help="Write only the triangulation of the zero trees, without a guaranteed error (Yusov &"
     " Turlapov 2010, §2.4); its error is measured. --level -2 (default) is the finest.",
 )
 @click.option(
@@ -99,7 +99,7 @@ _OF_ONE_MESH = {"max_triangles", "level", "loose"}
     "--skirts",
     type=Positive(),
     metavar="HEIGHT",
-    help="Hang walls of this height, in the file's unit, from all borders. They hide gaps beside"
+    help="Hang walls of this height, in the file's unit, from all borders. They hide gaps next to"
     " meshes of another error.",
 )
 @click.option(
@@ -156,8 +156,8 @@ def mesh(context: click.Context, /, file: str, target: str, stores: bool, **opti
     """Write a crack-free mesh of FILE (.twz) to TARGET, within the bound of the original.
 
     TARGET's extension selects the format: .ply, .obj, .stl, .glb, .gltf, .vtu, .vtk, or .terrain, a
-    Cesium quantized-mesh tile. With --lods N, N files have twice the error of the one before each.
-    With --store TARGET is a .twz: a copy of FILE with meshes of all blocks.
+    Cesium quantized-mesh tile. With --lods N it writes N files, each with twice the error of the
+    one before. With --store TARGET is a .twz: a copy of FILE with meshes of all blocks.
     """
     _refuse_unfit(context, stores=stores, loose=options["loose"], lods=options["lods"])
     if stores:
@@ -169,7 +169,7 @@ def mesh(context: click.Context, /, file: str, target: str, stores: bool, **opti
 
 
 def _refuse_unfit(context: click.Context, *, stores: bool, loose: bool, lods: int | None) -> None:
-    """Refuse options that are for meshes in files of their own with --store, and so on."""
+    """Raise for options of separate meshes with --store, and the reverse."""
     given = {
         name
         for name in context.params
@@ -228,14 +228,6 @@ def _export_mesh(
     file: str,
     target: str,
     *,
-    frame: str | None,
-    z_scale: float,
-    solid: float | None,
-    skirts: float | None,
-    radius: float | None,
-    vertical: str,
-    up: str | None,
-    drape: str | None,
     lods: int | None,
     optimise: bool,
     loose: bool,
@@ -245,10 +237,9 @@ def _export_mesh(
     quiet: bool,
     **options: Any,
 ) -> None:
-    shape = {
-        "frame": frame, "z_scale": z_scale, "solid": solid, "skirts": skirts, "radius": radius,
-        "vertical": vertical, "up": up, "drape": drape,
-    }  # fmt: skip
+    from terrainwave.export.mesh_files import Shape
+
+    shape = {field.name: options.pop(field.name) for field in fields(Shape)}
     check_one_area(options)
     _check_shape(target, shape)
     if lods is not None:
@@ -273,7 +264,7 @@ def _export_mesh(
 
 
 def _check_shape(target: str, shape: dict[str, Any]) -> None:
-    """Refuse options that do not go together, or not with the format, before the file is read."""
+    """Raise for options that conflict with others or with the format; reads no file."""
     from terrainwave.export.mesh_files import Shape, check_extension
 
     try:

@@ -1,4 +1,4 @@
-"""The command patch: a .twz file gets new heights."""
+"""Command patch: new heights for a .twz file."""
 
 from dataclasses import asdict
 from typing import Any
@@ -24,11 +24,11 @@ from terrainwave.place.meaning import KINDS
 @click.command(cls=Command)
 @click.argument("file", type=NamedInput())
 @click.argument("new", type=Input())
-@click.option("--nodata", type=Nodata(), help="Value that marks voids of NEW, as of compress.")
+@click.option("--nodata", type=Nodata(), help="Value that marks voids of NEW, as for compress.")
 @click.option(
     "--heights-are",
     type=click.Choice(KINDS),
-    help="What the numbers of NEW are, as of compress. Default: as NEW says.",
+    help="Meaning of NEW's numbers, as for compress. Default: from its metadata.",
 )
 @click.option("--band", type=click.IntRange(min=1), default=1, show_default=True,
               help="Band of NEW.")  # fmt: skip
@@ -36,7 +36,7 @@ from terrainwave.place.meaning import KINDS
     "--original",
     type=Input(),
     help="The raster that FILE was made of, with all earlier patches. Heights outside NEW are then"
-    " compressed again from this raster; without it they stay as they are in FILE.",
+    " compressed again from this raster; without it they do not change.",
 )
 @resumable
 @THREADS_OPTION

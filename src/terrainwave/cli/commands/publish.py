@@ -1,4 +1,4 @@
-"""The command that writes a folder for static web servers: publish."""
+"""Command publish: a folder for static web servers."""
 
 from dataclasses import asdict
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The command render: pictures without a screen."""
+"""Command render: pictures without a screen."""
 
 import json
 import time
@@ -78,7 +78,7 @@ def render(
 
 
 def _refuse_unfit_for_flights(flight: Any, options: dict[str, Any]) -> None:
-    """Refuse cameras beside those of a flight, and a number of pictures without one."""
+    """Raise for cameras in addition to a flight, and for a number of pictures without one."""
     source = click.get_current_context().get_parameter_source("n_frames")
     if flight is None and source is ParameterSource.COMMANDLINE:
         raise click.UsageError("found --frames without --flight, expected both")
@@ -97,14 +97,12 @@ def _draw(
     size: tuple[int, int],
     max_pixel_error: float,
     memory: int,
-    legend: bool,
-    scale_bar: bool,
     measure: bool,
     overwrite: bool,
     quiet: bool,
     **options: Any,
 ) -> list[dict[str, Any]]:
-    """Draw the pictures; return what was drawn in each."""
+    """Draw the pictures; return a description of each."""
     import terrainwave
     from terrainwave.render.gpu.canvas import Canvas
     from terrainwave.render.look.marks import check_marks
@@ -116,12 +114,13 @@ def _draw(
         read_flight,
     )
 
+    marks = {name: options.pop(name) for name in ("legend", "scale_bar")}
     all_drawn = []
     with reading(file), terrainwave.open(file) as terrain, ExitStack() as stack:
         check_drawable(terrain)
         area = None if bounds is None else area_within(terrain, bounds)
         style = style_of(options)
-        check_marks(size, style, legend=legend, scale_bar=scale_bar)
+        check_marks(size, style, **marks)
         with Bar(quiet=quiet) as bar:
             canvas = Canvas(terrain, size, max_bytes=memory << 20, progress=bar, **options)
             stack.enter_context(canvas)
@@ -134,9 +133,8 @@ def _draw(
         else:
             cameras = read_flight(flight.read(), frame)
         pictures = fly_through(
-            canvas, cameras, len(names), style, max_pixel_error,
-            legend=legend, scale_bar=scale_bar, measure=measure,
-        )  # fmt: skip
+            canvas, cameras, len(names), style, max_pixel_error, measure=measure, **marks
+        )
         for name, (image, drawn) in zip(names, pictures, strict=True):
             with written(name, ".png") as path:
                 _write_png(path, image, overwrite)

@@ -1,4 +1,4 @@
-"""The command that answers over HTTP: serve."""
+"""Command serve: terrain over HTTP."""
 
 import json
 import re
@@ -57,7 +57,7 @@ def _host_names(_: Any, __: Any, names: tuple[str, ...]) -> tuple[str, ...]:
 @click.option(
     "--public-url",
     metavar="URL",
-    help="Address of this server as browsers see it, if a proxy stands before it, such as"
+    help="Address of this server as browsers see it, if it is behind a proxy, such as"
     " https://example.org/terrain/. Addresses of tiles begin with it, and requests by its host are"
     " accepted.",
 )
@@ -66,7 +66,7 @@ def _host_names(_: Any, __: Any, names: tuple[str, ...]) -> tuple[str, ...]:
     "proxy",
     multiple=True,
     metavar="ADDRESS",
-    help="Believe X-Forwarded-Proto, -Host and -Prefix of a proxy at this IP address or network,"
+    help="Trust X-Forwarded-Proto, -Host and -Prefix of a proxy at this IP address or network,"
     " too, not only of one on this machine.",
 )
 @click.option("--cors", is_flag=True, help="Let pages of other sites read the tiles.")
@@ -132,7 +132,7 @@ def serve(
 
 
 def _app(files: tuple[str, ...], host: str, hosts: tuple[str, ...], **options: Any) -> Any:
-    """Return the application that answers."""
+    """Return the web application."""
     from terrainwave.ext.serve.app import make_app
 
     named = tuple(name for name in (host, *hosts) if name not in _ANY_HOST)
@@ -140,7 +140,7 @@ def _app(files: tuple[str, ...], host: str, hosts: tuple[str, ...], **options: A
 
 
 def _serve(app: Any, n_files: int, listener: socket.socket, address: str | None) -> None:
-    """Answer until the server ends; with an address, serve files that stdin names, too."""
+    """Serve until the server ends; with an address, also serve files named on stdin."""
     from terrainwave.ext.serve.client_limits import server_of
 
     server = server_of(app, n_files=n_files)
@@ -153,9 +153,9 @@ def _serve(app: Any, n_files: int, listener: socket.socket, address: str | None)
 
 @contextmanager
 def _saying_that_it_stopped(*, quiet: bool) -> Iterator[None]:
-    """Let signals end the command without an error: nothing has failed.
+    """End the command without an error on a signal.
 
-    The status is 0 after Ctrl-C, and after others what shells expect.
+    The status is 0 after Ctrl-C; after other signals it is what shells expect.
     """
     try:
         yield
@@ -168,11 +168,11 @@ def _saying_that_it_stopped(*, quiet: bool) -> Iterator[None]:
 
 
 def _serve_named(add: Callable[[str], Any], address: str, server: Any) -> None:
-    """Serve each file that a line of stdin names, and answer it; end the server where stdin ends.
+    """Serve each file named by a line of stdin and answer it; stop the server at the end of stdin.
 
-    An answer has `file`, as it was named, and `url` and `info` or `error`.
+    An answer has `file`, as named, and `url` and `info`, or `error`.
     """
-    # Without a buffer: the process may end while this thread waits for a line.
+    # Unbuffered: the process may end while this thread waits for a line.
     with open(0, "rb", buffering=0, closefd=False) as names:
         try:
             for line in names:
@@ -197,7 +197,7 @@ def _listen(host: str, port: int) -> socket.socket:
     Raises
     ------
     StorageError
-        If the address cannot be had.
+        If the address is not available.
     """
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
@@ -207,12 +207,12 @@ def _listen(host: str, port: int) -> socket.socket:
             " machine, such as 127.0.0.1, or 0.0.0.0 for all of them"
         ) from error
     try:
-        # By this number asyncio knows connections that it must switch Nagle's algorithm off for: a
-        # client would wait 40 ms for a short answer's body.
+        # asyncio switches Nagle's algorithm off only for sockets with this protocol number;
+        # otherwise a client waits 40 ms for the body of a short answer.
         listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(address)
-        listener.listen()  # whoever reads the address may ask at once
+        listener.listen()  # clients may connect as soon as the address is printed
     except OSError as error:
         raise StorageError(
             f"cannot listen on {host}, port {port}: {error.strerror or error}; choose another"

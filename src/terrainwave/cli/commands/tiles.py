@@ -1,4 +1,4 @@
-"""The command that writes a pyramid of tiles: for globes, or as one archive for maps."""
+"""Command tiles: a pyramid of tiles for globes, or one archive for maps."""
 
 import json
 from dataclasses import asdict

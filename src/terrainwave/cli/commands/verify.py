@@ -1,4 +1,4 @@
-"""The command verify: .twz files are compared with their rasters."""
+"""Command verify: comparison of .twz files with their rasters."""
 
 from pathlib import Path
 from typing import Any
@@ -37,9 +37,9 @@ from terrainwave.progress import ProgressCallback
 @click.option(
     "--band", type=click.IntRange(min=1), default=1, show_default=True, help="Band of ORIGINAL."
 )
-@click.option("--nodata", type=Nodata(), help="What was given to compress.")
+@click.option("--nodata", type=Nodata(), help="Value that marks voids of ORIGINAL.")
 @click.option("--heights-are", type=click.Choice(KINDS),
-              help="What the numbers of ORIGINAL are. Default: as it says.")  # fmt: skip
+              help="Meaning of ORIGINAL's numbers. Default: from its metadata.")  # fmt: skip
 @click.option("--part", is_flag=True,
               help="ORIGINAL covers a part of FILE, such as the raster of a patch: compare that"
               " part only.")  # fmt: skip
@@ -55,9 +55,9 @@ from terrainwave.progress import ProgressCallback
 def verify(paths: tuple[str, ...], originals: str | None, **options: Any) -> None:
     """Compare FILE (.twz) with its ORIGINAL raster; without ORIGINAL, check all of FILE.
 
-    Several FILEs, all of them .twz, are checked one by one; a folder stands for the .twz files
-    below it. With --originals DIR each is compared with the raster of its name in DIR, or in the
-    same folder below it.
+    Several FILEs, all of them .twz, are checked one by one; a folder means all .twz files below it.
+    With --originals DIR each is compared with the raster of its name in DIR, or in the same folder
+    below it.
     """
     if not paths:
         raise click.UsageError("Missing argument 'FILE'.")
@@ -101,7 +101,7 @@ def _verify(
 
 
 def _refuse_unfit_without_original(ctx: click.Context) -> None:
-    """Refuse options that say how to read or compare the original."""
+    """Raise for options that concern the original."""
     for name in ("band", "nodata", "heights_are", "max_error", "part"):
         if ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE:
             option = f"--{name}".replace("_", "-")
@@ -187,7 +187,7 @@ def _print_report(report: Any, root: str | None) -> None:
         elif report.is_strict and errors.n_valid:
             click.echo("every height is within the bound")
     if report.ok and report.errors is not None and not report.errors.n_valid:
-        print_note("no height was compared: there is none that is valid in both")
+        print_note("no height was compared: no sample is valid in both")
     if report.original is None:
         click.echo("no heights compared: give the ORIGINAL raster for that")
         if report.ok and (root or report.root):

@@ -1,4 +1,4 @@
-"""The command view: a window to fly in."""
+"""Command view: a window to fly in."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""The command warmup: kernels are compiled beforehand."""
+"""Command warmup: compilation of kernels in advance."""
 
 import shlex
 from pathlib import Path
@@ -12,12 +12,11 @@ from terrainwave.names import WARMUP_TASKS
 
 
 class Tasks(click.ParamType):
-    """Names of tasks, with commas between them."""
+    """Comma-separated names of tasks."""
 
     name = "task,task,…"
 
     def convert(self, value: Any, param: Any, ctx: Any) -> tuple[str, ...]:
-        """Return the names."""
         names = value if isinstance(value, tuple) else tuple(value.split(","))
         for name in names:
             if name not in WARMUP_TASKS:
@@ -46,8 +45,8 @@ class Tasks(click.ParamType):
 def warmup(tasks: tuple[str, ...], folder: str | None, quiet: bool) -> None:
     """Compile all kernels now, so that later runs start faster (for container images).
 
-    The command keeps kernels beside the package, or in the folder that NUMBA_CACHE_DIR names. If it
-    cannot write there, it keeps them in a private folder of the user and prints its name.
+    The command keeps kernels next to the package, or in the folder that NUMBA_CACHE_DIR names. If
+    it cannot write there, it keeps them in a private folder of the user and prints its name.
     """
     from terrainwave.cli.warmup import compile_kernels, keep_kernels_in
 

@@ -1,4 +1,4 @@
-"""The method whose streams can end early: the reversible 5/3 wavelet, tiles of several levels."""
+"""Method with embedded streams: the reversible 5/3 wavelet in tiles of several levels."""
 
 from dataclasses import dataclass
 
@@ -14,11 +14,11 @@ class Cdf53(MethodOptions):
     Parameters
     ----------
     rate : float, optional
-        Size of the file in bits per sample, > 0, instead of `max_error`. The file's bound is then
-        the measured error.
+        Size of the file in bits per sample, > 0, instead of `max_error`. The measured error is then
+        the file's bound.
     psnr : float, optional
-        Quality that the file must reach, > 0, in decibels of the heights' range over the root mean
-        square error, instead of `max_error`.
+        Required quality, > 0, in decibels of the heights' range over the root mean square error,
+        instead of `max_error`.
     """
 
     name = "cdf53"
@@ -39,5 +39,5 @@ class Cdf53(MethodOptions):
 
     @property
     def must_stay(self) -> bool:
-        """Say whether streams are to be cut, which those of other methods can't be."""
+        """Return whether streams are to be cut, which other methods cannot do."""
         return self.rate is not None or self.psnr is not None

@@ -2,7 +2,7 @@
 
 X. Zheng, Y. Wang, X. Wang: integer 5/3 wavelet of the whole raster, coefficients cut into tiles,
 each coded with SPIHT. Departures: tiles hold the lines on their borders instead, so that each can
-be decoded from those above it, and code these lines first.
+be decoded from the tiles above it, and code these lines first.
 """
 
 import zlib
@@ -25,14 +25,14 @@ from terrainwave.grid.quadtree import Region
 HAS_MASKS = 1
 PIECE = 4096
 _CRC_BYTES = 4
-# Heights of coarse levels may overshoot those of the raster; nothing sound comes near this.
+# Heights of coarse levels may overshoot those of the raster; valid ones are far below this.
 _MAX_HEIGHT = (1 << 31) - 1
-# Halvings of a search for the position of a cut.
+# Steps of the bisection for the position of a cut.
 _SEARCH_STEPS = 40
 
 
 class LevelHeights(NamedTuple):
-    """Heights (int32 quanta, as the wavelet has them: not clipped) and validity of a region."""
+    """Heights (int32 quanta, unclipped from the wavelet) and validity of a region."""
 
     region: Region
     heights: Heights
@@ -44,17 +44,16 @@ class LevelHeights(NamedTuple):
         return LevelHeights(region, self.heights[at], self.validity.part(at))
 
     def copy(self) -> "LevelHeights":
-        """Return it in arrays of its own."""
         return LevelHeights(self.region, self.heights.copy(), self.validity.copy())
 
 
 @dataclass(frozen=True)
 class TileHead:
-    """What stands before the stream of a tile: enough to plan how much of that to read.
+    """Head of a tile before its stream: enough to plan how much of the stream to read.
 
-    `masks` are those of the levels, the coarsest first; empty ones follow from what is known.
-    ``ends[i]`` bytes of the stream decode its first i + 1 planes; the last of them is its whole
-    length, of which `n_stream` bytes follow. `low` is the LL sample of the root tile.
+    `masks` are the coded masks of the levels, coarsest first, empty if implied. ``ends[i]`` bytes
+    of the stream decode its first i + 1 planes; the last entry is the whole length;
+    `n_stream` bytes are present. `low` is the LL sample of the root tile.
     """
 
     masks: tuple[bytes, ...]
@@ -71,7 +70,7 @@ class TileHead:
 
 @dataclass(frozen=True)
 class CodedTile:
-    """A tile's whole stream, and its head; `payload` makes the bytes of the file."""
+    """A tile's whole stream and its head; `payload` returns the bytes for the file."""
 
     spec: TileSpec
     head: TileHead
@@ -97,9 +96,9 @@ def encode_tile(
     target : ndarray of int32, shape ``spec.region.shape``
         Heights of the finest level, in quanta; voids hold their fill.
     levels : sequence of Validity
-        That of each level, the coarsest first.
+        Validity of each level, the coarsest first.
     outer : Validity or None
-        That of the head's block; None for the root tile.
+        Validity of the head's block; None for the root tile.
 
     Returns
     -------
@@ -129,7 +128,7 @@ def encode_tile(
 
 
 def _encode_masks(spec: TileSpec, index: int, level: Validity, above: Validity | None) -> bytes:
-    """Return the section of a level's validity; `above` is that of the level above."""
+    """Return the section of a level's validity; `above` is the next coarser level's."""
     is_finest = spec.is_finest(index)
     return encode_validity(
         level, spec.regions[index], _above(spec, index, above), is_finest=is_finest
@@ -137,7 +136,7 @@ def _encode_masks(spec: TileSpec, index: int, level: Validity, above: Validity |
 
 
 def _above(spec: TileSpec, index: int, above: Validity | None) -> Above | None:
-    """Return the validity of the level above one, with its region."""
+    """Return the validity of the next coarser level, with its region."""
     outer = spec.outer if index == 0 else spec.regions[index - 1]
     return None if above is None or outer is None else Above(outer, above)
 
@@ -150,7 +149,6 @@ def _is_void(level: Validity) -> bool:
 
 
 def pack_head(head: TileHead) -> bytes:
-    """Return the bytes of a head."""
     has_masks = any(head.masks)
     out = bytes([HAS_MASKS if has_masks else 0])
     for mask in head.masks if has_masks else ():
@@ -167,12 +165,12 @@ def pack_head(head: TileHead) -> bytes:
 
 
 def unpack_head(spec: TileSpec, payload: bytes) -> tuple[TileHead, int]:
-    """Return the head and where the stream behind it begins.
+    """Return the head and the position of the stream after it.
 
     Raises
     ------
     TruncatedStreamError
-        If the bytes end inside the head: more of them may help.
+        If the bytes end inside the head: reading more may help.
     CorruptStreamError
         If they contradict the format.
     """
@@ -246,12 +244,12 @@ def _unpack_pieces(data: bytes) -> bytes:
 
 
 def packed_length(n_bytes: int) -> int:
-    """Return how many bytes a stream of `n_bytes` takes in pieces."""
+    """Return the packed length of a stream of `n_bytes`."""
     return n_bytes + -(-n_bytes // PIECE) * _CRC_BYTES
 
 
 def prefix_length(n_bytes: int, total: int) -> int:
-    """Return how many packed bytes hold the whole pieces of the first `n_bytes` of `total`."""
+    """Return the packed length of the whole pieces in the first `n_bytes` of `total`."""
     if n_bytes >= total:
         return packed_length(total)
     return packed_length(n_bytes // PIECE * PIECE)
@@ -276,7 +274,7 @@ def decode_tile(
     outer : LevelHeights or None
         The head's block; None for the root tile.
     is_prefix : bool
-        Whether `payload` may end anywhere behind the head.
+        `payload` may end anywhere after the head.
 
     Raises
     ------
@@ -335,7 +333,7 @@ def decode_masks(spec: TileSpec, head: TileHead, outer: Validity | None) -> list
 
 
 def plane_cut(ends: Sequence[int], total: int, position: float) -> int:
-    """Return how many bytes of a stream to keep so that tiles are equally good.
+    """Return the number of bytes to keep of a stream so that all tiles have equal quality.
 
     `position` counts bit planes of coefficients as the tile shifts them, down from the top: all
     planes from ⌈position⌉ up, and a share of the next.
@@ -351,8 +349,8 @@ def plane_cut(ends: Sequence[int], total: int, position: float) -> int:
 def finest_position(n_bytes: Callable[[float], int], coarsest: float, max_bytes: int) -> float:
     """Return the finest position (`plane_cut`) at which streams take at most `max_bytes`.
 
-    `n_bytes` returns what they take at a position. `coarsest` is returned where all finer ones take
-    too much; it is not tried.
+    `n_bytes` returns their size at a position. If all finer positions take too much, the result is
+    `coarsest`, untested.
     """
     low, high = 0.0, coarsest
     if n_bytes(low) <= max_bytes:

@@ -4,15 +4,15 @@ A. Said and W. A. Pearlman, "A new, fast, and efficient image codec based on set
 hierarchical trees" (1996): a list of insignificant pixels, one of insignificant sets (D, all
 descendants of a coefficient, and L, those but its children) and one of significant pixels.
 
-Departures: the LL band is not part of it (a tile gets it from above); the roots are all
-coefficients without a parent in the next coarser band; coefficients are shifted by about the norm
-of their basis functions, and bits known to be zero are not coded; every decision is coded with an
-adaptive model chosen by what is known of its neighbours, instead of as one raw bit.
+Departures: the LL band is not coded (a tile gets it from above); the roots are all coefficients
+without a parent in the next coarser band; coefficients are shifted by about the norm of their basis
+functions, and bits known to be zero are not coded; every decision is coded with an adaptive model
+chosen by known neighbours, instead of as one raw bit.
 
-Encoder and decoder are one traversal, `_code_planes`, whose goal is None in a decoder.
-No index comes from the stream. It only decides the way through lists whose entries are made of the
-field's own geometry: a coefficient is in one list of pixels at a time, and a set enters the list of
-sets at most once as D and once as L.
+Encoder and decoder are one traversal, `_code_planes`, whose goal is None in a decoder. No index
+comes from the stream. The stream only selects the path through lists built from the field's
+geometry: a coefficient is in one list of pixels at a time, and a set enters the list of sets at
+most once as D and once as L.
 """
 
 from dataclasses import dataclass
@@ -40,28 +40,28 @@ from terrainwave.coding.rangecoder import (
 )
 from terrainwave.coding.status import raise_for_status
 
-# Of a sound field, not shifted; more planes than shifts can make of it.
+# Largest unshifted magnitude in a valid field; shifted ones fit MAX_PLANES.
 _MAX_MAGNITUDE = 1 << 34
 MAX_PLANES = 60
 
-# Columns of the geometry of a field: 3 * transform + band - 1, or -1 in LL and the frame; place of
-# the first child, or -1; 1 for one row of children, 2 for one column (else two of both); place of
-# the parent, or of the frame.
+# Columns of the geometry of a field: 3 * transform + band - 1, or -1 in LL and the frame; position
+# of the first child, or -1; 1 for one row of children, 2 for one column (else two of both);
+# position of the parent, or of the frame.
 _BAND, _CHILD, _SINGLE, _PARENT = 0, 1, 2, 3
 
-# What the state of the traversal holds behind that of the range coder.
+# Entries of the traversal's state after those of the range coder.
 IS_CUT, IS_STOPPED, N_DECISIONS = STATE_SIZE, STATE_SIZE + 1, STATE_SIZE + 2
 N_PIXELS, N_ENTRIES, N_SIGNIFICANT, N_REFINED = (STATE_SIZE + 3 + i for i in range(4))
 WALK_STATE_SIZE = STATE_SIZE + 7
 
-# An unknown rest of a magnitude, r bits wide, counts as 3 / 8 of 2^r: most are small.
+# An unknown remainder of a magnitude, r bits wide, counts as 3 / 8 of 2^r: most are small.
 _REST_NUM, _REST_BITS = 3, 3
 
-# Sets: whether D and L are known to be significant.
+# Flags of sets: D and L are known to be significant.
 _D_KNOWN, _L_KNOWN = 1, 2
 
-_MAX_UNITS = 6  # neighbours count up to so many times the threshold
-# The bin of a sum is the number of these that are not above it.
+_MAX_UNITS = 6  # neighbours count up to this multiple of the threshold
+# The bin of a sum is the number of these that are <= the sum.
 _THRESHOLDS = np.array([1, 2, 3, 4, 5, 6, 7, 9, 11, 14, 18, 24, 32, 40, 48], dtype=np.int64)
 _LAST_BIN_AT = 48
 _BINS = np.searchsorted(_THRESHOLDS, np.arange(_LAST_BIN_AT + 1), side="right")
@@ -80,9 +80,9 @@ N_SPIHT_MODELS = _REFINE_MODELS + 3 * _N_BINS
 
 @dataclass(frozen=True)
 class Geometry:
-    """Places of the coefficients of a field of one shape, flat, with a frame of one all around.
+    """Positions of the coefficients of a field of one shape, flat, with a frame of one sample.
 
-    `table` is int32, shape (n_places, 4); `width` the places of a row.
+    `table` is int32, shape (n_places, 4); `width` the positions in a row.
     """
 
     table: NDArray[np.int32]
@@ -153,10 +153,10 @@ def _fill_geometry(sizes, width, table, roots):
 
 
 class Walk(NamedTuple):
-    """What one traversal reads and writes besides its state.
+    """Arrays of one traversal besides its state.
 
-    `known` are the bits of magnitudes coded so far and `signs` their signs; `sets` what is known of
-    D and L. The lists: insignificant `pixels`, `entries` (a set's place times two, plus one for
+    `known` are the bits of magnitudes coded so far and `signs` their signs; `sets` the flags of D
+    and L. The lists: insignificant `pixels`, `entries` (a set's position times two, plus one for
     type B), `significant` pixels.
     """
 
@@ -172,10 +172,11 @@ class Walk(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """What an encoder's traversal is to say.
+    """Coefficients to encode.
 
     `values` are the shifted coefficients and `tops` the highest bits of each coefficient, its D and
-    its L (-1: zero). ``ends[plane]`` becomes the bytes that decode all planes down to `plane`.
+    its L (-1: zero). ``ends[plane]`` becomes the number of bytes that decode all planes down to
+    `plane`.
     """
 
     values: NDArray[np.int64]
@@ -190,8 +191,8 @@ class Goal(NamedTuple):
 def _decide(coder, walk, index, bit):
     """Code one decision with ``models[index]``; return it.
 
-    A decoder of a cut stream stops, for good, before the first decision for which it would need a
-    byte past the end, and takes 0 for it.
+    A decoder of a cut stream stops for good before the first decision that needs a byte past the
+    end, and returns 0 for it.
     """
     state, stream, models, is_encoder = coder
     if is_encoder is None:
@@ -210,7 +211,7 @@ def _decide(coder, walk, index, bit):
 
 @kernel
 def _n_bytes_decided(state):
-    """Return how many bytes of an encoder's stream decode all its decisions so far."""
+    """Return the number of bytes of an encoder's stream that decode all its decisions so far."""
     return n_bytes_begun(state) + 4
 
 
@@ -219,14 +220,14 @@ def _n_bytes_decided(state):
 
 @kernel
 def _shift_of(band):
-    """Return by how many bits coefficients of a band of the geometry are shifted."""
+    """Return the number of bits by which coefficients of a band are shifted."""
     transform = band // 3
     return max(transform - 1, 0) if band % 3 == 2 else transform
 
 
 @kernel
 def _class_of(band):
-    """Return the class of models of a band of the geometry."""
+    """Return the class of models of a band."""
     return min(band // 3, _N_DEPTHS - 1) * 3 + band % 3
 
 
@@ -238,7 +239,7 @@ def _units(known, place, plane):
 
 @kernel
 def _neighbourhood(walk, place, plane):
-    """Return the bin of what is known around: twice W, E, N, S and the parent, and diagonals."""
+    """Return the bin of known magnitudes around: twice W, E, N, S and parent, and diagonals."""
     known, width = walk.known, walk.width
     near = (
         _units(known, place - 1, plane)
@@ -258,7 +259,7 @@ def _neighbourhood(walk, place, plane):
 
 @kernel
 def _set_neighbours(walk, place, flag):
-    """Return how many of the eight neighbours have a set that is known to be significant."""
+    """Return how many of the eight neighbours have a set known to be significant."""
     count = 0
     for row in range(-1, 2):
         for col in range(-1, 2):
@@ -285,7 +286,6 @@ def _children(table, place):
 
 @kernel
 def _n_significant_children(walk, place):
-    """Return how many children of `place` are significant."""
     child, n_rows, n_cols = _children(walk.table, place)
     count = 0
     for row in range(n_rows):
@@ -300,7 +300,7 @@ def _n_significant_children(walk, place):
 
 @kernel
 def _code_pixel(coder, walk, goal, plane, place, first_model):
-    """Code whether a coefficient is significant, and if so its sign; say whether it is."""
+    """Code whether a coefficient is significant, and its sign if so; return whether it is."""
     state = coder.state
     value = np.int64(0)
     if goal is not None:
@@ -321,14 +321,14 @@ def _code_pixel(coder, walk, goal, plane, place, first_model):
 
 @kernel
 def _sort_pixels(coder, walk, goal, plane):
-    """Move the pixels that become significant to the others that are."""
+    """Move newly significant pixels to the list of significant ones."""
     state = coder.state
     n_kept = 0
     for at in range(state[N_PIXELS]):
         place = np.int64(walk.pixels[at])
         band = walk.table[place, _BAND]
         if _shift_of(band) > plane:
-            continue  # all its bits have been coded: it is zero
+            continue  # all its bits are coded: it is zero
         first_model = _PIXEL_MODELS + _class_of(band) * _N_BINS
         if state[IS_STOPPED] or not _code_pixel(coder, walk, goal, plane, place, first_model):
             walk.pixels[n_kept] = place
@@ -386,7 +386,7 @@ def _decide_set(coder, walk, goal, plane, place, is_l):
 
 @kernel
 def _sort_sets(coder, walk, goal, plane):
-    """Open the sets that become significant; those that come of them are looked at as well."""
+    """Open the sets that become significant, and then the sets that these contain."""
     state = coder.state
     n_kept = at = 0
     n_entries = state[N_ENTRIES]
@@ -412,7 +412,7 @@ def _sort_sets(coder, walk, goal, plane):
 
 @kernel
 def _refine(coder, walk, goal, plane, n_old):
-    """Code one more bit of the first `n_old` significant pixels; N_REFINED says of how many."""
+    """Code one more bit of the first `n_old` significant pixels; N_REFINED counts them."""
     state = coder.state
     for at in range(n_old):
         state[N_REFINED] = at
@@ -434,7 +434,7 @@ def _refine(coder, walk, goal, plane, n_old):
 
 @kernel
 def _code_planes(coder, walk, goal, n_planes):
-    """Encode the planes of `goal` from `n_planes` - 1 down, or decode them where it is None.
+    """Encode the planes of `goal` from `n_planes` - 1 down, or decode them if it is None.
 
     Return (plane, old pixels) where it stopped.
     """
@@ -452,17 +452,17 @@ def _code_planes(coder, walk, goal, n_planes):
         if goal is not None:
             goal.ends[plane] = _n_bytes_decided(state)
         elif not state[IS_CUT] and state[BYTE_POS] > coder.stream.shape[0] + 4:
-            return plane, n_old  # `finish_decoder` says so
+            return plane, n_old  # `finish_decoder` reports it
     return np.int64(0), n_old
 
 
 @kernel
 def _guess_values(state, walk, plane, n_old, values):
-    """Fill `values` with the best guess of each coefficient, not shifted any more."""
+    """Fill `values` with the best estimate of each coefficient, unshifted."""
     for at in range(state[N_SIGNIFICANT]):
         place = walk.significant[at]
         shift = _shift_of(walk.table[place, _BAND])
-        # Old pixels behind the last one refined lack this plane's bit.
+        # Old pixels after the last refined one lack this plane's bit.
         n_bits = plane + 1 if state[N_REFINED] <= at < n_old else plane
         rest = (_REST_NUM << n_bits) >> _REST_BITS if n_bits > shift else 0
         magnitude = min((walk.known[place] + rest) >> shift, _MAX_MAGNITUDE)
@@ -471,9 +471,9 @@ def _guess_values(state, walk, plane, n_old, values):
 
 @kernel
 def _fill_goal(table, values, tops):
-    """Shift coefficients by what their bands are, and fill their tops.
+    """Shift coefficients by their bands' shifts, and fill their tops.
 
-    Places without a coefficient become 0.
+    Positions without a coefficient become 0.
     """
     for place in range(values.shape[0]):
         band = table[place, _BAND]
@@ -487,9 +487,9 @@ def _fill_goal(table, values, tops):
 
 @kernel
 def _fill_set_tops(table, width, transform, n_rows, n_cols, tops):
-    """Fill the tops of D and L of a transform's coefficients, within so many rows and columns.
+    """Fill the tops of D and L of a transform's coefficients, within `n_rows` and `n_cols`.
 
-    Those of the finer transforms are needed first.
+    The tops of the finer transforms must be filled already.
     """
     for row in range(n_rows):
         for col in range(n_cols):
@@ -511,7 +511,7 @@ def _fill_set_tops(table, width, transform, n_rows, n_cols, tops):
 
 
 class CodedField(NamedTuple):
-    """A coded field: the stream, the number of its planes, and how it may be cut.
+    """A coded field: the stream, its number of planes, and where it can be cut.
 
     ``ends[plane]`` bytes decode all planes down to `plane`.
     """
@@ -524,7 +524,7 @@ class CodedField(NamedTuple):
 
 @lru_cache(maxsize=8)
 def geometry_of(shape: tuple[int, int], n_transforms: int) -> Geometry:
-    """Return `make_geometry`'s result, kept for the next field of that shape."""
+    """Return `make_geometry`'s result, cached for the next field of that shape."""
     return make_geometry(shape, n_transforms)
 
 
@@ -540,7 +540,7 @@ def encode_field(
     field : ndarray of int64, shape (n_rows, n_cols)
         As `forward_transform` leaves it; magnitudes below 2^34.
     trace : ndarray of uint8, optional
-        Gets the decisions, as many as fit.
+        Receives the decisions, as many as fit.
     """
     geometry = geometry_of(field.shape, n_transforms)
     n_places = geometry.table.shape[0]
@@ -574,7 +574,7 @@ def decode_field(
     Parameters
     ----------
     is_cut : bool
-        Whether `stream` may be any prefix: what it doesn't tell is guessed.
+        `stream` may be any prefix: missing bits are estimated.
 
     Raises
     ------
@@ -582,7 +582,7 @@ def decode_field(
         If a stream that is not cut does not end where its last decision does.
     """
     geometry = geometry_of(shape, n_transforms)
-    # A copy that can be written to: types of what only an encoder does are inferred as well.
+    # A writable copy, because numba infers the types of encoder branches as well.
     data = np.frombuffer(stream, dtype=np.uint8).copy()
     state, walk = _start(geometry)
     state[IS_CUT] = is_cut
@@ -602,7 +602,7 @@ def _inner(values: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int6
 
 
 def _stream_for(field: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return room for the stream of a field: no decision takes more than 16 bits."""
+    """Return an array for the stream of a field: no decision takes more than 16 bits."""
     n_bits = int(np.abs(field).max(initial=0)).bit_length() + 2
     return np.empty(4096 + 4 * field.size * n_bits, dtype=np.uint8)
 
@@ -610,7 +610,7 @@ def _stream_for(field: NDArray[np.int64]) -> NDArray[np.uint8]:
 def _start(
     geometry: Geometry, trace: NDArray[np.uint8] | None = None
 ) -> tuple[NDArray[np.int64], Walk]:
-    """Return the state and the arrays of a traversal that is about to begin."""
+    """Return the initial state and arrays of a traversal."""
     n_places = geometry.table.shape[0]
     walk = Walk(
         trace=np.empty(0, dtype=np.uint8) if trace is None else trace,

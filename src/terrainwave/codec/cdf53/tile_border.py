@@ -1,7 +1,7 @@
-"""The coefficients on the borders of a tile, exact and first (format-cdf53.md, C.4).
+"""Coefficients on the borders of a tile, exact and first (format-cdf53.md, C.4).
 
-Two tiles share the samples of a border, whose lines are transformed along themselves alone. Both
-code the same coefficients, whatever else of their streams is cut, so shared samples stay equal.
+Two tiles share the samples of a border, whose lines are transformed only along themselves. Both
+code the same coefficients, wherever their streams are cut, so shared samples stay equal.
 """
 
 from collections.abc import Iterator
@@ -87,7 +87,7 @@ def _context(last, before):
 
 @kernel
 def _code_line(goal, coder, values):
-    """Encode the coefficients `goal`, or decode where it is None; either way into `values`."""
+    """Encode the coefficients `goal`, or decode if it is None; in both cases into `values`."""
     last = before = value = np.int64(0)
     for at in range(values.shape[0]):
         if goal is not None:

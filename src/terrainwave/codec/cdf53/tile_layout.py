@@ -2,9 +2,9 @@
 
 A tile is a block of one level, its *head*, with all samples of the next few levels below it. One
 stream holds them; its payload has the key of the head. The heights of the head's block are the LL
-band of the tile and come from the tile above. The root tile has no head: it holds level 0 and as
-many of the next levels as are left over when the others are dealt out from the finest, so the
-coarse levels come first in the file, as an overview of their own.
+band of the tile and come from the tile above. The root tile has no head: it holds level 0 and the
+levels that remain when full tiles are counted from the finest level, so the coarse levels come
+first in the file, as an overview.
 """
 
 from dataclasses import dataclass
@@ -19,12 +19,11 @@ _TILE_LOG2 = 10
 
 @dataclass(frozen=True)
 class TileSpec:
-    """What the coder of a tile may know besides the heights of its head's block.
+    """Parameters of a tile's coder besides the heights of its head's block.
 
-    `first` … `last` are the levels it holds and `regions` its samples on each; `outer` is its
-    head's block; `held` says which of its sides border on other tiles (sum of
-    `lifting53.HELD_TOP` …), `n_below` how many levels are finer than `last`; `has_voids` says
-    whether samples may be void.
+    The tile holds the levels `first` … `last` with the samples `regions`; `outer` is its head's
+    block; `held` is the set of sides that border on other tiles (sum of `lifting53.HELD_TOP` …),
+    `n_below` the number of levels finer than `last`; `has_voids` is true if samples may be void.
     """
 
     key: Block
@@ -43,25 +42,25 @@ class TileSpec:
         return self.regions[-1]
 
     def is_finest(self, index: int) -> bool:
-        """Say whether a level, counted from the coarsest, is the full grid."""
+        """Return whether a level, counted from the coarsest, is the full grid."""
         return self.n_below + len(self.regions) - 1 == index
 
     @property
     def is_root(self) -> bool:
-        """Say whether this is the tile without a head."""
+        """Return whether this is the tile without a head."""
         return self.key.is_root_key
 
 
 @dataclass(frozen=True)
 class TileLayout:
-    """How the units of a grid are gathered into tiles."""
+    """Partition of a grid's units into tiles."""
 
     grid: Grid
     has_voids: bool = True
 
     @cached_property
     def depth(self) -> int:
-        """Return the number of levels of a tile that is not the root one."""
+        """Return the number of levels of a tile other than the root one."""
         return max(1, _TILE_LOG2 + 1 - self.grid.block.bit_length())
 
     @cached_property
@@ -101,7 +100,6 @@ class TileLayout:
         return keys
 
     def n_units(self, key: Block) -> int:
-        """Return how many units tile `key` holds."""
         head = Block(0, 0, 0) if key.is_root_key else key
         last = self.root_last if key.is_root_key else key.level + self.depth
         layer, count = [head], 1 if key.is_root_key else 0
@@ -111,7 +109,6 @@ class TileLayout:
         return count
 
     def spec(self, key: Block) -> TileSpec:
-        """Return the spec of tile `key`."""
         grid = self.grid
         head = Block(0, 0, 0) if key.is_root_key else key
         first = key.level + 1
@@ -141,7 +138,7 @@ class TileLayout:
         )
 
     def _root_transforms(self) -> int:
-        """Return how many transforms take the root tile to one sample; at least one."""
+        """Return the number of transforms that reduce the root tile to one sample; at least one."""
         cells = max(self.grid.level_shape(self.root_last)) - 1
         return max(cells.bit_length(), self.root_last + 1)
 

@@ -1,4 +1,4 @@
-"""The method of Yusov & Turlapov 2010: the 9/7 wavelet, zero trees, residuals."""
+"""Method of Yusov & Turlapov 2010: the 9/7 wavelet, zero trees, residuals."""
 
 from dataclasses import dataclass
 
@@ -29,5 +29,5 @@ class Cdf97(BlockMethodOptions):
 
     @property
     def must_stay(self) -> bool:
-        """Say whether files are to follow the paper, which those of other methods don't."""
+        """Return whether files are to follow the paper, which other methods cannot do."""
         return self.faithful

@@ -61,9 +61,9 @@ from terrainwave.coding.status import raise_for_status
 from terrainwave.coding.zerotrees import JZTC, JZTR, map_of_labels
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 
-# Fraction bits of wavelet coefficients, and the largest one used: with it no stream can overflow
-# the inverse transform (proof: tests/coding/test_filters.py). Larger ones are cut, and residuals
-# mend that.
+# Fraction bits of wavelet coefficients, and their largest value: with it no stream can overflow the
+# inverse transform (proof: tests/coding/test_filters.py). Larger ones are clamped, and residuals
+# correct that.
 FRACTION_BITS = 6
 MAX_COEFF = 1 << 40
 MAX_INDEX = 1 << 30
@@ -74,15 +74,15 @@ _STEP_UNIT = 16
 _MAX_STEP_CODE = 1 << 32
 
 
-# Steps tried by effort, on the finest level and on coarser ones; 0 stands for no coefficients.
-# With effort 1 the finest level tries the others only where the first gives many bits per sample.
+# Steps tried by effort, on the finest level and on coarser ones; 0 means no coefficients. With
+# effort 1 the finest level tries the others only if the first gives many bits per sample.
 _FINEST_STEPS = ((0,), (0, 40), (0, 28, 40, 64, 128))
 _COARSE_STEPS = ((20,), (0, 20, 40), (0, 14, 17, 20, 27, 40, 64))
 _RATE_OF_TRIALS = 1.5
 # The one step of faithful files, 2.25 (delta + p / 2), which is small near 2 bits per sample (Y10
-# leaves it to its reference 14, which could not be had).
+# leaves it to its reference 14, which was not available).
 FAITHFUL_STEP = 36
-# Bits that a sample of a parent whose errors are spread evenly over a step costs its children.
+# Bits that children pay for a parent's sample with errors spread evenly over a step.
 _NOISE_BITS = 0.8
 
 
@@ -138,7 +138,7 @@ class Cdf97Refiner:
     def encode(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask | None
     ) -> tuple[bytes, Heights, Labels | None]:
-        """Return the payload, the heights `decode` makes of it, and the zero trees of the core."""
+        """Return the payload, its decoded heights, and the zero trees of the core."""
         return _Encoder(spec, parent, target, mask).run()
 
     def decode(
@@ -156,7 +156,7 @@ class Cdf97Refiner:
         mask = as_array(mask, spec.region.shape)
         heights, is_known = _predict(spec, parent)
         core = spec.core.slices_in(spec.region)
-        prediction = heights[core].copy()  # as it is before shared lines are written
+        prediction = heights[core].copy()  # before shared lines are written
         code_border(spec, parent, None, mask, border, heights, is_known, is_nested=False)
         inner = np.ascontiguousarray(heights[core])
         trees = None
@@ -193,7 +193,7 @@ class Cdf97Refiner:
 
 
 class _Encoder:
-    """One encoding: what all candidates share, and the best of them so far."""
+    """One encoding: state shared by all candidates, and the best of them so far."""
 
     def __init__(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask | None
@@ -202,7 +202,7 @@ class _Encoder:
         mask = as_array(mask, spec.region.shape)
         self.heights, is_known = _predict(spec, parent)
         self.core = core = spec.core.slices_in(spec.region)
-        self.prediction = self.heights[core].copy()  # as it is before shared lines are written
+        self.prediction = self.heights[core].copy()  # before shared lines are written
         self.out = np.empty(5 * target.size + 1024, dtype=np.uint8)
         self.coder = new_encoder(self.out, trained.start_border_models())
         code_border(spec, parent, target, mask, self.coder, self.heights, is_known, is_nested=False)
@@ -210,7 +210,7 @@ class _Encoder:
         self.is_known = np.ascontiguousarray(is_known[core])
         self.coded = mask[core] & ~self.is_known
         # The coefficients aim at the originals on the shared lines too: the decoded lines carry
-        # noise of up to half a step, which would cost coefficients for nothing.
+        # noise of up to half a step, which would only cost coefficients.
         self.target = np.ascontiguousarray(target[core])
         self.start = np.ascontiguousarray(self.heights[core])
         self.work = _workspace(self.target.shape)
@@ -244,7 +244,7 @@ class _Encoder:
         return payload, heights, _zero_trees(nodes, inner.shape)
 
     def attempt_steps(self) -> None:
-        """Try some steps; keep the smallest result, or the one that serves finer levels best."""
+        """Try several steps; keep the smallest result, or the one that serves finer levels best."""
         effort = self.spec.effort
         for step_code in (_FINEST_STEPS if self.spec.is_finest else _COARSE_STEPS)[effort]:
             self.attempt(step_code)
@@ -255,7 +255,7 @@ class _Encoder:
     def attempt(self, step_code: int) -> None:
         """Encode with this step, 0 for no coefficients; keep the result if it costs least.
 
-        Nothing is kept if an index would be larger than MAX_INDEX.
+        The result is dropped if an index exceeds MAX_INDEX.
         """
         coding = Coding(0, step_code)
         spec, work = self.spec, self.work
@@ -294,7 +294,7 @@ class _Encoder:
         n_bits = 8 * (n_bytes + len(header))
         cost = float(n_bits)
         if not spec.is_finest:
-            # Noise in a parent costs its children: the smallest payload is not the goal.
+            # Noise in a parent costs its children, so the smallest payload is not the goal.
             squares, _ = _squared_error(self.target, inner, self.coded)
             cost += _NOISE_BITS * 12 * squares / spec.step**2
         if self.best is None or cost < self.least:
@@ -314,7 +314,7 @@ class _Encoder:
         return int(costs.argmin())
 
     def attempt_raw(self) -> None:
-        """Encode the samples in plain bits, keep the result if it is the smallest."""
+        """Encode the samples in plain bits; keep the result if it is the smallest."""
         spec = self.spec
         valid = self.target[self.coded]
         base = int(valid.min()) if valid.size else 0
@@ -341,7 +341,7 @@ def _kinds(mask: Mask, is_known: NDArray[np.bool_]) -> NDArray[np.uint8]:
 
 
 def _no_labels(labels: Labels) -> None:
-    """Set the labels of nodes that hold nothing, in place."""
+    """Set the labels of empty nodes, in place."""
     labels[:] = JZTC
     labels[0] = JZTR
 
@@ -386,7 +386,7 @@ def _measure_parent(spec: GroupSpec, parent: Heights | None, work: RegionArrays)
 
 
 def _bands(step: int, coding: Coding, n_levels: int) -> Bands:
-    """Return how a payload's coefficients are quantised."""
+    """Return the quantiser of a payload's coefficients."""
     steps = np.empty((n_levels, 4), dtype=np.int64)
     limits = np.empty((n_levels, 4), dtype=np.int64)
     for t in range(n_levels):
@@ -454,18 +454,19 @@ def _read_header(payload: bytes) -> tuple[Coding, int]:
 def _quantize(detail, steps, quants):
     """Fill `quants` with indices of `detail`; return the largest index.
 
-    An index rounds up from 0.58 on: 2-5 % smaller than from 0.5.
+    An index rounds up from 0.58: 2-5 % smaller than from 0.5.
     """
     largest = np.int64(0)
     n_rows, n_cols = detail.shape
     count = steps.shape[0]
     for row in range(n_rows):
-        # Transform whose high-pass rows this row belongs to; count if it is the root's row.
+        # Transform whose high-pass rows this row belongs to; `count` for the root's row.
         t_row = 0
         while t_row < count and (row >> t_row) & 1 == 0:
             t_row += 1
         for t in range(count - 1, -1, -1):
-            # Columns cols_low … cols - 1 are high in x at transform t, and below are low at t.
+            # Columns cols_low … cols - 1 are high in x at transform t, and columns below are low at
+            # t.
             if t > t_row:
                 continue
             cols = ((n_cols - 1) >> t) + 1
@@ -536,7 +537,7 @@ def _round_base(base, is_known, heights):
 
 @kernel
 def _code_raw_heights(target, base, width, step, coded, coder, heights):
-    """Encode round((target - base) / step) in `width` bits each, or decode where `target` is None.
+    """Encode round((target - base) / step) in `width` bits each, or decode if `target` is None.
 
     Fills `heights`.
     """

@@ -1,10 +1,10 @@
-"""Residuals in quantiser steps: what makes the bound hold (FORMAT.md §7.7, §7.9).
+"""Residuals in quantiser steps, which ensure the bound (FORMAT.md §7.7, §7.9).
 
-E. Yusov, V. Turlapov 2010, §2.1: r = round(error / n), coded in the sample domain after the
-wavelet stage, with the same bound on every level; coarse levels of faithful files are quantised
-as it prints for them. Departure: the error is not that of the wavelet's
-heights (the *base*) alone but what is left of it after a prediction from the base's curvature and
-from the errors decoded before, which are alike where small coefficients were dropped.
+E. Yusov, V. Turlapov 2010, §2.1: r = round(error / n), coded in the sample domain after the wavelet
+stage, with the same bound on every level; coarse levels of faithful files are quantised as printed.
+Departure: the error is not simply that of the wavelet's heights (the *base*). It is the error after
+a prediction from the base's curvature and from errors decoded before, which are alike where small
+coefficients were dropped.
 """
 
 from typing import NamedTuple
@@ -39,14 +39,14 @@ from terrainwave.coding.rangecoder import (
     take_out,
 )
 
-# What a sample is: nothing to code, coded here, or known already (on a shared line).
+# State of a sample: nothing to code, coded here, or known already (on a shared line).
 VOID, CODED, KNOWN = 0, 1, 2
 
 # The base has a frame of two samples and fraction bits as predictions; terms are weighted in 1/256.
 BASE_BITS = P_BITS
 FRAME = 2
 WEIGHT_BITS = 8
-# Differences of the base and errors are cut to this: products fit 32 x 32 bits.
+# Differences of the base and errors are clamped to this: products fit 32 x 32 bits.
 _MAX_DIFFERENCE = 1 << 30
 # Errors of prediction are in 1/32 step, the expected magnitude in 1/256, its weights in 1/128.
 _E_SHIFT = 7 + ERROR_BITS - 8
@@ -62,11 +62,11 @@ N_CURVES = len(CURVES)
 N_TERMS = N_CURVES + len(PLACES)
 _T_WEST, _T_WEST2, _T_ABOVE, _T_ABOVE2 = N_CURVES, N_CURVES + 1, N_CURVES + 2, N_CURVES + 7
 
-# Where the errors of a term begin in their framed row.
+# Start of the errors of a term in their framed row.
 _FIRST_OF_TERM = np.array([0] * N_CURVES + [FRAME + col for _, col in PLACES], dtype=np.int64)
 
-# Features of the expected magnitude: errors of prediction around, how much the base's errors of the
-# row above differ, one in 1/128.
+# Features of the expected magnitude: errors of prediction around, differences of the base's errors
+# in the row above, one in 1/128.
 (F_W, F_WW, F_N, F_NW, F_NE, F_NN, F_SLOPE, F_CONST) = range(8)
 N_FEATURES = 8
 
@@ -80,10 +80,10 @@ N_RESIDUAL_MODELS = _PREFIX_MODELS + N_PREFIX
 
 
 class Rounding(NamedTuple):
-    """How residuals r become indices ``(abs(r) + bias) // width``, and come back.
+    """Rounding of residuals r to indices ``(abs(r) + bias) // width``, and back.
 
-    An index stands for ``index * width + shift``, 0 for 0. `octaves`: indices are 2**octaves times
-    finer than steps.
+    An index decodes to ``index * width + shift``, 0 to 0. With `octaves`, indices are 2**octaves
+    times finer than steps.
     """
 
     width: int
@@ -93,18 +93,19 @@ class Rounding(NamedTuple):
 
 
 def rounding_of(step: int, *, is_coarse: bool) -> Rounding:
-    """Return how residuals are rounded: to steps, or as Y10 §2.1 prints it for coarse levels.
+    """Return the rounding of residuals: to steps, or as printed in Y10 §2.1 for coarse levels.
 
-    There, with the bound ``delta = step >> 1`` (> 0) for a unit, ``abs(r) // delta`` stands for the
-    middle of its interval. (The text reads the brackets as "nearest integer"; so the bound would
-    hold, but every error had the sign of its residual, and by equation 1 it would not hold at all.)
+    There, with the bound ``delta = step >> 1`` (> 0) as unit, ``abs(r) // delta`` decodes to the
+    middle of its interval. (The text reads the brackets as "nearest integer"; with it the bound
+    would hold, but every error would have the sign of its residual, and by equation 1 it would not
+    hold at all.)
     """
     half = step >> 1
     return Rounding(half, 0, half >> 1, 1) if is_coarse else Rounding(step, half, 0, 0)
 
 
 class ResidualRows(NamedTuple):
-    """Rows to work in; those of samples have a frame of two."""
+    """Scratch rows; rows of samples have a frame of two."""
 
     wide: NDArray[np.int32]
     curves: NDArray[np.int32]
@@ -176,7 +177,7 @@ def _fill_curves(base, row, curves):
 
 @kernel
 def _spread_weights(weights, parity, wide):
-    """Fill ``wide[term, col]`` with the weights of the phase of each column, in such rows."""
+    """Fill ``wide[term, col]`` with the weights of each column's phase, for rows of this parity."""
     for t in range(N_TERMS):
         line, even, odd = wide[t], weights[2 * parity, t], weights[2 * parity + 1, t]
         for j in range(wide.shape[1]):
@@ -246,7 +247,7 @@ def _start(scratch, weights):
 
 @inlined_kernel
 def _index_of(goal, height, width, bias):
-    """Return the magnitude of the index that brings a prediction to its goal, and its sign."""
+    """Return the magnitude of the index from a prediction to its goal, and its sign."""
     error = np.int64(goal) - height
     return (abs(error) + bias) // width, np.int64(-1 if error < 0 else 1)
 
@@ -255,10 +256,10 @@ def _index_of(goal, height, width, bias):
 def code_residuals(
     target, heights, kinds, base, step, rounding, weights, e_weights, scratch, coder
 ):
-    """Encode `target` (int32), or decode where it is None, into `heights`, row by row.
+    """Encode `target` (int32), or decode if it is None, into `heights`, row by row.
 
     `base` is framed; `weights` (4, N_TERMS) int32 are those of the phases 2 (row & 1) + (col & 1).
-    Known samples are in `heights` already; void ones take their prediction.
+    Known samples are in `heights` already; void ones get their prediction.
     """
     n_rows, n_cols = heights.shape
     curves, wide = scratch.curves, scratch.wide
@@ -343,9 +344,9 @@ def code_residuals(
 
 @kernel
 def open_loop_costs(target, kinds, base, step, sets, every, scratch, costs):
-    """Fill `costs` with what each set of weights would cost, in about 1/16 bit, on some rows.
+    """Fill `costs` with the cost of each set of weights, in about 1/16 bit, on some rows.
 
-    Errors are those of the targets with noise like that of quantising. `base` is framed.
+    Errors are those of the targets with simulated quantisation noise. `base` is framed.
     """
     n_rows, n_cols = target.shape
     curves, errors, predicted = scratch.curves, scratch.errors, scratch.predicted

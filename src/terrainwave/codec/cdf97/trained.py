@@ -1,12 +1,12 @@
-"""Tables of the `cdf97` method: its annex (docs/FORMAT.md §7.8)."""
+"""Tables of the `cdf97` method, from its annex (docs/FORMAT.md §7.8)."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.annexes import read_tables
 
-# The file, which tools/train_cdf97.py writes. A start value is the probability of a one in 1/4096
-# times 16, plus half the count.
+# File written by tools/train_cdf97.py. A start value is the probability of a one in 1/4096 times
+# 16, plus half the count.
 ANNEX = "cdf97.bin"
 LAYOUT = np.dtype([
     ("w", "<i2", (16, 4, 19)),

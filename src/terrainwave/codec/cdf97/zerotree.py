@@ -1,7 +1,7 @@
 """Joint zero trees of quantised wavelet coefficients (FORMAT.md §7.5).
 
 E. Yusov, V. Turlapov 2010, §2.4 ("triple tree"): one tree for the three bands. Contexts are ours:
-the paper's reference for its models could not be had.
+the paper's reference for its models was not available.
 
 Node grids halve, rounding up, from the finest (half the region) to 1 x 1. A node of the grid of
 transform t holds HL, LH and HH at its place; the root also LL.
@@ -29,8 +29,8 @@ from terrainwave.coding.rangecoder import (
 )
 from terrainwave.coding.zerotrees import JS, JZTC, JZTR
 
-# Here and below, np.int64(0) and the like are arguments of kernels because numba compiles a kernel
-# anew for every literal it is called with.
+# Below, np.int64(0) and the like are arguments of kernels, because numba compiles a kernel anew for
+# every literal argument.
 
 # Coefficients sit at the front of each row's halves and at rows of their own stride, as
 # `filters.forward_transform` leaves them; magnitudes are kept, clamped to 255, in planes of nodes
@@ -50,8 +50,8 @@ _PREFIX_MODELS = _MAG_MODELS + _N_MAG_CLASSES * 3 * N_BINS * N_UNARY
 _LL_MODELS = _PREFIX_MODELS + 3 * N_PREFIX
 N_TREE_MODELS = _LL_MODELS + 32
 
-# Weights of the context sums, in 1/32: W, N, NW, NE, WW, NN. A band whose magnitudes run along its
-# edges (HL down, LH across) is coded with the second row of its kind; the header says so.
+# Weights of the context sums, in 1/32: W, N, NW, NE, WW, NN. The second row is for bands whose
+# magnitudes run along edges (HL down, LH across); the header selects it.
 _BALANCED = (6, 6, 0, 2, 1, 1)
 _HL_ALONG = (1, 13, 0, 0, 0, 2)
 _LH_ALONG = (13, 1, 0, 0, 2, 0)
@@ -67,9 +67,9 @@ LL, HL, LH, HH = (np.int64(band) for band in range(4))
 
 
 class Bands(NamedTuple):
-    """What quantises coefficients: ``steps[t, band]`` and ``limits[t, band]``, the largest index.
+    """Quantiser of coefficients: ``steps[t, band]`` and ``limits[t, band]``, the largest index.
 
-    `offset` pulls a magnitude towards zero, in 1/64 of a step. `along` is that of `choose_along`.
+    `offset` moves a magnitude towards zero, in 1/64 of a step. `along` is that of `choose_along`.
     """
 
     steps: NDArray[np.int64]
@@ -79,11 +79,10 @@ class Bands(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """What there is for each node of the grids, which begin at `offsets` (`node_offsets`).
+    """Arrays over the nodes of the grids, which begin at `offsets` (`node_offsets`).
 
-    `labels` of all; `rough` (rows, cols) is what the parent says about the finest nodes. Scratch
-    for the finest grid: `mags` (2, 3, rows + FRAME_ROWS, cols + FRAME_COLS), `spread` (3, rows,
-    cols).
+    `labels` of all; `rough` (rows, cols) is the parent's roughness at the finest nodes. Scratch for
+    the finest grid: `mags` (2, 3, rows + FRAME_ROWS, cols + FRAME_COLS), `spread` (3, rows, cols).
     """
 
     offsets: NDArray[np.int64]
@@ -164,7 +163,7 @@ def spread_parents(mags, rows, cols, spread):
             above, here, below = mags[band, i + 1], mags[band, i + 2], mags[band, i + 3]
             for j in range(cols):
                 ring = np.int64(above[j + 2]) + here[j + 1] + here[j + 3]
-                # The frame has one row below only for the last row; it is zero.
+                # The frame has one row below, needed only for the last row; it is zero.
                 ring += np.int64(below[j + 2])
                 spread[band, i, j] = (2 * np.int64(here[j + 2]) + ring) >> 2
 
@@ -192,10 +191,10 @@ def _label_context(sums, west, north, level_class):
 
 @kernel
 def code_tree(goal, field, bands, nodes, coder):
-    """Encode the indices `goal`, or decode where it is None, coarse to fine, HL, LH, HH of a node.
+    """Encode the indices `goal`, or decode if it is None, coarse to fine, HL, LH, HH of a node.
 
-    Either way `field` (int64, zeros) becomes the dequantised coefficients. An encoder's labels are
-    those of `mark_labels`; a decoder fills them.
+    In both cases `field` (int64, zeros) receives the dequantised coefficients. An encoder takes
+    labels from `mark_labels`; a decoder fills them.
     """
     n_rows, n_cols = field.shape
     count = n_transforms(n_rows, n_cols)
@@ -215,7 +214,7 @@ def code_tree(goal, field, bands, nodes, coder):
 
 @kernel
 def _code_level(goal, field, level, t, bands, nodes, coder):
-    """Code the nodes of one grid, that of transform `t`, row by row."""
+    """Code the nodes of the grid of transform `t`, row by row."""
     state, stream, models, is_encoder = borrowed(coder)
     offsets, labels, rough, mags, spread = nodes
     n_rows, n_cols = field.shape
@@ -266,7 +265,7 @@ def _code_node(
     at, state, stream, models, is_encoder, goal, field, t, i, j, steps, limits, offset, plane,
     sum_1, sum_2, sum_3,
 ):  # fmt: skip
-    """Code the coefficients that node (i, j) has; return `at`.
+    """Code the coefficients of node (i, j); return `at`.
 
     Inlined into its only caller, a loop, so its many arguments cost nothing.
     """
@@ -308,7 +307,7 @@ def _code_node(
 def _code_coeff(at, state, stream, models, is_encoder, band, t, sums, is_open, quant):
     """Code a coefficient's index; return (quant, at).
 
-    One that must be non-zero (`is_open` 0) has no zero flag.
+    A coefficient that must be non-zero (`is_open` 0) has no zero flag.
     """
     bin_ = np.int64(BIN_OF_SUM[min(sums >> 1, SUM_LIMIT)])
     if is_open:
@@ -357,8 +356,8 @@ def dequantize(quant, step, limit, offset):
 def measure_roughness(parent, first_row, first_col, step, rough):
     """Fill `rough` with second differences of the parent around each node, in 1/8 of `step`.
 
-    Node (0, 0) lies on ``parent[first_row, first_col]``. Differences reach past the array's edge by
-    repeating it.
+    Node (0, 0) lies on ``parent[first_row, first_col]``. Edge samples are repeated beyond the
+    array.
     """
     n_rows, n_cols = parent.shape
     for i in range(rough.shape[0]):
@@ -376,9 +375,9 @@ def measure_roughness(parent, first_row, first_col, step, rough):
 
 @kernel
 def choose_along(quants):
-    """Return 1 for HL running down its columns plus 2 for LH running along its rows, finest level.
+    """Return 1 if HL runs down its columns, plus 2 if LH runs along its rows, on the finest level.
 
-    Decided by how much neighbouring magnitudes differ along and across.
+    Decided by the differences of neighbouring magnitudes along and across.
     """
     n_rows, n_cols = quants.shape
     rows, cols = (n_rows + 1) >> 1, (n_cols + 1) >> 1

@@ -1,4 +1,4 @@
-"""The smallest method: every sample predicted, mixed models, a range coder."""
+"""Method with the smallest files: every sample predicted, mixed models, a range coder."""
 
 from dataclasses import dataclass
 

@@ -1,7 +1,7 @@
-"""Tables of `predictive` that a file brings along: their bytes (FORMAT.md: predictive, P.10).
+"""Tables of `predictive` stored in a file: their bytes (FORMAT.md: predictive, P.10).
 
-A file's stencils stand after the trained ones of `trained.STENCILS`, its weights of the expected
-magnitude after those of `trained.E_WEIGHTS`.
+A file's stencils follow the trained ones of `trained.STENCILS`, its weights of the expected
+magnitude those of `trained.E_WEIGHTS`.
 """
 
 from functools import cache
@@ -29,7 +29,7 @@ from terrainwave.coding.status import raise_for_status
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
 
 PLANES = (1, 2, 3)
-MAX_SETS = 16  # what a plane's header can name
+MAX_SETS = 16  # limit of a plane's header
 _LAYOUT = 1
 MAX_FEATURE_WEIGHT = 1 << 12
 # Models of magnitudes: core taps, other taps, feature weights.
@@ -37,14 +37,14 @@ _CORE, _OTHER, _FEATURE = 0, MAGNITUDE_MODELS, 2 * MAGNITUDE_MODELS
 
 
 class FileTables(NamedTuple):
-    """What a file adds, by plane: stencils, and a vector of feature weights or none."""
+    """Tables added by a file, by plane: stencils, and a vector of feature weights or none."""
 
     stencils: dict[int, list[FileStencil]]
     e_weights: dict[int, NDArray[np.int64] | None]
 
 
 class Tables(NamedTuple):
-    """All sets that planes of a file may name, trained ones first."""
+    """All sets that planes of a file may use, trained ones first."""
 
     stencils: dict[int, NDArray[np.int64]]
     e_weights: dict[int, NDArray[np.int64]]
@@ -78,12 +78,12 @@ def all_tables(added: FileTables) -> Tables:
 
 
 def is_empty(added: FileTables) -> bool:
-    """Say whether there is nothing to store."""
+    """Return whether there is nothing to store."""
     return not any(added.stencils[p] or added.e_weights[p] is not None for p in PLANES)
 
 
 def _code_magnitude(coder: Coder, first: int, value: int = 0) -> int:
-    """Code a value, which a decoder ignores; return it."""
+    """Code a value (ignored by a decoder); return it."""
     return int(code_magnitude(coder, first, first + N_UNARY, 0, value))
 
 
@@ -117,12 +117,12 @@ def pack_file_tables(added: FileTables) -> bytes:
 
 
 def parse_file_tables(section: bytes) -> FileTables:
-    """Undo `pack_file_tables`, trusting nothing.
+    """Undo `pack_file_tables`; the bytes are untrusted.
 
     Raises
     ------
     UnsupportedVersionError
-        If the layout is not known.
+        If the layout is unknown.
     CorruptStreamError
         If a value is out of range or the section does not end where it should.
     """

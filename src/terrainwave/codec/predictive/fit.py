@@ -1,6 +1,6 @@
 """Fit stencils to a raster before it is coded (encoder only; docs/decisions/0006).
 
-Weighted least squares on samples chosen by position, with the noise that quantising gives the
+Weighted least squares on samples chosen by position, with the noise that quantisation adds to the
 taps; float64 in a fixed order, so that the same raster gives the same weights everywhere.
 """
 
@@ -55,7 +55,7 @@ _CLASSES = ((0,), (1,), (2, 3, 4))
 _MIN_SAMPLES = 300
 _MAX_SAMPLES = 8000
 _MAX_JUDGED = 2000
-# One of so many samples of a plane is looked at, in windows of up to so many samples a side.
+# Sampling interval in a plane, and the largest side of the sampled windows.
 _EVERY = 12
 _WINDOW = 128
 _MARGIN = 4
@@ -63,7 +63,7 @@ _MARGIN = 4
 # 1/12 of uniform noise.
 _NOISE = 0.06
 _N_TURNS = 3
-# A stencil must save so many times its own bits.
+# A stencil must save this multiple of its own bits.
 _WORTH = 1.5
 _SHIFTS = (0, 2, 3, 4, 5)
 _COST_PER_BIT = 16
@@ -75,7 +75,7 @@ _PARITY = {1: (1, 1), 2: (0, 1), 3: (1, 0)}
 
 
 class _Samples(NamedTuple):
-    """Taps less the core's mean, shape (n, taps), and what they are to predict, in steps."""
+    """Taps less the core's mean, shape (n, taps), and their target values, in steps."""
 
     taps: NDArray[np.float64]
     goals: NDArray[np.float64]
@@ -113,9 +113,9 @@ def fit_tables(grid: Grid, step: int, heights: HeightsOf, mask: MaskOf) -> FileT
 def windows_of(
     grid: Grid, depth: int, heights: HeightsOf, mask: MaskOf, window: int = _WINDOW
 ) -> list[tuple[Heights, Mask]]:
-    """Return windows spread over the level `depth` below the full grid; neighbours follow in turn.
+    """Return windows spread over the level `depth` below the full grid, in an order of neighbours.
 
-    Each has `window` samples a side or what there is.
+    Each has up to `window` samples per side.
     """
     level = max(grid.k_max - depth, 0)
     stride = 1 << max(depth - grid.k_max, 0)
@@ -124,7 +124,7 @@ def windows_of(
     places = []
     counts = [min(4, max(1, -(-n // (2 * side)))) for n in (n_rows, n_cols)]
     for i in range(counts[0]):
-        # Rows alternate in direction, so that every second window is a colour of a chessboard.
+        # Rows alternate in direction, so that every second window has one colour of a chessboard.
         for j in range(counts[1]) if i % 2 == 0 else range(counts[1] - 1, -1, -1):
             row = max(0, n_rows - side) * (2 * i + 1) // (2 * counts[0])
             col = max(0, n_cols - side) * (2 * j + 1) // (2 * counts[1])
@@ -180,7 +180,7 @@ def _offsets(plane: int, resolved: NDArray[np.int64]) -> NDArray[np.int64]:
 
 @kernel
 def gather_window(heights, mask, parity, taps, core, every, scale, rows, goals, n_found, place):
-    """Append every `every`-th place whose taps are all valid; return the new counts."""
+    """Append every `every`-th position whose taps are all valid; return the new counts."""
     for row in range(_MARGIN + parity[0], heights.shape[0] - _MARGIN, 2):
         for col in range(_MARGIN + parity[1], heights.shape[1] - _MARGIN, 2):
             place += 1
@@ -240,9 +240,9 @@ def _fit_stencil(plane: int, samples: _Samples, noise: float) -> FileStencil | N
 def fit_weights(taps, goals, is_core, noise, n_turns, solution):
     """Fill `solution` with a robust least-squares fit of `goals` by `taps`; False if it fails.
 
-    Weights apply to heights less the core's mean; what they lack to a sum of 1 is shared by the
-    core, and quantising adds noise to every tap, of the variance `noise`: hence the penalty on the
-    squared sum of the weights that result.
+    Weights apply to heights less the core's mean. The core shares their difference from a sum of 1,
+    and quantisation adds noise of variance `noise` to every tap: hence the penalty on the squared
+    sum of the resulting weights.
     """
     n, n_taps = taps.shape
     normal = np.empty((n_taps, n_taps), dtype=np.float64)
@@ -251,7 +251,7 @@ def fit_weights(taps, goals, is_core, noise, n_turns, solution):
         normal[:] = 0.0
         right[:] = 0.0
         total = 0.0
-        # Early turns only find the weights of the samples: fewer will do.
+        # Early turns only find the weights of the samples, for which fewer samples suffice.
         for i in range(0, n, 1 << (n_turns - 1 - turn)):
             error = goals[i]
             if turn:
@@ -265,7 +265,7 @@ def fit_weights(taps, goals, is_core, noise, n_turns, solution):
                 weighted = influence * values[k]
                 right[k] += weighted * goals[i]
                 line = normal[k]
-                for m in range(k + 1):  # symmetric: the lower triangle will do
+                for m in range(k + 1):  # symmetric: the lower triangle suffices
                     line[m] += weighted * values[m]
         trace = 0.0
         for k in range(n_taps):
@@ -371,7 +371,7 @@ def features_of(
     features[F_ACTIVITY] = shifted(activity[own], -1, 0) / 32
     for other in range(1, own):
         features[F_OTHERS] += shifted(activity[other], int(other == 2), 0) / 32
-    features[F_CONST] = 1 / 32  # its weight then is in 1/16384
+    features[F_CONST] = 1 / 32  # so that its weight is in 1/16384
     details = np.abs(np.rint((shifted(planes[own], 0, 0) - np.rint(value)) / step))
     inside = np.s_[2:-2, 2:-2]
     use = (kinds == CODED)[inside].ravel()

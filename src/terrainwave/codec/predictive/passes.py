@@ -1,7 +1,7 @@
 """One pass of the `predictive` method over a plane of details (FORMAT.md: predictive).
 
-Per row, everything that does not depend on the row itself is computed first, over whole rows; what
-does (the western tap and two errors) is added sample by sample while coding.
+For each row, terms that do not depend on the row itself are computed first, over whole rows; the
+others (the western tap and two errors) are added sample by sample while coding.
 """
 
 from collections import namedtuple
@@ -43,7 +43,7 @@ from terrainwave.coding.filters import MAX_HEIGHT
 from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
 from terrainwave.coding.rangecoder import code_mean_step, code_step, put_back, take_out
 
-# What a sample is: nothing to code, coded in this pass, or known already (on a shared line).
+# State of a sample: nothing to code, coded in this pass, or known already (on a shared line).
 VOID, CODED, KNOWN = 0, 1, 2
 
 # Features of the expected magnitude, weights in 1/512. Errors of prediction in steps: western
@@ -64,7 +64,7 @@ N_ROW_BUFFERS = 10
 
 @kernel
 def _frame_own(plane, core, planes, row, n_cols):
-    """Set the padding beside row `row` of a plane to the means of the core samples beside it.
+    """Set the padding left and right of a row to the means of the adjacent core samples.
 
     ``row`` -1 sets the whole row above the first.
     """
@@ -118,7 +118,7 @@ def _sort_core(planes, core, row, n_cols, lowest, lower, upper, highest):
     second = planes[core[1, 0], row + core[1, 1] + PAD, core[1, 2] + PAD :]
     third = planes[core[2, 0], row + core[2, 1] + PAD, core[2, 2] + PAD :]
     fourth = planes[core[3, 0], row + core[3, 1] + PAD, core[3, 2] + PAD :]
-    # One row at a time: loops with more outputs are not made into vector code.
+    # One row at a time: loops with more outputs are not vectorised.
     for j in range(n_cols):
         lowest[j] = min(min(first[j], second[j]), min(third[j], fourth[j]))
     for j in range(n_cols):
@@ -175,7 +175,7 @@ def _add_spread(
 
 @kernel
 def _add_errors(sums, errors, activity, own, near, far, row, n_cols, e_weights):
-    """Set `sums` to the weighted errors around that are known before the row."""
+    """Set `sums` to the weighted surrounding errors that are known before the row."""
     above, above2 = errors[own, row - 1 + PAD], errors[own, row - 2 + PAD]
     w_n, w_nw = np.int64(np.int32(e_weights[F_N])), np.int64(np.int32(e_weights[F_NW]))
     w_ne, w_nn = np.int64(np.int32(e_weights[F_NE])), np.int64(np.int32(e_weights[F_NN]))
@@ -196,7 +196,7 @@ def _add_errors(sums, errors, activity, own, near, far, row, n_cols, e_weights):
     weight = np.int64(np.int32(e_weights[F_OTHERS]))
     if weight != 0:
         for other in range(1, own):
-            # HH beside HL and LH, HL beside LH: the next row where there is one.
+            # For HL and LH next to HH, and LH next to HL: the next row if there is one.
             active = activity[other, row + (1 if other == 2 else 0) + PAD]
             for j in range(n_cols):
                 sums[j] += weight * active[j + PAD]
@@ -216,7 +216,7 @@ def _add_errors(sums, errors, activity, own, near, far, row, n_cols, e_weights):
 
 @kernel
 def _update_activity(errors, before, n_cols, after):
-    """Fill a row of activity: its errors, smoothed, and what remains of the row before."""
+    """Fill a row of activity: its smoothed errors, and a share of the row before."""
     # Errors are at most 2^15 and activities 2^19: 32 bits are enough.
     error_0, error_1, error_2 = errors[PAD - 1 :], errors[PAD:], errors[PAD + 1 :]
     old_0, old_1, old_2 = before[PAD - 1 :], before[PAD:], before[PAD + 1 :]
@@ -230,7 +230,7 @@ def _update_activity(errors, before, n_cols, after):
 
 
 class Arrays(NamedTuple):
-    """The arrays of a lattice, by plane: heights, errors of prediction and activity; bends of A."""
+    """Arrays of a lattice, by plane: heights, errors of prediction and activity; bends of A."""
 
     planes: NDArray[np.int32]
     errors: NDArray[np.int32]
@@ -239,10 +239,10 @@ class Arrays(NamedTuple):
 
 
 class PassTables(NamedTuple):
-    """What a plane is coded with.
+    """Tables that code a plane.
 
-    `clamp`: predictions stay within the core. `limits` are `magnitudes.cell_limits`, or None where
-    each decision has one model only.
+    With `clamp`, predictions stay within the core. `limits` are `magnitudes.cell_limits`, or None
+    if each decision has only one model.
     """
 
     weights: NDArray[np.int64]
@@ -259,7 +259,7 @@ class Range(NamedTuple):
     z_max: int
 
 
-# What follows from a `Range`.
+# Values derived from a `Range`.
 _Scale = namedtuple("_Scale", "shift inverse half p_low p_high")
 # A sample to code: its sorted core, its prediction in 2**-P_BITS and rounded, two neighbours.
 _Sample = namedtuple("_Sample", "bottom lower upper top west north value whole")
@@ -267,7 +267,6 @@ _Sample = namedtuple("_Sample", "bottom lower upper top west north value whole")
 
 @kernel_part
 def _scale_of(heights):
-    """Return the scale of a `Range`."""
     shift, inverse = step_scale(heights.step)
     p_low, p_high = np.int64(heights.z_min) << P_BITS, np.int64(heights.z_max) << P_BITS
     return _Scale(shift, inverse, heights.step >> 1, p_low, p_high)
@@ -275,7 +274,7 @@ def _scale_of(heights):
 
 @kernel_part
 def _prepare_row(arrays, geometry, tables, scale, rows, row, n_cols):
-    """Fill the row buffers with what does not depend on the row itself."""
+    """Fill the row buffers with the terms that do not depend on the row itself."""
     p_low, p_high = scale.p_low, scale.p_high
     own, core, e_weights = geometry.plane, geometry.core, tables.e_weights
     planes, errors, activity, bends = arrays
@@ -347,7 +346,7 @@ def _detail_of(goal, whole, step, half):
 
 @inlined_kernel
 def _contexts_of_other(sample, expected, e_bin, n_up, n_down, scale):
-    """Return what `code_detail` takes of a detail that is not 0: from its models of signs on."""
+    """Return the arguments of `code_detail` for a detail that is not 0, from `sign_b` on."""
     bottom, lower, upper, top, west, north, value, whole = sample
     shift, inverse = scale.shift, scale.inverse
     from_median = ((lower + upper) << (P_BITS - 1)) - value
@@ -374,12 +373,12 @@ def _contexts_of_other(sample, expected, e_bin, n_up, n_down, scale):
 def code_pass(
     target, kinds, arrays, geometry, tables, heights, rows, coder, mixers, corrections
 ):  # fmt: skip
-    """Encode a plane of `target`, or decode it where that is None, into its `planes`.
+    """Encode a plane of `target`, or decode it if that is None, into its `planes`.
 
     `kinds` (VOID, CODED, KNOWN) and `target` have the plane's size without padding; known samples
     are in place. Fills the plane's `errors` and `activity` as well, whose padding must be 0.
     `geometry` is the pass (`planes.Pass`), `tables` are `PassTables`, `heights` a `Range`. `rows`
-    may be int32 where `fits_narrow` says so, for the same result in half the time. `coder` and
+    may be int32 if `fits_narrow` allows it, for the same result in half the time. `coder` and
     `mixers` adapt. `corrections` are those of the plane, flat, or empty.
     """
     goal, kinds, arrays, geometry = borrowed((target, kinds, arrays, geometry))
@@ -497,9 +496,9 @@ def code_pass(
 
 
 def fits_narrow(most: int, weights: NDArray[np.int64], e_weights: NDArray[np.int64]) -> bool:
-    """Return whether `code_pass` may use int32 rows where all heights are within +/- `most`.
+    """Return whether `code_pass` may use int32 rows if all heights are within +/- `most`.
 
-    The bounds are those of the sums of `_add_taps`, `_add_spread` and `_add_errors`: errors are at
+    The bounds are those of the sums in `_add_taps`, `_add_spread` and `_add_errors`: errors are at
     most 2^15, activities 16 times that.
     """
     taps = (1 << P_BITS) + sum(map(abs, weights.tolist()))
@@ -518,10 +517,10 @@ def fits_narrow(most: int, weights: NDArray[np.int64], e_weights: NDArray[np.int
 
 @kernel
 def open_loop_cost(target, kinds, planes, own, geometry, weights, step, every, rows):
-    """Return the cost of some rows, their mean detail, and how many samples that are.
+    """Return the cost of some rows, their mean detail, and their number of samples.
 
-    Every `every`-th row of `target` is looked at; the cost is in about 1/16 bit, the mean in 1/256.
-    Own-pass taps see the targets with noise like that of quantising: ``planes[own]`` holds them.
+    Uses every `every`-th row of `target`; the cost is in about 1/16 bit, the mean in 1/256.
+    Own-pass taps see the targets with simulated quantisation noise, which ``planes[own]`` holds.
     """
     n_rows, n_cols = target.shape
     plane, taps = planes[own], geometry.taps
@@ -539,7 +538,7 @@ def open_loop_cost(target, kinds, planes, own, geometry, weights, step, every, r
             value = (acc[j] + w_west * here[j + PAD - 1] + rounding) >> WEIGHT_BITS
             error = abs(value - target[row, j])
             error = in_steps(error, scale_shift, inverse, E_BITS)
-            # About the bits of a detail: next to nothing below half a step, then its logarithm.
+            # Approximate bits of a detail: next to nothing below half a step, then its logarithm.
             total += log8(256 + ((min(error, 1 << 14) ** 2) >> 6))
             magnitudes += min((error + 128) >> 8, 1 << 20)
             n_seen += 1
@@ -578,7 +577,7 @@ def n_reached(goal, kinds, kept, planes, own, geometry, weights, clamp, step, z_
 
 
 def fill_noisy(target: NDArray[np.int32], plane: NDArray[np.int32], step: int) -> None:
-    """Fill a padded plane with `target` plus noise of up to 0.4 steps, a function of the place."""
+    """Fill a padded plane with `target` plus noise of up to 0.4 steps, fixed by position."""
     n_rows, n_cols = target.shape
     inner = plane[PAD : PAD + n_rows, PAD : PAD + n_cols]
     np.add(target, _noise(n_rows, n_cols, int(step)), out=inner)
@@ -586,7 +585,7 @@ def fill_noisy(target: NDArray[np.int32], plane: NDArray[np.int32], step: int) -
 
 @lru_cache(maxsize=4)
 def _noise(n_rows: int, n_cols: int, step: int) -> NDArray[np.int32]:
-    """Return noise by place; it is shared."""
+    """Return noise by position; the array is shared."""
     rows, cols = np.arange(n_rows)[:, None], np.arange(n_cols)
     noise = (rows * 40503 + cols * 10007 + 12345) * 2654435761 & 0xFFFFFFFF
     noise = ((noise >> 8) & 0xFFFF) - 32768

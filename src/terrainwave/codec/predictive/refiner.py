@@ -1,7 +1,7 @@
 """The `predictive` method: nested grids, fitted stencils, closed-loop quantising (FORMAT.md).
 
 Each sample is predicted from everything decoded so far and its error quantised around zero, so that
-it comes back within the bound on every level, without a second stage.
+it comes back within the bound on every level, in one stage.
 """
 
 import threading
@@ -82,21 +82,21 @@ from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.sample_windows import HeightsOf, MaskOf
 
 _MIXED, _CLAMP = 1, 2
-# A prediction's own fraction alone gives up to 16 of 32.
+# A prediction's own fraction gives up to 16 of 32.
 _HALF_STEP = 16
-# Lattices of fewer samples take the first stencil set; others name theirs.
+# Lattices of fewer samples use the first stencil set; others state theirs.
 _MIN_CHOICE = 1024
 _SET_BITS = 4
 # Classes of context weights: mean details below 0.12 and 0.7 (in 1/256), and above.
 CLASS_LIMITS = (31, 179)
 _N_CLASSES = 3
-# By effort: how many stencil sets are tried, and how close in cost (in %) to the seeming best.
+# By effort: number of stencil sets to try, and their largest distance in cost (%) from the best.
 _N_TRIALS = (1, 2, 8)
 _CLOSE = (100, 106, 140)
-# Feature weights fitted to the file must save so many times their own bits.
+# Feature weights fitted to the file must save this multiple of their own bits.
 _WORTH = 2
 _WINDOW = 80
-# Samples of a lattice up to which a thread keeps its arrays for the next one.
+# Largest lattice, in samples, whose arrays a thread keeps for the next one.
 _MAX_KEPT = 1 << 20
 
 
@@ -105,7 +105,7 @@ _Seen = dict[int, list[tuple[NDArray[np.float64], NDArray[np.float64]]]]
 
 
 class _Unit(NamedTuple):
-    """One payload being written or read: what codes details and shared lines, and its tables."""
+    """One payload being written or read: coders of details and shared lines, and its tables."""
 
     coder: Coder
     mixers: NDArray[np.int64]
@@ -116,14 +116,14 @@ class _Unit(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """What a plane is coded with: a set of `Tables.stencils`, a class of `Tables.e_weights`."""
+    """Tables of a plane: a set of `Tables.stencils`, a class of `Tables.e_weights`."""
 
     stencil_set: int
     e_class: int
 
 
 class _Rows(NamedTuple):
-    """Row buffers, and the largest height that will be met."""
+    """Row buffers, and the largest height that occurs."""
 
     most: int
     narrow: NDArray[np.int32]
@@ -138,14 +138,14 @@ class _Rows(NamedTuple):
 
 
 class _Scratch(NamedTuple):
-    """The memory of a lattice."""
+    """Memory of a lattice."""
 
     arrays: Arrays
     rows: _Rows
 
 
 class _Memory(threading.local):
-    """Memory of a thread that lattices take turns with: fresh pages cost as much as decoding."""
+    """Memory of a thread, reused by lattices: fresh pages cost as much as decoding."""
 
     def __init__(self) -> None:
         self.memory = np.zeros(0, dtype=np.int32)
@@ -181,7 +181,7 @@ class PredictiveRefiner:
     name = "predictive"
 
     def __init__(self, file_tables: bytes = b"", added: FileTables | None = None) -> None:
-        """Take a file's tables from their bytes, unless they are known (`added`)."""
+        """Parse a file's tables, unless they are given parsed (`added`)."""
         self.file_tables = file_tables
         self._tables = all_tables(parse_file_tables(file_tables) if added is None else added)
 
@@ -192,9 +192,9 @@ class PredictiveRefiner:
         heights: HeightsOf,
         mask: MaskOf,
         *,
-        each: Each = map,  # noqa: ARG002, as this takes little beside coding
+        each: Each = map,  # noqa: ARG002, coding takes most of the time
     ) -> "PredictiveRefiner":
-        """Return a refiner with tables fitted to a raster, where they are worth their bytes.
+        """Return a refiner with tables fitted to a raster, if they are worth their bytes.
 
         `heights` and `mask` return targets and validity of a region of a level.
         """
@@ -212,7 +212,7 @@ class PredictiveRefiner:
         mask: Mask | None,
         corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[bytes, Heights, Labels | None]:
-        """Return the payload and the heights `decode` makes of it."""
+        """Return the payload and the heights that `decode` makes of it."""
         flags = _CLAMP | (_MIXED if spec.effort else 0)
         out = np.empty(6 * target.size + 1024, dtype=np.uint8)
         coder = new_encoder(out, trained.start_models(N_DETAIL_MODELS))
@@ -250,11 +250,11 @@ class PredictiveRefiner:
 def _fit_e_weights(
     added: FileTables, windows: list[tuple[Heights, Mask]], step: int, n_in_file: int
 ) -> dict[int, NDArray[np.int64] | None]:
-    """Return feature weights by plane fitted to coded windows, None where not worth storing."""
+    """Return feature weights by plane fitted to coded windows, None if not worth storing."""
     none: dict[int, NDArray[np.int64] | None] = dict.fromkeys(PLANES)
     seen: _Seen = {plane: [] for plane in PLANES}
     tables = all_tables(added)
-    # Windows of one colour of a chessboard are fitted to, the others judge.
+    # Windows of one colour of a chessboard are for fitting, the others for validation.
     judges = windows[1::2]
     for window in windows[::2]:
         _code_window(*window, step, tables, seen)
@@ -282,7 +282,7 @@ def _fit_e_weights(
 def _code_window(
     target: Heights, mask: Mask, step: int, all_sets: Tables, seen: _Seen | None
 ) -> int:
-    """Return the bits of a window coded alone, its even samples given; append to `seen`."""
+    """Return the bits of a window coded separately, given its even samples; append to `seen`."""
     low, high = int(target.min()), int(target.max())
     region = Region(0, 0, *target.shape)
     spec = GroupSpec.alone(region, step, low, high)
@@ -312,7 +312,7 @@ def _code_unit(
     unit: _Unit,
     corrections: Corrections,
 ) -> tuple[Heights, Labels | None]:
-    """Encode `target`, or decode where it is None.
+    """Encode `target`, or decode if it is None.
 
     Return the decoded heights of the region and, of a group, the zero trees of its core.
     """
@@ -368,7 +368,7 @@ def _code_corners(
     coder: Coder,
     corrections: Corrections,
 ) -> None:
-    """Code the samples no pass reaches, those on multiples of `stride`, on the fixed grid."""
+    """Code the samples that no pass reaches, those on multiples of `stride`, on the fixed grid."""
     for row in range(0, inner.shape[0], stride):
         for col in range(0, inner.shape[1], stride):
             if kinds[row, col] != KNOWN:
@@ -388,8 +388,8 @@ def _code_lattice(
 ) -> NDArray[np.int32]:
     """Code the three passes of a lattice; `heights` holds the coarse and the known samples.
 
-    Return the errors of prediction, in planes as `planes.split` makes them; they are gone when the
-    next lattice is coded.
+    Return the errors of prediction, in planes as `planes.split` makes them; coding the next lattice
+    overwrites them.
     """
     shape = heights.shape
     sizes = plane_sizes(shape)
@@ -398,7 +398,7 @@ def _code_lattice(
     scratch = _WORKSPACE.scratch(shape, most)
     planes, errors, activity, bends = scratch.arrays
     if goal is not None:
-        planes.fill(0)  # rims of planes that `_choose` looks at before they are coded
+        planes.fill(0)  # `_choose` uses the rims of planes before they are coded
     split(heights, planes)
     fill_frame(planes[A], 0, 0, *shape)
     if min(shape) == 1:
@@ -441,7 +441,7 @@ def _code_lattice(
 
 
 def _part(corrections: Corrections, at: tuple[slice, slice]) -> Corrections:
-    """Return the part of corrections of some samples; views. None are none."""
+    """Return views of corrections at some samples; empty ones stay empty."""
     return Corrections(*(part[at] if part.size else part for part in corrections))
 
 
@@ -449,10 +449,10 @@ def _part(corrections: Corrections, at: tuple[slice, slice]) -> Corrections:
 def mark_significant(errors, n_rows, n_cols, significant):
     """Set `significant` (uint8) to 1 where a node holds a significant detail, else to 0.
 
-    Node (i, j) holds the HH, HL and LH details between coarse samples (i, j), (i, j + 1) and
-    (i + 1, j). Significant is what prediction missed by half a step or more, in the 1/32 steps of
-    `errors`: the details that are not 0 (with step 1, rounding can tell them apart only to 1/64),
-    and the same for samples known from a shared line.
+    Node (i, j) holds the HH, HL and LH details between coarse samples (i, j), (i, j + 1) and (i +
+    1, j). A detail is significant if the prediction is off by half a step or more, in the 1/32
+    steps of `errors`: details that are not 0 (with step 1, rounding distinguishes them only to
+    1/64), and likewise samples known from a shared line.
     """
     for i in range(significant.shape[0]):
         hh, hl, lh = errors[HH, i + PAD], errors[HL, i + PAD], errors[LH, i + PAD]
@@ -504,9 +504,9 @@ def _choose(
 ) -> list[Choice]:
     """Return the stencil sets and classes of contexts to try on a plane, the likeliest first.
 
-    Sets are ranked by their errors on some rows; the best few, if close, are worth trying. Where
-    heights must stay, the set that they were coded with is: by another one, each would take a
-    correction.
+    Sets are ranked by their errors on some rows; the best few, if close, are worth trying. If
+    heights must stay, only the set that they were coded with is: with another one, each would take
+    a correction.
     """
     own, planes = geometry.plane, scratch.arrays.planes
     saved = planes[own].copy()
@@ -522,13 +522,13 @@ def _choose(
     coded_with = _set_of_kept(goal, kinds, kept, geometry, spec, scratch, unit)
     planes[own] = saved
     ranking = sorted(range(len(costs)), key=lambda k: costs[k][0])
-    # Costs hold 64, log8(256), for each sample, whatever its error.
+    # Costs include 64, log8(256), for each sample, whatever its error.
     base = 64 * costs[0][2]
     limit = base + (costs[ranking[0]][0] - base) * _CLOSE[spec.effort] // 100
     ranking = [k for k in ranking[: _N_TRIALS[spec.effort]] if costs[k][0] <= limit]
     if coded_with is not None:
         ranking = [coded_with]
-    # A file's own weights take the place of the last class.
+    # A file's own weights replace the last class.
     last = len(unit.tables.e_weights[own]) - 1
     classes = {k: sum(costs[k][1] >= edge for edge in CLASS_LIMITS) for k in ranking}
     return [Choice(k, last if classes[k] == _N_CLASSES - 1 else classes[k]) for k in ranking] or [
@@ -547,7 +547,7 @@ def _set_of_kept(
 ) -> int | None:
     """Return the stencil set that reaches most heights that must stay; None if it reaches none.
 
-    The plane of the pass is overwritten.
+    Overwrites the plane of the pass.
     """
     if not kept.size:
         return None
@@ -576,9 +576,9 @@ def _encode_smallest(
     unit: _Unit,
     corrections: Corrections,
 ) -> None:
-    """Encode a plane and the choice it is coded with: the one of `choices` that takes least.
+    """Encode a plane with the one of `choices` that takes least, and that choice.
 
-    The likeliest is tried last, as what the last trial left needs no copying back.
+    The likeliest is tried last, so that the result of the last trial usually needs no copy.
     """
     own = geometry.plane
     planes, errors, activity, _ = scratch.arrays

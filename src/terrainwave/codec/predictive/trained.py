@@ -1,4 +1,4 @@
-"""Tables of the `predictive` method: its annex (docs/format-predictive.md P.9).
+"""Tables of the `predictive` method, from its annex (docs/format-predictive.md P.9).
 
 Stencils and weights of the expected magnitude are by plane, 1 HH, 2 HL, 3 LH.
 """
@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from terrainwave.annexes import read_tables
 
-# The file, which tools/train_stencils.py writes. A start value is the probability of a one in
-# 1/4096 times 16, plus half the count.
+# File written by tools/train_stencils.py. A start value is the probability of a one in 1/4096 times
+# 16, plus half the count.
 ANNEX = "predictive.bin"
 LAYOUT = np.dtype([
     ("HH", "<i2", (8, 20)),

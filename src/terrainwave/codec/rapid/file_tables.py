@@ -72,7 +72,7 @@ _FINE, _BAD_STENCIL, _BAD_WEIGHT, _BAD_CUT, _BAD_FREQUENCY = range(5)
 
 
 class FileTables(NamedTuple):
-    """What a file brings along.
+    """Tables that a file stores.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class FileTables(NamedTuple):
 
 
 class Annex(NamedTuple):
-    """Trained tables, of which a file's own differ.
+    """Trained tables, to which files store differences.
 
     Attributes
     ----------

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.codec.rapid.details import LEAST_CUT, MOST_CUT
 from terrainwave.codec.rapid.file_tables import (
     EXISTS,
     LEAST,
@@ -32,10 +33,11 @@ from terrainwave.codec.rapid.fit_stencils import COST_UNIT, candidates, stencils
 from terrainwave.codec.rapid.fit_weights import (
     Counts,
     Observer,
+    Seen,
     count_by_class,
     fit_magnitude,
-    gathered,
 )
+from terrainwave.codec.rapid.layout import N_LEVEL_CLASSES
 from terrainwave.codec.rapid.symbols import (
     ESCAPED,
     N_CLASSES,
@@ -66,8 +68,6 @@ _SHARE = 1 << 17
 _LEAST_WINDOWS, _MOST_WINDOWS = 2, 16
 # So many samples a side of at most so many windows decide on stencils.
 _FEW, _MOST_DECIDING = 193, 4
-# And at most so many on weights, family and cut.
-_MOST_LOOKED_AT = 4
 _MIN_SAMPLES = 300
 # Bits of what a symbol of a sample says no more, about; and of two samples of a pair without one.
 _BEYOND_BITS, _ESCAPED_BITS = 11, 10
@@ -75,11 +75,8 @@ _BEYOND_BITS, _ESCAPED_BITS = 11, 10
 _PRIOR = 240
 # Pairs as rare as this share of a slot take the escape, in hundredths.
 _RARE = 45
-# Bits that a code must save to be another than the trained one, of those of weights and of all.
+# Bits that a code must save to be another than the trained one, and a table of its own.
 _KEPT_BITS, _OWN_BITS = 3.0, 8.0
-_WEIGHT_BITS, _BY_CHANCE = 3.0, 0.5
-# No pair above this class: its escapes would cost more.
-_MOST_CUT = STEP_CLASS + 6
 
 
 class _Sample(NamedTuple):
@@ -109,6 +106,8 @@ def fit_tables(
     """
     n_windows = min(max(grid.n_rows * grid.n_cols // _SHARE, _LEAST_WINDOWS), _MOST_WINDOWS)
     windows, masks = spread_windows(grid, heights, mask, _WINDOW, n_windows)
+    if not masks.all():  # tables must not depend on heights of voids
+        windows = np.stack([_filled(*window) for window in zip(windows, masks, strict=True)])
     tables = plain_tables(min(grid.k_max, MOST_K), family_of(step))
     if int(np.count_nonzero(masks)) < _MIN_SAMPLES:
         return tables
@@ -117,16 +116,18 @@ def fit_tables(
     )
 
 
+def _filled(window: Heights, mask: Mask) -> Heights:
+    """Return a window whose voids have the height of the valid sample before, in raster order."""
+    valid = np.flatnonzero(mask)
+    if valid.size == 0:
+        return np.zeros_like(window)
+    last = np.searchsorted(valid, np.arange(mask.size), side="right") - 1
+    return window.ravel()[valid[np.maximum(last, 0)]].reshape(window.shape)
+
+
 def fit_windows(tables: FileTables, sample: _Sample, each: Each = map) -> FileTables:
     """Return tables fitted to windows, from those of a family on."""
-    tables = _with_stencils(tables, sample, each)
-    every = -(-len(sample.windows) // _MOST_LOOKED_AT)
-    tables, counts = with_weights(tables, sample.part(np.s_[::every]), each)
-    others = np.arange(len(sample.windows)) % every > 0
-    if others.any():
-        counts = counts + count(tables, sample.part(others), each)
-    codes, _ = fit_codes(tables, counts, sample.share)
-    return tables._replace(codes=codes)
+    return with_weights(_with_stencils(tables, sample, each), sample, each)
 
 
 def _with_stencils(tables: FileTables, sample: _Sample, each: Each) -> FileTables:
@@ -143,30 +144,24 @@ def _with_stencils(tables: FileTables, sample: _Sample, each: Each) -> FileTable
     return best
 
 
-def with_weights(tables: FileTables, sample: _Sample, each: Each = map) -> tuple[FileTables, Whole]:
-    """Return tables with the family, weights and cut by which windows get smallest.
-
-    And how often each symbol comes in these windows then.
-    """
-    seen = gathered([coder.samples for coder, _ in _coded(Observer, tables, sample, each)])
-    first, step, least = tables.family, sample.step, np.inf
-    fitted = fit_magnitude(seen, tables.weights, step)
-    n_changes = int(np.count_nonzero(fitted != tables.weights))
-    for weights, n_own, families in (
-        (tables.weights, 0, [first]),
-        (fitted, n_changes, range(first, N_FAMILIES, N_KINDS_OF_STEPS)),
-    ):
-        # Some of what fitted weights save of the samples that they were fitted to is chance.
-        n_bits = n_own * (_WEIGHT_BITS + _BY_CHANCE * sample.share)
-        by_class = count_by_class(seen, NUMBER_OF_CODE[weights], step)
-        for family in families:
-            cut = best_cut(by_class, family)
-            other = tables._replace(family=family, weights=weights, cut=cut)
-            counts = counts_of(by_class, cut)
-            cost = fit_codes(other, counts, sample.share)[1] + COST_UNIT * n_bits
-            if cost < least:
-                best, least = (other, counts), cost
+def with_weights(tables: FileTables, sample: _Sample, each: Each = map) -> FileTables:
+    """Return tables with the family, weights, cut and frequencies that make windows smallest."""
+    seen = observed(tables, sample, each)
+    tables = tables._replace(weights=fit_magnitude(seen, tables.weights, sample.step))
+    by_class = count_by_class(seen, NUMBER_OF_CODE[tables.weights], sample.step)
+    least = np.inf
+    for family in range(tables.family, N_FAMILIES, N_KINDS_OF_STEPS):
+        other = tables._replace(family=family, cut=best_cut(by_class, family))
+        codes, cost = fit_codes(other, counts_of(by_class, other.cut), sample.share)
+        if cost < least:
+            best, least = other._replace(codes=codes), cost
     return best
+
+
+def observed(tables: FileTables, sample: _Sample, each: Each = map) -> list[Seen]:
+    """Code windows; return what was seen of their samples."""
+    coded = _coded(Observer, tables, sample, each)
+    return [seen for coder, _ in coded for seen in coder.samples]
 
 
 # Counts -----------------------------------------------------------------------------------------
@@ -183,17 +178,25 @@ def _for_counts(tables: FileTables) -> Tables:
 def _coded(
     kind: type[_Coder], tables: FileTables, sample: _Sample, each: Each
 ) -> list[tuple[_Coder, Whole]]:
-    """Code windows as root blocks; return of each its coder, and how often each symbol came."""
+    """Code windows as groups; return the coder and the counts of symbols of each.
+
+    One group of each class of levels, the first from the window's own heights.
+    """
     read = _for_counts(tables)
 
     def code(window: tuple[Heights, Mask]) -> tuple[_Coder, Whole]:
-        (target, mask), coder = window, kind(read)
+        (whole, valid), coder = window, kind(read)
         counts = np.zeros((N_TABLES, N_SYMBOLS), dtype=np.int64)
-        if mask.any():  # else fills alone, which may be far from all heights
-            low, high = int(target.min()), int(target.max())
+        if not valid.any():  # fills alone, which may be far from all heights
+            return coder, counts
+        low, high = int(whole.min()), int(whole.max())
+        above = np.ascontiguousarray(whole[:: 1 << N_LEVEL_CLASSES, :: 1 << N_LEVEL_CLASSES])
+        for depth in range(N_LEVEL_CLASSES - 1, -1, -1):
+            part = np.s_[:: 1 << depth, :: 1 << depth]
+            target, mask = whole[part], valid[part]
             spec = GroupSpec.alone(Region(0, 0, *target.shape), sample.step, low, high)
-            spec = replace(spec, level=tables.k_max)
-            coder.count(spec, None, target, None if mask.all() else mask, counts)
+            spec = replace(spec, level=tables.k_max - depth)
+            above = coder.count(spec, above, target, None if mask.all() else mask, counts)
         return coder, counts
 
     return list(each(code, list(zip(sample.windows, sample.masks, strict=True))))
@@ -229,7 +232,7 @@ def best_cut(counts: Counts, family: int) -> int:
     singles += COST_UNIT * _raw_bits()[SINGLES : SINGLES + N_CLASSES, None]
     of_singles = (counts.singles * singles).sum((1, 2))
     totals = np.concatenate([[0], np.cumsum(of_pairs - of_singles)])
-    return int(totals[: _MOST_CUT + 1].argmin())
+    return LEAST_CUT + int(totals[LEAST_CUT : MOST_CUT + 1].argmin())
 
 
 # Frequencies ------------------------------------------------------------------------------------
@@ -315,7 +318,7 @@ def _cost(freqs: Whole, counts: Whole, tables: Whole) -> Whole:
 def _near_usual(
     codes: Whole, usual: Whole, usual_freqs: Whole, counts: Whole, tables: Whole, share: float
 ) -> Whole:
-    """Return codes of which those are the usual ones that save less than their change costs."""
+    """Return codes; those that save less than their change costs stay the usual ones."""
     freqs = np.maximum(NUMBER_OF_CODE[codes] + LEAST[tables], 1).astype(np.float64)
     apart = (usual_freqs - freqs) / freqs
     saved = counts * (apart * apart * 0.72)

@@ -41,7 +41,7 @@ _INFLUENCE = 1 << 20
 # One sample of so many in each turn of a fit: early turns only find the weights of the samples.
 _EVERY_OF_TURN = (4, 2, 1)
 # Of the noise of decoded samples that an open loop estimates, what is tried.
-_TIMES_NOISE = (0.3, 1.0)
+_TIMES_NOISE = (0.3, 1.0, 3.0)
 # The last weight follows from the others, rounded.
 _MAX_WANTED, _MOST_IN_ALL, _FAR = 28000, MAX_SUM - (1 << 13), 1e6
 # Deltas of a file are whole numbers of 2**shift.
@@ -197,7 +197,7 @@ def _errors(samples: FitSamples, weights: NDArray[np.int64]) -> Reals:
 def costs_of(samples: FitSamples, weights: NDArray[np.int64], noises: Reals) -> NDArray[np.int64]:
     """Return about what each set of weights makes samples cost, in 1/64 bit, with its noise.
 
-    Half the logarithm of the squared error, as exponent and mantissa of float32 tell it.
+    Half the logarithm of the squared error, from the exponent and mantissa of a float32.
     """
     power = np.cumsum((weights / WHOLE) ** 2, axis=1)[:, -1:]
     errors = _errors(samples, weights)
@@ -221,7 +221,7 @@ def _best(plane: int, samples: FitSamples) -> int:
 def _noise(samples: dict[tuple[int, int], FitSamples], best: dict[tuple[int, int], int]) -> float:
     """Return the variance of decoded samples around those given, in steps squared.
 
-    What is left of a prediction's error when the nearest multiple of the step is taken off.
+    The remainder of a prediction's error after the nearest multiple of the step.
     """
     total, n = 0.0, 0
     for key, found in samples.items():

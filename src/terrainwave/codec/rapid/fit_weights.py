@@ -1,16 +1,18 @@
 """Fit what details are expected to be, and count their symbols by it (encoder only).
 
-Windows that have been coded tell how large details were, and what was known around them. Weights
-decide how details are written, not what they are: a window need not be coded again for each. Sums
-are of whole numbers below 2**53, and all else is single operations in a fixed order: the same
-raster gives the same weights on every machine.
+Coded windows give the sizes of details and the features around them. Weights decide how details
+are written, not what they are: a window need not be coded again for each. Sums are of whole numbers
+below 2**53, and all else is single operations in a fixed order: the same raster gives the same
+weights on every machine.
 """
 
-from typing import Any, NamedTuple
+from collections import Counter
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.codec.rapid.details import count_seen, look
 from terrainwave.codec.rapid.file_tables import (
     N_FEATURES,
     N_PAIR_SYMBOLS,
@@ -29,51 +31,47 @@ from terrainwave.codec.rapid.layout import (
     Workspace,
     plane_shape,
 )
-from terrainwave.codec.rapid.symbols import (
-    N_CLASSES,
-    PAIR_ESCAPE,
-    PAIR_LIMIT,
-    SINGLE_ESCAPE,
-    SINGLE_LIMIT,
-    STEP_CLASS,
-)
+from terrainwave.codec.rapid.symbols import N_CLASSES
 from terrainwave.codec.rapid.tables import WEIGHT_UNIT_BITS, Tables, weights_of
-from terrainwave.codec.rapid.unit import UnitCoder
+from terrainwave.codec.rapid.unit import LEAST_SIDE, UnitCoder
 
 Whole = NDArray[np.int64]
 Reals = NDArray[np.float64]
 
-# Of the bits of a float32, those that tell a class.
-_TO_CLASS, _CLASS_ZERO = 22, 2 * 127
-_RAW_BITS = np.maximum(np.arange(N_CLASSES) - (STEP_CLASS + 4), 0) >> 1
+# Of range, bend and what is near, each alone as what is expected (`tables.weights_of`).
+_EACH_ALONE = np.eye(5, dtype=np.int32)[1:4]
+_AT_A_TIME = 1 << 10
 # Samples of a class and plane that weights are fitted to, and how many are too few.
 _MOST_SAMPLES, _MIN_SAMPLES = 1 << 13, 128
 # Scaled to whole numbers of so many bits, products of this many samples have sums below 2**53.
 _SCALED_BITS = 18
-_N_TURNS, _N_SWEEPS = 3, 60
+_N_TURNS, _N_SWEEPS = 3, 16
 # Samples count by the inverse square of what was expected of them, in steps, and this.
 _LEAST_EXPECTED = 0.2
 _RIDGE = 1e-7
+# Codes end here: what one feature cannot expect, others have to.
+_LARGEST = float(NUMBER_OF_CODE[-1]) / (1 << WEIGHT_UNIT_BITS)
 
 
 class Seen(NamedTuple):
-    """Samples of a class and plane of coded windows, two of a pair side by side.
+    """Samples of a plane of a lattice of coded windows, two of a pair side by side.
 
     Attributes
     ----------
+    which, plane, shift : int
+        Class of levels and plane, and how far heights were shifted.
     features : ndarray of int32, shape (3, n)
-        Range, bend, and what is near; the first two of heights shifted by `shift`.
+        Range, bend, and what is near; the first two of shifted heights.
     details : ndarray of int32, shape (n,)
     is_coded : ndarray of bool, shape (n,)
     """
 
+    which: int
+    plane: int
+    shift: int
     features: NDArray[np.int32]
     details: NDArray[np.int32]
     is_coded: NDArray[np.bool_]
-
-
-# By class, plane and shift of heights.
-Samples = dict[tuple[int, int, int], list[Seen]]
 
 
 class Observer(UnitCoder):
@@ -81,78 +79,48 @@ class Observer(UnitCoder):
 
     def __init__(self, tables: Tables) -> None:
         super().__init__(tables)
-        self.samples: Samples = {}
+        self.samples: list[Seen] = []
 
     def _see(self, which: int, lattice: Lattice, work: Workspace, valid: NDArray[np.uint8]) -> None:
         for plane in PLANES:
             n_rows, n_cols = plane_shape(plane, (lattice.n_rows, lattice.n_cols))
-            if n_rows == 0 or n_cols == 0:
+            if min(n_rows, n_cols) < LEAST_SIDE:
                 continue
-            seen = np.zeros((5, n_rows, n_cols + (n_cols & 1)), dtype=np.int32)
-            seen[:3, :, :n_cols] = _features(plane, work, n_rows, n_cols)
-            seen[3] = work.details[plane - HH, : seen[3].size].reshape(seen[3].shape)
-            seen[4, :, :n_cols] = 1
-            if lattice.has_void:
-                seen[4, :, :n_cols] = valid[int(plane != HL) :: 2, int(plane != LH) :: 2]
             # An odd end is a pair with a sample like it, which is not coded.
-            seen[:3, :, n_cols:] = seen[:3, :, n_cols - 1 : n_cols][:, :, : n_cols & 1]
-            self.keep(which, plane, lattice.shift, seen)
+            features = np.empty((3, n_rows, n_cols + (n_cols & 1)), dtype=np.int32)
+            look(plane, (work.ranges, work.bends, work.near), _EACH_ALONE, features[:, :, :n_cols])
+            features[:, :, n_cols:] = features[:, :, n_cols - 1 : n_cols][:, :, : n_cols & 1]
+            is_coded = np.zeros(features.shape[1:], dtype=np.bool_)
+            is_coded[:, :n_cols] = True
+            if lattice.has_void:
+                is_coded[:, :n_cols] = valid[int(plane != HL) :: 2, int(plane != LH) :: 2]
+            details = work.details[plane - HH, : is_coded.size].copy()
+            flat = features.reshape(3, -1), details, is_coded.ravel()
+            self.keep(which, plane, lattice.shift, *flat)
 
-    def keep(self, which: int, plane: int, shift: int, seen: NDArray[np.int32]) -> None:
-        """Keep what is known of the samples of a plane."""
-        flat = seen.reshape(5, -1)
-        found = Seen(flat[:3], flat[3], flat[4].astype(np.bool_))
-        self.samples.setdefault((which, plane, shift), []).append(found)
-
-
-def _features(plane: int, work: Workspace, n_rows: int, n_cols: int) -> NDArray[np.int32]:
-    """Return range, bend and what is near of the samples of a plane, as `details` adds them up."""
-
-    def at(source: NDArray[np.int16], row: int, col: int) -> NDArray[np.int32]:
-        return source[1 + row :, 1 + col :][:n_rows, :n_cols].astype(np.int32)
-
-    ranges, bends, near = work.ranges, work.bends, work.near
-    own = at(ranges, 0, 0)
-    if plane == HH:
-        bend = at(bends, 0, 0) + at(bends, 0, 1) + at(bends, 1, 0) + at(bends, 1, 1)
-        return np.stack([own, bend, np.zeros_like(own)])
-    if plane == HL:
-        bend = at(bends, 0, 0) + at(bends, 0, 1)
-        return np.stack([own + at(ranges, -1, 0), bend, at(near[0], -1, 0) + at(near[0], 0, 0)])
-    bend = at(bends, 0, 0) + at(bends, 1, 0)
-    around = at(near[0], 0, -1) + at(near[0], 0, 0) + at(near[1], 0, -1) + at(near[1], 0, 0)
-    around += at(near[1], 1, -1) + at(near[1], 1, 0)
-    return np.stack([own + at(ranges, 0, -1), bend, around])
-
-
-def gathered(found: list[Samples]) -> dict[tuple[int, int, int], Seen]:
-    """Return the samples of several observers together."""
-    keys = sorted({key for samples in found for key in samples})
-    together = {}
-    for key in keys:
-        parts = [part for samples in found for part in samples.get(key, [])]
-        together[key] = Seen(
-            np.concatenate([part.features for part in parts], axis=1),
-            np.concatenate([part.details for part in parts]),
-            np.concatenate([part.is_coded for part in parts]),
-        )
-    return together
+    def keep(
+        self, which: int, plane: int, shift: int, features: NDArray[np.int32],
+        details: NDArray[np.int32], is_coded: NDArray[np.bool_],
+    ) -> None:  # fmt: skip
+        """Keep the samples of a plane of a lattice; see `Seen`."""
+        self.samples.append(Seen(which, plane, shift, features, details, is_coded))
 
 
 # Weights ----------------------------------------------------------------------------------------
 
 
-def fit_magnitude(
-    seen: dict[tuple[int, int, int], Seen], trained: Whole, step: int
-) -> NDArray[np.int64]:
+def fit_magnitude(seen: list[Seen], trained: Whole, step: int) -> NDArray[np.int64]:
     """Return codes of the weights that tell best how large details are, shape (4, 3, 4).
 
     Where there are too few samples, they are those of the finer class, or the trained ones.
     """
+    n_seen: Counter[tuple[int, int]] = Counter()
+    for found in seen:
+        n_seen[found.which, found.plane - HH] += len(found.details)
     parts: dict[tuple[int, int], list[Reals]] = {}
-    for (which, plane, shift), found in seen.items():
-        every = -(-len(found.details) // _MOST_SAMPLES)
-        parts.setdefault((which, plane - HH), []).append(_in_steps(found, every, shift, step))
+    for found in seen:
+        key = found.which, found.plane - HH
+        parts.setdefault(key, []).append(_in_steps(found, -(-n_seen[key] // _MOST_SAMPLES), step))
     joined = {key: np.concatenate(rows, axis=1) for key, rows in parts.items()}
     fitting = {key: rows for key, rows in joined.items() if rows.shape[1] >= _MIN_SAMPLES}
     first = np.array([NUMBER_OF_CODE[trained[key]] for key in fitting]).reshape(-1, N_FEATURES)
@@ -170,11 +138,14 @@ def fit_magnitude(
     return codes
 
 
-def _in_steps(seen: Seen, every: int, shift: int, step: int) -> Reals:
-    """Return of one sample of so many 1, the features, and the size of its detail, in steps."""
-    coded = np.flatnonzero(seen.is_coded)[::every]
+def _in_steps(seen: Seen, every: int, step: int) -> Reals:
+    """Return rows of 1, of the features, and of sizes of details in steps, of some samples."""
+    # Not always in the same column.
+    turns = np.arange(len(seen.details) // every)
+    picks = turns * every + (turns * 40503 >> 4) % every
+    coded = picks[seen.is_coded[picks]]
     rows = np.ones((N_FEATURES + 1, len(coded)))
-    rows[1:3] = seen.features[:2, coded] * (2.0**shift / step)
+    rows[1:3] = seen.features[:2, coded] * (2.0**seen.shift / step)
     rows[3] = seen.features[2, coded]
     rows[4] = np.abs(seen.details[coded])
     return rows
@@ -189,7 +160,7 @@ def _fitted(samples: list[Reals], weights: Reals) -> Reals:
     for _ in range(_N_TURNS):
         found = [_products(rows, own) for rows, own in zip(samples, weights, strict=True)]
         products = np.array(found).reshape(-1, N_FEATURES + 1, N_FEATURES + 1)
-        weights = _not_negative(products, weights)
+        weights = _in_range(products, weights)
     return weights
 
 
@@ -207,8 +178,8 @@ def _products(rows: Reals, weights: Reals) -> Reals:
     return products
 
 
-def _not_negative(products: Reals, weights: Reals) -> Reals:
-    """Return the solutions of normal equations without negative numbers, one number at a time."""
+def _in_range(products: Reals, weights: Reals) -> Reals:
+    """Return the solutions of normal equations within the range of codes, one number at a time."""
     systems, found = products[:, :N_FEATURES, :N_FEATURES], weights.copy()
     diagonal = systems[:, np.arange(N_FEATURES), np.arange(N_FEATURES)]
     # A feature that is always 0 has no weight.
@@ -219,7 +190,7 @@ def _not_negative(products: Reals, weights: Reals) -> Reals:
             for j in range(N_FEATURES):
                 if j != k:
                     rest -= systems[:, k, j] * found[:, j]
-            found[:, k] = np.maximum(rest / scale[:, k], 0.0)
+            found[:, k] = np.clip(rest / scale[:, k], 0.0, _LARGEST)
     return found
 
 
@@ -227,7 +198,7 @@ def _not_negative(products: Reals, weights: Reals) -> Reals:
 
 
 class Counts(NamedTuple):
-    """How often symbols come, by class of pairs.
+    """Counts of symbols by class of pairs.
 
     Attributes
     ----------
@@ -243,48 +214,17 @@ class Counts(NamedTuple):
     escaped: Whole
 
 
-def count_by_class(seen: dict[tuple[int, int, int], Seen], weights: Whole, step: int) -> Counts:
+def count_by_class(seen: list[Seen], weights: Whole, step: int) -> Counts:
     """Count the symbols of samples with weights of what is expected (`Tables.weights`)."""
-    n_pairs, n_singles = N_CLASSES * N_PAIR_SYMBOLS, N_CLASSES * N_SINGLE_SYMBOLS
-    pairs, escaped = np.zeros(n_pairs, dtype=np.int64), np.zeros(n_singles, dtype=np.int64)
-    singles = np.zeros(N_CLASSES * n_singles, dtype=np.int64)
-    for (which, plane, shift), found in seen.items():
-        v0, v1, v2, v3, more = weights_of(weights[which], step, shift)[plane - HH]
-        ranges, bends, near = found.features
-        expected = ((v1 * ranges + v2 * bends) >> more) + v3 * near + v0
-        halves = expected >> 1
-        by_pair = _classes_of(halves[::2] + halves[1::2])
-        by_single = _classes_of(expected)
-        details, coded = found.details, found.is_coded
-        first, second = details[::2], details[1::2]
-        has_none = np.maximum(np.abs(first), np.abs(second)) > PAIR_LIMIT
-        symbols = (2 * PAIR_LIMIT + 1) * (first + PAIR_LIMIT) + second + PAIR_LIMIT
-        symbols[has_none] = PAIR_ESCAPE
-        either = coded[::2] | coded[1::2]
-        own = N_PAIR_SYMBOLS * by_pair[either] + symbols[either]
-        pairs += np.bincount(own, minlength=n_pairs)
-        both = np.repeat(has_none & either, 2)
-        by_both = np.repeat(by_pair, 2)
-        own = N_SINGLE_SYMBOLS * by_both[both] + _single_symbols(details[both])
-        escaped += np.bincount(own, minlength=n_singles)
-        own = _single_symbols(details >> _RAW_BITS[by_single])
-        own += N_SINGLE_SYMBOLS * (N_CLASSES * by_both + by_single)
-        singles += np.bincount(own[coded], minlength=len(singles))
-    return Counts(
-        pairs.reshape(N_CLASSES, -1),
-        singles.reshape(N_CLASSES, N_CLASSES, -1),
-        escaped.reshape(N_CLASSES, -1),
+    counts = Counts(
+        np.zeros((N_CLASSES, N_PAIR_SYMBOLS), dtype=np.int64),
+        np.zeros((N_CLASSES, N_CLASSES, N_SINGLE_SYMBOLS), dtype=np.int64),
+        np.zeros((N_CLASSES, N_SINGLE_SYMBOLS), dtype=np.int64),
     )
-
-
-def _classes_of(expected: NDArray[np.int32]) -> Whole:
-    """Return the classes of expected magnitudes, as `details` finds them."""
-    value = np.maximum(expected, 1)
-    bits = (value & ~(value >> 2)).astype(np.float32).view(np.int32)
-    return np.minimum((bits >> _TO_CLASS) - _CLASS_ZERO, N_CLASSES - 1).astype(np.int64)
-
-
-def _single_symbols(values: NDArray[Any]) -> Whole:
-    is_known = np.abs(values) <= SINGLE_LIMIT
-    symbols: Whole = np.where(is_known, values + SINGLE_LIMIT, SINGLE_ESCAPE).astype(np.int64)
-    return symbols
+    expected, floats = np.zeros(_AT_A_TIME, np.int32), np.zeros(_AT_A_TIME, np.float32)
+    classes = np.zeros((2, _AT_A_TIME), dtype=np.int8)
+    memory = expected, floats, floats.view(np.int32), classes[0], classes[1]
+    for found in seen:
+        made = weights_of(weights[found.which], step, found.shift)[found.plane - HH]
+        count_seen(found.features, found.details, found.is_coded, made, memory, *counts)
+    return counts

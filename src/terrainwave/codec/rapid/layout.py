@@ -14,6 +14,8 @@ A, HH, HL, LH = 0, 1, 2, 3
 N_PLANES = 3
 # Samples around each plane that taps and features reach.
 PAD = 4
+# Rows are worked on in so many samples at once; memory goes on for as many behind a row.
+LANES = 32
 # Heights of planes are kept within this, less the origin and shifted: their quarters fit int16.
 LIMIT = 8191
 WEIGHT_BITS = 12
@@ -49,44 +51,6 @@ CORES: dict[int, list[tuple[int, int, int]]] = {
 N_TAPS = {plane: len(taps) for plane, taps in TAPS.items()}
 
 
-class Runs(NamedTuple):
-    """Taps side by side, two at a time: where the first of each lies, and which taps they are.
-
-    There is an even number of runs, so that a pass over a row adds four taps.
-    """
-
-    planes: NDArray[np.int64]
-    rows: NDArray[np.int64]
-    cols: NDArray[np.int64]
-    first: NDArray[np.int64]  # numbers of taps; -1: none
-    second: NDArray[np.int64]
-
-
-def _runs(taps: list[tuple[int, int, int]]) -> Runs:
-    runs, left = [], {tap: number for number, tap in enumerate(taps)}
-    while left:
-        plane, row, col = tap = next(iter(left))
-        number = left.pop(tap)
-        runs.append((plane, row, col, number, left.pop((plane, row, col + 1), -1)))
-    if len(runs) % 2:
-        runs.append((A, 0, 0, -1, -1))
-    return Runs(*np.array(runs, dtype=np.int64).T.copy())
-
-
-RUNS = {plane: _runs(taps) for plane, taps in TAPS.items()}
-# Their planes, rows and columns, as `RUNS` has those of taps.
-CORE_ARRAYS = tuple(
-    tuple(np.array(CORES[plane], dtype=np.int64).T.copy()) for plane in (HH, HL, LH)
-)
-
-
-def run_weights(plane: int, weights: NDArray[np.int64]) -> NDArray[np.int16]:
-    """Return the weights of a plane's taps by run, shape (n_runs, 2)."""
-    both = np.append(weights[: N_TAPS[plane]], 0)
-    runs = RUNS[plane]
-    return np.stack([both[runs.first], both[runs.second]], axis=1).astype(np.int16)
-
-
 def plane_shape(plane: int, shape: tuple[int, int]) -> tuple[int, int]:
     """Return rows and columns of a plane of a lattice."""
     n_rows, n_cols = shape
@@ -95,7 +59,7 @@ def plane_shape(plane: int, shape: tuple[int, int]) -> tuple[int, int]:
 
 
 class Lattice(NamedTuple):
-    """Numbers that kernels know of a lattice: a group, or every so many samples of a root block.
+    """Numbers of a lattice for kernels: a group, or the samples of a root block at one stride.
 
     Heights are within ``low`` ... ``high``, details within ±most. Planes hold
     ``(height - origin) >> shift``, and no more than heights without a shift if it `is_narrow`.
@@ -122,7 +86,6 @@ class Workspace(NamedTuple):
     bends: NDArray[np.int16]
     near: NDArray[np.int16]  # magnitudes of details of HH and HL, with one more outside
     details: NDArray[np.int32]  # of HH, HL, LH, rows without a gap but of an even length
-    both: NDArray[np.int64]  # the same memory: two details, the first in the lower half
     predicted: NDArray[np.int32]  # of a row, and what follows
     sides: NDArray[np.int32]
     heights: NDArray[np.int32]
@@ -137,21 +100,19 @@ class Workspace(NamedTuple):
 
 
 def new_workspace(side: int) -> Workspace:
-    """Return memory for planes of so many samples a side."""
-    wide, n = side + 2 * PAD, STRIP_ROWS * (side + 1)
-    details = np.zeros((N_PLANES, (side + 1) * side // 2 + side), dtype=np.int64)
+    """Return memory for planes of `side` samples a side."""
+    high, wide, n = side + 2 * PAD, side + 2 * PAD + LANES, STRIP_ROWS * (side + 1)
     floats = np.zeros(side + 1, dtype=np.float32)
     return Workspace(
         side=side,
-        planes=np.zeros((1 + N_PLANES, wide, wide + 1), dtype=np.int16),
+        planes=np.zeros((1 + N_PLANES, high, wide), dtype=np.int16),
         ranges=np.zeros((side + 2, side + 2), dtype=np.int16),
         bends=np.zeros((side + 2, side + 2), dtype=np.int16),
         near=np.zeros((2, side + 2, side + 2), dtype=np.int16),
-        details=details.view(np.int32),
-        both=details,
-        predicted=np.zeros(side, dtype=np.int32),
-        sides=np.zeros(side, dtype=np.int32),
-        heights=np.zeros(side, dtype=np.int32),
+        details=np.zeros((N_PLANES, (side + 1) * (side + 2) + LANES), dtype=np.int32),
+        predicted=np.zeros(side + LANES, dtype=np.int32),
+        sides=np.zeros(side + LANES, dtype=np.int32),
+        heights=np.zeros(side + LANES, dtype=np.int32),
         expected=np.zeros(side + 1, dtype=np.int32),
         floats=floats,
         bits=floats.view(np.int32),

@@ -1,5 +1,6 @@
-"""Rows of a lattice that are wanted, and what is to be decoded for them."""
+"""Rows of a lattice that are wanted, and all that must be decoded for them."""
 
+from functools import lru_cache
 from typing import NamedTuple
 
 from terrainwave.codec.rapid.details import n_strips
@@ -10,11 +11,11 @@ _Range = tuple[int, int]
 
 
 class Needed(NamedTuple):
-    """What some rows of a lattice need.
+    """Strips and rows that some rows of a lattice need.
 
     Attributes
     ----------
-    strips : list of (int, int)
+    strips : tuple of (int, int)
         Of each band from its first strip on, since they are read in turn; none of other bands.
     features, parent : (int, int)
         Rows of A whose ranges and bends are needed, and whose heights are.
@@ -22,18 +23,19 @@ class Needed(NamedTuple):
         Rows of HH, HL and LH, and those of the lattice that are wanted.
     """
 
-    strips: list[_Range]
+    strips: tuple[_Range, ...]
     features: _Range
     parent: _Range
     planes: tuple[_Range, ...]
 
 
-def band_strips(n_rows: int, n_bands: int) -> list[_Range]:
-    """Return the strips of each band of a lattice of so many rows."""
+def band_strips(n_rows: int, n_bands: int) -> tuple[_Range, ...]:
+    """Return the strips of each band of a lattice."""
     n = n_strips(n_rows)
-    return [(band * n // n_bands, (band + 1) * n // n_bands) for band in range(n_bands)]
+    return tuple((band * n // n_bands, (band + 1) * n // n_bands) for band in range(n_bands))
 
 
+@lru_cache(maxsize=256)
 def needed_for(shape: tuple[int, int], rows: Rows, n_bands: int) -> Needed:
     """Return what rows of a lattice need, by what each plane is predicted from (`layout.TAPS`)."""
     n_rows, n_a = shape[0], plane_shape(A, shape)[0]
@@ -51,7 +53,7 @@ def needed_for(shape: tuple[int, int], rows: Rows, n_bands: int) -> Needed:
         return Needed(bands, (-1, n_a + 1), (0, n_a), tuple(planes))
     begin, end = max(first - 2, 0) // STRIP_ROWS, (last + 2) // STRIP_ROWS + 1
     needed = [own if own[0] < end and own[1] > begin else (0, 0) for own in bands]
-    strips = [(own[0], min(own[1], end)) for own in needed]
+    strips = tuple((own[0], min(own[1], end)) for own in needed)
     begin = min(own[0] for own in strips if own[0] < own[1])
     # LH of a strip begins a row further up; bends take one row more on either side.
     features = max(STRIP_ROWS * begin - 1, -1), min(STRIP_ROWS * end + 1, n_a + 1)

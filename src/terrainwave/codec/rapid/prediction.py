@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.corrections import corrected
-from terrainwave.codec.rapid.layout import HH, HL, LH, LIMIT, PAD, A
+from terrainwave.codec.rapid.layout import HH, HL, LANES, LH, LIMIT, PAD, A
 from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.jit import kernel, kernel_part
 
-_LIMIT = np.int32(LIMIT)
-_TWO, _FOUR = np.int32(2), np.int32(4)
-_TO_QUARTERS = np.int32(10)
+# Whole numbers are 64 bits wide in numba wherever two meet: of those that fit 32, each sum is made
+# so again, so that twice as many fit a register.
+_i32 = np.int32
+_ONE, _TWO = np.uint64(1), np.uint64(2)
 
 
 class Parent(NamedTuple):
@@ -29,7 +30,7 @@ class Parent(NamedTuple):
 
 
 class Aim(NamedTuple):
-    """What an encoder aims at, and what corrections there are; empty arrays where there is none."""
+    """Target of an encoder, and corrections; arrays without any are empty."""
 
     heights: NDArray[np.int32]
     valid: NDArray[np.uint8]
@@ -66,13 +67,20 @@ def _look(work, rows, n):
         west, south = a[PAD + i, PAD - 2 :], a[PAD + i + 1, PAD - 1 :]
         to_range, to_bend = ranges[i + 1], bends[i + 1]
         for j in range(n):
-            x, y = np.int32(here[j]), np.int32(here[j + 1])
-            z, w = np.int32(south[j]), np.int32(south[j + 1])
+            x, y, z, w = _i32(here[j]), _i32(here[j + 1]), _i32(south[j]), _i32(south[j + 1])
             most, least = max(max(x, y), max(z, w)), min(min(x, y), min(z, w))
             to_range[j] = np.int16(most - least)
-            across = abs(np.int32(west[j]) + y - _TWO * x)
-            along = abs(np.int32(north[j]) + z - _TWO * x)
-            to_bend[j] = np.int16(min(across + along, _LIMIT))
+            across = _i32(abs(_i32(_i32(west[j]) + y - x - x)))
+            along = _i32(abs(_i32(_i32(north[j]) + z - x - x)))
+            to_bend[j] = np.int16(min(_i32(across + along), _i32(LIMIT)))
+
+
+@kernel_part
+def _load_narrow(heights, at, low, high, origin, to, n):
+    """Fill a row of A of a unit whose levels are heights less the origin, within 16 bits."""
+    at, pad = np.uint64(at), np.uint64(PAD)
+    for col in range(np.uint64(n)):
+        to[pad + col] = np.int16(min(max(heights[at + col], low), high) - origin)
 
 
 @kernel
@@ -82,7 +90,7 @@ def load_parent(parent, lattice, rows, features, work):
     Then the ranges and bends of rows `features`, from -1 on.
     """
     heights, planes, spacing = borrowed(parent.heights), borrowed(work.planes), parent.spacing
-    low, high, origin, shift = lattice.low, lattice.high, lattice.origin, lattice.shift
+    low, high, origin = lattice.low, lattice.high, lattice.origin
     n_rows, n_cols = (lattice.n_rows + 1) // 2, (lattice.n_cols + 1) // 2
     for row in range(rows[0] - PAD, rows[1] + PAD):
         # Of an odd number of rows, the last one of A is the lattice's last; of an even one, not.
@@ -91,10 +99,12 @@ def load_parent(parent, lattice, rows, features, work):
             continue
         at = parent.first + inside * parent.pitch
         to = planes[A, row + PAD]
-        for col in range(n_cols):
-            height = np.int64(heights[at + col * spacing])
-            height = min(max(height, low), high) - origin
-            to[PAD + col] = np.int16(min(max(height >> shift, -LIMIT), LIMIT))
+        if lattice.is_narrow and spacing == 1:
+            _load_narrow(heights, at, _i32(low), _i32(high), _i32(origin), to, n_cols)
+        else:
+            for col in range(n_cols):
+                height = min(max(np.int64(heights[at + col * spacing]), low), high)
+                to[PAD + col] = _level_with(height, lattice)
         for col in range(1, PAD + 1):
             mirrored = min(_mirrored(-2 * col, lattice.n_cols) // 2, n_cols - 1)
             to[PAD - col] = to[PAD + mirrored]
@@ -105,46 +115,101 @@ def load_parent(parent, lattice, rows, features, work):
 
 
 @kernel_part
-def _place(tap, k, at, size, pitch):
-    """Return where tap k of the sample at a place of all planes lies, in flat memory."""
-    return np.uint64(at + tap[0][k] * size + tap[1][k] * pitch + tap[2][k])
+def _filled(n):
+    """Return the number of predicted samples of a row."""
+    return (n + LANES - 1) // LANES * LANES
 
 
 @kernel_part
-def _predict_row(flat, sizes, stencil, at, n, is_fine, predicted, sides):
-    """Predict a row of a plane, in quarters, and which sign its details tend to.
+def _quarters(total, a, b, c, d, is_fine):
+    """Return a prediction in quarters from its sum, and -1 where its detail changes its sign.
+
+    It lies between the four nearest samples. The absolute weights add up to 2**18 at most, samples
+    are below 2**13: sums are below 2**31.
+    """
+    # No sample is part of a sum here, and none is shifted before it is compared: what is, numba has
+    # LLVM widen to 64 bits, with all products.
+    low, high, below, above = min(a, b), max(a, b), min(c, d), max(c, d)
+    least, most = min(low, below), max(high, above)
+    total = max(min(total, _i32(_i32(most << 12) | _i32(1023))), _i32(least << 12))
+    quarters = _i32(total >> 10)
+    is_above = _i32(_i32(quarters + _i32(2)) & _i32(-4)) > quarters
+    is_turned = is_above if is_fine else quarters > _i32(low + high + below + above)
+    return quarters, -_i32(is_turned)
+
+
+@kernel_part
+def _predict_row(flat, sizes, plane, weights, at, n, is_fine, predicted, sides):
+    """Predict a row of a plane by the weights of `layout.TAPS`, as `_quarters` does each sample.
 
     `at` is the place of its first sample in plane A; places are unsigned, so that no index needs to
-    be checked for a sign. `sides` are -1 where details change their sign, else 0. The absolute
-    weights add up to 2**18 at most, samples are below 2**13: sums are below 2**31.
+    be checked for a sign. A row's end is filled up to `LANES`: nothing is left of it for a slower
+    loop.
     """
-    runs, weights, core = stencil
-    size, pitch = sizes
-    n, one = np.uint64(n), np.uint64(1)
-    for k in range(0, weights.shape[0], 2):
-        x, z = _place(runs, k, at, size, pitch), _place(runs, k + 1, at, size, pitch)
-        y, w = x + one, z + one
-        w0, w1 = np.int32(weights[k, 0]), np.int32(weights[k, 1])
-        w2, w3 = np.int32(weights[k + 1, 0]), np.int32(weights[k + 1, 1])
-        if k == 0:
-            for j in range(n):
-                total = w0 * np.int32(flat[x + j]) + w1 * np.int32(flat[y + j])
-                predicted[j] = total + w2 * np.int32(flat[z + j]) + w3 * np.int32(flat[w + j])
-        else:
-            for j in range(n):
-                total = w0 * np.int32(flat[x + j]) + w1 * np.int32(flat[y + j])
-                predicted[j] += total + w2 * np.int32(flat[z + j]) + w3 * np.int32(flat[w + j])
-    x, y = _place(core, 0, at, size, pitch), _place(core, 1, at, size, pitch)
-    z, w = _place(core, 2, at, size, pitch), _place(core, 3, at, size, pitch)
-    for j in range(n):
-        a, b = np.int32(flat[x + j]), np.int32(flat[y + j])
-        c, d = np.int32(flat[z + j]), np.int32(flat[w + j])
-        least, most = min(min(a, b), min(c, d)), max(max(a, b), max(c, d))
-        quarters = min(max(predicted[j] >> _TO_QUARTERS, _FOUR * least), _FOUR * most)
-        whole = ((quarters + _TWO) >> _TWO) * _FOUR
-        is_turned = whole > quarters if is_fine else quarters > a + b + c + d
-        predicted[j] = quarters
-        sides[j] = -np.int32(is_turned)
+    size, pitch, here = np.uint64(sizes[0]), np.uint64(sizes[1]), np.uint64(at)
+    up, down, low = here - pitch, here + pitch, here + pitch + pitch
+    h = here + size * np.uint64(HH)
+    h2, h1, hd = h - pitch - pitch, h - pitch, h + pitch
+    x = here + size * np.uint64(HL)
+    xd = x + pitch
+    w0, w1, w2, w3 = _i32(weights[0]), _i32(weights[1]), _i32(weights[2]), _i32(weights[3])
+    w4, w5, w6, w7 = _i32(weights[4]), _i32(weights[5]), _i32(weights[6]), _i32(weights[7])
+    w8, w9, w10, w11 = _i32(weights[8]), _i32(weights[9]), _i32(weights[10]), _i32(weights[11])
+    w12, w13, w14, w15 = _i32(weights[12]), _i32(weights[13]), _i32(weights[14]), _i32(weights[15])
+    w16, w17, w18, w19 = _i32(weights[16]), _i32(weights[17]), _i32(weights[18]), _i32(weights[19])
+    w20, w21, w22, w23 = _i32(weights[20]), _i32(weights[21]), _i32(weights[22]), _i32(weights[23])
+    n = np.uint64(_filled(n))
+    if plane == HH:
+        for j in range(n):
+            a, b = _i32(flat[here + j]), _i32(flat[here + j + _ONE])
+            c, d = _i32(flat[down + j]), _i32(flat[down + j + _ONE])
+            total = _i32(
+                w0 * _i32(flat[up + j - _ONE]) + w1 * _i32(flat[up + j])
+                + w2 * _i32(flat[up + j + _ONE]) + w3 * _i32(flat[up + j + _TWO])
+                + w4 * _i32(flat[here + j - _ONE]) + w5 * a + w6 * b
+                + w7 * _i32(flat[here + j + _TWO])
+                + w8 * _i32(flat[down + j - _ONE]) + w9 * c + w10 * d
+                + w11 * _i32(flat[down + j + _TWO])
+                + w12 * _i32(flat[low + j - _ONE]) + w13 * _i32(flat[low + j])
+                + w14 * _i32(flat[low + j + _ONE]) + w15 * _i32(flat[low + j + _TWO])
+            )  # fmt: skip
+            predicted[j], sides[j] = _quarters(total, a, b, c, d, is_fine)
+    elif plane == HL:
+        for j in range(n):
+            a, b = _i32(flat[here + j]), _i32(flat[here + j + _ONE])
+            c, d = _i32(flat[h1 + j]), _i32(flat[h + j])
+            total = _i32(
+                w0 * _i32(flat[up + j - _ONE]) + w1 * _i32(flat[up + j])
+                + w2 * _i32(flat[up + j + _ONE]) + w3 * _i32(flat[up + j + _TWO])
+                + w4 * _i32(flat[here + j - _ONE]) + w5 * a + w6 * b
+                + w7 * _i32(flat[here + j + _TWO])
+                + w8 * _i32(flat[down + j - _ONE]) + w9 * _i32(flat[down + j])
+                + w10 * _i32(flat[down + j + _ONE]) + w11 * _i32(flat[down + j + _TWO])
+                + w12 * _i32(flat[h2 + j])
+                + w13 * _i32(flat[h1 + j - _ONE]) + w14 * c + w15 * _i32(flat[h1 + j + _ONE])
+                + w16 * _i32(flat[h + j - _ONE]) + w17 * d + w18 * _i32(flat[h + j + _ONE])
+                + w19 * _i32(flat[hd + j])
+            )  # fmt: skip
+            predicted[j], sides[j] = _quarters(total, a, b, c, d, is_fine)
+    else:
+        for j in range(n):
+            a, b = _i32(flat[here + j]), _i32(flat[down + j])
+            c, d = _i32(flat[h + j - _ONE]), _i32(flat[h + j])
+            total = _i32(
+                w0 * _i32(flat[up + j - _ONE]) + w1 * _i32(flat[up + j])
+                + w2 * _i32(flat[up + j + _ONE])
+                + w3 * _i32(flat[here + j - _ONE]) + w4 * a + w5 * _i32(flat[here + j + _ONE])
+                + w6 * _i32(flat[down + j - _ONE]) + w7 * b + w8 * _i32(flat[down + j + _ONE])
+                + w9 * _i32(flat[low + j - _ONE]) + w10 * _i32(flat[low + j])
+                + w11 * _i32(flat[low + j + _ONE])
+                + w12 * _i32(flat[h1 + j - _ONE]) + w13 * _i32(flat[h1 + j])
+                + w14 * _i32(flat[h + j - _TWO]) + w15 * c + w16 * d
+                + w17 * _i32(flat[h + j + _ONE])
+                + w18 * _i32(flat[hd + j - _ONE]) + w19 * _i32(flat[hd + j])
+                + w20 * _i32(flat[x + j - _ONE]) + w21 * _i32(flat[x + j])
+                + w22 * _i32(flat[xd + j - _ONE]) + w23 * _i32(flat[xd + j])
+            )  # fmt: skip
+            predicted[j], sides[j] = _quarters(total, a, b, c, d, is_fine)
 
 
 @kernel_part
@@ -153,12 +218,11 @@ def _settle_narrow(predicted, sides, lattice, details, source, flat, at, n):
 
     The step is at most LIMIT, a detail times it below 2**30 + 2**13 (`Lattice.most`, or 31 steps).
     """
-    step = np.int32(lattice.step)
-    low, high = np.int32(lattice.low - lattice.origin), np.int32(lattice.high - lattice.origin)
-    source, at = np.uint64(source), np.uint64(at)
+    step, low = _i32(lattice.step), _i32(lattice.low - lattice.origin)
+    high, source, at = _i32(lattice.high - lattice.origin), np.uint64(source), np.uint64(at)
     for j in range(np.uint64(n)):
-        detail = (details[source + j] ^ sides[j]) - sides[j]
-        height = ((predicted[j] + _TWO) >> _TWO) + detail * step
+        detail = _i32(_i32(details[source + j] ^ sides[j]) - sides[j])
+        height = _i32(_i32(_i32(predicted[j] + _i32(2)) >> 2) + _i32(detail * step))
         flat[at + j] = np.int16(min(max(height, low), high))
 
 
@@ -182,19 +246,29 @@ def _quantised(goal, whole, step):
 
 @kernel_part
 def _quantise(aim, place, lattice, work, details, source, n):
-    """Fill the details of a predicted row; 0 where void. `place` is that of the first sample."""
+    """Fill the details of a predicted row; 0 where void. `place` is that of the first sample.
+
+    In float64, as processors divide several of them at once: all numbers are whole and below 2**50,
+    so that no quotient is rounded to the next whole number.
+    """
     of_row, first = place
-    for j in range(n):
-        col = first + 2 * j
-        detail = np.int64(0)
-        if not lattice.has_void or aim.valid[of_row, col]:
-            whole = ((np.int64(work.predicted[j]) << lattice.shift) + 2) >> 2
-            detail = _quantised(aim.heights[of_row, col], whole + lattice.origin, lattice.step)
-        side = np.int64(work.sides[j])
-        details[source + j] = np.int32((detail ^ side) - side)
+    goals, valid = aim.heights.reshape(-1), aim.valid.reshape(-1)
+    at = np.uint64(of_row * lattice.n_cols + first)
+    step, scale = np.float64(lattice.step), np.float64(np.int64(1) << lattice.shift)
+    most = np.float64(lattice.origin - (lattice.step >> 1))
+    source = np.uint64(source)
+    for j in range(np.uint64(n)):
+        whole = np.floor((np.float64(work.predicted[j]) * scale + 2.0) * 0.25)
+        detail = np.int32(np.floor((np.float64(goals[at + j + j]) - whole - most) / step))
+        side = work.sides[j]
+        details[source + j] = (detail ^ side) - side
+    if lattice.has_void:
+        for j in range(np.uint64(n)):
+            if not valid[at + j + j]:
+                details[source + j] = 0
     if n & 1:
         # An odd end is a pair with nothing: memory holds what was coded before.
-        details[source + n] = 0
+        details[source + np.uint64(n)] = 0
 
 
 @kernel_part
@@ -264,8 +338,9 @@ def code_heights(is_encoding, aim, lattice, work, parent, known, stencils, rows,
                 (plane - 1) * work.details.shape[1] + (n + (n & 1)) * row,
             )
             _predict_row(
-                flat, (size, pitch), stencils[plane - 1], at, n, lattice.step <= 3, predicted, sides
-            )
+                flat, (size, pitch), plane, stencils[plane - 1], at, n, lattice.step <= 3,
+                predicted, sides,
+            )  # fmt: skip
             if is_encoding:
                 _quantise(aim, (of_row, across), lattice, work, details, source, n)
             if lattice.is_narrow:
@@ -311,29 +386,29 @@ def code_heights(is_encoding, aim, lattice, work, parent, known, stencils, rows,
                 planes[plane, PAD],
                 planes[plane, last],
             )
-    for row in range(rows[3][0], rows[3][1]):
+    for row in range((rows[3][0] + 1) // 2 * 2, rows[3][1], 2):
+        at = parent.first + (row >> 1) * parent.pitch
+        for j in range(0 if lattice.is_narrow else n_a_cols):
+            height = np.int64(above[at + j * parent.spacing])
+            out[row, 2 * j] = np.int32(min(max(height, lattice.low), lattice.high))
+
+
+@kernel
+def write_rows(planes, origin, rows, n_cols, out, row_spacing):
+    """Write rows of a narrow lattice, heights of planes and `origin`, to flat memory.
+
+    Row 0 of the lattice is at its start, row 1 `row_spacing` further.
+    """
+    flat, out, n_cols = borrowed(planes.reshape(-1)), borrowed(out), np.uint64(n_cols)
+    size, pitch = planes.shape[1] * planes.shape[2], planes.shape[2]
+    for row in range(rows[0], rows[1]):
         at = (PAD + (row >> 1)) * pitch + PAD
-        if lattice.is_narrow:
-            first, second = (LH, HH) if row & 1 else (A, HL)
-            _write_row(flat, first * size + at, second * size + at, lattice, out[row])
-        elif not row & 1:
-            at = parent.first + (row >> 1) * parent.pitch
-            for j in range(n_a_cols):
-                height = np.int64(above[at + j * parent.spacing])
-                out[row, 2 * j] = np.int32(min(max(height, lattice.low), lattice.high))
-
-
-@kernel_part
-def _write_row(flat, first, second, lattice, out):
-    """Write a row of a narrow lattice from rows of two planes, which begin at places of `flat`."""
-    origin, n, first, second = (
-        np.int32(lattice.origin),
-        lattice.n_cols,
-        np.uint64(first),
-        np.uint64(second),
-    )
-    for j in range(np.uint64(n // 2)):
-        out[j + j] = np.int32(flat[first + j]) + origin
-        out[j + j + np.uint64(1)] = np.int32(flat[second + j]) + origin
-    if n & 1:
-        out[n - 1] = np.int32(flat[first + np.uint64(n // 2)]) + origin
+        even, odd = (LH, HH) if row & 1 else (A, HL)
+        x, y = np.uint64(even * size + at), np.uint64(odd * size + at)
+        to, n = np.uint64(row * row_spacing), n_cols >> _ONE
+        for j in range(n):
+            # Of 32 bits, whatever `out` is of.
+            out[to + j + j] = _i32(_i32(flat[x + j]) + _i32(origin))
+            out[to + j + j + _ONE] = _i32(_i32(flat[y + j]) + _i32(origin))
+        if n_cols & _ONE:
+            out[to + n + n] = _i32(_i32(flat[x + n]) + _i32(origin))

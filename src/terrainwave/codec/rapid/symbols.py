@@ -45,28 +45,14 @@ _LENGTH_BITS = 5
 WORD, BIT, N_LOGGED, IS_BAD = 0, 1, 2, 3
 
 
-def _values() -> NDArray[np.int64]:
-    """Return details of symbols as the halves of 64 bits, lower first, shape (4, 256).
-
-    Rows: both of a pair; the first of two samples; nothing; the second of two.
-    """
-    values = np.zeros((4, N_SYMBOLS), dtype=np.int64)
-    pairs = np.arange(_SIDE * _SIDE)
-    first, second = pairs // _SIDE - PAIR_LIMIT, pairs % _SIDE - PAIR_LIMIT
-    values[0, : len(pairs)] = (first & 0xFFFFFFFF) | second << 32
-    samples = np.arange(SINGLE_ESCAPE + 1) - SINGLE_LIMIT
-    values[1, : len(samples)] = samples & 0xFFFFFFFF
-    values[3, : len(samples)] = samples << 32
-    return values
-
-
-VALUES = _values()
-# The value of SINGLE_ESCAPE, which no other symbol has.
-_GOES_ON = SINGLE_LIMIT + 1
+# Details that symbols stand for where more follows: of a pair's first sample, and of a single one.
+_ESCAPE_FOUND, _GOES_ON = PAIR_LIMIT + 1, SINGLE_LIMIT + 1
+_i32, _u32, _u64 = np.int32, np.uint32, np.uint64
+_ONE = np.uint64(1)
 
 
 class Log(NamedTuple):
-    """What an encoder writes down before it knows the first state."""
+    """Symbols in coding order, which an encoder notes before it knows the first state."""
 
     tables: NDArray[np.uint8]
     symbols: NDArray[np.uint8]
@@ -74,7 +60,7 @@ class Log(NamedTuple):
 
 
 class Streams(NamedTuple):
-    """What kernels read or write of a band of strips; `raw` has bits, the lowest first."""
+    """States, words and raw bits of a band of strips; the lowest bit is first."""
 
     states: NDArray[np.uint32]
     words: NDArray[np.uint16]
@@ -102,6 +88,7 @@ def frequencies_of(cut: int, freqs: NDArray[np.int64]) -> Frequencies:
     freqs = freqs.copy()
     # Decoders go through these without a change of any state.
     freqs[[NO_PAIR, NO_SINGLE]] = 0
+    freqs[NO_SINGLE, SINGLE_LIMIT] = N_SLOTS
     freqs[freqs.sum(1) == 0, NOTHING] = N_SLOTS
     starts = np.cumsum(freqs, 1) - freqs
     own = np.arange(N_SYMBOLS) + ((freqs - 1) << 8) - (starts << 20)
@@ -111,150 +98,220 @@ def frequencies_of(cut: int, freqs: NDArray[np.int64]) -> Frequencies:
 
 
 @kernel_part
-def _list_entries(pairs, singles, n_pairs, cut, entries):
+def _list_entries(pairs, singles, cut, entries):
     """Write the entries of a list; return how many there are."""
-    n, one = np.uint64(0), np.uint64(1)
-    for k in range(np.uint64(n_pairs)):
+    n_pairs, n, highest = _u64(pairs.shape[0]), _u64(0), np.int8(HIDDEN)
+    for k in range(n_pairs):
+        highest = max(highest, pairs[k])
+    if highest < cut:
+        for k in range(n_pairs):
+            entries[k] = np.uint8(np.int64(pairs[k]) & NO_PAIR)
+        return np.int64(n_pairs)
+    for k in range(n_pairs):
         # Nothing branches by the class, which no processor foresees.
         own, j = np.int64(pairs[k]), k + k
-        is_single = np.uint64(own >= cut)
-        first, second = SINGLES | np.int64(singles[j]), SINGLES | np.int64(singles[j + one])
-        entries[n] = np.uint8((first & 127) if is_single else own & 63)
-        entries[n + one] = np.uint8(second & 127)
-        n += one + is_single
+        is_two = _u64(own >= cut)
+        first, second = SINGLES | np.int64(singles[j]), SINGLES | np.int64(singles[j + _ONE])
+        entries[n] = np.uint8((first & NO_SINGLE) if is_two else own & NO_PAIR)
+        entries[n + _ONE] = np.uint8(second & NO_SINGLE)
+        n += _ONE + is_two
     return np.int64(n)
 
 
 @kernel_part
-def _raw_bits(single):
+def raw_bits(single):
     """Return how many raw bits a sample has that is coded by itself."""
     return max(np.int64(single) - _RAW_CLASS, 0) >> 1
 
 
 @kernel_part
-def _take(raw, places, n):
-    """Return the next n raw bits, at most 32; past the end any."""
-    bit = places[BIT]
-    places[BIT] = bit + n
-    at = np.uint64(min(bit >> 5, raw.shape[0] - 2))
-    both = np.uint64(raw[at]) | np.uint64(raw[at + np.uint64(1)]) << np.uint64(32)
-    mask = (np.uint64(1) << np.uint64(n)) - np.uint64(1)
-    return np.int64((both >> np.uint64(bit & 31)) & mask)
+def _take(raw, bit, n):
+    """Return the n raw bits from a place on, at most 32; past the end any."""
+    at = min(_u64(bit >> 5), _u64(raw.shape[0] - 2))
+    both = _u64(raw[at]) | _u64(raw[at + _ONE]) << _u64(32)
+    return np.int64((both >> _u64(bit & 31)) & ((_ONE << _u64(n)) - _ONE))
+
+
+@kernel_part
+def _follow(state, found):
+    """Return what a state becomes by its entry of `Frequencies.slots`, before it takes a word.
+
+    At most N_SLOTS * (2**20 - 1) + N_SLOTS - 1, below 2**32.
+    """
+    whole = state >> _u32(SLOT_BITS)
+    return _u32(((found >> _u32(8)) & _u32(N_SLOTS - 1)) * whole + whole + (found >> _u32(20)))
+
+
+@kernel_part
+def _read_alone(entries, n, frequencies, state, words, at, symbols):
+    """Read symbols of a band of one state; return the state and the number of the next word.
+
+    Nearly all details are 0. Trying that first is faster than a look-up, as each symbol waits for
+    the one before.
+    """
+    slots, freqs = frequencies.slots, frequencies.freqs.reshape(-1)
+    starts = frequencies.starts.reshape(-1)
+    last = _u64(words.shape[0] - 1)
+    for k in range(_u64(n)):
+        entry, slot = _u64(entries[k]), state & _u32(N_SLOTS - 1)
+        nothing = _u64(NOTHING if entry < SINGLES else SINGLE_LIMIT)
+        at_nothing = entry * _u64(N_SYMBOLS) + nothing
+        freq, place = freqs[at_nothing], np.int64(slot) - np.int64(starts[at_nothing])
+        if 0 <= place < freq:
+            state = _u32(freq * (state >> _u32(SLOT_BITS)) + _u32(place))
+            symbols[k] = np.uint8(nothing)
+        else:
+            found = slots[entry << _u64(SLOT_BITS) | _u64(slot)]
+            state = _follow(state, found)
+            symbols[k] = np.uint8(found & _u32(255))
+        if state < _u32(STATE_START):
+            state = _u32((state << _u32(16)) | _u32(words[min(at, last)]))
+            at += _ONE
+    return state, at
 
 
 @kernel
-def read_entries(entries, n, slots, streams, symbols):
+def read_entries(entries, n, frequencies, streams, symbols):
     """Read the symbols of a list. Past the last word, the last ones are read again."""
-    entries, slots, symbols = borrowed((entries, slots, symbols))
+    entries, frequencies, symbols = borrowed((entries, frequencies, symbols))
     states, words, _, _, places = borrowed(streams)
-    at, most = np.uint64(places[WORD]), np.uint64(words.shape[0] - MOST_STATES)
+    slots = frequencies.slots
+    at, most = _u64(places[WORD]), _u64(words.shape[0] - MOST_STATES)
+    mask, n, first = _u64(states.shape[0] - 1), _u64(n), _u64(0)
+    if states.shape[0] == 1:
+        states[0], at = _read_alone(entries, n, frequencies, states[0], words, at, symbols)
+        first = n
     # Unsigned, so that no index needs to be checked for a sign; without a branch, which no
-    # processor would foresee. A state is at most N_SLOTS * (2**20 - 1) + N_SLOTS - 1 < 2**32.
-    mask, n = np.uint64(states.shape[0] - 1), np.uint64(n)
-    first = np.uint64(0)
+    # processor would foresee.
     while first < n:
         if at > most:
             places[IS_BAD] = 1
             at = most
-        last = min(first + np.uint64(MOST_STATES), n)
+        last = min(first + _u64(MOST_STATES), n)
         for k in range(first, last):
             state = states[k & mask]
-            table = np.uint64(entries[k]) << np.uint64(SLOT_BITS)
-            found = slots[table | np.uint64(state & np.uint32(N_SLOTS - 1))]
-            whole = state >> np.uint32(SLOT_BITS)
-            freq = (found >> np.uint32(8)) & np.uint32(N_SLOTS - 1)
-            state = freq * whole + whole + (found >> np.uint32(20))
-            symbols[k] = np.uint8(found & np.uint32(255))
-            is_short = state < np.uint32(STATE_START)
-            longer = (state << np.uint32(16)) | np.uint32(words[at])
+            slot = _u64(entries[k]) << _u64(SLOT_BITS) | _u64(state & _u32(N_SLOTS - 1))
+            found = slots[slot]
+            symbols[k] = np.uint8(found & _u32(255))
+            state = _follow(state, found)
+            is_short, longer = state < _u32(STATE_START), (state << _u32(16)) | _u32(words[at])
             states[k & mask] = longer if is_short else state
-            at += np.uint64(is_short)
+            at += _u64(is_short)
         first = last
     places[WORD] = np.int64(at)
 
 
 @kernel_part
-def _beyond(raw, places):
-    """Return what a symbol says no more: a signed number beyond SINGLE_LIMIT, below 2**33."""
-    length = _take(raw, places, _LENGTH_BITS)
-    rest = _take(raw, places, length + 1)
+def _beyond(raw, bit):
+    """Return what a symbol says no more: a signed number beyond SINGLE_LIMIT, below 2**33.
+
+    Then the place behind its bits.
+    """
+    length = _take(raw, bit, _LENGTH_BITS)
+    rest = _take(raw, bit + _LENGTH_BITS, length + 1)
     beyond = (np.int64(1) << length) - 1 + (rest >> 1) + SINGLE_LIMIT + 1
-    return -beyond if rest & 1 else beyond
+    return -beyond if rest & 1 else beyond, bit + _LENGTH_BITS + length + 1
 
 
 @kernel_part
-def _expand(pairs, n_pairs, cut, symbols, values, both, more):
-    """Fill the details that symbols stand for; return how many pairs have none, first in `more`."""
-    k, n_escaped, one = np.uint64(0), np.uint64(0), np.uint64(1)
-    for pair in range(np.uint64(n_pairs)):
-        is_single = np.uint64(np.int64(pairs[pair]) >= cut)
-        symbol, other = np.uint64(symbols[k]), np.uint64(symbols[k + is_single])
-        k += one + is_single
-        both[pair] = values[is_single, symbol] | values[np.uint64(2) + is_single, other]
-        more[n_escaped] = pair + pair
-        n_escaped += np.uint64(symbol == np.uint64(PAIR_ESCAPE))
-    return np.int64(n_escaped)
+def _spread(pairs, cut, symbols, seconds):
+    """Put the symbols of pairs, or of their first samples, side by side; those of second ones, too.
+
+    They move towards the start of `symbols`.
+    """
+    k = _u64(0)
+    for pair in range(_u64(pairs.shape[0])):
+        is_two = _u64(np.int64(pairs[pair]) >= cut)
+        symbols[pair], seconds[pair] = symbols[k], symbols[k + is_two]
+        k += _ONE + is_two
 
 
 @kernel_part
-def _complete(pairs, singles, n_pairs, cut, streams, details, more, most):
+def _place(pairs, cut, symbols, seconds, details):
+    """Fill the details that symbols stand for; return how many pairs have none."""
+    n_escaped = _i32(0)
+    for pair in range(_u64(pairs.shape[0])):
+        is_two, own = pairs[pair] >= cut, _i32(symbols[pair])
+        # What is below 2**8, by _SIDE.
+        first = _i32(_i32(own * _i32(4370)) >> 16)
+        second = _i32(own - _i32(first * _i32(_SIDE)))
+        n_escaped = _i32(n_escaped + _i32(own == PAIR_ESCAPE))
+        first, second = _i32(first - PAIR_LIMIT), _i32(second - PAIR_LIMIT)
+        other = _i32(_i32(seconds[pair]) - SINGLE_LIMIT)
+        details[pair + pair] = _i32(own - SINGLE_LIMIT) if is_two else first
+        details[pair + pair + _ONE] = other if is_two else second
+    return n_escaped
+
+
+@kernel_part
+def _complete(pairs, singles, cut, streams, details, more, most):
     """Read the raw bits of samples coded by themselves, and what is beyond their symbols.
 
     A detail is below 2**33 << 13 before it is brought within ±most, which fits 32 bits.
     """
-    raw, places = streams.raw, streams.places
-    n_beyond = 0
-    for pair in range(n_pairs):
-        if pairs[pair] < cut:
-            continue
-        for i in range(2 * pair, 2 * pair + 2):
-            n_bits = _raw_bits(singles[i])
-            goes_on = details[i] == _GOES_ON
-            if n_bits == 0 and not goes_on:
-                continue
-            low = _take(raw, places, n_bits)
-            detail = (np.int64(details[i]) << n_bits) | low
-            # Raw bits of those that go on wait in their place.
-            details[i] = np.int32(low if goes_on else min(max(detail, -most), most))
-            more[n_beyond] = i
-            n_beyond += goes_on
+    raw, bit, n, n_beyond = streams.raw, streams.places[BIT], _u64(0), _u64(0)
+    # Most lists have none.
+    is_long = False
+    for i in range(_u64(singles.shape[0])):
+        is_long |= (singles[i] > _RAW_CLASS + 1) | (details[i] == _GOES_ON)
+    for pair in range(_u64(pairs.shape[0] if is_long else 0)):
+        is_two, i = pairs[pair] >= cut, pair + pair
+        more[n] = _i32(i)
+        n += _u64(is_two & ((singles[i] > _RAW_CLASS + 1) | (details[i] == _GOES_ON)))
+        i += _ONE
+        more[n] = _i32(i)
+        n += _u64(is_two & ((singles[i] > _RAW_CLASS + 1) | (details[i] == _GOES_ON)))
+    for k in range(n):
+        i = _u64(more[k])
+        n_bits, before = raw_bits(singles[i]), details[i]
+        low = _take(raw, bit, n_bits)
+        bit += n_bits
+        detail = min(max(np.int64(before) << n_bits | low, -most), most)
+        # Raw bits of those that go on wait in their place.
+        details[i] = _i32(low if before == _GOES_ON else detail)
+        more[n_beyond] = _i32(i)
+        n_beyond += _u64(before == _GOES_ON)
     for k in range(n_beyond):
-        i = more[k]
-        detail = (_beyond(raw, places) << _raw_bits(singles[i])) | np.int64(details[i])
-        details[i] = np.int32(min(max(detail, -most), most))
+        i = _u64(more[k])
+        beyond, bit = _beyond(raw, bit)
+        detail = (beyond << raw_bits(singles[i])) | np.int64(details[i])
+        details[i] = _i32(min(max(detail, -most), most))
+    streams.places[BIT] = bit
 
 
 @kernel
-def read_strip(memory, pairs, singles, both, details, most, frequencies, values, streams):
+def read_strip(memory, pairs, singles, details, most, frequencies, streams):
     """Read the details of a list, two for each pair; none of many bits is beyond ±most.
 
     The list; a list of the samples of pairs that have no symbol; the raw bits of samples coded by
     themselves; what is beyond the symbols of these; the same of samples of pairs.
     """
-    pairs, singles, both, details = borrowed((pairs, singles, both, details))
+    pairs, singles, details = borrowed((pairs, singles, details))
     entries, symbols, more = borrowed(memory)
-    streams = borrowed(streams)
-    cut, slots = frequencies.cut, frequencies.slots
-    n_pairs = pairs.shape[0]
-    n = _list_entries(pairs, singles, n_pairs, cut, entries)
-    read_entries(entries, n, slots, streams, symbols)
-    n_escaped = _expand(pairs, n_pairs, cut, symbols, values, both, more)
+    frequencies, streams = borrowed((frequencies, streams))
+    cut, n_pairs = frequencies.cut, pairs.shape[0]
+    n = _list_entries(pairs, singles, cut, entries)
+    read_entries(entries, n, frequencies, streams, symbols)
+    if n > n_pairs:
+        _spread(pairs, cut, symbols, entries)
+    n_escaped = _place(pairs, cut, symbols, entries, details)
     # Samples of pairs without a symbol are at the end of `more`, as others are put at its start.
     first = more.shape[0] - n_escaped
-    for k in range(n_escaped - 1, -1, -1):
-        more[first + k] = more[k]
     if n_escaped:
-        for k in range(2 * n_escaped):
-            entries[k] = ESCAPED
-        read_entries(entries, 2 * n_escaped, slots, streams, symbols)
+        k = first
+        for pair in range(n_pairs):
+            if details[2 * pair] == _ESCAPE_FOUND and pairs[pair] < cut:
+                more[k] = 2 * pair
+                k += 1
+        entries[: 2 * n_escaped] = ESCAPED
+        read_entries(entries, 2 * n_escaped, frequencies, streams, symbols)
     if n > n_pairs:
-        _complete(pairs, singles, n_pairs, cut, streams, details, more, most)
+        _complete(pairs, singles, cut, streams, details, more, most)
     for k in range(2 * n_escaped):
-        i = more[first + (k >> 1)] + (k & 1)
-        detail = np.int64(np.int32(values[1, symbols[k]]))
+        detail = np.int64(symbols[k]) - SINGLE_LIMIT
         if detail == _GOES_ON:
-            detail = _beyond(streams.raw, streams.places)
-        details[i] = np.int32(min(max(detail, -most), most))
+            detail, streams.places[BIT] = _beyond(streams.raw, streams.places[BIT])
+        details[more[first + (k >> 1)] + (k & 1)] = _i32(min(max(detail, -most), most))
 
 
 @kernel_part
@@ -267,30 +324,15 @@ def _put(raw, places, value, n):
 
 
 @kernel_part
-def _log(log, places, table, symbol, state):
-    at = places[N_LOGGED]
-    log.tables[at], log.symbols[at], log.states[at] = table, symbol, state
-    places[N_LOGGED] = at + 1
+def pair_symbol(first, second):
+    """Return the symbol of two details, PAIR_ESCAPE if they have none."""
+    x, y = first + PAIR_LIMIT, second + PAIR_LIMIT
+    return x * _SIDE + y if 0 <= x < _SIDE and 0 <= y < _SIDE else PAIR_ESCAPE
 
 
 @kernel_part
-def _pair_symbol(table, first, second, freqs):
-    """Return the symbol of two details; PAIR_ESCAPE where there is none, or it has no slot."""
-    if max(abs(first), abs(second)) > PAIR_LIMIT:
-        return PAIR_ESCAPE
-    symbol = (first + PAIR_LIMIT) * _SIDE + second + PAIR_LIMIT
-    return symbol if freqs[table, symbol] else PAIR_ESCAPE
-
-
-@kernel_part
-def _is_escaped(pair, cut, details, j, freqs):
-    """Say whether a pair of details has no symbol."""
-    is_pair = pair != HIDDEN and pair < cut
-    return is_pair and _pair_symbol(pair, details[j], details[j + 1], freqs) == PAIR_ESCAPE
-
-
-@kernel_part
-def _single_symbol(value):
+def single_symbol(value):
+    """Return the symbol of a detail's upper part, SINGLE_ESCAPE where it goes on."""
     return SINGLE_ESCAPE if abs(value) > SINGLE_LIMIT else value + SINGLE_LIMIT
 
 
@@ -308,65 +350,77 @@ def _put_beyond(raw, places, value):
 
 
 @kernel
-def log_strip(pairs, singles, details, frequencies, streams):
-    """Log a list as `read_strip` reads it."""
-    cut, freqs = frequencies.cut, frequencies.freqs
-    log, raw, places = streams.log, streams.raw, streams.places
-    k, n_escaped = 0, 0
-    for pair in range(pairs.shape[0]):
-        j = 2 * pair
-        if pairs[pair] == HIDDEN:
-            k += 1
-        elif pairs[pair] < cut:
-            symbol = _pair_symbol(pairs[pair], details[j], details[j + 1], freqs)
-            _log(log, places, pairs[pair], symbol, k % MOST_STATES)
-            k += 1
+def log_strip(pairs, singles, details, more, frequencies, streams):
+    """Log a list as `read_strip` reads it. What is hidden has the one symbol of its table."""
+    pairs, singles, details, more = borrowed((pairs, singles, details, more))
+    log, raw, places = borrowed((streams.log, streams.raw, streams.places))
+    cut, freqs = frequencies.cut, borrowed(frequencies.freqs)
+    n_pairs, one, at = np.uint64(pairs.shape[0]), np.uint64(1), np.uint64(places[N_LOGGED])
+    tables, symbols, states = log.tables[at:], log.symbols[at:], log.states[at:]
+    n = np.uint64(_list_entries(pairs, singles, cut, tables))
+    k, n_escaped, last = np.uint64(0), np.uint64(0), np.uint64(more.shape[0])
+    first_beyond = last
+    for pair in range(n_pairs):
+        i = pair + pair
+        if pairs[pair] < cut:
+            symbol = pair_symbol(details[i], details[i + one])
+            has_none = pairs[pair] != HIDDEN and freqs[tables[k], symbol] == 0
+            if symbol == PAIR_ESCAPE or has_none:
+                symbol = PAIR_ESCAPE
+                more[n_escaped] = i
+                n_escaped += one
+            symbols[k] = symbol
+            k += one
         else:
-            for i in range(j, j + 2):
-                if singles[i] != HIDDEN:
-                    symbol = _single_symbol(details[i] >> _raw_bits(singles[i]))
-                    _log(log, places, SINGLES | singles[i], symbol, k % MOST_STATES)
-                k += 1
-    for pair in range(pairs.shape[0]):
-        if _is_escaped(pairs[pair], cut, details, 2 * pair, freqs):
-            for i in range(2 * pair, 2 * pair + 2):
-                _log(log, places, ESCAPED, _single_symbol(details[i]), n_escaped % MOST_STATES)
-                n_escaped += 1
-    for pair in range(pairs.shape[0]):
-        for i in range(2 * pair, 2 * pair + 2):
-            if pairs[pair] >= cut and singles[i] != HIDDEN:
-                n_bits = _raw_bits(singles[i])
-                _put(raw, places, details[i] & ((np.int64(1) << n_bits) - 1), n_bits)
-    for pair in range(pairs.shape[0]):
-        for i in range(2 * pair, 2 * pair + 2):
-            if pairs[pair] >= cut and singles[i] != HIDDEN:
-                _put_beyond(raw, places, np.int64(details[i]) >> _raw_bits(singles[i]))
-    for pair in range(pairs.shape[0]):
-        for i in range(2 * pair, 2 * pair + 2):
-            if _is_escaped(pairs[pair], cut, details, 2 * pair, freqs):
-                _put_beyond(raw, places, np.int64(details[i]))
+            for _ in range(2):
+                n_bits = raw_bits(singles[i])
+                value = details[i] >> n_bits
+                symbols[k] = SINGLE_LIMIT if singles[i] == HIDDEN else single_symbol(value)
+                k += one
+                if n_bits:
+                    _put(raw, places, details[i] & ((np.int64(1) << n_bits) - 1), n_bits)
+                if abs(value) > SINGLE_LIMIT:
+                    first_beyond -= one
+                    more[first_beyond] = i
+                i += one
+    for k in range(n):
+        states[k] = k & np.uint64(MOST_STATES - 1)
+    k = last
+    while k > first_beyond:
+        k -= one
+        i = more[k]
+        _put_beyond(raw, places, np.int64(details[i]) >> raw_bits(singles[i]))
+    for k in range(n_escaped + n_escaped):
+        detail = details[np.uint64(more[k >> one]) + (k & one)]
+        tables[n + k], symbols[n + k] = ESCAPED, single_symbol(detail)
+        states[n + k] = k & np.uint64(MOST_STATES - 1)
+        if abs(detail) > SINGLE_LIMIT:
+            _put_beyond(raw, places, np.int64(detail))
+    places[N_LOGGED] = at + n + n_escaped + n_escaped
 
 
 @kernel
 def encode_log(streams, frequencies, words):
     """Encode what has been logged, from its end on; return how many words end `words`."""
-    log, states = streams.log, streams.states
-    freqs, starts = frequencies.freqs, frequencies.starts
-    at = words.shape[0]
-    for k in range(streams.places[N_LOGGED] - 1, -1, -1):
-        table, symbol = log.tables[k], log.symbols[k]
-        lane = log.states[k] & (states.shape[0] - 1)
+    log, states, words = borrowed((streams.log, streams.states, words))
+    freqs, starts = borrowed((frequencies.freqs, frequencies.starts))
+    one, at, k = np.uint64(1), np.uint64(words.shape[0]), np.uint64(streams.places[N_LOGGED])
+    mask = np.uint64(states.shape[0] - 1)
+    while k > np.uint64(0):
+        k -= one
+        table, symbol = np.uint64(log.tables[k]), np.uint64(log.symbols[k])
+        lane = np.uint64(log.states[k]) & mask
         freq, start = np.uint64(freqs[table, symbol]), np.uint64(starts[table, symbol])
         state = np.uint64(states[lane])
         if state >= freq << np.uint64(32 - SLOT_BITS):
-            at -= 1
+            at -= one
             words[at] = np.uint16(state & np.uint64(0xFFFF))
             state >>= np.uint64(16)
         quotient = state // freq
         states[lane] = np.uint32(
             (quotient << np.uint64(SLOT_BITS)) + state - quotient * freq + start
         )
-    return words.shape[0] - at
+    return words.shape[0] - np.int64(at)
 
 
 @kernel
@@ -374,3 +428,4 @@ def count_log(log, n, counts):
     """Count the symbols that have been logged; `counts` as `Frequencies.freqs`."""
     for k in range(n):
         counts[log.tables[k], log.symbols[k]] += 1
+    counts[NO_PAIR], counts[NO_SINGLE] = 0, 0

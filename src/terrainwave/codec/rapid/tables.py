@@ -1,5 +1,6 @@
 """Tables of a file: stencils, weights of what is expected, frequencies of symbols."""
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ WEIGHT_UNIT_BITS = 16
 
 
 class Tables(NamedTuple):
-    """What a file's units are coded by.
+    """Tables that code a file's units.
 
     Attributes
     ----------
@@ -46,6 +47,12 @@ def weights_of(weights: NDArray[np.int64], step: int, shift: int) -> NDArray[np.
 
     A step of heights has ``step >> shift`` of these features' units.
     """
+    return _made_of(weights.tobytes(), step, shift)
+
+
+@lru_cache(maxsize=64)
+def _made_of(weights_of_planes: bytes, step: int, shift: int) -> NDArray[np.int32]:
+    weights = np.frombuffer(weights_of_planes, dtype=np.int64).reshape(-1, 4)
     made = np.zeros((len(weights), 5), dtype=np.int32)
     to_steps = WEIGHT_UNIT_BITS - STEP_BITS
     for row, (constant, of_range, of_bend, of_near) in enumerate(weights.tolist()):

@@ -1,27 +1,23 @@
 """Units of heights as payloads: details, then heights (docs/format-rapid.md)."""
 
-from collections.abc import Callable
-from functools import lru_cache
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.corrections import correct
-from terrainwave.codec.memory import Spares, flat, new_heights
-from terrainwave.codec.rapid.details import code_details
+from terrainwave.codec.memory import Spares, flat, flat_view, new_heights
+from terrainwave.codec.rapid.details import log_details, read_details
 from terrainwave.codec.rapid.layout import (
-    CORE_ARRAYS,
     HH,
     HL,
     LH,
     LIMIT,
-    N_PLANES,
-    RUNS,
     Lattice,
     Workspace,
     new_workspace,
-    run_weights,
+    plane_shape,
 )
 from terrainwave.codec.rapid.needed import band_strips, needed_for
 from terrainwave.codec.rapid.prediction import (
@@ -29,6 +25,7 @@ from terrainwave.codec.rapid.prediction import (
     Parent,
     code_heights,
     load_parent,
+    write_rows,
 )
 from terrainwave.codec.rapid.symbols import (
     BIT,
@@ -36,7 +33,6 @@ from terrainwave.codec.rapid.symbols import (
     MOST_STATES,
     N_LOGGED,
     STATE_START,
-    VALUES,
     WORD,
     Frequencies,
     Log,
@@ -54,6 +50,7 @@ from terrainwave.codec.refiner import (
     Heights,
     Labels,
     Mask,
+    Raw,
     Rows,
 )
 from terrainwave.codec.varint import decode_varint, encode_varint
@@ -70,8 +67,12 @@ _MOST_DETAIL = 2**31 - 1
 # Origins are the middle of the range of heights, or 2**10 such numbers as planes hold, from there.
 _ORIGIN_BITS = 10
 # A payload has a part that can be read alone, for windows, for so many bytes.
-_BYTES_OF_BAND, _MOST_BANDS = 1 << 14, 4
+_BYTES_OF_BAND, _MOST_BANDS = 1 << 15, 4
+_Whole = NDArray[np.int32]
+_EVERY = 3  # one detail in so many counts for the estimate of their bits
 _SPARE_RAW = 2
+# Planes of fewer rows or columns are not kept: much work for few samples.
+LEAST_SIDE = 10
 # Symbols of what is not of the samples: odd ends of rows.
 _ROOM = 1 << 13
 _NONE_KNOWN = (False, False, False, False)
@@ -83,10 +84,10 @@ _NO_LOG = Log(*(np.zeros(1, dtype=np.uint8) for _ in range(3)))
 
 
 class _Memory:
-    """A workspace that grows with what is coded in it."""
+    """A workspace, and room for what is logged, that grow with what is coded in them."""
 
     def __init__(self) -> None:
-        self._workspace = new_workspace(0)
+        self._workspace, self._streams = new_workspace(0), _new_streams(0)
 
     def of(self, shape: tuple[int, int]) -> Workspace:
         """Return arrays for lattices of this shape."""
@@ -95,12 +96,21 @@ class _Memory:
             self._workspace = new_workspace(side)
         return self._workspace
 
+    def streams(self, n: int) -> Streams:
+        """Return where to log a band of at most `n` samples; the one logged before is gone."""
+        if len(self._streams.log.tables) < 2 * n + _ROOM:
+            self._streams = _new_streams(n)
+        # Raw bits are added to what is there.
+        self._streams.raw[: (int(self._streams.places[BIT]) >> 5) + 2] = 0
+        self._streams.places[:] = 0
+        return self._streams
+
 
 _MEMORY = Spares(_Memory)
 
 
 class _Head(NamedTuple):
-    """What a payload says before its bands; `sizes` are words and bytes of raw bits of each."""
+    """Head of a payload; `sizes` are the words and bytes of raw bits of each band."""
 
     is_narrow: bool
     shift: int
@@ -133,7 +143,7 @@ class _Unit(NamedTuple):
     memory: _Memory
 
     def aim(self, stride: int) -> Aim:
-        """Return what concerns every so many samples, as kernels take it."""
+        """Return target, validity and corrections at a stride, for kernels."""
         part = np.s_[::stride, ::stride]
         return Aim(
             _NO_HEIGHTS if self.target is None else np.ascontiguousarray(self.target[part]),
@@ -141,24 +151,19 @@ class _Unit(NamedTuple):
             *(np.ascontiguousarray(array[part]).ravel() for array in self.corrections),
         )
 
+    def write(
+        self, lattice: Lattice, base: int, rows: tuple[int, int], n_cols: int,
+        out: NDArray[Any], row_spacing: int,
+    ) -> None:  # fmt: skip
+        """Write rows of a narrow lattice, and `base` more, to flat memory."""
+        planes = self.memory.of((lattice.n_rows, lattice.n_cols)).planes
+        write_rows(planes, lattice.origin + base, rows, n_cols, out, row_spacing)
+
     def keep_added(self, stride: int, aim: Aim) -> None:
-        """Keep the corrections of every so many samples that an encoder found."""
+        """Keep the corrections that an encoder found at a stride."""
         if aim.added.size and stride > 1:
             part = self.corrections.added[::stride, ::stride]
             part[:] = aim.added.reshape(part.shape)
-
-
-_Stencils = tuple[tuple[Any, ...], ...]
-
-
-@lru_cache(maxsize=32)
-def _arranged(stencils: bytes) -> _Stencils:
-    """Return the stencils of the planes, shape (3, 24), as kernels take them."""
-    weights = np.frombuffer(stencils, dtype=np.int64).reshape(N_PLANES, -1)
-    return tuple(
-        (tuple(RUNS[plane][:3]), run_weights(plane, own), core)
-        for plane, own, core in zip((HH, HL, LH), weights, CORE_ARRAYS, strict=True)
-    )
 
 
 class UnitCoder:
@@ -184,13 +189,14 @@ class UnitCoder:
         out = new_heights(spec.region.shape)
         with _MEMORY.lent() as memory:
             unit = _new_unit(spec, parent, target, mask, corrections, memory)
-            lattice = self._code(unit, parent, ALL_ROWS, out)
-            payload = self._pack(unit)
-            n_bands = min(1 + len(payload) // _BYTES_OF_BAND, _MOST_BANDS)
-            if parent is not None and lattice is not None and n_bands > 1:
-                unit = unit._replace(bands=[_new_streams(out.size) for _ in range(n_bands)])
-                self._code_details(unit, 1, lattice, band_strips(lattice.n_rows, n_bands))
-                payload = self._pack(unit)
+            # How many bands a group has is known when its details are.
+            unit = unit if parent is None else unit._replace(bands=[])
+            lattice, n_bands = self._code(unit, parent, ALL_ROWS, out), 1
+            logged: Iterable[Streams] = unit.bands
+            if parent is not None and lattice is not None:
+                n_bands = _n_bands(lattice, memory.of(out.shape))
+                logged = self._logged(unit, lattice, n_bands)
+            payload = self._pack(unit, logged, is_alone=n_bands == 1)
         return payload, out, None
 
     @also_in_c(_IN_C)
@@ -207,8 +213,8 @@ class UnitCoder:
         with _MEMORY.lent() as memory:
             unit = _new_unit(spec, parent, target, mask, NO_CORRECTIONS, memory)
             self._code(unit, parent, ALL_ROWS, out)
-        streams = unit.bands[0]
-        count_log(streams.log, int(streams.places[N_LOGGED]), counts)
+            streams = unit.bands[0]
+            count_log(streams.log, int(streams.places[N_LOGGED]), counts)
         return out
 
     def decode(
@@ -239,18 +245,27 @@ class UnitCoder:
         out: Heights,
         corrections: Corrections = NO_CORRECTIONS,
         rows: Rows = ALL_ROWS,
-    ) -> None:
+        raw: Raw | None = None,
+    ) -> bool:
         """Rebuild the heights of ``spec.region`` in `out`; see `decode` and `DirectRefiner`."""
         rows = ALL_ROWS if parent is None else rows
         head = _read_head(spec, payload)
         bands = _read_bands(head, payload)
         with _MEMORY.lent() as memory:
             unit = _Unit(spec, head, None, _as_bytes(mask), corrections, bands, memory)
-            self._code(unit, parent, rows, out)
-        read = needed_for(out.shape, rows, len(bands)).strips
-        all_ = band_strips(out.shape[0], len(bands))
-        for k, (streams, (_, n_raw)) in enumerate(zip(bands, head.sizes, strict=True)):
-            _check_end(streams, n_raw, is_part=read[k] != all_[k])
+            wanted = None
+            if raw is not None and parent is not None and head.is_narrow:
+                wanted = flat_view(raw.heights)
+            lattice = self._code(unit, parent, rows, out, is_written=wanted is None)
+            needed = needed_for(out.shape, rows, len(bands))
+            all_ = band_strips(out.shape[0], len(bands))
+            for k, (streams, (_, n_raw)) in enumerate(zip(bands, head.sizes, strict=True)):
+                _check_end(streams, n_raw, is_part=needed.strips[k] != all_[k])
+            # Not before all is known to be good.
+            if raw is not None and wanted is not None and lattice is not None:
+                (first, end), shape = needed.planes[3], raw.heights.shape
+                unit.write(lattice, raw.base, (first, min(end, shape[0])), shape[1], *wanted)
+        return wanted is not None
 
     def rows_above(self, spec: GroupSpec, payload: bytes, rows: Rows) -> Rows:
         """Return which rows of its parent heights a group needs; see `DirectRefiner`."""
@@ -258,14 +273,19 @@ class UnitCoder:
         return Rows(*needed_for(spec.core.shape, rows, n_bands).parent)
 
     def _code(
-        self, unit: _Unit, parent: Heights | None, rows: Rows, out: Heights
-    ) -> Lattice | None:
-        """Encode a unit, or decode rows of it; return its lattice, the last one of a root block."""
+        self, unit: _Unit, parent: Heights | None, rows: Rows, out: Heights, *,
+        is_written: bool = True,
+    ) -> Lattice | None:  # fmt: skip
+        """Encode a unit, or decode rows of it; return its lattice, the last one of a root block.
+
+        Rows of narrow groups may be left to be written.
+        """
         spec = unit.spec
         if parent is not None:
             source, pitch = flat(parent)
             above = Parent(source, 0, pitch, 1)
-            return self._code_lattice(unit, 1, above, tuple(spec.shared), rows, out)
+            shared = tuple(spec.shared)
+            return self._code_lattice(unit, 1, above, shared, rows, out, is_written=is_written)
         stride, lattice = 1, None
         while stride < max(out.shape) - 1:
             stride *= 2
@@ -283,9 +303,9 @@ class UnitCoder:
 
     def _code_lattice(
         self, unit: _Unit, stride: int, parent: Parent, known: tuple[bool, ...], rows: Rows,
-        out: Heights,
+        out: Heights, *, is_written: bool = True,
     ) -> Lattice:  # fmt: skip
-        """Code the lattice of every so many samples of a unit."""
+        """Code the lattice of a unit at one stride."""
         spec, head = unit.spec, unit.head
         low, high = head.limits(spec)
         # Levels are rounded down: predictions lie up to one level below the lowest height.
@@ -301,61 +321,83 @@ class UnitCoder:
         tables = self.tables(spec.step)
         which = tables.level_class(spec.level - (stride.bit_length() - 1))
         if unit.target is None:
-            self._code_details(unit, stride, lattice, needed.strips)
+            self._code_details(unit, which, lattice, aim.valid, needed.strips)
         code_heights(
             unit.target is not None, aim, lattice, work, parent, known,
-            _arranged(tables.stencils[which].tobytes()), needed.planes, out,
+            tables.stencils[which].astype(np.int32), needed.planes, out,
         )  # fmt: skip
+        if head.is_narrow and is_written:
+            unit.write(lattice, 0, needed.planes[3], lattice.n_cols, out.reshape(-1), out.shape[1])
         if unit.target is not None:
             unit.keep_added(stride, aim)
-            self._code_details(unit, stride, lattice, needed.strips)
+            self._code_details(unit, which, lattice, aim.valid, needed.strips)
             self._see(which, lattice, work, aim.valid)
         return lattice
 
-    # Takes what is known of the samples of a plane that has been encoded (`fit_weights`): class of
-    # levels, plane, shift of its heights, and an array of shape (5, n_rows, n_cols), int32, of
-    # range, bend, what is near, detail, and whether it is coded. None: nobody wants it.
-    keep: Callable[[int, int, int, NDArray[np.int32]], None] | None = None
+    # Takes the samples of planes that have been encoded (`fit_weights`). None: nobody wants them.
+    keep: Callable[[int, int, int, _Whole, _Whole, NDArray[np.bool_]], None] | None = None
 
     def _see(self, which: int, lattice: Lattice, work: Workspace, valid: NDArray[np.uint8]) -> None:
         """Look at a lattice of a class of levels that has been encoded (`fit_weights`)."""
 
     def _code_details(
-        self, unit: _Unit, stride: int, lattice: Lattice, strips: list[tuple[int, int]]
-    ) -> None:
-        tables = self.tables(unit.spec.step)
-        which = tables.level_class(unit.spec.level - (stride.bit_length() - 1))
+        self, unit: _Unit, which: int, lattice: Lattice, valid: NDArray[np.uint8],
+        strips: tuple[tuple[int, int], ...],
+    ) -> None:  # fmt: skip
+        """Read or log the details of strips of each band, with the tables of a class of levels."""
+        tables, work = self.tables(unit.spec.step), unit.memory.of((lattice.n_rows, lattice.n_cols))
         made = weights_of(tables.weights[which], lattice.step, lattice.shift)
-        valid, work = unit.aim(stride).valid, unit.memory.of((lattice.n_rows, lattice.n_cols))
         for streams, own in zip(unit.bands, strips, strict=True):
             if own[0] < own[1]:
-                code_details(
-                    unit.target is not None, lattice, work, valid, own, made,
-                    tables.frequencies, VALUES, streams,
-                )  # fmt: skip
+                code = read_details if unit.target is None else log_details
+                code(lattice, work, valid, own, made, tables.frequencies, streams)
 
-    def _pack(self, unit: _Unit) -> bytes:
-        head, flags = unit.head, 0
-        frequencies = self.tables(unit.spec.step).frequencies
+    def _logged(self, unit: _Unit, lattice: Lattice, n_bands: int) -> Iterator[Streams]:
+        """Yield the bands of a group, each logged where the one before was."""
+        which, valid = self.tables(unit.spec.step).level_class(unit.spec.level), unit.aim(1).valid
+        for strips in band_strips(lattice.n_rows, n_bands):
+            streams = unit.memory.streams(lattice.n_rows * lattice.n_cols)
+            self._code_details(unit._replace(bands=[streams]), which, lattice, valid, (strips,))
+            yield streams
+
+    def _pack(self, unit: _Unit, logged: Iterable[Streams], *, is_alone: bool) -> bytes:
+        """Return the payload of a unit whose bands have been logged."""
+        frequencies, head = self.tables(unit.spec.step).frequencies, unit.head
+        sizes, contents, which = [], [], len(_N_STATES) - 1
+        for streams in logged:
+            words, states = _words(streams, _N_STATES[which], frequencies)
+            # Several bands are large enough for all states.
+            if is_alone and len(words) < _WORDS_OF_STATES[which]:
+                which = sum(len(words) >= least for least in _WORDS_OF_STATES) - 1
+                words, states = _words(streams, _N_STATES[which], frequencies)
+            n_raw = (int(streams.places[BIT]) + 7) // 8
+            sizes += [encode_varint(len(words)), encode_varint(n_raw)]
+            raw = streams.raw[: (n_raw + 3) // 4].astype("<u4").tobytes()[:n_raw]
+            contents += [states.astype("<u4").tobytes(), words.astype("<u2").tobytes(), raw]
+        flags = head.is_narrow * _NARROW | which << _STATES | (len(sizes) // 2 - 1) << _BANDS
         parts = [b"" if head.is_narrow else bytes([head.shift])]
         if head.number:
             flags |= _HAS_ORIGIN
             parts.append(
                 encode_varint(2 * head.number if head.number > 0 else -2 * head.number - 1)
             )
-        coded = [_words(streams, MOST_STATES, frequencies) for streams in unit.bands]
-        n_words = max(len(words) for words, _ in coded)
-        which = sum(n_words >= least for least in _WORDS_OF_STATES) - 1
-        if _N_STATES[which] != MOST_STATES:
-            coded = [_words(streams, _N_STATES[which], frequencies) for streams in unit.bands]
-        flags |= head.is_narrow * _NARROW | which << _STATES | (len(coded) - 1) << _BANDS
-        contents = []
-        for streams, (words, states) in zip(unit.bands, coded, strict=True):
-            n_raw = (int(streams.places[BIT]) + 7) // 8
-            parts += [encode_varint(len(words)), encode_varint(n_raw)]
-            raw = streams.raw[: (n_raw + 3) // 4].astype("<u4").tobytes()[:n_raw]
-            contents += [states.astype("<u4").tobytes(), words.astype("<u2").tobytes(), raw]
-        return b"".join([bytes([flags]), *parts, *contents])
+        return b"".join([bytes([flags]), *parts, *sizes, *contents])
+
+
+def _n_bands(lattice: Lattice, work: Workspace) -> int:
+    """Return how many bands a group should have, by about how many bits its details take."""
+    n, octaves = 0, 0
+    for plane in (HH, HL, LH):
+        n_rows, n_cols = plane_shape(plane, (lattice.n_rows, lattice.n_cols))
+        some = work.details[plane - HH, : n_rows * (n_cols + (n_cols & 1)) : _EVERY]
+        n += len(some)
+        sizes = np.abs(some).astype(np.float32)
+        sizes += sizes
+        sizes += 1
+        # The bits of a float32 tell its logarithm, in 2**-23 of an octave above 2**-127.
+        octaves += int(sizes.view(np.int32).sum(dtype=np.int64)) - (len(some) * 127 << 23)
+    n_bits = _EVERY * min(2 * octaves, octaves + (3 * n << 22)) >> 23
+    return min(1 + n_bits // (8 * _BYTES_OF_BAND), _MOST_BANDS)
 
 
 def _words(
@@ -400,7 +442,7 @@ def _new_unit(
         if head is not None
     )
     target = np.ascontiguousarray(target)
-    bands = [_new_streams(target.size)]
+    bands = [memory.streams(target.size)]
     return _Unit(spec, head, target, _as_bytes(mask), corrections, bands, memory)
 
 

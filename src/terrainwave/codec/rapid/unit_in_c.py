@@ -3,7 +3,7 @@
 import ctypes
 import threading
 from collections import OrderedDict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +12,9 @@ from terrainwave.codec.in_c import ENCODERS, INT, POINTER, Owned, call
 from terrainwave.codec.memory import flat, new_heights
 from terrainwave.codec.rapid.layout import HH, HL, LH, plane_shape
 from terrainwave.codec.rapid.tables import Tables
+from terrainwave.codec.rapid.unit import LEAST_SIDE, UnitCoder
 from terrainwave.codec.refiner import NO_CORRECTIONS, Corrections, GroupSpec, Heights, Labels, Mask
 from terrainwave.forks import renew_after_fork
-
-if TYPE_CHECKING:
-    from terrainwave.codec.rapid.unit import UnitCoder
 
 _MOST_TABLES = 8  # Python's have 2 MB each
 _N_SEEN = 5
@@ -84,7 +82,7 @@ _TABLES = _KnownTables()
 
 
 def encode(
-    coder: "UnitCoder",
+    coder: UnitCoder,
     spec: GroupSpec,
     parent: Heights | None,
     target: Heights,
@@ -100,7 +98,7 @@ def encode(
 
 
 def count(
-    coder: "UnitCoder",
+    coder: UnitCoder,
     spec: GroupSpec,
     parent: Heights | None,
     target: Heights,
@@ -124,7 +122,8 @@ def count(
             which = coder.tables(spec.step).level_class(level)
             for plane, n_rows, n_cols in planes:
                 end = at + _N_SEEN * n_rows * n_cols
-                keep(which, plane, job.shift, seen[at:end].reshape(_N_SEEN, n_rows, n_cols))
+                own = seen[at:end].reshape(_N_SEEN, -1)
+                keep(which, plane, job.shift, own[:3], own[3], own[4].astype(np.bool_))
                 at = end
     return arrays[0]
 
@@ -132,7 +131,7 @@ def count(
 def _lattices(
     spec: GroupSpec, parent: Heights | None
 ) -> list[tuple[int, list[tuple[int, int, int]]]]:
-    """Return the level of each lattice of a unit, and its planes with samples: rows, and columns.
+    """Return the level of each lattice of a unit, and its planes that are kept: rows, and columns.
 
     Columns of an odd number have one more, which makes a pair of the last one.
     """
@@ -146,7 +145,7 @@ def _lattices(
     for stride in strides:
         shape = (n_rows - 1) // stride + 1, (n_cols - 1) // stride + 1
         planes = [(plane, *plane_shape(plane, shape)) for plane in _PLANES]
-        own = [(plane, n, m + (m & 1)) for plane, n, m in planes if n and m]
+        own = [(plane, n, m + (m & 1)) for plane, n, m in planes if min(n, m) >= LEAST_SIDE]
         found.append((spec.level - (stride.bit_length() - 1), own))
     return found
 
@@ -180,6 +179,6 @@ def _new_job(
     return job, arrays
 
 
-def _run(encoder: Owned, coder: "UnitCoder", job: _Job) -> None:
+def _run(encoder: Owned, coder: UnitCoder, job: _Job) -> None:
     tables = _TABLES.of(coder.tables(job.step))
     call("twz_python_encode", encoder.address, tables.address, ctypes.byref(job))

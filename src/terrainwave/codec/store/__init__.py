@@ -1,4 +1,4 @@
-"""The smallest method: heights as they are, packed into bits."""
+"""Method without compression: heights packed into bits."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from terrainwave.codec.method_options import BlockMethodOptions
 
 @dataclass(frozen=True, kw_only=True)
 class Store(BlockMethodOptions):
-    """Options of method store, which packs heights and does not compress them.
+    """Options of method store, which packs heights without compression.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Method ``store``: raw indices on a fixed grid, bit-packed (FORMAT.md §8).
 
-It proves the refiner interface, serves as the test double, and bounds the size of any file.
-Levels are nested: a sample on an even row and column is its parent's and is not stored again.
+It validates the refiner interface, serves as test double, and bounds the size of any file. Levels
+are nested: a sample on an even row and column is its parent's and is not stored again.
 """
 
 import struct
@@ -17,14 +17,13 @@ _MAX_BITS = 31
 
 
 class StoreRefiner:
-    """The trivial refiner: what the parent lacks, as fixed-width indices."""
+    """Trivial refiner: samples that the parent lacks, as fixed-width indices."""
 
     name = "store"
 
     def encode(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask | None
     ) -> tuple[bytes, Heights, Labels | None]:
-        """Return the payload and the heights `decode` makes of it (`Refiner.encode`)."""
         stored = _stored(spec, parent, mask)
         indices = (target[stored].astype(np.int64) - spec.z_min) // spec.step
         low = int(indices.min()) if indices.size else 0
@@ -36,7 +35,6 @@ class StoreRefiner:
     def decode(
         self, spec: GroupSpec, parent: Heights | None, mask: Mask | None, payload: bytes
     ) -> tuple[Heights, Labels | None]:
-        """Rebuild the heights (`Refiner.decode`)."""
         if len(payload) < _HEAD.size:
             raise TruncatedStreamError(
                 f"a stored unit needs {_HEAD.size} bytes, found {len(payload)}"
@@ -72,7 +70,7 @@ def _stored(spec: GroupSpec, parent: Heights | None, mask: Mask | None) -> NDArr
 
 
 def _even_positions(spec: GroupSpec) -> tuple[slice, slice, tuple[slice, slice]]:
-    """Return where the parent's samples lie in this region, and which of the parent's they are."""
+    """Return where the parent's samples lie in this region, and their indices in the parent."""
     region, outer = spec.region, spec.parent_region
     assert outer is not None
     row, col = region.row + (region.row & 1), region.col + (region.col & 1)

@@ -1,4 +1,4 @@
-"""What URLs say: how they are asked for, what messages may show, chains, when they expire."""
+"""URLs: percent-encoding, display without secrets, chains, expiry of signatures."""
 
 import base64
 import re
@@ -11,20 +11,20 @@ from terrainwave.errors import StorageError
 
 DEFAULT_PORTS = {"http": 80, "https": 443}
 
-# Between the links of a chain (zip://a.twz::https://...), not within an IPv6 address.
+# Separator of the links of a chain (zip://a.twz::https://...), but not within an IPv6 address.
 _LINK = re.compile(r"::(?![^\[\]]*\])")
 _URL = re.compile(r"[a-zA-Z][a-zA-Z0-9+.-]*://[^\s'\"<>]+")
 _BARE_PERCENT = re.compile("%(?![0-9a-fA-F]{2})")
 _BAD_PORT = re.compile(r":(?!\d*$)[^\]:]*$")
-# What may stand in a path and a query as it is, besides letters and digits (RFC 3986).
+# Characters allowed in a path and a query without encoding, besides letters and digits (RFC 3986).
 _PATH, _QUERY = "%/:@!$&'()*+,;=~-._", "%/:@!$&'()*+,;=~-._?"
-# Parameters of a query that is a signature, in small letters: S3, Google Cloud, Azure, CloudFront.
+# Query parameters with a signature, in small letters: S3, Google Cloud, Azure, CloudFront.
 _SIGNATURES = {"x-amz-signature", "x-goog-signature", "signature", "sig"}
 _TELLS_EXPIRY = re.compile("expired|not valid in the specified time frame", re.IGNORECASE)
 
 
 def split_chain(url: str) -> tuple[str, str]:
-    """Return the first link of a chain of URLs and the rest, which is "" where it is no chain."""
+    """Return the first link of a chain of URLs and the rest, which is "" for a single URL."""
     if url[:8].lower().startswith(("http://", "https://", "file://")):  # always the last link
         return url, ""
     first, *rest = _LINK.split(url, maxsplit=1)
@@ -32,34 +32,34 @@ def split_chain(url: str) -> tuple[str, str]:
 
 
 def display_name(url: str) -> str:
-    """Return a URL for messages: without login, query and fragment, where secrets live."""
+    """Return a URL for messages: without login, query and fragment, which may hold secrets."""
     first, rest = split_chain(url)
     scheme, mark, address = first.partition("://")
     if mark:
         netloc = re.split("[/?#]", address, maxsplit=1)[0]
         if "@" in netloc:
             address = netloc.rpartition("@")[2] + address[len(netloc) :]
-        elif _BAD_PORT.search(netloc):  # a password with a letter that ought to be encoded
+        elif _BAD_PORT.search(netloc):  # a password with an unencoded special letter
             address = address.rpartition("@")[2]
         first = scheme + mark + re.split("[?#]", address, maxsplit=1)[0]
     return f"{first}::{display_name(rest)}" if rest else first
 
 
 def without_secrets(text: str) -> str:
-    """Return a message of another library with each URL in it as `display_name` has it."""
+    """Return another library's message with each URL as `display_name` shows it."""
     return _URL.sub(lambda found: display_name(found[0]), text)
 
 
 def web_address(url: str) -> SplitResult:
-    """Return the parts of a http(s) URL as a server is asked for them, in ASCII.
+    """Return the parts of a http(s) URL as sent to a server, in ASCII.
 
-    Spaces, other letters and whatever else may not stand in a URL are percent-encoded; what is
-    encoded stays. Host names become those of IDNA. The fragment is left out, the login stays.
+    Spaces and other invalid characters are percent-encoded; existing encoding stays. Host names are
+    encoded by IDNA. The fragment is removed, the login stays.
 
     Raises
     ------
     StorageError
-        If no server can be asked for it.
+        If it is not a valid address of a server.
     """
     try:
         parts = urlsplit(url)
@@ -71,7 +71,7 @@ def web_address(url: str) -> SplitResult:
         raise StorageError(f"{display_name(url)} is not a URL: {problem}") from error
     try:
         port = parts.port
-    except ValueError as error:  # its words have a part of the password
+    except ValueError as error:  # its message contains a part of the password
         raise StorageError(
             f"{display_name(url)} is not a URL: expected a number below 65536 as port (/, ? and #"
             " in a password are written %2F, %3F and %23)"
@@ -82,7 +82,7 @@ def web_address(url: str) -> SplitResult:
         )
     login, at, _ = parts.netloc.rpartition("@")
     if at and "@" in parts.path + parts.query + parts.fragment:
-        # What follows the first @ may be the rest of a password, and no host.
+        # The text after the first @ may be the rest of a password instead of a host.
         raise StorageError(
             f"{parts.scheme.lower()}://… has a user and password and one @ more; expected @, /, ?"
             " and # in them to be written %40, %2F, %3F and %23, and @ in the path %40"
@@ -107,7 +107,7 @@ def without_login(parts: SplitResult) -> str:
 
 
 def basic_login(parts: SplitResult) -> str | None:
-    """Return the header that user and password of a URL ask for."""
+    """Return the header for user and password of a URL."""
     if parts.username is None:
         return None
     login = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
@@ -115,19 +115,19 @@ def basic_login(parts: SplitResult) -> str | None:
 
 
 def redirected(url: str, location: str) -> str:
-    """Return where a Location header leads: servers write UTF-8, http.client reads Latin-1."""
+    """Return the target of a Location header: servers write UTF-8, http.client reads Latin-1."""
     with suppress(UnicodeError):
         location = location.encode("latin-1").decode()
     return urljoin(url, location)
 
 
 def is_signed(url: str) -> bool:
-    """Say whether the query has a signature, as links have that storage gives for some time."""
+    """Return whether the query has a signature, as temporary links of storage do."""
     return not _SIGNATURES.isdisjoint(_parameters(url))
 
 
 def has_expired(url: str, reply: str) -> bool:
-    """Say whether a refused URL has expired, by its own query or by the words of the reply."""
+    """Return whether a refused URL has expired, by its query or by the reply's text."""
     if _TELLS_EXPIRY.search(reply):
         return True
     end = _end(_parameters(url)) if is_signed(url) else None
@@ -139,7 +139,7 @@ def _parameters(url: str) -> dict[str, str]:
 
 
 def _end(parameters: Mapping[str, str]) -> datetime | None:
-    """Return until when a signature holds, if the query says so in a known way."""
+    """Return the end of a signature's validity, if the query states it in a known way."""
     with suppress(ValueError, OverflowError, OSError):
         for cloud in ("x-amz", "x-goog"):
             if f"{cloud}-date" in parameters:

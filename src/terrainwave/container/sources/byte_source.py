@@ -10,15 +10,15 @@ from terrainwave.container.sources.ranges import ByteRange, merge_ranges, split_
 from terrainwave.errors import StorageError, TruncatedStreamError
 from terrainwave.forks import renew_after_fork
 
-# Files up to this size are taken whole from servers, and out of archives, that give no parts.
+# Files up to this size are read whole from servers, or out of archives, without ranges.
 MAX_WHOLE = 64 << 20
 
 
 @runtime_checkable
 class ByteSource(Protocol):
-    """Random access to bytes whose number is known; thread-safe.
+    """Random access to a known number of bytes; thread-safe.
 
-    A source of a path or URL can be pickled; it is opened again where it is loaded.
+    A source of a path or URL can be pickled; unpickling opens it again.
     """
 
     @property
@@ -31,24 +31,24 @@ class ByteSource(Protocol):
         ...
 
     def read_many(self, ranges: Sequence[ByteRange]) -> list[bytes]:
-        """Return the bytes of each range, in the order asked; near ones in one request."""
+        """Return the bytes of each range, in the given order; near ones in one request."""
         ...
 
     def read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
-        """Return the bytes of each range, in the order asked; each is one request."""
+        """Return the bytes of each range, in the given order; each is one request."""
         ...
 
     def check_unchanged(self) -> None:
-        """Raise `StorageError` if the bytes are known to be others than when it was opened."""
+        """Raise `StorageError` if the bytes are known to have changed since the opening."""
         ...
 
     def close(self) -> None:
-        """Let go of files and connections; reading afterwards raises `StorageError`."""
+        """Close files and connections; reading afterwards raises `StorageError`."""
         ...
 
 
 class MergingSource:
-    """The parts that all sources share; `_read` may return less only where the source ends."""
+    """Common parts of all sources; `_read` may return less only at the end of the source."""
 
     name: str
     size: int
@@ -61,14 +61,14 @@ class MergingSource:
         return data
 
     def read_many(self, ranges: Sequence[ByteRange]) -> list[bytes]:
-        """Return the bytes of each range, in the order asked."""
+        """Return the bytes of each range, in the given order."""
         for wanted in ranges:
             self._check_range(*wanted)
         merged = merge_ranges(ranges)
         return split_merged(ranges, merged, self._read_spans([span for span, _ in merged]))
 
     def read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
-        """Return the bytes of each range, in the order asked; side by side if they can be."""
+        """Return the bytes of each range, in the given order; in parallel if possible."""
         for span in spans:
             self._check_range(*span)
         return self._read_spans(spans)
@@ -93,19 +93,19 @@ class MergingSource:
         raise NotImplementedError
 
     def check_unchanged(self) -> None:
-        """Raise nothing: files stay what they were opened as, http compares every reply."""
+        """Do nothing: an open file does not change, and http compares every reply."""
 
     @property
     def version(self) -> str:
-        """Return what tells this version of the bytes from others of the same size, if anything."""
+        """Return an identity of this version of the bytes, if any; it is compared with the size."""
         return ""
 
     def close(self) -> None:
-        """Let go of what the source holds."""
+        """Release resources."""
 
 
 class FileSource(MergingSource):
-    """A local file; `is_local` says that a request costs little."""
+    """A local file; `is_local` means that a request costs little."""
 
     is_local = True
 
@@ -123,14 +123,13 @@ class FileSource(MergingSource):
 
     @property
     def version(self) -> str:
-        """Return which file it is, and when it was changed: any program can set the first time."""
+        """Return the file's identity and time of change, which programs cannot set."""
         if self._file is None:
             return ""
         found = os.fstat(self._file.fileno())
         return f"{found.st_dev}-{found.st_ino}-{found.st_mtime_ns}-{found.st_ctime_ns}"
 
     def renew(self) -> None:
-        """Begin anew after a fork."""
         self._lock = threading.Lock()
 
     def _read(self, offset: int, length: int) -> bytes:
@@ -146,7 +145,6 @@ class FileSource(MergingSource):
             raise StorageError(f"cannot read {self.name}: {error}") from error
 
     def close(self) -> None:
-        """Close the file."""
         file, self._file = self._file, None
         if file is not None:
             file.close()
@@ -156,7 +154,7 @@ class FileSource(MergingSource):
 
 
 class BufferSource(MergingSource):
-    """Bytes in memory, or a seekable binary file object, which stays the caller's to close."""
+    """Bytes in memory, or a seekable binary file object, which the caller closes."""
 
     def __init__(self, buffer: bytes | BinaryIO) -> None:
         self.name = getattr(buffer, "name", None) or "the buffer"
@@ -175,7 +173,7 @@ class BufferSource(MergingSource):
             raise StorageError(f"cannot seek in {self.name}: {error}") from error
 
     def renew(self) -> None:
-        """Begin anew after a fork. A file object's place is still the parent's as well."""
+        """Reset after a fork. The parent still shares a file object's position."""
         self._lock = threading.Lock()
 
     def _read(self, offset: int, length: int) -> bytes:
@@ -188,7 +186,7 @@ class BufferSource(MergingSource):
             raise StorageError(f"cannot read {self.name}: {error}") from error
 
     def close(self) -> None:
-        """Forget the buffer; a file object given by the caller is not closed."""
+        """Release the buffer; a file object given by the caller is not closed."""
         self._is_closed = True
 
     def __reduce__(self) -> tuple[type["BufferSource"], tuple[bytes]]:

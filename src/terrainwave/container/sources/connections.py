@@ -1,7 +1,7 @@
-"""Connections to web servers, by urllib3: kept and reused, straight or through a proxy.
+"""Connections to web servers with urllib3: kept and reused, direct or through a proxy.
 
-urllib3 has the pools, the tunnels and TLS. What a file needs on top of it is here: proxies and
-certificates as the environment names them, and closing while a thread waits for a server.
+urllib3 has the pools, the tunnels and TLS. This module adds proxies and certificates from the
+environment, and closing while a thread waits for a server.
 """
 
 import os
@@ -27,15 +27,15 @@ from terrainwave.extras import need
 
 T = TypeVar("T")
 
-# Requests of a file at a time; further threads wait for their turn.
+# Largest number of simultaneous requests of a file; further threads wait.
 N_CONNECTIONS = 16
-# Where the environment names certificates: in place of the system's, or (OpenSSL's own) added.
+# Variables with certificates: replacing the system's, or (OpenSSL's own) added to them.
 _CERTIFICATES = {"REQUESTS_CA_BUNDLE": False, "CURL_CA_BUNDLE": False, "SSL_CERT_FILE": True}
 _TUNNEL = re.compile(r"Tunnel connection failed: (\d{3})")
 
 
 class ProxyStatus(Exception):
-    """The proxy, not the server, answered with this status."""
+    """The proxy, not the server, returned this status."""
 
     def __init__(self, status: int) -> None:
         super().__init__(status)
@@ -43,7 +43,7 @@ class ProxyStatus(Exception):
 
 
 class TooSlow(Exception):
-    """A reply has taken all the seconds that it may."""
+    """A reply took longer than allowed."""
 
     def __init__(self, seconds: float) -> None:
         super().__init__(seconds)
@@ -51,7 +51,7 @@ class TooSlow(Exception):
 
 
 class _Watch:
-    """Cuts the connection of a reply that takes too long; a context manager."""
+    """Closes the connection of a reply that takes too long; a context manager."""
 
     def __init__(self, seconds: float) -> None:
         self.is_over = False
@@ -74,16 +74,16 @@ class _Watch:
 
 
 class Connections:
-    """What is open to the servers of one file; for any number of threads."""
+    """Open connections to the servers of one file; for any number of threads."""
 
     def __init__(self) -> None:
         self._is_closed = False
         self.renew()
 
     def renew(self) -> None:
-        """Begin anew after a fork: on the parent's connections each would read the other's bytes.
+        """Reset after a fork: parent and child would read each other's bytes.
 
-        Those in use are left as they are: their locks may be held.
+        Connections in use are left alone: their locks may be held.
         """
         self._lock = threading.Lock()
         self._turns = threading.Semaphore(N_CONNECTIONS)
@@ -100,23 +100,23 @@ class Connections:
         take: Callable[[urllib3.HTTPResponse], T],
         most_seconds: float,
     ) -> T:
-        """Ask for `url` and return what `take` makes of the reply.
+        """Request `url` and return the result of `take` on the reply.
 
-        A kept connection that fails is replaced at once: servers close them when they like.
+        A kept connection that fails is replaced at once: servers close them at any time.
 
         Parameters
         ----------
         timeout : float
             Seconds without a byte.
         most_seconds : float
-            Seconds for all of the reply: a server may send a byte now and then without end.
+            Seconds for the whole reply: a server may send single bytes forever.
 
         Raises
         ------
         OSError, http.client.HTTPException
-            What went wrong below urllib3.
+            Errors below urllib3.
         ProxyStatus
-            If the proxy makes no way to the server.
+            If the proxy refuses the connection to the server.
         TooSlow
             If `most_seconds` have passed.
         """
@@ -176,7 +176,7 @@ class Connections:
             return self._pools[key]
 
     def _watched(self, base: Any) -> Any:
-        """Return a class of connections that tell when they connect, and by which socket."""
+        """Return a class of connections that reports when they connect, and their socket."""
         connections = self
 
         class Watched(base):  # type: ignore[misc]
@@ -243,12 +243,12 @@ def _exchange(
     try:
         return take(response)
     finally:
-        response.close()  # closes the connection, too, unless all of the reply was read
+        response.close()  # also closes the connection unless all of the reply was read
         response.release_conn()
 
 
 def _cause(error: BaseException) -> Exception:
-    """Return what urllib3 wrapped."""
+    """Return the error wrapped by urllib3."""
     while True:
         inner = next((item for item in error.args if isinstance(item, Exception)), None)
         inner = inner or error.__cause__  # type: ignore[assignment]
@@ -258,7 +258,7 @@ def _cause(error: BaseException) -> Exception:
 
 
 def proxy_of(url: SplitResult) -> str | None:
-    """Return the proxy to a server as the environment, or the system, names it."""
+    """Return the proxy to a server by the environment or the system."""
     proxies = urllib.request.getproxies()
     proxy = proxies.get(url.scheme) or proxies.get("all")
     if not proxy or _is_near(url, proxies.get("no", "")):
@@ -267,7 +267,7 @@ def proxy_of(url: SplitResult) -> str | None:
 
 
 def _is_near(url: SplitResult, no_proxy: str) -> bool:
-    """Say whether `no_proxy`, or the system, wants no proxy for a server."""
+    """Return whether `no_proxy`, or the system, excludes a server from proxies."""
     _, host, port = origin(url)
     in_url = f"[{host}]" if ":" in host else host
     if any(map(urllib.request.proxy_bypass, (host, in_url, f"{in_url}:{port}"))):
@@ -282,12 +282,12 @@ def _is_near(url: SplitResult, no_proxy: str) -> bool:
 
 
 def trusted() -> ssl.SSLContext:
-    """Return the certificates to trust: those that the environment names, or the system's.
+    """Return the certificates to trust: those named by the environment, or the system's.
 
     Raises
     ------
     StorageError
-        If a variable names none.
+        If a variable names a file without certificates.
     """
     return _context(*map(os.environ.get, (*_CERTIFICATES, "SSL_CERT_DIR")))
 
@@ -304,7 +304,7 @@ def _context(*paths: str | None) -> ssl.SSLContext:
                 return ssl.create_default_context(cafile=file, capath=folder)
             context = ssl.create_default_context()
             context.load_verify_locations(file, folder)
-        except OSError as error:  # ssl.SSLError is one
+        except OSError as error:  # includes ssl.SSLError
             raise StorageError(
                 f"{name} is {path}: found no certificates there, expected a file of them (PEM) or"
                 " a folder; correct or unset it"

@@ -1,4 +1,4 @@
-"""Byte sources of whatever users name: a path, a URL, bytes, a file object."""
+"""Opening of byte sources: a path, a URL, bytes, a file object."""
 
 import os
 from typing import BinaryIO, TypeAlias

@@ -1,9 +1,9 @@
-"""Ranges of bytes: which requests to make for them, and what has come of them.
+"""Ranges of bytes: requests that cover them, and the bytes fetched.
 
-A request to a server a hundred milliseconds away costs as much time as some 500 KiB, and storage
-is billed by the request. So gaps between wanted ranges are bridged, the shortest first: this gives
-the fewest requests that a number of unwanted bytes can buy. `native/gdal/source.cpp` and
-`js/src/source.js` do the same.
+A request to a server a hundred milliseconds away takes as long as some 500 KiB, and storage is
+billed by the request. So gaps between wanted ranges are bridged, the shortest first: that saves
+most requests for a number of unwanted bytes. `native/gdal/source.cpp` and `js/src/source.js` do the
+same.
 """
 
 from bisect import bisect_right, insort
@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 MAX_GAP = 1024 * 1024
 MAX_REQUEST = 16 * 1024 * 1024
-# What a window should take, in all rounds (docs/decisions/0010).
+# Target number of requests for a window, in all rounds (docs/decisions/0010).
 AIMED_REQUESTS = 3
-# Bytes in gaps, as a share of what is wanted: to be bridged in any case, and while requests are
-# more than is aimed at. Where little is wanted, 64 and 512 KiB in any case.
+# Bytes in gaps to bridge, as a share of the wanted bytes: always, and while there are more requests
+# than the target. With few wanted bytes, at least 64 and 512 KiB.
 _WASTE, _MOST_WASTE = 0.25, 1.5
 _FREE_WASTE, _MOST_FREE_WASTE = 64 * 1024, 512 * 1024
 
@@ -34,10 +34,10 @@ class ByteRange(NamedTuple):
 
 
 class Budget(NamedTuple):
-    """What the requests of one round may cost.
+    """Limits for the requests of one round.
 
-    `n_requests` is how many are aimed at; `waste` are bytes in gaps to bridge in any case,
-    `most_waste` while requests are more.
+    `n_requests` is the target; `waste` are the bytes in gaps to bridge in any case, `most_waste`
+    while there are more requests.
     """
 
     n_requests: int
@@ -46,12 +46,12 @@ class Budget(NamedTuple):
 
 
 def budget_of(n_wanted: int, n_requests: int = 0, n_wasted: int = 0) -> Budget:
-    """Return the budget left for a round of a read.
+    """Return the remaining budget for a round of a read.
 
     Parameters
     ----------
     n_wanted : int
-        Bytes wanted of the whole read, earlier and later rounds included.
+        Bytes wanted in the whole read, including earlier and later rounds.
     n_requests, n_wasted : int
         Requests made and unwanted bytes fetched in earlier rounds.
     """
@@ -68,10 +68,10 @@ class MergedRange(NamedTuple):
 
 
 def merge_ranges(ranges: Sequence[ByteRange], budget: Budget | None = None) -> list[MergedRange]:
-    """Return requests that cover `ranges`, in order of place, up to 16 MiB in one.
+    """Return requests that cover `ranges`, by offset, up to 16 MiB each.
 
-    The shortest gaps are bridged, none above 1 MiB, within `budget`; by default that of these
-    ranges alone. Empty ranges need no request.
+    The shortest gaps are bridged, none above 1 MiB, within `budget`; by default that of only these
+    ranges. Empty ranges need no request.
     """
     order = [number for number in range(len(ranges)) if ranges[number].length]
     order.sort(key=lambda number: ranges[number])
@@ -91,7 +91,7 @@ def merge_ranges(ranges: Sequence[ByteRange], budget: Budget | None = None) -> l
 
 
 def _extend(merged: list[MergedRange], span: ByteRange, members: list[int], max_gap: int) -> bool:
-    """Say whether `span` fits into the last request; if so, it is in it from now on."""
+    """Add `span` to the last request if it fits; return whether it does."""
     last = merged[-1].span
     end = max(last.end, span.end)
     if span.offset - last.end > max_gap or end - last.offset > MAX_REQUEST:
@@ -102,7 +102,7 @@ def _extend(merged: list[MergedRange], span: ByteRange, members: list[int], max_
 
 
 def _gaps_to_bridge(runs: Sequence[ByteRange], budget: Budget) -> set[int]:
-    """Return the numbers of the runs to be joined to those before them."""
+    """Return the numbers of the runs to join to their predecessors."""
     gaps = [(runs[number].offset - runs[number - 1].end, number) for number in range(1, len(runs))]
     shortest = [(gap, number) for gap, number in sorted(gaps) if gap <= MAX_GAP]
     costs = list(accumulate(gap for gap, _ in shortest))
@@ -115,7 +115,7 @@ def _gaps_to_bridge(runs: Sequence[ByteRange], budget: Budget) -> set[int]:
 def split_merged(
     ranges: Sequence[ByteRange], merged: Sequence[MergedRange], spans: Sequence[bytes]
 ) -> list[bytes]:
-    """Return the bytes of each of `ranges` out of the bytes of the requests that cover them."""
+    """Return the bytes of each of `ranges` from the bytes of the requests that cover them."""
     result = [b""] * len(ranges)
     for (span, members), data in zip(merged, spans, strict=True):
         for member in members:
@@ -125,23 +125,20 @@ def split_merged(
 
 
 class FetchedBytes:
-    """Bytes of a file that have come so far, in pieces.
-
-    `n_bytes` is how many there are.
-    """
+    """Bytes of a file fetched so far, in pieces; `n_bytes` is their number."""
 
     def __init__(self) -> None:
         self.n_bytes = 0
-        self._pieces: list[tuple[int, bytes]] = []  # disjoint, in order of offset
+        self._pieces: list[tuple[int, bytes]] = []  # disjoint, by offset
 
     def add(self, offset: int, data: bytes) -> None:
-        """Keep what was fetched from `offset` on; bytes that are here already stay as they are."""
+        """Store bytes fetched from `offset` on; existing bytes do not change."""
         for part in self.missing(ByteRange(offset, len(data))):
             insort(self._pieces, (part.offset, data[part.offset - offset : part.end - offset]))
             self.n_bytes += part.length
 
     def missing(self, wanted: ByteRange) -> list[ByteRange]:
-        """Return the parts of a range that are not here, none of them empty."""
+        """Return the parts of a range that are not fetched, without empty ones."""
         parts, pos = [], wanted.offset
         for start, piece in self._overlapping(wanted):
             if pos < start:
@@ -152,7 +149,7 @@ class FetchedBytes:
         return parts
 
     def take(self, wanted: ByteRange) -> bytes:
-        """Return the bytes of a range of which nothing is missing."""
+        """Return the bytes of a completely fetched range."""
         return b"".join(
             piece[max(0, wanted.offset - start) : wanted.end - start]
             for start, piece in self._overlapping(wanted)

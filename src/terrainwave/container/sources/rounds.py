@@ -1,4 +1,4 @@
-"""Reading in rounds: where later ranges lie is told by what earlier rounds bring."""
+"""Reading in rounds: earlier rounds give the positions of later ranges."""
 
 from collections.abc import Sequence
 
@@ -7,12 +7,12 @@ from terrainwave.container.sources.ranges import ByteRange, FetchedBytes, budget
 
 
 class RoundReader:
-    """Fetches ranges of a source, a round at a time; all rounds have one budget.
+    """Fetches ranges of a source, a round at a time; all rounds share one budget.
 
     Parameters
     ----------
     start : bytes
-        How the source begins, as far as that was read before.
+        Beginning of the source, as far as it is known.
     """
 
     def __init__(self, source: ByteSource, start: bytes) -> None:
@@ -23,10 +23,10 @@ class RoundReader:
         self._n_read = 0
 
     def fetch(self, wanted: Sequence[ByteRange]) -> None:
-        """Fetch what is missing of `wanted`, in one round.
+        """Fetch the missing parts of `wanted`, in one round.
 
-        `wanted` are all ranges known to be needed, those of earlier rounds among them. Ranges that
-        turn out not to be needed count as wasted from the next round on.
+        `wanted` are all ranges known to be needed, including those of earlier rounds. Ranges that
+        turn out to be unnecessary count as wasted from the next round on.
         """
         missing = [part for place in wanted for part in self._fetched.missing(place)]
         n_wanted = sum(place.length for place in wanted)
@@ -43,9 +43,9 @@ class RoundReader:
         self._n_requests += len(spans)
 
     def has(self, place: ByteRange) -> bool:
-        """Say whether a range need not be fetched."""
+        """Return whether a range is fetched already."""
         return not self._fetched.missing(place)
 
     def take(self, place: ByteRange) -> bytes:
-        """Return the bytes of a range that was wanted."""
+        """Return the bytes of a wanted range."""
         return self._fetched.take(place)

@@ -1,13 +1,13 @@
-"""Byte sources behind a URL: http(s) by urllib3, archives, everything else by fsspec.
+"""Byte sources behind a URL: http(s) with urllib3, archives, everything else with fsspec.
 
-http does without fsspec because one request must answer three questions: the size, whether the
-server serves ranges at all, and what the first 16 KiB are. fsspec would need two more requests,
-and downloads the whole file where ranges are ignored. Here a small file is fetched whole there,
-with a warning, and a large one is refused.
+http does not use fsspec, because one request must give three answers: the size, whether the server
+supports ranges, and the first 16 KiB. fsspec would need two more requests, and downloads the whole
+file if ranges are ignored. Here a small file is then fetched whole, with a warning, and a large one
+is refused.
 
-Both remember which version of the file they opened, also when pickled. http compares it with every
-reply. Storage behind fsspec has no way to ask for it with a range: there the checksums notice that
-bytes are others, and `check_unchanged` says why.
+Both store the version of the file they opened, also when pickled. http compares it with every
+reply. fsspec cannot ask for it with a range: there checksums detect changed bytes, and
+`check_unchanged` gives the reason.
 """
 
 import http.client
@@ -69,14 +69,14 @@ _log = logging.getLogger(__name__)
 
 FIRST_REQUEST = 16 * 1024
 TIMEOUT = 30.0  # seconds without a byte
-LEAST_RATE = 1024.0  # bytes a second, of each reply; sixteen may share a line
+LEAST_RATE = 1024.0  # bytes per second, for each reply; sixteen may share a line
 _REDIRECTS = {301, 302, 303, 307, 308}
 _MAX_REDIRECTS = 5
 _BUSY = {408, 425, 429, 500, 502, 503, 504}
-_DELAYS = (0.2, 1.0)  # seconds before a busy server, or one that hung up, is asked again
-MAX_WAIT = 10.0  # seconds, where Retry-After asks for more
-_RETRY = Retry()  # knows how to read Retry-After
-# Refusals that may mean that a signature has expired, and how much of their words is looked at.
+_DELAYS = (0.2, 1.0)  # seconds before a retry of a busy server, or one that hung up
+MAX_WAIT = 10.0  # seconds, if Retry-After asks for more
+_RETRY = Retry()  # parses Retry-After
+# Statuses that may mean an expired signature, and the bytes of their text to check.
 _MAY_EXPIRE = {400, 401, 403}
 _MAX_WORDS = 4096
 _NO_LOGIN = (
@@ -84,16 +84,16 @@ _NO_LOGIN = (
     " user:password@host"
 )
 _WRONG_LOGIN = "the server refuses the user and password given ({})"
-_DECODED = ("gzip", "x-gzip", "deflate")  # of whole files
-# What asking again does not help against: no such host, no server there, a bad certificate.
+_DECODED = ("gzip", "x-gzip", "deflate")  # for whole files
+# Errors that a retry does not help: no such host, no server, a bad certificate.
 _LASTING = (socket.gaierror, ConnectionRefusedError, ssl.SSLCertVerificationError)
-# What file systems of fsspec tell about the version of a file, best first.
+# Version of a file in fsspec's file systems, best first.
 _VERSION_KEYS = ("ETag", "etag", "generation", "mtime", "LastModified", "last_modified", "created")
 _CONTENT_RANGE = re.compile(r"bytes (?:(\d{1,18})-(\d{1,18})|\*)/(\d{1,18})")
 
 
 def open_url(url: str) -> ByteSource:
-    """Return the source of a URL; raise `StorageError` if it cannot be read so."""
+    """Open the source of a URL; raise `StorageError` if it cannot be read."""
     first, rest = split_chain(url)
     scheme, _, name = first.partition("://")
     if scheme.lower() in ("http", "https"):
@@ -111,15 +111,15 @@ def open_url(url: str) -> ByteSource:
 
 
 class _Version(NamedTuple):
-    """What a server says about the version of a file."""
+    """Version of a file according to a server."""
 
     etag: str | None = None
     modified: str | None = None
 
     def is_that_of(self, other: "_Version") -> bool:
-        """Compare ETags, weak or strong, or else dates; what is not there is no difference.
+        """Compare ETags, weak or strong, or else dates; a missing one matches.
 
-        A version that says nothing is that of all, but none is that of a version that does.
+        An empty version matches every other, but a version does not match an empty one.
         """
         if self.etag and other.etag:
             return self.etag.removeprefix("W/") == other.etag.removeprefix("W/")
@@ -134,7 +134,7 @@ class _Reply(NamedTuple):
     headers: Mapping[str, str]
     body: bytes = b""
     is_whole: bool = False
-    proxy: str = ""  # that answered instead of the server
+    proxy: str = ""  # set if it answered instead of the server
 
     @property
     def reason(self) -> str:
@@ -143,22 +143,22 @@ class _Reply(NamedTuple):
 
     @property
     def version(self) -> _Version:
-        """Return the version of the file that this is a part of."""
+        """Return the version of the file in this reply."""
         return _Version(self.headers.get("ETag"), self.headers.get("Last-Modified"))
 
     @property
     def seconds_to_wait(self) -> float:
-        """Return what `Retry-After` asks for; 0 if there is none that can be understood."""
+        """Return the seconds of `Retry-After`; 0 if it is missing or malformed."""
         with suppress(InvalidHeader, OverflowError, ValueError):
             return _RETRY.parse_retry_after(self.headers.get("Retry-After", ""))
         return 0.0
 
 
 class HttpSource(MergingSource):
-    """A file on a web server that serves byte ranges, or a small one on one that does not.
+    """A file on a web server with byte ranges, or a small one on a server without.
 
-    Opening is one request, for the first 16 KiB. Which replies are asked for again, and what errors
-    say, is the same in the JavaScript reader: docs/how-to/remote.md.
+    Opening is one request, for the first 16 KiB. Retries and error messages are those of the
+    JavaScript reader: docs/how-to/remote.md.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ class HttpSource(MergingSource):
         self.name = display_name(url)
         self._named = web_address(url)
         self._resolved = self._named
-        self.n_replies = 0  # so far, for those who wait
+        self.n_replies = 0  # so far, for tests of waiting
         self._connections = Connections()
         self.renew()
         renew_after_fork(self)
@@ -188,11 +188,10 @@ class HttpSource(MergingSource):
 
     @property
     def version(self) -> str:
-        """Return the ETag, or else when the file was changed."""
+        """Return the ETag, or else the time of the last change."""
         return self._version.etag or self._version.modified or ""
 
     def renew(self) -> None:
-        """Begin anew after a fork."""
         self._connections.renew()
         self._closing = threading.Event()
 
@@ -210,10 +209,10 @@ class HttpSource(MergingSource):
             return list(pool.map(lambda span: self.read(*span), spans))
 
     def _request(self, wanted: ByteRange) -> bytes:
-        """Return the bytes of `wanted` that exist; sets `size` the first time."""
+        """Return the existing bytes of `wanted`; sets `size` the first time."""
         reply = self._ask(wanted)
         if reply.status == 412 and self._obeys_if_match:
-            # A weak ETag of the same file does not match: what comes without the condition tells.
+            # A weak ETag of the same file does not match: an unconditional reply decides.
             self._obeys_if_match = False
             reply = self._ask(wanted)
         match = _CONTENT_RANGE.fullmatch(reply.headers.get("Content-Range", "").strip())
@@ -221,7 +220,7 @@ class HttpSource(MergingSource):
             if match and int(match[3]) == 0:
                 self.size = 0
                 return b""
-            reply = self._ask(None)  # it does not cut ranges at the end of the file
+            reply = self._ask(None)  # it does not clip ranges at the end of the file
         elif reply.status == 416 and match and int(match[3]) != self.size:
             raise _changed(self.name)
         if reply.status == 200:
@@ -248,7 +247,7 @@ class HttpSource(MergingSource):
         return reply.body
 
     def _take_whole(self, reply: _Reply) -> bytes:
-        """Take the whole file from a server that sends no parts, if that is how it was opened."""
+        """Read the whole file from a server without ranges, if it was opened that way."""
         coding = _coding(reply.headers)
         if coding and coding not in _DECODED:
             raise StorageError(
@@ -278,7 +277,7 @@ class HttpSource(MergingSource):
         self._version = _Version(etag or version.etag, modified or version.modified)
 
     def _refused(self, reply: _Reply) -> StorageError:
-        """Return the error of a status that brings no bytes."""
+        """Return the error of a status without bytes."""
         problem = f"HTTP status {reply.reason}"
         if reply.proxy and reply.status == 407:
             has_login = "@" in reply.proxy
@@ -310,7 +309,7 @@ class HttpSource(MergingSource):
         return "Authorization" in self._headers(urlsplit(url), None)
 
     def _ask(self, wanted: ByteRange | None) -> _Reply:
-        """Return the first reply that is no redirect and no sign of a busy server."""
+        """Return the first reply that is neither a redirect nor from a busy server."""
         for delay in _DELAYS:
             try:
                 reply = self._ask_once(wanted)
@@ -339,7 +338,7 @@ class HttpSource(MergingSource):
 
     def _ask_once(self, wanted: ByteRange | None) -> _Reply:
         reply = self._follow(self._resolved, wanted)
-        # What a redirect pointed at may have been signed for a few minutes only.
+        # The target of a redirect may be signed for a few minutes only.
         if reply.status in _MAY_EXPIRE | {404, 410} and self._resolved != self._named:
             reply = self._follow(self._named, wanted)
         return reply
@@ -395,12 +394,12 @@ class HttpSource(MergingSource):
         return headers
 
     def _is_named_server(self, url: SplitResult) -> bool:
-        """Say whether a login for the URL that was opened may go to another, of a redirect."""
+        """Return whether a login for the opened URL may be sent to a redirect's URL."""
         named, other = origin(self._named), origin(url)
         return named == other or (named[1] == other[1] and (named[2], other[2]) == (80, 443))
 
     def close(self) -> None:
-        """Close all connections; who waits for one is told so."""
+        """Close all connections; waiting threads get an error."""
         self._is_closed = True
         self._closing.set()
         self._connections.close()
@@ -417,7 +416,7 @@ def _unreadable(name: str, error: Exception) -> StorageError:
     problem = without_secrets(str(error).split("\n")[0]) or type(error).__name__
     if isinstance(error, OSError) and error.strerror:
         problem = without_secrets(error.strerror)  # without its number
-    if problem.startswith("Protocol not known"):  # fsspec's words
+    if problem.startswith("Protocol not known"):  # text of fsspec's error
         problem += "; expected a path, or a URL of https or of another protocol that fsspec knows"
     may_pass = isinstance(error, OSError | http.client.HTTPException)
     if isinstance(error, ssl.SSLCertVerificationError):
@@ -432,15 +431,15 @@ def _unreadable(name: str, error: Exception) -> StorageError:
 
 
 def _coding(headers: Mapping[str, str]) -> str:
-    """Return how a reply is compressed, "" where it is not."""
+    """Return a reply's compression, "" if none."""
     coding = headers.get("Content-Encoding", "").strip().lower()
     return "" if coding == "identity" else coding
 
 
 def _read_reply(response: Any, url: str, wanted: ByteRange | None, *, takes_whole: bool) -> _Reply:
-    """Read what there is of a partial reply, as much as is wanted at most, and little of others.
+    """Read a partial reply up to the wanted length, and little of others.
 
-    `takes_whole` reads a complete file too, unless it is longer than `MAX_WHOLE`.
+    `takes_whole` also reads a complete file, up to `MAX_WHOLE`.
     """
     status, headers = response.status, response.headers
     reply = _Reply(url, status, headers)
@@ -456,7 +455,7 @@ def _read_reply(response: Any, url: str, wanted: ByteRange | None, *, takes_whol
         has_length = "Content-Length" in headers or "Transfer-Encoding" in headers
         body = _read_at_most(response, wanted.length)
         match = _CONTENT_RANGE.fullmatch(headers.get("Content-Range", "").strip())
-        if not has_length and match and match[1]:  # nothing else tells that it was cut
+        if not has_length and match and match[1]:  # only this reveals a truncated reply
             missing = int(match[2]) + 1 - int(match[1]) - len(body)
             if missing > 0:
                 raise http.client.IncompleteRead(body, missing)
@@ -470,7 +469,7 @@ def _read_reply(response: Any, url: str, wanted: ByteRange | None, *, takes_whol
 
 
 def _read_at_most(response: Any, length: int, *, decode_content: bool = False) -> bytes:
-    """Read to the end, or `length` bytes and one; who has seen the end can reuse a connection."""
+    """Read up to `length` + 1 bytes; a connection read to the end can be reused."""
     parts = []
     while part := response.read(max(length, 1), decode_content=decode_content):
         parts.append(part[:length])
@@ -481,18 +480,18 @@ def _read_at_most(response: Any, length: int, *, decode_content: bool = False) -
 
 
 class FsspecSource(MergingSource):
-    """A file on anything fsspec knows: ``s3://``, ``gs://``, ``memory://``, ...
+    """A file on any storage of fsspec: ``s3://``, ``gs://``, ``memory://``, ...
 
     Parameters
     ----------
     version : str, optional
-        What the file system must say of the file's version; by default what it says now.
+        Required version according to the file system; by default the current one.
     """
 
     def __init__(self, url: str, version: str | None = None) -> None:
         self._url = url
         self.name = display_name(url)
-        self.n_replies = 0  # so far, for those who wait
+        self.n_replies = 0  # so far, for tests of waiting
         fsspec = need("fsspec", extra="remote", purpose=f"reading {self.name}")
         self._fs, self._path = self._call(fsspec.core.url_to_fs, url)
         info = self._info()
@@ -505,11 +504,11 @@ class FsspecSource(MergingSource):
 
     @property
     def version(self) -> str:
-        """Return what the file system says of it."""
+        """Return the file system's version of the file."""
         return self._version or ""
 
     def check_unchanged(self) -> None:
-        """Raise `StorageError` if the file is another one than was opened: one request."""
+        """Raise `StorageError` if the file has changed since it was opened: one request."""
         info = self._info()
         if (info.get("size"), _version_of(info)) != (self.size, self._version):
             raise _changed(self.name)
@@ -520,7 +519,7 @@ class FsspecSource(MergingSource):
         return info
 
     def _call(self, function: Any, *args: Any, **options: Any) -> Any:
-        # File systems raise what their libraries raise; few of those are OSErrors.
+        # File systems raise errors of their libraries, most of which are not OSErrors.
         for delay in (*_DELAYS, None):
             try:
                 result = function(*args, **options)

@@ -1,7 +1,7 @@
-"""A file inside a zip that is anywhere: ``zip://dem.twz::https://example.org/all.zip``.
+"""A file inside a zip at any address: ``zip://dem.twz::https://example.org/all.zip``.
 
 A stored member is read in place, by ranges of the archive. A deflated one has no ranges: a small
-one is taken whole, with a warning, a large one refused.
+one is read whole, with a warning, a large one refused.
 """
 
 import io
@@ -21,9 +21,9 @@ from terrainwave.container.sources.byte_source import (
 from terrainwave.container.sources.ranges import ByteRange
 from terrainwave.errors import StorageError, TerrainwaveWarning, TruncatedStreamError
 
-_TAIL = 1 << 16  # the directory of small archives, and all that may come after one
+_TAIL = 1 << 16  # directory of small archives, and the longest comment after it
 _LOCAL_HEADER = 30
-# What zipfile raises for bytes that are no archive, or one that it cannot read.
+# zipfile's errors for bytes that are not an archive, or an unsupported one.
 _DAMAGE = (zipfile.BadZipFile, NotImplementedError, EOFError, ValueError, zlib.error, struct.error)
 
 
@@ -35,12 +35,11 @@ class MemberSource(MergingSource):
 
     @property
     def n_replies(self) -> int:
-        """Return the replies so far, for those who wait."""
+        """Return the number of replies so far."""
         return int(getattr(self._archive, "n_replies", 0))
 
     @property
     def is_local(self) -> bool:
-        """Say whether a request costs little."""
         return bool(getattr(self._archive, "is_local", False))
 
     def _read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
@@ -52,11 +51,9 @@ class MemberSource(MergingSource):
         return self._archive.read(self._start + offset, length)
 
     def check_unchanged(self) -> None:
-        """Raise `StorageError` if the archive is known to have changed."""
         self._archive.check_unchanged()
 
     def close(self) -> None:
-        """Close the archive."""
         self._archive.close()
 
     def __reduce__(self) -> tuple[type["MemberSource"], tuple[str, ByteSource, int, int]]:
@@ -64,7 +61,7 @@ class MemberSource(MergingSource):
 
 
 def open_member(path: str, source: ByteSource) -> ByteSource:
-    """Return the source of the file `path` in a zip; closes the zip's where that fails.
+    """Return the source of the file `path` in a zip; closes the zip's source on failure.
 
     Raises
     ------
@@ -119,7 +116,7 @@ def _member(path: str, source: ByteSource) -> ByteSource:
 
 
 def _place(info: zipfile.ZipInfo, source: ByteSource) -> tuple[int, int]:
-    """Return where the bytes of a stored member begin, and how many they are."""
+    """Return start and number of the bytes of a stored member."""
     head = source.read(info.header_offset, _LOCAL_HEADER)
     lengths = int.from_bytes(head[26:28], "little"), int.from_bytes(head[28:30], "little")
     start = info.header_offset + _LOCAL_HEADER + sum(lengths)
@@ -129,7 +126,7 @@ def _place(info: zipfile.ZipInfo, source: ByteSource) -> tuple[int, int]:
 
 
 class _AsFile(io.RawIOBase):
-    """A source as the file that `zipfile` reads; its end, where the directory is, at once."""
+    """A source as the file that `zipfile` reads; its end, with the directory, is read at once."""
 
     def __init__(self, source: ByteSource) -> None:
         self._source, self._at = source, 0
@@ -137,24 +134,21 @@ class _AsFile(io.RawIOBase):
         self._tail = source.read(self._tail_at, source.size - self._tail_at)
 
     def seekable(self) -> bool:
-        """Return True."""
         return True
 
     def readable(self) -> bool:
-        """Return True."""
         return True
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        """Go to a place, as files do."""
+        """Move to a position, as files do."""
         self._at = max(offset + {0: 0, 1: self._at, 2: self._source.size}[whence], 0)
         return self._at
 
     def tell(self) -> int:
-        """Return the place."""
         return self._at
 
     def read(self, n: int = -1) -> bytes:
-        """Return the next `n` bytes, or as many as there are."""
+        """Return the next `n` bytes, or fewer at the end."""
         end = self._source.size if n < 0 else min(self._at + n, self._source.size)
         length = max(end - self._at, 0)
         if length > MAX_WHOLE:

@@ -1,1 +1,1 @@
-"""Where files are written: beside their names until they are whole, or to storage by a URL."""
+"""Output files: temporary next to their names until complete, or uploaded to a URL."""

@@ -1,11 +1,11 @@
 """Finished work that outlives a killed run, for the next run of the same command.
 
-It lies in a directory: a *journal*, to which records are appended, each whole or not at all, and
-arrays in files of their own, of which the journal says how far they are filled. A record is a name,
-values and bytes; a later one of the same name counts.
+It lies in a directory: a *journal* of appended records, each whole or not at all, and arrays in
+files of their own, whose filled part the journal states. A record is a name, values and bytes; a
+later one of the same name replaces it.
 
-After a kill all that was written is there. After a power cut only what was on the disk is: then the
-journal counts up to the last place where it says that all before it had been synchronised.
+After a kill all writes are there. After a power cut only synchronised ones are: then the journal
+counts up to its last mark of synchronisation.
 """
 
 import hashlib
@@ -34,11 +34,11 @@ _JOURNAL, _ARRAY = "journal", ".array"
 # Magic, length of the values as JSON, length of the bytes, CRC-32 of both.
 _HEAD = struct.Struct("<4sIQI")
 _MAGIC = b"twzK"
-# A journal of another layout is not read: it says so by the name of its first record.
+# The first record's name is the version of the layout; other versions are not read.
 _RUN, _BOOT, _SYNCED = "run 2", "boot", "synced"
-# Seconds between two records of work that goes on, and between two times of synchronising.
+# Seconds between two records of work in progress, and between two synchronisations.
 TICK, _SYNC = 0.2, 10.0
-_CHUNK = 1 << 20  # bytes read at a time to be checked
+_CHUNK = 1 << 20  # bytes to read and check at a time
 
 Item = TypeVar("Item")
 
@@ -48,12 +48,12 @@ class InFile(Protocol):
 
     @property
     def is_kept(self) -> bool:
-        """Say whether it is."""
+        """Return whether it is in a file."""
         ...
 
     @property
     def was_there(self) -> bool:
-        """Say whether its file was there when it was opened."""
+        """Return whether its file existed when it was opened."""
         ...
 
 
@@ -65,21 +65,21 @@ class _Record(NamedTuple):
 
 
 class Kept:
-    """The finished work of one run; methods may be called from several threads.
+    """Finished work of one run; thread-safe.
 
     Parameters
     ----------
     directory : Path, optional
         An existing directory that nobody else uses; None keeps nothing.
     run : dict
-        What the work depends on: plain values for JSON.
+        Everything that the work depends on, as plain values for JSON.
 
     Attributes
     ----------
     other : dict or None
-        What the work in the directory depended on, if that was something else; it has been removed.
+        The `run` of other work that was found in the directory, and removed.
     n_found : int
-        Records that an earlier run has left.
+        Number of records of an earlier run.
 
     Raises
     ------
@@ -103,30 +103,28 @@ class Kept:
 
     @property
     def is_on(self) -> bool:
-        """Say whether anything is kept."""
+        """Return whether anything is kept."""
         return self._file is not None
 
     @property
     def n_bytes(self) -> int:
-        """Return how many bytes the work takes on the disk."""
+        """Return the size of the work on disk."""
         return 0 if self.directory is None else sum(map(_on_disk, self._paths(self.directory)))
 
     @property
     def n_kept(self) -> int:
-        """Return how many records there are."""
+        """Return the number of records."""
         return len(self.names())
 
     def names(self) -> list[str]:
-        """Return the names of all records."""
         return [name for name in self._records if name not in (_RUN, _BOOT, _SYNCED)]
 
     def get(self, name: str) -> dict[str, Any] | None:
-        """Return the values of a record; None if there is none."""
+        """Return the values of a record; None if it does not exist."""
         record = self._records.get(name)
         return None if record is None else record.values
 
     def data(self, name: str) -> bytes:
-        """Return the bytes of a record."""
         assert self._file is not None
         record = self._records[name]
         with self._lock, storage_errors(f"cannot read {self._file.name}"):
@@ -144,12 +142,12 @@ class Kept:
                 self._ticked[_SYNCED] = time.monotonic()
 
     def tick(self, name: str, values: Callable[[], dict[str, Any]]) -> None:
-        """Keep a record of work that goes on, unless one was kept just now."""
+        """Store a record of work in progress unless the last one is recent."""
         if self.is_due(name):
             self.put(name, values())
 
     def is_due(self, name: str) -> bool:
-        """Say whether it is time for a record of work that goes on; it then counts as kept."""
+        """Return whether a record of work in progress is due; it then counts as stored."""
         now = time.monotonic()
         if self._file is None or now - self._ticked.setdefault(name, now) < TICK:
             return False
@@ -157,7 +155,7 @@ class Kept:
         return True
 
     def path(self, name: str) -> Path | None:
-        """Return where an array lies; None if nothing is kept."""
+        """Return the path of an array's file; None if nothing is kept."""
         return None if self.directory is None else self.directory / f"{name}{_ARRAY}"
 
     def each(
@@ -167,10 +165,10 @@ class Kept:
         items: Iterable[Item],
         do: Callable[[Iterable[Item]], Iterable[Any]] = iter,
     ) -> Iterator[Any]:
-        """Yield those items that are not done yet, or what `do` makes of them, in order.
+        """Yield the items that are not done yet, or the results of `do`, in order.
 
-        An item is done when the next is asked for; its results are in `arrays`. Where one of these
-        is in memory, or its file has gone, all items are done again.
+        An item is done when the next is requested; its results are in `arrays`. If one of these is
+        in memory, or its file is missing, all items are done again.
         """
         arrays = list(arrays)
         is_kept = self.is_on and all(array.is_kept for array in arrays)
@@ -186,7 +184,7 @@ class Kept:
             self.put(name, {"done": done, "is_whole": True})
 
     def is_whole(self, name: str) -> bool:
-        """Say whether all items of `each` are done."""
+        """Return whether all items of `each` are done."""
         return "is_whole" in (self.get(name) or {})
 
     def clear(self) -> None:
@@ -199,7 +197,7 @@ class Kept:
             self._open(self.directory)
 
     def close(self) -> None:
-        """Close the journal; what is kept stays."""
+        """Close the journal; the work stays."""
         with self._lock:
             self._close()
 
@@ -219,7 +217,7 @@ class Kept:
         if path.exists() and not self._read(path):
             self._remove_all(directory)
         is_new = not path.exists()
-        # Unbuffered: after a kill, what was written is there.
+        # Unbuffered: writes survive a kill.
         self._file = open(path, "w+b" if is_new else "r+b", buffering=0)
         self._end = 0 if is_new else self._end
         self._file.truncate(self._end)
@@ -229,7 +227,7 @@ class Kept:
         self._append(_BOOT, {"id": _boot()})
 
     def _read(self, path: Path) -> bool:
-        """Read the journal's records as far as they count; say whether it is of this run."""
+        """Read the journal's valid records; return whether it belongs to this run."""
         found: dict[str, _Record] = {}
         end, synced, boot = 0, (found, 0), None
         with open(path, "rb") as file:
@@ -280,7 +278,7 @@ class Kept:
 
 
 def _records(file: BinaryIO) -> Iterator[_Record]:
-    """Yield the records of a journal up to the first that is not whole."""
+    """Yield the records of a journal up to the first incomplete one."""
     size = os.fstat(file.fileno()).st_size
     while len(head := file.read(_HEAD.size)) == _HEAD.size:
         magic, n_text, n_data, crc = _HEAD.unpack(head)
@@ -298,14 +296,14 @@ def _records(file: BinaryIO) -> Iterator[_Record]:
 
 
 def _write_all(file: BinaryIO, data: bytes) -> None:
-    """Write all of `data` to an unbuffered file, which may take less at a time."""
+    """Write all of `data` to an unbuffered file, which may accept less at a time."""
     view = memoryview(data)
     while view:
         view = view[file.write(view) :]
 
 
 def _boot() -> str:
-    """Return what the system calls the time since it was started; unique where it does not."""
+    """Return the system's boot identifier; a unique one if it has none."""
     with suppress(OSError):
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     return os.urandom(8).hex()
@@ -322,21 +320,21 @@ def _on_disk(path: Path) -> int:
 def kept_directory(
     parent: str | os.PathLike[str], target: Path, run: dict[str, Any] | None, *, fresh: bool
 ) -> Iterator[tuple[Path, Kept]]:
-    """Give a directory for temporary files and what is kept in it.
+    """Yield a directory for temporary files, and the work kept in it.
 
-    It is called ``.name.digits.twz-kept``. At the end of the block it is removed, unless the block
-    raises an exception after work was kept: then a note of the exception names it. Whoever calls
-    this is the only one who writes `target` (`unfinished.only_writer`).
+    It is called ``.name.digits.twz-kept``. It is removed at the end of the block, unless the block
+    raises an exception after work was kept: then a note of the exception names it. The caller must
+    be the only writer of `target` (`unfinished.only_writer`).
 
     Parameters
     ----------
     target : Path
-        Absolute.
+        Absolute path.
     run : dict, optional
-        What the work depends on (`Kept`); None keeps nothing, and gives a directory of another
-        name. What is there already is removed.
+        Everything that the work depends on (`Kept`); None keeps nothing, uses a directory of
+        another name, and removes existing work.
     fresh : bool
-        Remove what an earlier run has kept.
+        Discard the work of an earlier run.
 
     Raises
     ------
@@ -377,12 +375,12 @@ def kept_directory(
 
 
 def digest_of_file(path: str | os.PathLike[str]) -> str:
-    """Return a digest of a file's bytes, as they are read."""
+    """Return a digest of a file's bytes."""
     with storage_errors(f"cannot read {os.fspath(path)}"), open(path, "rb") as file:
         return hashlib.file_digest(file, "blake2b").hexdigest()[:32]
 
 
-# What the same command would end with again.
+# Errors that the same command would raise again.
 _FINAL = (InvalidHeightsError, BoundViolationError)
 
 
@@ -391,7 +389,7 @@ def _remove(path: Path) -> None:
 
 
 def _remove_others(directory: Path) -> None:
-    """Remove all that is not kept in a directory: temporary files of a killed run."""
+    """Remove temporary files of a killed run from a directory."""
     for path in directory.iterdir():
         if path.name != _JOURNAL and path.suffix != _ARRAY:
             if path.is_dir() and not path.is_symlink():

@@ -1,6 +1,6 @@
-"""Atomic publication: a file appears whole under its name, or not at all.
+"""Atomic publication: a file appears complete under its name, or not at all.
 
-What a killed run leaves behind is removed by the next one, once its lock is free.
+The next run removes files left by a killed one, once their lock is free.
 """
 
 import logging
@@ -34,32 +34,32 @@ _log = logging.getLogger(__name__)
 SUFFIX = ".twz-part"
 SCRATCH_SUFFIX = ".twz-scratch"
 LOCK_SUFFIX = ".twz-lock"
-# What GDAL keeps next to a raster: statistics and other metadata, overviews, a mask.
+# GDAL's files next to a raster: statistics and other metadata, overviews, a mask.
 OF_GDAL = (".aux.xml", ".ovr", ".msk")
 
 _ON_WINDOWS = os.name == "nt"
-_FIRST_DELAY = 0.05  # seconds; doubles. Virus scanners hold a new file for a moment on Windows
+_FIRST_DELAY = 0.05  # seconds; doubles. On Windows virus scanners briefly hold a new file
 
 
 @contextmanager
 def publish(
     target: str | os.PathLike[str], overwrite: bool = False, *, is_update: bool = False
 ) -> Iterator[Part]:
-    """Give a file to write that takes the name `target` when the block ends without exception.
+    """Yield a file to write; it gets the name `target` when the block ends without exception.
 
-    On any exception the unfinished file is removed and the target is as it was before. Parts that
-    killed runs have left beside the target are removed, if no living process holds their lock.
-    What GDAL keeps next to a raster of that name describes another raster, and is removed at the
-    end, as GDAL does where it makes a raster.
+    After an exception the unfinished file is removed and the target is unchanged. Parts that killed
+    runs have left next to the target are removed, unless a living process holds their lock. GDAL's
+    files next to the target describe another raster and are removed at the end, as GDAL does when
+    it writes a raster.
 
     Parameters
     ----------
     target : path
         A symbolic link is followed.
     overwrite : bool
-        Whether an existing file may be replaced; it keeps its permissions.
+        Replace an existing file, keeping its permissions.
     is_update : bool
-        The file is a new state of the raster that is there: what GDAL keeps of it stays.
+        The file is a new state of the existing raster, so GDAL's files stay.
 
     Yields
     ------
@@ -70,9 +70,9 @@ def publish(
     InvalidArgumentError
         If `overwrite` is neither true nor false, or `target` is a URL.
     StorageError
-        Before the block: if the target exists and `overwrite` is false, is no regular file, or
-        its directory is missing or not writable. After it: if the disk is full or the target
-        cannot be replaced; or, once it is, if a file of GDAL's cannot be removed.
+        Before the block: if the target exists and `overwrite` is false, is not a regular file, or
+        its directory is missing or not writable. After it: if the disk is full, the target cannot
+        be replaced, or one of GDAL's files cannot be removed.
     """
     check_flags(overwrite=overwrite)
     check_local(target)
@@ -105,7 +105,7 @@ def publish(
 
 
 def remove_of_gdal(target: str | os.PathLike[str], *suffixes: str) -> None:
-    """Remove files that GDAL keeps next to a raster, also next to what a symbolic link leads to.
+    """Remove GDAL's files next to a raster, also next to the target of a symbolic link.
 
     Raises
     ------
@@ -114,14 +114,14 @@ def remove_of_gdal(target: str | os.PathLike[str], *suffixes: str) -> None:
     """
     for name in {os.path.realpath(target), os.path.abspath(target)}:
         for path in (Path(f"{name}{suffix}") for suffix in suffixes):
-            # Names as long as the system takes have none.
+            # Names of the greatest length have none.
             if os.path.lexists(path):
                 with storage_errors(f"cannot remove {path}, which describes an earlier raster"):
                     path.unlink(missing_ok=True)
 
 
 def check_target(target: str | os.PathLike[str], overwrite: bool = False) -> None:
-    """Raise `StorageError` now if `publish` would: for work that takes long before it writes."""
+    """Raise the `StorageError` of a later `publish` now, before long work."""
     _check_target(Path(os.path.realpath(target)), overwrite)
 
 
@@ -131,18 +131,17 @@ def refuse_own_source(
     *,
     problem: str = "is the file to be read; expected another name for the result",
 ) -> None:
-    """Raise `StorageError` if `target` is the file that `source` is, or is read from.
+    """Raise `StorageError` if `target` is the file of `source`, or one that it is read from.
 
-    Replacing it would leave the user without the original.
+    Replacing it would destroy the original.
 
     Parameters
     ----------
     source : object
-        A path, or something opened whose `name` is one, or a list of these; what is no path is no
-        file's.
+        A path, or an open object with a path as `name`, or a list of these; others have no file.
     target : path
     problem : str
-        What the message says of `target`.
+        The message's statement about `target`.
     """
     if isinstance(source, list | tuple):
         for one in source:
@@ -153,7 +152,7 @@ def refuse_own_source(
         return
     try:
         is_same = os.path.samefile(path, target)
-    except (OSError, ValueError):  # one of them is missing, or no path at all: a URL
+    except (OSError, ValueError):  # one is missing, or is not a path but a URL
         is_same = "://" in os.fspath(target) and os.fspath(path) == os.fspath(target)
     if is_same:
         raise StorageError(f"{os.fspath(target)} {problem}")
@@ -161,9 +160,9 @@ def refuse_own_source(
 
 @contextmanager
 def scratch(target: str | os.PathLike[str]) -> Iterator[Part]:
-    """Give a file beside `target` for an intermediate result; it is removed when the block ends.
+    """Yield a file next to `target` for an intermediate result; it is removed when the block ends.
 
-    Killed runs' files are removed as those of `publish` are.
+    Files of killed runs are removed as in `publish`.
     """
     created: list[Path] = []
     part = None
@@ -176,11 +175,11 @@ def scratch(target: str | os.PathLike[str]) -> Iterator[Part]:
 
 @contextmanager
 def scratch_directory(parent: str | os.PathLike[str], name: str) -> Iterator[Path]:
-    """Give a directory for temporary files that is removed when the block ends.
+    """Yield a directory for temporary files that is removed when the block ends.
 
-    It is called ``.name.random.twz-scratch``; beside it lies a locked file, ``.twz-lock``, which is
-    there before it and after it. What killed runs with the same `name` have left in `parent` is
-    removed first, if no living process holds its lock.
+    It is called ``.name.random.twz-scratch``; next to it lies a locked file, ``.twz-lock``, created
+    before it and removed after it. Directories that killed runs with the same `name` have left in
+    `parent` are removed first, unless a living process holds their lock.
 
     Raises
     ------
@@ -209,12 +208,12 @@ def scratch_directory(parent: str | os.PathLike[str], name: str) -> Iterator[Pat
 
 
 def system_scratch() -> AbstractContextManager[Path]:
-    """Give a scratch directory among the system's temporary files."""
+    """Yield a scratch directory among the system's temporary files."""
     return scratch_directory(tempfile.gettempdir(), "terrainwave")
 
 
 def _remove_scratch(lock_path: Path, lock: BinaryIO) -> None:
-    """Remove a scratch directory, then its lock; what cannot be removed keeps its lock's file."""
+    """Remove a scratch directory, then its lock; if removal fails, the lock stays."""
     directory = lock_path.with_suffix(SCRATCH_SUFFIX)
     shutil.rmtree(directory, ignore_errors=True)
     dispose(Part(lock_path, lock), [] if directory.exists() else [lock_path])
@@ -224,17 +223,17 @@ def _remove_scratch(lock_path: Path, lock: BinaryIO) -> None:
 def publish_directory(
     target: str | os.PathLike[str], marker: str, overwrite: bool = False
 ) -> Iterator[Path]:
-    """Give a directory to fill that takes the name `target` when the block ends without exception.
+    """Yield a directory to fill; it gets the name `target` when the block ends without exception.
 
-    On any exception it is removed and the target is as it was before.
+    After an exception it is removed and the target is unchanged.
 
     Parameters
     ----------
     target : path
     marker : str
-        Name of a file that every such directory has: no other one is replaced.
+        Name of a file in every such directory: others are never replaced.
     overwrite : bool
-        Whether an existing directory with `marker` may be replaced; an empty one always is.
+        Replace an existing directory with `marker`; an empty one is always replaced.
 
     Raises
     ------
@@ -302,15 +301,15 @@ def _check_target(final: Path, overwrite: bool) -> None:
 
 
 def remove_stale_parts(final: Path) -> list[Path]:
-    """Remove what killed runs left beside `final`; return the removed paths.
+    """Remove files that killed runs left next to `final`; return the removed paths.
 
-    A part whose lock is held, or cannot be tried on this system, stays.
+    A part whose lock is held, or cannot be tested on this system, stays.
     """
     removed: list[Path] = []
     for path in leftovers(final.parent, final.name, SUFFIX):
         with taken(path) as file:
             if file is not None:
-                # What GDAL made beside it goes first: nothing would lead there later.
+                # GDAL's files go first: without the part, nothing would lead to them.
                 paths = [*beside(path), path]
                 dispose(Part(path, file), paths)
                 removed += paths
@@ -318,7 +317,7 @@ def remove_stale_parts(final: Path) -> list[Path]:
 
 
 def beside(part: Path) -> list[Path]:
-    """Return the files that GDAL made beside an unfinished one, such as overviews of a COG."""
+    """Return GDAL's files next to an unfinished one, such as overviews of a COG."""
     prefix = f"{part.name}."
     return [part.with_name(name) for name in listed(part.parent) if name.startswith(prefix)]
 
@@ -348,7 +347,7 @@ def _replace(part: Path, final: Path) -> None:
 
 
 def _sync_directory(directory: Path) -> None:
-    """Make the new name itself survive a power cut, where directories can be opened."""
+    """Make the new name survive a power cut, if the system can open directories."""
     with suppress(OSError):
         handle = os.open(directory, os.O_RDONLY)
         try:

@@ -1,6 +1,6 @@
-"""Unfinished files: locked while their maker lives, so that a later run may remove what is left.
+"""Unfinished files: locked while their process lives, so that later runs can remove leftovers.
 
-They are called ``.name.random`` and a suffix, beside what they will become.
+They are called ``.name.random`` plus a suffix, next to the final file.
 """
 
 import hashlib
@@ -29,25 +29,25 @@ except ImportError:
 
 RETRIES = 10
 RUN_SUFFIX = ".twz-run"
-# As bytes, and no symbolic link, where systems know that.
+# Binary mode, and no symbolic links, if the system supports these flags.
 _PLAIN = getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
-_LOCKED_BYTE = 2**40  # msvcrt locks forbid reading what they cover: far behind any content
-# Bytes of a name's beginning in those of temporary files: systems take 255, of which the rest, and
-# what GDAL adds for overviews, take 60.
+_LOCKED_BYTE = 2**40  # msvcrt locks forbid reading the locked bytes: far beyond any content
+# Bytes of a name used in temporary names: systems allow 255, and the rest, with GDAL's endings for
+# overviews, takes 60.
 _LONGEST_NAME = 180
 _RANDOM_PART = re.compile("[0-9a-f]{16}")
 
 
 @dataclass(frozen=True)
 class Part:
-    """The unfinished file: write to `file`, read it back by `path` after a flush."""
+    """Unfinished file: write to `file`, read it back by `path` after a flush."""
 
     path: Path
     file: BinaryIO
 
 
 def can_rename_open_files() -> bool:
-    """Say whether this system renames open files, as Windows does not."""
+    """Return whether this system can rename open files; Windows cannot."""
     return fcntl is not None
 
 
@@ -61,11 +61,11 @@ def leftovers(directory: Path, name: str, suffix: str) -> Iterator[Path]:
 
 
 def _short(name: str) -> str:
-    """Return a name to which a suffix can be added; of a long one its beginning and a checksum."""
+    """Return a name with room for a suffix; of a long one its beginning and a checksum."""
     encoded = os.fsencode(name)
     if len(encoded) <= _LONGEST_NAME:
         return name
-    # Cut between characters: some systems refuse names that are no text.
+    # Cut between characters: some systems refuse names that are not valid text.
     kept = encoded[:_LONGEST_NAME].decode(errors="ignore")
     return f"{kept}~{zlib.crc32(encoded):08x}"
 
@@ -80,7 +80,7 @@ def listed(directory: Path) -> list[str]:
 
 @contextmanager
 def taken(path: Path) -> Iterator[BinaryIO | None]:
-    """Give a left-over file, locked; None if it is gone or not for us to take."""
+    """Yield a leftover file, locked; None if it is gone or in use."""
     try:
         file = open(path, "r+b")
     except OSError:
@@ -92,9 +92,9 @@ def taken(path: Path) -> Iterator[BinaryIO | None]:
 
 
 def create_locked(final: Path, suffix: str, created: list[Path], action: str) -> Part:
-    """Create and lock a new file beside `final`, as mkstemp does but with the umask's mode.
+    """Create and lock a new file next to `final`, like mkstemp but with the umask's mode.
 
-    Its name is in `created` before the file exists: an interruption at any moment leaves nothing.
+    `created` gets its name before the file exists, so an interruption at any moment leaves nothing.
     Errors begin with `action`.
     """
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | _PLAIN
@@ -104,7 +104,7 @@ def create_locked(final: Path, suffix: str, created: list[Path], action: str) ->
         with storage_errors(action):
             file = _opened(path, flags, "w+b", final)
         try:
-            # Another run may have taken it for a left-over before it was locked.
+            # Another run may have removed it as a leftover before it was locked.
             if _try_lock(file) is not _Lock.HELD_BY_OTHER and _is_still_there(path, file):
                 return Part(path, file)
         except BaseException:
@@ -117,18 +117,18 @@ def create_locked(final: Path, suffix: str, created: list[Path], action: str) ->
 
 
 def _opened(path: Path, flags: int, mode: str, name: Path) -> BinaryIO:
-    """Open a file by flags of the system; errors name it by `name`, not by its descriptor."""
+    """Open a file with system flags; errors name it by `name`, not by its descriptor."""
     return cast(BinaryIO, open(name, mode, opener=lambda *_: os.open(path, flags, 0o666)))
 
 
 @contextmanager
 def only_writer(target: Path, beside: Path, shown: str) -> Iterator[None]:
-    """Let nobody else write `target` while the block runs: the lock of a file in `beside` is ours.
+    """Exclude other writers of `target` while the block runs, by locking a file in `beside`.
 
     Raises
     ------
     StorageError
-        If another run has it, or the file cannot be made.
+        If another run holds the lock, or the file cannot be made.
     """
     path = own_path(target, beside, RUN_SUFFIX)
     file = None
@@ -156,7 +156,7 @@ def only_writer(target: Path, beside: Path, shown: str) -> Iterator[None]:
 
 
 def own_path(target: Path, beside: Path, suffix: str) -> Path:
-    """Return ``.name.digits`` and a suffix in a directory, with digits that only `target` has."""
+    """Return ``.name.digits`` plus a suffix in a directory, with digits unique to `target`."""
     digits = hashlib.sha256(os.fsencode(target)).hexdigest()[:16]
     return beside / f".{_short(target.name)}.{digits}{suffix}"
 
@@ -196,8 +196,8 @@ def _try_lock(file: BinaryIO) -> _Lock:
 
 def dispose(part: Part | None, paths: list[Path]) -> None:
     """Close the part and remove the files of `paths`."""
-    # Before the lock goes with the closed file, so that nobody else can take the name; where an
-    # open file cannot be removed, after it.
+    # Removed before the file is closed and unlocked, so that nobody else can take the name; after
+    # it, where open files cannot be removed.
     for path in paths:
         with suppress(OSError):
             os.unlink(path)

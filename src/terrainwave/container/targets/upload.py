@@ -1,4 +1,4 @@
-"""Targets by URL: a file is made and proved on this machine, then uploaded as a whole."""
+"""Targets by URL: a file is made and proved locally, then uploaded as a whole."""
 
 import logging
 import os
@@ -21,7 +21,7 @@ from terrainwave.extras import need
 
 _log = logging.getLogger(__name__)
 
-# They show a file only once all of it is there; elsewhere it is renamed at the end.
+# These show a file only once it is complete; elsewhere it is renamed at the end.
 _OBJECT_STORES = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oss", "oci", "r2"}
 _READ_ONLY = {"http", "https", "zip", "tar", "github", "reference"}
 
@@ -30,25 +30,25 @@ _READ_ONLY = {"http", "https", "zip", "tar", "github", "reference"}
 def uploaded(
     url: str, *, overwrite: bool = False, temp_dir: str | os.PathLike[str] | None = None
 ) -> Iterator[Part]:
-    """Give a file to write that appears at a URL when the block ends without exception.
+    """Yield a file to write; it appears at a URL when the block ends without exception.
 
     Parameters
     ----------
     url : str
-        Where fsspec can write.
+        A URL that fsspec can write to.
     overwrite : bool
-        Whether a file that is there may be replaced.
+        Replace an existing file.
     temp_dir : path, optional
-        Where the file is made; by default among the system's temporary files.
+        Directory of the local file; by default the system's directory for temporary files.
 
     Raises
     ------
     InvalidArgumentError
-        If nothing can be written to URLs of this kind.
+        If URLs of this kind are not writable.
     StorageError
         Before the block: if the file exists and `overwrite` is false, or its storage cannot be
         reached. After it: if it cannot be uploaded; the finished file then stays on this machine,
-        and the message says where.
+        and the message names it.
     """
     check_flags(overwrite=overwrite)
     target = _Target(url)
@@ -73,7 +73,7 @@ def uploaded(
 
 
 class _Target:
-    """A file that is not there yet, in one of fsspec's file systems."""
+    """A future file in one of fsspec's file systems."""
 
     def __init__(self, url: str) -> None:
         self.name = display_name(url)
@@ -87,7 +87,7 @@ class _Target:
         self._fs, self.path = self._call(fsspec.url_to_fs, url)
 
     def exists(self) -> bool:
-        """Say whether there is a file of this name."""
+        """Return whether a file of this name exists."""
         return bool(self._call(self._fs.exists, self.path))
 
     def put(self, path: Path) -> None:
@@ -101,14 +101,14 @@ class _Target:
                 f"cannot write {self.name}: found {found} bytes there, expected {expected}"
             )
         for old in (f"{self.path}{suffix}" for suffix in OF_GDAL):
-            # The file is there, which is what was asked for. Storage may forbid to look or to
-            # remove, and GDAL's driver ignores old statistics.
+            # The upload is done. Storage may forbid listing or removing, and GDAL's driver ignores
+            # old statistics.
             with suppress(Exception):
                 if self._fs.exists(old):
                     self._fs.rm_file(old)
 
     def _call(self, function: Callable[..., Any], *args: Any) -> Any:
-        # File systems raise what their libraries raise; few of those are OSErrors.
+        # File systems raise errors of their libraries, most of which are not OSErrors.
         try:
             return function(*args)
         except TerrainwaveError:
@@ -119,9 +119,9 @@ class _Target:
 
 
 def put_whole(filesystem: Any, path: str, target: str) -> None:
-    """Copy a file of this machine into one of fsspec's file systems: all of it appears, or nothing.
+    """Copy a local file into one of fsspec's file systems: all of it appears, or nothing.
 
-    Raises whatever the file system does.
+    Raises any error of the file system.
     """
     protocols = filesystem.protocol
     if not _OBJECT_STORES.isdisjoint([protocols] if isinstance(protocols, str) else protocols):
@@ -132,6 +132,6 @@ def put_whole(filesystem: Any, path: str, target: str) -> None:
         filesystem.put_file(path, unfinished)
         filesystem.mv(unfinished, target)
     except BaseException:
-        with suppress(Exception):  # it may not be there
+        with suppress(Exception):  # it may not exist
             filesystem.rm_file(unfinished)
         raise

@@ -1,12 +1,12 @@
-"""What the map in a notebook asks the kernel: messages, their limits, and the answers.
+"""Protocol between the map in a notebook and the kernel: messages, their limits, and answers.
 
-A question is ``{"id": text, "what": text, ...}``. As soon as the kernel hears it, it says
-``{"id", "taken": true}``: so the page knows a busy kernel from a slow file. The answer follows,
-``{"id", ...}`` with binary buffers, or ``{"id", "error": {"name", "message"}}``. Bytes are read in
-threads: a slow server does not hold up the cells of the notebook. (Some notebooks hear questions in
-threads of their own, while a cell runs.)
+A request is ``{"id": text, "what": text, ...}``. The kernel acknowledges it at once with ``{"id",
+"taken": true}``, so that the page can distinguish a busy kernel from a slow file. The answer
+follows, ``{"id", ...}`` with binary buffers, or ``{"id", "error": {"name", "message"}}``. Bytes are
+read in threads, so a slow server does not block the cells of the notebook. (Some notebooks receive
+requests in threads of their own, while a cell runs.)
 
-What the page asks is not trusted: any script of the notebook's page can send messages.
+Requests are not trusted: any script of the notebook's page can send messages.
 """
 
 import threading
@@ -22,7 +22,7 @@ from terrainwave.errors import InvalidArgumentError, LimitExceededError
 # js/notebook/widget.js keeps to the same limits.
 MOST_BYTES = 8 << 20
 MOST_RANGES = 64
-# Questions that wait for an answer: several views ask four at a time each.
+# Pending requests: several views send four at a time each.
 MOST_WAITING = 64
 _LONGEST_ID = 80
 _LONGEST_MESSAGE = 400
@@ -30,7 +30,7 @@ _N_THREADS = 4
 
 
 class Answer(NamedTuple):
-    """What the page gets: what a message holds, and binary buffers beside it."""
+    """Answer to the page: the content of a message, and binary buffers."""
 
     content: dict[str, Any]
     buffers: list[bytes]
@@ -42,14 +42,14 @@ Answering = Callable[[Question], Answer]
 
 
 class Channel:
-    """Answers the questions of one widget's views.
+    """Answers the requests of one widget's views.
 
     Parameters
     ----------
     send : callable
-        Takes a message and its buffers; is called from several threads.
+        Takes a message and its buffers; called from several threads.
     in_threads, at_once : dict
-        What answers each kind of question, in threads or before `take` returns.
+        Handlers by kind of request, run in threads or before `take` returns.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class Channel:
         self._n_waiting = 0
 
     def take(self, content: object) -> None:
-        """Answer one message of the page, now or from a thread; whatever it holds."""
+        """Answer one message of the page, now or from a thread; its content may be anything."""
         question = content if isinstance(content, dict) else {}
         asked, what = question.get("id"), question.get("what")
         if not isinstance(asked, str) or not 0 < len(asked) <= _LONGEST_ID:
@@ -88,7 +88,7 @@ class Channel:
             self._pool.submit(self._answer, asked, self._in_threads[what], question)
 
     def close(self) -> None:
-        """Answer nothing more."""
+        """Stop answering."""
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _begin(self) -> bool:
@@ -119,7 +119,7 @@ def read_ranges(source: ByteSource, question: Question) -> Answer:
     Raises
     ------
     InvalidArgumentError
-        If they are no ranges inside the file.
+        If they are not ranges inside the file.
     LimitExceededError
         If there are too many, or too many bytes.
     """
@@ -136,7 +136,7 @@ def read_ranges(source: ByteSource, question: Question) -> Answer:
 
 
 def _checked_range(given: object, size: int) -> ByteRange:
-    """Return a range of the file; JSON has no other whole numbers than ints."""
+    """Return a range of the file; whole numbers in JSON are ints."""
     if isinstance(given, list) and [type(end) for end in given] == [int, int]:
         start, end = given
         if 0 <= start < end <= size:

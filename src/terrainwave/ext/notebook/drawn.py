@@ -1,4 +1,4 @@
-"""The window that is drawn on a map: a box of longitudes and latitudes as samples, and back."""
+"""Window drawn on a map: conversion between a box of longitudes and latitudes and samples."""
 
 import math
 from typing import Any
@@ -10,16 +10,17 @@ from terrainwave.errors import InvalidArgumentError
 from terrainwave.globe.lonlat import Extent, Globe
 from terrainwave.grid.quadtree import Region
 
-# Places along the sides of a box that tell its samples, and along those of a window its outline.
+# Points along the sides of a box used to find its samples, and along those of a window for its
+# outline.
 _N_ACROSS, _N_ALONG = 129, 33
-# Of a box: how far its outermost places lie inside, where a turn ends.
+# Share of a box by which its outermost points lie inside, at the end of a turn.
 _INSIDE = 1e-9
 
 
 def region_of_box(globe: Globe, box: Any) -> Region:
     """Return the samples of the full grid whose pixels touch a box, clipped to the raster.
 
-    Of a raster around the whole globe a box across its first column becomes its larger part.
+    In a raster around the whole globe, a box across its first column is reduced to its larger part.
 
     Parameters
     ----------
@@ -29,7 +30,7 @@ def region_of_box(globe: Globe, box: Any) -> Region:
     Raises
     ------
     InvalidArgumentError
-        If it is no box, or lies beside the raster.
+        If it is not a box, or does not overlap the raster.
     """
     west, south, east, north = checked_numbers("box", box, "west, south, east, north")
     if not (west <= east <= west + 360 and -90 <= south <= north <= 90):
@@ -39,14 +40,16 @@ def region_of_box(globe: Globe, box: Any) -> Region:
     cut = _cut(globe.extent, Extent(west, south, east, north))
     region = Region(0, 0, 0, 0) if cut is None else _samples(globe, cut)
     if not all(region.shape):
-        raise InvalidArgumentError("the window lies beside the terrain: draw it over the terrain")
+        raise InvalidArgumentError(
+            "the window does not overlap the terrain: draw it over the terrain"
+        )
     return region
 
 
 def _cut(extent: Extent, box: Extent) -> Extent | None:
     """Return the part of a box that lies in an extent, in the extent's longitudes."""
     parts = []
-    for turn in range(-3, 4):  # maps count turns on
+    for turn in range(-3, 4):  # maps count turns
         west = max(extent.west, box.west + 360 * turn)
         parts.append((min(extent.east, box.east + 360 * turn) - west, west))
     width, west = max(parts)
@@ -68,7 +71,7 @@ def _samples(globe: Globe, box: Extent) -> Region:
         return Region(0, 0, 0, 0)
     ends = []
     for places, n_samples in zip((rows[known], cols[known]), globe.terrain.shape, strict=True):
-        # Samples are pixel centres; beyond the raster all is clipped, whatever the number.
+        # Samples are pixel centres; positions beyond the raster are clipped.
         held = np.clip(places, -2, n_samples + 1)
         ends.append((math.floor(held.min() + 0.5), math.ceil(held.max() - 0.5)))
     (first_row, last_row), (first_col, last_col) = ends

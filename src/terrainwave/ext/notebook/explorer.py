@@ -1,4 +1,4 @@
-"""`Explorer`: the map of a terrain that a notebook shows, and what it says of itself."""
+"""`Explorer`: the map of a terrain in a notebook, with its state."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -21,7 +21,7 @@ from terrainwave.globe.polynomials import fit_places
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.system import need_pyproj
 
-# What a camera says, and from where to where each number goes: as the address of the page has it.
+# Fields of a camera, and the range of each number, as in the page's address.
 _CAMERA = {
     "lon": (-540, 540), "lat": (-90, 90), "zoom": (0, 24), "pitch": (0, 80), "bearing": (-360, 360),
 }  # fmt: skip
@@ -35,11 +35,11 @@ class Explorer(anywidget.AnyWidget):
     Attributes
     ----------
     camera : dict, optional
-        ``lon``, ``lat`` in degrees, ``zoom``, ``pitch``, ``bearing`` as the map has them; None
-        until it is shown. Setting it moves the map.
+        ``lon``, ``lat`` in degrees, ``zoom``, ``pitch``, ``bearing`` as in the map; None until it
+        is shown. Setting it moves the map.
     window : Region, optional
-        What is drawn on the map: ``(row, col, n_rows, n_cols)`` of the full grid, which
-        ``terrain.read(window=...)`` takes; None until something is. Setting it draws it.
+        Area drawn on the map: ``(row, col, n_rows, n_cols)`` of the full grid, for
+        ``terrain.read(window=...)``; None if nothing is drawn. Setting it draws it.
     height : int
         Pixels; the width is that of the cell.
     """
@@ -68,7 +68,7 @@ class Explorer(anywidget.AnyWidget):
         self.on_msg(lambda _, content, __: self._channel.take(content))
 
     def close(self) -> None:
-        """Take the map out of the notebook; the terrain stays open."""
+        """Remove the map from the notebook; the terrain stays open."""
         self._channel.close()
         super().close()
 
@@ -107,7 +107,7 @@ class Explorer(anywidget.AnyWidget):
         )  # fmt: skip
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Any:
-        """Return the widget and, for where there are none, the picture of the terrain."""
+        """Return the widget and, for notebooks without widgets, the picture of the terrain."""
         data, metadata = super()._repr_mimebundle_(**kwargs) or ({}, {})
         still = {"text/plain": repr(self), "text/html": terrain_html(self.terrain)}
         return data | still, metadata
@@ -117,7 +117,7 @@ class Explorer(anywidget.AnyWidget):
 
 
 class _RefusedTraitError(InvalidArgumentError, traitlets.TraitError):
-    """What a trait cannot be: traitlets puts the old value back, from the page's side too."""
+    """Invalid value of a trait: traitlets restores the old value, also for the page."""
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""The files that the map in a notebook is made of: those of the page, without a server."""
+"""Files of the map in a notebook: those of the page, without a server."""
 
 import gzip
 import hashlib
@@ -7,14 +7,14 @@ from pathlib import Path
 
 from terrainwave.ext.publish import reader_directory
 
-# In the page's folder another module says what it shows: the notebook's.
+# The notebook's module replaces this file of the page, which says what it shows.
 _HOST = "static/host.js"
 _STATIC = Path(__file__).parents[1] / "serve" / "static"
 _ENDINGS = (".html", ".css", ".js")
 
 
 def widget_module() -> str:
-    """Return the module that a notebook runs: js/notebook/widget.js."""
+    """Return the module for the notebook: js/notebook/widget.js."""
     return (_notebook_directory() / "widget.js").read_text(encoding="utf-8")
 
 
@@ -37,7 +37,7 @@ def page_files() -> dict[str, bytes]:
 
 @cache
 def page_version() -> str:
-    """Return what tells this page from that of another version of the package."""
+    """Return an identifier of this version of the page."""
     digest = hashlib.sha256()
     for name, packed in page_files().items():
         digest.update(name.encode() + packed)

@@ -1,4 +1,4 @@
-"""Hook of PyInstaller, which finds it by the entry point ``hook-dirs``."""
+"""PyInstaller's hook, found by the entry point ``hook-dirs``."""
 
 import os
 

@@ -49,7 +49,7 @@ class _Route(APIRoute):
 
 
 class Answers:
-    """What is answered, from the files of a shelf; a method for each address.
+    """Answers from the files of a shelf; a method for each address.
 
     `desk` has what is decoded, `reading` the bytes of files, which need not wait for that. `look`
     is that of tiles where a request asks for none. `public_url` is the server's address as browsers
@@ -264,7 +264,7 @@ def check_tile(z: int, x: int, y: int, last_zoom: int, n_first: int = 1) -> None
 
 
 def height_at(layer: Layer, longitude: float, latitude: float) -> dict[str, float | str | None]:
-    """Return the height in metres at a place, null where there is none, and the file's bound.
+    """Return the height in metres at a place, null for voids, and the file's bound.
 
     `units` is null where nobody knows the unit: heights are then as the file has them.
     """

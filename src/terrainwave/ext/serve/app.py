@@ -2,10 +2,9 @@
 
 Only the files named at start are served, and those that `Shelf.add` names. Requests are answered
 in threads; at most `n_decoding` of them decode at a time, and `_N_READING` others read bytes of
-files; `sending.N_WAITING` of either kind wait, the rest are told to come back.
+files; `sending.N_WAITING` of either kind wait, the rest get 503 with a time to retry.
 """
 
-import logging
 import warnings
 from contextlib import asynccontextmanager
 from typing import Any
@@ -19,9 +18,9 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 from terrainwave.arguments import AS_IS, in_one_line
 from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.ext.serve.answers import STATIC, Answers
-from terrainwave.ext.serve.causes import Causes
 from terrainwave.ext.serve.guards import Guarded, guards_of
 from terrainwave.ext.serve.layers import Shelf, open_layers
+from terrainwave.ext.serve.log import warn_once
 from terrainwave.ext.serve.proxies import Proxied, network_of
 from terrainwave.ext.serve.proxies import public_url as address_of
 from terrainwave.ext.serve.sending import Desk
@@ -35,7 +34,6 @@ from terrainwave.render.look.style import check_sea_level
 # Requests for bytes of files that are read at a time: from disk, or from a server, which is slow.
 _N_READING = 4
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "[::1]")
-_log = logging.getLogger(__name__)
 
 
 @with_extra("serve")
@@ -135,14 +133,10 @@ def make_app(
 
     app.add_middleware(Guarded, guards=guards)
 
-    causes = Causes()
-
     @app.exception_handler(TerrainwaveError)
     async def damaged(request: Request, error: TerrainwaveError) -> JSONResponse:
         # A path may have line feeds in it, as %0A.
-        line = in_one_line(error)
-        if causes.is_new(f"{request.path_params.get('name')}: {line}"):
-            _log.warning("%s: %s", in_one_line(request.url.path), line)
+        warn_once(in_one_line(f"{request.path_params.get('name')}: {error}"))
         return JSONResponse({"detail": "the file cannot be read there"}, 500)
 
     @app.exception_handler(Exception)

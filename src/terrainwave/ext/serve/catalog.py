@@ -1,4 +1,4 @@
-"""What the page is told of its terrains (terrains.json), served or published."""
+"""List of a page's terrains (terrains.json), served or published."""
 
 import re
 from itertools import islice

@@ -7,7 +7,6 @@ is looked at every second here.
 
 import asyncio
 import logging
-import math
 import os
 import socket
 import struct
@@ -21,8 +20,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from terrainwave import interrupts
 from terrainwave.arguments import in_one_line
 from terrainwave.errors import TerrainwaveError
-from terrainwave.ext.serve.causes import Causes
-from terrainwave.ext.serve.guards import MAX_REQUEST_BYTES
+from terrainwave.ext.serve.log import warn_once
 
 try:
     import resource
@@ -34,8 +32,8 @@ except ImportError:  # Windows, which has no such limit
 MAX_CONNECTIONS = 384
 # Handles that the files, the event loop and what is read for the page may take.
 _OTHER_HANDLES = 64
-# The share of them that one address may have: a proxy before the server has one, too.
-_MOST_OF_ONE = 0.75
+# Of a request that comes bit by bit. Browsers send some 2 kB.
+_MOST_REQUEST_BYTES = 16 << 10
 # Seconds for the rest of a request, its line and headers: they come in one piece or two.
 ASK_SECONDS = 10
 # Seconds for the part of an answer that was handed to the system, 1 MiB at most: 17 kB/s.
@@ -66,28 +64,14 @@ class Connection(H11Protocol):
         self._stage: Any = None
         self._since = self.loop.time()
         self._look = self.loop.call_later(_LOOK_SECONDS, self._look_at)
-        if len(self.connections) > self.max_connections or self._takes_too_many():
+        if len(self.connections) > self.max_connections:
             transport.write(_FULL)
             transport.close()
-
-    def _takes_too_many(self) -> bool:
-        """Say whether most connections there may be are of this one's address alone.
-
-        The others are for others, who come while one client has all that it can get.
-        """
-        addresses = [(getattr(one, "client", None) or ("",))[0] for one in self.connections]
-        n_of_address = addresses.count((self.client or ("",))[0])
-        return n_of_address > math.ceil(_MOST_OF_ONE * self.max_connections)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget it."""
         self._look.cancel()
         super().connection_lost(exc)
-
-    def data_received(self, data: bytes) -> None:
-        """Take bytes, unless it was ended."""
-        if not self.transport.is_closing():
-            super().data_received(data)
 
     def resume_writing(self) -> None:
         """Count the times that a client has taken what there was."""
@@ -134,14 +118,11 @@ def server_of(app: ASGIApp, n_files: int = 0) -> uvicorn.Server:
         server_header=False,
         # `proxies` has what this would do, and only that.
         proxy_headers=False,
-        # As many as may be connected: of them none is turned away before it is counted.
-        backlog=MAX_CONNECTIONS,
-        # Of a request that comes bit by bit; the application refuses a whole one that is longer.
-        h11_max_incomplete_event_size=MAX_REQUEST_BYTES,
+        h11_max_incomplete_event_size=_MOST_REQUEST_BYTES,
         timeout_keep_alive=IDLE_SECONDS,
         timeout_graceful_shutdown=_GRACE_SECONDS,
     )
-    logging.getLogger("uvicorn.error").addFilter(_Told().is_told)
+    logging.getLogger("uvicorn.error").addFilter(_is_logged)
     return _Server(config)
 
 
@@ -166,32 +147,15 @@ def _limited(n_files: int) -> type[Connection]:
     return type("Connection", (Connection,), {"max_connections": most})
 
 
-class _Told:
-    """What a server logs: each line once of those that are its files' fault."""
+def _is_logged(record: logging.LogRecord) -> bool:
+    """Return false for lines that any client can cause, such as a malformed request.
 
-    def __init__(self) -> None:
-        self._causes = Causes()
-
-    def is_told(self, record: logging.LogRecord) -> bool:
-        """Say whether a line is logged."""
-        is_told = _is_told(record)
-        is_of_file = is_told and str(record.msg).startswith(_EARLY)
-        return is_told and (not is_of_file or self._causes.is_new(str(record.msg)))
-
-
-_EARLY = "an answer ended early: "
-
-
-def _is_told(record: logging.LogRecord) -> bool:
-    """Say whether a line is logged: not what any client can cause, such as a malformed request.
-
-    Once an answer has begun, an error can only end the connection, and uvicorn logs it as a fault:
-    where a file is to blame that becomes a line without a traceback.
+    Once an answer has begun, an error can only end the connection, and uvicorn logs it as a fault.
+    If a file is to blame, that becomes a line without a traceback.
     """
     error: BaseException | None = record.exc_info[1] if record.exc_info else None
     while error is not None and not isinstance(error, TerrainwaveError):
         error = error.__cause__
     if error is not None:
-        record.msg, record.args = f"{_EARLY}{in_one_line(error)}", ()
-        record.exc_info = record.exc_text = None
-    return record.levelno >= logging.ERROR
+        warn_once(f"an answer ended early: {in_one_line(error)}")
+    return error is None and record.levelno >= logging.ERROR

@@ -1,12 +1,8 @@
-"""What every answer says of its use, and which requests are too long to be answered."""
+"""Headers that every answer has, and ranges of rasters only."""
 
-from fastapi.responses import JSONResponse
 from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-# Of a request's address and headers, which answers of 404 and 422 may say again. Browsers send some
-# 2 kB.
-MAX_REQUEST_BYTES = 16 << 10
 # Addresses that are answered in parts.
 _RANGED = (".tif", ".twz")
 
@@ -51,17 +47,6 @@ class Guarded:
                 headers.setdefault("Cache-Control", "no-cache")
             await send(message)
 
-        if scope["type"] == "http":
-            if _n_bytes(scope) > MAX_REQUEST_BYTES:
-                answer = JSONResponse({"detail": "the request is too long"}, 431, self._guards)
-                await answer(scope, receive, send)
-                return
-            if not scope["path"].endswith(_RANGED):
-                scope["headers"] = [item for item in scope["headers"] if item[0] != b"range"]
+        if scope["type"] == "http" and not scope["path"].endswith(_RANGED):
+            scope["headers"] = [item for item in scope["headers"] if item[0] != b"range"]
         await self._app(scope, receive, send_guarded)
-
-
-def _n_bytes(scope: Scope) -> int:
-    """Return the length of a request's address and headers."""
-    headers = sum(len(name) + len(value) for name, value in scope["headers"])
-    return len(scope["path"]) + len(scope["query_string"]) + headers

@@ -1,4 +1,4 @@
-"""What is served: the files of the start with their places on the globe, and those added later."""
+"""Served files with their places on the globe: those of the start, and those added later."""
 
 import hashlib
 import warnings
@@ -160,7 +160,7 @@ class Shelf:
         return raster
 
     def find(self, name: str) -> Raster:
-        """Return a raster; `HTTPException` 404 if there is none of that name."""
+        """Return a raster; `HTTPException` 404 for an unknown name."""
         return named(name, self._rasters)
 
     def __enter__(self) -> Self:
@@ -172,7 +172,7 @@ class Shelf:
 
 
 def named(name: str, rasters: dict[str, _Served]) -> _Served:
-    """Return a raster; `HTTPException` 404 if there is none of that name."""
+    """Return a raster; `HTTPException` 404 for an unknown name."""
     if name not in rasters:
         listed = [*islice(rasters, _N_NAMES), *(["…"] if len(rasters) > _N_NAMES else [])]
         raise HTTPException(404, f"no terrain {name[:80]!r}; there are: {', '.join(listed)}")

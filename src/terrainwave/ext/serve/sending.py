@@ -89,8 +89,8 @@ class Ahead:
     def note(self, desk: Desk, span: Span) -> None:
         """Take note that a span is nearly sent, and go on behind it if the client may.
 
-        It may if the span goes on from the last one, or if it is as long as those of whoever reads
-        all there is.
+        It may if the span goes on from the last one, or if it is as long as the spans of a
+        client that reads the whole file.
         """
         is_read_on = span.start == self._stop or span.stop - span.start >= _AHEAD
         self._stop = span.stop
@@ -109,7 +109,7 @@ class Ahead:
 async def parts(
     desk: Desk, read: Read, span: Span, ahead: Ahead | None
 ) -> AsyncGenerator[bytes, None]:
-    """Yield the bytes of a span, so many at a time that none of them takes long.
+    """Yield the bytes of a span in parts small enough to take little time each.
 
     Once the first has come, the others wait as long as they must: an answer cannot be taken back.
     """
@@ -130,7 +130,7 @@ async def parts(
 
 
 async def begun(made: AsyncGenerator[bytes, None]) -> AsyncIterator[bytes]:
-    """Return the same parts; the first is made now, so that why it cannot be made is told.
+    """Return the same parts; the first is made now, so that its errors become answers.
 
     Raises
     ------

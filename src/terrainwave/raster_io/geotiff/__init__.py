@@ -1,1 +1,1 @@
-"""GeoTIFFs as they are written, and what lies beside them."""
+"""Writing of GeoTIFFs and of files next to them."""

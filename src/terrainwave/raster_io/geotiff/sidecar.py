@@ -20,9 +20,9 @@ from terrainwave.raster_io.tags import is_statistic
 from terrainwave.raster_io.vrt.copied import unreported
 
 SIDECAR = ".aux.xml"
-# Elements of a band that hold what was measured.
+# Elements of a band that hold statistics.
 _MEASURED = ("Histograms", "Minimum", "Maximum")
-# Domains of what a .twz file itself says, which GDAL copies.
+# Domains with a .twz file's own properties, which GDAL copies.
 _OF_TWZ = ("TERRAINWAVE", "json:TERRAINWAVE", "IMAGE_STRUCTURE")
 
 
@@ -36,10 +36,10 @@ def read_place(path: str | os.PathLike[str]) -> tuple[CRS | None, str | None, fl
 
 
 def forget_measured(path: str | os.PathLike[str]) -> list[str]:
-    """Remove what GDAL measured of a raster whose heights have changed; return notes.
+    """Remove GDAL's statistics of a raster whose heights have changed; return notes.
 
-    Statistics and histograms go from the .aux.xml next to it, and overviews with their file. What
-    else the .aux.xml holds stays.
+    Statistics and histograms are removed from the .aux.xml next to it, and overviews with their
+    file. The rest of the .aux.xml stays.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def forget_measured(path: str | os.PathLike[str]) -> list[str]:
 
 
 def _drop_measured(element: Any) -> None:
-    """Drop measured values from an element of GDAL's, and what they leave empty."""
+    """Remove statistics from an element, and elements that become empty."""
     for child in list(element):
         _drop_measured(child)
         is_domain = child.tag == "Metadata" and child.get("domain") in _OF_TWZ
@@ -79,9 +79,7 @@ def _drop_measured(element: Any) -> None:
 def write_beside(
     path: str | os.PathLike[str], crs: CRS, unit: str | None, epoch: float | None = None
 ) -> None:
-    """Write the CRS, its epoch and the unit of a raster's band into the .aux.xml beside it.
-
-    GDAL reads it first.
+    """Write CRS, epoch and unit of a raster's band to its .aux.xml, which GDAL reads first.
 
     Raises
     ------
@@ -106,7 +104,7 @@ def _write(target: Path, content: Any) -> None:
 
 
 def _as_gdal_writes_it(crs: CRS) -> Any:
-    """Return the element of a CRS: that of a PNG, all of whose place is in the file beside it."""
+    """Return GDAL's element for a CRS, copied from the .aux.xml of a PNG."""
     with tempfile.TemporaryDirectory() as directory, bounded_env(), warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         name = Path(directory) / "place.png"

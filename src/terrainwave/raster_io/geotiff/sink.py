@@ -39,10 +39,10 @@ from terrainwave.raster_io.gdal import (
 from terrainwave.raster_io.raster_info import RasterInfo, stored_nodata
 from terrainwave.raster_io.tags import DOMAIN, PLAIN_COLORS, writable_tags
 
-# Samples a side of a GeoTIFF's tile.
+# Side of a GeoTIFF's tile, in samples.
 TILE = 512
 
-# Bytes; where fewer are free, a disk is asked whether it takes so many.
+# With fewer free bytes, a disk is tested by writing this many.
 _NEARLY_FULL = 64 << 10
 
 # Compressed output may be far smaller than its raw size; below this share it cannot fit.
@@ -50,7 +50,7 @@ _SMALLEST_SHARE = 0.05
 
 
 def geotiff_profile(info: RasterInfo) -> dict[str, Any]:
-    """Return the profile by which rasterio creates a tiled GeoTIFF; no compression."""
+    """Return rasterio's profile of a tiled GeoTIFF without compression."""
     profile: dict[str, Any] = {
         "driver": "GTiff",
         "height": info.n_rows,
@@ -63,14 +63,15 @@ def geotiff_profile(info: RasterInfo) -> dict[str, Any]:
         "blockxsize": TILE,
         "blockysize": TILE,
     }
-    # With a CRS it is a place as any other: rasters without one have no CRS (dataset.is_placed).
+    # With a CRS the identity is a real transform: rasters without transform have no CRS
+    # (dataset.is_placed).
     if info.transform != IDENTITY or info.crs is not None:
         profile["transform"] = Affine(*info.transform)
     return profile
 
 
 def band_tags_of(info: RasterInfo) -> dict[str, str]:
-    """Return the band's tags, with what its numbers are; the file's own word counts."""
+    """Return the band's tags with the meaning of its numbers; own tags take precedence."""
     tags = dict(writable_tags(info.band_tags))
     if info.heights_are in (DEPTH, HEIGHT):
         tags = {name: value for name, value in tags.items() if name.lower() != POSITIVE}
@@ -79,7 +80,7 @@ def band_tags_of(info: RasterInfo) -> dict[str, str]:
 
 
 def write_description(dataset: Any, info: RasterInfo) -> None:
-    """Write all that a raster says of itself besides its profile."""
+    """Write a raster's metadata other than its profile."""
     dataset.update_tags(**dict(writable_tags(info.tags)))
     dataset.update_tags(1, **band_tags_of(info))
     color = info.color_interpretation
@@ -97,7 +98,7 @@ def write_description(dataset: Any, info: RasterInfo) -> None:
 
 
 class _Written(NamedTuple):
-    """A window that was written, and checksums of its heights and of its mask, if it has one."""
+    """A written window, and checksums of its heights and of its mask, if any."""
 
     window: Window
     crc: int
@@ -105,9 +106,9 @@ class _Written(NamedTuple):
 
 
 class _Threads:
-    """How many threads GDAL may compress with.
+    """Number of threads that GDAL may compress with.
 
-    A fork does not take GDAL's own along, and GDAL would wait for them for ever.
+    A fork does not copy GDAL's threads, and GDAL would wait for them forever.
     """
 
     def __init__(self) -> None:
@@ -115,11 +116,10 @@ class _Threads:
         renew_after_fork(self)
 
     def renew(self) -> None:
-        """Begin anew after a fork."""
         self._are_gone = self._are_there
 
     def allowed(self, n_threads: int) -> int:
-        """Return how many of `n_threads` GDAL may have: one where it had some before a fork."""
+        """Return how many of `n_threads` GDAL may use: one if it had threads before a fork."""
         if self._are_gone:
             return 1
         self._are_there |= n_threads > 1
@@ -130,14 +130,14 @@ _THREADS = _Threads()
 
 
 class RasterSink:
-    """A GeoTIFF written window by window, which appears at its place complete or not at all.
+    """GeoTIFF written window by window; it appears complete or not at all.
 
     Parameters
     ----------
     path : path
         The target; an existing one is refused without `overwrite`.
     info : RasterInfo
-        Size, type and all else that the file shall carry.
+        Size, type and metadata of the file.
     cog : bool
         Make a cloud-optimised GeoTIFF: overviews are averages of the grid written here.
     overwrite : bool
@@ -145,7 +145,7 @@ class RasterSink:
     n_threads : int
         Threads that GDAL compresses with.
     stated : mapping of str, optional
-        Items of the band's metadata, in `DOMAIN`. GDAL does not take them into a COG.
+        Items of the band's metadata, in `DOMAIN`. GDAL does not copy them into a COG.
 
     Raises
     ------
@@ -155,12 +155,12 @@ class RasterSink:
     Notes
     -----
     Used as a context manager: leaving it normally publishes the file, leaving it by an exception
-    removes what was written. Windows may come in any order, each sample once; those of `blocks`
-    waste nothing. Where the nodata value marks voids, windows that are void as a whole may be left
-    out: their tiles take no bytes. Before the file is published all windows are read back: GDAL
-    keeps errors of its threads, and of what it writes last, to itself, and puts zeros in place of
-    tiles that failed.
-    Memory: one window and GDAL's cache. A COG needs room for the file twice while it is made.
+    removes the unfinished file. Windows may come in any order, each sample once; windows of
+    `blocks` are the most efficient. If a nodata value marks voids, entirely void windows may be
+    left out: their tiles take no bytes. All windows are read back before the file is published,
+    because GDAL hides errors of its threads and of its last writes, and puts zeros in place of
+    failed tiles. Memory: one window and GDAL's cache. While a COG is made it needs twice the size
+    of the file on disk.
     """
 
     def __init__(
@@ -225,7 +225,7 @@ class RasterSink:
 
     @property
     def may_be_sparse(self) -> bool:
-        """Say whether windows that are void may be left out: they read as the nodata value."""
+        """Return whether void windows may be left out: they read as the nodata value."""
         return self.info.nodata is not None and self.info.mask_kind != "mask" and not self._cog
 
     def blocks(self, max_samples: int = SCAN_SAMPLES) -> Iterator[Region]:
@@ -254,7 +254,7 @@ class RasterSink:
         n_rows, n_cols = heights.shape
         window = Window(col, row, n_cols, n_rows)
         try:
-            # A mask in the file itself: a .msk beside it would not be renamed with it.
+            # The mask is internal: a .msk file would not be renamed with the raster.
             with self._lock, bounded_env(GDAL_TIFF_INTERNAL_MASK=True):
                 heights = np.ascontiguousarray(heights, dtype=self._dtype)
                 self._dataset.write(heights, 1, window=window)
@@ -265,8 +265,8 @@ class RasterSink:
                 self._written.append(_Written(window, zlib.crc32(heights.data), mask_crc))
         except GDAL_ERRORS as error:
             raise self._cannot_write(error) from error
-        # GDAL's threads don't tell: all windows would be written, with a line of libtiff's for each
-        # tile.
+        # GDAL's threads report no errors: all windows would be written, with a message of libtiff
+        # for each tile.
         if self._n_threads > 1 and _is_full(self._part.parent):
             raise self._full_disk()
 
@@ -287,7 +287,7 @@ class RasterSink:
                 raise self._cannot_write(error) from error
 
     def abort(self) -> None:
-        """Remove what was written; the target stays as it was."""
+        """Remove the unfinished file; the target is untouched."""
         with contextlib.suppress(*GDAL_ERRORS):
             self._dataset.close()
         with contextlib.suppress(_Aborted), self._files:
@@ -311,8 +311,8 @@ class RasterSink:
     def _check_complete(self, part: Path) -> None:
         """Raise StorageError unless every tile lies inside the file and holds what was written.
 
-        GDAL writes the last tiles when the dataset is closed, and rasterio ignores the result: on
-        a full disk `close` succeeds.
+        GDAL writes the last tiles when the dataset is closed, and rasterio ignores the result: on a
+        full disk `close` succeeds.
         """
         with bounded_env(), warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -341,11 +341,11 @@ class RasterSink:
         return cannot_write(self._path, _refusal(self._part.parent) or full)
 
     def _cannot_write(self, error: BaseException) -> StorageError:
-        # GDAL says where it has failed to write, and libtiff keeps the reason to itself.
+        # GDAL reports where it failed to write, but libtiff hides the reason.
         return cannot_write(self._path, _refusal(self._part.parent) or one_line(error))
 
     def _remove_overviews(self) -> None:
-        """Remove what GDAL makes beside a COG while it computes overviews."""
+        """Remove the file that GDAL makes next to a COG while it computes overviews."""
         for path in beside(self._target):
             with contextlib.suppress(OSError):
                 path.unlink()
@@ -366,12 +366,12 @@ class RasterSink:
 
 
 def _is_full(folder: Path) -> bool:
-    """Say whether a disk takes nothing any more: what looks free may not be, and the reverse."""
+    """Return whether a disk accepts no more data; the reported free space may be wrong."""
     return shutil.disk_usage(folder).free < _NEARLY_FULL and _refusal(folder) is not None
 
 
 def _refusal(folder: Path) -> OSError | None:
-    """Return what the system says to some bytes in a directory; None if it takes them."""
+    """Return the system's error for a test write to a directory; None if it succeeds."""
     try:
         with tempfile.TemporaryFile(dir=folder, buffering=0) as file:
             n_bytes = 0
@@ -383,7 +383,7 @@ def _refusal(folder: Path) -> OSError | None:
 
 
 def _holds_all_tiles(path: Path, *, may_be_sparse: bool) -> bool:
-    """Say whether all tiles lie inside a file; those of voids may be missing in a sparse one."""
+    """Return whether all tiles lie inside a file; in a sparse one, void tiles may be missing."""
     size = path.stat().st_size
     with rasterio.open(path) as dataset:
         for (row, col), _ in dataset.block_windows(1):
@@ -397,4 +397,4 @@ def _holds_all_tiles(path: Path, *, may_be_sparse: bool) -> bool:
 
 
 class _Aborted(Exception):
-    """Leaves `publish` as a failure does."""
+    """Makes `publish` behave as after a failure."""

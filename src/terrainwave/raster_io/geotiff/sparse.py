@@ -1,7 +1,7 @@
-"""The head of an uncompressed GeoTIFF whose tiles are made when they are read.
+"""Head of an uncompressed GeoTIFF whose tiles are computed when they are read.
 
-GDAL writes a sparse file, which is a head and no tiles; here each directory's tiles get places
-behind it, one after the other. So all that a GeoTIFF may carry is GDAL's, and none of it ours.
+GDAL writes a sparse file, which has a head and no tiles; this module assigns consecutive offsets
+after the head to each directory's tiles. So GDAL writes all of a GeoTIFF's metadata.
 """
 
 import struct
@@ -30,21 +30,21 @@ _TILE_WIDTH, _TILE_LENGTH, _TILE_OFFSETS, _TILE_BYTES = 322, 323, 324, 325
 _FORMATS = {3: "<H", 4: "<I", 16: "<Q"}
 _IS_MASK = 4
 _UNCOMPRESSED = 1
-# Tiles begin at a multiple of it. GDAL asks over HTTP for whole pieces of this size: no tile is in
-# that of the head.
+# Alignment of tiles. GDAL requests pieces of this size over HTTP: no tile shares one with the head.
 _ALIGNMENT = 1 << 14
-# Above this, 32-bit offsets don't reach: heads are far smaller than what is kept free.
+# Above this, 32-bit offsets are too small; the rest is ample for the head.
 _MOST_CLASSIC = (1 << 32) - (1 << 28)
-# Tiles of the full grid: above the first number they are made larger, above the second there are
-# none. A head has 16 bytes for each, for overviews a third more, for a mask as many again.
+# Tiles of the full grid: above the first number tiles are made larger, above the second the file is
+# refused. A head has 16 bytes for each tile, a third more for overviews, and as much again for a
+# mask.
 _MANY_TILES, _MOST_TILES = 1 << 19, 1 << 21
 
 
 class Plane(NamedTuple):
-    """A directory of the file: heights or mask, of the full grid or of an overview.
+    """Directory of the file: heights or mask, of the full grid or of an overview.
 
-    Samples are averages of 2^`shift` a side; tiles of `tile` samples a side begin at byte `start`,
-    `tile_bytes` each, row by row.
+    Samples are averages of 2^`shift` per side; tiles of `tile` samples per side begin at byte
+    `start`, `tile_bytes` each, row by row.
     """
 
     shift: int
@@ -56,22 +56,21 @@ class Plane(NamedTuple):
 
     @property
     def n_across(self) -> int:
-        """Return how many tiles a row has."""
+        """Return the number of tiles in a row."""
         return -(-self.shape[1] // self.tile)
 
     @property
     def n_tiles(self) -> int:
-        """Return how many tiles there are."""
         return self.n_across * -(-self.shape[0] // self.tile)
 
     @property
     def stop(self) -> int:
-        """Return the byte after the last tile."""
+        """Return the offset after the last tile."""
         return self.start + self.n_tiles * self.tile_bytes
 
 
 class _Entry(NamedTuple):
-    """A tag of a directory: where its value lies, and what it is if it is one number."""
+    """Tag of a directory: the offset of its value, and the value if it is one number."""
 
     place: int
     value: int | None
@@ -80,7 +79,7 @@ class _Entry(NamedTuple):
 def sparse_geotiff(
     info: RasterInfo, n_overviews: int, stated: Mapping[str, str]
 ) -> tuple[bytes, list[Plane]]:
-    """Return the head of a GeoTIFF and where its tiles lie; coarse ones come first.
+    """Return the head of a GeoTIFF and its planes, the coarsest first.
 
     Parameters
     ----------
@@ -115,12 +114,12 @@ def sparse_geotiff(
 
 
 def _tile_side(info: RasterInfo) -> int:
-    """Return the side of the tiles: a head says of each where it lies, and is read whole.
+    """Return the side of the tiles: the head, which is read whole, has an entry for each tile.
 
     Raises
     ------
     LimitExceededError
-        If the largest tiles are too many.
+        If there are too many tiles of the largest size.
     """
     for side in (TILE, 2 * TILE, 4 * TILE):
         n_tiles = -(-info.n_rows // side) * -(-info.n_cols // side)
@@ -135,10 +134,10 @@ def _tile_side(info: RasterInfo) -> int:
 def _written_by_gdal(
     info: RasterInfo, n_overviews: int, stated: Mapping[str, str], is_big: bool, tile: int
 ) -> bytearray:
-    """Return a sparse file of a small raster, 2 << `n_overviews` samples a side.
+    """Return a sparse file of a small raster, 2 << `n_overviews` samples per side.
 
-    Nothing in it depends on the size but the directories' own numbers; GDAL would look at all tiles
-    of a large one.
+    Only the directories' own numbers depend on the size, and GDAL would visit all tiles of a large
+    one.
     """
     side = 2 << n_overviews
     profile = geotiff_profile(replace(info, n_rows=side, n_cols=side)) | {
@@ -148,7 +147,7 @@ def _written_by_gdal(
         "bigtiff": "YES" if is_big else "NO",
         "endianness": "LITTLE",
     }
-    # Overviews have tiles of a size of their own.
+    # Overviews have a tile size of their own.
     options = {
         "GDAL_TIFF_INTERNAL_MASK": True,
         "SPARSE_OK_OVERVIEW": True,
@@ -207,7 +206,7 @@ def _plane_of(fields: dict[int, _Entry], shift: int, shape: tuple[int, int]) -> 
 
 
 def _describe(head: bytearray, fields: dict[int, _Entry], plane: Plane, is_big: bool) -> None:
-    """Let a directory say how large its plane is and where its tiles lie."""
+    """Set size and tile offsets of a plane in its directory."""
     offsets = plane.start + plane.tile_bytes * np.arange(plane.n_tiles, dtype=np.uint64)
     for tag, values in (
         (_LENGTH, np.array(plane.shape[:1])),
@@ -220,7 +219,7 @@ def _describe(head: bytearray, fields: dict[int, _Entry], plane: Plane, is_big: 
 
 
 def _put(head: bytearray, entry: _Entry, values: NDArray[np.integer], is_big: bool) -> None:
-    """Let an entry hold values; several lie at the end of the head."""
+    """Set the values of an entry; several values are stored at the end of the head."""
     data = values.astype("<u8" if is_big else "<u4").tobytes()
     link = "<Q" if is_big else "<I"
     struct.pack_into("<H", head, entry.place + 2, 16 if is_big else 4)

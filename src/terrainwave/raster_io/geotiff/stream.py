@@ -1,4 +1,4 @@
-"""Bytes that are made when they are read, as a binary file object that rasterio opens."""
+"""Bytes computed when they are read, as a binary file object that rasterio opens."""
 
 import io
 import threading
@@ -7,17 +7,15 @@ from typing import Any, NoReturn, Protocol
 import rasterio
 from rasterio.io import MemoryFile
 
-# GDAL asks for what may lie beside a file: .aux.xml, .ovr, .msk. There is nothing.
+# GDAL also looks for .aux.xml, .ovr and .msk files, which do not exist.
 _ENDINGS = (".tif", ".tiff")
 
 
 class Bytes(Protocol):
-    """What can be read at any place, by several threads at once."""
+    """Data that can be read at any offset, by several threads at once."""
 
     @property
-    def size(self) -> int:
-        """Return the number of bytes."""
-        ...
+    def size(self) -> int: ...
 
     def read_at(self, place: int, n_bytes: int) -> bytes:
         """Return `n_bytes` from byte `place` on, fewer at the end."""
@@ -25,10 +23,11 @@ class Bytes(Protocol):
 
 
 class GeoTIFFStream(MemoryFile):  # type: ignore[misc]
-    """A GeoTIFF as a binary file object that can be read and sought; thread-safe.
+    """A GeoTIFF as a seekable binary file object; thread-safe.
 
-    ``rasterio.open(stream)`` reads what is asked for: rasterio would read any other file object
-    into memory, but asks a `MemoryFile` to open itself. `opener` is for what takes a path and one.
+    ``rasterio.open(stream)`` reads only the requested parts: rasterio reads other file objects into
+    memory, but lets a `MemoryFile` open itself. `opener` is for functions that take a path and an
+    opener.
     """
 
     def __init__(self, file: Bytes) -> None:
@@ -39,7 +38,7 @@ class GeoTIFFStream(MemoryFile):  # type: ignore[misc]
 
     def open(self, driver: str | None = None, sharing: bool = False, **options: Any) -> Any:
         """Open the GeoTIFF with rasterio, which calls this."""
-        # A name of its own: openers go by names.
+        # A unique name: openers are identified by names.
         name = self.name.rsplit("/", 1)[-1]
         return rasterio.open(name, driver=driver, sharing=sharing, opener=self.opener, **options)
 
@@ -49,7 +48,7 @@ class GeoTIFFStream(MemoryFile):  # type: ignore[misc]
         Raises
         ------
         FileNotFoundError
-            Unless the path ends as that of a GeoTIFF: nothing lies beside it.
+            Unless the path ends like that of a GeoTIFF: no other files exist.
         """
         if not path.endswith(_ENDINGS) or "r" not in mode:
             raise FileNotFoundError(path)
@@ -59,23 +58,20 @@ class GeoTIFFStream(MemoryFile):  # type: ignore[misc]
         return self._file.size
 
     def readable(self) -> bool:
-        """Say yes."""
         return True
 
     def seekable(self) -> bool:
-        """Say yes."""
         return True
 
     def writable(self) -> bool:
-        """Say no."""
         return False
 
     def write(self, data: Any) -> NoReturn:  # noqa: ARG002, as files have it
-        """Refuse to write."""
+        """Raise, as the stream is read-only."""
         raise io.UnsupportedOperation("a GeoTIFF that is made when it is read cannot be written")
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        """Move to a byte counted from the start, the present one or the end; return it."""
+        """Move to an offset from start, current position or end; return the new position."""
         with self._lock:
             start = {io.SEEK_SET: 0, io.SEEK_CUR: self._place, io.SEEK_END: self._file.size}
             if whence not in start or start[whence] + offset < 0:
@@ -84,11 +80,10 @@ class GeoTIFFStream(MemoryFile):  # type: ignore[misc]
             return self._place
 
     def tell(self) -> int:
-        """Return the present byte."""
         return self._place
 
     def read(self, size: int | None = -1) -> bytes:
-        """Return `size` bytes from the present one on, or all that are left."""
+        """Return `size` bytes from the current position, or all that are left."""
         with self._lock:
             left = max(self._file.size - self._place, 0)
             n_bytes = left if size is None or size < 0 else min(size, left)
@@ -97,7 +92,7 @@ class GeoTIFFStream(MemoryFile):  # type: ignore[misc]
             return data
 
     def readinto(self, buffer: Any) -> int:
-        """Fill a buffer from the present byte on; return how many bytes there were."""
+        """Fill a buffer from the current position; return the number of bytes read."""
         data = self.read(len(buffer))
         buffer[: len(data)] = data
         return len(data)

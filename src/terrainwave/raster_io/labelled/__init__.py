@@ -1,8 +1,8 @@
-"""What the names and attributes of xarray's objects say: which dimension is x, where samples lie.
+"""Names and attributes of xarray's objects: dimensions x and y, positions of samples.
 
-By names alone, as xarray is no dependency: `array` is whatever has dims, coords and attrs. What is
-said is taken as the CF conventions and rioxarray mean it; what is not said is refused or noted,
-never guessed.
+xarray is not a dependency: `array` is any object with dims, coords and attrs. Statements are read
+as the CF conventions and rioxarray define them; missing ones lead to an error or a note, never to a
+guess.
 """
 
 import contextlib
@@ -33,7 +33,7 @@ from terrainwave.raster_io.labelled.signs import (
 
 
 class LabelledArray(NamedTuple):
-    """Rows and columns of one array, and what its coordinates, attributes and accessor say."""
+    """Rows and columns of one array, with its coordinates, attributes and accessor interpreted."""
 
     array: Any  # rows, then columns
     transform: Transform
@@ -42,12 +42,12 @@ class LabelledArray(NamedTuple):
 
 
 def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> LabelledArray:
-    """Return the one layer of heights that a DataArray holds; `source` is what it was taken from.
+    """Return the only layer of heights in a DataArray; `source` is the object it was taken from.
 
     Raises
     ------
     InvalidHeightsError
-        If there are several layers, or nothing says which dimension is x, or where samples lie.
+        If there are several layers, or x, y or the positions of samples are not stated.
     InvalidArgumentError
         If there is no such band.
     """
@@ -77,11 +77,11 @@ def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> Label
     return LabelledArray(layer, transform, format_crs(crs), notes)
 
 
-# Which variable.
+# Variable.
 
 
 def variable_of(source: Any) -> Any:
-    """Return the DataArray of heights: `source` itself, or the only such variable that it has.
+    """Return the DataArray of heights: `source` itself, or its only variable of heights.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def variable_of(source: Any) -> Any:
     if len(found) == 1:
         array = source[found[0]]
         mapping = mapping_name(array)
-        # As opened without decode_coords="all": the CRS lies beside the heights.
+        # Opened without decode_coords="all", the Dataset has the CRS as a variable.
         if mapping in source.variables and mapping not in array.coords:
             array = array.assign_coords({mapping: source[mapping].variable})
         return array
@@ -135,11 +135,11 @@ def _describing(dataset: Any) -> set[str]:
     return names
 
 
-# Which dimension.
+# Dimension.
 
 
 def _roles(array: Any, source: Any) -> dict[str, Any]:
-    """Return the dimensions that are x and y, as far as anything says so, by the strongest sign."""
+    """Return the dimensions x and y as far as stated, by the strongest sign."""
     roles = _by_accessor(array, source)
     for sign in (by_axis, by_standard_name, by_units, None, by_name):
         found: dict[str, list[Any]] = {"x": [], "y": []}
@@ -163,12 +163,12 @@ def _roles(array: Any, source: Any) -> dict[str, Any]:
 
 
 def _by_accessor(array: Any, source: Any) -> dict[str, Any]:
-    """Return what rioxarray was told, or finds."""
+    """Return the dimensions that rioxarray was given, or finds."""
     roles: dict[str, Any] = {}
     for owner in (array, source):
         accessor = getattr(owner, "rio", None)
         for role in ("x", "y"):
-            # A RuntimeError of rioxarray's own, where it knows of none.
+            # rioxarray raises its own RuntimeError if it finds none.
             with contextlib.suppress(AttributeError, RuntimeError):
                 dim = getattr(accessor, f"{role}_dim")
                 if dim in array.dims:
@@ -177,7 +177,7 @@ def _by_accessor(array: Any, source: Any) -> dict[str, Any]:
 
 
 def _unnamed(array: Any, roles: dict[str, Any], *, may_guess: bool) -> dict[str, Any]:
-    """Return the roles of dimensions that nothing names: by places of samples, or their order."""
+    """Return the roles of unnamed dimensions, by positions of samples or their order."""
     dims = tuple(dim for dim in array.dims if dim != "band")
     places = places_of(array)
     if places is not None:
@@ -209,7 +209,7 @@ def _how_to_tell(array: Any) -> str:
 
 
 def _only_layer(array: Any, roles: dict[str, Any], band: int) -> tuple[Any, list[str]]:
-    """Return the array without dimensions besides x and y: the band asked for, or the only one."""
+    """Return the array with only x and y: the requested band, or the only one."""
     key: list[Any] = []
     notes: list[str] = []
     has_bands = False

@@ -1,4 +1,4 @@
-"""Scale and offset of an array: those that its numbers still need."""
+"""Scale and offset of an array that its numbers still need."""
 
 import contextlib
 import re
@@ -13,7 +13,7 @@ from terrainwave.raster_io.labelled.signs import title
 class Packing(NamedTuple):
     """Scale and offset of an array's numbers.
 
-    `applied` are those of the attributes where somebody has applied them already.
+    `applied` are those of the attributes if they have been applied already.
     """
 
     scale: float
@@ -23,11 +23,11 @@ class Packing(NamedTuple):
 
 
 def packing_of(array: Any) -> Packing:
-    """Return what attributes and encoding of a DataArray say of scale and offset.
+    """Return scale and offset by attributes and encoding of a DataArray.
 
-    xarray moves both from the attributes to the encoding when it applies them; a calculation leaves
-    them among the attributes, and drops the encoding. So floats are packed only where the encoding
-    has their type in the file.
+    xarray moves both from the attributes to the encoding when it applies them; a calculation keeps
+    them in the attributes, and drops the encoding. So floats are packed only if the encoding gives
+    float as their type in the file.
     """
     attrs, encoding = array.attrs, getattr(array, "encoding", {})
     found = number_of(attrs, "scale_factor", 1.0), number_of(attrs, "add_offset", 0.0)
@@ -47,14 +47,14 @@ def packing_of(array: Any) -> Packing:
 
 
 def _is_as_opened(dtype: Any, encoding: Any) -> bool:
-    """Say whether floats have the type in the file, or are rioxarray's masked whole numbers."""
+    """Return whether floats have the file's type, or are rioxarray's masked whole numbers."""
     in_file = encoding.get("rasterio_dtype", encoding.get("dtype"))
     is_masked = {"rasterio_dtype", "dtype"} <= set(encoding)
     return in_file is not None and (is_masked or np.dtype(in_file) == dtype)
 
 
 def numbers_of(value: Any) -> list[int | float]:
-    """Return the numbers of an attribute, which may be one or several, or text."""
+    """Return the numbers of an attribute, which may be one, several, or text."""
     if value is None or isinstance(value, bool):
         return []
     with contextlib.suppress(TypeError, ValueError):
@@ -67,7 +67,7 @@ def numbers_of(value: Any) -> list[int | float]:
 
 
 def number_of(fields: Any, name: str, default: float) -> float:
-    """Return the one number that an attribute has.
+    """Return an attribute as one number.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Where the samples of an array lie: by its coordinates, its grid mapping, its accessor."""
+"""Positions of an array's samples: by its coordinates, its grid mapping, its accessor."""
 
 import contextlib
 import math
@@ -35,7 +35,7 @@ from terrainwave.raster_io.labelled.signs import (
     title,
 )
 
-# Metres in units that coordinates of projected systems are in; an angle has none.
+# Metres per unit of projected coordinates; an angle has none.
 _METRES = (
     dict.fromkeys(("m", "metre", "meter", "metres", "meters"), 1.0)
     | dict.fromkeys(("km", "kilometre", "kilometer", "kilometres", "kilometers"), 1000.0)
@@ -53,7 +53,7 @@ def mapping_of(array: Any) -> dict[str, Any]:
 
 
 def crs_of(array: Any, source: Any) -> tuple[CRS | None, list[str]]:
-    """Return the CRS, and what should be known of it."""
+    """Return the CRS, and notes on it."""
     for owner in (array, source):
         with contextlib.suppress(AttributeError):
             if owner.rio.crs is not None:
@@ -79,7 +79,7 @@ def crs_of(array: Any, source: Any) -> tuple[CRS | None, list[str]]:
 
 
 def _plain_crs(told: Any) -> CRS | None:
-    """Return the CRS of an attribute `crs`, which rioxarray reads where it is imported."""
+    """Return the CRS of an attribute `crs`, which rioxarray reads when it is imported."""
     if hasattr(told, "to_wkt"):
         told = told.to_wkt()
     return parse_crs(told) if isinstance(told, str) else None
@@ -97,7 +97,7 @@ def _crs_of_mapping(mapping: dict[str, Any]) -> tuple[CRS | None, list[str]]:
 
 
 def stored_transform(array: Any) -> Transform | None:
-    """Return the transform that is stored beside the CRS, in the order of `affine`."""
+    """Return the transform stored with the CRS, in the order of `affine`."""
     text = str(mapping_of(array).get("GeoTransform", "")).split()
     if len(text) != 6:
         return None
@@ -109,7 +109,7 @@ def stored_transform(array: Any) -> Transform | None:
 
 
 class ToldTransform(NamedTuple):
-    """The attribute `transform`, and the shape of the raster that it was written for, if told."""
+    """The attribute `transform`, and the shape of its raster, if stated."""
 
     transform: Transform
     shape: tuple[int, int] | None
@@ -136,17 +136,17 @@ def told_transform(array: Any, source: Any) -> ToldTransform | None:
 def transform_of(
     array: Any, crs: CRS | None, told: ToldTransform | None
 ) -> tuple[Transform | None, list[str]]:
-    """Return where the pixels are, and notes: by coordinates and the transforms that are stored.
+    """Return the transform, by coordinates and stored transforms, and notes.
 
-    Coordinates are centres of pixels. The transform beside the CRS is exact, but stays as it was
-    when the array is cut, turned over or thinned out: the centres then tell which samples these
-    are. So does `told`, the attribute, by which coordinates may be corners, too. None if nothing
-    says where samples lie.
+    Coordinates are centres of pixels. The transform stored with the CRS is exact, but does not
+    change when the array is cut, flipped or thinned: the centres then show which samples these are.
+    So they do for `told`, the attribute, with which coordinates may also be corners. None if the
+    positions are unknown.
 
     Raises
     ------
     InvalidHeightsError
-        If the coordinates follow no affine transform, or are no numbers of the CRS.
+        If the coordinates follow no affine transform, or are not numbers of the CRS.
     """
     shape = array.shape[0], array.shape[1]
     stored = stored_transform(array)
@@ -166,7 +166,7 @@ def transform_of(
         names = " and ".join(str(place.name) for place in places)
         _check_even(array, f"{names} are", fit)
     elif stored is not None and is_turned(stored, shape):
-        # As rioxarray does: coordinates of one number can't tell a turned grid.
+        # As in rioxarray: one coordinate cannot reveal a rotated grid.
         return stored, []
     else:
         (y_name, y), (x_name, x) = axes
@@ -190,7 +190,7 @@ def transform_of(
             return by_told, notes
     strides = None if stored is None else strides_on(fit.transform, shape, stored)
     if stored is not None and strides is not None:
-        # The identity is what rasterio gives where a file has none.
+        # rasterio returns the identity if a file has no transform.
         return None if stored == IDENTITY else of_strides(stored, *strides), notes
     for size, dim in zip(shape, array.dims):
         if size == 1:
@@ -203,7 +203,7 @@ def transform_of(
 
 
 def _without_coordinates(array: Any, told: ToldTransform) -> tuple[Transform | None, list[str]]:
-    """Return the attribute's transform where nothing says that the array was cut since."""
+    """Return the attribute's transform if nothing shows that the array was cut since."""
     shape = tuple(array.shape)
     if told.shape is None:
         return told.transform, [
@@ -219,10 +219,10 @@ def _without_coordinates(array: Any, told: ToldTransform) -> tuple[Transform | N
 
 
 def _by_told(array: Any, fitted: Transform, told: Transform) -> tuple[Transform | None, list[str]]:
-    """Return where pixels of the attribute's size lie, whose centres or corners coordinates are.
+    """Return the transform of pixels of the attribute's size with these centres or corners.
 
-    None, with a note, if the coordinates are of other pixels: averages of 2 x 2 centres look like
-    every second corner.
+    None, with a note, if the coordinates belong to other pixels: averages of 2 x 2 centres look
+    like every second corner.
     """
     shape = array.shape[0], array.shape[1]
     for shift in (0.0, -0.5):
@@ -241,7 +241,7 @@ def _by_told(array: Any, fitted: Transform, told: Transform) -> tuple[Transform 
 
 
 def _centres(array: Any, dim: Any, crs: CRS | None) -> tuple[str, NDArray[np.generic] | None]:
-    """Return the name and the numbers of a dimension's coordinate."""
+    """Return name and values of a dimension's coordinate."""
     for name, coord in coords_along(array, dim):
         centres = np.asarray(coord.values)
         if centres.dtype.kind in "iuf":
@@ -256,7 +256,7 @@ def _centres(array: Any, dim: Any, crs: CRS | None) -> tuple[str, NDArray[np.gen
 
 
 def _reader(places: tuple[Any, Any], dims: tuple[Any, Any]) -> Any:
-    """Return a function that gives x and y of some rows."""
+    """Return a function that returns x and y of some rows."""
     turned = [place.transpose(*dims) for place in places]
     return lambda row, n: tuple(place[row : row + n].values for place in turned)
 
@@ -264,7 +264,7 @@ def _reader(places: tuple[Any, Any], dims: tuple[Any, Any]) -> Any:
 def _check_unit(array: Any, name: str, coord: Any, crs: CRS | None) -> None:
     """Raise `InvalidHeightsError` if a coordinate is in another unit than the CRS.
 
-    Attributes stay when somebody writes another CRS: its numbers have to fit what it says.
+    Attributes survive when somebody sets another CRS, so the numbers have to fit it.
     """
     unit = str(coord.attrs.get("units", "")).lower()
     if crs is None:

@@ -1,9 +1,9 @@
-"""What says that a coordinate of an array is x or y, and how arrays are named in messages."""
+"""Signs that a coordinate of an array is x or y, and names of arrays in messages."""
 
 import re
 from typing import Any
 
-# What says that a coordinate is x or y, strongest first: attributes of the CF conventions, names.
+# Signs that a coordinate is x or y, strongest first: attributes of the CF conventions, names.
 _AXIS = {"x": {"x"}, "y": {"y"}}
 _STANDARD_NAMES = {
     "x": {"projection_x_coordinate", "longitude", "grid_longitude"},
@@ -29,7 +29,7 @@ NO_PLACE = "take the heights without place and CRS by georeference=False"
 
 
 def title(array: Any) -> str:
-    """Name an array in messages."""
+    """Return the name of an array for messages."""
     name = getattr(array, "name", None)
     return "the DataArray" if name is None else f"the DataArray {name}"
 
@@ -48,7 +48,7 @@ def sizes_of(array: Any) -> str:
 
 
 def coords_along(array: Any, dim: Any) -> list[tuple[Any, Any]]:
-    """Return names and coordinates along a dimension alone, its own one first."""
+    """Return names and coordinates that depend only on a dimension, its own one first."""
     found = [
         (name, coord)
         for name, coord in array.coords.items()
@@ -58,22 +58,22 @@ def coords_along(array: Any, dim: Any) -> list[tuple[Any, Any]]:
 
 
 def by_axis(_name: Any, coord: Any) -> list[str]:
-    """Return the roles that CF's attribute `axis` says."""
+    """Return the roles by CF's attribute `axis`."""
     return _said(coord.attrs.get("axis"), _AXIS)
 
 
 def by_standard_name(_name: Any, coord: Any) -> list[str]:
-    """Return the roles that CF's `standard_name` says."""
+    """Return the roles by CF's `standard_name`."""
     return _said(coord.attrs.get("standard_name"), _STANDARD_NAMES)
 
 
 def by_units(_name: Any, coord: Any) -> list[str]:
-    """Return the roles that units of longitudes and latitudes say."""
+    """Return the roles by units of longitude and latitude."""
     return _said(coord.attrs.get("units"), _UNITS)
 
 
 def by_name(name: Any, _coord: Any) -> list[str]:
-    """Take a name as it is, its first word (easting_m), or its end (nav_lat, XLONG, TLAT)."""
+    """Return the roles by the name, its first word (easting_m), or its end (nav_lat, XLONG)."""
     first, last = (re.split(r"[^A-Za-z]", str(name))[at] for at in (0, -1))
     end = _LAST_SYLLABLE.search(last.lower())
     return _said(name, _NAMES) or _said(first, _NAMES) or _said(end and end[0], _NAMES)
@@ -84,9 +84,9 @@ def _said(text: Any, table: dict[str, set[str]]) -> list[str]:
 
 
 def places_of(array: Any) -> tuple[Any, Any] | None:
-    """Return the coordinates that give each sample an x and a y, as turned and curved grids have.
+    """Return the coordinates with an x and a y for each sample, as rotated and curved grids have.
 
-    Projected ones first: there may be longitudes and latitudes besides.
+    Projected ones first: there may be longitudes and latitudes as well.
     """
     both = [coord for coord in array.coords.values() if len(tuple(getattr(coord, "dims", ()))) == 2]
     for sign in (by_standard_name, by_axis, by_units, by_name):
@@ -102,6 +102,6 @@ def places_of(array: Any) -> tuple[Any, Any] | None:
 
 
 def is_degrees(coord: Any) -> bool:
-    """Say whether a coordinate calls itself a longitude or a latitude."""
+    """Return whether a coordinate's attributes mark it as longitude or latitude."""
     name = str(coord.attrs.get("standard_name")).lower()
     return bool(by_units("", coord)) or name in ("longitude", "latitude")

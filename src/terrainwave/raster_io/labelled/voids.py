@@ -1,4 +1,4 @@
-"""Which values of an array mark voids, by its attributes, encoding and accessor."""
+"""Values that mark voids of an array, by its attributes, encoding and accessor."""
 
 import contextlib
 import math
@@ -12,7 +12,7 @@ from terrainwave.raster_io.labelled.signs import title
 
 
 class Voids(NamedTuple):
-    """The values that mark voids, in stored units, and the range of all others."""
+    """Values that mark voids, in stored units, and the valid range."""
 
     values: list[int | float]
     valid_range: tuple[float, float] | None
@@ -20,18 +20,18 @@ class Voids(NamedTuple):
 
 
 def voids_of(array: Any, band: int, packing: Packing) -> Voids:
-    """Return what the accessor, attributes and encoding of a DataArray declare to be void.
+    """Return the values that accessor, attributes and encoding of a DataArray declare void.
 
-    As the CF conventions allow, several values may. `array` is the very object that was given: what
-    its accessor was told, no part of it knows.
+    The CF conventions allow several. `array` must be the object that the user gave: parts of it
+    lack settings of its accessor.
     """
     attrs, encoding = array.attrs, getattr(array, "encoding", {})
     declared: list[Any] = []
     # rioxarray converts to the array's type, which may not hold it.
     with contextlib.suppress(AttributeError, OverflowError, RuntimeError, TypeError, ValueError):
-        if array.rio.nodata == array.rio.nodata:  # NaN stands for one of the encoding
+        if array.rio.nodata == array.rio.nodata:  # NaN stands for a value in the encoding
             declared.append(array.rio.nodata)
-    # Those of an encoding with a scale count in packed numbers: none of these is left.
+    # With a scale, the nodata values of the encoding are packed numbers: no height equals them.
     is_packed = bool({"scale_factor", "add_offset"} & set(encoding)) or _is_unsigned(encoding)
     if _is_unsigned(attrs) and array.dtype.kind == "i":
         raise InvalidHeightsError(
@@ -44,7 +44,7 @@ def voids_of(array: Any, band: int, packing: Packing) -> Voids:
         per_band = np.atleast_1d(np.asarray(fields.get("nodatavals", ()), dtype=object))
         declared += list(per_band[band - 1 : band] if per_band.size > 1 else per_band)
     numbers = [number for value in declared for number in numbers_of(value)]
-    if packing.applied is not None:  # to voids, too
+    if packing.applied is not None:  # also applied to voids
         scale, offset = packing.applied
         numbers += [number * scale + offset for number in numbers]
     values: dict[Any, int | float] = {}
@@ -55,7 +55,7 @@ def voids_of(array: Any, band: int, packing: Packing) -> Voids:
 
 
 def _is_unsigned(fields: Any) -> bool:
-    """Tell whether the convention of netCDF-3, which has no types without sign, is followed."""
+    """Return whether netCDF-3's convention for unsigned types is used."""
     return str(fields.get("_Unsigned", "")).lower() == "true"
 
 
@@ -65,10 +65,10 @@ _FILL_NAMES = ("_FillValue", "missing_value", "fill_value", "nodata")
 def _valid_range(
     attrs: Any, encoding: Any, dtype: np.dtype[Any], by_hand: bool
 ) -> tuple[tuple[float, float] | None, list[str]]:
-    """Return the range of valid values, in the numbers that the array holds, and a note.
+    """Return the range of valid values, in the numbers of the array, and a note.
 
-    The range is of packed numbers, unless it is of a wider type than these (CF 1.11, 2.5.1).
-    `by_hand`: the attributes' scale has been applied, to whole numbers as it seems.
+    The range is in packed numbers, unless its type is wider than theirs (CF 1.11, 2.5.1).
+    `by_hand`: the attributes' scale has been applied, apparently to whole numbers.
     """
     ends = numbers_of(attrs.get("valid_range"))
     if len(ends) != 2:

@@ -1,1 +1,1 @@
-"""GDAL's XML of datasets: rasters that are warped when they are read, and what only XML says."""
+"""GDAL's XML of datasets: warped rasters, and facts that only the XML states."""

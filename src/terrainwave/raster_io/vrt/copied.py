@@ -1,4 +1,4 @@
-"""Facts about a raster that rasterio does not report: GDAL writes them into a VRT copy."""
+"""Facts about a raster that rasterio does not report; GDAL writes them into a VRT copy."""
 
 import math
 import xml.etree.ElementTree as ET
@@ -12,19 +12,19 @@ from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env
 
 _TABLE = "its raster attribute table"
 _OTHERS = {"GDALRasterAttributeTable": _TABLE, "CategoryNames": "its category names"}
-# Esri's attribute table beside a raster, which GDAL reads in newer versions only.
+# Esri's attribute table of a raster, which only newer versions of GDAL read.
 _ESRI_TABLE = ".vat.dbf"
 
 
 class Unreported(NamedTuple):
-    """The epoch of a raster's CRS, and what else rasterio does not report of a band, in words."""
+    """The epoch of a raster's CRS, and other unreported facts about a band, in words."""
 
     coordinate_epoch: float | None = None
     others: tuple[str, ...] = ()
 
 
 def unreported(dataset: Any, band: int) -> Unreported:
-    """Return what rasterio does not report of a dataset's CRS and of a band."""
+    """Return the facts about a dataset's CRS and a band that rasterio does not report."""
     try:
         root = ET.fromstring(_vrt_of(dataset))
     except (*GDAL_ERRORS, ET.ParseError, UnicodeError):

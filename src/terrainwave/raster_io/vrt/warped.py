@@ -1,8 +1,8 @@
 """Rasters whose heights depend on the windows that are read, found by the XML of VRTs.
 
-GDAL's warper follows an approximation of the transformation that it makes for each window, within a
-tolerance, by default 0.125 pixels. With nearest neighbours a sample can then come from another
-pixel. Sources of a VRT that are resampled differ by the rounding of floats.
+For each window GDAL's warper uses an approximation of the transformation, within a tolerance, by
+default 0.125 pixels. With nearest neighbours a sample can then come from another pixel. Resampled
+sources of a VRT differ by the rounding of floats.
 """
 
 import os
@@ -16,11 +16,11 @@ from rasterio.vrt import WarpedVRT
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env
 
 _HEAD = b"<VRTDataset"
-# Before it a file may have a byte order mark and an XML declaration.
+# A file may begin with a byte order mark and an XML declaration.
 _HEAD_BYTES = 256
-# Bytes of a VRT that is looked through.
+# Largest VRT, in bytes, that is searched.
 _MOST_BYTES = 1 << 27
-# VRTs in VRTs that are looked through.
+# Largest depth of nested VRTs that are searched.
 _MOST_NESTED = 8
 _NAMES = ("SourceFilename", "SourceDataset")
 _DEPENDS = (
@@ -62,7 +62,7 @@ def remark_on_windows(dataset: Any) -> str | None:
 
 
 def remark_on_named(name: Any) -> str | None:
-    """Return the same for a raster that is read by other code, known by its name alone."""
+    """Return the same for a raster that other code reads, known only by its name."""
     text = str(name)
     if text.startswith("WarpedVRT("):
         return (
@@ -79,14 +79,14 @@ def remark_on_named(name: Any) -> str | None:
 
 
 def _kind_of(dataset: Any, seen: set[str], depth: int) -> str | None:
-    """Return "warped", "resampled" or "index" if reads depend on windows; None if they do not."""
+    """Return "warped", "resampled" or "index" if reads depend on windows; else None."""
     if dataset.driver == "GTI":
         return "index"
     if dataset.driver != "VRT":
         return None
     found: set[str] = set()
     inner = getattr(dataset, "src_dataset", None)
-    if isinstance(inner, WarpedVRT) and depth < _MOST_NESTED:  # which has no name to open it by
+    if isinstance(inner, WarpedVRT) and depth < _MOST_NESTED:  # it has no name to open it by
         found.add(_kind_of(inner, seen, depth + 1) or "")
     text = "".join(dataset.tags(ns="xml:VRT").values())
     if len(text) > _MOST_BYTES:
@@ -104,7 +104,7 @@ def _kind_of(dataset: Any, seen: set[str], depth: int) -> str | None:
             try:
                 with bounded_env(), rasterio.open(name) as source:
                     found.add(_kind_of(source, seen, depth + 1) or "")
-            except GDAL_ERRORS:  # reading says what is wrong
+            except GDAL_ERRORS:  # reading reports the error
                 continue
     return next((kind for kind in ("warped", "index", "resampled") if kind in found), None)
 
@@ -131,12 +131,12 @@ def _own_kinds(root: ET.Element) -> Iterator[str]:
 
 
 def _folder_of(name: str) -> str:
-    """Return the folder of a VRT, which its name or its connection string says."""
+    """Return the folder of a VRT, from its name or its connection string."""
     return "" if name.startswith("<") else os.path.dirname(name.removeprefix("vrt://"))
 
 
 def _sources(root: ET.Element, folder: str) -> Iterator[str]:
-    """Yield the names of a VRT's sources, relative ones from its folder."""
+    """Yield the names of a VRT's sources; relative names start at its folder."""
     for element in root.iter():
         if element.tag in _NAMES and element.text:
             is_relative = element.get("relativeToVRT", "0") == "1"

@@ -1,10 +1,10 @@
-"""Places in one large buffer: first fit over a list of free ranges."""
+"""Allocator of ranges in one large buffer: first fit over a list of free ranges."""
 
 from bisect import bisect
 
 
 class Arena:
-    """Hands out ranges of ``capacity`` items; neighbouring free ranges are joined."""
+    """Allocates ranges of ``capacity`` items; adjacent free ranges are joined."""
 
     def __init__(self, capacity: int) -> None:
         self.capacity = capacity
@@ -12,7 +12,7 @@ class Arena:
         self._free: list[tuple[int, int]] = [(0, capacity)] if capacity else []
 
     def take(self, size: int) -> int | None:
-        """Return the start of a range of `size` items, None if there is none."""
+        """Return the start of a range of `size` items, None if none is free."""
         if size == 0:
             return 0
         for index, (start, length) in enumerate(self._free):

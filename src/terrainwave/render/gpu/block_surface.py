@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _SLOPES, _INSTANCES, _HEIGHTS = OWN_UNIT, OWN_UNIT + 1, OWN_UNIT + 2
 _SKIRT = 1 << 15
 _VOID = np.float32(-1e38)
-_SMALLEST = 256  # instances to begin with
+_SMALLEST = 256  # initial instances
 
 # Row k of `instances` holds block k in four texels:
 # (x, y, z of its corner at z = 0, relative to the eye; share of the parent's surface)
@@ -65,7 +65,7 @@ void main() {
     v_grid = c.zw + full;
     gl_ClipDistance[0] = c.x - full.x;
     gl_ClipDistance[1] = c.y - full.y;
-    // A triangle with a void corner shrinks to nothing beside the others.
+    // A triangle with a void corner shrinks to a point.
     gl_ClipDistance[2] = is_void ? -1e9 : 1.0;
     gl_Position = view_projection * vec4(seen, 1.0);
 }
@@ -75,7 +75,7 @@ void main() {
 def grid_mesh(n: int) -> tuple[NDArray[np.uint16], NDArray[np.uint32]]:
     """Return the vertices (column, row) and triangles of n x n vertices, and of their skirts.
 
-    Cells are cut from their first corner to their last, as `regular.half_place` has it.
+    Cells are cut from their first corner to their last, as in `regular.half_place`.
     """
     numbers = np.arange(n * n, dtype=np.uint32).reshape(n, n)
     a, b = numbers[:-1, :-1].ravel(), numbers[:-1, 1:].ravel()
@@ -94,7 +94,7 @@ def grid_mesh(n: int) -> tuple[NDArray[np.uint16], NDArray[np.uint32]]:
 
 
 class BlockStore:
-    """A `PieceStore` of regular blocks: a layer each."""
+    """`PieceStore` of regular blocks: a layer each."""
 
     def __init__(self, context: Any, side: int, *, max_bytes: int) -> None:
         self.layers = LayeredTextures(context, side + 3, [SLOPES, HEIGHTS], max_bytes=max_bytes)
@@ -111,7 +111,6 @@ class BlockStore:
         return self.layers.n_bytes
 
     def put(self, node: int, built: "RegularBlock") -> bool:
-        """Upload a block; false if there is no room."""
         layer = self.layers.take() if built.n_triangles else -1
         if layer is None:
             return False
@@ -122,22 +121,20 @@ class BlockStore:
         return True
 
     def drop(self, node: int) -> None:
-        """Forget a block."""
         layer = self._layer_of.pop(node)
         if layer >= 0:
             self.layers.give_back(layer)
 
     def layers_of(self, nodes: NDArray[np.int32]) -> NDArray[np.int64]:
-        """Return the layer of each node; -1 where it is void."""
+        """Return the layer of each node; -1 if it is void."""
         return np.array([self._layer_of[node] for node in nodes.tolist()], dtype=np.int64)
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         self.layers.release()
 
 
 class BlockSurface:
-    """A `Surface` of regular blocks.
+    """`Surface` of regular blocks.
 
     Parameters
     ----------
@@ -212,7 +209,7 @@ class BlockSurface:
         return 1
 
     def _reach(self, n_blocks: int) -> None:
-        """Make room for the instances of `n_blocks`."""
+        """Allocate the instances of `n_blocks`."""
         if self._instances is not None and self._instances.size[1] >= n_blocks:
             return
         if self._instances is not None:
@@ -222,7 +219,6 @@ class BlockSurface:
         self._instances.filter = (moderngl.NEAREST, moderngl.NEAREST)
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         release_all(
             self._instances, self._array, self._places, self._triangles, self.program, self.store
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""A scene and a framebuffer that it is drawn into: for the window, or for pictures without one."""
+"""A scene with its own framebuffer, for the window or for pictures without one."""
 
 from typing import TYPE_CHECKING, Any, Self
 
@@ -30,7 +30,7 @@ _HELP = (
     "terrainwave render needs EGL and an OpenGL 3.3 driver; on Debian and Ubuntu: apt-get install"
     " libegl1 libgl1 libgl1-mesa-dri"
 )
-# Of the memory, at most this share is the drape.
+# The drape takes at most this fraction (1 / n) of the memory.
 _DRAPE_SHARE = 4
 
 
@@ -40,7 +40,7 @@ def create_context() -> Any:
     Raises
     ------
     TerrainwaveError
-        If moderngl or a driver is missing; one line that says what to install.
+        If moderngl or a driver is missing; the message says what to install.
     """
     moderngl = need("moderngl", extra="view", purpose="drawing")
     problems = []
@@ -62,7 +62,7 @@ def _open_photo(terrain: "TerrainFile", path: str) -> "Photo":
 def _from_above(
     frame: Frame, eye: NDArray[np.float64], region: Region, near: float, far: float
 ) -> NDArray[np.float64]:
-    """Return a projection of places relative to an eye, 4 x 4: a pixel for each sample.
+    """Return a projection of positions relative to an eye, 4 x 4: a pixel for each sample.
 
     Depths are those of heights from `near` to `far`.
     """
@@ -79,7 +79,7 @@ def _from_above(
 
 
 class Canvas:
-    """A scene with a framebuffer of its own, which the window shows and commands save.
+    """A scene with its own framebuffer, which the window shows and commands save.
 
     Parameters
     ----------
@@ -88,12 +88,12 @@ class Canvas:
     mode : str
         One of `terrainwave.render.modes.MODES`.
     drape : str, optional
-        Path or URL of an orthophoto to lie on the terrain, as of `raster_io.drape.Photo`.
+        Path or URL of an orthophoto to drape over the terrain, as for `raster_io.drape.Photo`.
     samples : int
-        Per pixel, against jagged edges; 0 none.
+        Samples per pixel, for smooth edges; 0 none.
     is_late : bool
-        Leave out the block under the terrain until `set_solid`, the orthophoto until the renderer's
-        `set_drape`, and where water is until its `set_water`: reading them may take long.
+        Leave out parts that may take long to read: the block under the terrain until `set_solid`,
+        the orthophoto until the renderer's `set_drape`, and water until its `set_water`.
     options
         Of `Scene`.
     """
@@ -111,15 +111,15 @@ class Canvas:
         is_late: bool = False,
         **options: Any,
     ) -> None:
-        mode_class(mode)  # refuses what there is not, before anything is opened
+        mode_class(mode)  # raises for unknown ones, before anything is opened
         self._owns_context = context is None
         self.context = context or create_context()
-        from terrainwave.render.gpu.renderer import Renderer  # late: moderngl
+        from terrainwave.render.gpu.renderer import Renderer  # imported late: moderngl
         from terrainwave.render.gpu.surfaces import surface_of
 
         self.photo = None if drape is None else _open_photo(terrain, drape)
         side = int(self.context.info["GL_MAX_TEXTURE_SIZE"])
-        if is_late:  # finer parts come as the camera comes near
+        if is_late:  # finer parts follow as the camera approaches
             side = min(side, DETAIL_SIDE)
         self._drape_limits = side, max_bytes // _DRAPE_SHARE
         picture = None if is_late else self.read_drape()
@@ -144,7 +144,7 @@ class Canvas:
             )
             self.resize(size)
         except BaseException:
-            self.scene.close()  # else its threads would go on
+            self.scene.close()  # otherwise its threads would continue
             raise
 
     def set_solid(self, solid: "Solid") -> None:
@@ -153,18 +153,18 @@ class Canvas:
         self.renderer.set_solid(solid)
 
     def read_drape(self) -> "Drape | None":
-        """Return the orthophoto as a whole, read now, in any thread; None where there is none."""
+        """Return the whole orthophoto, read now, in any thread; None without one."""
         return None if self.photo is None else self.photo.whole(*self._drape_limits)
 
     @property
     def drape_texels_per_pixel(self) -> float:
-        """Return how many texels of the orthophoto as a whole lie along a pixel of the grid."""
+        """Return the texels of the whole orthophoto per pixel of the grid."""
         assert self.photo is not None
         width, _ = self.photo.size(*self._drape_limits)
         return width / self.photo.place[2]
 
     def _bytes_of_drape(self, *, has_detail: bool) -> int:
-        """Return the bytes on the GPU of the orthophoto, with smaller copies of itself."""
+        """Return the bytes on the GPU of the orthophoto, including its mipmaps."""
         if self.photo is None:
             return 0
         width, height = self.photo.size(*self._drape_limits)
@@ -177,7 +177,7 @@ class Canvas:
         return self.store.n_bytes + self._drape_bytes
 
     def resize(self, size: tuple[int, int]) -> None:
-        """Draw pictures of another size from now on."""
+        """Set the size of later pictures."""
         limit = int(self.context.info["GL_MAX_VIEWPORT_DIMS"][0])
         if not (1 <= min(size) and max(size) <= limit):
             raise InvalidArgumentError(
@@ -228,10 +228,10 @@ class Canvas:
         settle: bool = True,
         is_smooth: bool = True,
     ) -> Frames:
-        """Draw a picture and leave it on the GPU, in `framebuffer`; return what was drawn.
+        """Draw a picture and leave it on the GPU, in `framebuffer`; return its frames.
 
-        `settle` waits until all that the view needs has been read. Where it `is_smooth`, a pixel
-        has several samples: its colour is their mean, and its depth one of theirs or a mean, too.
+        `settle` waits until everything in view has been read. With `is_smooth`, a pixel has several
+        samples: its colour is their mean, and its depth is one of theirs or a mean, too.
         """
         view = self.scene.view(camera, self.viewport, max_pixel_error)
         self.scene.has_horizon = self._has_horizon and not style.wireframe
@@ -256,7 +256,7 @@ class Canvas:
 
     @property
     def kept_error(self) -> float:
-        """Return what the last picture is within, as `Scene.kept_error`."""
+        """Return the error bound of the last picture, as `Scene.kept_error`."""
         if self._drawn is None or self._frames is None:
             raise AssertionError("a picture has been drawn")
         return self.scene.kept_error(self._drawn[0], self._frames)
@@ -269,7 +269,7 @@ class Canvas:
     def picture(
         self, camera: Camera, style: "Style", *, max_pixel_error: float = 1.0, settle: bool = True
     ) -> tuple[NDArray[np.uint8], Frames]:
-        """Return the picture, uint8 (height, width, 3), the first row on top, and what was drawn.
+        """Return the picture, uint8 (height, width, 3), the first row on top, and its frames.
 
         As `draw`.
         """
@@ -283,21 +283,21 @@ class Canvas:
         return np.frombuffer(data, dtype=np.uint8).reshape(size)[::-1].copy()
 
     def is_blank(self) -> bool:
-        """Say whether the last picture shows no terrain. Waits for the GPU."""
+        """Return whether the last picture shows no terrain. Waits for the GPU."""
         return not self._shows_terrain((0, 0, self.viewport.width, self.viewport.height)).any()
 
     def _shows_terrain(self, part: tuple[int, int, int, int]) -> NDArray[np.bool_]:
-        """Return which pixels of a part of the last picture are terrain; no sky, wall, or hatch."""
+        """Return which pixels of a part of the last picture are terrain, not sky, wall or hatch."""
         data = self._resolved.read(part, components=1, attachment=-1, dtype="f4")
         colors = self._resolved.read(part, components=4, alignment=1)
-        # Where samples of a pixel differ, most of them count.
+        # If samples of a pixel differ, the majority counts.
         is_data = np.frombuffer(colors, dtype=np.uint8)[3::4] > (255 + SOLID_ALPHA) // 2
         return (np.frombuffer(data, dtype=np.float32) < 1.0) & is_data
 
     def pick(self, x: float, y: float) -> NDArray[np.float64] | None:
-        """Return the place of the last picture's surface under a pixel (y down), local metres.
+        """Return the point of the last picture's surface under a pixel (y down), in local metres.
 
-        None where there is only sky, or a wall or hatch, which are no data. Waits for the GPU.
+        None for sky, and for walls and hatch, which are not data. Waits for the GPU.
         """
         if self._drawn is None or not (
             0 <= x < self.viewport.width and 0 <= y < self.viewport.height
@@ -309,10 +309,11 @@ class Canvas:
     def places_seen(
         self, part: tuple[int, int, int, int] | None = None
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the middles of the last picture's pixels that show terrain, and the places there.
+        """Return the centres of the last picture's terrain pixels, and the points there.
 
-        Pixels (x right, y down), shape (n, 2), and local metres, shape (n, 3). Of all of it, or of
-        a part: its left and lower pixel, counted upwards, width and height. Waits for the GPU.
+        Pixels (x right, y down), shape (n, 2), and local metres, shape (n, 3). By default of the
+        whole picture; a part is its left and lower pixel, counted upwards, width and height. Waits
+        for the GPU.
         """
         if self._drawn is None:
             raise AssertionError("a picture has been drawn")
@@ -333,7 +334,7 @@ class Canvas:
         return np.column_stack([x, y]), places
 
     def samples_in_view(self) -> Region:
-        """Return the samples of the full grid around all that the last picture shows of it."""
+        """Return the samples of the full grid around all terrain in the last picture."""
         _, places = self.places_seen()
         grid = Region(0, 0, *self.scene.frame.shape)
         if not len(places):
@@ -377,9 +378,9 @@ class Canvas:
         return np.stack(found)
 
     def metres_per_pixel(self) -> float | None:
-        """Return the scale of the last picture: in its middle, else of the raster's middle.
+        """Return the scale at the middle of the last picture, or else at the raster's middle.
 
-        None where the one shows no terrain and the other is behind the camera.
+        None if the first shows no terrain and the second is behind the camera.
         """
         if self._drawn is None:
             return None
@@ -391,7 +392,7 @@ class Canvas:
         return away / focal_length(camera, self.viewport) if away > 0 else None
 
     def _draw_parts(self, view: View, style: "Style") -> Frames:
-        """Draw all finest blocks in view, as many at a time as memory holds."""
+        """Draw all finest blocks in view, as many at a time as fit into memory."""
         self.renderer.clear(view, style)
         none = np.empty(0)
         frames = Frames(np.empty(0, dtype=np.int32), none, none, none, 0, 0.0, 0)

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 _SLOPES = OWN_UNIT
 _FIRST_BYTES = 1 << 20
-# The fragment shader reads slopes beside a sample: a ring of texels, and one more to be even.
+# The fragment shader reads slopes next to a sample: a ring of texels, and one more for an even
+# size.
 RING = 3
 
 VERTEX = np.dtype(
@@ -68,12 +69,12 @@ void main() {
 
 
 class FrontStore:
-    """A `PieceStore` of the slopes of patches: a layer each. It counts their meshes, too.
+    """`PieceStore` of the slopes of patches: a layer each. It counts their meshes, too.
 
     Parameters
     ----------
     max_bytes : int
-        Of slopes and of all that patches take in memory.
+        For slopes and all memory of patches.
     """
 
     def __init__(self, context: Any, *, max_bytes: int) -> None:
@@ -85,24 +86,24 @@ class FrontStore:
 
     @property
     def max_blocks(self) -> int:
-        """Return how many patches fit; one before the first is here, which says how large."""
+        """Return how many patches fit; one before the first patch, which gives the size."""
         return self._max_blocks
 
     @property
     def n_bytes(self) -> int:
-        """Return the bytes of all layers, used or not, and of what patches may take besides."""
+        """Return the bytes of all layers, used or not, and of other memory of patches."""
         layers = 0 if self._layers is None else self._layers.n_bytes
         return layers + self._room * len(self.layer_of)
 
     @property
     def slopes(self) -> Any:
-        """Return the array texture; there is one once a patch is here."""
+        """Return the array texture, which exists once a patch is stored."""
         if self._layers is None:
             raise AssertionError("a patch is here")
         return self._layers.textures[0]
 
     def put(self, node: int, built: "FrontPatch") -> bool:
-        """Upload slopes; false if there is no room."""
+        """Upload slopes; return False if there is no room."""
         if self._layers is None:
             self._allocate(built)
         if self._layers is None or len(self.layer_of) == self._max_blocks:
@@ -117,7 +118,7 @@ class FrontStore:
         return True
 
     def _allocate(self, built: "FrontPatch") -> None:
-        """Share the memory between layers and all else."""
+        """Divide the memory between layers and the rest."""
         self.side, self._room = built.side, built.room
         layer = (built.side + RING) ** 2 * SLOPES.n_bytes
         n_patches = self._max_bytes // (layer + built.room)
@@ -127,17 +128,15 @@ class FrontStore:
         self._max_blocks = self._layers.max_layers
 
     def drop(self, node: int) -> None:
-        """Forget a patch."""
         if self._layers is not None:
             self._layers.give_back(self.layer_of.pop(node))
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         release_all(self._layers)
 
 
 class FrontSurface:
-    """A `Surface` of one mesh.
+    """`Surface` of one mesh.
 
     Parameters
     ----------
@@ -166,7 +165,7 @@ class FrontSurface:
         return 1
 
     def prepare(self, scene: "Scene", view: View, frames: "Frames") -> int:
-        """Fill buffers, textures and uniforms; return how many corners triangles have."""
+        """Fill buffers, textures and uniforms; return the number of triangle corners."""
         mode: Any = scene.mode
         drawn = mode.drawn
         if drawn is None or not len(drawn.triangles):
@@ -189,7 +188,7 @@ class FrontSurface:
         return int(drawn.triangles.size)
 
     def _upload(self, vertices: bytes, triangles: bytes) -> None:
-        """Fill the buffers, with larger ones where they are too small."""
+        """Fill the buffers; enlarge them if necessary."""
         if self._array is None or max(len(vertices), len(triangles)) > self._vertices.size:
             if self._array is not None:
                 self._array.release()
@@ -208,5 +207,4 @@ class FrontSurface:
         self._triangles.write(triangles)
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         release_all(self._array, self._vertices, self._triangles, self.program, self.store)

@@ -11,7 +11,7 @@ from terrainwave.render.scene.patches import VERTEX, Patch
 
 _FIRST_VERTICES = 1 << 18
 _FIRST_INDICES = 1 << 20
-# Of the memory, at most this share is textures.
+# Textures take at most this fraction (1 / n) of the memory.
 _TEXTURE_SHARE = 2
 _INDEX_BYTES = 4
 # struct DrawElementsIndirectCommand
@@ -27,7 +27,7 @@ COMMAND = np.dtype(
 
 
 class Slot(NamedTuple):
-    """Where a patch lies."""
+    """Position of a patch in the buffers."""
 
     first_vertex: int
     n_vertices: int
@@ -37,10 +37,10 @@ class Slot(NamedTuple):
 
 
 class GpuStore:
-    """A `PieceStore` on the GPU, within `max_bytes`.
+    """`PieceStore` on the GPU, within `max_bytes`.
 
-    Buffers and textures grow by doubling. Indices count from the buffer's first vertex, so that a
-    driver without base vertices can draw them too.
+    Buffers and textures grow by doubling. Indices count from the buffer's first vertex, so that
+    drivers without base vertices can draw them too.
     """
 
     def __init__(self, context: Any, side: int, *, max_bytes: int) -> None:
@@ -57,7 +57,7 @@ class GpuStore:
         self.slots: dict[int, Slot] = {}
         # First index, number of indices and layer by node, for whole frames at once.
         self._places = np.zeros((256, 3), dtype=np.int64)
-        self.generation = 0  # counts buffers replaced: vertex arrays on the old ones are stale
+        self.generation = 0  # counts replaced buffers: vertex arrays on old ones are stale
 
     @property
     def max_blocks(self) -> int:
@@ -76,7 +76,6 @@ class GpuStore:
         return self.layers.textures[0]
 
     def put(self, node: int, patch: Patch) -> bool:
-        """Upload a patch; false if there is no room."""
         n_indices = patch.triangles.size
         if n_indices == 0:
             self._place(node, Slot(0, 0, 0, 0, -1))
@@ -105,7 +104,6 @@ class GpuStore:
         self._places[node] = slot.first_index, slot.n_indices, slot.layer
 
     def drop(self, node: int) -> None:
-        """Forget a patch."""
         slot = self.slots.pop(node)
         if slot.layer < 0:
             return
@@ -120,7 +118,7 @@ class GpuStore:
             itemsize = VERTEX.itemsize if name == "_vertices" else _INDEX_BYTES
             other = self._indices if name == "_vertices" else self._vertices
             other_size = _INDEX_BYTES if name == "_vertices" else VERTEX.itemsize
-            # Twice as much; the last time by less, what is left.
+            # Twice as much; the last time only the remaining memory.
             most = (self._mesh_bytes - other.capacity * other_size) // itemsize
             capacity = min(2 * arena.capacity, most)
             if capacity < arena.capacity + size:
@@ -149,11 +147,10 @@ class GpuStore:
         return commands
 
     def layers_of(self, nodes: NDArray[np.int32]) -> NDArray[np.int64]:
-        """Return the slope layer of each node; -1 where it has no triangles."""
+        """Return the slope layer of each node; -1 if it has no triangles."""
         layers: NDArray[np.int64] = self._places[nodes, 2]
         return layers
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         for part in (self.vertex_buffer, self.index_buffer, self.layers):
             part.release()

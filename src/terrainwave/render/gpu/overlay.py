@@ -16,7 +16,7 @@ from terrainwave.render.scene.measure import Profile, distance_text
 
 LINE_COLOR = (255, 214, 64, 255)
 _GRAPH, _MARGIN = (420, 130), 18
-_LETTER = 7  # pixels, about
+_LETTER = 7  # pixels, approximately
 _LEAST_FONT = 8
 _LINE_WIDTH, _DOT = 3.0, 7.0  # pixels
 
@@ -55,12 +55,12 @@ def line_triangles(pixels: NDArray[np.float64], viewport: Viewport) -> NDArray[n
     Parameters
     ----------
     pixels : ndarray of float64, shape (n, 2)
-        NaN where it is behind the eye: the line has a gap there.
+        NaN behind the eye, where the line has a gap.
 
     Returns
     -------
     corners : ndarray of float32, shape (m, 2)
-        In OpenGL's coordinates; three to a triangle.
+        In OpenGL's coordinates; three per triangle.
     """
     known = pixels[~np.isnan(pixels).any(axis=1)]
     if not len(known):
@@ -83,7 +83,7 @@ def line_triangles(pixels: NDArray[np.float64], viewport: Viewport) -> NDArray[n
 
 
 def shortened(line: str, most: int) -> str:
-    """Return a line of at most so many letters."""
+    """Return a line of at most `most` letters."""
     return line if len(line) <= most else line[: most - 1] + "…"
 
 
@@ -97,7 +97,7 @@ def draw_overlay(
 ) -> NDArray[np.uint8]:
     """Return the overlay, uint8 (height, width, 4).
 
-    `metres_per_pixel` is that of the middle of the picture; None leaves the scale bar out.
+    `metres_per_pixel` is that of the middle of the picture; None omits the scale bar.
     """
     image = pillow("Image").new("RGBA", (viewport.width, viewport.height), (0, 0, 0, 0))
     ink = Ink(image)
@@ -116,7 +116,7 @@ def draw_overlay(
 
 
 class Change(NamedTuple):
-    """An image and the rows in which it differs from the one before.
+    """An image and the rows in which it differs from the previous one.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ class Change(NamedTuple):
 
 
 def change_of(before: NDArray[np.uint8] | None, image: NDArray[np.uint8]) -> Change:
-    """Return what is to be sent to the GPU where it has the image `before`; None: nothing."""
+    """Return the data to send to the GPU if it has the image `before`; None sends everything."""
     first, end = 0, image.shape[0]
     if before is not None and before.shape == image.shape:
         differs = np.flatnonzero((before.view(np.uint32) != image.view(np.uint32)).any(axis=(1, 2)))
@@ -142,7 +142,7 @@ def change_of(before: NDArray[np.uint8] | None, image: NDArray[np.uint8]) -> Cha
 
 
 def _draw_profile(ink: Ink, profile: Profile) -> None:
-    """Draw heights over distances below on the left, with the ends of both axes."""
+    """Draw heights over distances at the lower left, with the ends of both axes."""
     width = min(_GRAPH[0], ink.image.width - 2 * _MARGIN)
     height = min(_GRAPH[1], ink.image.height // 3)
     left, top = _MARGIN + 58, ink.image.height - _MARGIN - height
@@ -175,7 +175,7 @@ def _draw_profile(ink: Ink, profile: Profile) -> None:
 
 
 def _draw_help(draw: Any, viewport: Viewport, lines: list[tuple[str, str]]) -> None:
-    """Draw two columns in the middle, in smaller letters where they would not fit."""
+    """Draw two columns in the middle, in smaller letters if they would not fit."""
     gap = 24
     for size in range(FONT_SIZE, _LEAST_FONT - 1, -1):
         font = pillow("ImageFont").load_default(size)
@@ -192,7 +192,7 @@ def _draw_help(draw: Any, viewport: Viewport, lines: list[tuple[str, str]]) -> N
 
 
 def _draw_arrow(draw: Any, viewport: Viewport, camera: Camera, font: Any) -> None:
-    """Draw where north is: up where the camera looks north."""
+    """Draw the direction of north: up if the camera looks north."""
     angle = math.radians(-camera.heading)
     x, y, size = viewport.width - 44, 44, 26
     along = np.array([math.sin(angle), -math.cos(angle)])
@@ -222,7 +222,7 @@ class Overlay:
         )
 
     def draw_line(self, points: NDArray[np.float64], camera: Camera, viewport: Viewport) -> None:
-        """Draw a line through local places, shape (n, 3), into the framebuffer in use."""
+        """Draw a line through local points, shape (n, 3), into the framebuffer in use."""
         corners = line_triangles(project(camera, viewport, points)[:, :2], viewport)
         if not len(corners):
             return
@@ -234,7 +234,7 @@ class Overlay:
         release_all(array, buffer)
 
     def set(self, change: Change) -> None:
-        """Take another image, of which all but the rows that have changed is here."""
+        """Set another image; only the changed rows are uploaded."""
         height, width, _ = change.image.shape
         size = width, height
         if self._texture is None or self._texture.size != size:
@@ -255,5 +255,4 @@ class Overlay:
         self._array.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         release_all(self._texture, self._array, self._program, self._line_program)

@@ -1,4 +1,4 @@
-"""Patches on the GPU, drawn by one indirect call where the driver can."""
+"""Patches on the GPU, drawn by one indirect call if the driver supports it."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,7 @@ _SLOPES, _INSTANCES = OWN_UNIT, OWN_UNIT + 1
 
 
 class PatchSurface:
-    """A `Surface` of patches.
+    """`Surface` of patches.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class PatchSurface:
         self._generation = -1
 
     def _reach(self, n_patches: int) -> None:
-        """Make room for the instances of `n_patches` and bind the buffers in use."""
+        """Allocate the instances of `n_patches` and bind the buffers in use."""
         if self._instances is None or self._instances.size[1] < n_patches:
             release_all(self._instances, self._numbers, self._commands)
             n = max(256, 1 << (n_patches - 1).bit_length())
@@ -130,7 +130,6 @@ class PatchSurface:
         return n
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         release_all(
             self._instances, self._numbers, self._commands, self._array, self.program, self.store
         )  # fmt: skip

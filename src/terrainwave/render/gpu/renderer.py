@@ -37,12 +37,12 @@ from terrainwave.render.scene.selection import View
 from terrainwave.render.scene.walls import Solid, distance_to_walls, haze_of
 
 _CLIP_DISTANCE_0 = 0x3000
-_NEAREST = 1e-5  # of the farthest
+_NEAREST = 1e-5  # of the farthest distance
 _GROUND_REACH = 0.38  # of the terrain's diagonal
 
 
 class _DrapeTexture:
-    """A drape on the GPU; one clear texel without one."""
+    """A drape on the GPU; one transparent texel without a drape."""
 
     def __init__(self, context: Any, drape: Drape | None) -> None:
         self.is_there, self.place = drape is not None, (0.0, 0.0, 1.0, 1.0)
@@ -57,12 +57,11 @@ class _DrapeTexture:
         self.texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         self.texture.release()
 
 
 class _WaterTexture:
-    """Where water is, on the GPU."""
+    """Water mask on the GPU."""
 
     def __init__(self, context: Any, water: Water) -> None:
         n_rows, n_cols = water.cells.shape
@@ -74,7 +73,6 @@ class _WaterTexture:
         self.texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         self.texture.release()
 
 
@@ -86,9 +84,9 @@ class Renderer:
     context : moderngl.Context
         OpenGL 3.3 core or newer.
     surface : Surface
-        What draws the scene's pieces; released with the renderer.
+        Draws the scene's pieces; released with the renderer.
     drape : Drape, optional
-        A picture to lie on the terrain.
+        Picture to drape over the terrain.
     solid : Solid, optional
         The block under it.
     water : Water, optional
@@ -126,20 +124,20 @@ class Renderer:
         )
         self.n_draw_calls = 0
 
-    # Parts that last
+    # Persistent parts
 
     def set_drape(self, drape: Drape) -> None:
-        """Lay a picture on the terrain from now on."""
+        """Set the picture draped over the terrain."""
         self._drape.release()
         self._drape = _DrapeTexture(self._context, drape)
 
     def set_detail(self, drape: Drape) -> None:
-        """Lay a finer part of the picture over it from now on."""
+        """Set a finer part of the picture, drawn over it."""
         self._detail.release()
         self._detail = _DrapeTexture(self._context, drape)
 
     def set_water(self, water: Water) -> None:
-        """Show water there from now on."""
+        """Set where water is shown."""
         self._found.release()
         self._found = _WaterTexture(self._context, water)
 
@@ -177,14 +175,14 @@ class Renderer:
         return absolute_palette(low, high, sea, frame.latitudes, water_from)
 
     def set_solid(self, solid: Solid) -> None:
-        """Draw the block under the terrain from now on."""
+        """Set the block under the terrain."""
         release_all(self._solid)
         self._solid = SolidSurface(self._context, solid)
 
     # One frame
 
     def clear(self, view: View, style: Style) -> None:
-        """Begin a picture: the sky, or the background."""
+        """Begin a picture with the sky or the background."""
         background = style.background or (0, 0, 0)
         self._context.clear(*(value / 255 for value in background), 1.0, depth=1.0)
         if style.background is None:
@@ -201,8 +199,8 @@ class Renderer:
     ) -> None:
         """Draw the terrain, or a part of it, into a picture that has begun.
 
-        `matrix` projects places relative to the eye, 4 x 4; by default the view's does. The meshes
-        are those of the view in any case.
+        `matrix` projects positions relative to the eye, 4 x 4; by default it is the view's. The
+        meshes are those of the view in any case.
         """
         context = self._context
         self.n_draw_calls = 0
@@ -215,7 +213,7 @@ class Renderer:
         if matrix is not None:
             own["view_projection"] = tuple(matrix.T.ravel())
         set_uniforms(self.surface.program, values | own)
-        # Errors change their range from frame to frame, not their colours.
+        # The range of errors changes from frame to frame, their colours do not.
         key = (style.coloring, style.ramp, style.sea_level)
         self._ramp_texture(key, palette).use(RAMP_UNIT)
         self._drape.texture.use(DRAPE_UNIT)
@@ -238,7 +236,7 @@ class Renderer:
             self._solid.draw(self._scene.frame, view, values)
 
     def depth_range(self, view: View, frames: Frames) -> tuple[float, float]:
-        """Return near and far planes that hold all that is drawn."""
+        """Return near and far planes that hold everything drawn."""
         frame, eye = self._scene.frame, view.camera.eye
         low, high = frame.solid_box
         corners = np.maximum(np.abs(low - eye), np.abs(high - eye))
@@ -251,7 +249,7 @@ class Renderer:
         return max(nearest * 0.9, far * _NEAREST), far
 
     def _shared_uniforms(self, view: View, frames: Frames, style: Style) -> dict[str, Any]:
-        """Return the uniforms that the terrain's program and that of the block under it share."""
+        """Return the uniforms shared by the programs of the terrain and of the block under it."""
         near, far = self.depth_range(view, frames)
         matrix = projection_matrix(view.camera, view.viewport, near, far)
         matrix = matrix @ view_matrix(view.camera)
@@ -318,7 +316,6 @@ class Renderer:
         self._sky_array.render(moderngl.TRIANGLES, vertices=3)
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         release_all(self.surface, self._solid, self._ramp, self._drape, self._detail)
         release_all(self._found, self._everywhere, self._nowhere)
         release_all(self._sky_array, self._sky)

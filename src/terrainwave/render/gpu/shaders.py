@@ -1,4 +1,4 @@
-"""GLSL 3.30 core. `INDIRECT` is defined where one call draws all patches."""
+"""GLSL 3.30 core. `INDIRECT` is defined if one call draws all patches."""
 
 # Row k of `instances` holds patch k in four texels:
 # (x, y, z of its first sample at z = 0, relative to the eye; share of the parent's surface)
@@ -14,8 +14,8 @@ uniform int in_instance;
 uniform sampler2D instances;
 """
 
-# Skirts reach as far below a surface as one of a neighbour may be: no further than what is within τ
-# may be there, and not below the block under the terrain.
+# Skirts reach as far below a surface as a neighbour's surface may be: within τ, and not below the
+# block under the terrain.
 SKIRT_DEPTH = """
 uniform float skirt_reach;  // metres per metre of distance, where looked at from the side
 uniform float base;         // z of the base relative to the eye
@@ -85,7 +85,7 @@ vec3 hazed(vec3 rgb, vec3 seen) {
 }
 """
 
-# Alpha says what is a skirt: `Canvas.skirts_seen`.
+# Alpha marks skirts: `Canvas.skirts_seen`.
 SKIRT_ALPHA = 254
 TERRAIN_FRAGMENT = (
     """
@@ -266,8 +266,8 @@ void main() {
 }
 """
 
-# Without depth: the sky and, where there is one, the ground, which fades into haze beside the
-# terrain. The sky begins where the ground ends, not at the horizon: from above both are in view.
+# Without depth: the sky and, if any, the ground, which fades into haze next to the terrain. The sky
+# begins where the ground ends, not at the horizon: from above both are in view.
 SKY_FRAGMENT = """
 #version 330 core
 in vec2 v_ndc;
@@ -353,7 +353,7 @@ void main() {
 }
 """
 
-# Alpha says what is not data: `Canvas.pick` leaves it out.
+# Alpha marks surfaces that are not data: `Canvas.pick` skips them.
 SOLID_ALPHA = 250
 SOLID_FRAGMENT = (
     """

@@ -55,5 +55,4 @@ class SolidSurface:
             self._context.polygon_offset = 0.0, 0.0
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         release_all(self._array, self._vertices, self._indices, self._program)

@@ -1,4 +1,4 @@
-"""The half of a mode on the GPU: where pieces are kept and the program that draws them."""
+"""GPU half of a mode: the store of pieces and the program that draws them."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Protocol
@@ -11,15 +11,14 @@ if TYPE_CHECKING:
 
 # Texture units; a mode's own begin at OWN_UNIT.
 RAMP_UNIT, DRAPE_UNIT, OWN_UNIT = 0, 1, 2
-WATER_UNIT, DETAIL_UNIT = 14, 15  # the last that every driver has
+WATER_UNIT, DETAIL_UNIT = 14, 15  # the last units in every driver
 
 
 class Surface(Protocol):
     """A store and a program; made by `surfaces.surface_of`.
 
-    The renderer sets those uniforms in `program` that `Renderer._set_uniforms` names and the
-    program has, binds ramp and drape, sets depth test, wireframe and clip distances, and calls
-    `submit`.
+    The renderer sets the uniforms of `Renderer._set_uniforms` that `program` has, binds ramp and
+    drape, sets depth test, wireframe and clip distances, and calls `submit`.
     """
 
     program: Any
@@ -27,7 +26,7 @@ class Surface(Protocol):
 
     @property
     def store(self) -> "PieceStore":
-        """Return where pieces are kept."""
+        """Return the store of pieces."""
 
     def submit(self, scene: "Scene", view: View, frames: "Frames") -> int:
         """Draw into the framebuffer in use; return the number of draw calls.
@@ -36,19 +35,19 @@ class Surface(Protocol):
         """
 
     def release(self) -> None:
-        """Free the GPU's memory, the store's too."""
+        """Free the GPU's memory, including the store's."""
 
 
 def set_uniforms(program: Any, values: Mapping[str, Any]) -> None:
-    """Set those uniforms that the program has; compilers drop the ones it does not use."""
+    """Set the uniforms that the program has; compilers drop unused ones."""
     for name, value in values.items():
-        # `in` would look at one name after the other.
+        # `in` would scan all names.
         if program.get(name, None) is not None:
             program[name] = value
 
 
 def release_all(*parts: Any) -> None:
-    """Free the GPU's memory of parts, None for those that were never made."""
+    """Free the GPU's memory of parts; None for parts that were never made."""
     for part in parts:
         if part is not None:
             part.release()

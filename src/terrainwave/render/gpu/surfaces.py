@@ -1,4 +1,4 @@
-"""Which surface draws the pieces of which mode."""
+"""Table of the surfaces that draw each mode's pieces."""
 
 from typing import Any
 
@@ -8,8 +8,8 @@ from terrainwave.render.gpu.patch_surface import PatchSurface
 from terrainwave.render.gpu.surface import Surface
 from terrainwave.render.gpu.vertex_texture_surface import VertexTextureSurface
 
-# By the names of `render.modes.MODES`: surfaces of blocks, all of one size, and of meshes that are
-# made anew each frame.
+# By the names of `render.modes.MODES`: surfaces of equal blocks, and of meshes that are rebuilt
+# each frame.
 _OF_BLOCKS: dict[str, type[BlockSurface | PatchSurface]] = {
     "adaptive": PatchSurface,
     "batched": BlockSurface,
@@ -24,7 +24,7 @@ _OF_FRONTS: dict[str, type[FrontSurface | VertexTextureSurface]] = {
 
 
 def surface_of(mode: str, context: Any, side: int, *, max_bytes: int) -> Surface:
-    """Return what draws a mode, for blocks of `side` cells, within this much memory of the GPU."""
+    """Return the surface of a mode, for blocks of `side` cells and `max_bytes` on the GPU."""
     if mode in _OF_BLOCKS:
         return _OF_BLOCKS[mode](context, side, max_bytes=max_bytes)
     return _OF_FRONTS[mode](context, max_bytes=max_bytes)

@@ -1,4 +1,4 @@
-"""Square array textures whose layers are handed out and given back together."""
+"""Square array textures whose layers are allocated and freed together."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -11,11 +11,11 @@ from terrainwave.render.gpu.arena import Arena
 
 _MAX_LAYERS = 2048
 _LEAST_LAYERS = 8
-_FIRST_BYTES = 64 << 20  # growing copies through this side: seldom
+_FIRST_BYTES = 64 << 20  # growing copies through main memory, so it should be rare
 
 
 class TexelType(NamedTuple):
-    """What a texture holds: numbers per texel, moderngl's type, bytes per texel."""
+    """Content of a texture: numbers per texel, moderngl's type, bytes per texel."""
 
     n_components: int
     dtype: str
@@ -23,13 +23,13 @@ class TexelType(NamedTuple):
     is_smooth: bool
 
 
-# Slopes to the east and north, height; drivers give three numbers the room of four.
+# Slopes to the east and north, height; drivers pad three numbers to four.
 SLOPES = TexelType(3, "f2", 8, True)
 HEIGHTS = TexelType(2, "f4", 8, False)
 
 
 class LayeredTextures:
-    """Array textures of `size` x `size` texels with as many layers each; they grow by doubling.
+    """Array textures of `size` x `size` texels with equal numbers of layers; they grow by doubling.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class LayeredTextures:
     kinds : sequence of Texels
         One texture each.
     max_bytes : int
-        Of all textures; some layers are kept even where it is less than they take.
+        Of all textures; a few layers are kept even if they exceed it.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class LayeredTextures:
 
     @property
     def max_bytes(self) -> int:
-        """Return the bytes of all layers that there may be."""
+        """Return the bytes of the largest allowed number of layers."""
         return self.max_layers * self._layer_bytes
 
     @property
@@ -73,7 +73,6 @@ class LayeredTextures:
         return self._free.capacity * self._layer_bytes
 
     def take(self) -> int | None:
-        """Return a free layer, None if there is none."""
         layer = self._free.take(1)
         if layer is None and self._free.capacity < self.max_layers:
             self._grow(min(2 * self._free.capacity, self.max_layers))
@@ -101,6 +100,5 @@ class LayeredTextures:
         self._free.grow(n_layers)
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         for texture in self.textures:
             texture.release()

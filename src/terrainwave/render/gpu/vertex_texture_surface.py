@@ -122,7 +122,7 @@ void main() {
     v_layers = ivec2(int(layer), -1);
     v_grid = v_sample * stride + first_grid;
     v_parent = vec4(0.0, 0.0, float(h) + first_size, base_error);
-    // A triangle with a void corner shrinks to nothing beside the others.
+    // A triangle with a void corner shrinks to a point.
     gl_ClipDistance[0] = is_void ? -1e9 : 1.0;
     cut_off(1, v_grid);
     gl_Position = view_projection * vec4(v_seen, 1.0);
@@ -131,7 +131,7 @@ void main() {
 
 
 def tree_grid(side: int) -> Grid:
-    """Return vertices (column, row) and triangles of the quads of a tree, cut as the full grid."""
+    """Return vertices (column, row) and triangles of a tree's quads, cut like the full grid."""
     rows, cols = np.divmod(np.arange((side + 1) ** 2), side + 1)
     numbers = np.arange((side + 1) ** 2, dtype=np.uint32).reshape(side + 1, side + 1)
     a, b = numbers[:-1, :-1].ravel(), numbers[:-1, 1:].ravel()
@@ -169,7 +169,7 @@ class TreeTextures:
         self.marks = _levels(context, tree, mesh.marks, 1, 1, "f1")
 
     def send_marks(self) -> None:
-        """Bring the auxiliary texture up to date: the rows of trees whose marks have changed."""
+        """Update the auxiliary texture: the rows of trees with changed marks."""
         mesh = self._mesh
         tree_rows = np.flatnonzero(mesh.has_changed.any(axis=1))
         if not len(tree_rows):
@@ -186,7 +186,6 @@ class TreeTextures:
         mesh.has_changed[...] = False
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         release_all(self.heights, self.bounds, self.marks)
 
 
@@ -212,7 +211,7 @@ def _levels(
 
 
 class TreeStore(FrontStore):
-    """A `PieceStore` of slopes, and of trees as textures."""
+    """`PieceStore` of slopes, and of trees as textures."""
 
     def __init__(self, context: Any, *, max_bytes: int) -> None:
         super().__init__(context, max_bytes=max_bytes)
@@ -227,18 +226,16 @@ class TreeStore(FrontStore):
         return True
 
     def drop(self, node: int) -> None:
-        """Forget a patch."""
         super().drop(node)
         release_all(self.trees.pop(node, None))
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         super().release()
         release_all(*self.trees.values())
 
 
 class VertexTextureSurface:
-    """A `Surface` of full grids.
+    """`Surface` of full grids.
 
     Parameters
     ----------
@@ -259,7 +256,7 @@ class VertexTextureSurface:
         self.grids: dict[Any, tuple[Any, ...]] = {}
 
     def submit(self, scene: "Scene", view: View, frames: "Frames") -> int:
-        """Upload what has changed, and draw the grids of all trees in view, patch by patch."""
+        """Upload changes, and draw the grids of all trees in view, patch by patch."""
         mode: Any = scene.mode
         eye, n_calls = eye_of(view), 0
         for node, patch, followed, depth in zip(
@@ -276,7 +273,7 @@ class VertexTextureSurface:
         return n_calls
 
     def _draw_grid(self, make: Callable[..., Grid], *arguments: Any, n: int) -> None:
-        """Draw a grid for each of the `n` places in `trees`."""
+        """Draw a grid for each of the `n` positions in `trees`."""
         if arguments not in self.grids:
             places, triangles = (self._context.buffer(part.tobytes()) for part in make(*arguments))
             array = self._context.vertex_array(
@@ -296,7 +293,7 @@ class VertexTextureSurface:
         eye: "Eye",
         program: Any,
     ) -> int:
-        """Fill buffers, textures and uniforms for a patch; return how many trees are in view."""
+        """Fill buffers, textures and uniforms for a patch; return the number of trees in view."""
         mesh: DynamicMesh = patch.mesh
         trees = _trees_in_view(mesh.tree, mesh.matrix, eye)
         if not len(trees):
@@ -339,7 +336,6 @@ class VertexTextureSurface:
         self.trees.write(content.tobytes())
 
     def release(self) -> None:
-        """Free the GPU's memory."""
         grids = [part for parts in self.grids.values() for part in reversed(parts)]
         release_all(*grids, self.trees, self.program, self.store)
 

@@ -1,1 +1,1 @@
-"""How pictures look: colours, water, orthophotos, what is written over them."""
+"""Appearance of pictures: colours, water, orthophotos, overlays."""

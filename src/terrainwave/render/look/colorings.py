@@ -1,6 +1,6 @@
-"""The names of colourings and ramps, for help that imports nothing else."""
+"""Names of colourings and ramps, for help that imports nothing else."""
 
-# What colours say: in a line each, which help and documentation show.
+# Meaning of colours, one line each, for help and documentation.
 MEANINGS = {
     "auto": "absolute on the Earth, else relative",
     "absolute": "by metres: water, land, snow",

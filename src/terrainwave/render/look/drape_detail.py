@@ -1,7 +1,7 @@
-"""Which part of an orthophoto is to be had finer, near the camera.
+"""Finer part of an orthophoto near the camera.
 
-The photo as a whole is one texture, of no more texels than a GPU takes. A second one of a square
-around what the camera is near to follows it; it is read in the background.
+The whole photo is one texture, within the GPU's limit of texels. A second texture of a square near
+the camera follows it; it is read in the background.
 """
 
 import math
@@ -18,10 +18,11 @@ if TYPE_CHECKING:
     from terrainwave.raster_io.drape import Drape, Photo
 
 DETAIL_SIDE = 2048  # texels
-# Of the height above the ground: the square's side, and how far ahead its middle is at most.
+# In heights above the ground: the square's side, and the largest distance of its middle ahead.
 _SIDE, _AHEAD = 6.0, 2.0
 _LEAST_HEIGHT = 20.0  # metres
-# Of the side, how far the middle may move; how much larger or smaller the square may become.
+# Largest move of the middle, as a share of the side; largest factor by which the square's size may
+# change.
 _MOVED, _SCALED = 0.15, 1.5
 _WORTH = 1.3
 
@@ -35,9 +36,9 @@ class Square(NamedTuple):
 
 
 def square_near(camera: Camera, height: float, least: float = 0.0) -> Square:
-    """Return the square that a camera so high above the ground is near to.
+    """Return the square near a camera at this height above the ground.
 
-    `least` is how long its side is in any case, metres.
+    `least` is its smallest side, in metres.
     """
     height = max(abs(height), _LEAST_HEIGHT)
     down = max(-math.sin(math.radians(camera.pitch)), 0.0)
@@ -50,7 +51,7 @@ def square_near(camera: Camera, height: float, least: float = 0.0) -> Square:
 
 
 def is_near(one: Square, other: Square) -> bool:
-    """Say whether one square does for the other."""
+    """Return whether one square can be used for the other."""
     moved = max(abs(one.x - other.x), abs(one.y - other.y))
     scale = one.half / other.half
     return moved < 2 * _MOVED * one.half and 1 / _SCALED < scale < _SCALED
@@ -59,9 +60,9 @@ def is_near(one: Square, other: Square) -> bool:
 def place_of_square(
     square: Square, frame: Frame, within: tuple[float, float, float, float]
 ) -> tuple[float, float, float, float] | None:
-    """Return column, row, columns and rows of the full grid that a square covers of others.
+    """Return column, row, columns and rows of the full grid that a square covers within others.
 
-    None where that is nothing.
+    None if it covers nothing.
     """
     a, b, c, d, e, f = frame.sample_matrix
     corners = np.array([(x, y) for x in (-1, 1) for y in (-1, 1)]) * square.half
@@ -83,7 +84,7 @@ class DrapeDetail:
     Parameters
     ----------
     texels_per_pixel : float
-        Of the photo as a whole, in its texture.
+        Of the whole photo, in its texture.
     show : callable
         Called with each part that was read, in the thread that draws.
     """
@@ -102,12 +103,12 @@ class DrapeDetail:
         self.problem: str | None = None
 
     def _least(self, frame: Frame) -> float:
-        """Return the side, in metres, of what the texture holds at the photo's own resolution."""
+        """Return the side, in metres, that the texture covers at the photo's own resolution."""
         a, b, _, d, e, _ = frame.sample_matrix
         return DETAIL_SIDE / self._photo.finer * min(math.hypot(a, d), math.hypot(b, e))
 
     def tick(self, camera: Camera, height: float | None, frame: Frame) -> None:
-        """Begin to read another part if the camera has left the last one."""
+        """Start reading another part if the camera has left the last one."""
         if height is None or self._is_reading:
             return
         square = square_near(camera, height, self._least(frame))

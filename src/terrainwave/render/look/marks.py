@@ -1,4 +1,4 @@
-"""What is drawn over pictures with Pillow: text, a scale bar, a legend of the colours."""
+"""Overlays drawn with Pillow: text, a scale bar, a legend of the colours."""
 
 import math
 from typing import Any, NamedTuple
@@ -17,7 +17,7 @@ WHITE, SHADE = (255, 255, 255, 255), (0, 0, 0, 130)
 FONT_SIZE = 14
 _LONGEST_BAR = 170  # pixels
 _LEAST_SIZE = (240, 180)
-# Of a legend: the bar's pixels, and how many intervals its labels leave at most.
+# Legend: the bar's pixels, and the largest number of intervals between its labels.
 _BAR_WIDTH, _BAR_HEIGHT, _MOST_INTERVALS = 16, 130, 6
 _HATCH = ((204, 204, 201, 255), (153, 153, 153, 255))
 
@@ -28,19 +28,19 @@ def length_text(metres: float) -> str:
 
 
 class Legend(NamedTuple):
-    """What the colours of a picture mean.
+    """Meaning of a picture's colours.
 
     Parameters
     ----------
     title : str
-        What they say, and its unit.
+        Their quantity, and its unit.
     colors : ndarray of uint8, shape (n, 3)
-        From the bar's lower end to its upper one: from the lowest value to the highest, of depths
+        From the bar's lower end to its upper one: from the lowest value to the highest; for depths
         the other way round.
     labels : list of (float, str)
-        Shares of the way up, and the values there.
+        Positions from 0 (lower end) to 1, and the values there.
     has_voids : bool
-        Whether the hatch is explained.
+        Explain the hatch.
     """
 
     title: str
@@ -50,13 +50,7 @@ class Legend(NamedTuple):
 
 
 def check_marks(size: tuple[int, int], style: Style, *, legend: bool, scale_bar: bool) -> None:
-    """Refuse a legend of colours that say nothing, and pictures too small for marks.
-
-    Raises
-    ------
-    InvalidArgumentError
-        For either.
-    """
+    """Raise `InvalidArgumentError` for a legend without values, or too small a picture."""
     if legend and not style.has_legend:
         raise InvalidArgumentError(
             f"found `legend` with `coloring` {style.coloring}, expected one whose colours are"
@@ -79,7 +73,7 @@ def legend_of(
     Parameters
     ----------
     palette : Palette
-        In metres or, of slopes, degrees; those of the raster's middle latitude are shown.
+        In metres or, of slopes, degrees; colours are those of the raster's middle latitude.
     units : str, optional
         The file's unit of heights.
     """
@@ -102,7 +96,7 @@ def legend_of(
     first, last = math.ceil(low / interval - 1e-9), math.floor(high / interval + 1e-9)
     ticks = [number * interval for number in range(first, last + 1)]
     labels = [((tick - low) / (high - low), f"{tick:.10g}") for tick in ticks]
-    if per_unit < 0:  # the deepest lies below
+    if per_unit < 0:  # the deepest is at the bottom
         colors, labels = colors[::-1], [(1 - share, text) for share, text in labels]
     return Legend(title, colors, labels, has_voids)
 
@@ -126,7 +120,7 @@ class Ink:
         self.draw.multiline_text((x, y), words, font=self.font, fill=WHITE)
 
     def scale_bar(self, metres_per_pixel: float) -> None:
-        """Draw a bar of a round length below on the right."""
+        """Draw a bar of a round length at the lower right."""
         metres = round_length(metres_per_pixel * _LONGEST_BAR)
         length = metres / metres_per_pixel
         x, y = self.image.width - 24 - length, self.image.height - 22
@@ -135,7 +129,7 @@ class Ink:
         self.draw.line((x + 1, y, x + length - 1, y), fill=WHITE, width=3)
 
     def legend(self, legend: Legend) -> None:
-        """Draw a bar of colours with labels above on the left, where first views have sky."""
+        """Draw a bar of colours with labels at the upper left, where initial views have sky."""
         pitch, bar = FONT_SIZE + 6, min(_BAR_HEIGHT, self.image.height - 90)
         words = [legend.title, *(text for _, text in legend.labels)]
         words += ["no data"] if legend.has_voids else []

@@ -1,4 +1,4 @@
-"""PNG, uncompressed filters: enough to write a picture without another library."""
+"""PNG writer without another library, with a single filter."""
 
 import struct
 import zlib

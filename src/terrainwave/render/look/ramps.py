@@ -19,7 +19,7 @@ _TINTS = [
 _SEA = [
     (0.00, 12, 36, 74), (0.45, 30, 76, 128), (0.80, 66, 128, 172), (1.00, 140, 190, 208),
 ]  # fmt: skip
-# Seven of matplotlib's cividis: read alike with and without red-green blindness.
+# Seven colours of matplotlib's cividis, readable with and without red-green blindness.
 _CIVIDIS = [
     (0.00, 0, 34, 78), (0.17, 42, 63, 108), (0.33, 88, 92, 110), (0.50, 124, 123, 120),
     (0.67, 162, 154, 116), (0.83, 205, 191, 98), (1.00, 254, 232, 56),
@@ -62,7 +62,7 @@ RAMPS = {"tints": _TINTS, "cividis": _CIVIDIS, "grey": _MOON, "mars": _MARS}
 N_COLORS = 512
 # Metres below 0 at which the sea's colours end, so that stops ascend.
 _SHORE = 0.1
-# Metres above the sea that land's colours have at least, of a raster that lies below it.
+# Least range of land's colours, in metres above the sea, for a raster below it.
 _LEAST_LAND = 1.0
 # Metres. The lowest shore, the Dead Sea's, is at -440 (2025) and sinks by one metre each year.
 DEEPEST_LAND = -450.0
@@ -71,7 +71,7 @@ DEEPEST_LAND = -450.0
 def sea_of(low: float) -> float | None:
     """Return the height of the sea in a raster of the Earth whose lowest height is `low`, metres.
 
-    None where no height is below all dry land: then what lies below 0 may be land.
+    None if no height is below all dry land: then ground below 0 may be land.
     """
     return 0.0 if low < DEEPEST_LAND else None
 
@@ -81,7 +81,7 @@ def ramp_colors(
 ) -> NDArray[np.uint8]:
     """Return `N_COLORS` colours from the lowest to the highest height, in metres; uint8 (n, 3).
 
-    ``tints`` has the sea below `sea`, where that is a height; ``auto`` is `sea_of`.
+    ``tints`` has the sea below `sea`, if that is a height; ``auto`` means `sea_of`.
     """
     heights = np.linspace(low, high, N_COLORS)
     sea = _sea_in(name, low, sea)
@@ -110,7 +110,7 @@ def ramp_stops(
 
 
 def _sea_in(name: str, low: float, sea: float | str | None) -> float | None:
-    """Return the height of the sea that a ramp shows; None if it shows none."""
+    """Return the height of the sea in a ramp; None if it shows none."""
     level = sea_of(low) if sea == AUTO else sea
     return float(level) if name == "tints" and level is not None and low < float(level) else None
 
@@ -149,7 +149,7 @@ class Palette(NamedTuple):
         return found
 
 
-# Palettes last: the viewer asks for one in every frame.
+# Cached, as the viewer requests one in every frame.
 @lru_cache(maxsize=8)
 def relative_palette(name: str, low: float, high: float) -> Palette:
     """Return the colours of a ramp from the lowest to the highest height, metres."""
@@ -185,7 +185,7 @@ def absolute_palette(
 
 
 def snow_line(latitude: float) -> float:
-    """Return the height in metres above which snow lies all year, about."""
+    """Return the approximate height in metres above which snow lies all year."""
     degrees, metres = np.array(_SNOW_LINE, dtype=np.float64).T
     return float(np.interp(latitude, degrees, metres))
 
@@ -197,7 +197,7 @@ def slope_palette() -> Palette:
 
 
 def error_palette(largest: float) -> Palette:
-    """Return the colours of errors, metres: their root counts, as small ones are the most."""
+    """Return the colours of errors, metres, by their square root, as most are small."""
     share = np.sqrt(np.linspace(0, 1, N_COLORS))[:, None]
     colors = np.array(_LEAST_ERROR) * (1 - share) + np.array(_MOST_ERROR) * share
     return _one_sided(colors, 0.0, largest)

@@ -1,4 +1,4 @@
-"""How a picture looks."""
+"""Style of a picture."""
 
 import math
 from dataclasses import dataclass
@@ -26,13 +26,7 @@ _RAMP_OF_BODY = {EARTH: "tints", UNKNOWN: "tints", MARS: "mars"}
 
 
 def check_sea_level(value: str | float) -> None:
-    """Refuse what is no sea level.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it is neither a word for one nor a finite number.
-    """
+    """Raise `InvalidArgumentError` unless the value is a finite number or "auto" or "none"."""
     is_good = value in (AUTO, NO_SEA) if isinstance(value, str) else math.isfinite(value)
     if not is_good:
         raise InvalidArgumentError(
@@ -42,19 +36,19 @@ def check_sea_level(value: str | float) -> None:
 
 @dataclass(frozen=True)
 class Style:
-    """How the picture looks.
+    """Style of a picture.
 
     Parameters
     ----------
     coloring : str
-        One of `colorings.MEANINGS`, which says what each is.
+        One of `colorings.MEANINGS`, which explains them.
     ramp : {"auto", "tints", "cividis", "grey", "mars"}
-        Of relative colours; by default that of the body. With ``auto`` as `coloring`, another one
-        than ``tints`` asks for relative colours.
+        For relative colours; by default that of the body. With ``auto`` as `coloring`, a ramp other
+        than ``tints`` selects relative colours.
     sea_level : {"auto", "none"} or float
-        Of absolute colours: the height in the file's unit at and below which all is water, or none.
-        With ``auto``, water is what is level at 0, and what lies below 0 where that hangs together
-        with heights below -450 m, under which there is no dry land (`water`).
+        For absolute colours: the height in the file's unit at and below which all is water, or
+        none. With ``auto``, water is level ground at 0, and ground below 0 that is connected to
+        heights below -450 m, under which there is no dry land (`water`).
     sun : tuple of float
         Azimuth and altitude in degrees.
     haze : float
@@ -62,13 +56,13 @@ class Style:
     shade : float
         Share of light and shadow, 0 … 1.
     drape : float
-        Share of the orthophoto where there is one, 0 … 1.
+        Share of the orthophoto, if any, 0 … 1.
     wireframe : bool
     background : tuple of int, optional
-        Red, green, blue instead of the sky and the ground; haze too has this colour.
+        Red, green, blue instead of the sky and the ground; also the colour of haze.
     solid : bool
-        Walls at the raster's sides, a floor, and a hatch over voids. Never with ``flat`` and with
-        `wireframe`, which show the mesh alone.
+        Walls at the raster's sides, a floor, and a hatch over voids. Never with ``flat`` and
+        `wireframe`, which show only the mesh.
     """
 
     coloring: str = "auto"
@@ -96,11 +90,11 @@ class Style:
 
     @property
     def has_legend(self) -> bool:
-        """Say whether colours are values that a legend can explain."""
+        """Return whether colours are values that a legend can explain."""
         return COLORINGS[self.coloring] in (_RAMP, _GROUND, _SLOPE, _ERROR, _TEXTURED)
 
     def is_absolute(self, body: str) -> bool:
-        """Say whether heights on a body get the Earth's colours by metres."""
+        """Return whether heights on a body get the Earth's colours by metres."""
         if self.coloring == "absolute":
             return body in (EARTH, UNKNOWN)
         is_free = self.coloring in ("auto", "textured")
@@ -111,13 +105,7 @@ class Style:
         return _RAMP_OF_BODY.get(body, "grey") if self.ramp == AUTO else self.ramp
 
     def check_body(self, body: str) -> None:
-        """Refuse the Earth's colours for another body.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If they were asked for.
-        """
+        """Raise `InvalidArgumentError` if the Earth's colours were requested for another body."""
         if self.coloring == "absolute" and not self.is_absolute(body):
             raise InvalidArgumentError(
                 "found `coloring` absolute, whose water and snow are the Earth's, and a raster on"
@@ -126,7 +114,7 @@ class Style:
 
     @property
     def draws_solid(self) -> bool:
-        """Say whether walls, floor and lids are drawn."""
+        """Return whether walls, floor and lids are drawn."""
         return self.solid and not self.wireframe and self.coloring != "flat"
 
     @property

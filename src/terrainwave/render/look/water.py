@@ -1,7 +1,7 @@
-"""Where a raster of the Earth shows water, told by its heights alone.
+"""Water in a raster of the Earth, derived only from its heights.
 
-Water is what is level at 0, and what lies below 0 where that hangs together with heights below
-`DEEPEST_LAND`, under which there is no dry land.
+Water is level ground at 0, and ground below 0 that is connected to heights below `DEEPEST_LAND`,
+under which there is no dry land.
 """
 
 import math
@@ -18,21 +18,21 @@ if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
     from terrainwave.render.scene.frame import Frame
 
-# What `Water.cells` holds: no water; water where heights are 0; water at and below 0.
+# Values of `Water.cells`: no water; water where heights are 0; water at and below 0.
 LAND, LEVEL, DEEP = 0, 128, 255
 
 _SIDE = 1025
 _MOST_WAVES, _ROUNDED = 1.0, 0.02  # metres
-# Of the sides of an area that is level at 0: if more than this share have lower ground beside them,
-# as where land slopes through 0, it is water only where it is so many samples wide (the sea before
+# Share of the sides of an area level at 0 with lower ground next to them. Above it, as where land
+# slopes through 0, the area is water only if it is this number of samples wide (the sea before
 # polders).
 _MOST_LOWER, _LEAST_WIDTH = 0.25, 32
-# Coasts lie between samples: cells reach so many samples beyond what was found.
+# Coasts lie between samples: cells extend this number of samples beyond the water found.
 _RIM = 2
 
 
 class Water(NamedTuple):
-    """Where water is.
+    """Water mask.
 
     Parameters
     ----------
@@ -45,13 +45,13 @@ class Water(NamedTuple):
     stride: int
 
     def lowest(self, sea: float) -> float:
-        """Return the lowest height that is water somewhere; infinite where none is."""
+        """Return the lowest height that is water somewhere; infinite if none is."""
         if (self.cells == DEEP).any():
             return -math.inf
         return -sea if (self.cells == LEVEL).any() else math.inf
 
 
-# Of a picture whose sea level was given, or that has no water.
+# For a picture with a given sea level, or without water.
 EVERYWHERE = Water(np.array([[DEEP]], dtype=np.uint8), 1)
 NOWHERE = Water(np.array([[LAND]], dtype=np.uint8), 1)
 
@@ -59,20 +59,20 @@ NOWHERE = Water(np.array([[LAND]], dtype=np.uint8), 1)
 def waves_of(terrain: "TerrainFile", frame: "Frame") -> float:
     """Return the metres around 0 that are level water.
 
-    What decodes to 0 within the bound is; a float32 on the way has rounded it.
+    These are heights that decode to 0 within the bound, and float32 rounding.
     """
     error = terrain.effective_error * frame.error_metres
     return min(error, _MOST_WAVES) + _ROUNDED
 
 
 def may_have_water(terrain: "TerrainFile", frame: "Frame") -> bool:
-    """Say whether `read_water` has anything to look for."""
+    """Return whether `read_water` may find any water."""
     lowest = float(frame.box[0][2]) / frame.exaggeration
     return frame.body in (EARTH, UNKNOWN) and lowest <= waves_of(terrain, frame)
 
 
 def read_water(terrain: "TerrainFile", frame: "Frame") -> Water:
-    """Return where a terrain has water; reads one level of at most 1025 samples a side.
+    """Return the water of a terrain; reads one level of at most 1025 samples a side.
 
     Raises
     ------
@@ -92,9 +92,9 @@ def find_water(
 ) -> NDArray[np.uint8]:
     """Return `Water.cells` of heights in metres, with a rim of two samples around all water.
 
-    Level is a sample that lies in 3 x 3 ones, all within `waves` of 0 or void. Where land slopes
-    through 0 there are such samples, too: an area of them is land if there is much lower ground
-    beside it and it is narrow.
+    A sample is level if it lies in a 3 x 3 square with all heights within `waves` of 0 or void.
+    Land that slopes through 0 has such samples, too: an area of them is land if it is narrow and
+    has much lower ground next to it.
     """
     is_level = valid & (np.abs(heights) <= waves)
     is_low = valid & (heights <= waves)
@@ -113,7 +113,7 @@ def find_water(
 
 
 def _grown(found: NDArray[np.bool_], n_times: int) -> NDArray[np.bool_]:
-    """Return samples and, so many times, their eight neighbours."""
+    """Return samples grown `n_times` by their eight neighbours."""
     for _ in range(n_times):
         wide = np.pad(found, 1)
         wide = wide[:-2] | wide[1:-1] | wide[2:]
@@ -122,7 +122,7 @@ def _grown(found: NDArray[np.bool_], n_times: int) -> NDArray[np.bool_]:
 
 
 def _chosen(labels: NDArray[np.int64], is_chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the samples whose label is chosen; what has the label 0 is not."""
+    """Return the samples with a chosen label; the label 0 is never chosen."""
     table = np.zeros(labels.size + 1, dtype=np.bool_)
     table[1 : len(is_chosen)] = is_chosen[1:]
     found: NDArray[np.bool_] = table[labels]
@@ -130,7 +130,7 @@ def _chosen(labels: NDArray[np.int64], is_chosen: NDArray[np.bool_]) -> NDArray[
 
 
 def _beside(labels: NDArray[np.int64], found: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return how many sides with samples of `found` the areas have, by their labels."""
+    """Return the number of sides that areas share with samples of `found`, by label."""
     sides = [
         (labels[:-1], found[1:]), (labels[1:], found[:-1]),
         (labels[:, :-1], found[:, 1:]), (labels[:, 1:], found[:, :-1]),
@@ -142,7 +142,7 @@ def _beside(labels: NDArray[np.int64], found: NDArray[np.bool_]) -> NDArray[np.i
 
 
 def _labels(area: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return the same number > 0 in samples of an area that are connected by sides, 0 outside."""
+    """Return equal numbers > 0 for samples of an area connected by sides, 0 outside."""
     labels = np.where(area, np.arange(1, area.size + 1).reshape(area.shape), 0)
     rows, columns = _Runs(area), _Runs(area.T)
     while True:
@@ -157,7 +157,7 @@ class _Runs:
 
     def __init__(self, area: NDArray[np.bool_]) -> None:
         self._area = area
-        # A column beside it: no run goes on in the next row.
+        # One more column, so that no run continues in the next row.
         line = np.pad(area, ((0, 0), (0, 1))).ravel()
         is_first = line.copy()
         is_first[1:] &= ~line[:-1]

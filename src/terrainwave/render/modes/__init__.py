@@ -1,4 +1,4 @@
-"""Modes of the viewer: which pieces there are, how they are built, chosen and drawn.
+"""Modes of the viewer: definition, construction, selection and drawing of pieces.
 
 Importing this package imports no mode: `mode_class` does.
 """
@@ -26,7 +26,7 @@ MODES = tuple(_CLASSES)
 
 
 def options_of(name: str, **options: Any) -> dict[str, Any]:
-    """Return those options of a mode that were given: neither None nor False.
+    """Return the given options of a mode: neither None nor False.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def mode_class(name: str) -> "type[Mode]":
     Raises
     ------
     InvalidArgumentError
-        If there is none of this name.
+        If the name is unknown.
     """
     if name not in _CLASSES:
         raise InvalidArgumentError(f"found `mode` {name!r}, expected one of {', '.join(MODES)}")

@@ -16,7 +16,7 @@ from terrainwave.render.scene.selection import NodeInfo, Piece
 class Adaptive(BoundedMode):
     """Blocks by their error on screen, each from its own mesh.
 
-    What `builder` does is the whole of it: another kind of mesh per block needs another builder.
+    `builder` does all the work: another kind of mesh per block only needs another builder.
     """
 
     name = "adaptive"
@@ -31,13 +31,13 @@ class Adaptive(BoundedMode):
 
     @classmethod
     def preparation(cls, error: str) -> str | None:
-        """Say that the recursion decodes the whole file."""
+        """Return a note that the recursion decodes the whole file."""
         if error != "paper":
             return None
         return "following the error recursion of Yusov & Turlapov: this decodes the whole file once"
 
     def _recursive_errors(self) -> list[NDArray[np.float64]] | None:
-        """Return Err_Appr of every block by the paper's recursion, where it is asked for."""
+        """Return Err_Appr of every block by the paper's recursion, if requested."""
         if self.error != "paper":
             return None
         n_rows, n_cols = self.terrain.shape
@@ -53,5 +53,4 @@ class Adaptive(BoundedMode):
         return self.builder.children(piece)
 
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> Patch:
-        """Return the patch of a piece."""
         return self.builder.build(piece, is_cancelled)

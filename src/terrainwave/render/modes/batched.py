@@ -1,17 +1,17 @@
 """Regular blocks in batches: Zhang et al. 2012 (see `neville`), over the file's decoded heights.
 
-Blocks of N x N cells, the file's own, one draw call for all of them. A block's heights are made
-when it is wanted, of the file's next finer level under it. Its criterion is theirs with
-``error="paper"``: a level's error is taken as μ times its spacing, and the finest level
-l with ε_l <= α d is drawn (eqs. 3–6), skirts are (2^Δl_max + 1) ε_l deep (eq. 10) and heights move
-from the coarser level's with the distance (eqs. 11, 12). With ``error="measured"`` each block has
-a bound on the error of its surface, and τ is kept as in the adaptive mode.
+Blocks of N x N cells, the file's own, one draw call for all of them. A block's heights are made on
+demand, from the file's next finer level under it. The criterion is theirs with ``error="paper"``: a
+level's error is assumed to be μ times its spacing, and the finest level l with ε_l <= α d is drawn
+(eqs. 3–6), skirts are (2^Δl_max + 1) ε_l deep (eq. 10) and heights move from the coarser level's
+with the distance (eqs. 11, 12). With ``error="measured"`` each block has a bound on the error of
+its surface, and τ is kept as in the adaptive mode.
 
 The loading scheme is theirs in both (§4.2): roots near to far, children in view breadth first until
 M blocks, eviction by w. Three departures: blocks that the criterion needs come first, because
-breadth first alone would fill M with distant ones; what a camera will see is asked for seconds
+breadth first alone would fill M with distant ones; the future view of a camera is requested seconds
 ahead (`paging.motion`; theirs one frame, eq. 15); and the pyramid: theirs is made from the finest
-level up by the filter of eq. (1), so that a coarse block is made of all data beneath it, and it is
+level up by the filter of eq. (1), so that a coarse block depends on all data beneath it, and is
 stored (docs/decisions/0017-neville-levels-on-demand.md).
 """
 
@@ -37,7 +37,7 @@ from terrainwave.render.scene.patches import Cancelled, PatchBuilder
 from terrainwave.render.scene.scales import FLOAT32_ROUNDING, HeightScale
 from terrainwave.render.scene.selection import NodeInfo, NodeTable, Piece, Selection, View
 
-# μ of ε_l = μ g_l where none is asked for; they show 0.5 and 1.
+# Default μ of ε_l = μ g_l; the paper shows 0.5 and 1.
 MU = 0.5
 # A parent's heights are needed by each of its children.
 _CACHED_GRIDS = 64
@@ -53,7 +53,7 @@ class BlockGrid(NamedTuple):
 
 
 class RegularBlock(NamedTuple):
-    """A block as drawn.
+    """A block to draw.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class RegularBlock(NamedTuple):
         Of its vertices (see `regular`) and of its parent's surface there, metres above `base`; NaN
         in voids and past the raster's edge.
     slopes : ndarray of float16, shape (n + 3, n + 3, 3)
-        As `PatchBuilder.slopes` has them.
+        As in `PatchBuilder.slopes`.
     """
 
     heights: Heights
@@ -75,12 +75,12 @@ class RegularBlock(NamedTuple):
 
 
 class Batched(BoundedMode):
-    """Zhang et al.'s blocks, chosen by their criterion or by errors that hold.
+    """Zhang et al.'s blocks, selected by their criterion or by guaranteed errors.
 
     Parameters
     ----------
     detail : float, optional
-        μ > 0, for error "paper" alone.
+        μ > 0, only for error "paper".
     order : int
         Of the filter: 2 or 4.
 
@@ -125,10 +125,10 @@ class Batched(BoundedMode):
             raise InvalidArgumentError(f"found `detail` {detail:g}, expected a number > 0")
         return detail
 
-    # The tree: what the index says
+    # The tree, from the index
 
     def roots(self) -> list[NodeInfo]:
-        """Return the root blocks, of which there is one."""
+        """Return the only root block."""
         return [self._info(block) for block in self.terrain.grid.blocks(0)]
 
     def children(self, piece: Piece) -> list[NodeInfo]:
@@ -147,9 +147,9 @@ class Batched(BoundedMode):
         return NodeInfo(Piece(*block), (left, bottom, low), (right, top, high), error, spacing)
 
     def _limits(self, block: Block) -> tuple[float, float]:
-        """Return what originals and decoded samples under a block lie between, metres.
+        """Return limits of originals and decoded samples under a block, metres.
 
-        Its vertices do, too, by `_grid`; the last of its float32 is left to them.
+        They also hold for its vertices, by `_grid`, except float32's last digit.
         """
         rounding = self._largest * FLOAT32_ROUNDING
         low, high = sorted(map(self.frame.to_metres, self.terrain.block_box(block)))
@@ -206,7 +206,7 @@ class Batched(BoundedMode):
         )
 
     def _prefetch(self, block: Block) -> None:
-        """Fetch what a block and its slopes need in one go."""
+        """Fetch the data of a block and its slopes in one request."""
         grid, level = self.terrain.grid, block.level
         near = grid.block_region(block, 2).intersect(Region(0, 0, *grid.level_shape(level)))
         keys = units_of(grid, level, near)
@@ -215,7 +215,7 @@ class Batched(BoundedMode):
         self.terrain.decoder.prefetch(keys)
 
     def grid(self, block: Block) -> BlockGrid:
-        """Return a block's heights and their error; the last ones are kept."""
+        """Return a block's heights and their error, through a cache."""
         return self._grids.get_or_make(block, lambda: self._grid(block))
 
     def _grid(self, block: Block) -> BlockGrid:
@@ -246,10 +246,10 @@ class Batched(BoundedMode):
         fine: NDArray[np.float64],
         valid: NDArray[np.bool_],
     ) -> float:
-        """Return how far originals under a child are from its parent's surface, metres.
+        """Return the largest distance of originals under a child from its parent's surface, metres.
 
-        That is at most how far they are from the child's bilinear surface, which the index says,
-        and that from its parent's; `fine` and `valid` are those of all children.
+        It is at most their distance from the child's bilinear surface, stated in the index, plus
+        that surface's distance from the parent's; `fine` and `valid` are those of all children.
         """
         terrain, is_finest = self.terrain, child.level == self.terrain.grid.k_max
         own = terrain.quanta_error if is_finest else terrain.block_error(child)
@@ -262,13 +262,13 @@ class Batched(BoundedMode):
         return own * self.frame.error_metres + apart
 
     def _reach(self, block: Block) -> tuple[int, int]:
-        """Return rows and columns of a block, with those past the raster's edge."""
+        """Return rows and columns of a block, including those past the raster's edge."""
         side, stride = self._side, self.terrain.grid.stride(block.level)
         rows, cols = (-(-(n - 1) // stride) for n in self.terrain.shape)
         return min(side, rows - block.row * side) + 1, min(side, cols - block.col * side) + 1
 
     def _plus(self, error: float) -> float:
-        """Return an error with what float32 and the GPU's sums lose."""
+        """Return an error plus the rounding of float32 and of the GPU's sums."""
         return error + 4 * self._largest * FLOAT32_ROUNDING
 
     def _samples(self, key: Block, region: Region) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
@@ -283,23 +283,23 @@ class Batched(BoundedMode):
     # Each frame
 
     def gamma(self, camera: Camera, viewport: Viewport) -> float:
-        """Return τ / α: h / (2 tan(fov / 2)) (eq. 3), or the γ that holds everywhere."""
+        """Return τ / α: h / (2 tan(fov / 2)) (eq. 3), or the guaranteed γ."""
         if self.error == "paper":
             return focal_length(camera, viewport)
         return super().gamma(camera, viewport)
 
     def split_error(self, tau: float) -> float:
-        """Return τ: blocks are split where ε_l > α d (eqs. 4–6)."""
+        """Return τ: blocks are split if ε_l > α d (eqs. 4–6)."""
         return tau if self.error == "paper" else super().split_error(tau)
 
     def spare(self, table: NodeTable, view: View, max_blocks: int) -> NDArray[np.int32]:
-        """Return T: all blocks in view breadth first, to M (§4.2)."""
+        """Return T: all blocks in view breadth first, up to M (§4.2)."""
         return table.wanted(view, max_blocks, -1.0)
 
     def frames(
         self, table: NodeTable, view: View, selection: Selection, tau: float, n_missing: int
     ) -> Frames:
-        """Return morphs and skirts: as the errors demand, or as the paper has them."""
+        """Return morphs and skirts: as the errors require, or as in the paper."""
         if self.error != "paper":
             return super().frames(table, view, selection, tau, n_missing)
         nodes, distances = selection.nodes, selection.distances

@@ -1,4 +1,4 @@
-"""Frames of pieces whose errors are bounds: morphs and skirts that keep the promise of τ pixels."""
+"""Frames of pieces whose errors are bounds: morphs and skirts that keep within τ pixels."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,17 +7,18 @@ from terrainwave.errors import InvalidArgumentError
 from terrainwave.render.modes.mode import Frames, Mode, ModeNeeds
 from terrainwave.render.scene.selection import NodeTable, Selection, View
 
-# A block is drawn a little before its parent's error reaches τ, and moves from there to its place.
+# A block is drawn slightly before its parent's error reaches τ, and moves from there to its
+# position.
 MORPH_START = 1.25
 
 
 class BoundedMode(Mode):
-    """A mode whose pieces state errors that hold, and so do its pictures.
+    """Mode whose pieces and pictures have guaranteed errors.
 
     Parameters
     ----------
     orientation : bool
-        Errors count by the direction they are seen from (`kernels.oriented_distance`).
+        Errors count by the direction from which they are seen (`kernels.oriented_distance`).
     """
 
     def __init__(self, needs: ModeNeeds, *, orientation: bool = False) -> None:
@@ -29,7 +30,7 @@ class BoundedMode(Mode):
         self.is_oriented = orientation
 
     def split_error(self, tau: float) -> float:
-        """Return the error on screen above which pieces are split, for τ asked for."""
+        """Return the error on screen above which pieces are split, for the requested τ."""
         return tau / MORPH_START
 
     def frames(
@@ -37,15 +38,15 @@ class BoundedMode(Mode):
     ) -> Frames:
         """Return how to draw a selection that was split at `tau`, from `split_error`.
 
-        Pieces are split at τ / MORPH_START, so that what is drawn may use up to τ.
+        Pieces are split at τ / MORPH_START, so that the drawn ones may use up to τ.
         """
-        # The nearest first: what they hide need not be shaded.
+        # The nearest first: hidden parts need not be shaded.
         order = np.argsort(selection.distances, kind="stable")
         nodes, distances = selection.nodes[order], selection.distances[order]
         tau = max(tau, 0.0)
         morphs, drawn, allowed = table.bounded_errors(view, nodes, tau, tau * MORPH_START)
-        # A neighbour's error: within τ at the furthest point that it may share with this block,
-        # or one that stands in for others.
+        # A neighbour's error: within τ at the furthest point that it may share with this block, or
+        # one that represents others.
         low, high = table.boxes(nodes, view.exaggeration)
         beside = tau * MORPH_START * _furthest(view, low, high) / view.least_gamma
         too_coarse = drawn[drawn > allowed]

@@ -2,9 +2,9 @@
 
 Each patch has a forest of Haar quadtrees: those of its own samples, and two rings of trees around
 them, with its neighbours' samples or some beyond the outline. Patches of one level are one mesh:
-fans join their own trees, and rings are not drawn there (`draw_together`). Where a neighbour is of
-another level, the inner ring is drawn over it, and ends in skirts: levels of a file are no heights
-of one quadtree, and a triangle between two would be as far off as both are together. The outer ring
+fans join their own trees, and rings are not drawn there (`draw_together`). If a neighbour has
+another level, the inner ring is drawn over it, and ends in skirts: levels of a file are not heights
+of one quadtree, and the error of a triangle between two would be the sum of theirs. The outer ring
 makes the measured errors of the inner one those of the whole raster.
 """
 
@@ -25,12 +25,12 @@ _TREES = "a power of two, 2 … 256"
 
 
 def checked_tree(tree: object) -> int:
-    """Return the samples a side of a tree.
+    """Return the samples per side of a tree.
 
     Raises
     ------
     InvalidArgumentError
-        If it is no power of two, 2 … 256.
+        If it is not a power of two, 2 … 256.
     """
     side = checked_whole("tree", tree, expected=_TREES)
     if not 2 <= side <= 256 or side & (side - 1):
@@ -44,14 +44,14 @@ class Dynamic(FrontMode):
     Parameters
     ----------
     stepwise : bool
-        Change marks by one height a frame, as the paper does.
+        Change marks by one height per frame, as in the paper.
     tree : int, optional
-        Samples a side of a tree, a power of two, 2 to 256: no node is larger. 16 by default.
+        Samples per side of a tree, a power of two, 2 to 256: no node is larger. 16 by default.
 
     Attributes
     ----------
     samples : int
-        Of a patch, a side; all but its apron in modes whose patches overlap.
+        Samples per side of a patch; without its apron in modes whose patches overlap.
     """
 
     name = "dynamic"
@@ -69,7 +69,7 @@ class Dynamic(FrontMode):
         self.arrange()
 
     def arrange(self) -> None:
-        """Set what patches of trees of a size reach over."""
+        """Set the extent of patches for a size of trees."""
         self.cells, self.apron, self.beyond = self.samples, 2 * self.tree, 2 * self.tree
 
     def make_mesh(
@@ -92,28 +92,28 @@ class Dynamic(FrontMode):
         )
 
     def between(self, level: int, heights: NDArray[np.float64]) -> float:
-        """Return as much as heights change to the next sample, down and across.
+        """Return the largest change of heights to the next sample, down and across.
 
-        A place is no more than half a sample each way from one in the same window of
-        `tri.dynamic.haar`: by no more than that the window's plane and the surface rise to there,
-        one up, the other down.
+        A point is at most half a sample each way from one in the same window of `tri.dynamic.haar`:
+        the window's plane and the surface rise by no more than that to there, one up, the other
+        down.
         """
         if level < self.n_levels - 1:
-            return 0.0  # trees have measured it
+            return 0.0  # included in the trees' errors
         rises = (np.abs(np.diff(heights, axis=axis)) for axis in (0, 1))
         return sum(float(np.max(rise, initial=0.0, where=~np.isnan(rise))) for rise in rises)
 
     def follow(self, patch: FrontPatch, eye: Eye, tau: float, max_vertices: int) -> Followed:
-        """Bring the marks of a patch up to date with a view."""
+        """Update the marks of a patch for a view."""
         followed: Followed = patch.mesh.follow(
             eye, tau, morph=self.morph, max_vertices=max_vertices, is_stepwise=self._is_stepwise
         )
         return followed
 
     def frames_of(self, eye: Eye) -> list[PatchFrame]:
-        """Return the meshes of `shown`, which have followed the eye, those of each level joined."""
+        """Return the meshes of `shown`, which have followed the eye; levels are joined."""
         frames: dict[int, PatchFrame] = {}
-        # In an order that does not depend on the eye, as it decides who draws which ring.
+        # The order decides who draws which ring, so it must not depend on the eye.
         order = sorted(range(len(self.shown)), key=lambda k: self.shown[k].piece)
         for here in self._that_meet(order):
             level = self.shown[here[0]].piece.level
@@ -127,9 +127,9 @@ class Dynamic(FrontMode):
         return [frame for _, frame in sorted(frames.items())]
 
     def _that_meet(self, order: list[int]) -> Iterator[list[int]]:
-        """Yield numbers of shown patches whose trees meet; what lies between others takes no work.
+        """Yield numbers of shown patches whose trees meet; others need no joining.
 
-        In the order given.
+        In the given order.
         """
         reach = 1 + -(-2 * self.apron // self.cells)
         left = {self.shown[k].piece: k for k in order}
@@ -148,7 +148,7 @@ class Dynamic(FrontMode):
             yield sorted(found, key=rank.__getitem__)
 
     def _part(self, patch: FrontPatch, followed: Followed) -> ForestPart:
-        """Return a patch among those of its level: the trees of its cells are its own."""
+        """Return a patch among those of its level: it owns the trees of its cells."""
         piece, ring, n = patch.piece, self.apron // self.tree, self.cells // self.tree
         own = slice(ring, ring + n)
         return ForestPart(
@@ -156,6 +156,6 @@ class Dynamic(FrontMode):
         )
 
     def mesh_error(self, patch: FrontPatch, eye: Eye, followed: Followed) -> float:
-        """Return how far the mesh in view is from the samples of a patch, metres."""
+        """Return the distance of the mesh in view from the samples of a patch, metres."""
         mesh: DynamicMesh = patch.mesh
         return mesh.largest_error(eye, followed) + mesh.tree.rounding

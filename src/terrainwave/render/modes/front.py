@@ -1,17 +1,17 @@
-"""Meshes made anew each frame, patch by patch: what `dynamic`, `rqt` and `vertex-texture` share.
+"""Meshes rebuilt each frame, patch by patch: common parts of `dynamic`, `rqt` and `vertex-texture`.
 
-The raster is a quadtree of patches of so many cells a side, each of one level of the file: the
-coarsest holds all of it, the finest ones its full grid. They come and go as blocks do. A patch is
-taken where the error of its level is at most `_LEVEL_SHARE` of τ on screen; its mesh follows the
-camera within it, so that both errors together are within τ.
+The raster is a quadtree of patches with equal numbers of cells, each of one level of the file: the
+coarsest holds all of it, the finest ones its full grid. They are loaded and dropped like blocks. A
+patch is used if the error of its level is at most `_LEVEL_SHARE` of τ on screen; its mesh follows
+the camera within it, so that both errors together are within τ.
 
-A mesh may end short of its samples, and the samples of a coarse level short of the raster. Where a
-patch has a part of the outline, its heights go on beyond it, and shaders cut the mesh off there.
+A mesh may end short of its samples, and the samples of a coarse level short of the raster. At the
+outline a patch's heights continue beyond it, and shaders clip the mesh there.
 
-Neighbours may be of any level. Where none knows of the other, what is drawn of both ends in skirts:
-at every place of a border each is within its own error of the originals, so that skirts as deep as
-both errors together leave no gap. A patch that is coarser than τ asks for stands in for others that
-are not here yet: it is drawn with a τ that its level is worth, not with all of its samples.
+Neighbours may be of any level. Where they are not joined, both end in skirts: at every point of a
+border each is within its own error of the originals, so skirts as deep as both errors together
+leave no gap. A patch coarser than τ requires represents others that are not loaded yet: it is drawn
+with a τ that suits its level, not with all of its samples.
 """
 
 from abc import abstractmethod
@@ -37,15 +37,15 @@ from terrainwave.tri.scratch import Scratch
 MAX_VERTICES = 4_000_000
 # λ: vertices move while errors go from τ / λ to τ.
 MORPH = 1.25
-# Of τ, what the error of a level may be. A power of two: τ comes back from it as it was.
+# Share of τ for the error of a level. A power of two, so that dividing by it restores τ exactly.
 _LEVEL_SHARE = 0.5
-# What stands in for others is drawn at most so much coarser than τ.
+# A patch that represents others is drawn with at most this multiple of τ.
 _MOST_RELAXED = 8.0
-# Where patches do not fit, τ is raised by steps, so far: around the eye no level is good enough. It
-# sinks where no more than a share of the room is taken.
+# If patches do not fit, τ is raised by steps, up to this factor: around the eye no level is good
+# enough. It is lowered if no more than this share of the room is taken.
 _STEP, _MOST_SHORT, _WELL_FILLED = 1.1, 16.0, 0.95
 
-# Neighbours, or samples beyond the outline, go on beyond all sides of a mesh.
+# Neighbours, or samples beyond the outline, continue beyond all sides of a mesh.
 ALL_OPEN = (True, True, True, True)
 
 
@@ -59,9 +59,9 @@ class Drawn(NamedTuple):
     triangles : ndarray of int32, shape (m, 3)
         Those of skirts come last, patch by patch.
     sizes : ndarray of int32, shape (n,)
-        What `--coloring level` shows: log2 of the vertex's share of the full grid.
+        For `--coloring level`: log2 of the vertex's share of the full grid.
     depths : ndarray of float64, shape (n,)
-        How far below its place a vertex of a skirt's lower end is at most; -1 of all others.
+        Largest depth of a vertex at a skirt's lower end; -1 for all others.
     """
 
     vertices: NDArray[np.float64]
@@ -87,9 +87,9 @@ class PatchFrame(NamedTuple):
     ----------
     drawn : Drawn
     edges : ndarray of int32, shape (k, 2)
-        Vertices of edges beyond which neighbours go on that are not joined to it.
+        Vertices of edges to neighbours that are not joined to it.
     error : float
-        How far the mesh is from the samples of its level, vertically, where such edges and those of
+        Vertical distance of the mesh from the samples of its level where such edges and those of
         neighbours are in view; metres, without exaggeration.
     """
 
@@ -131,30 +131,30 @@ class Continued(NamedTuple):
 
 @dataclass(frozen=True)
 class FrontPatch:
-    """What `build` returns: a mesh that follows the camera over samples of one level.
+    """Result of `build`: a mesh that follows the camera over samples of one level.
 
     Parameters
     ----------
     region : Region
         Of the level.
     matrix : tuple of float
-        How its samples lie in local metres, counted from its first.
+        Positions of its samples in local metres, counted from its first.
     slopes : ndarray of float16, shape (n_rows, n_cols, 3)
         See `PatchSamples`.
     mesh : object, optional
-        Over `Continued.heights`; None where there is nothing to draw.
+        Over `Continued.heights`; None if there is nothing to draw.
     lead : tuple of int
         As of `Continued`.
     error : float
         Largest distance of originals from triangles between all samples, metres.
     children : list of NodeInfo
     side : int
-        Samples of the mode's largest patches, a side.
+        Samples per side of the mode's largest patches.
     room : int
-        Bytes of memory that a patch may take beside its slopes.
+        Limit of a patch's memory besides its slopes, in bytes.
     between : float
-        How much further triangles may be from the bilinear surface between samples than
-        `PatchFrame.error` says, metres.
+        Largest additional distance of triangles from the bilinear surface between samples, over
+        `PatchFrame.error`, metres.
     """
 
     piece: Piece
@@ -181,7 +181,7 @@ class FrontPatch:
 
 
 def eye_of(view: View) -> Eye:
-    """Return the numbers that errors on screen depend on."""
+    """Return the input of errors on screen."""
     return Eye(
         view.camera.eye,
         view.camera.forward,
@@ -193,18 +193,18 @@ def eye_of(view: View) -> Eye:
 
 
 class FrontMode(Mode):
-    """A mode of patches whose meshes follow the camera.
+    """Mode of patches whose meshes follow the camera.
 
     Attributes
     ----------
     cells : int
         Of a patch, per side.
     apron, beyond : int
-        Samples that patches reach beyond their first row and column, and beyond those of their
+        Samples by which patches extend beyond their first row and column, and beyond those of their
         cells.
     tree : int
-        Meshes have so many samples a side, or a multiple of it, and may end half as many short of
-        their last ones.
+        Meshes have this number of samples per side, or a multiple of it, and may end half as many
+        short of their last ones.
     sample_bytes : int
         Of a mesh, at most.
     scratch : Scratch
@@ -212,11 +212,11 @@ class FrontMode(Mode):
     drawn : Drawn, optional
         The mesh of the last frame.
     shown : list of FrontPatch
-        Those drawn in the last frame, in the order of `Frames.nodes`.
+        Patches of the last frame, in the order of `Frames.nodes`.
     followed : list of Followed
-        What their meshes say.
+        Statistics of their meshes.
     first_vertices : list of int
-        Where the vertices of each begin in `drawn`.
+        First vertex of each in `drawn`.
     """
 
     cells: int
@@ -244,17 +244,17 @@ class FrontMode(Mode):
 
     @property
     def side(self) -> int:
-        """Return the samples of the largest patches, a side."""
+        """Return the samples per side of the largest patches."""
         return min(self._reach, max(self.terrain.shape))
 
     @property
     def _reach(self) -> int:
-        """Return the samples of a patch with its aprons, a side, wherever the raster ends."""
+        """Return the samples per side of a patch with its aprons, also at the raster's edge."""
         return self.apron + self.cells + self.beyond
 
     @property
     def _mesh_side(self) -> int:
-        """Return the samples of the largest meshes, a side."""
+        """Return the samples per side of the largest meshes."""
         return min(self._reach, self.side + 1 + self.apron + self.beyond)
 
     def _n_pieces(self, level: int) -> tuple[int, int]:
@@ -270,7 +270,7 @@ class FrontMode(Mode):
         return [self._info(Piece(level, r, c)) for r in range(rows) for c in range(cols)]
 
     def children(self, piece: Piece) -> list[NodeInfo]:
-        """Return the four pieces of the next level, as far as the raster goes. Thread-safe."""
+        """Return the four pieces of the next level, as far as the raster extends. Thread-safe."""
         level = piece.level + 1
         if level == self.n_levels:
             return []
@@ -283,16 +283,16 @@ class FrontMode(Mode):
         ]
 
     def region(self, piece: Piece) -> Region:
-        """Return the samples of a piece that its level has."""
+        """Return the samples of a piece within its level."""
         level = Region(0, 0, *self.terrain.grid.level_shape(piece.level))
         row, col = (k * self.cells - self.apron for k in (piece.row, piece.col))
         return Region(row, col, self._reach, self._reach).intersect(level)
 
     def _continue(self, piece: Piece, region: Region, heights: NDArray[np.float64]) -> Continued:
-        """Continue the heights of a patch beyond the outline, where it has a part of that.
+        """Continue the heights of a patch beyond the outline, if it has a part of that.
 
-        A mesh may end short of its last samples, and a coarse level ends short of the raster. So
-        that all of the raster is covered: shaders cut off what is outside.
+        A mesh may end short of its last samples, and a coarse level ends short of the raster. The
+        continuation makes it cover the whole raster; shaders clip the rest.
         """
         grid, outside, beyond = self.terrain.grid, [], []
         shape, stride = grid.level_shape(piece.level), grid.stride(piece.level)
@@ -309,12 +309,12 @@ class FrontMode(Mode):
             beyond.append((n_before, n_after))
         wide = np.pad(heights, outside, mode="edge")
         linear = with_outside(heights, *wide.shape)
-        # Where one of the last two is void, as the last.
+        # If one of the last two is void, repeat the last.
         wide = np.where(np.isnan(linear), wide, linear)
         return Continued(np.pad(wide, beyond, mode="edge"), (beyond[0][0], beyond[1][0]))
 
     def _blocks(self, level: int, region: Region) -> list[Block]:
-        """Return the blocks whose cells a region of samples has; it may end before its level."""
+        """Return the blocks that hold the cells of a region of samples, within its level."""
         grid = self.terrain.grid
         rows, cols = (
             range(
@@ -328,7 +328,7 @@ class FrontMode(Mode):
         return [Block(level, row, col) for row in rows for col in cols]
 
     def _info(self, piece: Piece) -> NodeInfo:
-        """Return box and error of a piece, as the index has them."""
+        """Return box and error of a piece from the index."""
         terrain = self.terrain
         region = self.region(piece)
         stride = terrain.grid.stride(piece.level)
@@ -370,7 +370,7 @@ class FrontMode(Mode):
         error, mesh = info.error, None
         heights, lead = self._continue(piece, region, samples.heights)
         if min(self.terrain.shape) > 1 and not np.isnan(samples.heights).all():
-            if piece.level < self.n_levels - 1:  # originals lie between samples, too
+            if piece.level < self.n_levels - 1:  # originals also lie between samples
                 error += twist_of(heights)
             mesh = self.make_mesh(piece, heights, _moved(matrix, lead), error)
         return FrontPatch(
@@ -383,9 +383,9 @@ class FrontMode(Mode):
         level: int,  # noqa: ARG002, as modes whose coarse levels lack originals need both
         heights: NDArray[np.float64],  # noqa: ARG002
     ) -> float:
-        """Return how much further triangles may be from originals between samples than at them.
+        """Return how much further originals may be from triangles between samples than at them.
 
-        For skirts alone: where levels have all originals, these are at samples.
+        Only for skirts: where levels have all originals, these are at samples.
         """
         return 0.0
 
@@ -397,7 +397,7 @@ class FrontMode(Mode):
         matrix: tuple[float, ...],
         base_error: float,
     ) -> Any:
-        """Return the mesh of a patch: neighbours go on beyond all its sides. Thread-safe."""
+        """Return the mesh of a patch: neighbours continue beyond all its sides. Thread-safe."""
 
     def read(self, level: int, region: Region) -> PatchSamples:
         """Return samples of a level. Thread-safe."""
@@ -415,14 +415,14 @@ class FrontMode(Mode):
         )
         return PatchSamples(region, heights, slopes)
 
-    # As pieces come and go
+    # Loading and dropping of pieces
 
     def keep(self, piece: Piece, built: Any) -> None:
-        """Take a patch."""
+        """Add a patch."""
         self._patches[piece] = built
 
     def drop(self, piece: Piece) -> None:
-        """Forget a patch."""
+        """Remove a patch."""
         del self._patches[piece]
 
     # Each frame
@@ -430,16 +430,16 @@ class FrontMode(Mode):
     def wanted(
         self, table: NodeTable, view: View, tau: float, max_blocks: int, camera: Camera
     ) -> NDArray[np.int32]:
-        """Return the pieces to have for a camera; τ is raised until there is room for them.
+        """Return the wanted pieces for a camera; τ is raised until they fit.
 
-        It sinks again as the camera moves and there is room enough.
+        It is lowered again as the camera moves and there is room.
         """
 
         def pieces(factor: float) -> NDArray[np.int32]:
             return table.wanted(view, max_blocks, tau * factor, camera)
 
         def are_too_many(nodes: NDArray[np.int32]) -> bool:
-            # Before the first one is here, nobody knows how many fit.
+            # Before the first patch is loaded, the number that fits is unknown.
             return len(nodes) == max_blocks > len(table.roots)
 
         nodes = pieces(self._shortage)
@@ -460,7 +460,7 @@ class FrontMode(Mode):
         return nodes
 
     def split_error(self, tau: float) -> float:
-        """Return the error of levels above which pieces are split, for τ asked for."""
+        """Return the error of levels above which pieces are split, for the requested τ."""
         return tau * _LEVEL_SHARE
 
     def frames(
@@ -477,7 +477,7 @@ class FrontMode(Mode):
         is_finest = np.array([patch.piece.level == self.n_levels - 1 for patch in self.shown])
         relaxed = np.where(is_finest, 1.0, np.maximum(on_screen / tau, 1.0))
         within = self._follow_all(eye, wanted, np.minimum(relaxed, _MOST_RELAXED))
-        # Levels above τ stay where there is no room for finer ones, or no need (`View.flatness`).
+        # Levels above τ remain if there is no room for finer ones, or no need (`View.flatness`).
         most = NO_PROMISE if self._is_short and not n_missing else view.flatness
         within = min(within * min(float(relaxed.max(initial=1.0)), most), NO_PROMISE)
         self._is_short = False
@@ -489,7 +489,7 @@ class FrontMode(Mode):
         return self._patches[table.pieces[node]]
 
     def _follow_all(self, eye: Eye, tau: float, relaxed: NDArray[np.float64]) -> float:
-        """Bring all meshes up to date, within the budget; return what they keep, pixels."""
+        """Update all meshes, within the budget; return the error they keep, in pixels."""
         budget = self._max_vertices()
         self._pressure.relieve()
         while True:
@@ -516,14 +516,14 @@ class FrontMode(Mode):
         return max(min(self.max_triangles // 3, MAX_VERTICES), least)
 
     def follow(self, patch: FrontPatch, eye: Eye, tau: float, max_vertices: int) -> Followed:
-        """Bring the mesh of a patch up to date."""
+        """Update the mesh of a patch."""
         followed: Followed = patch.mesh.follow(eye, tau, morph=MORPH, max_vertices=max_vertices)
         return followed
 
     def draw(
         self, eye: Eye, low: NDArray[np.float64], high: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], int]:
-        """Make what is drawn; return the depths of skirts, and how many triangles there are.
+        """Make the frame's mesh; return the depths of skirts, and the number of triangles.
 
         `low` and `high` are corners of the boxes of `shown`.
         """
@@ -539,10 +539,10 @@ class FrontMode(Mode):
     def depths(
         self, eye: Eye, errors: list[float], low: NDArray[np.float64], high: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return how deep the skirts of each patch are, local metres.
+        """Return the depth of each patch's skirts, local metres.
 
-        As its own error, `PatchFrame.error` with that of its level and what may be between samples,
-        and the largest of those that touch it.
+        It is its own error, which is `PatchFrame.error` plus that of its level and the error
+        between samples, plus the largest of its neighbours.
         """
         own = np.array([patch.error + patch.between for patch in self.shown]) + errors
         own *= eye.z_scale
@@ -568,13 +568,13 @@ class FrontMode(Mode):
 
 
 def _moved(matrix: tuple[float, ...], lead: tuple[int, int]) -> tuple[float, ...]:
-    """Return how samples lie, counted from one so many rows and columns before the first."""
+    """Return the matrix of samples counted from one `lead` rows and columns before the first."""
     (a, b, c, d, e, f), (rows, cols) = matrix, lead
     return a, b, c - a * cols - b * rows, d, e, f - d * cols - e * rows
 
 
 def _with_skirts(frame: PatchFrame, depth: float) -> Drawn:
-    """Return a patch with two triangles more below each of its edges."""
+    """Return a patch with two more triangles below each of its edges."""
     drawn, edges, _ = frame
     if not len(edges):
         return drawn

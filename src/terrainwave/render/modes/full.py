@@ -1,4 +1,4 @@
-"""Every finest block, a part at a time: the reference that the others are compared with."""
+"""All finest blocks, a part at a time: the reference for comparisons."""
 
 from terrainwave.render.modes.adaptive import Adaptive
 
@@ -12,16 +12,16 @@ class Full(Adaptive):
 
     @property
     def is_bound(self) -> bool:
-        """Say yes: errors choose nothing here."""
+        """Return True: errors select nothing here."""
         return True
 
     @classmethod
     def preparation(cls, error: str) -> str | None:  # noqa: ARG003, as in `Mode`
-        """Return None: errors choose nothing here."""
+        """Return None: errors select nothing here."""
         return None
 
     def _recursive_errors(self) -> None:
-        """Return no errors: they choose nothing here."""
+        """Return None: errors select nothing here."""
 
     def split_error(self, tau: float) -> float:  # noqa: ARG002, as in `Mode`
         """Return a negative error: all pieces are split."""

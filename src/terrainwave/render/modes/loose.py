@@ -1,4 +1,4 @@
-"""Each block from its zero trees alone (Yusov & Turlapov 2010, §2.4)."""
+"""Blocks with meshes of only their zero trees (Yusov & Turlapov 2010, §2.4)."""
 
 import math
 from typing import Any
@@ -11,11 +11,11 @@ from terrainwave.render.scene.selection import NodeTable, Piece, Selection, View
 
 
 class Loose(Adaptive):
-    """The blocks of `Adaptive`, those above the finest level with their non-guaranteed meshes.
+    """The blocks of `Adaptive`, with meshes without a guarantee above the finest level.
 
-    They are selected as if they had their guaranteed ones. What a mesh is worth is measured when it
-    is built: `Frames.tau` is the largest of that on screen, often far above the τ asked for, and
-    infinite where the eye is in the box of a piece.
+    They are selected as if they had their guaranteed ones. The error of a mesh is measured when it
+    is built: `Frames.tau` is the largest of these on screen, often far above the requested τ, and
+    infinite if the eye is in the box of a piece.
     """
 
     name = "loose"
@@ -27,15 +27,15 @@ class Loose(Adaptive):
 
     @property
     def has_limit(self) -> bool:
-        """Say no: what meshes are worth is known when they are there."""
+        """Return False: errors of meshes are only known once they are built."""
         return False
 
     def keep(self, piece: Piece, built: Any) -> None:
-        """Take down what a mesh is worth."""
+        """Record the error of a mesh."""
         self._drawn_errors[piece] = built.drawn_error
 
     def drop(self, piece: Piece) -> None:
-        """Forget it."""
+        """Remove the error of a mesh."""
         del self._drawn_errors[piece]
 
     def frames(
@@ -47,6 +47,6 @@ class Loose(Adaptive):
         above = np.maximum(errors - table.errors[frames.nodes], 0.0)
         skirts = frames.skirts + (above + above.max(initial=0.0)) * view.exaggeration
         on_screen = table.on_screen(view, frames.nodes, errors).max(initial=0.0)
-        # From within the box of a piece nothing can be said.
+        # Nothing is known from within the box of a piece.
         kept = float(on_screen) if on_screen < NO_PROMISE else math.inf
         return frames._replace(skirts=skirts, tau=max(frames.tau, kept))

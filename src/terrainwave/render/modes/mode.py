@@ -1,14 +1,14 @@
-"""The interface of a mode.
+"""Interface of a mode.
 
-A mode has three parts, and `Scene` knows no more of it:
+A mode has three parts, used by `Scene`:
 
 * a tree of pieces (`roots`, `children`) with boxes and errors, from an index: cheap;
-* `build`, called in worker threads: what is uploaded for a piece;
-* `gamma`, `split_error`, `wanted` and `frames`, called each frame: which pieces are wanted and how
+* `build`, called in worker threads: returns the data to upload for a piece;
+* `gamma`, `split_error`, `wanted` and `frames`, called each frame: select pieces and decide how
   they are drawn.
 
-What draws it, a surface, is the other half, which a mode never sees: `render.gpu.surfaces` has the
-table. A store keeps what `build` returned, and a program draws it (`render.gpu.surface`).
+A surface draws it, which a mode never sees: `render.gpu.surfaces` has the table. A store keeps the
+results of `build`, and a program draws them (`render.gpu.surface`).
 """
 
 from abc import ABC, abstractmethod
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 
 ERRORS = ("measured", "paper")
 MAX_TRIANGLES = 20_000_000
-# What `Frames.tau` is where nothing is promised, pixels, or more.
+# Value of `Frames.tau`, in pixels, from which nothing is guaranteed.
 NO_PROMISE = 1e6
 
 
 class Frames(NamedTuple):
-    """What to draw: for each node its place, morph and skirt.
+    """Nodes to draw, each with distance, morph and skirt.
 
     Parameters
     ----------
@@ -47,9 +47,9 @@ class Frames(NamedTuple):
         Depth of skirts, local metres.
     n_triangles : int
     tau : float
-        Pixels; above what was asked for if limits demand it.
+        Pixels; above the requested one if limits require it.
     n_missing : int
-        Wanted pieces that are not here yet.
+        Wanted pieces that are not loaded yet.
     """
 
     nodes: NDArray[np.int32]
@@ -62,7 +62,7 @@ class Frames(NamedTuple):
 
 
 class ModeNeeds(NamedTuple):
-    """What every mode needs.
+    """Arguments of every mode.
 
     Parameters
     ----------
@@ -70,10 +70,10 @@ class ModeNeeds(NamedTuple):
     frame : Frame
         Local metres; its exaggeration is not used: the GPU applies it.
     error : str
-        One of the mode's `errors`: errors and γ that hold everywhere ("measured"), those of its
-        paper ("paper"), or the file's wavelet coefficients ("coefficient").
+        One of the mode's `errors`: guaranteed errors and γ ("measured"), those of its paper
+        ("paper"), or the file's wavelet coefficients ("coefficient").
     progress : callable, optional
-        Called with a `Progress` where the mode prepares for long.
+        Called with a `Progress` if the mode needs long preparation.
     """
 
     terrain: "TerrainFile"
@@ -83,26 +83,25 @@ class ModeNeeds(NamedTuple):
 
 
 class Mode(ABC):
-    """A way to draw a terrain. Thread-safe where it says so.
+    """Way to draw a terrain. Thread-safe only where stated.
 
     Attributes
     ----------
     name : str
         As in ``--mode``.
     errors : tuple of str
-        That it knows, as in ``--error``.
+        Supported errors, as in ``--error``.
     options : tuple of str
-        What it can be told besides, as `Scene` and the command line have it; the same keywords of
-        its constructor.
+        Further options, as in `Scene` and on the command line; keywords of its constructor.
     is_partwise : bool
         All finest pieces are drawn, as many at a time as the store holds.
     n_levels : int
         Of its pieces; level 0 is the coarsest.
     is_oriented : bool
-        Errors count by the direction they are seen from (`View.is_oriented`).
+        Errors count by the direction from which they are seen (`View.is_oriented`).
     max_triangles : int
-        Per frame, for modes that make their triangles in `frames`: they raise τ beyond it. Those
-        of pieces are counted by who selects them.
+        Per frame, for modes that make their triangles in `frames`: they raise τ beyond it.
+        Triangles of pieces are counted by the selection.
     """
 
     name: str
@@ -123,13 +122,13 @@ class Mode(ABC):
 
     @classmethod
     def preparation(cls, error: str) -> str | None:  # noqa: ARG003, as some modes need it
-        """Say what is decoded before the first picture, and what for; None if that is little."""
+        """Return what is decoded before the first picture, and why; None if that is little."""
         return None
 
     def close(self) -> None:  # noqa: B027  most modes have nothing to close
-        """Free what it holds; no `build` runs any more."""
+        """Release resources; no `build` runs any more."""
 
-    # The tree: what the index says
+    # The tree, from the index
 
     @abstractmethod
     def roots(self) -> list[NodeInfo]:
@@ -143,23 +142,23 @@ class Mode(ABC):
 
     @abstractmethod
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> Built:
-        """Build what is drawn for a piece. Thread-safe.
+        """Build the drawable form of a piece. Thread-safe.
 
         Raises
         ------
         Cancelled
-            If `is_cancelled` says so between two steps.
+            If `is_cancelled` returns True between two steps.
         CorruptStreamError
             If the file is damaged there.
         """
 
-    # In the thread that draws, as pieces come and go
+    # In the drawing thread, when pieces are loaded and dropped
 
     def keep(self, piece: Piece, built: Built) -> None:  # noqa: B027  most modes need not know
-        """Take what was built for a piece that has come to the store."""
+        """Record the result of building a piece that is now in the store."""
 
     def drop(self, piece: Piece) -> None:  # noqa: B027
-        """Forget a piece that has left the store."""
+        """Remove a piece that has left the store."""
 
     # Each frame
 
@@ -170,21 +169,21 @@ class Mode(ABC):
 
     @property
     def is_bound(self) -> bool:
-        """Say whether pictures are within `Frames.tau` pixels of the terrain for certain."""
+        """Return whether pictures are guaranteed to be within `Frames.tau` of the terrain."""
         return self.error == "measured"
 
     @property
     def has_limit(self) -> bool:
-        """Say whether pieces are chosen so that pictures are within the τ that was asked for."""
+        """Return whether pieces are selected so that pictures are within the requested τ."""
         return self.is_bound
 
     @property
     def is_exact(self) -> bool:
-        """Say whether errors count as each piece's place in the picture has it (`View`)."""
+        """Return whether errors count by each piece's position in the picture (`View`)."""
         return self.error == "measured"
 
     def split_error(self, tau: float) -> float:
-        """Return the error on screen above which pieces are split, for τ asked for."""
+        """Return the error on screen above which pieces are split, for the requested τ."""
         return tau
 
     def wanted(
@@ -199,7 +198,7 @@ class Mode(ABC):
         view: View,  # noqa: ARG002
         max_blocks: int,  # noqa: ARG002
     ) -> NDArray[np.int32]:
-        """Return the pieces to have besides, once all that is wanted is here."""
+        """Return further pieces to load once all wanted ones are here."""
         return np.empty(0, dtype=np.int32)
 
     @abstractmethod

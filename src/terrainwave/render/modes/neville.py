@@ -1,11 +1,11 @@
 """Neville filters of order 2 or 4 (Kovačević, Sweldens 2000), weighted as by Zhang et al. 2012.
 
-Theirs make a sample of the 4 x 4 around it (§1, eq. 1). Here they predict a sample from those
-around it: on a line from the two beside it by ½, or from four by 9/16 and -1/16; in the middle of
-four by ¼ each, or by 10/32 each less 1/32 of the eight beside those (fig. 2). A level is made of
+Theirs compute a sample from the 4 x 4 around it (§1, eq. 1). Here they predict a sample from its
+neighbours: on a line from the nearest two by ½, or from four by 9/16 and -1/16; in the middle of
+four by ¼ each, or by 10/32 each less 1/32 of the eight next to those (fig. 2). A level is made from
 the finer one by their update, a quarter of the transposed filters: half of it on a line. Samples of
-levels then nest as the file's do, and no level has to be made of the finest one: that of one block
-needs the file's next finer level under it.
+levels then nest like the file's, and a block needs only the file's next finer level under it, not
+the finest one.
 
 Zhang, Zhang, Zhang: GPU-based real-time terrain rendering algorithm using batched LOD. Journal of
 Image and Graphics 17(4), 2012, pp. 582–588. Kovačević, Sweldens: Wavelet families of increasing
@@ -22,13 +22,13 @@ _LINE = (9.0 / 16.0, -1.0 / 16.0)
 _MIDDLE = (10.0 / 32.0, -1.0 / 32.0)
 
 
-# Around samples, as far as the filters reach.
+# Reach of the filters around samples.
 RING = 3
 
 
 @kernel
 def _missed(height, near, far, n_near, near_weight, far_weight, order):
-    """Return a height less what sums of others predict: by order 4 where it can, else 2, else 0."""
+    """Return a height less its prediction by sums: of order 4 if possible, else 2, else 0."""
     if order == 4:
         apart = height - (near_weight * near + far_weight * far)
         if not np.isnan(apart):
@@ -39,14 +39,14 @@ def _missed(height, near, far, n_near, near_weight, far_weight, order):
 
 @kernel
 def fill_details(fine, order, out):
-    """Fill `out` with how far samples of odd rows or columns are from what even ones predict.
+    """Fill `out` with samples of odd rows or columns less their predictions by even ones.
 
     Parameters
     ----------
     fine : ndarray of float64, shape (2n + 5, 2m + 5)
-        Samples in a ring of `RING`, where NaN is: what is void and what is not known.
+        Samples in a ring of `RING`, NaN where void or unknown.
     order : int
-        Where samples that order 4 takes are NaN, order 2 predicts; where its are, 0 is the detail.
+        Where samples needed by order 4 are NaN, order 2 predicts; where its are, the detail is 0.
     out : ndarray of float64, shape (2n + 5, 2m + 5)
     """
     out[:] = 0.0
@@ -94,9 +94,9 @@ def _middle_update(details, r, c, order):
 def update(fine, details, order, coarse):
     """Change `coarse`, float64 (n, m), to the level above `fine` and `details` of `fill_details`.
 
-    Samples that are void in `fine` stay. Those on the block's border follow from that line alone,
-    so that its neighbours have the same, and its corners stay. None leaves the range of the samples
-    of `fine` beside it.
+    Samples that are void in `fine` do not change. Those on the block's border depend only on that
+    line, so that neighbours have the same ones, and corners do not change. No sample leaves the
+    range of the adjacent samples of `fine`.
     """
     last_row, last_col = coarse.shape[0] - 1, coarse.shape[1] - 1
     for row in range(last_row + 1):
@@ -137,7 +137,7 @@ def filtered(fine, valid, order, coarse):
     order : int
         One of `ORDERS`.
     coarse : ndarray of float64, shape (n, m)
-        NaN where there are none either.
+        NaN where it has no heights either.
     """
     known = np.pad(np.where(valid, fine, np.nan), RING, constant_values=np.nan)
     details, out = np.empty_like(known), coarse.copy()

@@ -1,4 +1,4 @@
-"""The surface of a regular block and how far that of the next finer level is from it.
+"""Surface of a regular block, and its distance from that of the next finer level.
 
 A block of N x N cells has (N + 1)² vertices on the file's samples of its level, those on its border
 shared with its neighbours; cells are cut from their first corner to their last. NaN is void.
@@ -11,7 +11,7 @@ from terrainwave.coding.jit import kernel
 
 @kernel
 def half_place(vertices, row, col):
-    """Return a surface's height at (row / 2, col / 2); NaN where a corner is void or outside."""
+    """Return a surface's height at (row / 2, col / 2); NaN if a corner is void or outside."""
     r, c = row // 2, col // 2
     r_1, c_1 = r + row % 2, c + col % 2
     if not (0 <= r and r_1 < vertices.shape[0] and 0 <= c and c_1 < vertices.shape[1]):
@@ -24,8 +24,8 @@ def half_place(vertices, row, col):
 def fill_parent_heights(vertices, parent, first_row, first_col, out):
     """Fill `out`, like `vertices`, with the parent's surface at them.
 
-    Vertex (0, 0) is at (first_row, first_col) halves of the parent's cells. Where the parent is
-    void the block's own height is taken.
+    Vertex (0, 0) is at (first_row, first_col) halves of the parent's cells. If the parent is void,
+    the block's own height is used.
     """
     for row in range(vertices.shape[0]):
         for col in range(vertices.shape[1]):
@@ -35,7 +35,7 @@ def fill_parent_heights(vertices, parent, first_row, first_col, out):
 
 @kernel
 def largest_deviation(vertices, fine, valid, rows, cols, has_between):
-    """Return how far the bilinear surface of finer samples is from a block's, at valid ones.
+    """Return the distance of the bilinear surface of finer samples from a block's, at valid ones.
 
     Parameters
     ----------
@@ -43,11 +43,11 @@ def largest_deviation(vertices, fine, valid, rows, cols, has_between):
     fine, valid : ndarray of float64 and of bool, shape (2n - 1, 2m - 1)
         Heights and validity of the next finer level.
     rows, cols : tuple of int
-        The first and the end of those to look at.
+        First and end of the rows and columns to use.
     has_between : bool
-        Whether there are originals between samples of the finer level. If so what lies between is
-        measured too: along edges of its cells both are linear, and a bilinear cell less a plane is
-        largest on edges; so only cuts of cells are to be looked at, where it is quadratic.
+        Whether there are originals between samples of the finer level. If so, distances between
+        samples are measured too: along edges of its cells both are linear, and a bilinear cell less
+        a plane is largest on edges, so only cuts of cells remain, where it is quadratic.
     """
     largest = 0.0
     for row in range(rows[0], rows[1]):

@@ -1,7 +1,7 @@
-"""Zheng, Wang and Wang's view-dependent restricted quadtree (`terrainwave.tri.rqt.view`).
+"""View-dependent restricted quadtree of Zheng, Wang and Wang (`terrainwave.tri.rqt.view`).
 
-Their tiles are patches here: they are read and decoded by workers as they come into view with a
-parent that is not good enough, which stands in for them until they are here.
+Their tiles are patches here: workers read and decode them when they come into view with a parent
+that is not good enough; the parent is drawn until they are loaded.
 """
 
 import numpy as np

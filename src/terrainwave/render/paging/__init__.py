@@ -1,1 +1,1 @@
-"""What comes and goes as a camera moves: the scene, its workers, what servers send."""
+"""Loading as a camera moves: the scene, its workers, data from servers."""

@@ -1,4 +1,4 @@
-"""Work beside the thread that draws, which looks for results and never waits."""
+"""Background work for the thread that draws, which polls for results and never waits."""
 
 import threading
 from collections.abc import Callable
@@ -9,7 +9,7 @@ from terrainwave.errors import TerrainwaveError
 
 
 class Outcome(NamedTuple):
-    """A result, or what is said where there is none."""
+    """A result, or else a message."""
 
     value: Any
     problem: str | None
@@ -19,7 +19,7 @@ _Then = Callable[[Outcome], None]
 
 
 class Background:
-    """Runs functions in threads; their results are taken by `poll`. Used by one thread.
+    """Runs functions in threads; `poll` takes their results. Used by one thread.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class Background:
         self._tasks: SimpleQueue[tuple[Callable[[], Any], _Then] | None] = SimpleQueue()
         self._done: SimpleQueue[tuple[Any, Exception | None, _Then]] = SimpleQueue()
         self._is_closed = False
-        self.n_running = 0  # results still to come
+        self.n_running = 0  # pending results
         self._threads = [
             threading.Thread(
                 target=self._work, name=f"terrainwave-background-{number}", daemon=True
@@ -47,12 +47,12 @@ class Background:
         self._tasks.put((work, then))
 
     def poll(self) -> None:
-        """Hand over the results that are here.
+        """Handle the finished results.
 
         Raises
         ------
         Exception
-            What a function raised, if it is no `TerrainwaveError`.
+            An exception of a function that is not a `TerrainwaveError`.
         """
         while True:
             try:
@@ -65,9 +65,9 @@ class Background:
             then(Outcome(value, None if error is None else str(error)))
 
     def close(self, patience: float | None = None) -> None:
-        """Begin no more work, and wait for what runs: it uses what is closed next.
+        """Start no more work, and wait for running work, which uses objects about to close.
 
-        `patience` is for how many seconds each thread may go on; by default until its work is done.
+        `patience` limits the seconds to wait for each thread; by default until its work is done.
         """
         self._is_closed = True
         for _ in self._threads:
@@ -80,7 +80,7 @@ class Background:
             work, then = task
             try:
                 self._done.put((work(), None, then))
-            except KeyboardInterrupt:  # of `interrupts.check`
+            except KeyboardInterrupt:  # from `interrupts.check`
                 return
             except Exception as error:  # noqa: BLE001  `poll` decides what it means
                 self._done.put((None, error, then))

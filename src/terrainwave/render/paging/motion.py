@@ -1,4 +1,4 @@
-"""Where a camera is going, by the clock: what it will need is asked for before it is there."""
+"""Prediction of a camera's motion, so that data are requested in advance."""
 
 import time
 from collections import deque
@@ -9,19 +9,19 @@ import numpy as np
 
 from terrainwave.render.scene.camera import Camera, look
 
-# Seconds ahead that are looked at, the nearest first: blocks are here in tenths of a second from a
-# disk, in a second or two from the web.
+# Seconds of the prediction, the nearest first: blocks take tenths of a second from a disk, a second
+# or two from the web.
 AHEAD = (0.25, 0.75, 1.5, 3.0)
 _WINDOW_S = 0.3
 _LEAST_MOTIONS = 3
-# Between two frames, what is further from the steady motion than so many times is no motion.
+# Between two frames, a deviation from the steady motion by more than this factor is a jump.
 _JUMP = 8.0
 
 
 class Motion:
-    """The last places of a camera and its steady speed. Used by one thread.
+    """The last positions of a camera and its steady speed. Used by one thread.
 
-    Zhang et al. 2012, eq. 15, looks one frame ahead, P₂ = 2 P₁ − P₀; the same line, by seconds.
+    Zhang et al. 2012, eq. 15, predict one frame, P₂ = 2 P₁ − P₀; here the same line, by seconds.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class Motion:
         self._seen: deque[tuple[float, Camera]] = deque()
 
     def see(self, camera: Camera) -> None:
-        """Take down where the camera is now; after a jump, what was before is forgotten."""
+        """Record the camera's position; after a jump, earlier ones are forgotten."""
         now = self._clock()
         if self._seen and self._is_jump(camera, now):
             self._seen.clear()
@@ -43,7 +43,7 @@ class Motion:
             self._seen.popleft()
 
     def _is_jump(self, camera: Camera, now: float) -> bool:
-        """Say whether the camera is somewhere else than its motion, or its rest, explains."""
+        """Return whether the camera is where neither its motion nor its rest explains."""
         first, last = self._seen[0], self._seen[-1]
         seconds = last[0] - first[0]
         way = float(np.linalg.norm(camera.eye - last[1].eye))
@@ -54,7 +54,7 @@ class Motion:
         return way > _JUMP * steady and speed > 0
 
     def ahead(self) -> list[Camera]:
-        """Return where the camera will be after `AHEAD` seconds if it goes on; none if it rests."""
+        """Return the cameras after `AHEAD` seconds of further motion; none if it rests."""
         if len(self._seen) < _LEAST_MOTIONS:
             return []
         (start, before), (end, now) = self._seen[0], self._seen[-1]
@@ -67,7 +67,7 @@ class Motion:
         cameras = []
         for later in AHEAD:
             x, y, z = now.eye + speed * later
-            # A turn goes on for less long than a flight does.
+            # Turns last less long than flights.
             share = min(later, 1.0) / seconds
             there = replace(now, position=(float(x), float(y), float(z)))
             cameras.append(look(there, turn * share, tilt * share))

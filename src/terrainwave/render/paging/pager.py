@@ -1,4 +1,4 @@
-"""Worker threads that build what is wanted, in order; the thread that draws never waits."""
+"""Worker threads that build wanted pieces, in order; the thread that draws never waits."""
 
 import threading
 import time
@@ -14,7 +14,7 @@ _KEPT_TIMES = 4096
 
 
 class Arrival(NamedTuple):
-    """A result, or why there is none."""
+    """A result, or the reason for its absence."""
 
     key: Any
     value: Any
@@ -32,12 +32,12 @@ class Pager:
     Parameters
     ----------
     build : callable
-        Called with a key and a function that says whether the work has been cancelled; may raise
+        Called with a key and a function that returns whether the work is cancelled; may raise
         `Cancelled`.
     n_workers : int
     max_ready : int
-        Results that may wait to be taken: workers rest while there are as many, so that memory is
-        bounded by ``max_ready + n_workers`` of them.
+        Largest number of waiting results, at which workers pause: memory is bounded by
+        ``max_ready + n_workers`` of them.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Pager:
             thread.start()
 
     def request(self, keys: Sequence[Hashable]) -> None:
-        """Replace what is wanted: these keys, the first ones first.
+        """Replace the wanted keys, the most urgent first.
 
         Work on others is cancelled; finished results stay until they are taken.
         """
@@ -95,7 +95,7 @@ class Pager:
         return outcomes
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until something can be taken or nothing is under work; for tests and `render`."""
+        """Wait for a result or until there is no work; for tests and `render`."""
         with self._changed:
             return self._changed.wait_for(
                 lambda: bool(self._ready) or not (self._queue or self._running), timeout
@@ -104,7 +104,7 @@ class Pager:
     def close(self, patience: float | None = None) -> None:
         """Stop the threads; unfinished work is dropped.
 
-        `patience` is for how many seconds each may go on; by default until its work is done.
+        `patience` limits the seconds to wait for each; by default until its work is done.
         """
         with self._changed:
             self._is_closed = True
@@ -143,7 +143,7 @@ class Pager:
     def _attempt(self, key: Hashable, running: _Running) -> Arrival | None:
         try:
             value = self._build(key, lambda: not running.is_wanted)
-        except (Cancelled, KeyboardInterrupt):  # of `interrupts.check`
+        except (Cancelled, KeyboardInterrupt):  # from `interrupts.check`
             return None
         except Exception as error:  # noqa: BLE001  the thread that draws decides what it means
             return Arrival(key, None, error)

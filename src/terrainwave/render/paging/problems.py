@@ -1,4 +1,4 @@
-"""What could not be read: damaged for good, or not now and tried again."""
+"""Unreadable pieces: damaged permanently, or unavailable and tried again."""
 
 import math
 import time
@@ -17,22 +17,22 @@ _SILENCE = 5.0
 class Problems:
     """Pieces that could not be built, and the state of the connection. Used by one thread.
 
-    A piece whose server cannot be reached is held back until a pause has passed, each pause twice
-    as long as the one before; what comes meanwhile ends it. All others are damaged, for good.
+    A piece whose server cannot be reached is held back for a pause, each twice as long as the one
+    before; an arrival ends the pause. All other pieces are damaged permanently.
 
     Parameters
     ----------
     retries : bool
-        Whether anything is tried again.
+        Try unavailable pieces again.
     n_replies : callable, optional
-        Returns how many replies a server has sent; its silence is worth a line. None: no server.
+        Returns the number of replies of a server, whose silence is reported. None: no server.
     clock : callable
         Seconds.
 
     Attributes
     ----------
     damaged : dict of hashable to str
-        What is said of each piece.
+        Message for each piece.
     """
 
     def __init__(
@@ -44,14 +44,14 @@ class Problems:
     ) -> None:
         self.damaged: dict[Hashable, str] = {}
         self._retries, self._count, self._clock = retries, n_replies, clock
-        self._n_replies = 0  # when it was last looked at
+        self._n_replies = 0  # at the last check
         self._held: set[Hashable] = set()
         self._pause = 0.0
         self._try_at = self._last_sign = clock()
         self._message = ""
 
     def add(self, piece: Hashable, error: Exception) -> None:
-        """Note why a piece could not be built."""
+        """Record why a piece could not be built."""
         if not (self._retries and isinstance(error, SourceUnavailableError)):
             self.damaged[piece] = str(error)
             return
@@ -64,7 +64,7 @@ class Problems:
             self._try_at = now + self._pause
 
     def came(self) -> None:
-        """Note that a piece has come, of bytes from the server or of what was here already."""
+        """Record the arrival of a piece, from the server or from the cache."""
         if self._count is not None and not self._has_replied():
             return
         self._held.clear()
@@ -72,32 +72,32 @@ class Problems:
         self._try_at = self._last_sign = self._clock()
 
     def _has_replied(self) -> bool:
-        """Say whether the server has sent anything since this was last asked."""
+        """Return whether the server has sent anything since the last call."""
         n_before, self._n_replies = self._n_replies, self._count() if self._count else 0
         if self._n_replies != n_before:
             self._last_sign = self._clock()
         return self._n_replies != n_before
 
     def holds(self, piece: Hashable) -> bool:
-        """Say whether a piece is not to be asked for now."""
+        """Return whether a piece must not be requested now."""
         if self._held and self._clock() >= self._try_at:
             self._held.clear()
         return piece in self._held or piece in self.damaged
 
     @property
     def is_clear(self) -> bool:
-        """Say whether nothing is held."""
+        """Return whether nothing is held back."""
         return not self._held and not self.damaged
 
     @property
     def n_held(self) -> int:
-        """Return how many pieces wait for a pause to pass."""
+        """Return the number of pieces that wait for the end of a pause."""
         return len(self._held)
 
     def lines(self, n_missing: int = 0) -> list[str]:
-        """Return what to say of all this: nothing where all is well.
+        """Return messages on the state; none if all is well.
 
-        `n_missing` is how many pieces are asked for; none of them coming is worth a line, too.
+        `n_missing` is the number of requested pieces; it is reported if none of them arrives.
         """
         lines, now = [], self._clock()
         if not n_missing:
@@ -115,6 +115,6 @@ class Problems:
 
 
 def replies_of(terrain: "TerrainFile") -> Callable[[], int] | None:
-    """Return what counts the replies of a terrain's server; None where there is none."""
+    """Return a counter of the replies of a terrain's server; None without a server."""
     source = terrain.container.source
     return (lambda: int(source.n_replies)) if hasattr(source, "n_replies") else None

@@ -1,4 +1,4 @@
-"""Fetches from a server what queued pieces need, so that those who decode find it here."""
+"""Fetches the data of queued pieces from a server, before they are decoded."""
 
 import threading
 import time
@@ -17,28 +17,28 @@ if TYPE_CHECKING:
     from terrainwave.render.modes.mode import Mode
     from terrainwave.render.scene.camera import Camera
 
-# Two calls are on their way at a time, so that the line is never idle between them; each is of so
-# few pieces that another camera need not wait long for its own.
+# Two simultaneous calls, so that the line is never idle between them; each with few pieces, so that
+# another camera need not wait long for its own.
 _THREADS, _BATCH = 2, 8
-# Of a view, so many pieces are fetched at most; a moving camera is looked at so often.
+# Largest number of pieces to fetch for a view; interval of checks of a moving camera.
 _MOST_PIECES, _REST = 256, 0.1  # pieces, seconds
-# Pieces that are known before all are forgotten, and found again by the index.
+# Largest number of known pieces; then all are forgotten, and found again in the index.
 _MOST_KNOWN = 8192
 PATIENCE = 1.0  # seconds
-# Samples around a block that its slopes are made of.
+# Samples around a block that its slopes depend on.
 _RING = 2
 
 
 class Descent:
-    """A thread that finds all that a view needs, by the index alone, and fetches it.
+    """Thread that finds the data of a view, only by the index, and fetches them.
 
-    The scene learns of a piece's children when the piece has been built: where nothing is here
-    yet, each level would wait for the one above it to be fetched, decoded and built.
+    The scene learns a piece's children when the piece has been built: initially each level would
+    wait for the one above it to be fetched, decoded and built.
 
     Parameters
     ----------
     mode : Mode
-        For its tree and what it wants; its `wanted` looks at a table of the thread's own.
+        For its tree and its wanted pieces; its `wanted` uses a table of this thread's own.
     prefetch, units : callable
         As of `ReadAhead`.
     """
@@ -59,7 +59,7 @@ class Descent:
         self._thread.start()
 
     def look(self, view: View, tau: float, is_here: Callable[[Piece], bool]) -> None:
-        """Fetch what a view needs from now on; `is_here` says what need not be."""
+        """Fetch the data of a view from now on, except pieces for which `is_here` is true."""
         if view.camera == self._seen:
             return
         self._seen = view.camera
@@ -75,20 +75,19 @@ class Descent:
                     return
                 wish, self._wish = self._wish, None
             assert wish is not None
-            # Who builds a piece will meet an error again, and says so.
+            # Building the piece will raise the error again, and report it.
             with suppress(TerrainwaveError):
                 self._fetch(self._pieces(wish))
             time.sleep(_REST)
 
     def _roots(self) -> NodeTable:
-        """Return a table that knows the roots alone."""
         table = NodeTable()
         for info in self._mode.roots():
             table.add(info)
         return table
 
     def _pieces(self, wish: "_Wish") -> list[Piece]:
-        """Return the pieces that are not here, the coarsest first; reads the index."""
+        """Return the missing pieces, the coarsest first; reads the index."""
         if self._table.n_known > _MOST_KNOWN:
             self._table = self._roots()
         table, mode = self._table, self._mode
@@ -114,7 +113,7 @@ class Descent:
         return self._is_closed or self._wish is not None
 
     def close(self) -> None:
-        """Stop the thread; a request on its way is not waited for long."""
+        """Stop the thread, without a long wait for a pending request."""
         with self._changed:
             self._is_closed = True
             self._changed.notify_all()
@@ -122,7 +121,7 @@ class Descent:
 
 
 class _Wish(NamedTuple):
-    """What to fetch: a view, its τ, and what is here already."""
+    """Request: a view, its τ, and which pieces are loaded."""
 
     view: View
     tau: float
@@ -135,9 +134,9 @@ class ReadAhead:
     Parameters
     ----------
     prefetch : callable
-        Fetches what decoding some units will need, in few requests.
+        Fetches the data needed to decode some units, in few requests.
     units : callable
-        Returns the units that a piece is made of.
+        Returns the units of a piece.
     descent : Descent, optional
         Closed with it.
     """
@@ -161,14 +160,14 @@ class ReadAhead:
             thread.start()
 
     def request(self, pieces: Sequence[Piece]) -> None:
-        """Replace what is wanted: these pieces, the first ones first."""
+        """Replace the wanted pieces, the most urgent first."""
         with self._changed:
             self._done &= set(pieces)
             self._queue = [piece for piece in pieces if piece not in self._done]
             self._changed.notify_all()
 
     def look(self, view: View, tau: float, is_here: Callable[[Piece], bool]) -> None:
-        """Fetch what a view needs on all levels, also what nobody can ask for yet."""
+        """Fetch the data of a view on all levels, including pieces that cannot be requested yet."""
         if self._descent is not None:
             self._descent.look(view, tau, is_here)
 
@@ -183,12 +182,12 @@ class ReadAhead:
             keys = dict.fromkeys(key for piece in batch for key in self._units(piece))
             try:
                 self._prefetch(list(keys))
-            except TerrainwaveError:  # who builds the piece will meet it again, and says so
+            except TerrainwaveError:  # building the piece will raise it again, and report it
                 with self._changed:
                     self._done.difference_update(batch)
 
     def close(self) -> None:
-        """Stop the threads; a request on its way is not waited for long."""
+        """Stop the threads, without a long wait for pending requests."""
         with self._changed:
             self._is_closed = True
             self._changed.notify_all()
@@ -206,7 +205,7 @@ def units_of_piece(terrain: "TerrainFile", piece: Piece) -> list[Block]:
 
 
 def read_ahead_of(terrain: "TerrainFile", mode: "Mode") -> ReadAhead | None:
-    """Return what reads ahead for a mode that draws blocks of a file on a server, else None."""
+    """Return the read-ahead for a mode with blocks of a file on a server, else None."""
     if replies_of(terrain) is None or not hasattr(mode, "builder"):
         return None
 

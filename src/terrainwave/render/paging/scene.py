@@ -1,4 +1,4 @@
-"""One terrain as seen by moving cameras: what is here, what is wanted, what to draw."""
+"""One terrain under moving cameras: patches that are loaded, wanted and drawn."""
 
 import math
 import time
@@ -55,7 +55,7 @@ _NO_ROOM = "a block does not fit the memory allowed for pictures"
 
 
 class PieceStore(Protocol):
-    """Where what `Mode.build` returns is kept to be drawn: the GPU, or a list in tests."""
+    """Store of what `Mode.build` returns, for drawing: the GPU, or a list in tests."""
 
     @property
     def max_blocks(self) -> int:
@@ -80,13 +80,12 @@ class Timings:
     select: float = 0.0
 
 
-class Scene:
-    """A terrain with a store of patches.
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions:
+    """Options of a `Scene`.
 
     Parameters
     ----------
-    terrain : TerrainFile
-    store : Store
     mode : str
         One of `terrainwave.render.modes.MODES`.
     error : str
@@ -121,47 +120,59 @@ class Scene:
         cannot be read is drawn coarser, and a root raises.
     progress : callable, optional
         Called with a `Progress` where a mode prepares for long.
+    """
+
+    mode: str = "adaptive"
+    error: str = "measured"
+    detail: float | None = None
+    order: int | None = None
+    stepwise: bool = False
+    tree: int | None = None
+    orientation: bool = False
+    exaggeration: float = 1.0
+    radius: float | None = None
+    max_triangles: int = MAX_TRIANGLES
+    target_ms: float | None = None
+    horizon: bool = True
+    n_workers: int = 2
+    retries: bool = False
+    progress: ProgressCallback | None = None
+
+    def of_mode(self) -> dict[str, Any]:
+        """Return the given options of the mode; raise `InvalidArgumentError` for another's."""
+        names = ("detail", "order", "stepwise", "tree", "orientation")
+        return options_of(self.mode, **{name: getattr(self, name) for name in names})
+
+
+class Scene:
+    """A terrain with a store of patches.
+
+    Parameters
+    ----------
+    terrain : TerrainFile
+    store : PieceStore
+    options
+        Of `SceneOptions`.
 
     Notes
     -----
     Used by one thread, but for the workers. A context manager.
     """
 
-    def __init__(
-        self,
-        terrain: "TerrainFile",
-        store: PieceStore,
-        *,
-        mode: str = "adaptive",
-        error: str = "measured",
-        detail: float | None = None,
-        order: int | None = None,
-        stepwise: bool = False,
-        tree: int | None = None,
-        orientation: bool = False,
-        exaggeration: float = 1.0,
-        radius: float | None = None,
-        max_triangles: int = MAX_TRIANGLES,
-        target_ms: float | None = None,
-        horizon: bool = True,
-        n_workers: int = 2,
-        retries: bool = False,
-        progress: ProgressCallback | None = None,
-    ) -> None:
+    def __init__(self, terrain: "TerrainFile", store: PieceStore, **options: Any) -> None:
+        asked = SceneOptions(**options)
         self.terrain = terrain
-        self.frame: Frame = frame_of(terrain, radius=radius, exaggeration=exaggeration)
-        self.n_workers = n_workers
-        self.options = given = options_of(
-            mode, detail=detail, order=order, stepwise=stepwise, tree=tree, orientation=orientation
-        )
-        needs = ModeNeeds(terrain, self.frame, error, progress)
-        self.mode: Mode = mode_class(mode)(needs, **given)
+        self.frame: Frame = frame_of(terrain, radius=asked.radius, exaggeration=asked.exaggeration)
+        self.n_workers = n_workers = asked.n_workers
+        self.options = given = asked.of_mode()
+        needs = ModeNeeds(terrain, self.frame, asked.error, asked.progress)
+        self.mode: Mode = mode_class(asked.mode)(needs, **given)
         self.store = store
         self.table = NodeTable()
-        self.mode.max_triangles = max_triangles
-        self.governor = ErrorGovernor(max_triangles, target_ms)
+        self.mode.max_triangles = asked.max_triangles
+        self.governor = ErrorGovernor(asked.max_triangles, asked.target_ms)
         self.timings = Timings()
-        self.problems = Problems(retries=retries, n_replies=replies_of(terrain))
+        self.problems = Problems(retries=asked.retries, n_replies=replies_of(terrain))
         for info in self.mode.roots():
             self.table.add(info)
         self._pager = Pager(
@@ -176,7 +187,7 @@ class Scene:
         self._last_camera: Camera | None = None
         self._requested: list[int] = []
         # Whether pieces behind others are left out; pictures that are seen through need them all.
-        self.has_horizon = horizon
+        self.has_horizon = asked.horizon
         self._shown, self._tau = np.empty(0, dtype=np.int32), 0.0  # nodes of the last frame
         self._memory_factor, self._is_short = 1.0, True
         self._most_known = _MOST_KNOWN
@@ -196,7 +207,7 @@ class Scene:
         self.mode.close()
 
     def exaggerate(self, factor: float) -> None:
-        """Change the vertical exaggeration; patches stay as they are."""
+        """Change the vertical exaggeration; patches do not change."""
         self.frame = self.frame.exaggerated(factor)
 
     def view(self, camera: Camera, viewport: Viewport, max_pixel_error: float = 1.0) -> View:

@@ -1,1 +1,1 @@
-"""What is seen from where: cameras, pieces, their choice and geometry. Numbers only."""
+"""Cameras, pieces, their selection and geometry. Numbers only."""

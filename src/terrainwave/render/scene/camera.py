@@ -1,7 +1,7 @@
-"""The camera: where it is, what it sees, how it moves. Positions are local metres, float64.
+"""Camera: position, view, motion. Positions are local metres, float64.
 
 x is east, y north, z up; the heading counts clockwise from north, the pitch up from the horizon.
-The GPU gets places relative to the eye, so that metres of a projection don't jitter.
+The GPU gets positions relative to the eye, so that large map coordinates don't jitter.
 """
 
 import math
@@ -18,22 +18,22 @@ Vector = NDArray[np.float64]
 
 DEFAULT_FOV = 50.0
 _MAX_PITCH = 89.9
-# The first view: a longer lens than in flight, so that the far side is not much smaller.
+# Initial view: a longer lens than in flight, so that the far side is not much smaller.
 _FOV = 40.0
-# Of the picture's sides, the share that the whole terrain fills; of its height, the sky.
+# Share of the picture's sides that the whole terrain fills; share of its height that is sky.
 _HOME_SHARE = 0.96
 _SKY = 0.15
 _HOME_PITCHES = (-22.0, -52.0)
 _PITCH_STEPS = 30
 _CENTRING_STEPS = 60
-# The raster is looked at from the east if so much more of the picture is filled then.
+# The raster is viewed from the east if that fills the picture by this factor more.
 _TURN_GAIN = 2.0
 _LEAST_SIZE = 1.0
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Eye, direction and opening.
+    """Eye, direction and field of view.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Camera:
     heading, pitch : float
         Degrees; -90 looks straight down.
     fov : float
-        Vertical opening in degrees, 1 to 150.
+        Vertical field of view in degrees, 1 to 150.
     """
 
     position: tuple[float, float, float]
@@ -52,12 +52,12 @@ class Camera:
 
     @cached_property
     def eye(self) -> Vector:
-        """Return the position as an array, for reading."""
+        """Return the position as a read-only array."""
         return np.array(self.position, dtype=np.float64)
 
     @cached_property
     def axes(self) -> Vector:
-        """Return unit vectors to the right, up and forward, shape (3, 3), for reading."""
+        """Return unit vectors to the right, up and forward, shape (3, 3), read-only."""
         heading, pitch = math.radians(self.heading), math.radians(self.pitch)
         sin_h, cos_h = math.sin(heading), math.cos(heading)
         sin_p, cos_p = math.sin(pitch), math.cos(pitch)
@@ -89,11 +89,11 @@ class Viewport:
         return self.width / self.height
 
 
-# How large an error is on screen
+# Size of an error on screen
 
 
 def focal_length(camera: Camera, viewport: Viewport) -> float:
-    """Return pixels per unit of tangent: ½ V_y / tan(φ/2), φ the vertical opening."""
+    """Return pixels per unit of tangent: ½ V_y / tan(φ/2), φ the vertical field of view."""
     return viewport.height / 2 / math.tan(math.radians(camera.fov) / 2)
 
 
@@ -111,9 +111,9 @@ def _slant_squared(camera: Camera, viewport: Viewport) -> float:
 
 
 def gamma_paper(camera: Camera, viewport: Viewport) -> float:
-    """Return γ of Yusov & Turlapov 2010, §2.8: ½ max(V_x, V_y) / tan(φ/2), φ the vertical opening.
+    """Return γ of Yusov & Turlapov 2010, §2.8: ½ max(V_x, V_y) / tan(φ/2), φ as in `focal_length`.
 
-    Exact near the axis only: the distance is to the eye, not the depth.
+    Exact only near the axis: it uses the distance to the eye, not the depth.
     """
     largest = max(viewport.width, viewport.height)
     return largest / 2 / math.tan(math.radians(camera.fov) / 2)
@@ -134,7 +134,7 @@ def gamma_guaranteed(camera: Camera, viewport: Viewport) -> float:
 
 
 def view_matrix(camera: Camera) -> Vector:
-    """Return the rotation from places relative to the eye to right, up, backward; 4 x 4."""
+    """Return the rotation from positions relative to the eye to right, up, backward; 4 x 4."""
     matrix = np.eye(4)
     matrix[:3, :3] = camera.axes
     matrix[2, :3] *= -1
@@ -165,11 +165,11 @@ def project(camera: Camera, viewport: Viewport, points: Vector) -> Vector:
     )
 
 
-# As one line
+# Text form
 
 
 def format_camera(camera: Camera, frame: Frame) -> str:
-    """Return x,y,z,heading,pitch,fov: place and height in the file's CRS and unit."""
+    """Return x,y,z,heading,pitch,fov: position and height in the file's CRS and unit."""
     x, y, z = frame.to_world(camera.eye[None])[0]
     numbers = [repr(float(x)), repr(float(y)), repr(float(z))]
     numbers += [f"{value:.10g}" for value in (camera.heading, camera.pitch, camera.fov)]
@@ -177,12 +177,13 @@ def format_camera(camera: Camera, frame: Frame) -> str:
 
 
 def parse_camera(line: str, frame: Frame) -> Camera:
-    """Return the camera that `format_camera` wrote.
+    """Return the camera written by `format_camera`.
 
     Raises
     ------
     InvalidArgumentError
-        If it is not five or six finite numbers (the opening may be left out) within their ranges.
+        If it is not five or six finite numbers (the field of view may be left out) within their
+        ranges.
     """
     try:
         numbers = [float(part) for part in line.split(",")]
@@ -202,7 +203,7 @@ def parse_camera(line: str, frame: Frame) -> Camera:
     return Camera((position[0], position[1], position[2]), numbers[3], pitch, fov)
 
 
-# Places to begin
+# Initial views
 
 
 def home(
@@ -216,11 +217,11 @@ def home(
 
     The box's corners are projected: all are in the picture, with `_SKY` of its height above them.
     By default the pitch is the one between -52 and -22 degrees at which the box reaches both the
-    sides and the top and bottom of what is left, and the view is to the north; to the west, along a
-    raster much wider than long, where that fills twice as much of the picture.
+    sides and the top and bottom of the rest, and the view is to the north; to the west, along a
+    raster much wider than long, if that fills twice as much of the picture.
     """
     low, high = box
-    # A raster of one sample has no size; a metre around it has.
+    # A raster of one sample has no size; use a metre around it.
     room = np.where(high - low < _LEAST_SIZE, _LEAST_SIZE, 0.0)
     low, high = low - room, high + room
     corners = np.array(
@@ -240,7 +241,7 @@ def _framed(corners: Vector, viewport: Viewport, heading: float, pitch: float | 
         for _ in range(_PITCH_STEPS):
             pitch = (shallow + steep) / 2
             across, upwards = _reaches(corners, viewport, Camera((0, 0, 0), heading, pitch, _FOV))
-            # Limited by the sides: there is height to fill, which a steeper view does.
+            # Limited by the sides: a steeper view fills the remaining height.
             shallow, steep = (pitch, steep) if across < upwards else (shallow, pitch)
         pitch = (shallow + steep) / 2
     camera = Camera((0.0, 0.0, 0.0), heading, pitch, _FOV)
@@ -259,18 +260,18 @@ def _framed(corners: Vector, viewport: Viewport, heading: float, pitch: float | 
 
 
 def _window(camera: Camera, viewport: Viewport) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the tangents, left and right, bottom and top, between which the box is to be."""
+    """Return the tangents, left and right, bottom and top, between which the box must lie."""
     tangent = math.tan(math.radians(camera.fov) / 2)
     side = tangent * viewport.aspect * _HOME_SHARE
-    sky = _SKY if camera.pitch > -_MAX_PITCH else 1 - _HOME_SHARE  # there is none below
+    sky = _SKY if camera.pitch > -_MAX_PITCH else 1 - _HOME_SHARE  # none when looking down
     return (-side, side), (-tangent * _HOME_SHARE, tangent * (1 - 2 * sky))
 
 
 def _reaches(corners: Vector, viewport: Viewport, camera: Camera) -> list[float]:
-    """Return how far forward the eye may go, for the picture's sides, and its top and bottom.
+    """Return how far forward the eye may move, for the picture's sides, and its top and bottom.
 
-    The eye (r, u, f) in the camera's axes sees a corner if least · (corner's f − f) <=
-    corner's r − r <= most · (corner's f − f), and alike upwards.
+    The eye (r, u, f) in the camera's axes sees a corner if least · (corner's f − f) <= corner's r −
+    r <= most · (corner's f − f), and alike upwards.
     """
     seen = corners @ camera.axes.T
     return [
@@ -303,13 +304,13 @@ def fly(camera: Camera, right: float, up: float, forward: float) -> Camera:
 
 
 def look(camera: Camera, d_heading: float, d_pitch: float) -> Camera:
-    """Return the camera turned on its place, in degrees."""
+    """Return the camera rotated in place, in degrees."""
     pitch = min(max(camera.pitch + d_pitch, -_MAX_PITCH), _MAX_PITCH)
     return replace(camera, heading=(camera.heading + d_heading) % 360, pitch=pitch)
 
 
 def orbit(camera: Camera, pivot: Vector, d_heading: float, d_pitch: float) -> Camera:
-    """Return the camera turned around a point, which stays where it is in the picture."""
+    """Return the camera rotated around a point, which keeps its position in the picture."""
     seen = camera.axes @ (camera.eye - pivot)
     turned = look(camera, d_heading, d_pitch)
     x, y, z = pivot + seen @ turned.axes
@@ -325,7 +326,7 @@ def zoom(camera: Camera, towards: Vector, factor: float) -> Camera:
 def along(cameras: list[Camera], share: float) -> Camera:
     """Return the camera at a share (0 … 1) of a flight through `cameras`, evenly by key.
 
-    Places by Catmull and Rom's splines, angles the shorter way round.
+    Positions by Catmull and Rom's splines, angles along the shorter way.
     """
     if len(cameras) == 1:
         return cameras[0]

@@ -24,26 +24,27 @@ if TYPE_CHECKING:
 
 Numbers = TypeVar("Numbers", float, NDArray[np.float64])
 
-# How far below the lowest height the block's base lies: of the raster's extent; metres.
+# Depth of the block's base below the lowest height, as a share of the raster's extent; at least
+# these metres.
 _BASE_SHARE, _LEAST_DEPTH = 0.035, 1.0
 _SEEN_RELIEF = 0.004
 _LEAST_RELIEF, _MOST_DETAIL = 0.02, 1 / 256
-# How far an eye sees, in its heights over the lowest ground; more than in any view of all.
+# Assumed range of sight, in the eye's heights over the lowest ground; more than in any view of all.
 _SEEN_HEIGHTS = 8.0
-# Degrees: rasters around a pole are drawn by the length of degrees here.
+# Degrees: rasters around a pole are drawn with the length of degrees here.
 _MOST_LATITUDE = 89.9
 
 
 @dataclass(frozen=True)
 class Frame:
-    """How samples and world coordinates become local metres.
+    """Conversion of samples and world coordinates to local metres.
 
     Parameters
     ----------
     centre : tuple of float
         x, y in the CRS of the local origin.
     metres : tuple of float
-        Metres per unit of x, y and height, without exaggeration; > 0, but for heights that are
+        Metres per unit of x, y and height, without exaggeration; > 0, except for heights that are
         depths: up is positive in local metres.
     sample_matrix : tuple of float
         (a, b, c, d, e, f): local x = a col + b row + c, y = d col + e row + f of full-grid samples.
@@ -56,11 +57,11 @@ class Frame:
     body : str
         One of `place.bodies`' names.
     latitudes : tuple of float, optional
-        Degrees, of the middles of the lower and the upper side.
+        In degrees, at the middle of the lower and the upper side.
     axes : LocalAxes, optional
-        Metres to the east and north of steps along x and y; by default x goes east and y north.
+        Metres to the east and north of steps along x and y; by default x points east and y north.
     zero : float
-        The number in the file's unit that lies at local z 0: of radii the body's own.
+        The number in the file's unit at local z 0: for radii the body's own.
     """
 
     centre: tuple[float, float]
@@ -98,12 +99,12 @@ class Frame:
 
     @property
     def error_metres(self) -> float:
-        """Return the metres per unit of an error: > 0, of depths, too."""
+        """Return the metres per unit of an error: > 0, also for depths."""
         return abs(self.metres[2])
 
     @cached_property
     def spacing(self) -> float:
-        """Return how far full-grid samples are apart, local metres; the larger of both ways."""
+        """Return the distance of full-grid samples, local metres; the larger of two."""
         a, b, _, d, e, _ = self.sample_matrix
         return max(math.hypot(a, d), math.hypot(b, e))
 
@@ -129,12 +130,12 @@ class Frame:
         )
 
     def detail(self, eye: NDArray[np.float64]) -> float:
-        """Return the factor of τ that the flatness of what an eye sees asks for, at most 1.
+        """Return the factor of τ for the flatness of the terrain seen from an eye, at most 1.
 
-        Light and colours come with the blocks that τ chooses, and there are mountains and coasts to
-        see where the relief is next to nothing, as a planet's is: errors count as if it was a
-        fiftieth of the extent of what is seen: of the raster, or of what lies around an eye near
-        the ground.
+        Blocks selected by τ also carry light and colours, and there are mountains and coasts to see
+        even if the relief is tiny, as on a planet: errors count as if the relief was a fiftieth of
+        the visible extent, which is that of the raster, or of the surroundings of an eye near the
+        ground.
         """
         relief, extent = self._relief_and_extent
         above = max(float(eye[2]) - float(self.box[0][2]), 0.0)
@@ -145,10 +146,10 @@ class Frame:
 
     @property
     def suggested_exaggeration(self) -> float | None:
-        """Return a factor for heights that are too small to be seen, as a planet's are.
+        """Return a factor for heights too small to be visible, such as a planet's.
 
-        They are a fiftieth of the raster's extent with it, or a little less. None where they are
-        seen, or exaggerated already.
+        With it they are a fiftieth of the raster's extent, or slightly less. None if they are
+        visible, or already exaggerated.
         """
         relief, extent = self._relief_and_extent
         if self.exaggeration != 1.0 or not 0 < relief < _SEEN_RELIEF * extent:
@@ -181,7 +182,7 @@ class Frame:
 
     @cached_property
     def _matrix(self) -> NDArray[np.float64]:
-        """Return what makes local metres of differences in the file's CRS and unit."""
+        """Return the matrix from differences in the file's CRS and unit to local metres."""
         per_x, per_y, per_height = self.metres
         matrix = np.diag([per_x, per_y, per_height * self.exaggeration])
         if self.axes is not None:
@@ -208,13 +209,7 @@ def round_length(largest: float) -> float:
 
 
 def check_drawable(terrain: "TerrainFile") -> None:
-    """Refuse a terrain that has no surface to draw.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If it has less than 2 x 2 samples or no valid one.
-    """
+    """Raise `InvalidHeightsError` for a terrain below 2 x 2 samples or without a valid one."""
     n_rows, n_cols = terrain.shape
     if min(n_rows, n_cols) < 2:
         raise InvalidHeightsError(
@@ -230,8 +225,8 @@ def frame_of(
 ) -> Frame:
     """Return the frame of a terrain.
 
-    Degrees are scaled about the centre by the radii of the CRS's ellipsoid, or of a sphere of
-    `radius` metres; feet become metres.
+    Degrees are scaled at the centre by the radii of the CRS's ellipsoid, or of a sphere of `radius`
+    metres; feet become metres.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What the camera sees, as planes."""
+"""View frustum as planes."""
 
 import math
 
@@ -38,5 +38,5 @@ def frustum_planes(camera: Camera, viewport: Viewport) -> NDArray[np.float64]:
 def may_see(
     planes: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> bool:
-    """Say whether a box may be in view; never false for one that is."""
+    """Return whether a box may be in view; never False for one that is."""
     return not is_outside(planes, *low, *high)

@@ -1,14 +1,14 @@
-"""What nearer ground hides: blocks wholly below it are neither drawn nor asked for.
+"""Occlusion by nearer ground: blocks wholly below it are neither drawn nor requested.
 
-Zheng, Wang and Wang name it as what is to come. Here a horizon is a table of slopes above which an
-eye sees past the ground that is drawn. A column of it is a narrow fan of directions, a row is a
-depth: ground that ends before that depth counts. What lies behind a depth, and below the horizon of
-that depth in each direction in which it lies, is not seen.
+Zheng, Wang and Wang mention it as future work. Here a horizon is a table of slopes above which an
+eye sees past the drawn ground. A column of it is a narrow fan of directions, a row is a depth:
+ground that ends before that depth counts. Anything behind a depth, and below the horizon of that
+depth in all of its directions, is hidden.
 
 A direction is u = right / depth and a slope t = rise / depth, both of the level view with the
-camera's heading, so that lines of sight are straight in all of it and nothing is an angle.
+camera's heading, so that lines of sight are straight everywhere and nothing is an angle.
 
-It is conservative: a cell of ground stands for the least height that its surface may have as drawn
+It is conservative: a cell of ground counts with the least height of its surface as drawn
 (`FLOORS`), hides only in columns that it spans, and hides nothing where it has voids.
 """
 
@@ -21,24 +21,24 @@ from numpy.typing import NDArray
 from terrainwave.coding.jit import kernel
 from terrainwave.render.scene.camera import Camera, Viewport
 
-# Cells of a piece, a side, and how many samples they reach over their borders, so that two side by
-# side leave no gap between them.
+# Cells per side of a piece, and the number of samples that cells overlap their borders, so that
+# adjacent pieces leave no gap.
 SIDE, OVERLAP = 16, 2
 N_COLUMNS, N_ROWS = 512, 96
-# Depths of one row after another, and the first as a share of the last.
+# Ratio of the depths of consecutive rows, and the first depth as a share of the last.
 _RATIO = 1.1
-# The least depth of what is a unit away in view: where more of the ground below is in view, there
-# is little to hide.
+# Least depth of a point at unit distance in view: with more ground below in view, there is little
+# to hide.
 _LEAST_DEPTH = 0.3
-# What `Horizon.aim` holds: eye; right and forward, level; least u; columns per u; depth of row 0;
+# Fields of `Horizon.aim`: eye; right and forward, level; least u; columns per u; depth of row 0;
 # rows per e-fold of depth; metres per metre by which surfaces may be lower (`margin`).
 EYE_X, EYE_Y, EYE_Z, RIGHT_X, RIGHT_Y, AHEAD_X, AHEAD_Y = range(7)
 FIRST_U, PER_U, FIRST_DEPTH, PER_FOLD, MARGIN, N_AIM = range(7, 13)
 
 
-# Heights that no surface of a piece is below, for cells of it. Fields: (a, b, c, d, e, f) of local
-# x = a col + b row + c, y = d col + e row + f; where cells begin and end; heights in metres without
-# exaggeration, -inf where nothing is known, as in voids.
+# Lower limits of a piece's surface, for cells of it. Fields: (a, b, c, d, e, f) of local x = a col
+# + b row + c, y = d col + e row + f; starts and ends of cells; heights in metres without
+# exaggeration, -inf if unknown, as in voids.
 FLOORS = np.dtype(
     [("matrix", "f8", 6), ("rows", "f8", (SIDE, 2)), ("cols", "f8", (SIDE, 2)),
      ("heights", "f8", (SIDE, SIDE))]
@@ -47,7 +47,7 @@ Floors = NDArray[np.void]
 
 
 class Horizon(NamedTuple):
-    """Slopes above which an eye sees past nearer ground, shape (rows, columns); none: sees all."""
+    """Slopes above which an eye sees past nearer ground, shape (rows, columns); empty: sees all."""
 
     slopes: NDArray[np.float64]
     aim: NDArray[np.float64]
@@ -73,11 +73,11 @@ class Horizon(NamedTuple):
         Parameters
         ----------
         floors : ndarray of FLOORS, shape (n,)
-            Of what is drawn.
+            Of the drawn pieces.
         reach : float
-            Depth of what is furthest away, metres.
+            Depth of the furthest piece, metres.
         margin : float
-            How far surfaces as drawn may be below those of `floors`, per metre of distance.
+            How far drawn surfaces may be below those of `floors`, per metre of distance.
         """
         aim = _aim_of(camera, viewport, reach, margin)
         if aim is None or not len(floors):
@@ -91,7 +91,7 @@ class Horizon(NamedTuple):
 def _aim_of(
     camera: Camera, viewport: Viewport, reach: float, margin: float
 ) -> NDArray[np.float64] | None:
-    """Return what `Horizon.aim` holds; None where the view is too steep."""
+    """Return the fields of `Horizon.aim`; None if the view is too steep."""
     pitch, tangent = math.radians(camera.pitch), math.tan(math.radians(camera.fov) / 2)
     least = math.cos(pitch) - tangent * abs(math.sin(pitch))
     if least < _LEAST_DEPTH:
@@ -107,7 +107,7 @@ def _aim_of(
 
 @kernel
 def fill_horizon(matrices, rows, cols, heights, z_scale, aim, slopes):
-    """Fill a horizon, -inf before, from `FLOORS` of pieces."""
+    """Fill a horizon, initially -inf, from `FLOORS` of pieces."""
     for k in range(matrices.shape[0]):
         _raise_horizon(matrices[k], rows[k], cols[k], heights[k], z_scale, aim, slopes)
     for row in range(1, slopes.shape[0]):
@@ -117,10 +117,10 @@ def fill_horizon(matrices, rows, cols, heights, z_scale, aim, slopes):
 
 @kernel
 def _raise_horizon(matrix, rows, cols, heights, z_scale, aim, slopes):
-    """Raise a horizon by cells of ground: each in the row that it ends before.
+    """Raise a horizon by cells of ground: each in the first row after its end.
 
     A line of sight in a column that a cell spans crosses it between its least and largest depth,
-    and is below its floor there if it is below the floor at one of them: the nearer one where the
+    and is below its floor there if it is below the floor at one of them: the nearer one if the
     floor is below the eye, else the further one.
     """
     n_rows, n_columns = slopes.shape
@@ -155,7 +155,7 @@ def _raise_horizon(matrix, rows, cols, heights, z_scale, aim, slopes):
 
 @kernel
 def is_below(slopes, aim, low_x, low_y, high_x, high_y, high_z):
-    """Say whether a box lies below the horizon of nearer ground wherever it is in view."""
+    """Return whether a box lies below the horizon of nearer ground wherever it is in view."""
     n_rows, n_columns = slopes.shape
     if n_rows == 0:
         return False
@@ -191,10 +191,10 @@ def floors_of(
     Parameters
     ----------
     heights : ndarray of float64, 2-D
-        Metres that the surface is not below, at samples of a piece and up to `OVERLAP` around it;
+        Lower limits of the surface in metres, at samples of a piece and up to `OVERLAP` around it;
         -inf in voids.
     matrix : ndarray of float64, shape (6,)
-        How samples lie, counted from the first.
+        Positions of samples, counted from the first.
     cells : tuple of int
         Between samples of the piece, rows and columns.
     ring : tuple of int
@@ -214,7 +214,7 @@ def floors_of(
 
 
 def floor_at(floors: Floors, x: float, y: float) -> float | None:
-    """Return what `FLOORS` of a piece have at a place, None where it has no cell there."""
+    """Return the value of a piece's `FLOORS` at a point, None if it has no cell there."""
     a, b, c, d, e, f = floors["matrix"]
     col, row = np.linalg.solve(np.array([[a, b], [d, e]]), np.array([x - c, y - f]))
     rows, cols = floors["rows"], floors["cols"]

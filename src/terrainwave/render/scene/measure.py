@@ -1,4 +1,4 @@
-"""Distances and profiles between places that were pointed at."""
+"""Distances and profiles between selected points."""
 
 import csv
 import io
@@ -15,12 +15,12 @@ from terrainwave.place.units import unit_text
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
 
-# A sample of a profile per pixel of the raster, as far as there are no more than these.
+# A profile has a sample per pixel of the raster, up to this number.
 _MOST_SAMPLES = 2048
 
 
 class Profile(NamedTuple):
-    """Heights along a line of places, straight between them in the file's coordinates.
+    """Heights along a line of points, straight between them in the file's coordinates.
 
     Parameters
     ----------
@@ -31,9 +31,9 @@ class Profile(NamedTuple):
     heights : ndarray of float64, shape (n,)
         In the file's unit; NaN in voids and outside.
     metres_per_height : float
-        Metres per unit of height; negative where heights are depths.
+        Metres per unit of height; negative for depths.
     word : str
-        What they are: ``height``, ``depth`` or ``radius``.
+        Their meaning: ``height``, ``depth`` or ``radius``.
     """
 
     places: NDArray[np.float64]
@@ -44,7 +44,7 @@ class Profile(NamedTuple):
 
     @property
     def upwards(self) -> NDArray[np.float64]:
-        """Return the heights, of depths negated, in the file's unit."""
+        """Return the heights in the file's unit, with depths negated."""
         return self.heights if self.metres_per_height > 0 else -self.heights
 
     @property
@@ -60,11 +60,11 @@ class Profile(NamedTuple):
 
     @property
     def rise(self) -> float:
-        """Return how much higher the last place is than the first, in the file's unit."""
+        """Return the height of the last point above the first, in the file's unit."""
         return float(self.upwards[-1] - self.upwards[0])
 
     def csv(self) -> str:
-        """Return a table of distances, places and heights, as the file has them."""
+        """Return a table of distances, positions and heights, in the file's units."""
         text = io.StringIO()
         table = csv.writer(text, lineterminator="\n")
         table.writerow(["distance_m", "x", "y", self.word])
@@ -93,7 +93,7 @@ class Ruler:
         )
 
     def lengths(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the metres from each place to the next, which is near it; shape (n - 1,).
+        """Return the metres from each point to the next, which is near it; shape (n - 1,).
 
         On an ellipsoid by its radii of curvature halfway.
         """
@@ -110,7 +110,7 @@ class Ruler:
 def read_profile(
     terrain: "TerrainFile", ruler: Ruler, points: list[tuple[float, float]]
 ) -> Profile:
-    """Return the heights of the finest level along two or more places, read now.
+    """Return the heights of the finest level along two or more points, read now.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Kernels of building patches: heights at places of meshes, texels, edges on borders."""
+"""Kernels for building patches: heights at points of meshes, texels, edges on borders."""
 
 import numpy as np
 
@@ -16,12 +16,12 @@ def bilinear_at(rows, cols, heights, mask, first_row, first_col, fallback, out):
     rows, cols : ndarray of int32, shape (n,)
         Of vertices, in half samples of their level from their block's first.
     heights, mask : ndarray, 2-D
-        Samples of the level above it, from the sample at that place on. Past their sides the last
-        two go on linearly.
+        Samples of the level above it, from the sample at that position on. Past their sides the
+        last two are continued linearly.
     first_row, first_col : int
         Half samples from there to the block's first.
     fallback : ndarray of float64, shape (n,)
-        What is taken beside voids.
+        Values next to voids.
     """
     last_row, last_col = max(heights.shape[0] - 2, 0), max(heights.shape[1] - 2, 0)
     step_row, step_col = min(heights.shape[0] - 1, 1), min(heights.shape[1] - 1, 1)
@@ -40,23 +40,23 @@ def bilinear_at(rows, cols, heights, mask, first_row, first_col, fallback, out):
 
 @kernel
 def fill_texels(heights, mask, first_row, first_col, n_rows, n_cols, slopes_of, colors_of, out):
-    """Fill `out` with slopes to the east and north and heights to colour by, as float16.
+    """Fill `out` with slopes to the east and north and heights for colouring, as float16.
 
     Parameters
     ----------
     heights, mask : ndarray, 2-D
         Samples around a block.
     first_row, first_col, n_rows, n_cols : int
-        The part of them that `out` begins with may reach past all sides of it: place (r, c) is
+        The part of them that `out` begins with may extend past all sides of it: position (r, c) is
         sample (first_row + r, first_col + c), or the nearest one of the `n_rows` x `n_cols` from
         (max(first_row, 0), max(first_col, 0)) on.
     slopes_of : ndarray of float64, shape (5,)
         Slopes are ``(a c + b r, d c + e r)`` of differences per column c and row r, 0 below the
         fifth.
     colors_of : ndarray of float64, shape (3,)
-        Of heights: factor, shift, and what is the most.
+        For heights: factor, shift, and largest value.
     out : ndarray of uint16, shape (m, 3 n)
-        Bits of float16; what is below 2⁻¹⁴ is 0.
+        Bits of float16; values below 2⁻¹⁴ become 0.
     """
     texels = np.empty(out.shape[1], dtype=np.float32)
     bits = texels.view(np.uint32)
@@ -98,7 +98,7 @@ def fill_texels(heights, mask, first_row, first_col, n_rows, n_cols, slopes_of, 
 
 @inlined_kernel
 def _half(bits):
-    """Return the bits of a float16, rounded to even, of a float32's; below 2⁻¹⁴ that is 0."""
+    """Return the bits of a float16, rounded to even, from those of a float32; 0 below 2⁻¹⁴."""
     whole = np.int64(bits)
     magnitude = whole & 0x7FFFFFFF
     if magnitude < 0x38800000:
@@ -123,9 +123,9 @@ def _difference(heights, mask, row_0, col_0, row, col, row_1, col_1):
 
 @kernel
 def _mean_around(heights, mask, row, col, factor, shift):
-    """Return the mean of valid samples around a void one, so that colours don't change beside it.
+    """Return the mean of valid samples around a void one, so that colours don't change next to it.
 
-    Samples past the side count as those at it; 0 where none is valid.
+    Samples past the side count as those at it; 0 if none is valid.
     """
     total, n = 0.0, 0
     for r in range(row - 1, row + 2):
@@ -139,10 +139,10 @@ def _mean_around(heights, mask, row, col, factor, shift):
 
 @kernel
 def border_edges(rows, cols, triangles, last_row, last_col, lower, edges):
-    """Fill the edges of triangles on the border of a block; return their number and ends'.
+    """Fill the edges of triangles on a block's border; return the numbers of edges and ends.
 
     `last_row` and `last_col` are those of the block in half samples. `edges` is int32 (n, 2),
-    `lower`, of each vertex, is filled with its number among the ends of edges, -1 elsewhere.
+    `lower` receives, for each vertex, its number among the ends of edges, -1 elsewhere.
     """
     n_edges, n_ends = 0, 0
     for v in range(rows.shape[0]):

@@ -1,8 +1,8 @@
-"""From a block of the file to a patch: vertices, triangles and slopes as the GPU takes them.
+"""Conversion of a block of the file to a patch: vertices, triangles and slopes for the GPU.
 
 The step from a coarse block to the finest ones is large: their meshes keep to the file's own error.
-So finest blocks come in variants as well, with 4, 16 … times the tolerance, and stand in the tree
-between their parent and the file's mesh: a chain, each the only child of the one before.
+So finest blocks also have variants, with 4, 16 … times the tolerance, in the tree between their
+parent and the file's mesh: a chain, each the only child of the one before.
 
 Runs in worker threads.
 """
@@ -33,20 +33,20 @@ if TYPE_CHECKING:
 # col and row in half samples of the block's level (the column's top bit marks skirts); height and
 # height of the parent's surface above the patch's base, metres.
 VERTEX = np.dtype([("col", "<u2"), ("row", "<u2"), ("z", "<f4"), ("z_parent", "<f4")])
-# Meshes that are kept: their children's vertices move to them.
+# Cache of meshes: their children's vertices move to them.
 _CACHED_BYTES = 192 << 20
 _VARIANT_BITS = 2  # each variant has four times the tolerance of the one before
 _MAX_VARIANT = 5
-# Of the error of what it replaces, at most this share is a variant's.
+# Limit of a variant's error, as a share of the error of the piece that it replaces.
 _VARIANT_SHARE = 0.6
 
 
 class Cancelled(Exception):
-    """A patch that nobody wants any more."""
+    """A patch that is no longer wanted."""
 
 
 class Patch(NamedTuple):
-    """A piece as drawn.
+    """A piece to draw.
 
     Parameters
     ----------
@@ -58,15 +58,15 @@ class Patch(NamedTuple):
     base : float
         Height of z = 0, metres.
     error : float
-        By which it is selected: no valid original is further from the surface, metres; from the
-        guaranteed one where `PatchBuilder.is_loose`.
+        Used for selection: no valid original is further from the surface, metres; with
+        `PatchBuilder.is_loose`, from the guaranteed surface.
     drawn_error : float
-        No valid original is further from what is drawn, metres.
+        No valid original is further from the drawn surface, metres.
     morph : float
         Largest distance between the surface and its parent's at vertices, metres.
     children : list of NodeInfo
     floors : Floors
-        What the surface is not below as far as it is within `drawn_error`.
+        Lower limits of the surface, within `drawn_error`.
     """
 
     piece: Piece
@@ -82,12 +82,11 @@ class Patch(NamedTuple):
 
     @property
     def n_triangles(self) -> int:
-        """Return how many triangles are drawn, skirts too."""
+        """Return the number of drawn triangles, including skirts."""
         return len(self.triangles)
 
     @property
     def n_bytes(self) -> int:
-        """Return the bytes of its arrays."""
         return self.vertices.nbytes + self.triangles.nbytes + self.slopes.nbytes
 
 
@@ -100,10 +99,10 @@ class PatchBuilder:
         Local metres; its exaggeration is not used: the GPU applies it.
     recursive : list of ndarray, optional
         Err_Appr of every block (`level_errors.recursive_errors`): errors are then Err_Appr +
-        Err_Tri, Yusov & Turlapov 2010, eq. (3). By default they are those stored for meshes; where
-        a file states none, bounds that are known once meshes are built (`mesh.blocks`).
+        Err_Tri, Yusov & Turlapov 2010, eq. (3). By default they are those stored for meshes, or
+        else bounds that are known once meshes are built (`mesh.blocks`).
     is_loose : bool
-        Blocks above the finest level are drawn with their non-guaranteed meshes (`mesh.loose`),
+        Blocks above the finest level are drawn with meshes without a guarantee (`mesh.loose`),
         whose errors are known once they are built.
     """
 
@@ -126,7 +125,7 @@ class PatchBuilder:
             _CACHED_BYTES, size_of=lambda mesh: sum(part.nbytes for part in mesh)
         )
 
-    # What the index says
+    # From the index
 
     def roots(self) -> list[NodeInfo]:
         """Return the root blocks."""
@@ -155,7 +154,7 @@ class PatchBuilder:
         return self.info(Piece(*block, self._coarsest(error) if is_finest else 0))
 
     def _coarsest(self, error: float) -> int:
-        """Return the coarsest variant that is worth its place below a piece with this error."""
+        """Return the coarsest variant that is useful below a piece with this error."""
         variant = 0
         while variant < _MAX_VARIANT and math.isfinite(error):
             if self._variant_error(variant + 1) > _VARIANT_SHARE * error:
@@ -192,7 +191,7 @@ class PatchBuilder:
         )
 
     def error(self, piece: Piece) -> float:
-        """Return the error of a piece that the file states, in metres."""
+        """Return the stated error of a piece, in metres."""
         if piece.variant:
             return self._variant_error(piece.variant)
         terrain, block = self._terrain, piece.block
@@ -201,14 +200,14 @@ class PatchBuilder:
         is_unbounded = terrain.mesh_kind in UNBOUNDED_MESHES
         if stored is not None and (is_unbounded or self._recursive is None):
             return stored * per_unit
-        # Of a mesh that nobody has measured: what it will about be, until it is made.
+        # For an unmeasured mesh an estimate, until it is built.
         is_viewed = self._is_made_for_views(block)
         tolerance = (self._mesher.view_tolerance if is_viewed else self._mesher.tolerance)(block)
         metres = tolerance / (1 << FRACTION_BITS) * abs(self._scale.per_quantum)
         return self._heights_error(block) * per_unit + metres
 
     def _is_unmeasured(self, block: Block) -> bool:
-        """Say whether only who has made the mesh of a block knows a bound for it."""
+        """Return whether the bound of a block's mesh is only known once it is built."""
         if block.level == self._terrain.n_levels - 1:
             return False
         if self._loose is not None or self._terrain.mesh_kind == "none":
@@ -216,7 +215,7 @@ class PatchBuilder:
         return self._recursive is None and self._terrain.stored_mesh_error(block) is None
 
     def _is_made_for_views(self, block: Block) -> bool:
-        """Say whether a block has another mesh than the file's, of fewer triangles."""
+        """Return whether a block has another mesh than the file's, with fewer triangles."""
         return self._loose is None and self._is_unmeasured(block)
 
     def _heights_error(self, block: Block) -> float:
@@ -230,7 +229,7 @@ class PatchBuilder:
     # Patches
 
     def mesh(self, piece: Piece) -> BlockMesh:
-        """Return the mesh of a piece; the last ones are kept."""
+        """Return the mesh of a piece, through a cache."""
         return self._meshes.get_or_make(piece, lambda: self._triangulate(piece))
 
     def _triangulate(self, piece: Piece) -> BlockMesh:
@@ -249,7 +248,7 @@ class PatchBuilder:
         Raises
         ------
         Cancelled
-            If `is_cancelled` says so between two steps.
+            If `is_cancelled` returns True between two steps.
         CorruptStreamError
             If the file is damaged there.
         """
@@ -295,17 +294,17 @@ class PatchBuilder:
         )
 
     def _derived_error(self, block: Block, mesh: BlockMesh) -> float:
-        """Return a bound for a mesh that the file says nothing about, metres."""
+        """Return a bound for a mesh without a stated error, metres."""
         error = self._mesher.derived_error(block, mesh) / (1 << FRACTION_BITS)
         return error * abs(self._scale.per_quantum)
 
     def _parent_heights(
         self, piece: Piece, mesh: BlockMesh, z: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the heights of the parent's surface at the vertices; `z` where it has none.
+        """Return the heights of the parent's surface at the vertices; `z` if it has none.
 
-        Of a coarser level it is the surface of the samples: within a mesh's tolerance, a quarter
-        of its error, of what is drawn, and nobody has to make that mesh.
+        For a coarser level it is the surface of the samples: within a mesh's tolerance, a quarter
+        of its error, of the drawn one, so that the parent's mesh need not be built.
         """
         above = self.parent(piece)
         if above is None or not len(z):
@@ -345,9 +344,9 @@ class PatchBuilder:
         return self._scale.metres(out)
 
     def floors(self, block: Block, error: float) -> Floors:
-        """Return what a surface of a block that is within `error` metres of originals is not below.
+        """Return lower limits of a block's surface that is within `error` metres of originals.
 
-        These are not below the block's samples by more than the error of its bilinear surface.
+        They are at most the error of its bilinear surface below the block's samples.
         """
         grid, frame = self._terrain.grid, self._frame
         inner, wide = grid.block_region(block), grid.block_region(block, OVERLAP)
@@ -367,8 +366,8 @@ class PatchBuilder:
     def slopes(self, block: Block) -> NDArray[np.float16]:
         """Return slopes and heights at the samples of a block and at one more on each side.
 
-        Neighbours of one level compute the same where they share samples. Past the raster's edge
-        the last ones are repeated, and once more where the block ends before its full size.
+        Neighbours of one level compute the same values where they share samples. Past the raster's
+        edge the last ones are repeated, and once more if the block ends before its full size.
         """
         terrain, grid = self._terrain, self._terrain.grid
         level = Region(0, 0, *grid.level_shape(block.level))
@@ -385,7 +384,7 @@ class PatchBuilder:
 def _with_skirts(
     mesh: BlockMesh, vertices: NDArray[np.void]
 ) -> tuple[NDArray[np.void], NDArray[np.uint32]]:
-    """Return vertices and triangles with two triangles more below each edge on the border."""
+    """Return vertices and triangles with two more triangles below each edge on the border."""
     triangles = mesh.triangles.astype(np.uint32)
     if not len(triangles):
         return vertices, triangles

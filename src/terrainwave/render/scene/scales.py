@@ -1,4 +1,4 @@
-"""From quanta of a file to metres of a frame, and to slopes and heights as textures hold them."""
+"""Conversion of a file's quanta to metres of a frame, and to slopes and heights in textures."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 # Half of float32's spacing, relative.
 FLOAT32_ROUNDING = 2.0**-24
-# What float16 holds.
+# Limits of float16.
 _LEAST_SLOPE, _LARGEST_HEIGHT = 2.0**-14, 6e4
 
 
@@ -25,7 +25,7 @@ class HeightScale:
     Parameters
     ----------
     per_quantum : float
-        Negative where the raster's scale is.
+        Negative if the raster's scale is.
     zero : float
         Metres of quantum 0.
     """
@@ -35,7 +35,6 @@ class HeightScale:
 
     @classmethod
     def of(cls, terrain: "TerrainFile", frame: Frame) -> Self:
-        """Return the scale of a file."""
         header, raster = terrain.header, terrain.raster_info
         quantum = header.quantum.numerator / header.quantum.denominator
         return cls(
@@ -44,16 +43,15 @@ class HeightScale:
         )
 
     def metres(self, quanta: NDArray[Any]) -> NDArray[np.float64]:
-        """Return heights in metres."""
         return quanta * self.per_quantum + self.zero
 
 
 @dataclass(frozen=True)
 class HeightTexels:
-    """Heights as a texture of float16 holds them, to colour by: (metres - reference) / scale.
+    """Heights in a float16 texture, for colouring: (metres - reference) / scale.
 
-    Half a metre in a thousand is lost, but next to the reference: the sea's level where the raster
-    has one, else what is nearest to it.
+    Half a metre in a thousand is lost, except near the reference: the sea's level if the raster
+    includes it, else the nearest height.
     """
 
     reference: float
@@ -61,7 +59,7 @@ class HeightTexels:
 
     @classmethod
     def of(cls, frame: Frame) -> Self:
-        """Return the one that fits the heights of a frame."""
+        """Return the conversion for the heights of a frame."""
         low, high = frame.height_range
         reference = min(max(0.0, low), high)
         largest = max(reference - low, high - reference)
@@ -69,12 +67,12 @@ class HeightTexels:
 
 
 class Texels:
-    """Slopes and heights of samples as textures hold them. Thread-safe.
+    """Slopes and heights of samples as stored in textures. Thread-safe.
 
     Parameters
     ----------
     frame : Frame
-        Whose east and north slopes are along.
+        Its east and north are the directions of slopes.
     scale : HeightScale
         Of the samples.
     """
@@ -99,12 +97,12 @@ class Texels:
         Parameters
         ----------
         samples : tuple of ndarray, 2-D
-            Quanta of a level, and which are valid.
+            Quanta of a level, and validity.
         first : tuple of int
-            Where the texture begins in them, row and column; may be negative.
+            Row and column in them at which the texture begins; may be negative.
         inner : tuple of int
-            Rows and columns that the texture has values of its own for; the nearest ones of these
-            are repeated.
+            Rows and columns for which the texture has values of its own; the nearest of these are
+            repeated.
         shape : tuple of int
             Of the texture.
         stride : int

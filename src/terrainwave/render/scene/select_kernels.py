@@ -1,4 +1,4 @@
-"""Kernels of selection: what is in view of a node, and how large its error is on screen."""
+"""Kernels of selection: visibility of nodes, and their errors on screen."""
 
 from typing import NamedTuple
 
@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 from terrainwave.coding.jit import kernel
 from terrainwave.render.scene.horizon import is_below
 
-# Rows of a frustum: inward planes (x, y, z, w), a point is inside where x·p + w >= 0.
+# Rows of a frustum: inward planes (x, y, z, w), a point is inside if x·p + w >= 0.
 N_PLANES = 5
 
 
 class NodeArrays(NamedTuple):
-    """What kernels know of nodes, by number: boxes and errors in metres, children or -1."""
+    """Arrays of nodes, by number: boxes and errors in metres, children or -1."""
 
     low: NDArray[np.float64]
     high: NDArray[np.float64]
@@ -24,7 +24,7 @@ class NodeArrays(NamedTuple):
 
 
 class Sight(NamedTuple):
-    """How nodes are seen: fields as of `View` and its horizon, with the factor of heights."""
+    """View of nodes: fields as of `View` and its horizon, with the factor of heights."""
 
     planes: NDArray[np.float64]
     eye: NDArray[np.float64]
@@ -38,7 +38,7 @@ class Sight(NamedTuple):
 
 @kernel
 def is_outside(planes, low_x, low_y, low_z, high_x, high_y, high_z):
-    """Say whether a box lies wholly behind one of the planes (false also for some outside)."""
+    """Return whether a box lies wholly behind one of the planes (false also for some outside)."""
     for k in range(planes.shape[0]):
         x, y, z = planes[k, 0], planes[k, 1], planes[k, 2]
         # The corner that lies furthest along the plane's normal.
@@ -81,12 +81,12 @@ def _node_distance(node, low, high, z_scale, eye):
 
 @kernel
 def oriented_distance(eye, low_x, low_y, low_z, high_x, high_y, high_z):
-    """Return a d to be taken for the distance of a box as to vertical steps in it.
+    """Return an effective distance of a box for vertical steps in it.
 
     Yusov 2006, §3.3, weighs errors with the sine of the angle between the ray and the vertical;
-    here so that it holds for any step and point (`pixels_per_metre`): 1 / d is the maximum of
-    h / (h² + v²) over the box, v its least vertical distance: it grows up to h = v, then sinks.
-    It is never more than 1 / the distance to the box, and nothing straight below or above.
+    here it holds for any step and point (`pixels_per_metre`): 1 / d is the maximum of h / (h² + v²)
+    over the box, v its least vertical distance: it grows up to h = v, then falls. It is never more
+    than 1 / the distance to the box, and 0 straight below or above.
     """
     x = max(low_x - eye[0], 0.0, eye[0] - high_x)
     y = max(low_y - eye[1], 0.0, eye[1] - high_y)
@@ -99,7 +99,7 @@ def oriented_distance(eye, low_x, low_y, low_z, high_x, high_y, high_z):
     return np.inf if v > 0 else 0.0
 
 
-# What `View.lens` holds: pixels per unit of tangent, the largest (distance / depth)² in view, the
+# Fields of `View.lens`: pixels per unit of tangent, the largest (distance / depth)² in view, the
 # largest K² there (see `pixels_per_metre`), the view's direction.
 LENS_SCALE, LENS_SLANT, LENS_RISE, LENS_X, LENS_Y, LENS_Z = range(6)
 # Pixels per metre that count as none.
@@ -122,10 +122,10 @@ def pixels_per_metre(eye, low_x, low_y, low_z, high_x, high_y, high_z, lens, is_
     and at least d / S, d the distance of the box and S the largest distance / depth in view.
 
     Seen from above K is less than 1, as steps are seen from their end. That counts if oriented
-    (Yusov 2006, §3.3, who weighs errors with the sine of the angle between ray and vertical); and
-    then also K / (p_D q_D) <= S² h / (|p| |q|), whose maximum `oriented_distance` has.
+    (Yusov 2006, §3.3, who weighs errors with the sine of the angle between ray and vertical). Then
+    also K / (p_D q_D) <= S² h / (|p| |q|), whose maximum is in `oriented_distance`.
 
-    Where the lens has S = 1 it is the lens's γ over the distance.
+    If the lens has S = 1, it is the lens's γ over the distance.
     """
     distance = _distance(eye, low_x, low_y, low_z, high_x, high_y, high_z)
     if is_oriented:
@@ -169,7 +169,7 @@ def _largest_rise(x, y, z, half_x, half_y, half_z, lens):
 
 @kernel
 def node_scale(node, low, high, z_scale, eye, lens, is_oriented):
-    """Return pixels on screen per metre of a node's vertical error; inf where the eye is in it."""
+    """Return pixels on screen per metre of a node's vertical error; inf if the eye is in it."""
     return pixels_per_metre(
         eye, low[node, 0], low[node, 1], low[node, 2] * z_scale,
         high[node, 0], high[node, 1], high[node, 2] * z_scale, lens, is_oriented,
@@ -178,7 +178,7 @@ def node_scale(node, low, high, z_scale, eye, lens, is_oriented):
 
 @kernel
 def node_scales(asked, nodes, sight, out):
-    """Fill `out` with the `node_scale` of each node asked for."""
+    """Fill `out` with the `node_scale` of each node of `asked`."""
     low, high, z_scale, eye = nodes.low, nodes.high, sight.z_scale, sight.eye
     lens, is_oriented = sight.lens, sight.is_oriented
     for k in range(asked.shape[0]):
@@ -187,24 +187,24 @@ def node_scales(asked, nodes, sight, out):
 
 @kernel
 def _screen_error(node, low, high, errors, z_scale, eye, lens, is_oriented):
-    """Return a bound of a node's error on screen, pixels; inf where the eye is in its box."""
+    """Return a bound of a node's error on screen, pixels; inf if the eye is in its box."""
     error = errors[node] * z_scale
     if error <= 0:
         return 0.0
     return error * node_scale(node, low, high, z_scale, eye, lens, is_oriented)
 
 
-# What `View.tolerance` holds: τ; what is let be where samples are dense enough, both pixels; pixels
+# Fields of `View.tolerance`: τ; the tolerance for sufficiently dense samples, both pixels; pixels
 # per unit of tangent.
 TOLERANCE_TAU, TOLERANCE_DENSE, TOLERANCE_LENGTH = range(3)
 
 
 @kernel
 def is_fine(node, low, high, errors, spacings, z_scale, eye, lens, is_oriented, tolerance):
-    """Say whether a node need not be split: its error is within τ on screen.
+    """Return whether a node need not be split: its error is within τ on screen.
 
-    Or within the second tolerance, and its samples, seen squarely from the nearest place of its
-    box, are no further apart than pixels.
+    Or within the second tolerance, if its samples, seen squarely from the nearest point of its box,
+    are no further apart than pixels.
     """
     error = _screen_error(node, low, high, errors, z_scale, eye, lens, is_oriented)
     if error <= tolerance[TOLERANCE_TAU]:
@@ -217,7 +217,7 @@ def is_fine(node, low, high, errors, spacings, z_scale, eye, lens, is_oriented, 
 
 @kernel
 def fine_nodes(asked, nodes, sight, out):
-    """Fill `out` with whether each node asked for need not be split (`is_fine`)."""
+    """Fill `out` with whether each node of `asked` need not be split (`is_fine`)."""
     low, high, errors, spacings, _, _ = nodes
     _, eye, z_scale, lens, is_oriented, tolerance, _, _ = sight
     for k in range(asked.shape[0]):
@@ -230,9 +230,9 @@ def fine_nodes(asked, nodes, sight, out):
 def select_nodes(roots, nodes, is_resident, n_triangles, sight, stack, out_nodes, out_distances):
     """Fill the nodes to draw and their distances; return (their number, their triangles).
 
-    A node is split while it is not fine enough and all of its children in view are resident: else
-    it stands in for them. `stack`, `out_nodes` and `out_distances` hold as many entries as there
-    are nodes.
+    A node is split if it is not fine enough and all of its children in view are resident; otherwise
+    it is drawn instead of them. `stack`, `out_nodes` and `out_distances` have as many entries as
+    there are nodes.
     """
     low, high, errors, spacings, children, is_known = nodes
     planes, eye, z_scale, lens, is_oriented, tolerance, slopes, aim = sight
@@ -275,11 +275,11 @@ def select_nodes(roots, nodes, is_resident, n_triangles, sight, stack, out_nodes
 
 @kernel
 def wanted_nodes(roots, nodes, sight, out_nodes):
-    """Fill the nodes in view that are needed, breadth first; return their number.
+    """Fill the needed nodes in view, breadth first; return their number.
 
-    Zhang et al. 2012, §4.2: the roots in view in the order given, then children in view, until
-    `out_nodes` is full. Unlike there, children whose parent is good enough are left out; τ < 0
-    takes them all.
+    Zhang et al. 2012, §4.2: the roots in view in the given order, then children in view, until
+    `out_nodes` is full. Unlike there, children of a sufficiently fine parent are left out; τ < 0
+    includes them all.
     """
     low, high, errors, spacings, children, is_known = nodes
     planes, eye, z_scale, lens, is_oriented, tolerance, slopes, aim = sight
@@ -309,11 +309,11 @@ def wanted_nodes(roots, nodes, sight, out_nodes):
 
 @kernel
 def bounded_errors(drawn, nodes, morphs, parents, sight, start, end, out):
-    """Fill `out`, float64 (n, 3), with share of the parent's surface, error drawn, error allowed.
+    """Fill `out`, float64 (n, 3), with share of the parent's surface, drawn error, allowed error.
 
-    Metres, with exaggeration. The share is 0 where the parent's error on screen is `end` pixels, 1
-    where it is `start`, and no more than leaves the error drawn, a block's own and share ·
-    distance to the parent's surface, within `end`; that surface may lie outside of the box.
+    Metres, with exaggeration. The share is 0 if the parent's error on screen is `end` pixels, 1 if
+    it is `start`. It is limited so that the drawn error, a block's own plus share · distance to the
+    parent's surface, is within `end`; that surface may lie outside of the box.
     """
     low, high, errors, _, _, _ = nodes
     _, eye, z_scale, lens, is_oriented, _, _, _ = sight

@@ -1,7 +1,7 @@
-"""Which blocks to draw: recursive from the roots by screen error (Yusov & Turlapov 2010, §2.8).
+"""Selection of blocks: recursive from the roots by screen error (Yusov & Turlapov 2010, §2.8).
 
-A node is a piece that the viewer has heard of. Its cost per frame follows what is in view: nodes
-outside the frustum end the recursion, and those good enough do.
+A node is a piece known to the viewer. Its cost per frame depends on the view: the recursion ends at
+nodes outside the frustum, and at those fine enough.
 """
 
 import math
@@ -29,13 +29,13 @@ from terrainwave.render.scene.select_kernels import (
 )
 
 _FIRST_CAPACITY = 256
-_MOST_SCALE = 1e12  # pixels per metre, where the eye is in a box
+_MOST_SCALE = 1e12  # pixels per metre, if the eye is in a box
 
 
 class Piece(NamedTuple):
-    """What is drawn at once: a block, triangulated within the tolerance number `variant`.
+    """Unit of drawing: a block, triangulated within the tolerance number `variant`.
 
-    0 is the block's own; blocks of the finest level also come coarser (see `patches`).
+    0 is the block's own; blocks of the finest level also have coarser variants (see `patches`).
     """
 
     level: int
@@ -45,14 +45,13 @@ class Piece(NamedTuple):
 
     @property
     def block(self) -> Block:
-        """Return the block."""
         return Block(self.level, self.row, self.col)
 
 
 class NodeInfo(NamedTuple):
-    """What the index says of a piece: its box in local metres, its error in metres.
+    """Properties of a piece from the index: its box in local metres, its error in metres.
 
-    `spacing` is how far its samples are apart, local metres.
+    `spacing` is the distance of its samples, local metres.
     """
 
     piece: Piece
@@ -63,7 +62,7 @@ class NodeInfo(NamedTuple):
 
 
 class Built(Protocol):
-    """What `Mode.build` returns; the mode's store knows what else is in it."""
+    """Result of `Mode.build`; the mode's store knows its other contents."""
 
     @property
     def children(self) -> list[NodeInfo]:
@@ -71,7 +70,7 @@ class Built(Protocol):
 
     @property
     def n_triangles(self) -> int:
-        """Return how many triangles it draws."""
+        """Return the number of drawn triangles."""
 
     @property
     def base(self) -> float:
@@ -79,7 +78,7 @@ class Built(Protocol):
 
     @property
     def error(self) -> float:
-        """Return a bound that holds for its surface, metres."""
+        """Return a guaranteed bound for its surface, metres."""
 
     @property
     def morph(self) -> float:
@@ -87,31 +86,31 @@ class Built(Protocol):
 
     @property
     def floors(self) -> Floors | None:
-        """Return heights that its surface is not below; None if it is not to hide others."""
+        """Return lower limits of its surface; None if it must not hide others."""
 
 
 @dataclass(frozen=True)
 class View:
-    """Camera, size of the picture and what counts as an error on screen.
+    """Camera, size of the picture, and the definition of errors on screen.
 
     Parameters
     ----------
     max_pixel_error : float
-        τ, pixels; 0 takes the finest blocks everywhere.
+        τ, pixels; 0 selects the finest blocks everywhere.
     gamma_of : callable
-        Returns γ of a camera and a viewport; by default one that holds in the corners too.
+        Returns γ of a camera and a viewport; by default one that is valid in the corners too.
     exaggeration : float
         Factor of heights.
     is_oriented : bool
-        Errors, being vertical, count less the steeper they are looked down at.
+        Errors, being vertical, count less when seen steeply from above.
     is_exact : bool
-        Errors count as each block's place in the picture has it (`node_scale`), not by one
-        γ for all of it.
+        Errors count by each block's position in the picture (`node_scale`), not by one γ for all of
+        it.
     flatness : float
-        What is less than this many times τ is let be where a piece has a sample for each pixel
-        (`Scene.view`); 1: nothing is.
+        Errors below this multiple of τ are accepted if a piece has a sample for each pixel
+        (`Scene.view`); 1: none are.
     horizon : Horizon
-        The camera's: what lies below it is not seen; by default nothing does.
+        The camera's: pieces below it are hidden; by default none are.
     """
 
     camera: Camera
@@ -131,11 +130,11 @@ class View:
 
     @cached_property
     def least_gamma(self) -> float:
-        """Return the γ with which errors of blocks count at least, in pixels · distance / error.
+        """Return the smallest γ for errors of blocks, in pixels · distance / error.
 
-        In `pixels_per_metre` K counts as 1 or more, and depths are at most distances.
-        Oriented, K / p_D is h / (p_D² r), h the horizontal distance and r that of a line through
-        the picture, at most its corners': distance is then (h² + v²) / h.
+        In `pixels_per_metre` K counts as 1 or more, and depths are at most distances. Oriented, K /
+        p_D is h / (p_D² r), h the horizontal distance and r that of a line through the picture, at
+        most its corners': distance is then (h² + v²) / h.
         """
         if not self.is_exact:
             return self.gamma
@@ -144,7 +143,7 @@ class View:
 
     @cached_property
     def lens(self) -> NDArray[np.float64]:
-        """Return what `select_kernels.pixels_per_metre` takes: see there."""
+        """Return the argument of `select_kernels.pixels_per_metre`; see there."""
         forward = self.camera.forward
         if not self.is_exact:
             return np.array([self.gamma, 1.0, 1.0, *forward])
@@ -155,13 +154,13 @@ class View:
         return np.array([scale, slant(self.camera, self.viewport) ** 2, rise, *forward])
 
     def tolerance(self, tau: float | None = None) -> NDArray[np.float64]:
-        """Return what `select_kernels.is_fine` takes, of another τ than the view's."""
+        """Return the argument of `select_kernels.is_fine`, for another τ than the view's."""
         tau = self.max_pixel_error if tau is None else tau
         length = focal_length(self.camera, self.viewport)
         return np.array([tau, tau * self.flatness, length])
 
     def sight(self, tau: float | None = None) -> Sight:
-        """Return what kernels take, of another τ than the view's."""
+        """Return the argument of kernels, for another τ than the view's."""
         return Sight(
             self.planes, self.camera.eye, self.exaggeration, self.lens, self.is_oriented,
             self.tolerance(tau), *self.horizon,
@@ -188,8 +187,8 @@ class NodeTable:
         self._numbers: dict[Piece, int] = {}
         self.pieces: list[Piece] = []
         self._of_level: dict[int, list[int]] = {}
-        self._floors: dict[int, Floors] = {}  # of pieces that are in the store
-        self._free: list[int] = []  # numbers of pieces that were forgotten
+        self._floors: dict[int, Floors] = {}  # of pieces in the store
+        self._free: list[int] = []  # numbers of removed pieces
         self.roots = np.empty(0, dtype=np.int32)
         self._allocate(_FIRST_CAPACITY)
 
@@ -223,11 +222,11 @@ class NodeTable:
             getattr(self, name)[:n] = old[name][:n]
 
     def find(self, piece: Piece) -> int | None:
-        """Return the number of a piece, None if it is not known."""
+        """Return the number of a piece, None if it is unknown."""
         return self._numbers.get(piece)
 
     def add(self, info: NodeInfo, parent: int = -1) -> int:
-        """Make a piece known; return its number."""
+        """Add a piece; return its number."""
         number = self._numbers.get(info.piece)
         if number is not None:
             return number
@@ -250,7 +249,7 @@ class NodeTable:
         return number
 
     def add_children(self, parent: int, infos: list[NodeInfo]) -> None:
-        """Make the children of a node known, all at once."""
+        """Add the children of a node, all at once."""
         if self.is_known[parent]:
             return
         for place, info in enumerate(infos):
@@ -258,9 +257,9 @@ class NodeTable:
         self.is_known[parent] = True
 
     def describe(self, node: int, built: Built) -> None:
-        """Take down what a piece that is in the store now says of itself."""
+        """Update a piece that is now in the store from its built form."""
         self.is_resident[node] = True
-        # What is further away than was thought may leave the box.
+        # A larger error than assumed may leave the box.
         further = max(built.error - float(self.errors[node]), 0.0)
         self.low[node, 2] -= further
         self.high[node, 2] += further
@@ -270,7 +269,7 @@ class NodeTable:
             self._floors[node] = built.floors
 
     def forget(self, node: int) -> None:
-        """Take down that a piece has left the store."""
+        """Record that a piece has left the store."""
         self.is_resident[node] = False
         self._floors.pop(node, None)
 
@@ -280,10 +279,9 @@ class NodeTable:
         return len(self._numbers)
 
     def forget_children(self, used: Sequence[NDArray[np.int32]]) -> None:
-        """Forget what is below pieces that are not in the store, but for what somebody needs.
+        """Remove pieces below those that are not in the store, except needed ones.
 
-        Such a piece says again which its children are when it is built again. Numbers of pieces
-        that are forgotten are given to others.
+        Building such a piece lists its children again. Numbers of removed pieces are reused.
 
         Parameters
         ----------
@@ -317,14 +315,14 @@ class NodeTable:
             self._of_level[level] = [number for number in numbers_of_level if is_kept[number]]
 
     def floors(self, nodes: NDArray[np.int32]) -> Floors:
-        """Return what is known of the floors of nodes, shape (n,)."""
+        """Return the known floors of nodes, shape (n,)."""
         found = [self._floors[node] for node in nodes.tolist() if node in self._floors]
         return np.array(found, dtype=FLOORS)
 
     def floor_at(self, x: float, y: float) -> float:
-        """Return a height that the ground at a place is not below, as the finest piece here has it.
+        """Return a lower limit of the ground at a point, from the finest loaded piece.
 
-        Metres, without exaggeration; -inf where nothing is known, near voids and outside.
+        Metres, without exaggeration; -inf if unknown, near voids and outside.
         """
         found, nodes = -math.inf, self.roots.tolist()
         while nodes:
@@ -337,7 +335,7 @@ class NodeTable:
     def stand_in(
         self, view: View, nodes: NDArray[np.int32], tau: float, before: NDArray[np.int32]
     ) -> bool:
-        """Say whether one of `nodes` stands in for finer ones, some of which are in `before`."""
+        """Return whether one of `nodes` is drawn instead of finer ones, some in `before`."""
         are_short = self.is_known[nodes] & (self.children[nodes] >= 0).any(axis=1)
         are_short &= ~self.are_fine(view, nodes, tau)
         if not are_short.any():
@@ -364,7 +362,7 @@ class NodeTable:
         return self.low[nodes] * scale, self.high[nodes] * scale
 
     def distances(self, view: View, nodes: NDArray[np.int32]) -> NDArray[np.float64]:
-        """Return how far nodes are from the eye at least, local metres."""
+        """Return the least distances of nodes from the eye, local metres."""
         low, high = self.boxes(nodes, view.exaggeration)
         eye = view.camera.eye
         beside: NDArray[np.float64] = np.maximum(np.maximum(low - eye, eye - high), 0.0)
@@ -372,7 +370,7 @@ class NodeTable:
         return away
 
     def scales(self, view: View, nodes: NDArray[np.int32]) -> NDArray[np.float64]:
-        """Return pixels on screen per metre of nodes' errors; inf where the eye is in their box."""
+        """Return pixels on screen per metre of nodes' errors; inf if the eye is in their box."""
         scales = np.empty(len(nodes))
         node_scales(nodes, self._arrays(), view.sight(), scales)
         return scales
@@ -382,13 +380,13 @@ class NodeTable:
     ) -> NDArray[np.float64]:
         """Return bounds on screen, pixels, of errors in metres: by default those of the nodes.
 
-        Finite, and 0 of errors of 0, also where the eye is in a node's box.
+        Finite, and 0 for errors of 0, also if the eye is in a node's box.
         """
         errors = self.errors[nodes] if errors is None else errors
         return errors * view.exaggeration * np.minimum(self.scales(view, nodes), _MOST_SCALE)
 
     def are_fine(self, view: View, nodes: NDArray[np.int32], tau: float) -> NDArray[np.bool_]:
-        """Say of nodes whether they need not be split in a view."""
+        """Return which nodes need not be split in a view."""
         out = np.empty(len(nodes), dtype=np.bool_)
         fine_nodes(nodes, self._arrays(), view.sight(tau), out)
         return out
@@ -396,11 +394,11 @@ class NodeTable:
     def bounded_errors(
         self, view: View, nodes: NDArray[np.int32], start: float, end: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return shares of parents' surfaces, errors drawn and errors within `end` pixels, metres.
+        """Return shares of parents' surfaces, drawn errors and errors within `end` pixels, metres.
 
-        1 where the parent would just be drawn (its error at `start`), 0 where that error reaches
-        `end`; and no more than leaves error + share · distance to the parent within it, which keeps
-        the promise exactly: between vertices both surfaces are linear.
+        A share is 1 where the parent would just be drawn (its error at `start`), 0 where that error
+        reaches `end`. It is limited so that error + share · distance to the parent is within `end`,
+        which guarantees the bound exactly: between vertices both surfaces are linear.
         """
         out = np.empty((len(nodes), 3))
         sight = view.sight()
@@ -408,9 +406,9 @@ class NodeTable:
         return out[:, 0], out[:, 1], out[:, 2]
 
     def select(self, view: View, tau: float | None = None) -> Selection:
-        """Return the resident blocks that show the view within τ where they are here.
+        """Return the resident blocks that show the view within τ if they are loaded.
 
-        Parents stand in for children that are not resident.
+        Parents replace children that are not resident.
         """
         if len(self._stack) < len(self.errors):
             raise AssertionError("the stack holds every node")
@@ -427,7 +425,7 @@ class NodeTable:
     ) -> NDArray[np.int32]:
         """Return the nodes that a view needs, ancestors first, at most `max_blocks`.
 
-        `camera` looks from elsewhere than the view's own.
+        `camera` is another camera than the view's own.
         """
         if camera is not None and camera is not view.camera:
             view = replace(view, camera=camera, horizon=Horizon.none())
@@ -466,14 +464,14 @@ class NodeTable:
 
 
 class ErrorGovernor:
-    """Raises τ where triangles or time would exceed their limits, and lets it sink again.
+    """Raises τ if triangles or time would exceed their limits, and lowers it again.
 
     Parameters
     ----------
     max_triangles : int
         Budget per frame.
     target_ms : float, optional
-        Time per frame; None: no matter.
+        Time per frame; None: unlimited.
     """
 
     _LARGEST = 64.0
@@ -484,7 +482,7 @@ class ErrorGovernor:
         self.factor = 1.0
 
     def after_frame(self, frame_ms: float) -> None:
-        """Adapt to the time that the last frame took."""
+        """Adapt to the duration of the last frame."""
         if self.target_ms is None:
             return
         ratio = frame_ms / self.target_ms
@@ -496,7 +494,7 @@ class ErrorGovernor:
     def select(
         self, table: NodeTable, view: View, tau: float | None = None
     ) -> tuple[Selection, float]:
-        """Return a selection within the budget, and its τ; `tau` is to be kept, or the view's."""
+        """Return a selection within the budget, and its τ; `tau` is required, or the view's."""
         tau = (view.max_pixel_error if tau is None else tau) * self.factor
         selection = table.select(view, tau)
         while selection.n_triangles > self.max_triangles and tau < 1e6:

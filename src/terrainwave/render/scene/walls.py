@@ -1,9 +1,9 @@
-"""The block whose upper side the terrain is: walls, a floor, and lids over voids.
+"""Block with the terrain as its upper side: walls, a floor, and lids over voids.
 
 Walls stand on the raster's outline and reach down to a base plane; the floor is that plane under
-the raster. A lid covers the voids, at heights between those around them, so that a hole is seen as
-a hatch and not as the sky below it. None of them is data: they never write where `Canvas.pick`
-and `Canvas.is_blank` look.
+the raster. A lid covers the voids, at heights between those around them, so that a hole is shown as
+a hatch and not as the sky below it. None of them is data: they never write where `Canvas.pick` and
+`Canvas.is_blank` read.
 """
 
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,13 +16,13 @@ from terrainwave.render.scene.frame import Frame
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
 
-# What a vertex is; the shader's numbers.
+# Kinds of vertices; the shader's numbers.
 TOP, BASE, FLOOR, LID = 0.0, 1.0, 2.0, 3.0
 VERTEX = np.dtype(
     [("col", "<f4"), ("row", "<f4"), ("height", "<f4"), ("kind", "<f4"), ("normal", "<f4", 2)]
 )
-# Samples along the longer side of the levels that walls and lids are made of: as many as pictures
-# have pixels; of lids only the outline is seen.
+# Samples along the longer side of the levels that walls and lids are made from: as many as pictures
+# have pixels; of lids only the outline is visible.
 _WALL_SIDE, _LID_SIDE = 2049, 641
 _SMOOTHINGS = 6
 _HAZE_AT_GROUND, _HAZE_ABOVE = 3.3, 1.3
@@ -44,19 +44,19 @@ class Solid(NamedTuple):
 
     @property
     def has_lids(self) -> bool:
-        """Say whether there are voids to cover."""
+        """Return whether there are voids to cover."""
         return bool((self.vertices["kind"] == LID).any())
 
 
 class _Overview(NamedTuple):
-    """A level whose last row and column are those of the full grid.
+    """A level extended to the full grid's last row and column.
 
     Parameters
     ----------
     rows, cols : ndarray of float64, shapes (n_rows,) and (n_cols,)
-        Where its samples lie on the full grid.
+        Positions of its samples on the full grid.
     heights : ndarray of float64, shape (n_rows, n_cols)
-        Metres; in voids, something between those around.
+        Metres; in voids, values between those around.
     valid : ndarray of bool, shape (n_rows, n_cols)
     is_full : bool
         It is the full grid.
@@ -95,7 +95,7 @@ _Faces = tuple[NDArray[np.void], NDArray[np.int64]]
 
 
 def level_within(terrain: "TerrainFile", side: int) -> int:
-    """Return the finest level with at most `side` samples a side, or the coarsest."""
+    """Return the finest level with at most `side` samples per side, or the coarsest."""
     level = terrain.n_levels - 1
     while level and max(terrain.grid.level_shape(level)) > side:
         level -= 1
@@ -105,7 +105,7 @@ def level_within(terrain: "TerrainFile", side: int) -> int:
 def read_metres(
     terrain: "TerrainFile", frame: Frame, window: tuple[int, int, int, int] | None, level: int
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return heights in metres, 0 in voids, and which are valid."""
+    """Return heights in metres, 0 in voids, and validity."""
     raw, valid = terrain.read_with_mask(window, level=level, on_error="mask", voids="any")
     raster = terrain.raster_info
     metres = frame.to_metres(raw.astype(np.float64) * raster.scale + raster.offset)
@@ -113,7 +113,7 @@ def read_metres(
 
 
 def _places(terrain: "TerrainFile", level: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return rows and columns of a level's samples, and last those of the full grid's border."""
+    """Return rows and columns of a level's samples, and finally those of the full grid's border."""
     stride = terrain.grid.stride(level)
     n_rows, n_cols = terrain.shape
     return _along_axis(n_rows, stride), _along_axis(n_cols, stride)
@@ -136,10 +136,10 @@ def _read_overview(terrain: "TerrainFile", frame: Frame) -> _Overview:
 
 
 def fill_voids(heights: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return heights with voids filled between the valid ones around, within their range; a copy.
+    """Return a copy of heights with voids filled between the valid ones around, within their range.
 
-    Means of 2 x 2 samples are filled first, and so on; each step ends in a few of Jacobi's, which
-    make a membrane of the filled part. Without valid samples, as given.
+    Means of 2 x 2 samples are filled first, and so on; each step ends with a few of Jacobi's, which
+    make a membrane of the filled part. Without valid samples, heights are unchanged.
     """
     if valid.all() or not valid.any():
         return heights.copy()
@@ -221,9 +221,9 @@ def _along(
 def _lid(overview: _Overview) -> _Faces:
     """Return the triangles over voids.
 
-    A void sample of a coarse level makes void all that lies between it and its neighbours
-    (FORMAT.md §5.1), so that no valid sample is below a lid. On the full grid the triangles of
-    three valid samples are the terrain's.
+    A void sample of a coarse level makes everything up to its neighbours void (FORMAT.md §5.1), so
+    no valid sample is below a lid. On the full grid the triangles of three valid samples belong to
+    the terrain.
     """
     valid = overview.valid
     numbers = np.arange(valid.size).reshape(valid.shape)
@@ -247,11 +247,11 @@ def _lid(overview: _Overview) -> _Faces:
     return vertices, triangles.reshape(-1, 3)
 
 
-# Where it is, and how far away
+# Position and distance
 
 
 def distance_to_walls(frame: Frame, eye: NDArray[np.float64]) -> float:
-    """Return how far walls and floor are from an eye at least, local metres."""
+    """Return the least distance of walls and floor from an eye, local metres."""
     ends = frame.outline
     low, high = frame.solid_box
     beside = max(float(eye[2] - high[2]), float(low[2] - eye[2]), 0.0)
@@ -263,11 +263,11 @@ def distance_to_walls(frame: Frame, eye: NDArray[np.float64]) -> float:
 
 
 def haze_of(frame: Frame, eye: NDArray[np.float64], haze: float) -> tuple[float, float]:
-    """Return where haze begins and its density per metre, local metres.
+    """Return the start of haze and its density per metre, local metres.
 
-    It begins at the nearest part of the terrain's box and thickens over the way to the farthest,
-    so that a hill and a planet look alike: with 0.25, the default, half of what is farthest is haze
-    from the ground, an eighth from as far above as the terrain is wide.
+    It begins at the nearest part of the terrain's box and thickens towards the farthest, so that a
+    hill and a planet look alike: with 0.25, the default, the farthest part is half haze from the
+    ground, an eighth from as far above as the terrain is wide.
     """
     low, high = frame.box
     nearest = float(np.linalg.norm(np.maximum(np.maximum(low - eye, eye - high), 0)))

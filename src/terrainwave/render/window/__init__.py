@@ -1,1 +1,1 @@
-"""The window to fly in, and pictures as commands and notebooks ask for them."""
+"""The window to fly in, and pictures for commands and notebooks."""

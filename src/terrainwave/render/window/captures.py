@@ -1,4 +1,4 @@
-"""What a viewer writes: pictures, flights, profiles, under names that are not taken."""
+"""Files written by a viewer: pictures, flights, profiles, under unused names."""
 
 import json
 import os
@@ -9,16 +9,16 @@ from pathlib import Path
 from terrainwave.container.targets.publication import publish
 from terrainwave.errors import StorageError
 
-# A flight is a key in each such time, so that `render --flight` flies it evenly.
+# A flight has a key at these intervals, so that `render --flight` flies it evenly.
 _KEY_SECONDS = 0.5
 _MOST_KEYS = 100_000
 _ATTEMPTS = 1000
-# Two files at once would take the same name.
+# Two files at once would get the same name.
 _NAMING = threading.Lock()
 
 
 def save_as_new(data: bytes, stem: str, ending: str, folder: str | os.PathLike[str] = ".") -> str:
-    """Write a file ``stem-date-time.ending``, numbered where that is there; return its name.
+    """Write a file ``stem-date-time.ending``, numbered if it exists; return its name.
 
     Raises
     ------
@@ -51,7 +51,7 @@ class FlightRecorder:
         self._since_key = _KEY_SECONDS
 
     def tick(self, seconds: float, camera_line: str) -> None:
-        """Take the time since the last frame into account, and where the camera is now."""
+        """Add the time since the last frame and the camera's position."""
         self._seconds += seconds
         self._since_key += seconds
         if self._since_key >= _KEY_SECONDS and len(self.lines) < _MOST_KEYS:
@@ -60,9 +60,9 @@ class FlightRecorder:
 
     @property
     def seconds(self) -> float:
-        """Return how long it has been recording."""
+        """Return the duration of the recording."""
         return self._seconds
 
     def to_json(self) -> str:
-        """Return what ``terrainwave render --flight`` takes."""
+        """Return the input of ``terrainwave render --flight``."""
         return json.dumps(self.lines, indent=1) + "\n"

@@ -1,4 +1,4 @@
-"""What keys and mouse do to the camera and the style."""
+"""Effects of keys and mouse on the camera and the style."""
 
 import math
 from dataclasses import replace
@@ -45,10 +45,10 @@ _ORBIT_SPEED = 0.3
 _ZOOM_STEP = 0.85
 _SPEED_STEP = 1.25
 _FASTER = 4.0
-# Of the height above the ground, the share flown per second; metres that count at least.
+# Speed per second as a share of the height above the ground; least height in metres.
 _FIRST_PACE, _LEAST_HEIGHT = 1.0, 5.0
 _SLOWEST, _FASTEST = 1e-3, 1e3
-# Pixels that a click may move: more is a drag.
+# Largest move of a click in pixels: more is a drag.
 _STILL = 4.0
 _WISHES = {"p": "camera", "i": "picture", "f": "flight", "x": "profile", "backspace": "undo"}
 _LOWEST_SUN, _HIGHEST_SUN = 3.0, 88.0  # degrees
@@ -64,9 +64,9 @@ class Controls:
     pace : float
         Of flying: shares of the height above the ground, per second.
     height_over_ground : float, optional
-        Local metres; None where it is not known yet.
+        Local metres; None while unknown.
     wishes : list of str
-        What keys have asked others to do, in order; whoever does it takes it out.
+        Requests of keys to others, in order; removed by the one who fulfils them.
     """
 
     def __init__(self, scene: Scene, camera: Camera, style: Style, max_pixel_error: float) -> None:
@@ -89,13 +89,13 @@ class Controls:
 
     @property
     def speed(self) -> float:
-        """Return how fast keys fly, metres per second: faster high above the ground."""
+        """Return the speed of flying, metres per second: faster high above the ground."""
         height = self.height_over_ground
         height = self._extent / 20 if height is None else abs(height)
         return self.pace * min(max(height, _LEAST_HEIGHT), self._extent)
 
     def press(self, key: str, viewport: Viewport) -> None:
-        """Take a key down into account."""
+        """Handle a pressed key."""
         self._held.add(key)
         scene, box = self._scene, self._scene.frame.box
         if key == "escape":
@@ -148,7 +148,7 @@ class Controls:
         self.style = replace(self.style, sun=(azimuth, altitude))
 
     def release(self, key: str) -> None:
-        """Take a key up into account."""
+        """Handle a released key."""
         self._held.discard(key)
 
     def tick(self, seconds: float) -> None:
@@ -167,13 +167,13 @@ class Controls:
         self.camera = replace(self.camera, position=(x, y, z + up))
 
     def grab(self, point: Vector | None) -> None:
-        """Begin to drag at a point of the surface; None: at the sky."""
+        """Start dragging at a point of the surface; None: at the sky."""
         self._pivot = point
         self._dragged = 0.0
 
     @property
     def was_click(self) -> bool:
-        """Say whether the button that went up has not dragged anything."""
+        """Return whether the released button has not dragged anything."""
         return self._dragged < _STILL
 
     def drag(self, dx: float, dy: float, *, is_right: bool = False) -> None:

@@ -1,4 +1,4 @@
-"""How high a camera is above the ground, without waiting for a read."""
+"""Height of a camera above the ground, without waiting for a read."""
 
 import math
 import time
@@ -13,11 +13,11 @@ from terrainwave.render.scene.selection import NodeTable
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
 
-_SECONDS = 0.2  # between two looks at the ground
+_SECONDS = 0.2  # between two reads of the ground
 
 
 def level_here(table: NodeTable, x: float, y: float) -> int | None:
-    """Return the finest level whose pieces are here at local x, y; None if none is."""
+    """Return the finest level whose pieces are loaded at local x, y; None if none is."""
     found, waiting = None, table.roots.tolist()
     while waiting:
         node = waiting.pop()
@@ -37,8 +37,8 @@ class Ground:
     Parameters
     ----------
     table : NodeTable, optional
-        Of blocks: the ground is that of the level that is drawn, and next to nothing is decoded or
-        fetched for it. By default it is that of the finest level.
+        Of blocks: the ground is that of the drawn level, which needs almost no decoding or
+        fetching. By default it is that of the finest level.
     """
 
     def __init__(
@@ -54,9 +54,9 @@ class Ground:
         self._look_at = -math.inf
 
     def height_over(self, camera: Camera, frame: Frame) -> float | None:
-        """Return the camera's height above the ground, local metres; None before it is known.
+        """Return the camera's height above the ground, local metres; None while unknown.
 
-        Over voids and beside the raster, that above the last ground.
+        Over voids and next to the raster, that above the last ground.
         """
         if self._clock() >= self._look_at:
             self._look(camera, frame)
@@ -71,7 +71,7 @@ class Ground:
             level = level_here(self._table, x, y)
         if level is None:
             return
-        self._look_at = math.inf  # one look at a time
+        self._look_at = math.inf  # one read at a time
         place = frame.to_world(camera.eye[None])[:, :2]
 
         def take(outcome: Outcome) -> None:

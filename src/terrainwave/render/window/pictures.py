@@ -1,4 +1,4 @@
-"""What `terrainwave render` does: one picture, or the pictures of a flight."""
+"""Work of `terrainwave render`: one picture, or the pictures of a flight."""
 
 import json
 import math
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 _MAX_KEYS = 100_000
 _FLIGHT = 'a JSON list of cameras: ["x,y,z,heading,pitch,fov", ...]'
 _OVERVIEW_SIDE = 257
-# Samples a side that are measured at a time.
+# Side of the parts that are measured at a time, in samples.
 _MEASURED_SIDE = 2048
 
 
@@ -52,12 +52,12 @@ def choose_camera(
     camera: str | None = None,
     area: ShownArea | None = None,
 ) -> Camera:
-    """Return the camera that a line describes, or one that shows an area or everything.
+    """Return the camera of a line, or one that shows an area or everything.
 
     Raises
     ------
     InvalidArgumentError
-        If the line is none, or both are given.
+        If the line is invalid, or both are given.
     """
     if camera is not None:
         if area is not None:
@@ -73,7 +73,7 @@ def choose_camera(
 
 
 def area_within(terrain: "TerrainFile", bounds: Sequence[float]) -> ShownArea:
-    """Return the area within bounds; its heights are physical ones of an overview: about.
+    """Return the area within bounds; its physical heights are approximate, from an overview.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def read_flight(text: str, frame: Frame) -> list[Camera]:
     Raises
     ------
     InvalidHeightsError
-        If it is none.
+        If it is malformed.
     """
     try:
         keys = json.loads(text)
@@ -135,14 +135,14 @@ def fly_through(
     scale_bar: bool = False,
     measure: bool = False,
 ) -> Iterator[tuple[NDArray[np.uint8], dict[str, Any]]]:
-    """Yield pictures along a flight, with what `statistics` says of each.
+    """Yield pictures along a flight, with the `statistics` of each.
 
     `measure` adds `distance_on_screen`.
 
     Raises
     ------
     InvalidHeightsError
-        If there is one picture, and nothing in it.
+        If a single picture shows nothing.
     """
     for number in range(n_frames):
         camera = along(cameras, number / max(n_frames - 1, 1))
@@ -171,12 +171,12 @@ def with_marks(
     legend: bool,
     scale_bar: bool,
 ) -> NDArray[np.uint8]:
-    """Return the last picture with a legend, and a scale bar that holds in its middle.
+    """Return the last picture with a legend, and a scale bar for its middle.
 
     Raises
     ------
     InvalidHeightsError
-        If there is to be a scale bar, and the camera looks away from the terrain.
+        If a scale bar is requested, and the camera looks away from the terrain.
     """
     scene, scale = canvas.scene, None
     if scale_bar:
@@ -198,11 +198,11 @@ def with_marks(
 
 
 def distance_on_screen(canvas: Canvas, style: "Style") -> float:
-    """Return how far the surface of the last picture is from the decoded heights, pixels.
+    """Return the distance of the last picture's surface from the decoded heights, pixels.
 
-    At every valid sample of the full grid that is in view, as the camera sees it: between samples
-    nothing is known. Where pieces overlap, the furthest counts. Skirts, which close gaps between
-    pieces, have no height at a sample. Reads the finest level of all that is in view.
+    At every valid sample of the full grid in view, as the camera sees it: between samples nothing
+    is known. If pieces overlap, the furthest counts. Skirts, which close gaps between pieces, have
+    no height at a sample. Reads the finest level of everything in view.
     """
     in_view, largest = canvas.samples_in_view(), 0.0
     for row in range(in_view.row, in_view.row + in_view.n_rows, _MEASURED_SIDE):
@@ -231,12 +231,12 @@ def _distance_within(canvas: Canvas, style: "Style", region: Region) -> float:
 
 
 def caption(scene: Scene, tau: float, kept: float) -> str:
-    """Return what a picture promises, in words.
+    """Return a picture's error bound, in words.
 
     Parameters
     ----------
     tau : float
-        `Frames.tau`, pixels, or what was asked for if that is more.
+        `Frames.tau`, pixels, or the requested one if that is more.
     kept : float
         `Scene.kept_error`, pixels.
     """
@@ -253,7 +253,7 @@ def caption(scene: Scene, tau: float, kept: float) -> str:
 
 
 def _upwards(pixels: float) -> str:
-    """Return three digits of a limit, rounded up: a caption says no less than holds."""
+    """Return three digits of a limit, rounded up, so that a caption never understates it."""
     return f"{Context(prec=3, rounding=ROUND_CEILING).create_decimal(repr(pixels)).normalize():f}"
 
 

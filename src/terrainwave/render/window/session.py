@@ -1,4 +1,4 @@
-"""What the user of a viewer asks for besides the picture, and what is said."""
+"""Requests of a viewer's user besides the picture, and messages."""
 
 import time
 from collections.abc import Callable
@@ -40,12 +40,13 @@ class Session:
     radius : float, optional
         Of the body in metres, for degrees.
     folder : path
-        Where files are written.
+        Directory for written files.
 
     Attributes
     ----------
     background, slow : Background
-        What clicks and keys ask for, and what takes longer: an answer never waits for that.
+        Work for clicks and keys, and separately for anything slower, so that answers do not wait
+        for it.
     """
 
     def __init__(
@@ -69,17 +70,16 @@ class Session:
         self._notes: list[tuple[float, str]] = []
 
     def close(self) -> None:
-        """Save a flight that is being recorded; begin no more work, and wait for what runs."""
+        """Save a flight being recorded; start no more work, and wait for running work."""
         if self._recorder is not None:
             self._end_flight()
-        # A server that is silent would hold them for long.
+        # A silent server would delay the end.
         patience = None if replies_of(self._scene.terrain) is None else PATIENCE
         self.background.close(patience)
         self.slow.close(patience)
 
     @property
     def camera_line(self) -> str:
-        """Return the camera as a line for ``--camera``."""
         return format_camera(self.controls.camera, self._scene.frame)
 
     def tick(self, seconds: float) -> None:
@@ -93,7 +93,7 @@ class Session:
             self._recorder.tick(seconds, self.camera_line)
 
     def grant(self, grab: Callable[[], NDArray[np.uint8]]) -> None:
-        """Do what keys have asked for; `grab` returns the picture, uint8 (height, width, 3)."""
+        """Fulfil requests of keys; `grab` returns the picture, uint8 (height, width, 3)."""
         wishes, self.controls.wishes = self.controls.wishes, []
         for wish in wishes:
             if wish == "camera":
@@ -113,7 +113,7 @@ class Session:
     # Clicks
 
     def click(self, point: NDArray[np.float64] | None) -> None:
-        """Take a click on a place of the surface into account, local metres; None: at the sky."""
+        """Handle a click on a point of the surface, local metres; None: on the sky."""
         if point is None:
             return
         x, y, _ = self._scene.frame.to_world(point[None])[0].tolist()
@@ -138,7 +138,7 @@ class Session:
 
         def show(outcome: Outcome) -> None:
             if points != self._points:
-                return  # there are other points by now
+                return  # the points have changed meanwhile
             self.profile = outcome.value
             if outcome.problem is not None:
                 self.note(outcome.problem)
@@ -151,7 +151,7 @@ class Session:
 
     @property
     def line(self) -> NDArray[np.float64]:
-        """Return the measured line as local metres, shape (n, 3), to be drawn over the picture."""
+        """Return the measured line as local metres, shape (n, 3), to draw over the picture."""
         frame = self._scene.frame
         if self.profile is not None:
             heights = self.profile.heights
@@ -185,7 +185,7 @@ class Session:
         assert recorder is not None
         try:
             name = save_as_new(recorder.to_json().encode(), "flight", ".json", self._folder)
-        except TerrainwaveError as error:  # the window stays
+        except TerrainwaveError as error:  # the window stays open
             self.note(str(error))
             self._say(str(error))
             return
@@ -202,14 +202,14 @@ class Session:
         table = self.profile.csv().encode()
         self._save("profile", ".csv", lambda: table)
 
-    # What is said
+    # Messages
 
     def note(self, line: str) -> None:
         """Show a line for some seconds."""
         self._notes.append((time.monotonic() + _NOTE_SECONDS, line))
 
     def lines(self, frames: Frames) -> list[str]:
-        """Return what is to be said below the numbers of the frame."""
+        """Return the lines below the numbers of the frame."""
         now = time.monotonic()
         self._notes = [(until, line) for until, line in self._notes if until > now]
         lines = self._scene.problems.lines(frames.n_missing)
@@ -227,7 +227,7 @@ class Session:
         return lines + [line for _, line in self._notes]
 
     def settings(self, frames: Frames, n_bytes: int, max_bytes: int) -> list[tuple[str, str]]:
-        """Return the present settings, named and written out, for the help."""
+        """Return the current settings, named and written out, for the help."""
         scene, controls = self._scene, self.controls
         style, mode = controls.style, scene.mode
         ramp = "" if style.is_absolute(scene.frame.body) else f", {style.ramp_on(scene.frame.body)}"

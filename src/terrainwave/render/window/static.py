@@ -1,4 +1,4 @@
-"""`Terrain.plot` and `Terrain.view`: a map with matplotlib; a window, or a picture in its place."""
+"""`Terrain.plot` and `Terrain.view`: a map with matplotlib; a window, or else a picture."""
 
 import os
 import sys
@@ -30,7 +30,7 @@ _MAP_SIDE = 1200
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture that notebooks show.
+    """A picture for notebooks.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class Picture:
         InvalidArgumentError
             If it does not.
         StorageError
-            If it cannot be written, or is there already.
+            If it cannot be written, or exists already.
         """
         check_ending(path, PICTURE_ENDINGS)
         with publish(Path(path), overwrite) as part:
@@ -76,7 +76,7 @@ def plot(terrain: "TerrainFile", ax: Any, *, cmap: str | None, shade: float, bou
     heights = terrain.read(region, level=level, masked=True)
     raster = terrain.raster_info
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", TerrainwaveWarning)  # a map shows how its place is meant
+        warnings.simplefilter("ignore", TerrainwaveWarning)  # a map shows its assumptions itself
         frame = frame_of(terrain)
     physical: Any = heights.astype(np.float64) * raster.scale + raster.offset
     if ax is None:
@@ -130,7 +130,7 @@ def view(
             )  # fmt: skip
             return None
         except TerrainwaveError:
-            # No display, no toolkit: what is wrong with the terrain itself is raised again below.
+            # No display, no toolkit: problems of the terrain itself are raised again below.
             pass
     from terrainwave.render.gpu.canvas import Canvas
     from terrainwave.render.scene.camera import format_camera
@@ -146,6 +146,6 @@ def view(
 
 
 def _in_notebook() -> bool:
-    """Say whether a notebook's kernel runs this: it shows pictures, and a window would block it."""
+    """Return whether a notebook's kernel runs this, which a window would block."""
     shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     return type(shell).__name__ == "ZMQInteractiveShell"

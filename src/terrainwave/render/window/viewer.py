@@ -40,7 +40,7 @@ _LEFT, _RIGHT = 1, 2
 
 
 def _display_problem(line: str) -> str:
-    """Return what is wrong with the display; X's own message does not say which it asked for."""
+    """Return the problem of the display; X's own message does not name the display."""
     if "cannot connect to" not in line.lower():
         return line[:200]
     display = os.environ.get("DISPLAY")
@@ -68,7 +68,7 @@ def run(
     InvalidHeightsError
         If the terrain has no surface.
     TerrainwaveError
-        If there is no display or no OpenGL 3.3; one line that says what to do.
+        If there is no display or no OpenGL 3.3; the message says what to do.
     """
     check_drawable(terrain)
     area = None if bounds is None else area_within(terrain, bounds)
@@ -84,7 +84,8 @@ def run(
         lines = str(error).strip().splitlines() or [type(error).__name__]
         raise TerrainwaveError(_NO_WINDOW.format(problem=_display_problem(lines[0]))) from error
     with ExitStack() as stack:
-        # In this order, however it ends: threads read what the canvas and the terrain close.
+        # In this order, even after an error: threads read from objects that the canvas and the
+        # terrain close.
         stack.callback(config.wnd.destroy)
         canvas = stack.enter_context(
             Canvas(
@@ -114,10 +115,10 @@ def _say(line: str) -> None:
 
 
 def window_config(base: Any, caption: str, size: tuple[int, int]) -> Any:
-    """Return a window's class: what is to be opened, and where its events go.
+    """Return a window's class, with its options and the target of its events.
 
-    Events also come while the window opens (the pointer lies where it appears, a key is down),
-    before there is a ``viewer`` to take them: those are dropped.
+    Events also arrive while the window opens (the pointer lies where it appears, a key is down),
+    before there is a ``viewer`` to handle them: those are dropped.
 
     Parameters
     ----------
@@ -176,7 +177,7 @@ def window_config(base: Any, caption: str, size: tuple[int, int]) -> Any:
 
 
 def _loop(config: Any, viewer: "Viewer") -> None:
-    """Draw until the window closes; the window is destroyed by the caller, after its content."""
+    """Draw until the window closes; the caller destroys the window, after its content."""
     window, timer = config.wnd, config.timer
     timer.start()
     while not window.is_closing:
@@ -196,12 +197,12 @@ class Viewer:
         self._window = window
         self._canvas = canvas
         self._session, self.controls, self._max_bytes = session, session.controls, max_bytes
-        from terrainwave.render.gpu.overlay import Overlay  # late: moderngl
+        from terrainwave.render.gpu.overlay import Overlay  # imported late: moderngl
 
         self.overlay = Overlay(canvas.context)
         self.cursor = (0, 0)
         self._times: deque[float] = deque(maxlen=60)
-        self._ink = Background(1)  # draws the overlay, which takes longer than a frame may
+        self._ink = Background(1)  # draws the overlay, which takes longer than a frame
         self._drawn: Any = None
         self._overlay_time = 0.0
         self._keys = _key_names(window.keys)
@@ -269,7 +270,7 @@ class Viewer:
         background.start(canvas.read_drape, take)
 
     def _read_water(self) -> None:
-        """Look for water in the background."""
+        """Find water in the background."""
         self._wants_water = False
         scene, renderer = self._canvas.scene, self._canvas.renderer
 
@@ -282,7 +283,7 @@ class Viewer:
         self._session.slow.start(lambda: read_water(scene.terrain, scene.frame), take)
 
     def _is_at_rest(self, frames: Frames) -> bool:
-        """Say whether reading for the block under the terrain delays no part of the terrain."""
+        """Return whether reading the block under the terrain delays no part of the terrain."""
         if not len(frames.nodes):
             return False
         self._first_seen = self._first_seen or time.perf_counter()
@@ -304,7 +305,6 @@ class Viewer:
         self._session.slow.start(lambda: build_solid(scene.terrain, scene.frame), take)
 
     def close(self) -> None:
-        """Free the overlay."""
         self._ink.close()
         self.overlay.release()
 
@@ -316,7 +316,7 @@ class Viewer:
             self._overlay_time = 0.0
 
     def key(self, key: Any, is_press: bool) -> None:
-        """Take a key event into account."""
+        """Handle a key event."""
         name = self._keys.get(key)
         if name is None:
             return
@@ -328,22 +328,22 @@ class Viewer:
             self.controls.release(name)
 
     def press(self, x: float, y: float) -> None:
-        """Take a mouse button into account."""
+        """Handle a pressed mouse button."""
         self.cursor = int(x), int(y)
         self.controls.grab(self._pick(x, y))
 
     def release(self, x: float, y: float) -> None:
-        """Take a mouse button that goes up into account: a click, unless it has dragged."""
+        """Handle a released mouse button: a click, unless it has dragged."""
         if self.controls.was_click:
             self._session.click(self._pick(x, y))
             self._overlay_time = 0.0
 
     def drag(self, dx: float, dy: float) -> None:
-        """Take a movement with a button down into account."""
+        """Handle a movement with a button down."""
         self.controls.drag(dx, dy, is_right=bool(self._window.mouse_states.right))
 
     def scroll(self, notches: float) -> None:
-        """Take the wheel into account."""
+        """Handle the wheel."""
         self.controls.scroll(notches, self._pick(*self.cursor))
 
     def _pick(self, x: float, y: float) -> Any:
@@ -351,7 +351,7 @@ class Viewer:
         return self._canvas.pick(x * ratio, y * ratio)
 
     def _update_overlay(self, frames: Frames) -> None:
-        from terrainwave.render.gpu.overlay import (  # late: moderngl
+        from terrainwave.render.gpu.overlay import (  # imported late: moderngl
             Change,
             change_of,
             draw_overlay,
@@ -403,7 +403,7 @@ class Viewer:
 
 
 def _key_names(keys: Any) -> dict[Any, str]:
-    """Map a backend's key codes to the names that `Controls` knows."""
+    """Map a backend's key codes to the names in `Controls`."""
     names = {getattr(keys, letter.upper()): letter for letter in "abcdefhilmnopqrstwx"}
     others = {
         "ESCAPE": "escape", "BACKSPACE": "backspace", "TAB": "tab", "HOME": "home",

@@ -1,4 +1,4 @@
-"""Dynamic triangulation: which nodes of a Haar quadtree to draw, and the mesh of them.
+"""Dynamic triangulation: selection of a Haar quadtree's nodes to draw, and their mesh.
 
 E. Yusov, V. Turlapov, "Dynamic terrain simplification based on Haar transform and vertices
 quadtree" (Graphicon 2006), §3.3-3.6. Each sample has one root above it: a node whose error on
@@ -8,15 +8,16 @@ any number of heights, in one patch and across patches, without cracks. Nothing 
 corner of cells, their centres lie in one quadrant each, on its diagonal.
 
 Marking: from the leaves up over all nodes, once (`mark_bottom_up`); then, from frame to frame, from
-the patches' roots down to what may change: one height at a time, as the paper prints it
-(`step_top_down`), or as far as it goes (`settle_top_down`). With the measured error all three end
-alike, whatever was before, because no node's error on screen is below that of one under it.
+the patches' roots down to what may change: one height at a time, as printed in the paper
+(`step_top_down`), or until nothing changes (`settle_top_down`). With the measured error all three
+give the same result from any state, because no node's error on screen is below that of one under
+it.
 
 Fans (`fans`) join the roots of one mesh, and of meshes side by side (`draw_together`).
 
 Where we depart from the paper: the morph lies below the threshold of merging, τ / λ … τ, so that it
-keeps within τ (as printed it goes to λτ and beyond), and goes to where the parent is drawn, which
-may be on its own way (as printed it goes to the parent's place and jumps if that one moves).
+keeps within τ (as printed it goes to λτ and beyond), and ends where the parent is drawn, which may
+be moving itself (as printed it ends at the parent's position and jumps if that one moves).
 """
 
 from typing import NamedTuple
@@ -52,9 +53,9 @@ from terrainwave.tri.dynamic.haar import (
 from terrainwave.tri.followed import CLOSED, Eye, Followed, Pressure, check_budget, check_update
 from terrainwave.tri.scratch import Scratch
 
-# Of a view as an array: place of the eye and where it looks; focal length; largest distance by
-# depth; factor of heights; what is added to errors; half the width of boxes in cells; whether
-# errors are bounds; x and y of samples.
+# Fields of a view as an array: position and direction of the eye; focal length; largest distance by
+# depth; factor of heights; addend of errors; half the width of boxes in cells; whether errors are
+# bounds; x and y of samples.
 _X, _Y, _Z, _FORWARD, _FOCAL, _SLANT, _Z_SCALE, _BASE, _REACH = 0, 1, 2, 3, 6, 7, 8, 9, 10
 _IS_BOUND, _MATRIX = 11, 12
 _FIRST_CAPACITY = 4096
@@ -94,7 +95,7 @@ class DynamicMesh:
     ----------
     heights : ndarray, shape (n_rows, n_cols)
     mask : ndarray of bool, same shape, optional
-        Which samples are valid; all that are finite if None.
+        True for valid samples; None: all that are finite.
     sample_matrix : tuple of float
         (a, b, c, d, e, f): x = a col + b row + c, y = d col + e row + f.
     patch : int
@@ -103,7 +104,7 @@ class DynamicMesh:
         See `haar`: a bound for every sample, with the worst direction and distance of the node's
         box; or Haar coefficients with the direction to the node, as printed.
     base_error : float
-        Largest distance of `heights` from what errors count from; added to measured errors.
+        Largest distance of `heights` from the reference of errors; added to measured errors.
     open_sides, is_surface
         See `haar.build_tree`.
     scratch : Scratch, optional
@@ -116,12 +117,12 @@ class DynamicMesh:
     marks : ndarray of uint8, shape (n_nodes,)
         `INNER`, `ROOT` or, below a root, `BELOW`.
     has_changed : ndarray of uint8, shape (patch rows, patch columns)
-        Patches with marks that have changed; whoever keeps a copy of the marks clears it.
+        Patches with changed marks; cleared by the user of a copy of the marks.
 
     Raises
     ------
     InvalidHeightsError
-        If an argument is none of these.
+        If an argument is invalid.
 
     Notes
     -----
@@ -163,7 +164,7 @@ class DynamicMesh:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Return rows and columns of samples, those that fill the last patches up too."""
+        """Return rows and columns of samples, including those that fill the last patches up."""
         n_rows, n_cols = self.tree.layout[0, N_ROWS:].tolist()
         return n_rows, n_cols
 
@@ -174,7 +175,7 @@ class DynamicMesh:
 
     @property
     def least_vertices(self) -> int:
-        """Return how many vertices a view may have at least: one per patch."""
+        """Return the smallest number of vertices in a view: one per patch."""
         return int(self.tree.layout[-1, N_ROWS] * self.tree.layout[-1, N_COLS])
 
     # One frame
@@ -188,21 +189,21 @@ class DynamicMesh:
         max_vertices: int | None = None,
         is_stepwise: bool = False,
     ) -> Followed:
-        """Bring marks up to date with a view: all that the GPU needs to move vertices itself.
+        """Update the marks for a view, which suffices if the GPU moves vertices itself.
 
         Parameters
         ----------
         tau : float
             Largest error on screen in pixels, > 0.
         morph : float
-            λ >= 1: vertices move to their parents' places while those have errors of τ / λ … τ.
+            λ >= 1: vertices move to their parents' positions while those have errors of τ / λ … τ.
             1: they jump.
         max_vertices : int, optional
             Budget; τ is raised until it is kept. At least `least_vertices`. Nodes around the eye
-            are divided whatever it says.
+            are divided in any case.
         is_stepwise : bool
-            Change by one height at most, as the paper does, but for the first view and where the
-            budget demands more; the mesh may lag behind the view.
+            Change by one height at most, as in the paper, except for the first view and if the
+            budget requires more; the mesh may lag behind the view.
 
         Raises
         ------
@@ -225,10 +226,10 @@ class DynamicMesh:
         )
 
     def largest_error(self, eye: Eye, followed: Followed) -> float:
-        """Return how far what is drawn in view is from `heights` at most, vertically.
+        """Return the largest vertical distance of the drawn mesh in view from `heights`.
 
-        0 without open sides. In their unit, without the view's factor. Where errors are no bounds,
-        the largest range of heights that one triangle may cover.
+        0 without open sides. In their unit, without the view's factor. If errors are not bounds,
+        the largest range of heights under one triangle.
         """
         tree = self.tree
         error: float = largest_error_in_view(
@@ -260,9 +261,9 @@ class DynamicMesh:
     def _mark(
         self, view: NDArray[np.float64], planes: NDArray[np.float64], tau: float, is_stepwise: bool
     ) -> tuple[int, int, float]:
-        """Bring the marks up to date; return how many nodes were touched and changed.
+        """Update the marks; return the numbers of touched and changed nodes.
 
-        And the largest error on screen of roots that should be divided further, 0 without any.
+        And the largest error on screen of roots that need further division, 0 without any.
         """
         tree, tau = self.tree, tau * self._pressure.factor
         if not self._is_marked:
@@ -287,9 +288,9 @@ class DynamicMesh:
         first_vertex: int,
         vertex_of: NDArray[np.int32],
     ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-        """Return the vertices of roots in some trees, and the nodes of these; then void roots.
+        """Return the vertices of roots in some trees, and their nodes; then void roots.
 
-        `vertex_of` is filled, with numbers from `first_vertex`.
+        Fills `vertex_of`, with numbers from `first_vertex`.
         """
         tree, capacity = self.tree, max(2 * self._n_vertices, _FIRST_CAPACITY)
         while True:
@@ -318,20 +319,20 @@ class DynamicMesh:
 
 
 class ForestPart(NamedTuple):
-    """A mesh among others of the same samples, side by side.
+    """A mesh among others of the same samples, next to each other.
 
     Parameters
     ----------
     mesh : DynamicMesh
-        All have trees of one size, and lie in the plane as their trees do among one another.
+        All have trees of one size, arranged in the plane like their trees.
     followed : Followed
         What `follow` returned.
     first : tuple of int
-        Row and column of its first tree, from anywhere.
+        Row and column of its first tree, from a common origin.
     owned : tuple of slice
-        Rows and columns of the trees that nobody else draws. Those beside them are drawn where none
-        of the meshes owns what is there. Their measured errors are those of one mesh if it has the
-        trees beside these, too.
+        Rows and columns of the trees that only this mesh draws. Adjacent ones are drawn where no
+        mesh owns a tree. Measured errors equal those of a single mesh if the mesh has the trees
+        next to these, too.
     """
 
     mesh: DynamicMesh
@@ -341,14 +342,14 @@ class ForestPart(NamedTuple):
 
 
 def draw_together(parts: list[ForestPart], eye: Eye) -> list[DynamicFrame]:
-    """Return the one mesh of the marks of several, a frame for each.
+    """Return one mesh of the marks of several, a frame for each.
 
-    Where they meet, fans join them as they join the trees of each, without a gap and without an
-    overlap. Of trees that nobody owns only those triangles are drawn that have a corner in a tree
-    with an owner: they cover what those trees cover, and end half a tree beyond them at most.
+    Where they meet, fans join them as they join the trees of each, without gaps or overlaps. Of
+    trees without an owner only the triangles with a corner in an owned tree are drawn: they cover
+    the owned trees, and end at most half a tree beyond them.
 
-    The triangles of a fan are its root's. Vertices that they have in another mesh come last in the
-    frame, with nodes that count from its own first; they lie where that mesh has them.
+    The triangles of a fan belong to its root. Vertices from another mesh come last in the frame,
+    with nodes that count from its own first one; they lie where that mesh has them.
     """
     meshes = [part.mesh for part in parts]
     mesh, top = meshes[0], meshes[0].tree.top
@@ -412,7 +413,7 @@ def draw_together(parts: list[ForestPart], eye: Eye) -> list[DynamicFrame]:
 
 
 def _are_in_rings(forest: Forest, nodes: NDArray[np.int32], top: int) -> NDArray[np.bool_]:
-    """Say of nodes whether their trees are in rings."""
+    """Return which nodes' trees are in rings."""
     if not forest.is_ring.any():
         return np.zeros(len(nodes), dtype=np.bool_)
     shift = top - nodes[:, 0]
@@ -421,13 +422,13 @@ def _are_in_rings(forest: Forest, nodes: NDArray[np.int32], top: int) -> NDArray
 
 
 def _keys(edges: NDArray[np.int32], n_vertices: int) -> NDArray[np.int64]:
-    """Return a number for each edge, whichever way it goes."""
+    """Return a number for each edge, independent of its direction."""
     a, b = edges.T.astype(np.int64)
     return np.minimum(a, b) * n_vertices + np.maximum(a, b)
 
 
 def _moved(nodes: NDArray[np.int32], top: int, row: int, col: int) -> NDArray[np.int32]:
-    """Return nodes so many trees further down and to the right."""
+    """Return nodes moved by `row` and `col` trees."""
     shift = top - nodes[:, :1]
     return nodes + np.concatenate([0 * shift, row << shift, col << shift], axis=1)
 
@@ -450,7 +451,7 @@ def _rims(forest: Forest, open_sides: tuple[bool, bool, bool, bool]) -> NDArray[
 
 @inlined_kernel
 def screen_error(height, row, col, layout, z, bounds, view, planes):
-    """Return the error on screen of a node of height >= 1, pixels; 0 outside the view (§3.3).
+    """Return the error on screen of a node of height >= 1, in pixels; 0 outside the view (§3.3).
 
     ε_scr = f ε √(1 - (e_P · e_h)²) / d, d from the eye to the nearest point of the node's box, e_P
     the direction to the node and e_h up. That is exact on the axis of the view. For a bound, the
@@ -506,7 +507,7 @@ def screen_error(height, row, col, layout, z, bounds, view, planes):
 
 @inlined_kernel
 def _is_hidden(planes, x, y, half_x, half_y, low, high, is_sphere):
-    """Say whether a box, or the sphere around it, lies wholly behind one of the planes."""
+    """Return whether a box, or the sphere around it, lies wholly behind one of the planes."""
     mid_z, half_z = (low + high) / 2, (high - low) / 2
     radius = np.sqrt(half_x * half_x + half_y * half_y + half_z * half_z) if is_sphere else 0.0
     for k in range(planes.shape[0]):
@@ -526,7 +527,7 @@ def _is_hidden(planes, x, y, half_x, half_y, low, high, is_sphere):
 
 @kernel
 def _first_child(height, row, col, layout):
-    """Return the number of a node's first child, and how far its third is from it."""
+    """Return the number of a node's first child, and the offset of its third."""
     n_cols = layout[height - 1, N_COLS]
     return layout[height - 1, FIRST] + 2 * row * n_cols + 2 * col, n_cols
 
@@ -548,14 +549,14 @@ def _mark_children(child, down, mark, marks):
 
 @kernel
 def _n_valid(child, down, z):
-    """Return how many of four children are not void."""
+    """Return the number of valid ones among four children."""
     n_void = int(np.isnan(z[child])) + int(np.isnan(z[child + 1]))
     return 4 - n_void - int(np.isnan(z[child + down])) - int(np.isnan(z[child + down + 1]))
 
 
 @kernel
 def _merge(node, child, down, z, marks):
-    """Make a root of a node whose children are; return how many more roots have heights."""
+    """Make a node the root of its children; return the change in the number of valid roots."""
     marks[node] = ROOT
     _mark_children(child, down, BELOW, marks)
     return 0 if np.isnan(z[node]) else 1 - _n_valid(child, down, z)
@@ -563,7 +564,7 @@ def _merge(node, child, down, z, marks):
 
 @kernel
 def _split(node, child, down, z, marks):
-    """Make roots of the children of a root that is not void; return as `_merge`."""
+    """Make the children of a valid root roots; return as `_merge`."""
     marks[node] = INNER
     _mark_children(child, down, ROOT, marks)
     return _n_valid(child, down, z) - 1
@@ -589,7 +590,7 @@ def mark_bottom_up(layout, z, bounds, view, planes, tau, marks):
 
 @kernel
 def _push_patch(patch, layout, stack):
-    """Put the root of a patch, counted row by row, on the empty stack."""
+    """Push the root of a patch, counted row by row, on the empty stack."""
     n_cols = layout[-1, N_COLS]
     stack[0, 0] = layout.shape[0] - 1
     stack[0, 1], stack[0, 2] = patch // n_cols, patch % n_cols
@@ -608,9 +609,9 @@ def _push_children(height, row, col, stack, depth):
 def step_top_down(layout, z, bounds, view, planes, tau, stack, marks, has_changed):
     """Change marks by one height at most (RecursiveDetermineNullSubTrees, §3.4).
 
-    Return how many nodes were touched, how many became roots or ceased to be, how many more roots
-    that are not void there are, and the largest error of roots that were divided: those below them
-    have none that is larger, if errors are bounds. `has_changed` is set for patches with changes.
+    Return the numbers of touched nodes and of changed roots, the change in the number of valid
+    roots, and the largest error of divided roots: those below them have no larger one if errors are
+    bounds. `has_changed` is set for patches with changes.
     """
     n_touched = n_changed = n_more = 0
     largest = 0.0
@@ -648,8 +649,8 @@ def step_top_down(layout, z, bounds, view, planes, tau, stack, marks, has_change
 def settle_top_down(layout, z, bounds, view, planes, tau, stack, marks, has_changed):
     """Change marks until a step would change nothing, in one walk; returns as `step_top_down`.
 
-    A node that ceases to be a root is looked at again with its children; one all of whose children
-    have become roots is looked at again after them. `~row` on the stack stands for "after".
+    A node that is no longer a root is visited again with its children; a node whose children all
+    became roots is visited again after them. `~row` on the stack means "after".
     """
     n_touched = n_changed = n_more = 0
     for patch in range(layout[-1, N_ROWS] * layout[-1, N_COLS]):
@@ -692,10 +693,10 @@ def settle_top_down(layout, z, bounds, view, planes, tau, stack, marks, has_chan
 def largest_error_in_view(
     is_needed, layout, z, bounds, view, planes, tau, stack, marks
 ):  # fmt: skip
-    """Return the largest error of nodes in view that are roots or have others on their way to them.
+    """Return the largest error of nodes in view that are drawn, or that others move to.
 
-    Those are roots and nodes whose error on screen is below `tau`; none below them has a larger
-    error. Near an outline, and where errors are no bounds, the range of heights counts.
+    These are roots and nodes whose error on screen is below `tau`; no node below them has a larger
+    error. Near an outline, and if errors are not bounds, the range of heights counts.
     """
     largest = 0.0
     if not is_needed:
@@ -729,13 +730,13 @@ def largest_error_in_view(
 def place_vertices(
     layout, z, bounds, marks, sight, morph, scratch, trees, vertex_of, roots
 ):  # fmt: skip
-    """Fill nodes and places of roots; return how many have vertices, and how many are void.
+    """Fill nodes and positions of roots; return the number of vertices, and of void roots.
 
-    A node whose parent P has the error ε on screen is drawn at α of its own place and 1 - α of
-    where P is drawn, α = (ε - start) / (end - start) within 0 … 1 (§3.6). `sight` is the view and
-    the planes, `morph` start and end, `scratch` the stack and places that wait on it; `trees` says
-    which trees are meant, and the number of the first vertex. Void roots come last in `nodes`, from
-    its end backwards. Where both together are more than it holds, they are not all written.
+    A node whose parent P has the error ε on screen is drawn at α of its own position and 1 - α of
+    the drawn position of P, α = (ε - start) / (end - start) within 0 … 1 (§3.6). `sight` is the
+    view and the planes, `morph` start and end, `scratch` the stack and positions that wait on it;
+    `trees` selects the trees, and gives the number of the first vertex. Void roots come last in
+    `nodes`, from its end backwards. If both together exceed it, some are not written.
     """
     (view, planes), (start, end), (stack, places) = sight, morph, scratch
     (is_drawn, first_vertex), (nodes, vertices) = trees, roots

@@ -1,10 +1,10 @@
-"""Fans: the triangles of the roots of quadtrees, of one mesh or of several side by side.
+"""Fans: the triangles of the roots of quadtrees, of one mesh or of several adjacent ones.
 
-E. Yusov, V. Turlapov 2006, §3.5. Each root draws the triangles of which it is the largest corner,
-or the north-west one of four; its sides in the order top, left, bottom, right. A neighbour that is
-divided gives the nodes along its facing border; a root gives itself; one that is part of a larger
-root is left to that one. A mesh so draws the strips to its right and lower neighbours, and reads
-only their marks: for a fan it is all the same whose trees its nodes are in.
+E. Yusov, V. Turlapov 2006, §3.5. Each root draws the triangles in which it is the largest corner,
+or the north-west one of four; its sides in the order top, left, bottom, right. A divided neighbour
+gives the nodes along its facing border; a root gives itself; a part of a larger root is left to
+that root. So a mesh draws the strips to its right and lower neighbours, and reads only their marks:
+a fan does not depend on which mesh owns its nodes' trees.
 """
 
 from typing import NamedTuple
@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 from terrainwave.coding.jit import inlined_kernel, kernel
 from terrainwave.tri.dynamic.haar import FIRST, N_COLS
 
-# NotNullNode, NullSubTreeRoot, NullSubTreeSubNode: what is above roots, roots, what is below them.
+# NotNullNode, NullSubTreeRoot, NullSubTreeSubNode: nodes above roots, roots, nodes below them.
 INNER, ROOT, BELOW = 0, 1, 2
 # In `Forest.owners`: there is no tree. In `Forest.vertex_of`: a root is void.
 NOBODY, VOID = -1, -1
-# Sides of a cell in the order of fans, and where the neighbour lies.
+# Sides of a cell in the order of fans, and the direction of the neighbour.
 _TOP, _LEFT, _BOTTOM, _RIGHT = 0, 1, 2, 3
 _DOWN, _ACROSS = (-1, 0, 1, 0), (0, -1, 0, 1)
 
 
 class Forest(NamedTuple):
-    """The trees of meshes side by side, all of one size. Rows and columns count over all of them.
+    """The trees of adjacent meshes, all of one size. Rows and columns count over all of them.
 
     Parameters
     ----------
@@ -34,12 +34,11 @@ class Forest(NamedTuple):
     is_ring : ndarray of bool, same shape
         Trees around those that meshes own.
     places : ndarray of int64, shape (n_meshes, top + 1, 2)
-        For each height the number that the first node of all would have, and by how much those of
-        the next row are larger.
+        For each height the number of the forest's first node, and the increment to the next row.
     marks : ndarray of uint8, shape (n_nodes,)
         Of the nodes of all meshes.
     vertex_of : ndarray of int32, shape (n_nodes,)
-        Of roots, `VOID` for void ones.
+        For roots; `VOID` for void ones.
     """
 
     owners: NDArray[np.int32]
@@ -56,18 +55,18 @@ def forest_of(
     marks: list[NDArray[np.uint8]],
     vertex_of: NDArray[np.int32],
 ) -> tuple[Forest, list[tuple[int, int]]]:
-    """Return the forest of meshes, and where the first tree of each lies in it.
+    """Return the forest of meshes, and the position of the first tree of each.
 
     Parameters
     ----------
     layouts, marks : list of ndarray
         `HaarTree.layout` and marks of each mesh.
     first_trees : list of tuple of int
-        Row and column of its first tree, from anywhere.
+        Row and column of its first tree, from a common origin.
     owned : list of tuple of slice
-        Which of its trees, in rows and columns, it draws in any case. Those beside them are a ring:
-        drawn where no mesh has a tree of its own; by the first, where several could. Trees further
-        out are not drawn.
+        Trees, in rows and columns, that it draws in any case. Adjacent ones are a ring: drawn where
+        no mesh has a tree of its own; by the first mesh, if there are several. Trees further out
+        are not drawn.
     vertex_of : ndarray of int32
         To be filled, for all nodes.
     """
@@ -105,7 +104,7 @@ def _wider(part: slice) -> slice:
 
 @inlined_kernel
 def _node(height, row, col, forest):
-    """Return the number of a node, -1 where nobody draws its tree."""
+    """Return the number of a node, -1 if no mesh draws its tree."""
     shift = forest.places.shape[1] - 1 - height
     tree_row, tree_col = row >> shift, col >> shift
     if min(tree_row, tree_col) < 0 or tree_row >= forest.owners.shape[0]:
@@ -122,8 +121,8 @@ def _node(height, row, col, forest):
 def _root_beside(height, row, col, is_lower, is_right, forest):
     """Return the root at a corner of a cell: that of the cell, one below it or one above it.
 
-    -1 where a larger cell does not have that corner, or there is no cell. `is_lower` and `is_right`
-    say which of the four corners.
+    `is_lower` and `is_right` select the corner. The result is -1 if a larger cell does not have
+    that corner, or there is no cell.
     """
     node = _node(height, row, col, forest)
     if node < 0:
@@ -141,7 +140,7 @@ def _root_beside(height, row, col, is_lower, is_right, forest):
 
 @kernel
 def _add(a, b, c, is_mirrored, triangles, count):
-    """Append a triangle of three vertices; return how many there are then."""
+    """Append a triangle of three vertices; return the new count."""
     if is_mirrored:
         b, c = c, b
     triangles[count, 0], triangles[count, 1], triangles[count, 2] = a, b, c
@@ -152,8 +151,8 @@ def _add(a, b, c, is_mirrored, triangles, count):
 def _add_side(root, beside, forest, is_mirrored, stack, triangles, count):
     """Append the triangles of a root with the nodes along a divided neighbour's facing border.
 
-    `root` is its vertex, `beside` the side, and the neighbour's height, row and column. Return how
-    many triangles there are then.
+    `root` is its vertex, `beside` the side, and the neighbour's height, row and column. Return the
+    new count of triangles.
     """
     side, height, row, col = beside
     before = VOID
@@ -203,9 +202,9 @@ def _add_corner(nw, ne, se, sw, is_mirrored, triangles, count):
 
 @kernel
 def draw_fans(forest, nodes, is_mirrored, stack, triangles):
-    """Fill the triangles that some roots draw, void ones among them; return how many there are.
+    """Fill the triangles of some roots, which may be void; return their number.
 
-    Counter-clockwise in x, y where rows go down; `is_mirrored` for where they go up.
+    Counter-clockwise in x, y if rows go down; `is_mirrored` if they go up.
     """
     count = 0
     for number in range(nodes.shape[0]):
@@ -236,10 +235,10 @@ def draw_fans(forest, nodes, is_mirrored, stack, triangles):
 
 @kernel
 def leave_rings(triangles, is_ring, edges):
-    """Keep triangles, in place, but those in rings alone; return how many there are then.
+    """Remove triangles with only ring vertices, in place; return the number left.
 
-    And how many edges between ring vertices those that are kept have, which begin `edges`, and how
-    many the others, which end it.
+    Also return the number of edges between ring vertices of kept triangles, which begin `edges`,
+    and of the others, which end it.
     """
     n, n_ends, n_gone = 0, 0, 0
     for number in range(triangles.shape[0]):
@@ -262,9 +261,9 @@ def leave_rings(triangles, is_ring, edges):
 
 @kernel
 def count_corners(first, end, is_ring, number_of, which):
-    """Begin `which` with the vertices from `first` to `end` that are not in rings; return how many.
+    """Begin `which` with the vertices `first` … `end` that are not in rings; return their number.
 
-    `number_of` says where each is, and holds anything else.
+    `number_of` receives the index of each.
     """
     n = 0
     for vertex in range(first, end):
@@ -276,7 +275,7 @@ def count_corners(first, end, is_ring, number_of, which):
 
 @kernel
 def number_corners(corners, n, number_of, which):
-    """Replace vertices by their places in `which`, in place; return how many that has then."""
+    """Replace vertices by their indices in `which`, in place; return its new length."""
     for row in range(corners.shape[0]):
         for col in range(corners.shape[1]):
             vertex = corners[row, col]
@@ -291,7 +290,7 @@ def number_corners(corners, n, number_of, which):
 
 @kernel
 def _root_at(row, col, forest):
-    """Return height and number of the root that a sample is in; number -1 where nobody draws it."""
+    """Return height and number of the root that holds a sample; number -1 if no mesh draws it."""
     height = forest.places.shape[1] - 1
     node = _node(height, row >> height, col >> height, forest)
     while node >= 0 and forest.marks[node] == INNER:
@@ -302,7 +301,7 @@ def _root_at(row, col, forest):
 
 @kernel
 def _add_edge(owner, a, b, forest, edges, count):
-    """Append an edge of two roots, unless one is void; return how many there are then."""
+    """Append an edge of two roots, unless one is void; return the new count."""
     if forest.vertex_of[a] == VOID or forest.vertex_of[b] == VOID:
         return count
     edges[count, 0], edges[count, 1] = forest.vertex_of[a], forest.vertex_of[b]
@@ -312,11 +311,11 @@ def _add_edge(owner, a, b, forest, edges, count):
 
 @kernel
 def fill_rim(open_sides, forest, edges):
-    """Fill the edges along those sides of trees beyond which nobody draws one.
+    """Fill the edges along those sides of trees without a drawn neighbour.
 
-    Two vertices, and the mesh whose edge it is. Return how many there are. At the end of a side an
-    edge leads on to the next tree along it. Where that one's side is no such side, the rim turns
-    there, and another side leads on from that tree.
+    Each has two vertices, and the mesh it belongs to. Return their number. At the end of a side an
+    edge leads on to the next tree along it. If that tree's side is not such a side, the rim turns
+    there, and another side continues from that tree.
     """
     top = forest.places.shape[1] - 1
     n_rows, n_cols = forest.owners.shape
@@ -333,7 +332,7 @@ def fill_rim(open_sides, forest, edges):
             row, col = tree_row << top, tree_col << top
             row += length - 1 if side == _BOTTOM else 0
             col += length - 1 if side == _RIGHT else 0
-            # Where the rim turns into this side from the tree before.
+            # The rim turns into this side from the tree before.
             r, c = row - is_upright, col - (1 - is_upright)
             before, at = -1, 0
             if _root_at(r + _DOWN[side], c + _ACROSS[side], forest)[1] >= 0:

@@ -2,11 +2,11 @@
 
 E. Yusov, V. Turlapov, "Dynamic terrain simplification based on Haar transform and vertices
 quadtree" (Graphicon 2006), §3.1-3.3. The samples are the leaves; four neighbours have a parent at
-the centre of their cell, whose height is their mean. The raster is laid over a forest of trees,
-the patches, of ``2**top`` samples a side; places past its last row and column are void, as nodata
-is. Heights of nodes count from the leaves: the paper's level i is height n - i.
+the centre of their cell, whose height is their mean. A forest of trees, the patches, of ``2**top``
+samples per side covers the raster; positions past its last row and column are void like nodata.
+Heights of nodes count from the leaves: the paper's level i is height n - i.
 
-Two errors of a node, what is lost where it stands for all samples below it:
+Two errors of a node that represents all samples below it:
 
 * the paper's (§3.2.4): the largest of its three Haar coefficients. No bound.
 * the measured one. Every triangle of a mesh has a largest corner M, whose cell has a side of
@@ -15,16 +15,16 @@ Two errors of a node, what is lost where it stands for all samples below it:
   along a side of M, in one of four strips s/2 wide from M's centre to the neighbour's. For each
   window let S be the interval of distances of its samples from some plane, and V that of all nodes
   that may be corners there. Then no sample is vertically further from the triangle than the larger
-  of max V - min S and max S - min V. Nor is it where corners are on their way from nodes below M to
-  M: triangles inside M's cell, a ninth window, then count too. The plane is the least squares
-  plane of the window's samples, or a level one if that is better. Errors of parents are made no
-  smaller than their children's.
+  of max V - min S and max S - min V. This also holds while corners move from nodes below M to M:
+  then triangles inside M's cell, a ninth window, count too. The plane is the least squares plane of
+  the window's samples, or a level one if that is better. Errors of parents are made no smaller than
+  their children's.
 
-Where the mesh ends, at voids and the raster's outline, it ends at the centres of cells. A node
-that touches the outline therefore has the diagonal of its box as its error (`OUTLINE`). So has one
-that touches a void with the paper's errors, which know no voids. Where the
-raster goes on (`open_sides`) the mesh ends short of its last samples, by half a patch at most, and
-there is no outline: whoever draws the neighbour lets both overlap.
+At voids and the raster's outline the mesh ends at the centres of cells. A node that touches the
+outline therefore has the diagonal of its box as its error (`OUTLINE`). So has a node next to a void
+with the paper's errors, which ignore voids. Where the raster continues (`open_sides`) the mesh ends
+at most half a patch before its last samples, and there is no outline: the neighbour's mesh overlaps
+this one.
 """
 
 from typing import NamedTuple
@@ -40,7 +40,7 @@ from terrainwave.tri.followed import CLOSED
 FIRST, N_ROWS, N_COLS = 0, 1, 2
 # Columns of `HaarTree.bounds`.
 ERROR, LOW, HIGH = 0, 1, 2
-# In place of an error: the node touches the outline.
+# Replaces an error: the node touches the outline.
 OUTLINE = -1.0
 MAX_TOP = 12
 # A float32 is within this share of what it was rounded from.
@@ -92,21 +92,21 @@ def build_tree(
     ----------
     heights : ndarray, shape (n_rows, n_cols)
     mask : ndarray of bool, same shape, optional
-        Which samples are valid; all that are finite if None.
+        True for valid samples; None: all that are finite.
     patch : int
         Samples per side of a patch: a power of two, 2 to 4096.
     error : {"measured", "paper"}
         See the module's docstring.
     open_sides : tuple of bool
-        Whether the raster goes on beyond its first row and column, its last row and column. Where
-        it does beyond the last ones, whole patches must fit.
+        Whether the raster continues beyond its first row and column, its last row and column.
+        Beyond the last ones, whole patches must fit.
     is_surface : bool
-        Errors hold for all of the bilinear surface of the samples, not at samples alone.
+        Errors hold for the whole bilinear surface of the samples, not only at samples.
 
     Raises
     ------
     InvalidHeightsError
-        If an argument is none of these.
+        If an argument is invalid.
 
     Notes
     -----
@@ -137,7 +137,7 @@ def build_tree(
     rounding = float(np.abs(heights[valid]).max(initial=0)) * _ROUNDING
     bounds = np.empty((len(z) - leaves.size, 3), dtype=np.float32)
     is_near_void = np.empty(len(z), dtype=np.bool_)
-    if error == "paper":  # which has nothing to say of the outline
+    if error == "paper":  # which does not consider the outline
         _mark_near_voids(leaves, heights.shape, (True, True, True, True), is_near_void)
     else:
         _mark_near_voids(leaves, leaves.shape, open_sides, is_near_void)
@@ -165,9 +165,9 @@ def _layout(shape: tuple[int, ...], patch: int) -> NDArray[np.int64]:
 
 @kernel
 def _mark_near_voids(leaves, shape, open_sides, is_near_void):
-    """Say of each sample whether it or one of the eight around it is void or outside.
+    """Mark each sample next to a void or outside one, and void ones.
 
-    Not of what lies beyond `shape`.
+    Samples beyond `shape` are not marked.
     """
     is_near_void[: leaves.size] = False
     n_rows, n_cols = shape
@@ -185,7 +185,7 @@ def _mark_near_voids(leaves, shape, open_sides, is_near_void):
 
 @kernel
 def _average(height, layout, z, is_near_void):
-    """Fill the means of a height's nodes: of those of their four children that are not void."""
+    """Fill the means of a height's nodes, over those of their four children that are not void."""
     first, n_rows, n_cols = layout[height]
     below, _, n_cols_below = layout[height - 1]
     for row in range(n_rows):
@@ -270,7 +270,7 @@ def _measured_errors(height, is_surface, layout, z, is_near_void, bounds):
 
 @kernel
 def _has_voids(height, row, col, layout, z):
-    """Say whether a sample within a cell's side of its centre is void or outside."""
+    """Return whether a sample within a cell's side of its centre is void or outside."""
     side, half = 1 << height, 1 << (height - 1)
     n_rows, n_cols = layout[0, N_ROWS], layout[0, N_COLS]
     first_row, first_col = row * side - half, col * side - half
@@ -289,7 +289,7 @@ def _has_voids(height, row, col, layout, z):
 def _measure_windows(height, row, col, is_surface, layout, z, corners, bound):
     """Widen error and heights by those of the nine windows of a node without voids around it.
 
-    Corners smaller than those listed lie below nodes all of whose samples are in the window: they
+    Smaller corners than the listed ones lie below nodes whose samples are all in the window: they
     are means of them.
     """
     middle = np.float64(z[layout[height, FIRST] + row * layout[height, N_COLS] + col])
@@ -327,9 +327,9 @@ def _measure_windows(height, row, col, is_surface, layout, z, corners, bound):
 
 @kernel
 def _measure_all(height, row, col, is_surface, layout, z, corners, bound):
-    """Widen error and heights by those of one window around a node, voids in it or not.
+    """Widen error and heights by those of one window around a node, with or without voids.
 
-    All nodes are listed that touch it and are not larger.
+    All nodes that touch it and are not larger are listed.
     """
     middle = np.float64(z[layout[height, FIRST] + row * layout[height, N_COLS] + col])
     side, half = 1 << height, 1 << (height - 1)
@@ -351,7 +351,7 @@ def _measure_all(height, row, col, is_surface, layout, z, corners, bound):
 
 @kernel
 def _add_node(height, row, col, layout, z, corners, n):
-    """Append place and height of a node, if there is one; return how many there are then."""
+    """Append position and height of a node, if it exists; return the new count."""
     if row < 0 or col < 0 or row >= layout[height, N_ROWS] or col >= layout[height, N_COLS]:
         return n
     value = z[layout[height, FIRST] + row * layout[height, N_COLS] + col]
@@ -365,9 +365,10 @@ def _add_node(height, row, col, layout, z, corners, n):
 
 @kernel
 def _place_around(k, first_row, first_col, end_row, end_col):
-    """Return which samples' mean is the k-th half way to those around a window.
+    """Return the samples whose mean is the k-th half way to those around a window.
 
-    Its first row and column, and how many of each: 2 and 1, 1 and 2, or 2 and 2 at corners.
+    The result is their first row and column, and their numbers: 2 and 1, 1 and 2, or 2 and 2 at
+    corners.
     """
     if k < 4:
         return (end_row if k & 1 else first_row - 1), (end_col if k & 2 else first_col - 1), 2, 2
@@ -383,8 +384,8 @@ def _place_around(k, first_row, first_col, end_row, end_col):
 def _measure(window, is_surface, layout, z, middle, corners, n_corners, bound):
     """Widen an error and heights by those of a window (row, col, n_rows, n_cols).
 
-    `middle` is a height near the window's. With `is_surface` the bilinear surface counts as far as
-    half way to the samples around.
+    `middle` is a height near the window's. With `is_surface` the bilinear surface counts up to half
+    way to the samples around.
     """
     first_row, first_col, n_rows, n_cols = window
     width = layout[0, N_COLS]
@@ -402,7 +403,7 @@ def _measure(window, is_surface, layout, z, middle, corners, n_corners, bound):
             right += value * (c - mid_col)
             across += (r - mid_row) * (r - mid_row)
             along += (c - mid_col) * (c - mid_col)
-    # The least squares plane where there are no voids; with some, one near it.
+    # The least squares plane if there are no voids; otherwise an approximation.
     mean, down, right = middle + mean / max(n, 1), down / max(across, 1.0), right / max(along, 1.0)
     low, high, least, largest = np.inf, -np.inf, np.inf, -np.inf
     for r in range(first_row, first_row + n_rows):

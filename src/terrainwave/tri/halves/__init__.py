@@ -1,1 +1,1 @@
-"""The default triangulation: triangles halved until all samples are near."""
+"""Default triangulation: triangles halved until all samples are within the tolerance."""

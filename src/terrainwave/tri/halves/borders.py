@@ -1,7 +1,7 @@
-"""Border lines: their vertices follow from the shared samples alone.
+"""Border lines: their vertices depend only on the shared samples.
 
-Two blocks of one level see the same decoded samples on the line between them, the same voids beside
-it and the same tolerance, so both find the same vertices, in any order and on any machine.
+Two blocks of one level have the same decoded samples on the line between them, the same voids next
+to it and the same tolerance, so both find the same vertices, in any order and on any machine.
 """
 
 import numpy as np
@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from terrainwave.coding.jit import kernel
 from terrainwave.tri.block_mesh import FRACTION_BITS
 
-# Vertices on borders keep within 7/10 of the tolerance, to leave some to the triangles beside them.
+# Vertices on borders keep within 7/10 of the tolerance, which leaves some to the adjacent
+# triangles.
 _SHARE_NUM, _SHARE_DEN = 7, 10
 
 
@@ -18,19 +19,18 @@ _SHARE_NUM, _SHARE_DEN = 7, 10
 def line_vertices(heights, forced, offset, side, tolerance):
     """Return which samples of a border line are vertices.
 
-    Dyadic: in the line of a whole block, sample m, an odd multiple of s, stands between m - s and
-    m + s. It is a vertex if a sample between these two is further than the tolerance from their
-    chord, or if a vertex lies between them; so vertices of a tolerance are vertices of any smaller
-    one.
+    Dyadic: in the line of a whole block, sample m, an odd multiple of s, lies between m - s and m +
+    s. It is a vertex if a sample between these two is further than the tolerance from their chord,
+    or if a vertex lies between them; so vertices of a tolerance are vertices of any smaller one.
 
     Parameters
     ----------
     heights : ndarray of integers, shape (n,)
         Heights on the line, in any unit, below 2^40 in magnitude.
     forced : ndarray of bool, shape (n,)
-        Samples that must be vertices: voids, and samples beside voids.
+        Samples that must be vertices: voids, and samples next to voids.
     offset : int
-        Place of the first sample in the block's line, 0 … side.
+        Position of the first sample in the block's line, 0 … side.
     side : int
         Cells of a whole block: a power of two.
     tolerance : int
@@ -39,7 +39,7 @@ def line_vertices(heights, forced, offset, side, tolerance):
     Returns
     -------
     ndarray of bool, shape (n,)
-        The first and last samples always are.
+        True for vertices, always for the first and last samples.
     """
     n = heights.shape[0]
     last = offset + n - 1
@@ -53,7 +53,7 @@ def line_vertices(heights, forced, offset, side, tolerance):
                 continue
             below = spacing >> 1
             if below > 0 and (active[middle - below] or active[middle + below]):
-                # Beyond the end of the line too, to pass on what lies before the end.
+                # Also beyond the end of the line, to pass on vertices before the end.
                 active[middle] = True
                 continue
             if not offset < middle < last:
@@ -81,7 +81,7 @@ def vertices_of_lines(heights, locked, row, col, side, top, bottom, left, right)
     """Return which samples of a rectangle's top, bottom, left and right line are vertices.
 
     By `line_vertices`, within a tolerance for each line in 1/16 quanta. `row` and `col` are the
-    place of the rectangle's first sample in its block of `side` cells.
+    position of the rectangle's first sample in its block of `side` cells.
     """
     n_rows, n_cols = heights.shape
     return (

@@ -1,7 +1,7 @@
-"""What the refusal of a cell rests on: while that is as it was, the cell would be refused again.
+"""Reasons for refusing a cell: while they hold, the cell would be refused again.
 
-A star is refused by two of its triangles, or by one. They stay as they are while the cells at their
-places on the ring around it don't grow, whatever else merges.
+A star is refused by one or two of its triangles. These do not change while the cells at their
+positions on the ring around it don't grow, whatever else merges.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from terrainwave.tri.halves.workspace import PLANES, REFUSAL, SWEEP
 
 NO_TEST = 0
 _LEVEL_BITS = 8
-# Places on the ring, from the cell's first sample, are kept in 16 bits each.
+# Positions on the ring, from the cell's first sample, take 16 bits each.
 _PLACE_BITS = 16
 _MASK, _SIGN = (1 << _PLACE_BITS) - 1, 1 << (_PLACE_BITS - 1)
 
@@ -24,15 +24,15 @@ def test_of(level, sweep):
 
 @inlined_kernel
 def ring_pair(home, start, at):
-    """Return two places on the ring as one number, from the first sample of a cell, `home`."""
+    """Return two positions on the ring as one number, from the first sample of a cell, `home`."""
     return (start - home) << _PLACE_BITS | (at - home) & _MASK
 
 
 @inlined_kernel
 def write_refusal(work, plane, pitch, home, height, test, low_pair, high_pair):
-    """Note which test has refused a cell of `height` rows, and its triangles' places on the ring.
+    """Record the test that refused a cell of `height` rows, and its triangles on the ring.
 
-    NO_TEST if it was not refused, or is so large that places don't fit.
+    NO_TEST if it was not refused, or is so large that positions don't fit.
     """
     refusal = PLANES + REFUSAL * plane + home
     if test != NO_TEST:
@@ -43,7 +43,7 @@ def write_refusal(work, plane, pitch, home, height, test, low_pair, high_pair):
 
 @inlined_kernel
 def refusing_pairs(work, plane, home):
-    """Return the two pairs of places that were noted last."""
+    """Return the two pairs of positions recorded last."""
     refusal = PLANES + REFUSAL * plane + home
     low_pair = np.int64(work[np.uint64(refusal + plane)])
     return low_pair, np.int64(work[np.uint64(refusal + 2 * plane)])
@@ -51,7 +51,7 @@ def refusing_pairs(work, plane, home):
 
 @inlined_kernel
 def refusal_stands(work, plane, pitch, home, height, level):
-    """Say whether what has refused this cell of a level, if it was refused, is as it was."""
+    """Return whether this cell of a level was refused, for reasons that still hold."""
     refusal = PLANES + REFUSAL * plane + home
     noted = np.int64(work[np.uint64(refusal)])
     stands = noted & ((1 << _LEVEL_BITS) - 1) == level
@@ -74,9 +74,9 @@ def _second_of(pair):
 
 @inlined_kernel
 def _has_grown(work, plane, pitch, home, height, place, sweep):
-    """Say whether the cell at a place on the ring has grown since a test in a sweep.
+    """Return whether the cell at a position on the ring has grown since a test in a sweep.
 
-    In the same sweep, those above and the one to the left, which the ring meets in its last row,
+    In the same sweep, the ones above and the one to the left, which the ring meets in its last row,
     had grown before the test.
     """
     last = work[np.uint64(PLANES + SWEEP * plane + home + place)]

@@ -1,14 +1,14 @@
-"""The default mesh: cells merged in halves, centred vertices, fitted heights.
+"""Default mesh: cells merged in halves, centred vertices, fitted heights.
 
 After Yusov & Turlapov 2010 §2.5, with three changes: cells merge in halves (an alternating binary
 tree) as well as in fours, the vertex of a cell lies at its centre, and its height is the middle of
-the interval that keeps every sample of its star within the tolerance. Derived from decoded heights
-and the tolerance alone, so it costs no bits.
+the interval that keeps every sample of its star within the tolerance. It depends only on decoded
+heights and the tolerance, so it costs no bits.
 
-Everything is exact: heights are integers, and where float64 holds quotients of them it is said why
-they round to the right integer; so every machine finds the same mesh. The mesh starts as the full
-grid with merged borders and stays a height field that covers the samples once, as no step may make
-a triangle of area <= 0.
+Everything is exact: heights are integers, and where float64 holds quotients of them, comments say
+why they round to the right integer; so every machine finds the same mesh. The mesh starts as the
+full grid with merged borders and stays a height field that covers the samples once, as no step may
+make a triangle of area <= 0.
 """
 
 import math
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh, no_mesh
 from terrainwave.tri.halves.certificates import refusal_stands, test_of
-from terrainwave.tri.halves.height_fit import FixedPoint, scale_of
+from terrainwave.tri.halves.height_fit import FixedPoint, fixed_point
 from terrainwave.tri.halves.star import MAX_PROGRAM_HEIGHT, fit_rest, fit_star
 from terrainwave.tri.halves.workspace import (
     FREE,
@@ -47,7 +47,7 @@ _MAX_INT32 = float((1 << 31) - 1)
 
 
 class Lines(NamedTuple):
-    """Which samples of the four border lines are vertices, each from left to right or downwards."""
+    """Vertices of the four border lines, each from left to right or downwards."""
 
     top: NDArray[np.bool_]
     bottom: NDArray[np.bool_]
@@ -73,7 +73,7 @@ def triangulate(
     mask : ndarray of bool, shape (n_rows, n_cols)
         Valid samples; the mesh covers the grid triangles between three of them.
     locked : ndarray of bool, shape (n_rows, n_cols)
-        Samples that stay vertices: those of `borders.beside_void`.
+        Samples that stay vertices, from `borders.beside_void`.
     lines : Lines
         Vertices of the borders; those of `locked` must be among them.
     tolerance : int
@@ -82,8 +82,8 @@ def triangulate(
     offset : tuple of int
         Row and column of the first sample in its block, which cells are aligned to.
     leash : int, optional
-        In 1/16 quanta: no vertex between samples is further from their bilinear surface. Meshes of
-        files have none: where the ground bends, vertices lie above ridges and below valleys.
+        In 1/16 quanta: no vertex between samples is further from their bilinear surface. Not for
+        meshes of files: where the ground bends, their vertices lie above ridges and below valleys.
 
     Notes
     -----
@@ -95,14 +95,14 @@ def triangulate(
     n_valid, least, most = _valid_range(heights, mask)
     if not n_valid:
         return no_mesh()
-    scale = scale_of(least, most, tolerance)
+    scale = fixed_point(least, most, tolerance)
     space = MEMORY.workspace(n_rows, n_cols)
     fill_workspace(
         heights, mask, locked, np.concatenate(lines), scale.base, scale.bits,
         space.work, space.plane, space.pitch,
     )  # fmt: skip
     has_table = max(-scale.lowest, scale.highest, scale.tolerance) <= MAX_PROGRAM_HEIGHT
-    if n_rows > 2 and n_cols > 2:  # else border lines alone
+    if n_rows > 2 and n_cols > 2:  # otherwise only border lines
         _merge_cells(
             space.work, space.floats, space.plane, space.pitch, (n_rows, n_cols), offset, has_table,
             scale.tolerance, (scale.lowest, scale.highest, _leash_of(leash, scale)),
@@ -147,7 +147,8 @@ def _fit_pair(work, plane, pitch, at, tolerance):
 
     Each of the two lies on the edge from the new vertex, between them, to the sample beyond it, if
     that has not moved: 2/3 of the new height and 1/3 of that sample's. Verdict 1: these are all
-    conditions; -1: they can't be met; 0: look at the whole star, which gives the same intervals.
+    conditions; -1: they can't be met; 0: the whole star must be tested, which gives the same
+    intervals.
     """
     own, level = PLANES + HEIGHT * plane + at, PLANES + LEVEL * plane + at
     above, below = level - pitch, level + pitch
@@ -212,7 +213,7 @@ def _bilinear(work, plane, pitch, cell):
 
 @inlined_kernel
 def _is_near_plane(work, plane, pitch, cell, tolerance):
-    """Say whether a cell's corners, and its middle, are as near to a plane as its samples must be.
+    """Return whether a cell's corners and middle are as near to a plane as its samples must be.
 
     Most cells of more than 2 x 2 samples that don't fit fail here.
     """
@@ -228,7 +229,7 @@ def _is_near_plane(work, plane, pitch, cell, tolerance):
 
 @inlined_kernel
 def _is_free(work, plane, pitch, cell):
-    """Say whether no sample of a cell has merged or must stay."""
+    """Return whether no sample of a cell has merged or must stay."""
     top, bottom, left, right = cell
     levels = PLANES + LEVEL * plane
     taken = np.int32(0)
@@ -240,7 +241,7 @@ def _is_free(work, plane, pitch, cell):
 
 @inlined_kernel
 def _is_free_quad(work, plane, pitch, at):
-    """Do what `_is_free` does for 2 x 2 samples."""
+    """Do as `_is_free` for 2 x 2 samples."""
     upper, lower = PLANES + LEVEL * plane + at, PLANES + LEVEL * plane + at + pitch
     taken = work[np.uint64(upper)] | work[np.uint64(upper + 1)]
     return taken | work[np.uint64(lower)] | work[np.uint64(lower + 1)] == FREE
@@ -248,7 +249,7 @@ def _is_free_quad(work, plane, pitch, at):
 
 @inlined_kernel
 def _is_as_before(work, plane, pitch, cell, before):
-    """Say whether nothing around a cell has merged since sweep `before` tried it.
+    """Return whether nothing around a cell has merged since sweep `before` tried it.
 
     In that sweep the cells above and to the left came before it, the others after it.
     """
@@ -275,7 +276,7 @@ def _second_half(level, cell, middle_row, middle_col):
 
 @kernel_part
 def _mark(work, levels, pitch, cell, other, level, is_whole):
-    """Set the level of a merged cell: at all samples, or of its halves at their first ones."""
+    """Set the level of a merged cell: at all samples, or at the first ones of its halves."""
     top, bottom, left, right = cell
     if is_whole:
         for row in range(top, bottom + 1):
@@ -290,8 +291,7 @@ def _mark(work, levels, pitch, cell, other, level, is_whole):
 def _move(work, plane, pitch, cell, place, height, sweep):
     """Let the samples of a cell share a vertex.
 
-    Those inside a wide one are left as they are: no ring meets them, and `read_mesh` passes over
-    them.
+    Those inside a wide one are not updated: no ring meets them, and `read_mesh` skips them.
     """
     top, bottom, left, right = cell
     vertices, sweeps = PLANES + VERTEX * plane, PLANES + SWEEP * plane
@@ -307,8 +307,8 @@ def _move(work, plane, pitch, cell, place, height, sweep):
 def _merge_cells(work, floats, plane, pitch, shape, offset, has_table, tolerance, limits):
     """Sweep over the cells of all levels: whole squares, then halves in passes, finest first.
 
-    `limits` are the lowest and the highest height that a vertex may have, and how far it may be
-    from the bilinear surface of the samples.
+    `limits` are the lowest and the highest height of a vertex, and its largest distance from the
+    bilinear surface of the samples.
     """
     reach = max(shape[0] + offset[0], shape[1] + offset[1]) - 2
     n_levels = 0
@@ -336,9 +336,9 @@ def _merge_cells(work, floats, plane, pitch, shape, offset, has_table, tolerance
 def _sweep_cells(work, floats, plane, pitch, shape, offset, has_table, number, tolerance, limits):
     """Try to merge every cell of a level of the binary tree, of two halves or of single samples.
 
-    `number` is the level, the sweep, and the one before that tried this level last: a cell that
-    failed there, and has all around it as it was, would fail again. A sample's sweep is the one in
-    which its cell last grew. Returns how many have merged.
+    `number` is the level, the sweep, and the last sweep that tried this level: a cell that failed
+    there, with nothing changed around it, would fail again. A sample's sweep is the one in which
+    its cell last grew. Returns the number of merged cells.
     """
     (n_rows, n_cols), (row_0, col_0), (level, sweep, before) = shape, offset, number
     n_merged = 0
@@ -417,7 +417,7 @@ def _sweep_cells(work, floats, plane, pitch, shape, offset, has_table, number, t
                 continue
             vertex = np.floor((low + high) * 0.5)
             if vertex > _MAX_INT32:
-                continue  # of a range of 2^31 quanta, and a tolerance of a half of it
+                continue  # for a range of 2^31 quanta, and a tolerance of half of it
             n_merged += 1
             _mark(work, levels, pitch, cell, other, level, is_whole)
             place = np.int32((top + bottom) << ROW_BITS | left + right)

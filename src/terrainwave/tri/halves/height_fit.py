@@ -13,14 +13,14 @@ from terrainwave.coding.jit import inlined_kernel
 from terrainwave.tri.block_mesh import FRACTION_BITS
 
 _MAX_RANGE = 1 << 30
-# Columns of a triangle up to which it pays to look at all samples of its rectangle.
+# Width of a triangle, in columns, up to which scanning its whole rectangle is faster.
 _NARROW = 6
 
 
 class FixedPoint(NamedTuple):
-    """How heights are held: ``value = (quanta - base) << bits``.
+    """Fixed-point representation of heights: ``value = (quanta - base) << bits``.
 
-    `tolerance` is in this unit, as are `lowest` and `highest`, between which vertices stay.
+    `tolerance` is in this unit, as are `lowest` and `highest`, the limits of vertices.
     """
 
     base: int
@@ -40,10 +40,10 @@ class FixedPoint(NamedTuple):
         return whole.astype(np.float64)
 
 
-def scale_of(lowest: int, highest: int, tolerance: int) -> FixedPoint:
-    """Return the scale for valid heights between two, in quanta; `tolerance` is in 1/16 quanta.
+def fixed_point(lowest: int, highest: int, tolerance: int) -> FixedPoint:
+    """Return the fixed point for valid heights in a range of quanta; `tolerance`: 1/16 quanta.
 
-    Sixteenths of a quantum where the range of valid heights leaves room for them, else whole ones.
+    Its unit is 1/16 quantum if the range leaves room for that, else a whole quantum.
     """
     base = (lowest + highest) >> 1
     bits = FRACTION_BITS if (highest - lowest) << FRACTION_BITS < _MAX_RANGE else 0
@@ -57,19 +57,19 @@ def scaled_heights(
 ) -> tuple[NDArray[np.int32], FixedPoint]:
     """Return heights as values, and the scale; `tolerance` is in 1/16 quanta."""
     valid = heights[mask]
-    scale = scale_of(int(valid.min()), int(valid.max()), tolerance)
+    scale = fixed_point(int(valid.min()), int(valid.max()), tolerance)
     values = ((heights.astype(np.int64) - scale.base) << scale.bits).astype(np.int32)
     return values, scale
 
 
 @inlined_kernel
 def fit_triangle(heights, start, pitch, place, second, third, tolerance, low, high):
-    """Narrow the interval of the height at a vertex to what the samples of a triangle allow.
+    """Narrow the interval of a vertex's height to the values that a triangle's samples allow.
 
-    Heights are flat: sample (row, col) is number ``start + row * pitch + col``. Places are doubled:
-    `place` is vertex 0's (row, col), the others are (row, col, height). The interval is one of
-    whole numbers; low > high, any two, if nothing is left. Samples on the edge opposite to vertex 0
-    don't depend on its height: they are those of a triangle beyond the edge too, or of a border.
+    Heights are flat: sample (row, col) is number ``start + row * pitch + col``. Positions are
+    doubled: `place` is vertex 0's (row, col), the others are (row, col, height). The interval has
+    whole numbers; low > high if it is empty. Samples on the edge opposite to vertex 0 don't depend
+    on its height: the triangle beyond the edge, or a border, tests them.
 
     Quotients of integers n / d, |n| < 2^53, round to the right floor and ceiling: they are 1 / d or
     more from any integer that they don't equal, and rounding moves them by less.
@@ -86,7 +86,7 @@ def fit_triangle(heights, start, pitch, place, second, third, tolerance, low, hi
     growth_2 = -(growth_0 + growth_1)
     rise = float(growth_1) * z_1 + float(growth_2) * z_2
     is_wide = last_col - first_col > _NARROW
-    # From the end nearer to vertex 0: the samples there narrow the interval most.
+    # From the end nearer to vertex 0, where samples narrow the interval most.
     down, top = 1, first_row
     if row_0 > first_row + last_row:
         down, top = -1, last_row
@@ -99,7 +99,7 @@ def fit_triangle(heights, start, pitch, place, second, third, tolerance, low, hi
         weight_2 = area - weight_0 - weight_1
         skip, most = 0, last_col - first_col
         if is_wide:
-            # From where to where no weight is negative, and that of vertex 0 is none.
+            # Range in which no weight is negative, and that of vertex 0 is not 0.
             skip, most = _cut(weight_0 - 1, growth_0, skip, most)
             skip, most = _cut(weight_1, growth_1, skip, most)
             skip, most = _cut(weight_2, growth_2, skip, most)
@@ -134,10 +134,10 @@ def fit_triangle(heights, start, pitch, place, second, third, tolerance, low, hi
 
 @inlined_kernel
 def _narrows(heights, at, count, scale, slack, fixed_line, share_line, low, high):
-    """Say whether any sample of a row of a triangle narrows the interval; a loop that vectorises.
+    """Return whether any sample of a row of a triangle narrows the interval; a vectorisable loop.
 
-    Lines are the number at the first sample and what it grows by from one to the next.
-    All of it is exact, as in `fit_triangle`: so are weights times heights and their differences.
+    Lines are the value at the first sample and its increment from one to the next. All of it is
+    exact, as in `fit_triangle`: so are weights times heights and their differences.
     """
     fixed, rise = fixed_line
     share, growth = share_line
@@ -153,7 +153,7 @@ def _narrows(heights, at, count, scale, slack, fixed_line, share_line, low, high
 
 @inlined_kernel
 def _cut(weight, growth, skip, most):
-    """Shorten the places `skip` … `most` to those where weight + place * step >= 0."""
+    """Shorten the range `skip` … `most` to positions where weight + position * step >= 0."""
     if growth > 0:
         if weight < 0:
             skip = max(skip, int(np.ceil(float(-weight) / float(growth))))

@@ -1,9 +1,9 @@
 """Fewer triangles by half-edge collapses, with the same test as the mesh itself.
 
 A vertex moves onto a neighbour, which takes the middle of the interval of heights that keeps every
-sample of the new star within the tolerance. Vertices on block borders stay as they are, so blocks
-still fit together; on the outline of a void those go that lie on a straight line between the two
-beside them, so that the mesh covers what it did.
+sample of the new star within the tolerance. Vertices on block borders do not move, so blocks still
+fit together. On the outline of a void only vertices on a straight line between their two neighbours
+are removed, so that the mesh covers the same area.
 """
 
 import numpy as np
@@ -14,12 +14,12 @@ from terrainwave.tri.block_mesh import BlockMesh
 from terrainwave.tri.halves.height_fit import fit_triangle, scaled_heights
 
 _MAX_DEGREE = 24
-# The degree of vertices with more triangles: these are not listed, the vertex stays as it is.
+# Degree of vertices with more triangles: these are not listed, and the vertex does not move.
 _TOO_MANY = 1 << 20
 # New triangles are at least this thick, twice the area over the longest edge squared, or as thick
 # as the thinnest of those they replace: 1/16 is a height of a sixteenth of the longest edge.
 _MIN_THICKNESS = 1.0 / 16
-# Where vertices may go: anywhere, nowhere, along the straight outline of a void.
+# Mobility of vertices: anywhere, nowhere, along the straight outline of a void.
 _FREE, _FIXED, _OUTLINE = 0, 1, 2
 
 
@@ -42,7 +42,7 @@ def simplify(
     tolerance : int
         In 1/16 quanta.
     n_sweeps : int
-        How often all vertices are tried; the sweeps end when one changes nothing.
+        Number of sweeps over all vertices; they end early when one changes nothing.
     """
     if not len(mesh.triangles):
         return mesh
@@ -106,7 +106,7 @@ def _thinnest(rows, cols, triangles, star, n):
 
 @kernel
 def _is_thick(rows, cols, triangles, star, n, v, u, least):
-    """Say whether all triangles of v's star that stay have area and are thick, with v on u."""
+    """Return whether all remaining triangles of v's star have area and are thick, with v on u."""
     row_0, col_0 = np.int64(rows[u]), np.int64(cols[u])
     for i in range(n):
         if _has(triangles, star[i], u):
@@ -142,13 +142,13 @@ def _fit_star(values, n_cols, mesh, star, n, centre, u, without, tolerance, limi
 
 @kernel
 def _n_common(triangles, stars, degrees, v, u):
-    """Return how many neighbours v and u share.
+    """Return the number of common neighbours of v and u.
 
-    Two, on an outline one, or the collapse would pinch the surface.
+    Two, or one on an outline; otherwise the collapse would pinch the surface.
     """
     count = 0
     for i in range(degrees[v]):
-        # Each neighbour comes first in one of v's triangles, but the last one on an outline.
+        # Each neighbour comes first in one of v's triangles, except the last one on an outline.
         p, _ = _others(triangles, stars[v, i], v)
         if p == u:
             continue
@@ -172,9 +172,10 @@ def _remove(stars, degrees, v, t):
 
 @kernel
 def _outline_neighbours(triangles, stars, degrees, v):
-    """Return the neighbours before and after v on the boundary, and how many gaps its star has.
+    """Return the neighbours before and after v on the boundary, and the number of gaps in its star.
 
-    (-1, -1, 0) for a vertex inside. Of several gaps one neighbour on either side of any is told.
+    (-1, -1, 0) for a vertex inside. With several gaps, one neighbour on either side of any is
+    returned.
     """
     before, after, n_gaps = np.int64(-1), np.int64(-1), 0
     for i in range(degrees[v]):
@@ -194,7 +195,7 @@ def _outline_neighbours(triangles, stars, degrees, v):
 
 @kernel
 def _kinds_of_vertices(rows, cols, triangles, stars, degrees, last_row, last_col):
-    """Return how each vertex may move. Those with too many triangles to list are fixed."""
+    """Return how each vertex may move. Vertices with too many triangles to list are fixed."""
     n_vertices = degrees.shape[0]
     kinds = np.zeros(n_vertices, dtype=np.uint8)
     for v in range(n_vertices):
@@ -211,7 +212,7 @@ def _kinds_of_vertices(rows, cols, triangles, stars, degrees, last_row, last_col
 
 @kernel
 def _is_between(rows, cols, v, before, after):
-    """Say whether v lies on the straight line from one neighbour to the other."""
+    """Return whether v lies on the straight line from one neighbour to the other."""
     down_1, right_1 = np.int64(rows[before]) - rows[v], np.int64(cols[before]) - cols[v]
     down_2, right_2 = np.int64(rows[after]) - rows[v], np.int64(cols[after]) - cols[v]
     return down_1 * right_2 == down_2 * right_1 and down_1 * down_2 + right_1 * right_2 < 0
@@ -223,7 +224,7 @@ def _sweep(values, shape, mesh, tolerance, limits, n_sweeps, min_thickness):
     (n_rows, n_cols), (rows, cols, _, triangles) = shape, mesh
     n_vertices = rows.shape[0]
     last_row, last_col = 2 * (n_rows - 1), 2 * (n_cols - 1)
-    # While v's triangles are handed to u, the two that vanish may still be in u's list.
+    # While v's triangles are moved to u, the two that vanish may still be in u's list.
     stars = np.empty((n_vertices, _MAX_DEGREE + 2), dtype=np.int32)
     degrees = np.zeros(n_vertices, dtype=np.int32)
     is_alive = np.ones(triangles.shape[0], dtype=np.bool_)
@@ -277,9 +278,9 @@ def _sweep(values, shape, mesh, tolerance, limits, n_sweeps, min_thickness):
 def _collapse_target(
     values, n_cols, mesh, stars, degrees, kinds, v, tolerance, limits, min_thickness
 ):
-    """Return the first neighbour that v can move onto, its height set; -1 if there is none.
+    """Return the first neighbour that v can move onto, with its height set; -1 if none.
 
-    Of a vertex on an outline these are the two beside it there, if it lies between them.
+    For a vertex on an outline the candidates are its two neighbours there, if it lies between them.
     """
     rows, cols, z, triangles = mesh
     before, after, n_vanish = np.int64(-1), np.int64(-1), 2

@@ -1,7 +1,7 @@
-"""The interval of heights that a cell's vertex may take, from the triangles around the cell.
+"""Interval of heights that a cell's vertex may take, from the triangles around the cell.
 
-Most of these have one of a few shapes. A table keeps, by shape, the samples of a triangle and their
-ratios of weights: its program. Triangles without one take divisions at every sample.
+Most of these have one of a few shapes. For each shape a table stores its program: the samples of a
+triangle and their ratios of weights. Triangles without one need divisions at every sample.
 """
 
 import numpy as np
@@ -28,14 +28,14 @@ from terrainwave.tri.halves.workspace import (
     VERTEX,
 )
 
-# A triangle's key: how far its two other vertices are from the first, each of the four distances
-# -32 … 31 half samples, and whether the first lies on a sample's row and column. The bit above
-# tells it from an empty slot. So twice the area, in half samples, is at most 2 * 32 * 32.
+# A triangle's key: distances of its two other vertices from the first, each of the four -32 … 31
+# half samples, and whether the first lies on a sample's row and column. The bit above distinguishes
+# it from an empty slot. So twice the area, in half samples, is at most 2 * 32 * 32.
 _REACH, _REACH_BITS = 32, 6
 _IS_KEY = 1 << (4 * _REACH_BITS + 2)
 _HASH = 0x9E3779B1  # 2^32 over the golden ratio
 
-# A program: its first entry and, in the low bits, how many it has; or a triangle without one.
+# A program: its first entry and, in the low bits, their number; or a triangle without one.
 _COUNT_BITS = 6
 _MAX_ENTRIES = (1 << _COUNT_BITS) - 1
 _NO_PROGRAM = -1
@@ -54,18 +54,18 @@ _MARGIN = 2.0**-13
 def fit_star(work, floats, plane, pitch, has_table, cell, are_unmoved_known, tolerance, test):
     """Narrow the interval of heights of a vertex whose cell is this rectangle of samples.
 
-    `cell` is its first and last row, first and last column.
-    Its triangles are those between the centre and two neighbours on the ring of samples around the
-    cell; two corners of the ring touch no triangle of the cell. Triangles of two samples that have
-    not moved are left out where the interval is what they allow: `are_unmoved_known`.
+    `cell` is its first and last row, first and last column. Its triangles are those between the
+    centre and two neighbours on the ring of samples around the cell; two corners of the ring touch
+    no triangle of the cell. With `are_unmoved_known`, the interval already includes triangles of
+    two samples that have not moved, which are skipped.
 
     The interval is ``floats[LOW]`` to ``floats[HIGH]``, empty if a triangle has no area. Then the
-    refusal by this `test` is noted, with the places on the ring of the triangles that have raised
+    refusal by this `test` is recorded, with the positions on the ring of the triangles that raised
     and lowered it last.
 
-    Takes the triangles with programs and lists the others, for `fit_rest`; returns how many these
-    are, and the two places. Arrays are used last outside of branches, and no kernel is called that
-    is not inlined, as either would cost reference counts at every star.
+    Uses the triangles with programs and lists the others, for `fit_rest`; returns the number of
+    these, and the two positions. Arrays are used last outside of branches, and all called kernels
+    are inlined, as otherwise every star would cost reference counts.
     """
     top, bottom, left, right = cell
     row_0, col_0 = top + bottom, left + right
@@ -90,7 +90,7 @@ def fit_star(work, floats, plane, pitch, has_table, cell, are_unmoved_known, tol
             at += stride
             other = np.int64(work[np.uint64(vertices + 2 * at)])
             if other == place:
-                is_known_1 = False  # a vertex that a border line's samples share
+                is_known_1 = False  # a vertex shared by a border line's samples
                 continue
             is_known_2 = are_unmoved_known and work[np.uint64(levels + at)] <= FREE
             row_2, col_2 = other >> ROW_BITS, other & COL_MASK
@@ -151,7 +151,7 @@ def _by_program(work, floats, centre, program, z_1, z_2, tolerance, low, high):
 
 @inlined_kernel
 def _side_of(side, at, pitch, width, height):
-    """Return the stride along a side of the ring, how many, and the place before the first one.
+    """Return stride and length of a side of the ring, and the position before its first one.
 
     To the right, down, to the left, up; past the corner that is left out.
     """
@@ -224,7 +224,7 @@ def _key_of(down_1, right_1, down_2, right_2, place_0):
 
 @inlined_kernel
 def _slot_of(key):
-    """Return where the slot of a key begins."""
+    """Return the start of a key's slot."""
     return TABLE + 2 * (((key * _HASH) & 0xFFFFFFFF) >> (32 - N_SLOTS_LOG2))
 
 

@@ -1,6 +1,6 @@
-"""The memory in which `halves` makes a mesh: one int32 array with named places, one per thread.
+"""Memory in which `halves` makes a mesh: one int32 array with named offsets, one per thread.
 
-Kernels take it whole, with unsigned offsets: every array argument and every slice of an inner loop
+Kernels take it whole, with unsigned offsets: every array argument and every slice in an inner loop
 would cost reference counts. Sample (row, col) is number ``row * pitch + col`` of each plane.
 """
 
@@ -13,47 +13,47 @@ from numpy.typing import NDArray
 from terrainwave.coding.jit import inlined_kernel, kernel
 from terrainwave.tri.block_mesh import BlockMesh
 
-# The table of triangles (`star`): pairs of a key and a program, how many entries programs have,
+# The table of triangles (`star`): pairs of a key and a program, the number of entries of programs,
 # and the samples of the entries.
 N_SLOTS_LOG2, N_ENTRIES = 15, 1 << 16
 TABLE = 0
 N_USED = TABLE + (2 << N_SLOTS_LOG2)
 OFFSETS = N_USED + 8
 PLANES = OFFSETS + N_ENTRIES
-# In floats: the interval that a test has found, and three ratios per entry.
+# Offsets in `floats`: the interval found by a test, and three ratios per entry.
 LOW, HIGH, RATIOS = 0, 1, 2
 
-# Planes, by sample: its height; the place of its vertex and the vertex's height; its cell's level;
-# the sweep in which its cell last grew. At a cell's first sample: which test has refused it last,
-# and the samples that this rests on (`certificates`); numbers of vertices take this plane in the
-# end. The last one is no plane of samples, but a list of the triangles of one star, two numbers
-# each: no star has as many as a plane has room for. Plane k begins at ``PLANES + k * plane``, which
-# kernels write out: each small kernel that they would call takes a tenth of a second to compile.
+# Planes, by sample: its height; the position of its vertex and the vertex's height; its cell's
+# level; the sweep in which its cell last grew. At a cell's first sample: the test that refused it
+# last, and the samples that this rests on (`certificates`); finally numbers of vertices use this
+# plane. The last one is not a plane of samples, but a list of the triangles of one star, two
+# numbers each: every star fits into a plane. Plane k begins at ``PLANES + k * plane``, which
+# kernels write out, because each small kernel for it would take a tenth of a second to compile.
 HEIGHT, VERTEX, LEVEL, SWEEP, REFUSAL, OTHERS = 0, 1, 3, 4, 5, 8
 _N_PLANES = 9
 
-# A vertex's place, in half samples: its row, and in the low bits its column.
+# A vertex's position, in half samples: its row, and in the low bits its column.
 ROW_BITS, COL_MASK = 16, (1 << 16) - 1
 
-# Levels of single samples that have not moved, of those that never do, and of those of border lines
-# that are no vertices. Up to FREE a sample has not moved.
+# Levels of single samples that have not moved, of those that never do, and of samples of border
+# lines that are not vertices. Up to FREE a sample has not moved.
 FREE, LOCKED, MERGED = 0, -1, 127
 VOID = -1
 
-# From its first column to its last one, in a cell whose inner samples hold anything.
+# Distance from the first to the last column of a cell whose inner samples are undefined.
 WIDE = 7
 
-# Rows of the workspace have 8 samples more than a power of two: neighbours in a column don't share
-# a line of the cache.
+# Rows of the workspace have 8 samples more than a power of two, so that neighbours in a column
+# don't share a cache line.
 _MIN_CELLS, _PADDING = 256, 8
-# Samples up to which a thread keeps its memory for the next mesh.
+# Largest mesh, in samples, whose memory a thread keeps for the next one.
 _MAX_KEPT = 1 << 19
 
 
 class MeshArrays(NamedTuple):
     """A thread's arrays for rectangles of up to `plane` samples, `pitch` from row to row.
 
-    `work` and `floats` have named places; the others take a mesh before it is copied.
+    `work` and `floats` have named offsets; the others hold a mesh before it is copied.
     """
 
     pitch: int
@@ -67,13 +67,13 @@ class MeshArrays(NamedTuple):
 
 
 class _Memory(threading.local):
-    """The workspace of a thread, which keeps the table of triangles from mesh to mesh."""
+    """Workspace of a thread, which keeps the table of triangles from mesh to mesh."""
 
     def __init__(self) -> None:
         self._kept: MeshArrays | None = None
 
     def workspace(self, n_rows: int, n_cols: int) -> MeshArrays:
-        """Return a workspace for a rectangle; its planes hold anything."""
+        """Return a workspace for a rectangle; its planes are uninitialised."""
         pitch = max(_MIN_CELLS, 1 << (n_cols - 2).bit_length()) + _PADDING
         plane = n_rows * pitch
         kept = self._kept
@@ -105,9 +105,9 @@ MEMORY = _Memory()
 
 @kernel
 def fill_workspace(heights, mask, locked, lines, base, bits, work, plane, pitch):
-    """Let every valid sample be a vertex, and those of border lines share the vertex before them.
+    """Make every valid sample a vertex; those of border lines share the vertex before them.
 
-    `lines` say which samples of the border are vertices: top, bottom, left and right one by one.
+    `lines` mark the vertices of the borders: top, bottom, left and right one by one.
     """
     n_rows, n_cols = heights.shape
     own, vertices = PLANES + HEIGHT * plane, PLANES + VERTEX * plane
@@ -116,7 +116,7 @@ def fill_workspace(heights, mask, locked, lines, base, bits, work, plane, pitch)
     for row in range(n_rows):
         is_line = row == 0 or row == n_rows - 1
         first = row * pitch
-        # One loop for each plane, or two: so they vectorise.
+        # One or two loops for each plane, so that they vectorise.
         for col in range(n_cols):
             height = np.int32((np.int64(heights[row, col]) - base) << bits)
             work[np.uint64(own + first + col)] = height if mask[row, col] else 0
@@ -171,7 +171,7 @@ def read_mesh(work, plane, pitch, shape, base, shift, mesh):
         first = row * pitch
         last = np.int64(VOID)
         number = np.int64(VOID)
-        # Of the quad whose lower right corner is at hand: a, b in the upper row; d, c below.
+        # Of the quad with this lower right corner: a, b in the upper row; d, c below.
         a = d = np.int64(VOID)
         next_col = 0
         for col in range(n_cols):
@@ -186,7 +186,7 @@ def read_mesh(work, plane, pitch, shape, base, shift, mesh):
                     number = np.int64(work[np.uint64(numbers + at - pitch)])
                     right = (place & COL_MASK) - col
                     if right - col >= WIDE:
-                        # On to the last column of the cell: what lies between has no triangles.
+                        # Skip to the last column of the cell: there are no triangles in between.
                         next_col = right
                         if place != work[np.uint64(vertices + 2 * (at + pitch))]:
                             for k in range(at + 1, first + right):
@@ -243,7 +243,7 @@ def _valid_corners(a, b, c, d):
 
 @kernel
 def drop_unused(n_vertices, n_triangles, rows, cols, heights, triangles, number):
-    """Take out the vertices of no triangle, as voids leave them; return how many stay.
+    """Remove vertices without triangles, which voids leave behind; return the number left.
 
     In place; `number` is scratch memory.
     """

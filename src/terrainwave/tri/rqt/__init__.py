@@ -15,9 +15,9 @@ class Rqt(MeshOptions):
     Parameters
     ----------
     select : str
-        What selects vertices: ``"error"``, so that all samples are within `mesh_error`; or
-        ``"coefficient"``, with method cdf53: those whose wavelet coefficient is above `mesh_error`,
-        as Zheng, Wang and Wang do. The error of these meshes is measured, and may be larger.
+        Selection of vertices: ``"error"`` keeps all samples within `mesh_error`. ``"coefficient"``,
+        with method cdf53, selects vertices with a wavelet coefficient above `mesh_error`, like
+        Zheng, Wang and Wang; the error is measured, and may be larger.
     """
 
     name = "rqt"

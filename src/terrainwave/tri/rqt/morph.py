@@ -1,13 +1,13 @@
-"""Where the vertices of a restricted quadtree are drawn between two thresholds (`view`).
+"""Positions of a restricted quadtree's vertices between two thresholds (`view`).
 
-Each vertex has the share of the thresholds for which it is there, no larger than the shares of
-those it depends on. For each threshold the vertices that are there have a triangulation of their
-own; drawn is the mean of these surfaces, at the vertices that are there for any threshold.
+Each vertex exists for a share of the thresholds, no larger than the shares of the vertices it
+depends on. For each threshold the existing vertices have a triangulation of their own; the mean of
+these surfaces is drawn, at the vertices that exist for any threshold.
 
-Around a vertex v the triangulations differ in how far the triangles that hold it are split: T, the
-one beside the edge that v splits, is split for the share of v and is there for that of its top,
-which splits the parent of T, and so on upwards to one whose top is always there. v's mean height is
-that of v and of its places on these triangles, weighted by the differences of shares.
+Around a vertex v the triangulations differ in how far the triangles that hold it are split: T, next
+to the edge that v splits, is split for the share of v and exists for that of its top, which splits
+the parent of T, and so on upwards to one whose top always exists. v's mean height is the mean of
+its own height and its positions on these triangles, weighted by the differences of shares.
 """
 
 import numpy as np
@@ -27,10 +27,10 @@ def number_vertices(active, samples, vertex_of, heights):
 
 @kernel
 def place_vertices(active, vertex_of, shares, heights, z_scale, matrix, vertices, places):
-    """Fill vertices and the samples they come from; return how many are not void.
+    """Fill vertices and their samples; return how many are not void.
 
-    `vertex_of` holds numbers of active vertices, and afterwards those of what was filled; -1 is
-    void. `heights` are those of samples.
+    `vertex_of` holds numbers of active vertices, and afterwards those of filled ones; -1 is void.
+    `heights` are those of samples.
     """
     for number in range(active.shape[0]):
         vertices[number, 2] = _mean_height(active, number, vertex_of, shares, heights)
@@ -51,16 +51,16 @@ def place_vertices(active, vertex_of, shares, heights, z_scale, matrix, vertices
 
 @kernel
 def _mean_height(active, number, vertex_of, shares, heights):
-    """Return the mean of a vertex's heights for all thresholds; its own where they have none."""
+    """Return the mean of a vertex's heights for all thresholds; its own without thresholds."""
     own, share = heights[number], shares[number]
     if share >= 1 or np.isnan(own):
         return own
     row, col = np.int64(active[number, 0]), np.int64(active[number, 1])
     r0, c0, r1, c1, r2, c2, r3, c3 = own_neighbours(row, col)
     if not (0 <= r2 < vertex_of.shape[0] and 0 <= c2 < vertex_of.shape[1]):
-        r2, c2 = r3, c3  # both sides say the same
+        r2, c2 = r3, c3  # both sides give the same
     mean = share * own
-    # Corners and weights of the vertex's place on a triangle: ends of its longest side, its top.
+    # Corners and weights of the vertex's position on a triangle: ends of its longest side, its top.
     first, second, top = vertex_of[r0, c0], vertex_of[r1, c1], vertex_of[r2, c2]
     of_first, of_second, of_top = 0.5, 0.5, 0.0
     while True:

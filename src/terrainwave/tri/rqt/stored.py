@@ -1,24 +1,24 @@
 """Restricted quadtree triangulation: nested right triangles, closed under dependencies.
 
 R. Pajarola, "Large scale terrain visualization using the restricted quadtree triangulation", 1998,
-as Zheng, Wang, Wang tell it ("each vertex depends on two others of its own or the next coarser
-level: where it is selected, so must they be"). A vertex is the middle of the longest side of the
-triangles beside it, which it splits; it depends on the vertices that made them. A selection that is
+as described by Zheng, Wang, Wang ("each vertex depends on two others of its own or the next coarser
+level: where it is selected, so must they be"). A vertex is the middle of the longest side of its
+adjacent triangles, which it splits; it depends on the vertices that made them. A selection that is
 closed under this has a conforming triangulation, without cracks.
 
 Two selections, by
 
-* error: a vertex is selected where one of the triangles it would split has an error, over all
-  samples it covers, above the tolerance: what is left unsplit holds it, guaranteed;
-* coefficients of a wavelet, where they are above the tolerance: HL and LH are those of vertices in
+* error: a vertex is selected if one of the triangles it would split has an error, over all
+  samples it covers, above the tolerance: unsplit triangles keep the tolerance, guaranteed;
+* coefficients of a wavelet above the tolerance: HL and LH are those of vertices in
   the middles of edges, HH of those at centres (Zheng et al.). No bound.
 
-Blocks of any size: triangles live on a virtual grid of 2**n + 1, n the least that will do, whose
-rows and columns are laid over the samples' monotonically, some twice. Triangles that become
-degenerate are dropped; where one that exists has three different corners on a line, it is split. A
-block of 2**n + 1 samples is its own virtual grid. Voids as in `zerotree.labels`. All rules have the
-form "where these vertices are, so is that", and so has keeping more of them (`zerotree.agreement`):
-there is a least selection that obeys them, whatever the order.
+Blocks of any size: triangles live on a virtual grid of 2**n + 1, with the least sufficient n. Its
+rows and columns map to those of the samples monotonically, some twice. Degenerate triangles are
+dropped; one with three different corners on a line is split. A block of 2**n + 1 samples is its own
+virtual grid. Voids as in `zerotree.labels`. All rules have the form "where these vertices are, so
+is that", and so has keeping more of them (`zerotree.agreement`): there is a least selection that
+obeys them, whatever the order.
 """
 
 import numpy as np
@@ -47,7 +47,7 @@ def select_vertices(
     heights : ndarray of int32, shape (n_rows, n_cols)
         Decoded heights in quanta, within ±2**30; 1 to 4097 samples a side.
     mask : ndarray of bool, same shape
-        Which samples are valid.
+        True for valid samples.
     tolerance : int
         In 1/16 quanta; >= 0.
     keep : ndarray of bool, same shape, optional
@@ -86,7 +86,7 @@ def select_vertices(
 
 
 def _new_stack(n: int) -> NDArray[np.int64]:
-    """Return room for a depth-first walk over the triangles of a virtual grid of n x n."""
+    """Return a stack for a depth-first walk over the triangles of a virtual grid of n x n."""
     return np.empty((4 * (n.bit_length() + 2), 6), dtype=np.int64)
 
 
@@ -98,11 +98,11 @@ def virtual_places(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[n
 
 
 def _coarsest(places: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return, for each sample along an axis, the virtual place there with the largest stride.
+    """Return, for each sample along an axis, its virtual position with the largest stride.
 
-    A sample on a border is a vertex only if that place is selected: the places of larger stride
-    around a selected one on the border are the ends of the edges that it splits. So keeping the
-    vertices a selection has already changes nothing.
+    A sample on a border is a vertex only if that position is selected: the positions of larger
+    stride around a selected one on the border are the ends of the edges that it splits. So keeping
+    vertices that a selection already has changes nothing.
     """
     coarsest = np.zeros(int(places[-1]) + 1, dtype=np.int64)
     virtual = np.arange(len(places), dtype=np.int64)
@@ -141,8 +141,8 @@ def rqt_mesh(
 def neighbours(row, col, s):
     """Return the ends of the edge that virtual vertex (row, col) of stride `s` splits.
 
-    Then the tops of the two triangles beside it; these are what it depends on. Diagonals alternate
-    from cell to cell. Strides are powers of two, and bits are faster than divisions.
+    Then the tops of the two adjacent triangles; it depends on these. Diagonals alternate from cell
+    to cell. Strides are powers of two, and bits are faster than divisions.
     """
     if row & s and col & s:
         if ((row - s) ^ (col - s)) & (2 * s) == 0:
@@ -155,14 +155,14 @@ def neighbours(row, col, s):
 
 @kernel
 def own_neighbours(row, col):
-    """Return the `neighbours` of a vertex at the stride that it has by its place; not (0, 0)."""
+    """Return the `neighbours` of a vertex at the stride of its position; not (0, 0)."""
     both = row | col
     return neighbours(row, col, both & -both)
 
 
 @kernel
 def _select(heights, mask, tolerance, rows, cols, is_bound, selection):
-    """Select from the finest vertices upwards; what is selected selects what it depends on."""
+    """Select from the finest vertices upwards; selected vertices select their dependencies."""
     n = rows.shape[0] - 1
     s = 1
     while s < n:
@@ -197,8 +197,8 @@ def _select(heights, mask, tolerance, rows, cols, is_bound, selection):
 
 @kernel
 def _exceeds(heights, mask, tolerance, r0, c0, r1, c1, r2, c2):
-    """Say whether a triangle of samples has an error above the tolerance."""
-    # With a void corner it is split by what lies at the void's edge, or void altogether.
+    """Return whether a triangle of samples has an error above the tolerance."""
+    # With a void corner it is split by vertices at the void's edge, or is entirely void.
     if not (mask[r0, c0] and mask[r1, c1] and mask[r2, c2]):
         return False
     area = area_of(r0, c0, r1, c1, r2, c2)
@@ -211,7 +211,7 @@ def _exceeds(heights, mask, tolerance, r0, c0, r1, c1, r2, c2):
 
 @kernel
 def _start_walk(first, n, stack):
-    """Put one half of the root on the stack: ends of its longest side, then the top."""
+    """Push one half of the root on the stack: ends of its longest side, then the top."""
     stack[0, 0] = stack[0, 1] = 0 if first == 0 else n
     stack[0, 2] = stack[0, 3] = n - stack[0, 0]
     stack[0, 4], stack[0, 5] = (0, n) if first == 0 else (n, 0)
@@ -219,7 +219,7 @@ def _start_walk(first, n, stack):
 
 @kernel
 def _split_top(selection, stack, depth):
-    """Replace the triangle at ``stack[depth]`` by its halves where it is split; say whether."""
+    """Replace the triangle at ``stack[depth]`` by its halves if it is split; return whether."""
     r0, c0, r1, c1 = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
     if (r0 + r1) & 1 or (c0 + c1) & 1:
         return False
@@ -283,7 +283,7 @@ def _select_closed(selection, row, col, stack, depth):
 
 @kernel
 def _emit(mask, rows, cols, selection, stack, vertex_of, corners):
-    """Fill `corners` with the triangles and mark their samples; return how many there are."""
+    """Fill `corners` with the triangles and mark their samples; return their number."""
     n = rows.shape[0] - 1
     n_cols = mask.shape[1]
     count = 0
@@ -302,7 +302,7 @@ def _emit(mask, rows, cols, selection, stack, vertex_of, corners):
             if area == 0 or not (mask[r0, c0] and mask[r1, c1] and mask[r2, c2]):
                 continue
             if area == 1 or area == -1:
-                # One diagonal of a quad; with a void corner the quad's triangle comes below.
+                # One diagonal of a quad; with a void corner the quad's triangle is added below.
                 top, left = min(r0, r1, r2), min(c0, c1, c2)
                 if not (
                     mask[top, left]

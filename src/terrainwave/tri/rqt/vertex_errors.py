@@ -1,4 +1,4 @@
-"""Errors of vertices of a restricted quadtree, and what vertices depend on (`view`)."""
+"""Errors and dependencies of a restricted quadtree's vertices (`view`)."""
 
 from typing import Any
 
@@ -10,11 +10,11 @@ from terrainwave.tri.rqt.stored import neighbours, own_neighbours
 from terrainwave.tri.triangle import area_of
 
 _ROUNDING = 2.0**-22
-_TINY = 1e-6  # what makes an error negative
+_TINY = 1e-6  # shift that makes an error negative
 
 
 def rounding_of(heights: tuple[float, float]) -> float:
-    """Return how far heights within these bounds may be off as float32, with what comes of it."""
+    """Return a bound on float32 rounding of heights within these bounds and of derived values."""
     return float(np.abs(heights).max()) * _ROUNDING
 
 
@@ -29,13 +29,13 @@ def twist_of(heights: NDArray[np.floating[Any]]) -> float:
 
 @kernel
 def is_corner(row, col, tile):
-    """Say whether a place is a corner of tiles; those are always vertices."""
+    """Return whether a position is a corner of tiles; those are always vertices."""
     return (row | col) & (tile - 1) == 0
 
 
 @kernel
 def needs_of(row, col, tile):
-    """Return the two vertices that one depends on; itself twice where it is a tile's corner."""
+    """Return the two vertices that one depends on; itself twice if it is a tile's corner."""
     if is_corner(row, col, tile):
         return row, col, row, col
     _, _, _, _, r2, c2, r3, c3 = own_neighbours(row, col)
@@ -47,12 +47,11 @@ def needs_of(row, col, tile):
 
 @kernel
 def measure_tile(first_row, first_col, base, is_bound, z, coefficients, errors):
-    """Widen the errors of a tile's vertices, finest first, by what is in the tile.
+    """Widen the errors of a tile's vertices, finest first, by those in the tile.
 
     `z` and `errors` are those of the tile, whose first sample is at `first_row` and `first_col`:
-    these matter for which way its cells are cut. `coefficients` are magnitudes by vertex, or none
-    at all: then it is the distance from the mean of the neighbours, on the tile's border of those
-    inside.
+    these decide the diagonals of its cells. `coefficients` are magnitudes by vertex; if empty,
+    errors are the distances from the mean of the neighbours, on the tile's border of those inside.
     """
     side = z.shape[0] - 1
     stride = 1
@@ -74,7 +73,7 @@ def measure_tile(first_row, first_col, base, is_bound, z, coefficients, errors):
 def _measure_vertex(
     row, col, stride, first_row, first_col, base, is_bound, z, coefficients, errors
 ):
-    """Widen the error of one vertex by its triangles in a tile, and those it depends on by that."""
+    """Widen the error of one vertex by its triangles in a tile, and its dependencies by that."""
     r0, c0, r1, c1, r2, c2, r3, c3 = neighbours(row + first_row, col + first_col, stride)
     r0, r1, r2, r3 = r0 - first_row, r1 - first_row, r2 - first_row, r3 - first_row
     c0, c1, c2, c3 = c0 - first_col, c1 - first_col, c2 - first_col, c3 - first_col
@@ -96,7 +95,7 @@ def _measure_vertex(
 
 @kernel
 def widen_everywhere(errors, tile):
-    """Make errors no smaller than those of all vertices that depend on them, in other tiles too."""
+    """Make errors no smaller than those of all dependent vertices, in other tiles too."""
     n_rows, n_cols = errors.shape
     stride = 1
     while stride < tile:
@@ -120,7 +119,7 @@ def _is_inside(row, col, shape):
 
 @kernel
 def widen(errors, row, col, error):
-    """Make an error no smaller than another, and negative where either is; say if it changed."""
+    """Raise an error to another one, and make it negative if either is; return if it changed."""
     before = errors[row, col]
     larger = max(abs(np.float64(before)), abs(error))
     errors[row, col] = -larger if before < 0 or error < 0 else larger
@@ -129,7 +128,7 @@ def widen(errors, row, col, error):
 
 @kernel
 def _detail(row, col, around, z):
-    """Return |h - mean of its four neighbours|; a negative number beside a void."""
+    """Return |h - mean of its four neighbours|; a negative number next to a void."""
     (r0, c0), (r1, c1) = around[:2]
     total, count = 0.0, 0
     for r, c in around:
@@ -147,7 +146,7 @@ def _detail(row, col, around, z):
 def _distance(r0, c0, r1, c1, r2, c2, z):
     """Return the largest distance of samples from a triangle.
 
-    0 where all are void; where some are, the range of the others as a negative number.
+    0 if all are void; if some are, the range of the others as a negative number.
     """
     area = np.float64(area_of(r0, c0, r1, c1, r2, c2))
     n_void, largest, low, high = 0, 0.0, np.inf, -np.inf

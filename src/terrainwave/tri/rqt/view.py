@@ -1,17 +1,17 @@
 """A restricted quadtree that follows a camera: vertices split and merge from frame to frame.
 
 X. Zheng, Y. Wang, X. Wang, on massive terrain with integer wavelets and restricted quadtrees: a
-vertex is split where its coefficient exceeds a threshold that grows with the distance, and all that
-it depends on with it; it is merged where nothing depends on it any more. `stored` has the
-triangles, the dependencies and the sources; here the grid is a row of squares of `tile` cells,
-whose corners always are vertices.
+vertex is split, with all its dependencies, if its coefficient exceeds a threshold that grows with
+the distance; it is merged when nothing depends on it any more. `stored` has the triangles, the
+dependencies and the sources; here the grid is a row of squares of `tile` cells, whose corners
+always are vertices.
 
 Three errors of a vertex, all made no smaller than those of the vertices that depend on it, so that
 a front from coarse to fine finds all:
 
 * `"coefficient"`: the magnitude of the wavelet coefficient at its place. No bound.
-* `"paper"`: the paper's δ, |h - mean of its four neighbours|, which it finds much like the
-  coefficient. No bound.
+* `"paper"`: the paper's δ, |h - mean of its four neighbours|; according to the paper, similar to
+  the coefficient. No bound.
 * `"measured"`: the largest vertical distance of the samples of the two triangles that it splits. No
   sample of a loaded tile is further than τ on screen.
 
@@ -19,14 +19,14 @@ Boxes are nested, too: a vertex is active exactly where its own error on screen
 is above τ.
 
 Geomorphs, which the paper does not have: the surface drawn is the mean of those for all thresholds
-between τ / λ and τ. Vertices are split above τ / λ; one with the error ε is there for the share
-(ε - τ / λ) / (τ - τ / λ) of the thresholds, and lies where the others' triangles have it for the
-rest. So it begins on the edge that it splits and reaches its own height at τ. That changes nothing
-in what is promised: each of these surfaces is within its own threshold, so their mean is within τ.
-All of them are linear on the triangles drawn, so the mean is made at vertices alone (`morph`).
+between τ / λ and τ. Vertices are split above τ / λ; one with the error ε exists for the share (ε -
+τ / λ) / (τ - τ / λ) of the thresholds, and for the rest lies on the others' triangles. So it begins
+on the edge that it splits and reaches its own height at τ. The bound still holds: each of these
+surfaces is within its own threshold, so their mean is within τ. All of them are linear on the drawn
+triangles, so the mean is computed only at vertices (`morph`).
 
-Where a mesh ends, at voids and the raster's outline, it ends with whole triangles: a vertex whose
-triangles hold samples and voids has their size as its error. Such errors are stored negative.
+At voids and the raster's outline a mesh ends with whole triangles: a vertex whose triangles hold
+samples and voids has their size as its error. Such errors are stored negative.
 """
 
 from typing import NamedTuple
@@ -51,15 +51,15 @@ from terrainwave.tri.triangle import area_of
 
 # Of a view as an array.
 _X, _Y, _Z, _FORWARD, _FOCAL, _SLANT, _Z_SCALE, _LOW, _HIGH = 0, 1, 2, 3, 6, 7, 8, 9, 10
-# Whether errors are bounds; half the width of boxes along x and y, and how much less deep they
-# begin, by their reach; x and y of samples.
+# Whether errors are bounds; half the width of boxes along x and y, and how much closer they begin,
+# by their reach; x and y of samples.
 _IS_BOUND, _WIDTH, _DEPTH_LESS, _MATRIX = 11, 12, 14, 15
-# Of a plane of the view as an array: most of n·p + w over all boxes around x, y is
+# Fields of a plane of the view as an array: the largest n·p + w over all boxes around x, y is
 # a x + b y + c + reach d.
 _ALONG_X, _ALONG_Y, _CONSTANT, _PER_REACH = 0, 1, 2, 3
-# Nodes that one vertex depends on and that are not active yet: at most a few of each stride.
+# Inactive nodes that one vertex may depend on: at most a few of each stride.
 _MOST_DEPENDENCIES = 512
-_ROOM = 4 * _MOST_DEPENDENCIES  # for what depends on one vertex
+_ROOM = 4 * _MOST_DEPENDENCIES  # for dependents of one vertex
 
 
 class RestrictedFrame(NamedTuple):
@@ -76,15 +76,15 @@ class RestrictedFrame(NamedTuple):
     edges : ndarray of int32, shape (n_edges, 2)
         Vertices of the edges along open sides.
     border_error : float
-        How far those in view are from the samples on them, vertically.
+        Vertical distance of edges in view from the samples on them.
     n_active : int
-        Vertices of the quadtree, with those in voids.
+        Vertices of the quadtree, including those in voids.
     n_touched : int
         Vertices whose error on screen was computed.
     n_changed : int
         Vertices that were split or merged.
     tau : float
-        Pixels; above what was asked for if the budget demands it.
+        Pixels; above the requested one if the budget requires it.
     """
 
     vertices: NDArray[np.float64]
@@ -112,18 +112,18 @@ class RestrictedMesh:
     error : {"measured", "paper", "coefficient"}
         See the module's docstring.
     coefficients : ndarray, shape of `heights`, optional
-        Magnitudes of coefficients, in the unit of heights, for "coefficient" alone.
+        Magnitudes of coefficients, in the unit of heights, only for "coefficient".
     base_error : float
-        Largest distance of the samples' surface from what errors count from.
+        Largest distance of the samples' surface from the reference of errors.
     open_sides : tuple of bool
-        Whether the raster goes on beyond its first row and column, its last row and column.
+        Whether the raster continues beyond its first row and column, its last row and column.
     scratch : Scratch, optional
         Memory that meshes drawn by one thread share.
 
     Raises
     ------
     InvalidHeightsError
-        If an argument is none of these.
+        If an argument is invalid.
     """
 
     def __init__(
@@ -195,7 +195,7 @@ class RestrictedMesh:
         return errors
 
     def _reset(self) -> None:
-        """Merge all vertices but the corners of tiles."""
+        """Merge all vertices except the corners of tiles."""
         rows, cols = self._active[: self._n_active].T
         self._is_active[rows, cols] = False
         self._n_children[rows, cols] = 0
@@ -207,7 +207,7 @@ class RestrictedMesh:
         self._reserve()
 
     def _reserve(self) -> None:
-        """Make room for twice the active vertices, in what updates fill again and again."""
+        """Allocate arrays for twice the active vertices, reused by updates."""
         capacity = 2 * (self._n_active + _ROOM)
         active = np.empty((capacity, 2), dtype=np.int32)
         active[: self._n_active] = self._active[: self._n_active]
@@ -220,7 +220,7 @@ class RestrictedMesh:
 
     @property
     def least_vertices(self) -> int:
-        """Return how many vertices there are always: the corners of tiles."""
+        """Return the smallest number of vertices: the corners of tiles."""
         return (self.n_tiles[0] + 1) * (self.n_tiles[1] + 1)
 
     def update(
@@ -233,11 +233,11 @@ class RestrictedMesh:
         tau : float
             Largest error on screen in pixels, > 0.
         morph : float
-            λ >= 1: vertices move to their own heights while their errors go from τ / λ to τ.
-            1: they jump.
+            λ >= 1: vertices move to their own heights while their errors rise from τ / λ to τ. 1:
+            they jump.
         max_vertices : int, optional
             Budget; τ is raised until it is kept. At least `least_vertices`. Those around the eye
-            are split whatever it says.
+            are split in any case.
 
         Raises
         ------
@@ -293,7 +293,7 @@ class RestrictedMesh:
         threshold: float,
         max_vertices: int | None,
     ) -> tuple[int, int]:
-        """Merge and split, until there are too many; return how many were touched and changed."""
+        """Merge and split up to the limit; return the numbers of touched and changed vertices."""
         self._n_active, n_touched, n_changed = merge_vertices(
             self._errors, self.tile, self._is_active, self._n_children, self._active,
             self._on_screen, self._n_active, view, planes, threshold,
@@ -320,7 +320,7 @@ class RestrictedMesh:
         vertices: NDArray[np.float64],
         places: NDArray[np.int32],
     ) -> int:
-        """Fill the vertices that are not void and their samples; return how many there are."""
+        """Fill the valid vertices and their samples; return their number."""
         n, start, end = self._n_active, followed.threshold, followed.tau
         active = self._active[:n]
         shares = self._scratch.take("shares", (n,), np.float64)
@@ -345,7 +345,7 @@ class RestrictedMesh:
         vertex_of: NDArray[np.int32],
         vertices: NDArray[np.float64],
     ) -> tuple[NDArray[np.int32], float]:
-        """Return the edges along open sides, and how far those in view are from samples."""
+        """Return the edges along open sides, and the distance of those in view from samples."""
         edges = np.empty((2 * sum(self.shape), 2), dtype=np.int32)
         n, error = follow_borders(
             self._open_sides, self.shape, self._heights, self._is_active, vertex_of, vertices,
@@ -362,12 +362,12 @@ class RestrictedMesh:
         return np.array([*numbers, *self._matrix], dtype=np.float64)
 
     def _widths(self) -> tuple[float, float]:
-        """Return how far a step of rows and columns goes along x and y."""
+        """Return the lengths of a step of rows and columns along x and y."""
         a, b, _, d, e, _ = self._matrix
         return abs(a) + abs(b), abs(d) + abs(e)
 
     def _range(self, eye: Eye) -> tuple[float, float]:
-        """Return the lowest and highest of all that is drawn."""
+        """Return the lowest and highest drawn height."""
         low, high = sorted(height * eye.z_scale for height in self._limits)
         return low, high
 
@@ -400,7 +400,7 @@ def _padded(
 
 @kernel
 def _stride_of(row, col, tile):
-    """Return the stride that a vertex has by its place; that of a tile's corners is `tile`."""
+    """Return the stride of a vertex by its position; that of a tile's corners is `tile`."""
     both = row | col
     return min(both & -both, tile) if both else tile
 
@@ -409,8 +409,7 @@ def _stride_of(row, col, tile):
 def screen_error(error, row, col, tile, view, planes):
     """Return the error on screen of a vertex with some error.
 
-    The box reaches over all that may depend on the vertex: 3 strides each way for centres, 2 for
-    edges.
+    The box covers all dependents of the vertex: 3 strides each way for centres, 2 for edges.
     """
     stride = _stride_of(row, col, tile)
     is_centre = row & stride and col & stride and stride < tile
@@ -419,9 +418,9 @@ def screen_error(error, row, col, tile, view, planes):
 
 @kernel
 def error_in_box(error, row, col, reach, view, planes):
-    """Return the error on screen in a box around a place: f ε / d; 0 outside the view.
+    """Return the error on screen in a box around a position: f ε / d; 0 outside the view.
 
-    The box reaches over `reach` rows and columns each way. Where errors are bounds, see
+    The box covers `reach` rows and columns each way. If errors are bounds, see
     `dynamic.screen_error`.
     """
     if error == 0:
@@ -461,10 +460,10 @@ def error_in_box(error, row, col, reach, view, planes):
 def fill_shares(
     errors, tile, active, on_screen, vertex_of, view, planes, start, end, shares
 ):  # fmt: skip
-    """Fill for which share of the thresholds between `start` and `end` each vertex is there.
+    """Fill the share of the thresholds between `start` and `end` for which each vertex exists.
 
-    `on_screen` has errors that are computed already, else NaN. Where one vertex is, so is all that
-    it depends on, which comes before it in `active`.
+    `on_screen` has errors that are computed already, else NaN. A vertex exists only with all its
+    dependencies, which come before it in `active`.
     """
     n_rows, n_cols = vertex_of.shape
     shares[:] = 0.0
@@ -493,7 +492,7 @@ def fill_shares(
 
 @kernel
 def _child(row, col, tile, k):
-    """Return the k-th of the four vertices that may depend on one; -1 where there is none."""
+    """Return the k-th of the four possible dependents of a vertex; -1 if it does not exist."""
     stride = _stride_of(row, col, tile)
     if not is_corner(row, col, tile) and row & stride and col & stride:
         down, right = ((-1, 0), (0, -1), (1, 0), (0, 1))[k]
@@ -508,11 +507,10 @@ def _child(row, col, tile, k):
 def merge_vertices(
     errors, tile, is_active, n_children, active, on_screen, n_active, view, planes, tau
 ):
-    """Merge vertices that nothing depends on and whose error is not above `tau`, the last first.
+    """Merge vertices without dependents whose error is not above `tau`, the last first.
 
-    Fill the errors on screen that this takes, NaN elsewhere. Return how many are left, how many
-    were touched and merged. What a merged vertex depended on was split before it and comes after
-    it here.
+    Fill the errors on screen that this needs, NaN elsewhere. Return the numbers of vertices left,
+    touched and merged. Dependencies of a merged vertex were split before it and come after it here.
     """
     n_touched = n_changed = 0
     for number in range(n_active - 1, -1, -1):
@@ -544,11 +542,11 @@ def merge_vertices(
 def split_vertices(
     errors, tile, is_active, n_children, active, on_screen, reached, limits, sight, stack
 ):
-    """Split what depends on active vertices where its error is above `tau`, and all it needs.
+    """Split dependents of active vertices whose error is above `tau`, with their dependencies.
 
-    `reached` is the vertex number to go on from and how many are active, `limits` how many may be
-    and `tau`, `sight` the view and its planes. Goes on while there is room in `active`. Return the
-    next vertex, how many are active, how many were touched and split.
+    `reached` is the vertex number to continue from and the number of active ones, `limits` the
+    largest number and `tau`, `sight` the view and its planes. Continues while there is room in
+    `active`. Return the next vertex and the numbers of active, touched and split ones.
     """
     (done, n_active), (limit, tau), (view, planes) = reached, limits, sight
     n_touched = n_changed = 0
@@ -565,7 +563,7 @@ def split_vertices(
             r, c, _, _ = needs_of(row, col, tile)
             if (r != at_row or c != at_col) and 0 <= r < n_rows and 0 <= c < n_cols:
                 if is_active[r, c]:
-                    continue  # looked at from there
+                    continue  # visited from there
             n_touched += 1
             error = np.float64(errors[row, col])
             pixels = screen_error(error, row, col, tile, view, planes)
@@ -581,9 +579,9 @@ def split_vertices(
 
 @kernel
 def _activate(row, col, tile, is_active, n_children, active, n_active, stack):
-    """Append a vertex and all inactive ones that it needs; return how many.
+    """Append a vertex and all its inactive dependencies; return their number.
 
-    They are appended so that each comes after those it depends on.
+    Each one is appended after its own dependencies.
     """
     n_rows, n_cols = is_active.shape
     stack[0, 0], stack[0, 1] = row, col
@@ -603,7 +601,7 @@ def _activate(row, col, tile, is_active, n_children, active, n_active, stack):
     for number in range(count - 1, -1, -1):
         row, col = stack[number, 0], stack[number, 1]
         if is_active[row, col]:
-            continue  # by another way
+            continue  # reached by another path
         is_active[row, col] = True
         active[n_active + n_new, 0], active[n_active + n_new, 1] = row, col
         n_new += 1
@@ -619,7 +617,7 @@ def _activate(row, col, tile, is_active, n_children, active, n_active, stack):
 
 @kernel
 def draw_triangles(heights, tile, is_active, is_mirrored, vertex_of, stack, triangles):
-    """Fill the triangles of the active vertices; return how many there are."""
+    """Fill the triangles of the active vertices; return their number."""
     count = 0
     for row in range(0, is_active.shape[0] - 1, tile):
         for col in range(0, is_active.shape[1] - 1, tile):
@@ -661,7 +659,7 @@ def draw_triangles(heights, tile, is_active, is_mirrored, vertex_of, stack, tria
 
 @kernel
 def _add(corners, is_mirrored, vertex_of, triangles, count):
-    """Append a triangle without void corners; return how many there are then."""
+    """Append a triangle without void corners; return the new count."""
     (r0, c0), (r1, c1), (r2, c2) = corners
     if vertex_of[r0, c0] < 0 or vertex_of[r1, c1] < 0 or vertex_of[r2, c2] < 0:
         return count
@@ -674,9 +672,10 @@ def _add(corners, is_mirrored, vertex_of, triangles, count):
 
 @kernel
 def _add_in_quad(corners, valid, is_mirrored, is_active, vertex_of, triangles, count):
-    """Append one half of a quad of samples; the triangle of three that are valid with its first.
+    """Append one half of a quad of samples; with one void corner, the triangle of the other three.
 
-    `valid` has a bit for each corner, row by row, that is not void.
+    `valid` has a bit for each valid corner, row by row. That triangle is appended with the first
+    half.
     """
     if valid == 15:
         return _add(corners, is_mirrored, vertex_of, triangles, count)
@@ -687,7 +686,7 @@ def _add_in_quad(corners, valid, is_mirrored, is_active, vertex_of, triangles, c
     n_top = int(r0 == top) + int(r1 == top) + int(r2 == top)
     if n_valid < 3 or n_top < 2 or not is_active[top : top + 2, left : left + 2].all():
         return count
-    # A void corner is replaced by the one across.
+    # A void corner is replaced by the opposite one.
     r0, c0 = (top, left) if is_nw else (top + 1, left + 1)
     r1, c1 = (top, left + 1) if is_ne else (top + 1, left)
     r2, c2 = (top + 1, left) if is_sw and is_ne else (top + 1, left + 1)
@@ -701,7 +700,7 @@ def _add_in_quad(corners, valid, is_mirrored, is_active, vertex_of, triangles, c
 def follow_borders(
     open_sides, shape, heights, is_active, vertex_of, vertices, z_scale, matrix, planes, edges
 ):
-    """Fill the edges along open sides; return how many, and how far those in view are from samples.
+    """Fill the edges along open sides; return their number, and the largest error in view.
 
     Without the factor of heights.
     """
@@ -720,10 +719,10 @@ def follow_borders(
 def _follow_border(
     line, heights, is_active, vertex_of, vertices, z_scale, matrix, planes, edges, found
 ):
-    """Append the edges along one side; return how many there are then, and the largest distance.
+    """Append the edges along one side; return the new count, and the largest distance.
 
-    `line` is its row or column, whether it goes down, and how many samples it has; `found` what
-    was returned of the sides before.
+    `line` is its row or column, whether it goes down, and its number of samples; `found` is the
+    result for earlier sides.
     """
     (place, down, n_samples), (count, largest) = line, found
     before, start, right = -1, 0, 1 - down
@@ -760,7 +759,7 @@ def _follow_border(
 
 @kernel
 def _are_hidden(points, planes):
-    """Say whether points lie wholly behind one of the planes."""
+    """Return which points lie wholly behind one of the planes."""
     for k in range(planes.shape[0]):
         is_behind = True
         for m in range(points.shape[0]):

@@ -1,4 +1,4 @@
-"""The triangulation of Yusov & Turlapov 2010: fine where its zero trees say so."""
+"""Triangulation of Yusov & Turlapov 2010: fine where its zero trees require it."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ class Zerotree(MeshOptions):
     Parameters
     ----------
     labels : str, optional
-        What the labels follow: ``"layer"``, the zero trees of the decoded heights, for files of any
+        Source of the labels: ``"layer"``, the zero trees of the decoded heights, for files of any
         method; ``"coded"``, those that a file with ``Cdf97(faithful=True)`` codes; ``"plain"``, no
         zero trees. By default layer with method cdf97, coded in its faithful files, else plain.
     """

@@ -7,19 +7,20 @@ Here a block's triangulation is a function of its own samples and of a set of ve
 and it always has at least these. Agreement is the fixed point of rounds:
 
 1. every block is triangulated, keeping nothing;
-2. every block whose neighbours have border vertices that it has not is triangulated again, keeping
+2. every block whose neighbours have border vertices that it lacks is triangulated again, keeping
    its own border vertices and theirs; and so on until no block lacks any.
 
-Sets on the borders only grow, so this ends. A round reads nothing but the border sets of the round
-before: the result is a function of the blocks alone, whatever the order or number of threads inside
-a round, and wherever subtrees, files or machines divide the level: they exchange border bits.
+Sets on the borders only grow, so this ends. A round reads only the border sets of the round before:
+the result is a function of only the blocks, whatever the order or number of threads inside a round,
+and wherever subtrees, files or machines divide the level: they exchange border bits.
 
 For the restricted quadtree (`rqt`) adding vertices is a closure, monotone and idempotent: the
-result is the least fixed point and would be without rounds. For Algorithm I the agreement of trees
-alone is monotone too (a cut refined to have a vertex, `labels.refine`), but its mesh may then break
-the bound: triangles beside a node that is split again were never checked. Repairing them by further
-splits is not monotone, and its result would depend on who came first. So the block is built anew
-around the vertices to keep, always within the bound, and the rounds make that independent of order.
+result is the least fixed point, with or without rounds. For Algorithm I the agreement of trees by
+itself is monotone too (a cut refined to have a vertex, `labels.refine`), but its mesh may then
+break the bound: triangles next to a node that is split again were never checked. Repairing them by
+further splits is not monotone, and its result would depend on who came first. So the block is built
+anew around the vertices to keep, always within the bound, and the rounds make that independent of
+order.
 
 Corners are vertices of every block and samples on a shared side are the same samples, so that two
 sides are compared by position.
@@ -40,7 +41,7 @@ Position = tuple[int, int]
 
 
 class BorderVertices(NamedTuple):
-    """Which samples on a block's four sides are vertices, corners included."""
+    """Samples on a block's four sides that are vertices, corners included."""
 
     top: Flags
     left: Flags
@@ -65,7 +66,6 @@ def border_of(vertices: Keep) -> BorderVertices:
 
 
 def border_of_cut(cut: Cut) -> BorderVertices:
-    """Return the border vertices of a cut."""
     n_rows, n_cols = cut.shape
     sides = []
     for line, n in ((cut[0], n_cols), (cut[:, 0], n_rows), (cut[-1], n_cols), (cut[:, -1], n_rows)):
@@ -78,13 +78,13 @@ def border_of_cut(cut: Cut) -> BorderVertices:
 def demands_on(position: Position, borders: Mapping[Position, BorderVertices]) -> BorderVertices:
     """Return the border vertices of a block (row, col) together with its neighbours'.
 
-    `borders` by block position; blocks that are not in it demand nothing. A corner is shared by
-    four blocks, but it is a vertex of all of them.
+    `borders` by block position; blocks outside of it demand nothing. A corner is shared by four
+    blocks, but it is a vertex of all of them.
 
     Raises
     ------
     ValueError
-        If a shared side has not the same number of samples in both blocks.
+        If a shared side has different numbers of samples in the two blocks.
     """
     row, col = position
     own = borders[position]
@@ -108,14 +108,14 @@ def demands_on(position: Position, borders: Mapping[Position, BorderVertices]) -
 
 
 def lacks(own: BorderVertices, demanded: BorderVertices) -> bool:
-    """Say whether some demanded vertex is missing."""
+    """Return whether some demanded vertex is missing."""
     return any(bool((more & ~has).any()) for has, more in zip(own, demanded, strict=True))
 
 
 def late_blocks(
     positions: Iterable[Position], borders: Mapping[Position, BorderVertices]
 ) -> dict[Position, BorderVertices]:
-    """Return the blocks that lack border vertices of their neighbours, with all they must have."""
+    """Return the blocks that lack border vertices of their neighbours, with all demands."""
     demands = {position: demands_on(position, borders) for position in positions}
     return {
         position: demanded
@@ -137,9 +137,9 @@ def agree(
     positions : list of (row, col)
         Blocks, in blocks of their level; any order gives the same result.
     triangulate : callable
-        The triangulation of a block with at least the given border vertices (None: any).
+        Returns the triangulation of a block with at least the given border vertices (None: any).
     border : callable
-        The border vertices of such a triangulation.
+        Returns the border vertices of such a triangulation.
     run : callable
         As `map`: triangulates the blocks of one round. May do so in threads.
 

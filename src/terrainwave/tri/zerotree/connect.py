@@ -1,11 +1,11 @@
 """Meshes from cuts: every sample moves to its root, degenerate triangles are dropped.
 
-A. Pereberin's rule, as told by E. Yusov 2006 (§3.5.1) and E. Yusov, V. Turlapov 2010 (§2.4):
+A. Pereberin's rule, as described by E. Yusov 2006 (§3.5.1) and E. Yusov, V. Turlapov 2010 (§2.4):
 triangulate as if in the full grid every vertex had moved to the root of the tree that holds it,
 then drop the triangles two of whose corners have become one. No crack for any difference of
-heights. What the papers don't say: three different roots may lie on one line or the wrong way
-round. `unfold` splits the tallest of their trees until none do; a mesh made of a cut that the
-guaranteed triangulation or `unfold` has left covers the area once.
+heights. The papers don't mention that three different roots may lie on one line or in the wrong
+order. `unfold` splits the tallest of their trees until none do; a mesh of a cut from the guaranteed
+triangulation or `unfold` covers the area once.
 """
 
 from typing import NamedTuple
@@ -22,11 +22,11 @@ from terrainwave.tri.zerotree.labels import zero_tree_cut as _zero_tree_cut
 
 
 class LooseMesh(NamedTuple):
-    """The non-guaranteed triangulation and what it is worth.
+    """The triangulation without guarantee, and its error.
 
-    `error` is its true one: the largest vertical deviation over all covered samples, in 1/16
-    quanta, rounded up. `n_folded` triangles of the bare rule had no positive area; splitting their
-    trees (`unfold`) has removed them.
+    `error` is measured: the largest vertical deviation over all covered samples, in 1/16 quanta,
+    rounded up. `n_folded` triangles of the bare rule had no positive area; splitting their trees
+    (`unfold`) has removed them.
     """
 
     mesh: BlockMesh
@@ -48,7 +48,7 @@ def loose_mesh(
     heights : ndarray of int32, shape (n_rows, n_cols)
         Decoded heights of the block, in quanta.
     mask : ndarray of bool, same shape
-        Which samples are valid.
+        True for valid samples.
     trees : ndarray of uint8, same shape
         Zero trees of the group that refines the block (`coding.zerotrees`).
     keep : ndarray of bool, same shape, optional
@@ -72,10 +72,10 @@ def loose_mesh(
 
 
 def unfold(mask: NDArray[np.bool_], cut: Cut) -> int:
-    """Split nodes in place until every triangle has positive area; return how many first had not.
+    """Split nodes in place until every triangle has positive area; return how many had not.
 
-    Of a bad triangle the tallest nodes are split. Nodes of height 0 give triangles of area 1, so
-    that this ends.
+    In a bad triangle the tallest nodes are split. Nodes of height 0 give triangles of area 1, so
+    this ends.
     """
     n_first = n_found = _split_folds(mask, cut)
     while n_found:
@@ -105,7 +105,7 @@ def mesh_error(heights: NDArray[np.int32], mesh: BlockMesh) -> int:
 
 @kernel
 def _collect(mask, cut, vertex_of, corners):
-    """Fill `corners` with the triangles, mark their samples; return how many there are."""
+    """Fill `corners` with the triangles, mark their samples; return their number."""
     n_rows, n_cols = mask.shape
     count = 0
     for row in range(n_rows - 1):
@@ -131,7 +131,7 @@ def _collect(mask, cut, vertex_of, corners):
 
 @kernel
 def _split_folds(mask, cut):
-    """Split the tallest nodes of triangles without positive area; return how many were found."""
+    """Split the tallest nodes of triangles without positive area; return the number of these."""
     n_rows, n_cols = mask.shape
     count = 0
     rows, cols = np.zeros(3, dtype=np.int64), np.zeros(3, dtype=np.int64)

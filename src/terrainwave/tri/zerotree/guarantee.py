@@ -1,19 +1,19 @@
-"""Algorithm I: the guaranteed triangulation of a block (Yusov & Turlapov 2010, §2.5).
+"""Algorithm I: guaranteed triangulation of a block (Yusov & Turlapov 2010, §2.5).
 
 It starts at the full grid and merges nodes from the finest upwards. A node that is not JS and whose
-children are all roots becomes the root of their samples; the step is taken back if one of the
-**new** triangles, those with a corner that moved, has an error above the tolerance. Departures:
+children are all roots becomes the root of their samples; the step is undone if one of the **new**
+triangles, those with a corner that moved, has an error above the tolerance. Departures:
 
 * the error is the largest vertical deviation over the covered samples, in exact integers, and may
   equal the tolerance (the paper: less than);
-* a step is also taken back if a new triangle has no positive area: vertices off the middle of their
+* a step is also undone if a new triangle has no positive area: vertices off the middle of their
   node can fold over. So a mesh is a height field that covers the block exactly once: the area of
   the triangles adds up to that of the grid, and every one adds to it;
 * voids, and vertices that neighbours need: `keep`.
 
 The result depends on the order of steps, which is: heights upwards, then row by row. Quads are
-split from their first sample to their last, the way roots lie: with the other diagonal so many
-steps would fold that far more triangles are left.
+split from their first sample to their last, like the direction of roots: with the other diagonal
+more steps fold, and far more triangles are left.
 """
 
 import numpy as np
@@ -49,15 +49,15 @@ def guaranteed_cut(
     Parameters
     ----------
     heights : ndarray of int32, shape (n_rows, n_cols)
-        Decoded heights in quanta, within ±2**30; 1 to 4097 samples a side. What void samples hold
-        does not matter.
+        Decoded heights in quanta, within ±2**30; 1 to 4097 samples a side. Void samples may have
+        any value.
     mask : ndarray of bool, same shape
-        Which samples are valid.
+        True for valid samples.
     tolerance : int
         Err_Tri, in 1/16 quanta; >= 0.
     trees : ndarray of uint8, same shape, optional
-        Zero trees of the group that refines the block: the triangulation is nowhere coarser. None,
-        as for blocks of the full grid, leaves that out.
+        Zero trees of the group that refines the block: the triangulation is nowhere coarser. None
+        (for blocks of the full grid) omits this condition.
     keep : ndarray of bool, same shape, optional
         Samples that must be vertices besides those at voids.
 
@@ -100,7 +100,7 @@ def _merge(heights, ceiling, tolerance, roots, cut):
             for j in range(axis_nodes(n_cols, height)):
                 col = first_sample(j, n_cols, height)
                 col_2 = second_child(col, n_cols, height)
-                # While heights go up, `cut` is right at the first samples of roots.
+                # While heights increase, `cut` is valid only at the first samples of roots.
                 below = height - 1
                 if ceiling[row, col] < height or cut[row, col] != below:
                     continue
@@ -136,8 +136,8 @@ def _merge(heights, ceiling, tolerance, roots, cut):
 def _new_triangles_fit(heights, roots, tolerance, row, col, row_end, col_end, moved_row, moved_col):
     """Check the triangles that change when the node's samples move to its first one.
 
-    Those beyond `moved_row` or `moved_col` move, the first child's have their root there already.
-    Quads with a void corner never change: `ceiling` keeps their samples.
+    Those beyond `moved_row` or `moved_col` move; the first child's samples have their root there
+    already. Quads with a void corner never change: `ceiling` keeps their samples.
     """
     n_rows, n_cols = heights.shape
     here = np.int64(row) << _ROW_SHIFT | col
@@ -148,7 +148,7 @@ def _new_triangles_fit(heights, roots, tolerance, row, col, row_end, col_end, mo
         a_late, d_late = r >= moved_row, r + 1 >= moved_row
         both_in = a_in and d_in
         inside = c >= col
-        # What happens to corners a and d of the quad at c: in the node or not, moved or not.
+        # State of corners a and d of the quad at c: in the node or not, moved or not.
         a_moves = a_in and inside and (a_late or c >= moved_col)
         d_moves = d_in and inside and (d_late or c >= moved_col)
         a = here if a_in and inside else np.int64(roots[r, c])
@@ -170,7 +170,7 @@ def _new_triangles_fit(heights, roots, tolerance, row, col, row_end, col_end, mo
             a, d, a_moves, d_moves = b, e, b_moves, c_moves
             c = right
             if both_in and inside and c < col_end - 1:
-                # Inside the node nothing is left: go to its last column.
+                # Nothing is left inside the node: go to its last column.
                 c = col_end - 1
                 a = d = here
                 a_moves = a_late or c >= moved_col

@@ -1,15 +1,16 @@
 """Nodes over a block's samples, their labels, and cuts through their tree.
 
 E. Yusov, V. Turlapov 2010, §2.4-2.5. The finest nodes are the block's samples; the node of height h
-at sample (row, col), multiples of 2**h, holds the samples of that square and stands for its first
+at sample (row, col), multiples of 2**h, holds the samples of that square and represents its first
 one, where a vertex has the block's own height. The **last row and column are nodes of their own**
-at every height, so that a border vertex only ever moves along its side: the same as the grids
-2, 3, 5, …, N + 1 of a whole block, and what makes blocks of any size work that are clipped at the
-raster's edge. Merging stops where 2 x 2 nodes are left.
+at every height, so that a border vertex only ever moves along its side. This equals the grids 2, 3,
+5, …, N + 1 of a whole block, and it makes blocks clipped at the raster's edge work. Merging stops
+where 2 x 2 nodes are left.
 
-A *cut* is a uint8 array over the samples: the height of the node each sample moves to. It says all
-about the labels of the guaranteed triangulation: the node of height h whose first sample is f is S
-where ``cut[f] < h``, TR where equal, TC where greater. A node with a single child is as its child.
+A *cut* is a uint8 array over the samples: the height of the node each sample moves to. It
+determines the labels of the guaranteed triangulation: the node of height h whose first sample is f
+is S where ``cut[f] < h``, TR where equal, TC where greater. A node with a single child is as its
+child.
 """
 
 import numpy as np
@@ -33,7 +34,7 @@ def top_height(n_rows, n_cols):
 
 @kernel
 def axis_nodes(n, height):
-    """Return how many nodes of that height lie along an axis of `n` samples."""
+    """Return the number of nodes of that height along an axis of `n` samples."""
     return ((n - 2) >> height) + 2 if n > 1 else 1
 
 
@@ -72,7 +73,7 @@ def zero_tree_cut(trees: Trees, keep: Keep) -> Cut:
 def refine(cut: Cut, keep: Keep) -> Cut:
     """Return the coarsest cut not coarser than `cut` in which every sample of `keep` is a vertex.
 
-    Monotone in both: that is what border agreement rests on.
+    Monotone in both, which border agreement requires.
     """
     cut = cut.copy()
     _split_kept(keep, cut)
@@ -81,7 +82,7 @@ def refine(cut: Cut, keep: Keep) -> Cut:
 
 
 def ceilings(keep: Keep, trees: Trees | None) -> NDArray[np.uint8]:
-    """Return, at the first sample of nodes, the greatest height a vertex there may stand for.
+    """Return, at the first sample of nodes, the greatest height a vertex there may represent.
 
     A node can be TR only if its height is at most that: it holds no sample of `keep` but its first,
     and no node under it or itself is JS (Algorithm I: "the triangulation cannot be less detailed").
@@ -134,7 +135,7 @@ def set_node(cut, row, col, height, value):
 
 @kernel
 def _split_kept(keep, cut):
-    """Split nodes until every sample of `keep` begins one."""
+    """Split nodes until every sample of `keep` is the first of one."""
     n_rows, n_cols = cut.shape
     for row in range(n_rows):
         for col in range(n_cols):

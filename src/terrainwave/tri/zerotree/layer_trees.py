@@ -1,10 +1,10 @@
 """Zero trees of decoded difference layers (docs/format-mesh-zerotree.md, §5).
 
-E. Yusov, V. Turlapov 2010, §2.4 takes the joint zero trees of the coefficients that code the
-group below a block. Files are smallest with next to no coefficients, so that such trees say little.
-Here the difference layer is what it has become, the group's decoded heights less their prediction
-from the block's, and a coefficient is significant by what the triangulation may neglect: not a byte
-is spent on the trees, and they see all detail, that of residuals too.
+E. Yusov, V. Turlapov 2010, §2.4 takes the joint zero trees of the coefficients that code the group
+below a block. Files are smallest with almost no coefficients, so such trees have little
+information. Here the difference layer is the group's decoded heights less their prediction from the
+block's, and a coefficient is significant by the triangulation's tolerance: the trees take no bytes,
+and include all detail, also that of residuals.
 """
 
 import numpy as np
@@ -16,12 +16,12 @@ from terrainwave.coding.zerotrees import mark_zero_trees
 from terrainwave.tri.block_mesh import FRACTION_BITS
 from terrainwave.tri.zerotree.labels import Trees
 
-# A coefficient is significant from this share of Err_Tri on, in 1/16.
+# Share of Err_Tri, in 1/16, from which a coefficient is significant.
 SHARE_BITS = 4
 SHARE = 14
 # Fraction bits of the layer, as in `codec.cdf97.refiner`.
 _LAYER_BITS = 6
-# Predictions reach this many of the block's samples far.
+# Reach of predictions, in the block's samples.
 _REACH = 2
 
 
@@ -39,11 +39,11 @@ def layer_trees(
     heights : ndarray of int32, shape (n_rows, n_cols)
         The block's decoded heights in quanta, those inside the raster.
     mask : ndarray of bool, same shape
-        Which of them are valid; what void samples hold does not matter.
+        True for valid ones; void samples may have any value.
     finer : ndarray of int32, shape (2 * n_rows - 1 or 2 * n_rows, likewise)
-        Decoded heights of the next finer level in the same place.
+        Decoded heights of the next finer level at the same position.
     finer_mask : ndarray of bool, shape of `finer`
-        Which of them are valid.
+        True for valid ones.
     tolerance : int
         Err_Tri of the block, in 1/16 quanta.
 

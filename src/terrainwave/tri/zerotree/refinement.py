@@ -1,14 +1,15 @@
 """Algorithm II: refinement labels of the guaranteed triangulation (format-mesh-zerotree.md).
 
-E. Yusov, V. Turlapov 2010, §2.6. Under a JS node there is nothing to say; else one bit: 1 where the
-node is S (the guaranteed triangulation is finer here), 0 where it is TR. Nothing at height 0, and
-nothing for blocks that are refined by no group: then every node has its bit ("step 1 is left out").
+E. Yusov, V. Turlapov 2010, §2.6. A JS node has no bit; others have one: 1 if the node is S (the
+guaranteed triangulation is finer here), 0 if it is TR. Nodes at height 0 have none. In blocks that
+no group refines, every node has its bit ("step 1 is left out").
 
 Departures: the order is by height, then by rows, instead of depth first: the same bits. Nodes that
-voids forbid to merge have no bit (the decoder knows the mask), nor have nodes with a single child.
-Contexts are of two kinds, the shorter is kept and the first byte says which: 0, one model for each
-height, as in the paper; 1, for each height, how rough the decoded heights under the node are
-relative to the tolerance, and how many of the nodes to the west and north are S.
+voids keep from merging have no bit (the decoder knows the mask), nor have nodes with a single
+child. Contexts are of two kinds; the one with the shorter result is used, and the first byte names
+it: 0, one model for each height, as in the paper; 1, for each height, how rough the decoded heights
+under the node are relative to the tolerance, and the number of nodes to the west and north that are
+S.
 """
 
 import numpy as np
@@ -88,13 +89,13 @@ def decode_refinement(
 ) -> Cut:
     """Return the cut that `encode_refinement` wrote (§2 and §3 of the annex).
 
-    Any bytes give a cut or an exception, in time and memory that the block's size bounds. A cut
-    from wrong bytes makes a mesh without cracks, but not within the tolerance, and it may fold.
+    Any bytes give a cut or an exception, in time and memory bounded by the block's size. A cut from
+    wrong bytes makes a mesh without cracks, but not within the tolerance, and it may fold.
 
     Raises
     ------
     CorruptStreamError
-        If the bytes are no refinement labels; `TruncatedStreamError` if there are too few.
+        If the bytes are not refinement labels; `TruncatedStreamError` if there are too few.
     """
     if not data:
         raise TruncatedStreamError("refinement labels are empty")
@@ -140,7 +141,7 @@ def _side_information(
     trees: Trees | None,
     kind: int,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Return the ceilings of nodes, and their roughness (empty where contexts don't need it)."""
+    """Return the ceilings of nodes, and their roughness (empty if contexts don't need it)."""
     check_block(heights, mask)
     tolerance = check_tolerance(tolerance)
     if trees is not None:
@@ -159,7 +160,7 @@ def _side_information(
 
 @kernel
 def _bend(heights, mask, row, col, down, right):
-    """Return |second difference| around (row, col) + (down, right); 0 where it cannot be had."""
+    """Return |second difference| around (row, col) + (down, right); 0 if it is undefined."""
     n_rows, n_cols = heights.shape
     end_row, end_col = row + 2 * down, col + 2 * right
     if end_row >= n_rows or end_col >= n_cols or end_col < 0:
@@ -205,7 +206,7 @@ def _measure_roughness(heights, mask, tolerance, sums, rough):
 
 @kernel
 def _code_labels(reached, cut, ceiling, rough, coder):
-    """Encode the labels of `cut`, or decode where it is None; `reached` becomes the cut."""
+    """Encode the labels of `cut`, or decode if it is None; `reached` receives the cut."""
     n_rows, n_cols = reached.shape
     top = top_height(n_rows, n_cols)
     for row in range(n_rows):

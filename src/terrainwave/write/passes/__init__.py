@@ -1,1 +1,1 @@
-"""The passes of `compress` over a raster: its windows, its units coded, the proof."""
+"""Passes of `compress` over a raster: windows, coding, proof."""

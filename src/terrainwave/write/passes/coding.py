@@ -1,4 +1,4 @@
-"""Pass B: all units coded into one spool per segment, with their meshes and what was measured."""
+"""Pass B: all units coded into one spool per segment, with their meshes and measured errors."""
 
 import threading
 from collections.abc import Callable
@@ -39,9 +39,9 @@ _MESH_CACHE_BYTES = 64 << 20
 
 @dataclass
 class Coded:
-    """What coding a raster has made: tables, segments, bytes of payloads and tables.
+    """Coded raster: tables, segments, bytes of payloads and tables.
 
-    `job` is the one that was coded; that of an embedded file has got its measured error.
+    `job` is the coded job; that of an embedded file includes its measured error.
     """
 
     file_tables: bytes
@@ -50,14 +50,13 @@ class Coded:
     job: Job
 
     def close(self) -> None:
-        """Delete the spools."""
         for segment in self.segments.values():
             if isinstance(segment, SegmentSpool):
                 segment.close()
 
 
 def smaller(first: Coded, second: Coded) -> Coded:
-    """Return the smaller one; the other is closed."""
+    """Return the smaller one and close the other."""
     kept, dropped = (first, second) if first.n_bytes <= second.n_bytes else (second, first)
     dropped.close()
     return kept
@@ -71,7 +70,7 @@ def encode(
     reporter: Reporter,
     kept: Kept,
 ) -> Coded:
-    """Code all units into one spool per segment; what `kept` has is taken from there."""
+    """Code all units into one spool per segment; units in `kept` are not coded again."""
     pyramid = Pyramid(
         source,
         job.quantizer,
@@ -112,7 +111,7 @@ def encode(
         units: dict[Block, Decoded] = {}
         below: dict[Block, Box] = {}
         if job.options.named_method.is_tiled:
-            # Imported here: compiling costs seconds that other methods need not pay.
+            # Imported here, because its compilation takes seconds that other methods do not need.
             from terrainwave.write.tile_encoder import encode_tiles
 
             stats = encode_tiles(job, pyramid, sink, directory, on_samples, executor)
@@ -128,7 +127,7 @@ def encode(
         if job.options.measures_meshes:
             header = job.header(file_tables)
             decoder = make_decoder(header, sink.payloads, _MESH_CACHE_BYTES, refiner=refiner)
-            while units:  # which are not decoded again
+            while units:  # not decoded again
                 decoder.put(*units.popitem())
             mesh_errors = _mesh_errors(job, decoder, pyramid, sink, errors, executor, reporter)
     finally:
@@ -161,9 +160,10 @@ def _encode_units(
     kept: Kept,
     below: dict[Block, Box],
 ) -> tuple[Stats, dict[Block, Decoded]]:
-    """Code every unit; return what was measured, `below` of finished segments the box of each.
+    """Code every unit; return statistics and decoded units.
 
-    And what the units decode to, where meshes are to be made of it and all of it fits in memory.
+    `below` collects the boxes of finished segments. Decoded units are returned only if meshes need
+    them and all of them fit in memory.
     """
     units: dict[Block, Decoded] = {}
     # Heights and masks of all levels: four thirds of five bytes for each sample.
@@ -183,7 +183,7 @@ def _encode_units(
 def _finish_segment(
     job: Job, sink: SpoolSink, below: dict[Block, Box], head: Block, stats: Stats
 ) -> None:
-    """Set the codes of a finest segment, and move it to the disk; all that is left is its box."""
+    """Set the codes of a finest segment and move it to disk; only its box stays in memory."""
     spool = sink.spools.get(head)
     if not isinstance(spool, SegmentSpool):
         return
@@ -212,7 +212,7 @@ def _mesh_errors(
     executor: Crew,
     reporter: Reporter,
 ) -> dict[Block, int]:
-    """Make the meshes; return the error code of every block's mesh against the originals."""
+    """Make the meshes; return the code of each mesh's error against the originals."""
     grid = job.grid
     size = grid.n_rows * grid.n_cols, np.dtype(job.info.dtype).itemsize
     mesher, sections = make_meshes(

@@ -1,4 +1,4 @@
-"""Pass C: a finished file, decoded from disk, against the raster it was made of."""
+"""Pass C: comparison of a finished file, decoded from disk, with its raster."""
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -27,19 +27,19 @@ OUR_FAULT = (
     "unless the raster changed while it was read, this is a fault of terrainwave: please report it"
     " with the raster. Nothing was written"
 )
-# Samples per side of the windows that are compared, where groups are smaller than that.
+# Side of the compared windows, in samples, where groups are smaller.
 _PROOF_SIDE = TILE
 _CACHE_BYTES = 64 << 20
-# So many windows give too few shares to keep threads busy.
+# With so few windows, shares are too few to keep threads busy.
 _FEW = 16
-# How many windows are shared out at a time, and shares handed to threads.
+# Number of windows that are divided at a time, and of shares handed to threads.
 _BATCH, _SHARES = 4096, 1024
 Share = Sequence[Region | Block]
 ShareT = TypeVar("ShareT", bound=Share)
 
 
 class Proved(NamedTuple):
-    """Largest error of what was compared, in raw units, and the digests of its tiles."""
+    """Largest error found, in raw units, and the digests of tiles."""
 
     error: float
     tiles: dict[Place, bytes]
@@ -49,7 +49,7 @@ NOTHING = Proved(0.0, {})
 
 
 def together(found: Iterable[Proved]) -> Proved:
-    """Return the results of several parts as one."""
+    """Merge the results of several parts."""
     largest, tiles = 0.0, dict[Place, bytes]()
     for one in found:
         largest = max(largest, one.error)
@@ -58,15 +58,15 @@ def together(found: Iterable[Proved]) -> Proved:
 
 
 def proof_windows(grid: Grid, within: Region | None = None) -> list[Region]:
-    """Return windows that cover the full grid, or the region `within`, once."""
+    """Return windows that cover the full grid, or the region `within`, exactly once."""
     side = _side_of(grid)
     return list((within or Region(0, 0, grid.n_rows, grid.n_cols)).tiles(side, side))
 
 
 def proof_shares(grid: Grid, windows: list[Region] | None = None) -> list[list[Region]]:
-    """Return windows in shares for threads, which decode the levels above them.
+    """Return windows in shares for threads; each thread decodes the levels above its share.
 
-    By default those of `proof_windows`. A few are shared out one by one, the largest first.
+    By default those of `proof_windows`. A few windows become one share each, the largest first.
     """
     side = _side_of(grid)
     if windows is None:
@@ -79,17 +79,17 @@ def proof_shares(grid: Grid, windows: list[Region] | None = None) -> list[list[R
 def unproved(
     terrain: TerrainFile, source: IndexedWindows, grid: Grid, within: Region | None = None
 ) -> Iterator[Region | Block]:
-    """Yield what has to be compared: all but where source and file are both void.
+    """Yield windows and blocks to compare: all except where source and file are both void.
 
-    Windows, and blocks on whose every sample the source has one height: heads of finest segments,
-    and blocks as large as a window. Of voids that the source knows, the file's index proves the
-    most; windows in which the file has heights there are compared. Some samples of what an index
-    tells are read all the same, and all of what only the scan has told.
+    A block is yielded if the source has one height on all of its samples: a head of a finest
+    segment, or a block as large as a window. The file's index proves most of the voids that the
+    source knows; windows in which the file has heights there are compared. Of voids known from the
+    source's index some samples are read again, of those known only from the scan all.
 
     Raises
     ------
     BoundViolationError
-        If one of these is not what the source knows.
+        If the source contradicts its index or the scan.
     """
     side = _side_of(grid)
     whole = within or Region(0, 0, grid.n_rows, grid.n_cols)
@@ -110,7 +110,7 @@ def unproved(
 def _even_blocks(
     source: IndexedWindows, grid: Grid, part: Region, side: int
 ) -> Iterator[Region | Block]:
-    """Yield the blocks of so many samples a side that a part of one height has; windows else."""
+    """Yield the blocks of `side` samples in a part of one height, and windows for the rest."""
     smallest = _side_of(grid)
     side = max(side, smallest)
     level = grid.k_max - (side // grid.block).bit_length() + 1
@@ -131,13 +131,13 @@ def _n_samples(grid: Grid, one: Region | Block) -> int:
 
 
 def _own_samples(grid: Grid, block: Block) -> Region:
-    """Return all that a block inside the raster has for itself."""
+    """Return the samples that only this block holds; it lies inside the raster."""
     row, col, n_rows, n_cols = grid.full_region(block)
     return Region(row, col, n_rows - 1, n_cols - 1)
 
 
 def _around(grid: Grid, block: Block) -> Region:
-    """Return the samples under a block and its aprons on all levels below it."""
+    """Return the samples under a block and its aprons on all finer levels."""
     row, col, n_rows, n_cols = grid.full_region(block)
     margin = 2 * grid.stride(block.level)
     return Region(row - margin, col - margin, n_rows + 2 * margin, n_cols + 2 * margin).intersect(
@@ -146,11 +146,11 @@ def _around(grid: Grid, block: Block) -> Region:
 
 
 class Comparison:
-    """Compares a finished file, decoded, with the raster it was made of; thread-safe.
+    """Compares a finished, decoded file with its raster; thread-safe.
 
-    Below a block of one height, units and finest segments with neighbours on all sides decode to
-    what others of the same bytes do (`EvenBlocks`): the first of them is decoded, the others are
-    compared with its bytes. Tiles are digested if `has_digests`.
+    Below a block of one height, units and finest segments with neighbours on all sides decode alike
+    if their bytes are equal (`EvenBlocks`): the first is decoded, the bytes of the others are
+    compared with it. Tiles are digested if `has_digests`.
     """
 
     def __init__(
@@ -161,7 +161,7 @@ class Comparison:
         self._allowed = allowed
         self._has_digests = has_digests
         self._even = EvenBlocks(terrain.container, terrain.decoder)
-        # Of tiles the places are those of the first block.
+        # Places of tiles are those of the first block.
         self._known: dict[tuple[Content, bytes], tuple[Block, Proved]] = {}
 
     def windows(self, windows: Iterable[Region]) -> Proved:
@@ -178,7 +178,7 @@ class Comparison:
         )
 
     def block(self, block: Block) -> Proved:
-        """Compare all below a block of whose every sample the source has one height.
+        """Compare all below a block on which the source has one height.
 
         Raises
         ------
@@ -200,7 +200,7 @@ class Comparison:
         return found._replace(tiles=tiles)
 
     def _below(self, block: Block, raw: NDArray[np.generic]) -> Proved:
-        """Compare all below a block on which all originals are as the one of `raw`."""
+        """Compare all below a block on which all originals equal the one of `raw`."""
         grid, quantizer = self._terrain.grid, self._terrain.quantizer
         heights = None if quantizer.remainder_bytes else self._even.below(block)
         if heights is not None:
@@ -216,7 +216,7 @@ class Comparison:
 
 
 def _even_tiles(region: Region, height: NDArray[np.generic]) -> dict[Place, bytes]:
-    """Return the digests of tiles that have one height, of an array of shape (1, 1)."""
+    """Return the digests of tiles of one height, given as an array of shape (1, 1)."""
     shape = TILE, TILE
     valid = np.ones(shape, dtype=np.bool_)
     one = tile_digests(Region(0, 0, *shape), np.broadcast_to(height, shape), valid)[0, 0]
@@ -249,7 +249,7 @@ def compare_window(
     if terrain.quantizer.remainder_bytes:
         _compare_bits(raw, decoded, valid, region)
     largest = _largest_error(raw, decoded, valid)
-    if not largest <= allowed:  # a NaN is no height within the bound
+    if not largest <= allowed:  # a NaN is not within the bound
         errors = np.abs(decoded[valid].astype(np.float64) - raw[valid].astype(np.float64))
         at = np.argwhere(valid)[int(errors.argmax())] + (region.row, region.col)
         raise BoundViolationError(
@@ -276,10 +276,10 @@ def _compare_bits(
 def _largest_error(
     raw: NDArray[np.generic], decoded: NDArray[np.generic], valid: NDArray[np.bool_]
 ) -> float:
-    """Return the largest difference of valid heights, of which there are some."""
+    """Return the largest difference of valid heights; at least one is valid."""
     is_whole = bool(valid.all())
     if raw.dtype.kind in "iu" and raw.dtype.itemsize <= 2:
-        # Differences have 17 bits; a mask of what is left is faster than picking what is not.
+        # Differences have 17 bits; masking them is faster than selecting valid ones.
         apart = np.subtract(decoded, raw, dtype=np.int32)
         if not is_whole:
             np.copyto(apart, 0, where=~valid)
@@ -294,23 +294,23 @@ def _largest_error(
 def allowed_error(quantizer: Quantizer, raw_bound: float, error: float) -> float:
     """Return the largest difference of stored values that keeps the bound.
 
-    On a true grid the bound holds for the numbers k * p; the floats nearest to two of them may
-    differ by one spacing more than the numbers do, unless the bound leaves room for that beyond
-    `error`, the one that holds.
+    On a true grid the bound holds for the numbers k * p. The floats nearest to two of them may
+    differ by one spacing more, unless the bound leaves room for that beyond `error`, the effective
+    one.
     """
     return raw_bound + (0 if quantizer.is_strict(raw_bound, error) else quantizer.float_error)
 
 
 def measured_error(largest: float, quantizer: Quantizer) -> float:
-    """Return the largest difference of stored values as the error of the heights they name."""
+    """Return the largest difference of stored values as an error of heights."""
     if quantizer.float_error:
-        # On a decimal grid the heights are multiples of p; floats name them with a spacing's error.
+        # On a decimal grid heights are multiples of p, and floats are off by a spacing.
         return round(largest / quantizer.quantum) * quantizer.quantum
     return largest
 
 
 def shares_in_turns(grid: Grid, whole: Iterator[Region | Block]) -> Iterator[Share]:
-    """Yield shares of what `unproved` yields: not all at once, for they are millions."""
+    """Yield the shares of `unproved` in portions, as there may be millions."""
     while batch := list(islice(whole, _BATCH)):
         yield from ([one] for one in batch if isinstance(one, Block))
         yield from proof_shares(grid, [one for one in batch if isinstance(one, Region)])
@@ -322,9 +322,9 @@ def proven_shares(
     compare: Callable[[list[ShareT]], Iterable[Proved]],
     kept: Kept,
 ) -> Iterator[tuple[ShareT, Proved]]:
-    """Yield shares of a file with their results, those that an earlier run has compared first.
+    """Yield shares of a file with their results, those of an earlier run first.
 
-    The first of these has the result of them all. `compare` makes those of the others, in order.
+    The first of these has the result of all of them. `compare` computes the others, in order.
     """
     shares, kept_proof = iter(shares), None
     if kept.is_on and not isinstance(path, bytes):
@@ -341,7 +341,7 @@ def proven_shares(
 
 
 class _KeptProof:
-    """Results of shares, kept in records that follow each other."""
+    """Results of consecutive shares, stored as records."""
 
     def __init__(self, kept: Kept, name: str) -> None:
         self._kept = kept
@@ -351,7 +351,7 @@ class _KeptProof:
         self.done = 0
 
     def found(self) -> Proved:
-        """Return what earlier runs have found; `done` shares are compared."""
+        """Return the result of earlier runs; `done` shares are compared."""
         all_found = []
         while (record := self._kept.get(self._record)) is not None:
             places, data = record["places"], self._kept.data(self._record)
@@ -366,7 +366,7 @@ class _KeptProof:
         return f"{self._name}/{self._n_records}"
 
     def add(self, result: Proved) -> None:
-        """Take in the next share; keep a record unless one was kept just now."""
+        """Add the next share; store a record unless the last one is recent."""
         self._waiting = together([self._waiting, result])
         self.done += 1
         if self._kept.is_due(self._name):
@@ -388,7 +388,7 @@ def prove(
     """Decode the file from disk and compare every sample and the mask.
 
     Return the largest error, and the digests of tiles if the file is to have them. Shares that an
-    earlier run has compared in a file of the same bytes are not compared again.
+    earlier run compared in an identical file are skipped.
 
     Raises
     ------
@@ -409,5 +409,5 @@ def prove(
             largest = max(largest, result.error)
             tiles.add(result.tiles)
             count(sum(_n_samples(grid, one) for one in share))
-        count(total)  # what is void
+        count(total)  # voids
     return measured_error(largest, job.quantizer), tiles

@@ -1,9 +1,9 @@
-"""Subtrees of one height: each of their units is coded once, and the same bytes stand elsewhere.
+"""Subtrees of one height: each distinct unit is coded once, and its bytes are reused.
 
-A unit's payload follows from its targets, from what is decoded above it, and from which sides have
-neighbours. So below a block all of whose samples are of one height, and which decodes to one
-height, all groups of a level have the same payload; and so have all such blocks of a level that do
-not touch the raster's edge. Whole segments are written from the one that came first.
+A unit's payload follows from its targets, the decoded block above it, and which sides have
+neighbours. So below a block whose samples have one height and which decodes to one height, all
+groups of a level have the same payload; so have all such blocks of a level that do not touch the
+raster's edge. Whole segments are copied from the first one.
 """
 
 import threading
@@ -22,21 +22,19 @@ CodeUnit = Callable[[Block, GroupSpec, Decoded | None, Heights, Mask], tuple[byt
 
 
 class RepeatingSink(Protocol):
-    """Where payloads go, and segments that are those of others, if it takes such."""
+    """Destination of payloads and, if it accepts them, of repeated segments."""
 
     takes_repeats: bool
 
-    def __call__(self, key: Block, payload: bytes) -> None:
-        """Take the payload of the unit `key`."""
-        ...
+    def __call__(self, key: Block, payload: bytes) -> None: ...
 
     def repeat(self, head: Block, like: Block) -> None:
-        """Take note that the segment of `head` has the bytes of that of `like`."""
+        """Record that the segment of `head` has the bytes of that of `like`."""
         ...
 
 
 class _Below(NamedTuple):
-    """Units below a block, by level: their payload, and the one height they decode to."""
+    """Payload and decoded height of the units below a block, by level."""
 
     payloads: tuple[bytes, ...]
     heights: tuple[int, ...]
@@ -62,17 +60,17 @@ class Repeats:
     def code(
         self, block: Block, parent: Decoded, target: int, sink: RepeatingSink
     ) -> dict[Block, BlockStats] | None:
-        """Pass all units below a block to `sink`; return what is to be known of the blocks below.
+        """Pass all units below a block to `sink`; return the statistics of the blocks below.
 
-        Of those in segments that are like another's there is one that stands for all. None where
-        the block is at the raster's edge, or something below it is not of one height.
+        Repeated segments are represented by one block. None if the block is at the raster's edge,
+        or something below it does not have one height.
 
         Parameters
         ----------
         parent : Decoded
-            What the block decodes to.
+            The decoded block.
         target : int
-            The one height of all samples under the block and around it.
+            The height of all samples under the block and around it.
         """
         height = int(parent.heights[0, 0])
         if parent.validity.own_mask is not None or not self._grid.is_inside(block):
@@ -89,14 +87,14 @@ class Repeats:
         return stats
 
     def _is_whole(self, block: Block) -> bool:
-        """Say whether the raster's edge cuts no unit below a block, nor its apron."""
+        """Return whether the raster's edge cuts neither a unit below a block nor its apron."""
         shape = (2 * self._grid.block + 1 + 2 * self._parameters.apron,) * 2
         row, col = block.row, block.col
         for level in range(block.level, self._grid.k_max):
             spec = unit_spec(self._grid, self._parameters, Block(level, row, col))
             if spec.region.shape != shape:
                 return False
-            row, col = 2 * row + 1, 2 * col + 1  # the last one: others lie further inside
+            row, col = 2 * row + 1, 2 * col + 1  # the last one; others lie further inside
         return True
 
     def _units_below(self, block: Block, parent: Decoded, target: int) -> _Below | None:
@@ -143,7 +141,7 @@ class Repeats:
         stats: dict[Block, BlockStats],
         sink: RepeatingSink,
     ) -> None:
-        """Pass on the payloads below a block which decodes to a height."""
+        """Pass on the payloads below a block that decodes to a height."""
         grid, depth = self._grid, block.level - top
         own = below.heights[depth]
         children = grid.children(block)
@@ -163,7 +161,7 @@ class Repeats:
                 self._put(child, below, target, own, top, stats, sink)
 
     def _is_repeated(self, head: Block, target: int, height: int, sink: RepeatingSink) -> bool:
-        """Say whether a segment is like one that came before, which is noted then."""
+        """Return whether a segment equals an earlier one, and record that."""
         known = head.level, target, height
         with self._lock:
             first = self._first_heads.setdefault(known, head)

@@ -1,7 +1,7 @@
-"""What a run of `compress` or `patch` leaves for the next one, and whether that is the same one.
+"""Unfinished work of `compress` or `patch`, kept for the next run of the same command.
 
-Stages of windows say how many are done (`Kept.each`); of units, subtrees are kept that are coded
-(`KeptUnits`); of the proof, what it has found of each share of the file's bytes.
+Stages over windows record how many are done (`Kept.each`), coding keeps finished subtrees
+(`KeptUnits`), the proof its result for each share of the file's bytes.
 """
 
 import logging
@@ -23,10 +23,10 @@ from terrainwave.raster_io.files import stamps_of
 
 _log = logging.getLogger(__name__)
 
-# Smaller rasters take seconds: nothing of them is kept.
+# Smaller rasters take seconds: their work is not kept.
 LEAST_SAMPLES = 1 << 26
-# Samples on a side of what is coded between two records of the journal: about a quarter of a second
-# of one thread, and some MB of payloads in its memory.
+# Side, in samples, of the subtrees between two records of the journal: about a quarter of a second
+# of one thread, and some MB of payloads in memory.
 SUBTREE_SIDE = 2048
 
 _SOURCE, _ASKED = "source", "asked"
@@ -50,26 +50,26 @@ def run_directory(
     is_kept: bool = True,
     by_heights: bool = False,
 ) -> Iterator[tuple[Path, Kept]]:
-    """Give a directory for temporary files, and what earlier runs of the same command have left.
+    """Yield a directory for temporary files, and the finished work of earlier runs.
 
     Parameters
     ----------
     target : Path
-        Absolute. Nobody else writes it meanwhile.
+        Absolute path. Nobody else writes it meanwhile.
     src : object, or a list of these
-        What is read, as it was given. Files are the same if their names, sizes and times
-        are; where that cannot be told of all, see `by_heights`.
+        The source as the user gave it. Files are the same if their names, sizes and times are; for
+        sources without these, see `by_heights`.
     shape : tuple of int
         Rows and columns of the result.
     depends_on : dict
-        Whatever else the result depends on, as plain values for JSON.
+        Everything else that the result depends on, as plain values for JSON.
     fresh : bool
-        Remove what earlier runs have left.
+        Discard the work of earlier runs.
     is_kept : bool
-        Whether anything is kept; where it is not, what is there is removed.
+        Keep work; otherwise existing work is removed.
     by_heights : bool
-        Whether the caller compares a digest of the heights where files do not tell that the source
-        is the same (`is_by_heights`). Otherwise nothing is kept of such a source.
+        The caller compares a digest of the heights if only that identifies the source
+        (`is_by_heights`). Otherwise work on such a source is not kept.
     """
     run = None
     if is_kept and shape[0] * shape[1] >= LEAST_SAMPLES:
@@ -81,12 +81,12 @@ def run_directory(
         if kept.other is not None:
             note_that_removed(_difference(kept.other, run or {}))
         if kept.n_found:
-            _log.info("%s: goes on from %d records in %s", target, kept.n_found, directory)
+            _log.info("%s: continues from %d records in %s", target, kept.n_found, directory)
         yield directory, kept
 
 
 def _asked_for(src: Any) -> Any:
-    """Return what tells two sources of the same files apart: names as given, order, how opened."""
+    """Return the properties of a source besides its files: names as given, order, open options."""
     if isinstance(src, list | tuple):
         return [_asked_for(one) for one in src]
     if isinstance(src, str | os.PathLike):
@@ -95,17 +95,17 @@ def _asked_for(src: Any) -> Any:
 
 
 def note_that_removed(why: str) -> None:
-    """Warn that work of an earlier run was of no use."""
+    """Warn that the work of an earlier run was of no use."""
     warnings.warn(
         TerrainwaveWarning(f"unfinished work of an earlier run is removed: {why}"), stacklevel=2
     )
 
 
 def taken_up(kept: Kept) -> list[str]:
-    """Return what a user should know of work that was taken up."""
+    """Return notes for the user on work that was continued."""
     if not kept.n_found:
         return []
-    return ["the run went on from what an earlier one had finished; `fresh` starts over"]
+    return ["the run continued the work of an earlier one; `fresh` starts over"]
 
 
 def _difference(other: dict[str, Any], run: dict[str, Any]) -> str:
@@ -116,12 +116,12 @@ def _difference(other: dict[str, Any], run: dict[str, Any]) -> str:
 
 
 def is_by_heights(kept: Kept) -> bool:
-    """Say whether only a digest of the heights can tell that the source is the same."""
+    """Return whether only a digest of the heights identifies the source."""
     return kept.is_on and kept.run[_SOURCE] is None
 
 
 def same_heights(kept: Kept, digest: str) -> None:
-    """Keep the digest of a source that nothing else tells of; remove work of other heights."""
+    """Store the digest of a source without another identity; remove work on other heights."""
     found = kept.get("heights")
     if found is not None and found != {"digest": digest}:
         kept.clear()
@@ -138,7 +138,7 @@ class KeptUnits:
     Parameters
     ----------
     name : str
-        Begins the names of the records: another method codes other units.
+        Prefix of the records' names: another method codes other units.
     """
 
     def __init__(self, kept: Kept, grid: Grid, name: str) -> None:
@@ -150,7 +150,7 @@ class KeptUnits:
     def load(
         self, head: Block
     ) -> tuple[dict[Block, bytes], dict[Block, BlockStats], dict[str, Any]] | None:
-        """Return payloads and statistics of the units below a block, and more; None if missing."""
+        """Return payloads, statistics and more of the units below a block; None if missing."""
         name = self._name_of(head)
         values = self._kept.get(name)
         if values is None:
@@ -178,7 +178,7 @@ class KeptUnits:
         stats: dict[Block, BlockStats],
         more: dict[str, Any],
     ) -> None:
-        """Keep them; `more` are plain values for JSON."""
+        """Store a subtree; `more` are plain values for JSON."""
         rows = np.array(
             [
                 (*block, own.z_low, own.z_high, own.error, own.apart, own.has_mesh)

@@ -1,7 +1,7 @@
-"""Tiles of a raster that a scan found to be of one value, or void.
+"""Tiles of a raster that the scan found to be void or of one value.
 
-A sea of 0 or voids whose blocks have bytes look to an index like any ground. Once they have been
-read, they are as even as those that the index tells (`raster_io.even`), and cost as little.
+The source's index does not show such tiles if they are stored as ordinary blocks. Once read, they
+are handled as cheaply as those that the index shows (`raster_io.even`).
 """
 
 import threading
@@ -21,9 +21,9 @@ _UNSEEN, _MIXED, _VALID, _VOID = range(4)
 
 
 class SeenTiles:
-    """What the tiles of a raster are, as far as their samples were noted; by any threads.
+    """Contents of a raster's tiles as far as scanned; thread-safe.
 
-    To note samples once more changes nothing.
+    A region may be noted more than once.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class SeenTiles:
     Attributes
     ----------
     was_there : bool
-        Whether the file was there.
+        Whether the file existed.
     """
 
     def __init__(self, shape: tuple[int, int], dtype: DTypeLike, path: Path | None) -> None:
@@ -55,20 +55,20 @@ class SeenTiles:
         self._lock = threading.Lock()
 
     def note(self, region: Region, heights: NDArray[Any], valid: NDArray[np.bool_]) -> None:
-        """Note the samples of a window."""
+        """Record the samples of a window."""
         for tiles, part in self._parts(region):
             if (self._tiles[tiles]["state"] != _MIXED).all():
                 there = part.slices_in(region)
                 self._merge(tiles, *_what(heights[there], valid[there]))
 
     def note_even(self, region: Region, even: Even) -> None:
-        """Note samples that are known without reading."""
+        """Record samples that are known without reading."""
         self._merge(_tiles_of(region), _VALID if even.is_valid else _VOID, even.value)
 
     def even(self, region: Region) -> Even | None:
-        """Return what all samples of a region are, if its tiles are all alike; None if not.
+        """Return the common content of a region's samples if its tiles are all alike; else None.
 
-        Only when all samples have been noted.
+        Only once all samples are recorded.
         """
         if self._has_even is None:
             self._has_even = bool((self._tiles["state"] > _MIXED).any())
@@ -87,7 +87,7 @@ class SeenTiles:
         self._tiles = None
 
     def _parts(self, region: Region) -> list[tuple[tuple[slice, slice], Region]]:
-        """Return the tiles that a region touches, and what it has of each."""
+        """Return the tiles that a region touches, and the part of it in each."""
         rows, cols = _tiles_of(region)
         return [
             (
@@ -112,7 +112,7 @@ class SeenTiles:
 
 
 def _what(heights: NDArray[Any], valid: NDArray[np.bool_]) -> tuple[int, Any]:
-    """Return what all samples are, and their value; most often a few of them tell."""
+    """Return the common content of all samples and its value; usually a few samples decide."""
     value, is_valid = heights[0, 0], valid[0, 0]
     last_row, last_col = heights.shape[0] - 1, heights.shape[1] - 1
     few = np.s_[[0, last_row // 2, last_row, last_row], [last_col, last_col // 2, 0, last_col]]

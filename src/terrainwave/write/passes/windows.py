@@ -26,21 +26,20 @@ from terrainwave.raster_io.temporary import MEMORY_LIMIT, Spool
 from terrainwave.write.passes.seen import SIDE, SeenTiles
 from terrainwave.write.pyramid import SourceWindows
 
-# Records of what is kept: of the scan, and that there is an array of which samples are valid; a
-# file of tiles that are even.
+# Names of records: of the scan, of the array of valid samples, and of the file of even tiles.
 _SCAN, _VALID, _SEEN = "scan", "valid", "seen"
 # Heights, validity, row and column of the first sample.
 Window = tuple[NDArray[Any], NDArray[np.bool_], int, int]
-# Samples a side of windows in which even regions are shown as a whole, and in which they are looked
-# for: beside even ones, fills of voids take about as much room.
+# Sides, in samples, of windows in which even regions are reported whole, and of windows that are
+# searched for them: next to even regions, fills of voids reach about as far.
 _SIDE, _UNEVEN_SIDE = 4096, 1024
 
 
 class Windows(SourceWindows):
-    """The source's windows, spooled during the scan where its own are slow to read.
+    """The source's windows, spooled during the scan if it is slow to read.
 
-    A narrow window of a striped raster decodes whole strips, once for every window beside it. And a
-    small raster is kept in memory: each sample is read two or three times.
+    A narrow window of a striped raster decodes whole strips, again for each of its neighbours. A
+    small raster is held in memory, as each sample is read two or three times.
     """
 
     def __init__(self, source: RasterSource, directory: Path, kept: Kept) -> None:
@@ -48,7 +47,7 @@ class Windows(SourceWindows):
         self._shape = source.info.n_rows, source.info.n_cols
         self._directory = directory
         self._heights: Spool | None = None
-        self._valid: Spool | None = None  # without voids
+        self._valid: Spool | None = None  # None if there are no voids
         if source.is_striped or (source.is_file and source.info.n_bytes <= MEMORY_LIMIT):
             path = kept.path("heights")
             self._heights = Spool(self._shape, source.info.dtype, directory, path=path)
@@ -57,7 +56,7 @@ class Windows(SourceWindows):
         self._lock = threading.Lock()
 
     def n_scanned(self) -> int:
-        """Return how many windows an earlier run has scanned; 0 if it has not left them."""
+        """Return the number of windows that an earlier run has scanned and stored."""
         if not self._seen.was_there:
             return 0
         if self._heights is not None:
@@ -70,8 +69,8 @@ class Windows(SourceWindows):
     def scan(self, crew: Crew, first: int = 0) -> Iterator[Window | tuple[Region, Even]]:
         """Yield (heights, validity, row, column), once over the raster in the source's order.
 
-        Or a region that is even, with what it is. Those before `first` have been scanned by an
-        earlier run. The threads of `crew` read a window each.
+        Or (region, content) for an even region. Windows before `first` were scanned by an earlier
+        run. Each thread of `crew` reads one window at a time.
         """
         parts = self._parts(first)
         while some := list(islice(parts, crew.n_threads)):
@@ -108,19 +107,19 @@ class Windows(SourceWindows):
             if self._valid is None:
                 path = self._kept.path(_VALID)
                 valid = Spool(self._shape, np.bool_, self._directory, path=path)
-                valid.fill(valid.region, True)  # what came before the first void
+                valid.fill(valid.region, True)  # samples before the first void
                 self._kept.put(_VALID, {})
                 self._valid = valid
         return self._valid
 
     def even(self, region: Region) -> Even | None:
-        """Return what all samples of a region are; None where neither index nor scan tell."""
+        """Return the content of an even region; None if neither index nor scan know it."""
         return self._source.even(region) or self._seen.even(region)
 
     def holds(self, region: Region, even: Even) -> bool:
-        """Say whether a region is what index or scan say, by reading it again.
+        """Return whether a region is what index or scan say, by reading it again.
 
-        All samples of what the scan found, and some of each part that the index tells
+        Reads all samples known only from the scan, and some of each part known from the index
         (`RasterSource.holds`).
         """
         return all(
@@ -137,7 +136,7 @@ class Windows(SourceWindows):
     def read(
         self, row: int, col: int, n_rows: int, n_cols: int
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Return raw heights and validity of a window, which are not to be written to."""
+        """Return raw heights and validity of a window, both read-only."""
         if self._heights is None:
             return self._source.read(row, col, n_rows, n_cols)
         region = Region(row, col, n_rows, n_cols)
@@ -146,7 +145,6 @@ class Windows(SourceWindows):
         return self._heights.view(region), self._valid.view(region)
 
     def close(self) -> None:
-        """Delete the spools."""
         self._seen.close()
         for spool in (self._heights, self._valid):
             if spool is not None:
@@ -165,7 +163,7 @@ def scan_windows(
 ) -> HeightScan:
     """Return range, validity, vertical quantum and, if wanted, a digest of a raster's windows.
 
-    `kept` knows those before the `first` of `windows`.
+    `kept` has the results of those before the `first` of `windows`.
     """
     scan = HeightScan(info.dtype, steps, HeightDigest(info.n_cols) if has_digest else None)
     total = info.n_rows * info.n_cols
@@ -192,17 +190,17 @@ def scan_windows(
 
 
 def _update_by_windows(scan: HeightScan, region: Region, even: Even) -> None:
-    """Show a scan with a digest every sample of an even region."""
+    """Pass every sample of an even region to a scan that computes a digest."""
     for part in region.tiles(_SIDE, _SIDE):
         heights = even.heights(part.shape, np.dtype(scan.dtype))
         scan.update(heights, np.full(part.shape, even.is_valid), part.row, part.col)
 
 
 def check_free_space(source: RasterSource, directory: Path, n_there: int = 0) -> None:
-    """Refuse to begin what the temporary directory cannot hold; `n_there` bytes are there.
+    """Raise if the temporary directory is too small; it already holds `n_there` bytes.
 
-    Levels are a third as many samples as the raster, of four bytes at most; where some are void, of
-    fewer, which leaves room for fills. Even regions take none.
+    The levels have a third of the raster's samples, of four bytes at most. With voids they take
+    less, which leaves room for fills. Even regions take none.
     """
     info, n_samples = source.info, 0
     whole = Region(0, 0, info.n_rows, info.n_cols)

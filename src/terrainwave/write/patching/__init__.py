@@ -1,1 +1,1 @@
-"""The passes of `patch`: targets, units that are coded again, what the index says then."""
+"""Passes of `patch`: targets, units to code again, index."""

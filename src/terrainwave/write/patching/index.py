@@ -1,6 +1,6 @@
-"""What the index of a patched file says of its blocks: errors, boxes, meshes and their errors.
+"""Index of a patched file: errors, boxes, meshes and their errors.
 
-Where originals are known they are measured; elsewhere what the file said holds as well.
+Where originals are known these are measured; elsewhere the old values hold as well.
 """
 
 from collections.abc import Callable, Mapping
@@ -25,20 +25,20 @@ from terrainwave.write.patching.patch_encoder import PatchEncoder
 from terrainwave.write.pyramid import Pyramid
 
 _CACHE_BYTES = 128 << 20
-# Beyond the raster's edge two rows or columns are continued, in both directions: 3 x 3 times what a
-# sample changes.
+# Beyond the raster's edge two rows or columns are continued, in both directions: 3 x 3 times the
+# reach of a sample.
 _CONTINUED = 9
 
 
 class PatchedIndex:
-    """The codes of a patched file's blocks; `sink` has its payloads, and takes them.
+    """Codes of a patched file's blocks; `sink` holds its payloads, and receives new ones.
 
     Parameters
     ----------
     header : Header
         Of the patched file.
     counter : callable
-        Returns what counts the samples of a stage, of its name.
+        Returns the sample counter of a stage, by its name.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class PatchedIndex:
         self._lost = quantizer.lost
 
     def update(self, stats: Stats, encoder: PatchEncoder) -> tuple[bool, float]:
-        """Set all codes; tell of any new one, and the error stated of unknown originals."""
+        """Set all codes; return whether any changed, and the stated error of unknown originals."""
         errors, boxes = self._codes(stats, encoder)
         mesh_errors = self._mesh(stats, encoder.changes, errors)
         return self._set_codes(errors, boxes, mesh_errors), self._stated_error(errors)
@@ -67,10 +67,10 @@ class PatchedIndex:
     def _codes(
         self, stats: Stats, encoder: PatchEncoder
     ) -> tuple[dict[Block, int], dict[Block, Box]]:
-        """Return error codes and boxes; where originals are not known, the old ones hold as well.
+        """Return error codes and boxes; where originals are unknown, the old ones hold as well.
 
-        A surface is nowhere further from originals than it was, and by how much it has moved; nor
-        than it is from the stored heights, and these are from originals.
+        A surface is no further from originals than before plus the distance that it moved, and no
+        further than its distance from the stored heights plus theirs from the originals.
         """
         between = self._terrain.header.coded_error + self._lost
         errors: dict[Block, int] = {}
@@ -86,7 +86,7 @@ class PatchedIndex:
                 stated = min(stated, encoder.apart_from[block] + between)
             errors[block] = max(errors[block], encode_error(stated))
             if any(old[:3]) or moved or not own.is_empty:
-                # Every original and its error lie in the box: it grows as the error does.
+                # The box holds every original plus its error, so it grows with the error.
                 low, high = self._terrain.box_quanta(block)
                 grown = max(decode_error(errors[block]) - decode_error(old[2]), 0)
                 low, high = max(low - grown, self._whole[0]), min(high + grown, self._whole[1])
@@ -94,7 +94,7 @@ class PatchedIndex:
         return errors, enclosing_boxes(stats, errors, self._whole, below)
 
     def _stated_error(self, errors: Mapping[Block, int]) -> float:
-        """Return the largest error stated of a block that holds an unknown original, raw units."""
+        """Return the largest stated error of blocks with unknown originals, in raw units."""
         grid = self._grid
         codes = (
             code
@@ -116,9 +116,9 @@ class PatchedIndex:
     def _mesh(
         self, stats: Stats, changes: Mapping[Block, int], errors: Mapping[Block, int]
     ) -> dict[Block, int]:
-        """Make all meshes again and measure them; return the codes of their errors.
+        """Make and measure all meshes again; return the codes of their errors.
 
-        Where the file had none measured, these are left to who makes the meshes, as before.
+        If the file had no measured errors, it gets none.
         """
         header, grid = self._header, self._grid
         if header.mesh == "none":
@@ -153,7 +153,7 @@ class PatchedIndex:
         for block in open_blocks - moved:
             codes[block] = max(codes.get(block, 0), self._container.codes(block)[3])
         if moved & open_blocks:
-            # Decoded heights stand in for originals that are not known.
+            # Decoded heights stand in for unknown originals.
             lost += header.coded_error
             measured = measure_meshes(
                 grid, mesher, self._pyramid.originals, self._executor, lambda _: None, lost
@@ -169,7 +169,7 @@ class PatchedIndex:
         errors: Mapping[Block, int],
         sections: Mapping[Block, bytes],
     ) -> set[Block]:
-        """Return the blocks whose mesh may be another one than it was."""
+        """Return the blocks whose mesh may have changed."""
         grid = self._grid
         causes = set(changes)
         causes |= {block for block in errors if errors[block] != self._container.codes(block)[2]}
@@ -194,7 +194,7 @@ class PatchedIndex:
         boxes: Mapping[Block, Box],
         mesh_errors: Mapping[Block, int],
     ) -> bool:
-        """Give every block its codes, the old ones where they say the same; tell of any new one."""
+        """Set every block's codes, the old ones if equal; return whether any changed."""
         is_any_new = False
         for spool in self._sink.present():
             before: dict[Block, Box] = {}
@@ -206,7 +206,7 @@ class PatchedIndex:
                     old = self._container.codes(block)
                     before[block] = decode_range(old[0], old[1], *was_outer)
                     box = boxes.get(block)
-                    # Coding a box that has been coded may widen it.
+                    # Coding a decoded box again may widen it.
                     is_same = outer == was_outer and box == before[block]
                     ends = old[:2] if is_same else encode_range(*(box or outer), *outer)
                     after[block] = decode_range(*ends, *outer)

@@ -1,4 +1,4 @@
-"""The heights that a patched file has to hold: the new raster's, and what is known beside it."""
+"""Heights that a patched file must hold: the new raster's, and those known around it."""
 
 from typing import Any
 
@@ -16,17 +16,17 @@ from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 
 _WINDOW = 512
-# Of a pixel: how far from the file's samples those of a raster may lie.
+# Largest misalignment of a raster with the file's samples, in pixels.
 _MISALIGNED = 1e-3
 
 
 def check_units(terrain: TerrainFile, source: RasterSource) -> str:
-    """Return what to note where heights of a raster meet those of a file; empty: nothing.
+    """Return a note on units of a raster and of the file that it patches; "" if all is well.
 
     Raises
     ------
     InvalidHeightsError
-        If they have different units, or one has depths and the other heights.
+        If units differ, or one has depths and the other heights.
     """
     info = terrain.raster_info
     if source.told is not None:
@@ -45,7 +45,7 @@ def check_units(terrain: TerrainFile, source: RasterSource) -> str:
 
 
 def original_source(terrain: TerrainFile, original: Any) -> RasterSource:
-    """Open the raster that a file was made of, with the value that marks voids in the file."""
+    """Open the raster that a file was made from, with the file's nodata value."""
     info = terrain.raster_info
     return RasterSource(original, nodata="none" if info.mask_kind == "none" else info.nodata)
 
@@ -90,10 +90,10 @@ def place_of(info: RasterInfo, new: RasterInfo) -> Region:
 
 
 class Merged:
-    """The new raster where it is; elsewhere the original, or the file's decoded heights.
+    """The new raster where it lies; elsewhere the original, or the file's decoded heights.
 
-    `place` is where heights are known by more than the file: everywhere, with an original.
-    `has_voids` says whether samples may be void in it. `notes` say what was taken for granted.
+    `place` is the region whose originals are known: everything if an original is given. `has_voids`
+    is true if samples may be void in it. `notes` state assumptions.
 
     Raises
     ------
@@ -124,11 +124,11 @@ class Merged:
 
     @property
     def is_open(self) -> bool:
-        """Say whether heights beyond the new raster are known by the file alone."""
+        """Return whether heights beyond the new raster are known only from the file."""
         return self.place.shape != self._terrain.shape
 
     def beyond(self, region: Region, stride: int) -> Mask:
-        """Return which samples of a region, `stride` apart, are known by the file alone."""
+        """Return which samples of a region, `stride` apart, are known only from the file."""
         rows, cols = (
             (stride * np.arange(first, first + n) - start).astype(np.uint64) >= size
             for first, n, start, size in (
@@ -139,11 +139,11 @@ class Merged:
         return rows[:, None] | cols
 
     def covers(self, region: Region) -> bool:
-        """Say whether the new raster covers a region of the full grid."""
+        """Return whether the new raster covers a region of the full grid."""
         return region.intersect(self.place) == region
 
     def known(self, region: Region, mask: Mask) -> Mask:
-        """Return which samples of a mask are known by more than the file."""
+        """Return which samples of a mask have a known original."""
         if self.covers(region):
             return mask
         known = np.zeros_like(mask)
@@ -154,7 +154,6 @@ class Merged:
     def read(
         self, row: int, col: int, n_rows: int, n_cols: int
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Return raw heights and validity of a window."""
         region = Region(row, col, n_rows, n_cols)
         part = region.intersect(self._new_place)
         if part == region:
@@ -206,12 +205,12 @@ class Merged:
         """Return two stored heights as a range in physical units, the lower one first."""
         info = self._terrain.raster_info
         ends = sorted(info.scale * end + info.offset for end in (low, high))
-        return ",".join(f"{end:.15g}" for end in ends)  # who repeats them has room for both
+        return ",".join(f"{end:.15g}" for end in ends)  # repeating this option makes room for both
 
     def _checked_heights(
         self, name: str, raw: NDArray[Any], valid: NDArray[np.bool_], which: Mask
     ) -> NDArray[np.float64]:
-        """Return the valid heights of a raster's samples; raise unless the file can tell them."""
+        """Return the valid heights of a raster; raise unless the file can represent them."""
         quantizer, info = self._terrain.quantizer, self._terrain.raster_info
         taken = valid & which
         is_any_void = not valid[which].all()
@@ -245,9 +244,9 @@ class Merged:
         return heights
 
     def _check_original(self, region: Region, raw: NDArray[Any], valid: NDArray[np.bool_]) -> None:
-        """Raise `InvalidHeightsError` if the file was made of another original than is given.
+        """Raise `InvalidHeightsError` if the file was made from another original.
 
-        Most often an earlier patch is missing in it, which would be undone without a word.
+        Usually it lacks an earlier patch, which would be undone silently.
         """
         if self._original is None:
             return

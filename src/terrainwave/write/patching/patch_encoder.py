@@ -1,4 +1,4 @@
-"""Coding those units of a file again that no longer hold; all others are copied."""
+"""Coding of the units that no longer hold; all others are copied."""
 
 from dataclasses import replace
 from typing import Any, Self
@@ -18,7 +18,7 @@ from terrainwave.write.patching.merged import Merged
 
 
 class PatchEncoder(TreeEncoder):
-    """Walks a file's units, and codes those again that no longer hold."""
+    """Walks a file's units and codes those again that no longer hold."""
 
     def __init__(self, terrain: TerrainFile, merged: Merged, *rest: Any, **options: Any) -> None:
         self._terrain = terrain
@@ -26,15 +26,14 @@ class PatchEncoder(TreeEncoder):
         # Largest change of each block's decoded heights, in quanta, where anything changed.
         self.changes: dict[Block, int] = {}
         self.recoded: set[Block] = set()
-        # Of changed coarse blocks, how far finest heights, decoded where nothing else is known, are
-        # from their surfaces, in quanta.
+        # Largest distance of a changed coarse block's surface from finest heights that only the
+        # file knows, in quanta.
         self.apart_from: dict[Block, int] = {}
         header = terrain.header
         refiner = refiner_by_name(header.method, header.file_tables)
-        # With the original all heights are known, and none needs to be put back; but corrections of
-        # earlier patches are heights that neighbours have as well.
+        # With the original all heights are known, and none needs restoring. Corrections of
+        # earlier patches remain: neighbours have the same heights.
         self._corrects = header.step > 1 and (header.has_corrections or merged.is_open)
-        # Whether any unit has corrections.
         self.has_corrections = False
         parameters = replace(
             header.codec_parameters, has_voids=merged.has_voids, has_corrections=self._corrects
@@ -44,7 +43,7 @@ class PatchEncoder(TreeEncoder):
     def code_unit(
         self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
     ) -> tuple[bytes, Decoded]:
-        """Return the unit's old payload, or a new one where that no longer holds."""
+        """Return the unit's old payload, or a new one if that no longer holds."""
         old = self._terrain.decoder.unit(key)
         stored = self._terrain.container.payload(key)
         payload, decoded = stored, old
@@ -65,11 +64,12 @@ class PatchEncoder(TreeEncoder):
         return payload, decoded
 
     def kept(self, key: Block, spec: GroupSpec, target: Heights, mask: Mask) -> Heights | None:
-        """Return the heights of a unit that must come back, `FREE` elsewhere.
+        """Return the heights of a unit that must come back exactly, `FREE` elsewhere.
 
-        Those that the new raster does not cover, void or not as before. Of samples that neighbours
-        share, which may be copied, all that hold: each of them must find the same heights. There
-        voids have what is predicted, as a neighbour without a valid sample knows no other.
+        These are heights that the new raster does not cover, and void ones that changed. Of samples
+        shared with neighbours, which may be copied, all that hold are included: every unit must
+        find the same heights. Shared voids get the prediction, as a neighbour without a valid
+        sample knows nothing else.
         """
         if not self._corrects:
             return None
@@ -85,7 +85,7 @@ class PatchEncoder(TreeEncoder):
         return np.where(stays, old.heights, FREE)
 
     def _holds(self, spec: GroupSpec, old: Decoded, target: Heights, mask: Mask) -> bool:
-        """Say whether a unit decodes to within the bound of the targets."""
+        """Return whether a unit decodes to within the bound of the targets."""
         if not np.array_equal(old.mask, mask):
             return False
         own = self._pyramid.own(spec.level, spec.region)
@@ -98,7 +98,7 @@ class PatchEncoder(TreeEncoder):
         own = own & mask
         if (np.abs(target.astype(np.int64) - old.heights) > spec.half)[own].any():
             return False
-        # Of a height that was clipped the old multiple of the step is not known.
+        # The old multiple of the step is unknown if the height was clipped.
         clipped = (old.heights == spec.z_min) | (old.heights == spec.z_max)
         return spec.step == 1 or not (clipped & own & (target != old.heights)).any()
 
@@ -123,14 +123,14 @@ class PatchEncoder(TreeEncoder):
                     self.apart_from[ancestor.block] = largest
 
     def apart(self, chain: list[Ancestor]) -> Self:
-        """Return an encoder of a subtree below `chain` whose findings are its own."""
+        """Return an encoder of a subtree below `chain` with separate results."""
         part = super().apart(chain)
         part.changes = {block: self.changes[block] for block, *_ in chain if block in self.changes}
         part.recoded, part.apart_from, part.has_corrections = set(), {}, False
         return part
 
     def found(self, chain: list[Ancestor]) -> dict[str, Any]:
-        """Return what this one has found of a subtree below `chain`, as plain values for JSON."""
+        """Return the results for a subtree below `chain`, as plain values for JSON."""
         above = {block for block, *_ in chain}
         changes = {block: change for block, change in self.changes.items() if block not in above}
         return {
@@ -141,7 +141,7 @@ class PatchEncoder(TreeEncoder):
         }
 
     def take(self, more: dict[str, Any]) -> None:
-        """Take in what another encoder has `found`."""
+        """Merge the `found` of another encoder."""
         self.changes |= {Block(*block): change for *block, change in more["changes"]}
         self.recoded |= {Block(*key) for key in more["recoded"]}
         for *place, apart in more["apart_from"]:
@@ -155,7 +155,7 @@ class PatchEncoder(TreeEncoder):
 
 
 def _are_alike(before: Decoded, after: Decoded) -> bool:
-    """Say whether two units have the same valid samples, by themselves too."""
+    """Return whether two units have the same valid and own samples."""
     return np.array_equal(before.mask, after.mask) and np.array_equal(
         before.own_mask, after.own_mask
     )

@@ -1,1 +1,1 @@
-"""Tasks on the workers of a cluster: what one takes, who does it, who does it again."""
+"""Tasks on the workers of a cluster: running, measuring, retrying."""

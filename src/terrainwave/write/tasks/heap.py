@@ -1,7 +1,7 @@
-"""Memory that tasks free stays with their process until none is running, where glibc allocates.
+"""Keep freed memory while tasks run, where glibc allocates.
 
-dask's nannies set MALLOC_TRIM_THRESHOLD_ to 64 KiB, so that idle workers are small. The system then
-takes back the pages of nearly every array, and clears others for the next one, which takes a worker
+dask's nannies set MALLOC_TRIM_THRESHOLD_ to 64 KiB to keep idle workers small. The system then
+reclaims the pages of nearly every array and clears others for the next one, which costs a worker
 nearly as much processor time as the tasks themselves.
 """
 
@@ -13,17 +13,18 @@ from contextlib import contextmanager, suppress
 from functools import cache
 
 _VARIABLE = "MALLOC_TRIM_THRESHOLD_"
-# Of glibc's malloc.h; its default for arrays that are mapped one by one, and the most it takes.
+# From glibc's malloc.h: its default threshold for arrays that are mapped one by one, and the
+# largest.
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 _MMAP_DEFAULT, _MMAP_MOST = 128 << 10, 32 << 20
-# Bytes that may be free at the end of a heap.
+# Bytes that may stay free at the end of a heap.
 _KEPT = 256 << 20
-# Seconds without a task before all that is free is given back.
+# Seconds without a task after which all free memory is returned.
 _IDLE_SECONDS = 2.0
 
 
 class _Heap:
-    """The memory of this process, which is told to keep what is freed while tasks are running."""
+    """Allocator of this process, configured to keep freed memory while tasks run."""
 
     def __init__(self, library: ctypes.CDLL, threshold: int) -> None:
         self._library = library
@@ -34,7 +35,7 @@ class _Heap:
 
     @contextmanager
     def kept(self) -> Iterator[None]:
-        """Keep what is freed within, and for a while after it: the next task may come at once."""
+        """Keep memory freed in the block, and for a while after it: another task may follow."""
         with self._lock:
             if self._idle is not None:
                 self._idle.cancel()
@@ -64,9 +65,9 @@ class _Heap:
 
 @contextmanager
 def kept_heap() -> Iterator[None]:
-    """Keep what a task frees; by several threads at a time, too.
+    """Keep the memory that a task frees; also by several threads at a time.
 
-    Without effect unless MALLOC_TRIM_THRESHOLD_ tells glibc to give nearly all back at once.
+    Without effect unless MALLOC_TRIM_THRESHOLD_ makes glibc return nearly all of it at once.
     """
     heap = _heap()
     if heap is None:

@@ -1,7 +1,7 @@
-"""Has tasks done by a cluster: again by another worker where one fails, and looks after slow ones.
+"""Runs tasks on a cluster; retries failed ones on other workers.
 
-A cluster is a dask client, or any `concurrent.futures.Executor`. Only of a client is it known which
-workers there are. Tasks give the same bytes wherever they run, twice at a time too.
+A cluster is a dask client, or any `concurrent.futures.Executor`. Only a client lists its workers.
+Tasks give the same bytes wherever they run.
 """
 
 import secrets
@@ -21,28 +21,24 @@ from terrainwave.errors import (
     TerrainwaveError,
     TerrainwaveWarning,
 )
-from terrainwave.grid.quadtree import Region
-from terrainwave.progress import TaskCallback, TaskReport
-from terrainwave.write.tasks.measured import TaskOutcome, Workplace, run_task
+from terrainwave.write.tasks.task import TaskOutcome, Workplace, run_task
 
 Item = TypeVar("Item")
 
-# How often a task is tried, if there are so many workers; on one machine, its disk may be full for
-# a moment only.
+# Largest number of attempts at a task, with enough workers. On one machine, its disk may be full
+# for only a moment.
 _ATTEMPTS = 4
 _ATTEMPTS_HERE = 2
-_LOOK_AFTER = 2.0  # seconds without a result before somebody looks whether all is well
-# A task is slow that takes so many times as long as the longest of its pass, and so many seconds.
-_SLOW, _SLOW_SECONDS = 2.0, 30.0
-_LONELY_SECONDS = 30.0  # without any worker, before a note says so
-_CHOICE = 16  # workers that may do a task again: names of thousands are much to send for each
-# What dask and concurrent.futures raise where workers die or are taken away.
+_LOOK_AFTER = 2.0  # seconds without a result before the state is checked
+_LONELY_SECONDS = 30.0  # seconds without any worker before a note
+_CHOICE = 16  # workers that may repeat a task: thousands of names are too much to send
+# Errors of dask and concurrent.futures if workers die or are removed.
 _LOST = {"KilledWorker", "BrokenProcessPool", "FutureCancelledError", "NoValidWorkerError"}
 _LOCAL_ADVICE = "; free space there, or start the worker with --local-directory on a larger disk"
 
 
 def executor_of(client: Any) -> Executor:
-    """Return an executor: that of a dask client, executors as they are."""
+    """Return the executor of a dask client; other executors unchanged."""
     if isinstance(client, Executor):
         return client
     if hasattr(client, "get_executor"):
@@ -56,32 +52,14 @@ def executor_of(client: Any) -> Executor:
 
 
 @dataclass
-class _Attempt:
-    """One of the times that a task is given to a worker; `allowed` are all if there are none."""
-
-    item: Any
-    number: int
-    key: str
-    allowed: frozenset[str] = frozenset()
-
-
-@dataclass
 class _Pass:
-    """What is known of the tasks of one pass."""
+    """The tasks of one pass; `running` has the item and the allowed workers, none for all."""
 
     function: Callable[..., Any]
     tasks: Mapping[Any, tuple[Any, ...]]
-    left: set[Any]
-    running: dict["Future[TaskOutcome]", _Attempt] = field(default_factory=dict)
+    running: dict["Future[TaskOutcome]", tuple[Any, set[str]]] = field(default_factory=dict)
     done: "SimpleQueue[Future[TaskOutcome]]" = field(default_factory=SimpleQueue)
     failed_at: dict[Any, list[Workplace]] = field(default_factory=dict)
-    seconds: list[float] = field(default_factory=list)
-    copied: set[Any] = field(default_factory=set)
-    short_since: float | None = None
-
-    def attempts(self, item: Any) -> Iterator["Future[TaskOutcome]"]:
-        """Yield the attempts at a task that have not ended."""
-        return (future for future, attempt in self.running.items() if attempt.item == item)
 
 
 class Workers:
@@ -90,101 +68,83 @@ class Workers:
     Parameters
     ----------
     client : dask.distributed.Client or concurrent.futures.Executor
-    on_task : callable, optional
-        Called with a `TaskReport` whenever an attempt at a task has ended.
     """
 
-    def __init__(self, client: Any, on_task: TaskCallback | None = None) -> None:
+    def __init__(self, client: Any) -> None:
         self._executor = executor_of(client)
         self._client = None if isinstance(client, Executor) else client
-        self._on_task = on_task
         self._failing: dict[str, Workplace] = {}
         self._lonely_since: float | None = None
-        self.names: list[str] = []  # of what tasks have left in the depot
+        self.names: list[str] = []  # of the tasks' results in the depot
 
     def run(
-        self,
-        stage: str,
-        function: Callable[..., Any],
-        tasks: Mapping[Item, tuple[Any, ...]],
-        region: Callable[[Item], Region],
+        self, stage: str, function: Callable[..., Any], tasks: Mapping[Item, tuple[Any, ...]]
     ) -> Iterator[tuple[Item, Any]]:
-        """Yield (item, result) of every task as it is done.
+        """Yield (item, result) of each task when it is done.
 
         Parameters
         ----------
         stage : str
-            What reports call the pass.
+            Name of the pass, for messages.
         tasks : mapping
-            Arguments by item, the first of which is a `measured.Task`.
-        region : callable
-            Returns the samples of the full grid that an item stands for.
+            Arguments by item; the first is a `task.Task`.
 
         Raises
         ------
         TerrainwaveError
-            What a task raised, on every worker that tried it, or `ClusterError` if workers were
-            lost with it too often. Tasks that have not begun are cancelled then.
+            The error of a task on every worker that tried it, or `ClusterError` if workers were
+            lost with it too often. Tasks that have not begun are cancelled.
         """
-        work = _Pass(function, tasks, set(tasks))
+        work = _Pass(function, tasks)
         try:
             for item in tasks:
-                self._submit(work, item, 1)
-            while work.left:
+                self._submit(work, item)
+            while work.running:
                 try:
                     future = work.done.get(timeout=_LOOK_AFTER)
                 except Empty:
                     self._look_after(stage, work)
                     continue
-                attempt = work.running.pop(future)
-                item = attempt.item
-                if item not in work.left or (_is_lost(future) and any(work.attempts(item))):
-                    continue  # another copy was first, or may be
+                if future not in work.running:  # its workers were gone
+                    continue
+                item, _ = work.running.pop(future)
                 outcome = _outcome(future)
                 self.names += outcome.meter.names
-                self._report(stage, region(item), attempt.number, outcome)
-                if outcome.error is not None:
-                    self._failed(stage, work, attempt, outcome)
-                    continue
-                work.left.remove(item)
-                work.seconds.append(outcome.seconds)
-                for other in list(work.attempts(item)):
-                    other.cancel()
-                yield item, outcome.result
+                if outcome.error is None:
+                    yield item, outcome.result
+                else:
+                    self._failed(stage, work, item, outcome)
         finally:
             for future in work.running:
                 future.cancel()
 
-    def _submit(
-        self, work: _Pass, item: Any, number: int, avoided: frozenset[str] = frozenset()
-    ) -> None:
-        """Give a task to a worker, to one of `avoided` only if there is no other.
+    def _submit(self, work: _Pass, item: Any) -> None:
+        """Submit a task, again to workers that have not failed with it or others, if any.
 
-        Others are not only preferred: dask would let a worker that fails at once, and so is always
-        idle, steal what is meant for others.
+        The others are the only ones allowed, not just preferred: dask lets idle workers steal
+        tasks, and a worker that fails at once is always idle.
         """
-        # Dashboards of dask show what is before the last hyphen.
-        key = f"{work.function.__name__}-{secrets.token_hex(16)}"
         options: dict[str, Any] = {}
         others: list[str] = []
         if self._client is not None:
-            options["key"] = key
-            if avoided:
-                others = sorted(set(self._client.nthreads()) - avoided)
+            # Dashboards of dask show what is before the last hyphen.
+            options["key"] = f"{work.function.__name__}-{secrets.token_hex(16)}"
+            places = work.failed_at.get(item, ())
+            if places:
+                tried = {place.worker for place in places}
+                others = sorted(set(self._client.nthreads()) - tried - self._failing.keys())
             if others:
-                first = number * len(work.left) % len(others)
+                first = len(places) * len(work.running) % len(others)
                 others = (others[first:] + others[:first])[:_CHOICE]
                 options["workers"] = others
         future = self._executor.submit(run_task, work.function, *work.tasks[item], **options)
-        work.running[future] = _Attempt(item, number, key, frozenset(others))
+        work.running[future] = item, set(others)
         future.add_done_callback(work.done.put)
 
-    def _failed(self, stage: str, work: _Pass, attempt: _Attempt, outcome: TaskOutcome) -> None:
-        """Have another worker do a task, or raise its error if enough have tried."""
+    def _failed(self, stage: str, work: _Pass, item: Any, outcome: TaskOutcome) -> None:
+        """Retry a task on another worker, or raise its error after enough attempts."""
         assert outcome.error is not None
-        item, place = attempt.item, outcome.place
-        if any(work.attempts(item)):
-            return
+        place = outcome.place
         places = work.failed_at.setdefault(item, [])
         places.append(place)
         tried = {one.worker for one in places}
@@ -203,36 +163,10 @@ class Workers:
                 TerrainwaveWarning,
                 stacklevel=2,
             )
-        self._submit(work, item, attempt.number + 1, self._avoided(work, item))
-
-    def _avoided(self, work: _Pass, item: Any) -> frozenset[str]:
-        """Return the workers that are not to try a task again: they failed with it, or others."""
-        tried = {place.worker for place in work.failed_at.get(item, ())}
-        return frozenset(tried | self._failing.keys())
-
-    def _report(self, stage: str, region: Region, number: int, outcome: TaskOutcome) -> None:
-        if self._on_task is not None:
-            self._on_task(
-                TaskReport(
-                    stage=stage,
-                    row=region.row,
-                    col=region.col,
-                    n_samples=region.n_rows * region.n_cols,
-                    attempt=number,
-                    worker=outcome.place.worker,
-                    host=outcome.place.host,
-                    began=outcome.began,
-                    seconds=outcome.seconds,
-                    cpu_seconds=outcome.cpu_seconds,
-                    source_bytes=outcome.meter.source_bytes,
-                    depot_bytes_read=outcome.meter.depot_bytes_read,
-                    depot_bytes_written=outcome.meter.depot_bytes_written,
-                    error="" if outcome.error is None else _message(outcome.error),
-                )
-            )
+        self._submit(work, item)
 
     def _look_after(self, stage: str, work: _Pass) -> None:
-        """Say so if there is no worker; give out tasks anew that a worker is slow with, or lost."""
+        """Warn if there is no worker; submit tasks again whose workers are all gone."""
         if self._client is None:
             return
         now = time.monotonic()
@@ -242,34 +176,18 @@ class Workers:
         elif self._lonely_since is None:
             self._lonely_since = now
         elif self._lonely_since < now - _LONELY_SECONDS:
-            self._lonely_since = float("inf")  # told once
+            self._lonely_since = float("inf")  # warned
             warnings.warn(
-                f"the cluster has no workers: {count_of(len(work.left), 'task')} of {stage} wait;"
-                " start workers with dask worker, or interrupt this run",
+                f"the cluster has no workers: {count_of(len(work.running), 'task')} of {stage}"
+                " wait; start workers with dask worker, or interrupt this run",
                 TerrainwaveWarning,
                 stacklevel=2,
             )
-        for future, attempt in list(work.running.items()):
-            if threads and attempt.allowed and attempt.allowed.isdisjoint(threads):
-                self._submit(work, attempt.item, attempt.number, self._avoided(work, attempt.item))
+        for future, (item, allowed) in list(work.running.items()):
+            if threads and allowed and allowed.isdisjoint(threads):
+                del work.running[future]
                 future.cancel()
-        if len(work.running) > sum(threads.values()) or not work.seconds:
-            work.short_since = None
-            return
-        if work.short_since is None:
-            work.short_since = now
-        slow = max(_SLOW_SECONDS, _SLOW * max(work.seconds))
-        if now - work.short_since < slow:
-            return
-        late = [one for one in work.running.values() if one.item in work.left - work.copied]
-        if not late:
-            return
-        busy = {key: worker for worker, keys in self._client.processing().items() for key in keys}
-        for attempt in late:
-            work.copied.add(attempt.item)
-            self._submit(
-                work, attempt.item, attempt.number + 1, frozenset({busy.get(attempt.key, "")})
-            )
+                self._submit(work, item)
 
 
 def _is_lost(future: "Future[TaskOutcome]") -> bool:
@@ -293,7 +211,7 @@ def _named(place: Workplace) -> str:
 
 
 def _message(error: TerrainwaveError) -> str:
-    """Return what is wrong, with the advice that fits a worker."""
+    """Return the error's message, with advice for a worker."""
     text = str(error.args[0])
     if text.endswith(TEMPORARY_ADVICE):
         return text.removesuffix(TEMPORARY_ADVICE) + _LOCAL_ADVICE

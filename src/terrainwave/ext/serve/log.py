@@ -1,0 +1,12 @@
+"""Log of the server: one line for each damaged place, not one for each request that meets it."""
+
+import logging
+from functools import lru_cache
+
+_log = logging.getLogger(__name__)
+
+
+@lru_cache(1000)
+def warn_once(line: str) -> None:
+    """Log a warning, unless it is one of the last thousand."""
+    _log.warning("%s", line)
