@@ -30,7 +30,7 @@ with warnings.catch_warnings(record=True) as told:
     from terrainwave.coding import dispatchers, jit
     from terrainwave.coding.quick import tripled
     assert tripled(4) == 12
-own = type(tripled) is numba.core.registry.CPUDispatcher
+own = type(tripled.made()) is numba.core.registry.CPUDispatcher
 found = [dispatchers.COMPILER, own, "terrainwave.coding.compiler" in sys.modules]
 print(json.dumps([found, [str(one.message) for one in told]]))
 """

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from terrainwave.coding.jit import sources_of
+from terrainwave.coding.compiled import sources_of
 
 PACKAGE = Path(__file__).parents[2] / "src" / "terrainwave"
 

@@ -6,21 +6,18 @@ seventh of the time of encoding in `predictive.passes.code_pass`. A kernel's arg
 as the call, so it need not count.
 """
 
-import os
 from typing import Any, TypeVar
 
-from numba import types
-from numba.core import cgutils
-from numba.extending import intrinsic
-
-# As numba parses it.
-_IS_PLAIN = bool(int(os.environ.get("NUMBA_DISABLE_JIT") or 0))
+from terrainwave.coding.jit import Later
 
 Borrowed = TypeVar("Borrowed")
 
 
 def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
     """Return LLVM code for a value whose arrays have no owner to count references of."""
+    from numba import types
+    from numba.core import cgutils
+
     if isinstance(kind, types.Array):
         for name in ("meminfo", "parent"):
             k = context.data_model_manager[kind].get_field_position(name)
@@ -46,8 +43,15 @@ def _borrowed(_typing_context: Any, value: Any) -> Any:
     return value(value), generate
 
 
+def _made(same: Any) -> Any:
+    from numba.core import config
+    from numba.extending import intrinsic
+
+    return same if config.DISABLE_JIT else intrinsic(_borrowed)
+
+
 def _same(value: Borrowed) -> Borrowed:
     return value
 
 
-borrowed: Any = _same if _IS_PLAIN else intrinsic(_borrowed)
+borrowed: Any = Later(_same, _made)

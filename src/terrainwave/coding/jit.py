@@ -1,89 +1,87 @@
-"""Configuration of numba, all in this module."""
+"""Decorators of kernels.
 
-import hashlib
-import os
-import re
+Importing numba takes longer than reading a file with the native library. So a kernel is handed to
+numba, by `compiled`, when it is called for the first time.
+"""
+
+import sys
+import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cached_property, lru_cache
-from types import FunctionType
+from functools import cached_property, update_wrapper
+from types import CodeType, FunctionType
 from typing import Any
 
-from numba import njit, typeof, types
-from numba.core import config, event
-from numba.core.compiler_lock import global_compiler_lock
-from numba.core.registry import CPUDispatcher
-
-from terrainwave.coding.dispatchers import COMPILER, WHY_NOT_KEPT, Kernel, KernelCache
 from terrainwave.coding.kernel_places import KernelPlace
-
-# Numba does not notice edits in a callee's file; disable caching while editing.
-_CACHE = not WHY_NOT_KEPT
-
-# The directory that contains the package.
-_ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
-
-# Imports at the start of a line: kernels see no others. The literal start makes the search fast.
-_IMPORT = re.compile(r"\nfrom (terrainwave[\w.]*) import (\([^)]*\)|[^\n#]*)")
-_NAME = re.compile(r"(\w+)(?: as \w+)?")
+from terrainwave.forks import renew_after_fork
 
 
-def sources_of(path: str) -> list[str]:
-    """Return the files whose text can change the results of one file's kernels, sorted.
+class _Lock:
+    """Lock of all kernels that are handed to numba."""
 
-    The file itself and its imports from the package, recursively. Imports within functions and
-    under TYPE_CHECKING don't count: kernels do not see their names.
+    def __init__(self) -> None:
+        self.renew()
+        renew_after_fork(self)
+
+    def renew(self) -> None:
+        """Begin anew after a fork, which may have left the lock held."""
+        self.held = threading.RLock()
+
+
+_LOCK = _Lock()
+
+
+class Later:
+    """A function whose compiled form is made for its first call.
+
+    Names by which the function calls others then stand for their compiled forms, in its module.
+
+    Attributes
+    ----------
+    py_func : function
+        The function in plain Python, as numba's dispatchers have it.
     """
-    sources: set[str] = set()
-    waiting = [os.path.abspath(path)]
-    while waiting:
-        path = waiting.pop()
-        if path not in sources:
-            sources.add(path)
-            waiting.extend(_read(path)[1])
-    return sorted(sources)
+
+    def __init__(self, function: Callable[..., Any], make: Callable[..., Any]) -> None:
+        update_wrapper(self, function)
+        self.py_func: Any = function
+        self._make, self._made, self._is_ready = make, None, False
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.made()(*arguments)
+
+    def __getattr__(self, name: str) -> Any:
+        """Return an attribute of the compiled form."""
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.made(), name)
+
+    def made(self) -> Any:
+        """Return the compiled form."""
+        if self._is_ready:
+            return self._made
+        with _LOCK.held:
+            if self._made is None:
+                self._made = self._make(self.py_func)
+                # Functions may call each other in a ring.
+                names = self.py_func.__globals__
+                for name in _names_in(self.py_func.__code__):
+                    if isinstance(names.get(name), Later):
+                        names[name] = names[name].made()
+                self._is_ready = True
+            return self._made
 
 
-@lru_cache(None)
-def _digest(path: str) -> str:
-    """Return a digest of `sources_of` a file, of when the process first asks."""
-    digest = hashlib.sha256()
-    for source in sources_of(path):
-        digest.update(_read(source)[0])
-    return digest.hexdigest()
-
-
-@lru_cache(None)
-def _read(path: str) -> tuple[bytes, list[str]]:
-    """Return the digest of a file's text, and the files of the package that it imports."""
-    with open(path, "rb") as file:
-        data = file.read()
-    text = "\n" + data.decode("utf-8")
-    imported = [
-        source for match in _IMPORT.finditer(text) for source in _files_of(match[1], match[2])
-    ]
-    return hashlib.sha256(data).digest(), imported
-
-
-def _files_of(module: str, names: str) -> Iterator[str]:
-    """Yield the files that define the names of ``from module import names``."""
-    place = os.path.join(_ROOT, *module.split("."))
-    if os.path.isfile(f"{place}.py"):
-        yield f"{place}.py"
-        return
-    for name in _NAME.findall(names):
-        is_module = os.path.isfile(os.path.join(place, f"{name}.py"))
-        yield os.path.join(place, f"{name}.py" if is_module else "__init__.py")
+def _names_in(code: CodeType) -> set[str]:
+    """Return the names of globals and attributes in the code of a function, and of inner ones."""
+    inner = [_names_in(const) for const in code.co_consts if isinstance(const, CodeType)]
+    return set(code.co_names).union(*inner)
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile `function` with the project's options; plain Python under NUMBA_DISABLE_JIT.
-
-    A stale compiled kernel is a broken bound, and numba checks only the kernel's own file. So the
-    stamp of each cache entry is a digest of `sources_of` that file.
-    """
-    return _compile(function, is_inlined=False)
+    """Compile `function` with the project's options; plain Python under NUMBA_DISABLE_JIT."""
+    return Later(function, lambda own: _compiled().compiled(own, is_inlined=False))
 
 
 def inlined_kernel(function: Callable[..., Any]) -> Any:
@@ -91,7 +89,7 @@ def inlined_kernel(function: Callable[..., Any]) -> Any:
 
     For functions with many arguments in hot loops: each array takes seven registers or stack slots.
     """
-    return _compile(function, is_inlined=True)
+    return Later(function, lambda own: _compiled().compiled(own, is_inlined=True))
 
 
 def kernel_part(function: Callable[..., Any]) -> Any:
@@ -100,7 +98,7 @@ def kernel_part(function: Callable[..., Any]) -> Any:
     Numba copies it in before type inference, which costs less than a call. With two calls it is
     there twice.
     """
-    return njit(inline="always", nogil=True)(function)
+    return Later(function, lambda own: _compiled().part_of_kernels(own))
 
 
 def rare_kernel(function: Callable[..., Any]) -> Any:
@@ -109,26 +107,7 @@ def rare_kernel(function: Callable[..., Any]) -> Any:
     For rare calls from Python with little data, which compilation would never repay. Kernels cannot
     call it.
     """
-    compiled = kernel(function)
-    return compiled if config.DISABLE_JIT else _RareKernel(compiled)
-
-
-def _compile(function: Callable[..., Any], *, is_inlined: bool) -> Any:
-    if config.DISABLE_JIT:
-        return function
-    options: dict[str, Any] = {
-        "nopython": True,
-        "boundscheck": None,  # by NUMBA_BOUNDSCHECK
-        "fastmath": False,
-        "nogil": True,
-        "forceinline": is_inlined,
-        # Skip the C wrapper, which is slow to compile.
-        "no_cfunc_wrapper": True,
-    }
-    dispatcher = Kernel(function, targetoptions=options)
-    if _CACHE:
-        dispatcher._cache = KernelCache(function, _digest, _key_of)
-    return dispatcher
+    return _RareKernel(kernel(function))
 
 
 # Seconds that plain Python may take for a rare kernel in a process: a few files' worth. Then it is
@@ -151,7 +130,7 @@ def all_compiled() -> Iterator[None]:
 class _RareKernel:
     """Result of `rare_kernel`."""
 
-    def __init__(self, compiled: CPUDispatcher) -> None:
+    def __init__(self, compiled: Later) -> None:
         self._compiled = compiled
         self._is_compiled = False
         self._seconds = 0.0
@@ -169,74 +148,53 @@ class _RareKernel:
 
     def _is_cheap(self, arguments: tuple[Any, ...]) -> bool:
         """Return whether to use plain Python: it took little time, and nothing is compiled."""
-        if self._seconds > 0:
+        if self._seconds > 0 or not _has_numba():
             return self._seconds < _MOST_PLAIN_SECONDS
-        found, context = tuple(map(typeof, arguments)), self._compiled.targetctx
-        # The lookup updates numba's tables, so not while another thread compiles.
-        with global_compiler_lock:
-            return self._compiled._cache.load_overload(found, context) is None
+        return not _compiled().is_kept(self._compiled.made(), arguments)
 
     @cached_property
     def _plain(self) -> Callable[..., Any]:
         return _as_plain(self._compiled, {})
 
 
-def _as_plain(compiled: CPUDispatcher, done: dict[Any, Callable[..., Any]]) -> Callable[..., Any]:
+def _as_plain(kernel: Any, done: dict[Any, Callable[..., Any]]) -> Callable[..., Any]:
     """Return a kernel as plain Python, with its callees as plain Python, too."""
-    function = compiled.py_func
+    function = kernel.py_func
     if function not in done:
         names = dict(function.__globals__)
         plain = FunctionType(function.__code__, names, function.__name__, function.__defaults__)
         done[function] = plain
         for name in function.__code__.co_names:
-            if isinstance(names.get(name), CPUDispatcher):
+            if hasattr(names.get(name), "py_func"):
                 names[name] = _as_plain(names[name], done)
     return done[function]
 
 
-def _key_of(signature: Any) -> tuple[Any, ...]:
-    """Return the part of a cache entry's key besides the types of arguments.
-
-    In compiled code the fields of a named tuple are positions. A kernel's file need not import the
-    class of a named tuple it is given, so the names of the fields are part of the key.
-    """
-    return COMPILER, *_fields_of(getattr(signature, "args", signature))
-
-
-def _fields_of(arguments: Iterable[Any]) -> Iterator[tuple[str, ...]]:
-    """Yield the field names of each named tuple among argument types, nested ones too."""
-    for argument in arguments:
-        inner = argument.type if isinstance(argument, types.Optional) else argument
-        is_tuple = isinstance(inner, types.BaseTuple)
-        if is_tuple:
-            yield getattr(inner, "fields", ())
-            yield from _fields_of(inner)
-
-
 def place_of_kernels() -> KernelPlace:
     """Return the cache of this package's kernels, or the reason for its absence."""
-    if not _CACHE:
-        return KernelPlace((), reason=WHY_NOT_KEPT)
-    return KernelCache(place_of_kernels, _digest, _key_of).place
+    place: KernelPlace = _compiled().place_of_kernels()
+    return place
 
 
-class _FirstCompilation(event.Listener):
-    """Callback on the first compilation of a kernel; cached ones do not count."""
-
-    def __init__(self, callback: Callable[[KernelPlace], None]) -> None:
-        self._callback: Callable[[KernelPlace], None] | None = callback
-
-    def on_start(self, event: Any) -> None:
-        dispatcher = event.data["dispatcher"]
-        if self._callback is None or not isinstance(dispatcher, Kernel):
-            return
-        callback, self._callback = self._callback, None
-        callback(getattr(dispatcher._cache, "place", KernelPlace((), reason=WHY_NOT_KEPT)))
-
-    def on_end(self, event: Any) -> None:
-        pass
+_callbacks: list[Callable[[KernelPlace], None]] = []
 
 
 def on_first_compilation(callback: Callable[[KernelPlace], None]) -> None:
     """Call `callback` once, with the place of the cache, if and when a kernel is compiled."""
-    event.register("numba:compile", _FirstCompilation(callback))
+    _callbacks.append(callback)
+    if _has_numba():
+        _compiled()
+
+
+def _has_numba() -> bool:
+    """Return whether a kernel has been handed to numba, so that it is imported."""
+    return "terrainwave.coding.compiled" in sys.modules
+
+
+def _compiled() -> Any:
+    """Return the module that hands kernels to numba."""
+    from terrainwave.coding import compiled
+
+    while _callbacks:
+        compiled.on_first_compilation(_callbacks.pop())
+    return compiled

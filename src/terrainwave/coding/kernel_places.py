@@ -15,8 +15,6 @@ from contextlib import suppress
 from functools import lru_cache
 from typing import NamedTuple
 
-from numba.core import config
-
 from terrainwave.errors import TerrainwaveWarning
 
 # Advice if kernels are not cached.
@@ -37,6 +35,8 @@ class KernelPlace(NamedTuple):
 
 def place_of(source: str) -> KernelPlace:
     """Return the cache folders of a file's kernels."""
+    from numba.core import config
+
     folder = os.path.dirname(os.path.abspath(source))
     # As numba names it: one for each folder of sources, so that installations do not collide.
     subfolder = f"{os.path.basename(folder)}_{hashlib.sha1(folder.encode()).hexdigest()}"
