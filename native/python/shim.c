@@ -5,11 +5,12 @@
 #include <stdlib.h>
 
 #include "encode.h"
+#include "encode_measure.h"
 #include "encode_pyramid.h"
 #include "internal.h"
 
 /* Raised whenever what Python calls (src/terrainwave/coding/native_library.py) changes its meaning or layout. */
-enum { PYTHON_ABI = 4 };
+enum { PYTHON_ABI = 5 };
 
 TWZ_API int twz_python_abi(void);
 TWZ_API uint32_t twz_python_features(void);
@@ -32,6 +33,13 @@ TWZ_API void twz_python_push(const int32_t *fine, int32_t n_rows, int32_t n_cols
                              int32_t to_rows, int32_t to_cols, int32_t *values, uint8_t *known);
 TWZ_API void twz_python_pull(const int32_t *coarse, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col,
                              int32_t to_rows, int32_t to_cols, const uint8_t *known, int32_t *values);
+TWZ_API void twz_python_dequantise(int type, const int32_t *quanta, size_t n, int64_t numerator, int64_t denominator, int64_t base,
+                                   int64_t low, int64_t high, void *heights);
+TWZ_API void twz_python_range_and_error(const int32_t *originals, const uint8_t *valid, const int32_t *decoded, int64_t original_cols,
+                                        int64_t decoded_cols, int32_t row, int32_t col, int32_t n_rows, int32_t n_cols, int32_t *found);
+TWZ_API int64_t twz_python_largest_deviation(const deviation_job *job, int is_short);
+TWZ_API void twz_python_count_seen(const int32_t *features, const int32_t *details, const uint8_t *is_coded, size_t n,
+                                   const int32_t *weights, int least_cut, int most_cut, int64_t *pairs, int64_t *singles, int64_t *escaped);
 
 int twz_python_abi(void) { return PYTHON_ABI; }
 
@@ -199,4 +207,21 @@ void twz_python_push(const int32_t *fine, int32_t n_rows, int32_t n_cols, int32_
 void twz_python_pull(const int32_t *coarse, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col, int32_t to_rows,
                      int32_t to_cols, const uint8_t *known, int32_t *values) {
   pull_heights(coarse, n_rows, n_cols, first_row, first_col, to_rows, to_cols, known, values);
+}
+
+void twz_python_dequantise(int type, const int32_t *quanta, size_t n, int64_t numerator, int64_t denominator, int64_t base, int64_t low,
+                           int64_t high, void *heights) {
+  dequantise_heights(type, quanta, n, numerator, denominator, base, low, high, heights);
+}
+
+void twz_python_range_and_error(const int32_t *originals, const uint8_t *valid, const int32_t *decoded, int64_t original_cols,
+                                int64_t decoded_cols, int32_t row, int32_t col, int32_t n_rows, int32_t n_cols, int32_t *found) {
+  range_and_error(originals, valid, decoded, (ptrdiff_t)original_cols, (ptrdiff_t)decoded_cols, row, col, n_rows, n_cols, found);
+}
+
+int64_t twz_python_largest_deviation(const deviation_job *job, int is_short) { return largest_deviation(job, is_short); }
+
+void twz_python_count_seen(const int32_t *features, const int32_t *details, const uint8_t *is_coded, size_t n, const int32_t *weights,
+                           int least_cut, int most_cut, int64_t *pairs, int64_t *singles, int64_t *escaped) {
+  count_seen(features, details, is_coded, n, weights, least_cut, most_cut, pairs, singles, escaped);
 }

@@ -45,6 +45,37 @@ void quantise_heights(int type, const void *raw, const uint8_t *valid, size_t n,
   }
 }
 
+#define DEQUANTISE(type)                                                                         \
+  do {                                                                                           \
+    type *to = heights;                                                                          \
+    for (size_t i = 0; i < n; i++) {                                                             \
+      int64_t height = (quanta[i] + base) * numerator;                                           \
+      if (denominator != 1) height = whole_of(round_to_even((double)height / (double)denominator)); \
+      to[i] = (type)clamp_i64(height, low, high);                                                \
+    }                                                                                            \
+  } while (0)
+
+void dequantise_heights(int type, const int32_t *quanta, size_t n, int64_t numerator, int64_t denominator, int64_t base, int64_t low,
+                        int64_t high, void *heights) {
+  float *singles = heights;
+  double *doubles = heights;
+  switch (type) {
+    case RAW_I1: DEQUANTISE(int8_t); break;
+    case RAW_U1: DEQUANTISE(uint8_t); break;
+    case RAW_I2: DEQUANTISE(int16_t); break;
+    case RAW_U2: DEQUANTISE(uint16_t); break;
+    case RAW_I4: DEQUANTISE(int32_t); break;
+    case RAW_U4: DEQUANTISE(uint32_t); break;
+    case RAW_I8: DEQUANTISE(int64_t); break;
+    case RAW_F4:
+      for (size_t i = 0; i < n; i++) singles[i] = (float)((double)((quanta[i] + base) * numerator) / (double)denominator);
+      break;
+    default:
+      for (size_t i = 0; i < n; i++) doubles[i] = (double)((quanta[i] + base) * numerator) / (double)denominator;
+      break;
+  }
+}
+
 void push_heights(const int32_t *fine, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col, int64_t *lines,
                   int32_t to_rows, int32_t to_cols, int32_t *values, uint8_t *known) {
   int64_t *RESTRICT parts = lines, *RESTRICT shares = lines + n_cols;

@@ -9,11 +9,13 @@ from lone_units_drawn import Drawn, drawn_unit
 
 from terrainwave.codec import in_c
 from terrainwave.codec.rapid import unit_in_c
+from terrainwave.codec.rapid.details import count_seen
 from terrainwave.codec.rapid.file_tables import N_FAMILIES, plain_tables, tables_from
 from terrainwave.codec.rapid.fit import _for_counts
 from terrainwave.codec.rapid.fit_weights import Observer
 from terrainwave.codec.rapid.layout import WEIGHT_BITS
-from terrainwave.codec.rapid.symbols import N_SYMBOLS, N_TABLES
+from terrainwave.codec.rapid.symbols import N_CLASSES, N_SYMBOLS, N_TABLES
+from terrainwave.codec.rapid.tables import weights_of
 from terrainwave.codec.rapid.unit import UnitCoder
 from terrainwave.codec.refiner import GroupSpec
 from terrainwave.coding import native_library
@@ -91,6 +93,28 @@ def test_counts_and_what_is_seen_of_samples_are_the_same(with_library):
         assert found[0] == found[1], drawn.spec
         n_seen += len(found[0][2])
     assert n_seen > 80
+
+
+def test_symbols_of_samples_are_counted_the_same(with_library):
+    rng = np.random.default_rng(6)
+    for n in (2, 254, 1024, 1030, 4096):
+        features = rng.integers(0, 1 << rng.integers(2, 14), (3, n)).astype(np.int32)
+        features[2] = np.minimum(features[2], 6 * 4095)
+        details = (rng.normal(size=n) * 10.0 ** rng.integers(0, 4)).astype(np.int32)
+        details[:2] = -(2**31) + 1, 2**31 - 1
+        is_coded = rng.random(n) < 0.9
+        weights = rng.integers(0, [[6, 6, 9, 60]] * 3) * 999
+        made = weights_of(weights, 3, 0)[2]
+        found = []
+        for count in (count_seen, unit_in_c.count_seen):
+            shapes = (N_CLASSES, 226), (N_CLASSES, N_CLASSES, 64), (N_CLASSES, 64)
+            counts = [np.zeros(shape, dtype=np.int64) for shape in shapes]
+            floats, classes = np.zeros(1024, np.float32), np.zeros((2, 1024), np.int8)
+            memory = np.zeros(1024, np.int32), floats, floats.view(np.int32), *classes
+            count(features, details, is_coded, made, memory, *counts)
+            found.append([one.tobytes() for one in counts])
+            assert counts[0].any() or counts[1].any()
+        assert found[0] == found[1]
 
 
 def test_the_library_encodes_where_it_is_wanted(with_library, monkeypatch):

@@ -1,9 +1,9 @@
-"""Does the native library make the quanta and fills that numba's kernels make?"""
+"""Does the native library make the quanta, fills and errors that numba's kernels make?"""
 
 import numpy as np
 import pytest
 
-from terrainwave.grid import convert, convert_in_c
+from terrainwave.grid import block_stats, convert, convert_in_c
 
 pytestmark = [pytest.mark.native, pytest.mark.full]
 INTEGERS = "i1 u1 i2 u2 i4 u4 i8".split()
@@ -80,3 +80,75 @@ def test_averages_and_fills_are_the_same(with_library):
             "pull", fine, *first, is_known, out=[rng.integers(-9, 9, below).astype(np.int32)]
         )
         assert by_numba == in_c
+
+
+@pytest.mark.parametrize("dtype", [*INTEGERS, "f4", "f8"])
+def test_heights_are_the_same(dtype, with_library):
+    rng = np.random.default_rng(3)
+    quanta = rng.integers(-(1 << 31), 1 << 31, (9, 14)).astype(np.int32)
+    for numerator, denominator, base in (
+        (1, 1, 0),
+        (3, 2, -7),
+        (1000, 7, 1 << 40),
+        (1, 1 << 30, 5),
+    ):
+        scale = numerator, denominator, base
+        name = "dequantize_floats"
+        if np.dtype(dtype).kind in "iu":
+            limits = np.iinfo(dtype)
+            name, scale = "dequantize_integers", (*scale, limits.min, limits.max)
+        wide = np.zeros((12, 40), dtype=dtype)
+        for out in (wide[:9, :14].copy(), wide[:9, 3:17]):
+            in_c, by_numba = out.copy(), out.copy()
+            getattr(convert, name).__wrapped__(quanta, *scale, by_numba)
+            out[:] = 0
+            getattr(convert_in_c, name)(quanta, *scale, out)
+            assert out.tobytes() == by_numba.tobytes()
+            assert in_c.shape == out.shape
+        assert not wide[9:].any()
+        assert not wide[:, 17:].any()
+
+
+def test_ranges_and_errors_are_the_same(with_library):
+    rng = np.random.default_rng(4)
+    for _ in range(100):
+        shape = tuple(int(n) for n in rng.integers(1, 40, 2))
+        originals, decoded = rng.integers(-(1 << 31), 1 << 31, (2, *shape)).astype(np.int32)
+        mask = rng.random(shape) < rng.choice([0.0, 0.5, 1.0])
+        if rng.random() < 0.5:  # larger ones beside
+            decoded = np.pad(decoded, ((0, 2), (0, 5)))
+        first = [int(rng.integers(0, n)) for n in shape]
+        at = *first, *(int(rng.integers(1, n - f + 1)) for n, f in zip(shape, first, strict=True))
+        by_numba = block_stats.range_and_error.__wrapped__(originals, mask, decoded, *at)
+        assert convert_in_c.range_and_error(originals, mask, decoded, *at) == by_numba
+
+
+def test_deviations_from_surfaces_are_the_same(with_library, monkeypatch):
+    rng, kinds = np.random.default_rng(5), set()
+    own = block_stats.largest_deviation.__wrapped__
+    for number in range(120):
+        shift = int(rng.integers(0, 6))
+        cells = tuple(int(n) for n in rng.integers(1, 9, 2))
+        first = tuple(int(rng.integers(0, 1 << shift)) for _ in range(2))
+        shape = tuple(
+            int(rng.integers(1, (n << shift) - at + 2)) for n, at in zip(cells, first, strict=True)
+        )
+        relief = 1 << int(rng.choice([3, 12, 29]))
+        heights = rng.integers(-relief, relief, (cells[0] + 1, cells[1] + 1)).astype(np.int32)
+        originals = rng.integers(-relief, relief, shape).astype(np.int32)
+        mask = rng.random(shape) < 0.8
+        originals[~mask] = rng.integers(-(1 << 31), 1 << 31, np.count_nonzero(~mask))
+        limits = (-relief, relief) if number % 2 else None
+        found = []
+        for function in (own, convert_in_c.largest_deviation):
+
+            def noted(*given, function=function):
+                kinds.add(given[-2].dtype)
+                return function(*given)
+
+            monkeypatch.setattr(block_stats, "largest_deviation", noted)
+            found.append(
+                block_stats.measure_block(heights, 1 << shift, originals, mask, *first, limits)
+            )
+        assert found[0] == found[1]
+    assert len(kinds) == 2

@@ -16,7 +16,7 @@ from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 
 PACKAGE = "terrainwave_native"
 SWITCH = "TERRAINWAVE_NATIVE"  # 0 in the environment: not used
-ABI = 4  # PYTHON_ABI of native/python/shim.c
+ABI = 5  # PYTHON_ABI of native/python/shim.c
 
 OK, CORRUPT, NO_MEMORY = 0, 1, 4  # of twz_status
 

@@ -7,8 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
+from terrainwave.coding.native_library import also_in_c
 from terrainwave.grid.quadtree import Region
 
+_IN_C = "terrainwave.grid.convert_in_c"
 Heights = NDArray[np.int32]
 Mask = NDArray[np.bool_]
 Number = TypeVar("Number", np.int32, np.float64)
@@ -105,7 +107,7 @@ def measure_block(
     # Not empty: a row of the surface above the first one is computed, but not used.
     lines = np.zeros(_N_LINES * n_places, dtype=dtype)
     first = row - first_cells[0] * stride, col - first_cells[1] * stride
-    scaled = _largest_deviation(
+    scaled = largest_deviation(
         under,
         shift,
         np.ascontiguousarray(originals),
@@ -118,12 +120,13 @@ def measure_block(
     return int(-(-scaled // (stride * stride)))
 
 
-# Rows of scratch lines in `_largest_deviation`: two for halving distances, then `_UPPER` …
+# Rows of scratch lines in `largest_deviation`: two for halving distances, then `_UPPER` …
 _UPPER, _RISE, _SURFACE, _N_LINES = 2, 3, 4, 5
 
 
+@also_in_c(_IN_C)
 @kernel
-def _largest_deviation(
+def largest_deviation(
     heights, shift, originals, mask, first_row, first_col, lowest, lines, n_places
 ):
     """Return the largest deviation times stride^2; the stride is 2^shift.
@@ -214,7 +217,7 @@ def measure_samples(originals: Heights, mask: Mask, decoded: Heights, at: Region
 
     Uses the region `at` of all three, which begin at sample (0, 0).
     """
-    low, high, error = _range_and_error(
+    low, high, error = range_and_error(
         np.ascontiguousarray(originals),
         np.ascontiguousarray(mask),
         np.ascontiguousarray(decoded),
@@ -223,8 +226,9 @@ def measure_samples(originals: Heights, mask: Mask, decoded: Heights, at: Region
     return BlockStats() if low > high else BlockStats(int(low), int(high), int(error))
 
 
+@also_in_c(_IN_C)
 @kernel
-def _range_and_error(originals, mask, decoded, first_row, first_col, n_rows, n_cols):
+def range_and_error(originals, mask, decoded, first_row, first_col, n_rows, n_cols):
     """Return (lowest, highest, largest error) of valid samples; without any, lowest > highest.
 
     Quanta and their differences have 32 bits.

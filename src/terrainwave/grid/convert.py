@@ -39,6 +39,7 @@ def quantize_floats(raw, valid, numerator, denominator, base, quanta):
                 quanta[row, col] = 0
 
 
+@also_in_c(_IN_C)
 @kernel
 def dequantize_integers(quanta, numerator, denominator, base, low, high, out):
     """Fill `out` with whole heights; ties of a fractional quantum go to even. 2-D arrays.
@@ -53,6 +54,7 @@ def dequantize_integers(quanta, numerator, denominator, base, low, high, out):
             out[row, col] = min(max(height, low), high)
 
 
+@also_in_c(_IN_C)
 @kernel
 def dequantize_floats(quanta, numerator, denominator, base, out):
     """Fill `out` with the quotients, rounded to float64 and then to its own type. 2-D arrays."""

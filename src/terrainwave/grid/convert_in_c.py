@@ -1,4 +1,4 @@
-"""Quanta and fills by the native library, as `convert` makes them by kernels of numba."""
+"""Quanta, fills and errors by the native library, as `convert` and `block_stats` make them."""
 
 import ctypes
 from functools import cache
@@ -16,6 +16,9 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "quantise": (
         ctypes.c_int, _POINTER, _POINTER, ctypes.c_size_t, ctypes.c_int, *(_LONG,) * 3, _POINTER,
     ),
+    "dequantise": (ctypes.c_int, _POINTER, ctypes.c_size_t, *(_LONG,) * 5, _POINTER),
+    "range_and_error": (*(_POINTER,) * 3, _LONG, _LONG, *(_INT,) * 4, _POINTER),
+    "largest_deviation": (_POINTER, ctypes.c_int),
     "push": (_POINTER, *(_INT,) * 4, _POINTER, _INT, _INT, _POINTER, _POINTER),
     "pull": (_POINTER, *(_INT,) * 6, _POINTER, _POINTER),
 }  # fmt: skip
@@ -25,7 +28,20 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
 def _function(name: str) -> Any:
     library = loaded()
     assert library is not None
-    return library.plain(f"twz_python_{name}", None, *_SIGNATURES[name])
+    result = _LONG if name == "largest_deviation" else None
+    return library.plain(f"twz_python_{name}", result, *_SIGNATURES[name])
+
+
+class _Deviation(ctypes.Structure):
+    """A window of a raster and a block around it (deviation_job of native/src/encode_measure.h)."""
+
+    _fields_ = [
+        *((name, _POINTER) for name in ("heights", "originals", "valid")),
+        *((name, _INT) for name in ("height_rows", "height_cols", "n_rows", "n_cols", "shift")),
+        *((name, _INT) for name in ("first_row", "first_col", "n_places")),
+        ("lowest", _LONG),
+        ("lines", _POINTER),
+    ]
 
 
 def _quantise(
@@ -80,3 +96,54 @@ def pull(
         coarse.ctypes.data, *coarse.shape, first_row, first_col, *values.shape,
         known.ctypes.data, values.ctypes.data,
     )  # fmt: skip
+
+
+def dequantize_integers(
+    quanta: NDArray[np.int32], numerator: int, denominator: int, base: int, low: int, high: int,
+    out: NDArray[Any],
+) -> None:  # fmt: skip
+    """Do as `convert.dequantize_integers`."""
+    quanta = np.ascontiguousarray(quanta)
+    made = out if out.flags.c_contiguous and out.dtype.isnative else np.empty_like(out, order="C")
+    made = made.view(made.dtype.newbyteorder("=")) if made is not out else out
+    _function("dequantise")(
+        _TYPES[made.dtype], quanta.ctypes.data, quanta.size, numerator, denominator, base, low,
+        high, made.ctypes.data,
+    )  # fmt: skip
+    if made is not out:
+        out[:] = made
+
+
+def dequantize_floats(
+    quanta: NDArray[np.int32], numerator: int, denominator: int, base: int, out: NDArray[Any]
+) -> None:
+    """Do as `convert.dequantize_floats`."""
+    dequantize_integers(quanta, numerator, denominator, base, 0, 0, out)
+
+
+def range_and_error(
+    originals: NDArray[np.int32], mask: NDArray[np.bool_], decoded: NDArray[np.int32],
+    first_row: int, first_col: int, n_rows: int, n_cols: int,
+) -> tuple[int, int, int]:  # fmt: skip
+    """Do as `block_stats.range_and_error`, of contiguous arrays."""
+    found = (_INT * 3)()
+    _function("range_and_error")(
+        originals.ctypes.data, mask.ctypes.data, decoded.ctypes.data, originals.shape[1],
+        decoded.shape[1], first_row, first_col, n_rows, n_cols, found,
+    )  # fmt: skip
+    low, high, error = found
+    return low, high, error
+
+
+def largest_deviation(
+    heights: NDArray[np.int32], shift: int, originals: NDArray[np.int32],
+    mask: NDArray[np.bool_], first_row: int, first_col: int, lowest: int, lines: NDArray[Any],
+    n_places: int,
+) -> int:  # fmt: skip
+    """Do as `block_stats.largest_deviation`, of contiguous arrays."""
+    job = _Deviation(
+        heights.ctypes.data, originals.ctypes.data, mask.ctypes.data, *heights.shape,
+        *originals.shape, shift, first_row, first_col, n_places, lowest, lines.ctypes.data,
+    )  # fmt: skip
+    found: int = _function("largest_deviation")(ctypes.byref(job), lines.dtype == np.int32)
+    return found

@@ -34,6 +34,7 @@ from terrainwave.codec.rapid.layout import (
 from terrainwave.codec.rapid.symbols import N_CLASSES
 from terrainwave.codec.rapid.tables import WEIGHT_UNIT_BITS, Tables, weights_of
 from terrainwave.codec.rapid.unit import LEAST_SIDE, UnitCoder
+from terrainwave.coding.native_library import also_in_c
 
 Whole = NDArray[np.int64]
 Reals = NDArray[np.float64]
@@ -41,6 +42,7 @@ Reals = NDArray[np.float64]
 # Of range, bend and what is near, each alone as what is expected (`tables.weights_of`).
 _EACH_ALONE = np.eye(5, dtype=np.int32)[1:4]
 _AT_A_TIME = 1 << 10
+count_samples = also_in_c("terrainwave.codec.rapid.unit_in_c")(count_seen)
 # Samples of a class and plane that weights are fitted to, and how many are too few.
 _MOST_SAMPLES, _MIN_SAMPLES = 1 << 13, 128
 # Scaled to whole numbers of so many bits, products of this many samples have sums below 2**53.
@@ -226,5 +228,5 @@ def count_by_class(seen: list[Seen], weights: Whole, step: int) -> Counts:
     memory = expected, floats, floats.view(np.int32), classes[0], classes[1]
     for found in seen:
         made = weights_of(weights[found.which], step, found.shift)[found.plane - HH]
-        count_seen(found.features, found.details, found.is_coded, made, memory, *counts)
+        count_samples(found.features, found.details, found.is_coded, made, memory, *counts)
     return counts

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.in_c import ENCODERS, INT, POINTER, Owned, call
+from terrainwave.codec.in_c import ENCODERS, INT, POINTER, Owned, call, library
 from terrainwave.codec.memory import flat, new_heights
+from terrainwave.codec.rapid.details import LEAST_CUT, MOST_CUT
 from terrainwave.codec.rapid.layout import HH, HL, LH, plane_shape
 from terrainwave.codec.rapid.tables import Tables
 from terrainwave.codec.rapid.unit import LEAST_SIDE, UnitCoder
@@ -126,6 +127,25 @@ def count(
                 keep(which, plane, job.shift, own[:3], own[3], own[4].astype(np.bool_))
                 at = end
     return arrays[0]
+
+
+def count_seen(
+    features: NDArray[np.int32], details: NDArray[np.int32], is_coded: NDArray[np.bool_],
+    weights: NDArray[np.int32], _memory: Any, *counts: NDArray[np.int64],
+) -> None:  # fmt: skip
+    """Do as `details.count_seen`."""
+    features = np.ascontiguousarray(features)
+    details, is_coded = np.ascontiguousarray(details), np.ascontiguousarray(is_coded)
+    weights = np.ascontiguousarray(weights, dtype=np.int32)
+    assert all(array.flags.c_contiguous for array in counts)
+    do = library().plain(
+        "twz_python_count_seen", None, *(POINTER,) * 3, ctypes.c_size_t, POINTER, INT, INT,
+        *(POINTER,) * 3,
+    )  # fmt: skip
+    do(
+        features.ctypes.data, details.ctypes.data, is_coded.ctypes.data, len(details),
+        weights.ctypes.data, LEAST_CUT, MOST_CUT, *(array.ctypes.data for array in counts),
+    )  # fmt: skip
 
 
 def _lattices(
