@@ -18,12 +18,13 @@ TWZ_API twz_locks *twz_python_locks_new(void);
 TWZ_API void twz_python_locks_free(twz_locks *locks);
 TWZ_API const twz_allocator *twz_python_allocator(void);
 TWZ_API void twz_python_limit_cache(twz_file *file, uint64_t n_bytes);
-TWZ_API twz_status twz_python_tables_new(int32_t k_max, int32_t cut, const int64_t *stencils, const int64_t *weights,
+TWZ_API twz_status twz_python_tables_new(int32_t k_max, int32_t cut, int32_t has_slots, const int64_t *stencils, const int64_t *weights,
                                          const uint32_t *freqs, const uint32_t *starts, encode_tables **made, twz_error *error);
 TWZ_API void twz_python_tables_free(encode_tables *tables);
 TWZ_API twz_status twz_python_encoder_new(twz_encoder **made, twz_error *error);
 TWZ_API void twz_python_encoder_free(twz_encoder *encoder);
 TWZ_API twz_status twz_python_encode(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error);
+TWZ_API twz_status twz_python_decode(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error);
 TWZ_API twz_status twz_python_encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error);
 TWZ_API uint64_t twz_python_mask_words(const uint8_t *models, const uint8_t *values, uint64_t n, const uint32_t *freqs, uint32_t n_states,
                                        uint32_t *states, uint8_t *words);
@@ -169,10 +170,10 @@ const twz_allocator *twz_python_allocator(void) {
 }
 
 /* The encoder (encode.h). */
-twz_status twz_python_tables_new(int32_t k_max, int32_t cut, const int64_t *stencils, const int64_t *weights, const uint32_t *freqs,
+twz_status twz_python_tables_new(int32_t k_max, int32_t cut, int32_t has_slots, const int64_t *stencils, const int64_t *weights, const uint32_t *freqs,
                                  const uint32_t *starts, encode_tables **made, twz_error *error) {
   static const twz_allocator plain; /* most of it is never touched: malloc maps no pages for that */
-  return encode_tables_new(&plain, k_max, cut, stencils, weights, freqs, starts, made, error);
+  return encode_tables_new(&plain, k_max, cut, has_slots, stencils, weights, freqs, starts, made, error);
 }
 
 void twz_python_tables_free(encode_tables *tables) { encode_tables_free(tables); }
@@ -185,6 +186,10 @@ void twz_python_encoder_free(twz_encoder *encoder) { encoder_free(encoder); }
 
 twz_status twz_python_encode(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error) {
   return encode_rapid(encoder, tables, job, error);
+}
+
+twz_status twz_python_decode(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error) {
+  return decode_lone(encoder, tables, job, error);
 }
 
 twz_status twz_python_encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error) { return encode_mask(encoder, job, error); }

@@ -35,7 +35,7 @@ typedef struct encode_job {
   int32_t *out;                  /* heights as they are decoded */
   int64_t *counts;               /* of N_TABLES * N_SYMBOLS: add up symbols instead of making a payload; or NULL */
   int32_t *seen;                 /* of each lattice and plane of LEAST_SIDE samples: features, details, which are coded; or NULL */
-  const uint8_t *payload;        /* made; belongs to the encoder, until it encodes again */
+  const uint8_t *payload;        /* made; belongs to the encoder, until it encodes again. Decoded: PAYLOAD_SLACK behind it */
   uint64_t n_payload;
   int32_t shift;                 /* of its heights in planes */
 } encode_job;
@@ -84,8 +84,8 @@ int bands_for(const encoding *e, const int32_t *rows, const int32_t *cols);
 /* Log the details of n pairs. */
 void log_pairs(encoding *e, symbol_log *l, const uint8_t *pairs, const uint8_t *singles, const int32_t *details, int32_t n);
 
-/* `weights`, `stencils`: as Tables has them, shapes (4, 3, 4) and (4, 3, 24); freqs, starts: (N_TABLES, N_SYMBOLS). */
-twz_status encode_tables_new(const twz_allocator *a, int32_t k_max, int32_t cut, const int64_t *stencils, const int64_t *weights,
+/* has_slots: for decoders, too. `weights`, `stencils`: as Tables has them, shapes (4, 3, 4) and (4, 3, 24); freqs, starts: (N_TABLES, N_SYMBOLS). */
+twz_status encode_tables_new(const twz_allocator *a, int32_t k_max, int32_t cut, int32_t has_slots, const int64_t *stencils, const int64_t *weights,
                              const uint32_t *freqs, const uint32_t *starts, encode_tables **made, twz_error *error);
 void encode_tables_free(encode_tables *t);
 /* Memory for one thread. */
@@ -93,6 +93,9 @@ twz_status encoder_new(const twz_allocator *a, twz_kernels kernels, twz_encoder 
 void encoder_free(twz_encoder *e);
 /* Encode a unit: heights to job->out, bytes to job->payload. */
 twz_status encode_rapid(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error);
+
+/* Decode a payload, of a unit without a target, by tables with slots. */
+twz_status decode_lone(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error);
 
 twz_status encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error);
 

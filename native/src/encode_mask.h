@@ -12,6 +12,8 @@ typedef struct mask_job {
   int32_t above_rows, above_cols, above_row, above_col; /* of the parent's sample at the first even row and column */
   const uint8_t *own_above, *valid_above; /* NULL: all 1 */
   const uint8_t *own, *mask;             /* own NULL: note nothing, all is own that is not implied to be void */
+  const uint8_t *section;                /* decoded instead, PAYLOAD_SLACK behind it; or NULL */
+  uint64_t n_section;
   uint8_t *cells;                        /* filled: own + 2 * valid; on the finest level of valid ones nothing */
   uint8_t *models, *bits;                /* filled: what is coded, in order */
   uint64_t capacity, n_bits;

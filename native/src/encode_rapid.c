@@ -20,7 +20,20 @@ struct twz_encoder {
 
 /* ---- Tables and memory ---- */
 
-twz_status encode_tables_new(const twz_allocator *a, int32_t k_max, int32_t cut, const int64_t *stencils, const int64_t *weights,
+/* Symbols by slots, as decoders look them up. */
+static void fill_slots(rapid_tables *t, const uint32_t *freqs, const uint32_t *starts) {
+  for (int i = 0; i < N_TABLES * N_SYMBOLS; i++) {
+    uint32_t *slots = t->slots + ((size_t)(i / N_SYMBOLS) << SLOT_BITS);
+    for (uint32_t m = 0; m < freqs[i] && starts[i] + m < SLOTS; m++) slots[starts[i] + m] = (uint32_t)(i % N_SYMBOLS) | (freqs[i] - 1) << 8 | m << 20;
+  }
+  for (int table = 0; table < N_TABLES; table++) {
+    int rest = table * N_SYMBOLS + (table < SINGLES ? NO_DETAILS : NO_DETAIL);
+    t->rests[table] = (rapid_rest){(uint16_t)starts[rest], (uint16_t)freqs[rest]};
+  }
+  rapid_fill_orders(t);
+}
+
+twz_status encode_tables_new(const twz_allocator *a, int32_t k_max, int32_t cut, int32_t has_slots, const int64_t *stencils, const int64_t *weights,
                              const uint32_t *freqs, const uint32_t *starts, encode_tables **made, twz_error *error) {
   *made = NULL;
   encode_tables *t = twz_allocate(a, sizeof *t);
@@ -41,6 +54,7 @@ twz_status encode_tables_new(const twz_allocator *a, int32_t k_max, int32_t cut,
     uint32_t cost = freqs[i] ? SLOT_BITS - (uint32_t)bit_length(freqs[i] - 1) : 0;
     t->freqs[i] = (freqs[i] & FREQ_MASK) | (starts[i] & FREQ_MASK) << FREQ_BITS | cost << COST_SHIFT;
   }
+  if (has_slots) fill_slots(t->rapid, freqs, starts);
   *made = t;
   return TWZ_OK;
 }
@@ -318,15 +332,19 @@ static int32_t code_corner(const rapid_unit *u, encoding *e, ptrdiff_t place) {
   return job->added ? correct_height(job, place, height, u->low, u->high) : (int32_t)height;
 }
 
-static twz_status encode_root(const twz_encoder *encoder, rapid_unit *u, encoding *e, int32_t *memory, twz_error *error) {
+/* Encode a root block; decode it, where the job has no target. */
+static twz_status code_root(const twz_encoder *encoder, rapid_unit *u, encoding *e, int32_t *memory, twz_error *error) {
   const encode_job *job = e->job;
+  const int is_decoded = job->target == NULL;
   int32_t n_rows = job->n_rows, n_cols = job->n_cols, stride = 1, *heights = memory, *others = memory + (size_t)n_rows * (size_t)n_cols;
   while (stride < max_i32(n_rows, n_cols) - 1) stride *= 2;
   u->n_rows = (n_rows - 1) / stride + 1;
   u->n_cols = (n_cols - 1) / stride + 1;
   for (int32_t row = 0; row < u->n_rows; row++) {
     for (int32_t col = 0; col < u->n_cols; col++) {
-      heights[row * u->n_cols + col] = code_corner(u, e, ((ptrdiff_t)row * n_cols + col) * stride);
+      ptrdiff_t at = ((ptrdiff_t)row * n_cols + col) * stride;
+      heights[row * u->n_cols + col] = !is_decoded ? code_corner(u, e, at)
+                                                   : rapid_read_corner(u, !job->valid || job->valid[at], job->added ? job->added[at] : 0);
     }
   }
   for (stride /= 2; stride; stride /= 2) {
@@ -337,9 +355,9 @@ static twz_status encode_root(const twz_encoder *encoder, rapid_unit *u, encodin
     u->out = others;
     u->out_stride = u->n_cols;
     u->level_class = (int)clamp_i64((int64_t)u->tables->k_max - job->level + bit_length((uint64_t)stride) - 1, 0, N_LEVEL_CLASSES - 1);
-    u->valid_stride = e->row_step = stride * (ptrdiff_t)n_cols;
-    u->valid_step = e->col_step = stride;
-    TRY(encoder->kernels->encode_lattice(u, e, error));
+    u->valid_stride = u->corrections_stride = e->row_step = stride * (ptrdiff_t)n_cols;
+    u->valid_step = u->corrections_step = e->col_step = stride;
+    TRY(is_decoded ? encoder->kernels->decode_rapid(u, error) : encoder->kernels->encode_lattice(u, e, error));
     others = heights;
     heights = u->out;
   }
@@ -375,13 +393,30 @@ void start_band(encoding *e, int band) {
   l->raw[0] = 0;
 }
 
-twz_status encode_rapid(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error) {
+static twz_status check_job(const encode_job *job, twz_error *error) {
   if (job->size != sizeof *job) return twz_fail(error, TWZ_BAD_ARGUMENT, "a job of %llu bytes", (unsigned long long)job->size);
   if (job->n_rows < 1 || job->n_cols < 1 || job->n_rows > MOST_SIDE || job->n_cols > MOST_SIDE || job->step < 1 || job->z_min > job->z_max ||
       job->z_min < -(1 << 30) || job->z_max > 1 << 30) {
     return twz_fail(error, TWZ_BAD_ARGUMENT, "a unit of %d rows and %d columns, step %d, heights from %d to %d", job->n_rows, job->n_cols,
                     job->step, job->z_min, job->z_max);
   }
+  return TWZ_OK;
+}
+
+/* The one lattice of a group. */
+static void begin_group(rapid_unit *u, const encode_tables *tables, const encode_job *job) {
+  u->parent_stride = (ptrdiff_t)job->parent_stride;
+  u->n_rows = u->rows[1] = job->n_rows;
+  u->n_cols = u->cols[1] = job->n_cols;
+  u->out = job->out;
+  u->out_stride = u->valid_stride = u->corrections_stride = job->n_cols;
+  u->valid_step = u->corrections_step = 1;
+  u->level_class = (int)clamp_i64((int64_t)tables->rapid->k_max - job->level, 0, N_LEVEL_CLASSES - 1);
+  for (int side = 0; side < 4; side++) u->known[side] = job->shared[side];
+}
+
+twz_status encode_rapid(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error) {
+  TRY(check_job(job, error));
   encoding e;
   rapid_unit u;
   int32_t *root;
@@ -407,17 +442,12 @@ twz_status encode_rapid(twz_encoder *encoder, const encode_tables *tables, encod
   e.n_bands = job->parent && !job->counts ? 0 : 1;
   start_band(&e, 0);
   if (!job->parent) {
-    TRY(encode_root(encoder, &u, &e, root, error));
+    TRY(code_root(encoder, &u, &e, root, error));
   } else {
     u.parent = job->parent;
-    u.parent_stride = (ptrdiff_t)job->parent_stride;
-    u.n_rows = u.rows[1] = job->n_rows;
-    u.n_cols = u.cols[1] = job->n_cols;
-    u.out = job->out;
-    u.out_stride = u.valid_stride = e.row_step = job->n_cols;
-    u.valid_step = e.col_step = 1;
-    u.level_class = (int)clamp_i64((int64_t)tables->rapid->k_max - job->level, 0, N_LEVEL_CLASSES - 1);
-    for (int side = 0; side < 4; side++) u.known[side] = job->shared[side];
+    e.row_step = job->n_cols;
+    e.col_step = 1;
+    begin_group(&u, tables, job);
     TRY(encoder->kernels->encode_lattice(&u, &e, error));
   }
   if (job->counts) {
@@ -425,6 +455,36 @@ twz_status encode_rapid(twz_encoder *encoder, const encode_tables *tables, encod
     return TWZ_OK;
   }
   return make_payload(encoder, &e, &u, number, job, error);
+}
+
+twz_status decode_lone(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error) {
+  encoding e;
+  rapid_unit u;
+  TRY(check_job(job, error));
+  memset(&e, 0, sizeof e);
+  memset(&u, 0, sizeof u);
+  e.job = job;
+  u.tables = tables->rapid;
+  u.scratch = &encoder->rows;
+  u.step = job->step;
+  u.z_min = job->z_min;
+  u.z_max = job->z_max;
+  u.valid = job->valid;
+  u.corrections = job->added;
+  u.parent = job->parent;
+  reader bytes = {job->payload, (size_t)job->n_payload, 0};
+  TRY(rapid_open_payload(&u, &bytes, error));
+  /* Levels are rounded down: predictions lie up to one level below the lowest height. */
+  u.most_detail = (int32_t)min_i64(((int64_t)u.z_max - u.z_min + ((int64_t)1 << u.shift)) / u.step + 1, INT32_MAX);
+  if (job->parent) {
+    begin_group(&u, tables, job);
+    TRY(encoder->kernels->decode_rapid(&u, error));
+  } else {
+    size_t n_bytes = 2 * (size_t)job->n_rows * (size_t)job->n_cols * sizeof(int32_t);
+    TRY(scratch_reserve(&encoder->unit, n_bytes + SCRATCH_ALIGN, error));
+    TRY(code_root(encoder, &u, &e, scratch_take(&encoder->unit, n_bytes), error));
+  }
+  return rapid_close_payload(&u, 0, error);
 }
 
 twz_status encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error) { return encode_validity(job, &encoder->rows, error); }

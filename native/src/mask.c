@@ -481,7 +481,11 @@ twz_status encode_validity(mask_job *job, scratch *s, twz_error *error) {
   b.job = job;
   b.truth = job->own;
   b.own_step = 1;
-  bits *noted = job->own ? &b : NULL;
+  bits *noted = job->own || job->section ? &b : NULL;
+  if (job->section) {
+    reader section = {job->section, (size_t)job->n_section, 0};
+    TRY(start_bits(&b, &section, error));
+  }
   TRY(take_memory(&l, !job->has_above, job->own != NULL, &coarser, s, error));
   if (job->has_above) {
     above a = {job->own_above, job->valid_above, (size_t)job->above_cols, job->above_rows, job->above_cols, job->above_row, job->above_col, 0};
@@ -490,6 +494,7 @@ twz_status encode_validity(mask_job *job, scratch *s, twz_error *error) {
     decode_root(&l, noted, coarser);
   }
   if (!job->is_finest) decode_fills(&l, noted);
+  if (job->section) TRY(end_bits(&b, error));
   memcpy(job->cells, l.cells, (size_t)l.n_rows * (size_t)l.n_cols);
   if (job->is_full) return twz_fail(error, TWZ_BAD_ARGUMENT, "room for %llu bits, too few", (unsigned long long)job->capacity);
   return TWZ_OK;

@@ -121,7 +121,7 @@ static twz_status fill_slots(rapid_tables *t, int table, const uint8_t *codes, i
 }
 
 /* By which of eight pairs are two entries: where entries of pairs and singles in turn are. */
-static void fill_orders(rapid_tables *t) {
+void rapid_fill_orders(rapid_tables *t) {
   for (unsigned mask = 0; mask < 256; mask++) {
     uint8_t n = 0, below = 0;
     for (uint8_t k = 0; k < 16; k++) {
@@ -157,7 +157,7 @@ static twz_status read_tables(const twz_file *f, rapid_tables *t, const uint8_t 
     TRY(fill_slots(t, i, has_pairs ? of.pairs[i] : none, N_PAIR_SYMBOLS, NO_DETAILS, has_pairs ? PAIR_ESCAPE : SLOTS, error));
     TRY(fill_slots(t, SINGLES + i, singles, N_SINGLE_SYMBOLS, NO_DETAIL, has_singles ? 0 : SLOTS, error));
   }
-  fill_orders(t);
+  rapid_fill_orders(t);
   return TWZ_OK;
 }
 
@@ -182,7 +182,7 @@ void weigh_rapid(const rapid_unit *u, int plane, rapid_weights *made) {
 
 /* ---- Payloads (R.1) ---- */
 
-static twz_status open_payload(rapid_unit *u, const reader *bytes, twz_error *error) {
+twz_status rapid_open_payload(rapid_unit *u, const reader *bytes, twz_error *error) {
   static const uint8_t STATES[4] = {1, 8, 32, 0};
   reader r = *bytes;
   int flags, shift = 0;
@@ -227,7 +227,7 @@ static twz_status open_payload(rapid_unit *u, const reader *bytes, twz_error *er
 }
 
 /* Streams end where they should; those of a part are not exceeded. */
-static twz_status close_payload(const rapid_unit *u, int is_part, twz_error *error) {
+twz_status rapid_close_payload(const rapid_unit *u, int is_part, twz_error *error) {
   for (int i = 0; i < u->n_bands; i++) {
     const rapid_stream *z = &u->bands[i];
     REQUIRE(z->words <= z->words_end && z->n_bits <= 8 * z->n_raw, error, "streams of method rapid are cut");
@@ -242,7 +242,7 @@ static twz_status close_payload(const rapid_unit *u, int is_part, twz_error *err
 /* ---- Root blocks (R.2) ---- */
 
 /* A sample that nothing predicts. */
-static int32_t read_corner(rapid_unit *u, int is_valid, int32_t correction) {
+int32_t rapid_read_corner(rapid_unit *u, int is_valid, int32_t correction) {
   int64_t height = shift_right((int64_t)u->low + u->high, 1);
   if (is_valid) {
     rapid_stream *z = &u->bands[0];
@@ -267,7 +267,7 @@ static twz_status decode_root(rapid_unit *u, const job *j, twz_error *error) {
   for (int32_t row = 0; row < u->n_rows; row++) {
     for (int32_t col = 0; col < u->n_cols; col++) {
       ptrdiff_t at = ((ptrdiff_t)row * n_cols + col) * stride;
-      heights[row * u->n_cols + col] = read_corner(u, !l->valid || l->valid[at], j->corrections ? j->corrections[at] : 0);
+      heights[row * u->n_cols + col] = rapid_read_corner(u, !l->valid || l->valid[at], j->corrections ? j->corrections[at] : 0);
     }
   }
   twz_status status = TWZ_OK;
@@ -317,12 +317,12 @@ twz_status decode_rapid(const job *j, const reader *bytes, scratch *s, twz_error
   } else if (p->layer) {
     u.parent = zeros;
   }
-  TRY(open_payload(&u, bytes, error));
+  TRY(rapid_open_payload(&u, bytes, error));
   /* Levels are rounded down: predictions lie up to one level below the lowest height. */
   u.most_detail = (int32_t)min_i64(((int64_t)h->z_max - h->z_min + ((int64_t)1 << u.shift)) / h->step + 1, INT32_MAX);
   if (!p->layer) {
     TRY(decode_root(&u, j, error));
-    return close_payload(&u, 0, error);
+    return rapid_close_payload(&u, 0, error);
   }
   u.n_rows = l->rows.n;
   u.n_cols = l->cols.n;
@@ -346,5 +346,5 @@ twz_status decode_rapid(const job *j, const reader *bytes, scratch *s, twz_error
     u.add = (uint32_t)j->file->heights.base;
   }
   TRY(j->file->kernels->decode_rapid(&u, error));
-  return close_payload(&u, u.is_part, error);
+  return rapid_close_payload(&u, u.is_part, error);
 }

@@ -99,6 +99,12 @@ static inline int rapid_first_band(int32_t n_rows, int32_t row, int n_bands) {
 /* How many bands the payload of a unit has, if it is sound. */
 int rapid_bands(const twz_file *f, const uint8_t *payload, size_t n);
 
+/* Parts of decoders, for those of units alone (encode.h). */
+void rapid_fill_orders(rapid_tables *t);
+twz_status rapid_open_payload(rapid_unit *u, const reader *bytes, twz_error *error);
+twz_status rapid_close_payload(const rapid_unit *u, int is_part, twz_error *error);
+int32_t rapid_read_corner(rapid_unit *u, int is_valid, int32_t correction);
+
 /* The weights of a plane for features of shifted heights. */
 void weigh_rapid(const rapid_unit *u, int plane, rapid_weights *made);
 

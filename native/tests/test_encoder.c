@@ -61,7 +61,7 @@ static encode_tables *new_tables(const twz_allocator *a, int is_harsh, twz_statu
     }
   }
   encode_tables *made;
-  *status = encode_tables_new(a, 4, is_harsh ? 60 : 28, stencils, weights, freqs, starts, &made, NULL);
+  *status = encode_tables_new(a, 4, is_harsh ? 60 : 28, 0, stencils, weights, freqs, starts, &made, NULL);
   return made;
 }
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 POINTER, INT = ctypes.c_void_p, ctypes.c_int32
 _HANDLE = ctypes.POINTER(POINTER)
+_SLACK = 256  # PAYLOAD_SLACK of native/src/internal.h
 
 
 class _MaskJob(ctypes.Structure):
@@ -27,7 +28,8 @@ class _MaskJob(ctypes.Structure):
         ("size", ctypes.c_size_t),
         *((name, INT) for name in ("n_rows", "n_cols", "p", "q", "is_finest", "has_above")),
         *((name, INT) for name in ("above_rows", "above_cols", "above_row", "above_col")),
-        *((name, POINTER) for name in ("own_above", "valid_above", "own", "mask")),
+        *((name, POINTER) for name in ("own_above", "valid_above", "own", "mask", "section")),
+        ("n_section", ctypes.c_uint64),
         *((name, POINTER) for name in ("cells", "models", "bits")),
         ("capacity", ctypes.c_uint64),
         ("n_bits", ctypes.c_uint64),
@@ -36,9 +38,10 @@ class _MaskJob(ctypes.Structure):
 
 
 _SIGNATURES: dict[str, tuple[Any, ...]] = {
-    "twz_python_tables_new": (INT, INT, POINTER, POINTER, POINTER, POINTER, _HANDLE),
+    "twz_python_tables_new": (INT, INT, INT, POINTER, POINTER, POINTER, POINTER, _HANDLE),
     "twz_python_encoder_new": (_HANDLE,),
     "twz_python_encode": (POINTER, POINTER, POINTER),
+    "twz_python_decode": (POINTER, POINTER, POINTER),
     "twz_python_encode_mask": (POINTER, POINTER),
 }
 
@@ -66,6 +69,13 @@ def call(name: str, *arguments: Any) -> None:
         library().call(name, *arguments)
     except NativeError as error:
         raise (MemoryError if error.is_memory else ValueError)(str(error)) from error
+
+
+def padded(data: bytes) -> NDArray[np.uint8]:
+    """Return bytes with those behind them that decoders may touch."""
+    found = np.zeros(len(data) + _SLACK, dtype=np.uint8)
+    found[: len(data)] = np.frombuffer(data, dtype=np.uint8)
+    return found
 
 
 class Owned:
@@ -97,8 +107,9 @@ def code_known(
     above: "Above | None",
     is_finest: bool,
     log: "CodedBits",
+    section: bytes = b"",
 ) -> tuple[NDArray[np.uint8], int]:
-    """Do as `masks.code_known`."""
+    """Do as `masks.code_known`; of a section, read it."""
     n_rows, n_cols = region.shape
     cells = new_heights((n_rows, -(-n_cols // 4))).ravel().view(np.uint8)[: n_rows * n_cols]
     job = _MaskJob(
@@ -107,6 +118,9 @@ def code_known(
         models=log.models.ctypes.data, bits=log.bits.ctypes.data, capacity=len(log.models),
     )  # fmt: skip
     arrays: list[NDArray[Any]] = []
+    if section:
+        arrays = [padded(section)]
+        job.section, job.n_section = arrays[0].ctypes.data, len(section)
     if own is not None:
         arrays = [np.ascontiguousarray(own), np.ascontiguousarray(mask)]
         job.own, job.mask = (array.ctypes.data for array in arrays)
@@ -121,6 +135,23 @@ def code_known(
     with ENCODERS.lent() as encoder:
         call("twz_python_encode_mask", encoder.address, ctypes.byref(job))
     return cells.reshape(region.shape), job.n_bits
+
+
+def read_section(
+    section: bytes, region: Region, above: "Above | None", is_finest: bool, log: "CodedBits"
+) -> NDArray[np.uint8]:
+    """Do as `masks.read_section`, which says what is wrong with damaged ones."""
+    try:
+        cells, _ = code_known(
+            None, np.zeros((1, 1), dtype=np.bool_), region, above, is_finest, log, section
+        )
+    except ValueError:
+        from terrainwave.codec import masks
+
+        return masks.read_section.__wrapped__(  # type: ignore[attr-defined,no-any-return]
+            section, region, above, is_finest, log
+        )
+    return cells
 
 
 def write_bits(

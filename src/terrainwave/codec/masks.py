@@ -170,18 +170,27 @@ def decode_validity(
     if not section:
         cells, _ = code_known(None, _NOTHING, region, above, is_finest, _new_log(region))
     else:
-        coder, log = _unpacked(section), _new_log(region)
-        cells, _ = _code(_READS, _NOTHING, _NOTHING, region, above, is_finest, log, coder)
-        n_read, is_short = coder.places.tolist()
-        n_words = coder.words.shape[0] - _AHEAD
-        if is_short or n_read > n_words:
-            raise_for_status(Status.TRUNCATED, len(section))
-        if n_read < n_words or (coder.states != _STATE_START).any():
-            raise_for_status(Status.TRAILING, len(section) - 2 * (n_words - n_read))
+        cells = read_section(section, region, above, is_finest, _new_log(region))
     own = (cells & _OWN).view(np.bool_)
     if is_finest:
         return Validity.of(own)
     return Validity.of((cells >> 1 & 1).view(np.bool_), own)
+
+
+@also_in_c(_IN_C)
+def read_section(
+    section: bytes, region: Region, above: Above | None, is_finest: bool, log: CodedBits
+) -> NDArray[np.uint8]:
+    """Read the samples of a unit, own + 2 · valid, from its section."""
+    coder = _unpacked(section)
+    cells, _ = _code(_READS, _NOTHING, _NOTHING, region, above, is_finest, log, coder)
+    n_read, is_short = coder.places.tolist()
+    n_words = coder.words.shape[0] - _AHEAD
+    if is_short or n_read > n_words:
+        raise_for_status(Status.TRUNCATED, len(section))
+    if n_read < n_words or (coder.states != _STATE_START).any():
+        raise_for_status(Status.TRAILING, len(section) - 2 * (n_words - n_read))
+    return cells
 
 
 @also_in_c(_IN_C)

@@ -14,13 +14,14 @@ from types import CodeType, FunctionType
 from typing import Any
 
 from terrainwave.coding.kernel_places import KernelPlace
-from terrainwave.forks import renew_after_fork
 
 
 class _Lock:
     """Lock of all kernels that are handed to numba."""
 
     def __init__(self) -> None:
+        from terrainwave.forks import renew_after_fork  # no source of kernels
+
         self.renew()
         renew_after_fork(self)
 
@@ -148,7 +149,9 @@ class _RareKernel:
 
     def _is_cheap(self, arguments: tuple[Any, ...]) -> bool:
         """Return whether to use plain Python: it took little time, and nothing is compiled."""
-        if self._seconds > 0 or not _has_numba():
+        if not _has_numba():
+            return True  # importing it takes longer than many files
+        if self._seconds > 0:
             return self._seconds < _MOST_PLAIN_SECONDS
         return not _compiled().is_kept(self._compiled.made(), arguments)
 

@@ -236,6 +236,7 @@ class UnitCoder:
         self.decode_into(spec, parent, mask, payload, out, corrections)
         return out, None
 
+    @also_in_c(_IN_C)
     def decode_into(
         self,
         spec: GroupSpec,

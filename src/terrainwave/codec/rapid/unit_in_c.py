@@ -8,13 +8,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.in_c import ENCODERS, INT, POINTER, Owned, call, library
+from terrainwave.codec.in_c import ENCODERS, INT, POINTER, Owned, call, library, padded
 from terrainwave.codec.memory import flat, new_heights
 from terrainwave.codec.rapid.details import LEAST_CUT, MOST_CUT
 from terrainwave.codec.rapid.layout import HH, HL, LH, plane_shape
 from terrainwave.codec.rapid.tables import Tables
 from terrainwave.codec.rapid.unit import LEAST_SIDE, UnitCoder
-from terrainwave.codec.refiner import NO_CORRECTIONS, Corrections, GroupSpec, Heights, Labels, Mask
+from terrainwave.codec.refiner import (
+    ALL_ROWS,
+    NO_CORRECTIONS,
+    Corrections,
+    GroupSpec,
+    Heights,
+    Labels,
+    Mask,
+    Raw,
+    Rows,
+)
 from terrainwave.forks import renew_after_fork
 
 _MOST_TABLES = 8  # Python's have 2 MB each
@@ -53,20 +63,21 @@ class _KnownTables:
     def renew(self) -> None:
         """Begin anew after a fork, which may have left the lock held."""
         self._lock = threading.Lock()
-        self._known: OrderedDict[int, tuple[Tables, Owned]] = OrderedDict()
+        self._known: OrderedDict[tuple[int, bool], tuple[Tables, Owned]] = OrderedDict()
 
-    def of(self, tables: Tables) -> Owned:
+    def of(self, tables: Tables, *, is_read: bool) -> Owned:
         """Return the library's tables; Python's stay with them, so that no others get their id."""
         with self._lock:
-            if id(tables) not in self._known:
-                self._known[id(tables)] = tables, _new_tables(tables)
-            self._known.move_to_end(id(tables))
+            key = id(tables), is_read
+            if key not in self._known:
+                self._known[key] = tables, _new_tables(tables, is_read=is_read)
+            self._known.move_to_end(key)
             while len(self._known) > _MOST_TABLES:
                 self._known.popitem(last=False)
-            return self._known[id(tables)][1]
+            return self._known[key][1]
 
 
-def _new_tables(tables: Tables) -> Owned:
+def _new_tables(tables: Tables, *, is_read: bool) -> Owned:
     arrays: list[NDArray[Any]] = [
         np.ascontiguousarray(tables.stencils, dtype=np.int64),
         np.ascontiguousarray(tables.weights, dtype=np.int64),
@@ -75,7 +86,7 @@ def _new_tables(tables: Tables) -> Owned:
     ]
     return Owned(
         "twz_python_tables_new", "twz_python_tables_free", tables.k_max, tables.frequencies.cut,
-        *(array.ctypes.data for array in arrays),
+        is_read,         *(array.ctypes.data for array in arrays),
     )  # fmt: skip
 
 
@@ -96,6 +107,37 @@ def encode(
         _run(encoder, coder, job)
         payload = ctypes.string_at(job.payload, job.n_payload)
     return payload, arrays[0], None
+
+
+def decode_into(
+    coder: UnitCoder,
+    spec: GroupSpec,
+    parent: Heights | None,
+    mask: Mask | None,
+    payload: bytes,
+    out: Heights,
+    corrections: Corrections = NO_CORRECTIONS,
+    rows: Rows = ALL_ROWS,
+    raw: Raw | None = None,
+) -> bool:
+    """Do as `UnitCoder.decode_into`, which decodes parts, and says what is wrong with others."""
+    if rows == ALL_ROWS or parent is None:
+        job, arrays = _new_job(spec, parent, None, mask, corrections)
+        data = padded(payload)
+        job.payload, job.n_payload = data.ctypes.data, len(payload)
+        tables = _TABLES.of(coder.tables(job.step), is_read=True)
+        try:
+            with ENCODERS.lent() as decoder:
+                call("twz_python_decode", decoder.address, tables.address, ctypes.byref(job))
+        except ValueError:
+            pass
+        else:
+            out[:] = arrays[0]
+            return False
+    by_numba: bool = UnitCoder.decode_into.__wrapped__(  # type: ignore[attr-defined]
+        coder, spec, parent, mask, payload, out, corrections, rows, raw
+    )
+    return by_numba
 
 
 def count(
@@ -171,18 +213,20 @@ def _lattices(
 
 
 def _new_job(
-    spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask | None,
+    spec: GroupSpec, parent: Heights | None, target: Heights | None, mask: Mask | None,
     corrections: Corrections,
 ) -> tuple[_Job, list[NDArray[Any]]]:  # fmt: skip
     """Return a unit as the library takes it, and the arrays it refers to; the first has heights."""
     out = new_heights(spec.region.shape)
-    target = np.ascontiguousarray(target, dtype=np.int32)
-    arrays: list[NDArray[Any]] = [out, target]
+    arrays: list[NDArray[Any]] = [out]
     job = _Job(
         size=ctypes.sizeof(_Job), level=spec.level, step=spec.step, z_min=spec.z_min,
         z_max=spec.z_max, n_rows=out.shape[0], n_cols=out.shape[1], shared=tuple(spec.shared),
-        target=target.ctypes.data, out=out.ctypes.data,
+        out=out.ctypes.data,
     )  # fmt: skip
+    if target is not None:
+        arrays.append(np.ascontiguousarray(target, dtype=np.int32))
+        job.target = arrays[-1].ctypes.data
     if parent is not None:
         source, job.parent_stride = flat(parent)
         job.parent, (job.parent_rows, job.parent_cols) = source.ctypes.data, parent.shape
@@ -200,5 +244,5 @@ def _new_job(
 
 
 def _run(encoder: Owned, coder: UnitCoder, job: _Job) -> None:
-    tables = _TABLES.of(coder.tables(job.step))
+    tables = _TABLES.of(coder.tables(job.step), is_read=False)
     call("twz_python_encode", encoder.address, tables.address, ctypes.byref(job))

@@ -1,0 +1,54 @@
+"""Does the native library leave nothing to numba where the default method encodes and reads?"""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from golden_files import GOLDEN
+
+import terrainwave
+from terrainwave.coding import native_library
+
+pytestmark = [pytest.mark.native, pytest.mark.large]
+PROGRAM = """
+import sys
+sys.modules["numba"] = None  # importing it fails
+import numpy as np, rasterio
+import terrainwave
+rng = np.random.default_rng(1)
+heights = (np.cumsum(np.cumsum(rng.normal(size=(300, 400)), 0), 1) * 0.1).astype(sys.argv[2])
+if sys.argv[2] == "float32":
+    heights[50:90, 30:200] = np.nan
+nodata = np.nan if sys.argv[2] == "float32" else None
+path, made = sys.argv[1] + "/raster.tif", sys.argv[1] + "/made.twz"
+profile = dict(driver="GTiff", height=300, width=400, count=1, dtype=sys.argv[2], nodata=nodata)
+with rasterio.open(path, "w", **profile) as file:
+    file.write(heights, 1)
+for _ in range(2):
+    terrainwave.compress(path, made, max_error=1.0, overwrite=True)
+    with terrainwave.open(made) as terrain:
+        terrain.read()
+    assert terrainwave.verify(made, path).ok
+"""
+
+
+@pytest.mark.parametrize("dtype", ["int16", "float32"])
+def test_compress_read_and_verify_import_no_numba(dtype, site, tmp_path, monkeypatch):
+    folders = os.pathsep.join([str(GOLDEN.parents[1] / "src"), str(site)])
+    environment = {**os.environ, "PYTHONPATH": folders, native_library.SWITCH: "1"}
+    subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", PROGRAM, str(tmp_path), dtype],
+        env=environment, check=True,
+    )  # fmt: skip
+    # Numba's kernels decode what the library has encoded and proved.
+    monkeypatch.setenv(native_library.SWITCH, "0")
+    with terrainwave.open(tmp_path / "made.twz") as terrain:
+        own = terrain.read()
+    import rasterio
+
+    with rasterio.open(tmp_path / "raster.tif") as file:
+        heights = file.read(1)
+    assert np.nanmax(np.abs(own.astype(np.float64) - heights)) <= 1
+    np.testing.assert_array_equal(np.isnan(own), np.isnan(heights))
