@@ -145,6 +145,12 @@ def _turn(path: Path) -> int:
     return next((i for i, name in enumerate(FIRST) if name in parts), len(FIRST))
 
 
+def pytest_collection_finish():
+    """Let pytest say in short where two values differ: in CI it compares large files for hours."""
+    for name in ("CI", "BUILD_NUMBER"):
+        os.environ.pop(name, None)
+
+
 def pytest_sessionfinish(session):
     """In CI a skipped test is a failure: it would be forgotten otherwise."""
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
