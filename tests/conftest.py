@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
+from native_site import site, with_library  # noqa: F401  fixtures
 
 from terrainwave.coding.jit import all_compiled
 
