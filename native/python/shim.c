@@ -7,14 +7,13 @@
 #include "internal.h"
 
 /* Raised whenever what src/terrainwave/read/native.py calls changes its meaning or layout. */
-enum { PYTHON_ABI = 3 };
+enum { PYTHON_ABI = 4 };
 
 TWZ_API int twz_python_abi(void);
 TWZ_API uint32_t twz_python_features(void);
 TWZ_API twz_locks *twz_python_locks_new(void);
 TWZ_API void twz_python_locks_free(twz_locks *locks);
 TWZ_API const twz_allocator *twz_python_allocator(void);
-TWZ_API void twz_python_limit_cache(twz_file *file, uint64_t n_bytes);
 
 int twz_python_abi(void) { return PYTHON_ABI; }
 
@@ -62,13 +61,6 @@ void twz_python_locks_free(twz_locks *locks) {
   end(locks->context);
   free(locks->context);
   free(locks);
-}
-
-/* Keep fewer or more decoded units from now on than twz_options.cache_bytes. */
-void twz_python_limit_cache(twz_file *file, uint64_t n_bytes) {
-  file_lock(file);
-  file->cache_bytes = n_bytes;
-  file_unlock(file);
 }
 
 /*
