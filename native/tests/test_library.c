@@ -615,7 +615,7 @@ static void borrowed_files_need_no_bytes(memory *m) {
   asked.cols = place + 1;
   asked.heights = &height;
   twz_points *points;
-  size_t n_left;
+  size_t n_left = 1;
   CHECK(twz_points_new(lent, &asked, &points, NULL) == TWZ_OK && twz_points_decode(points, NULL, &n_left, NULL) == TWZ_OK);
   CHECK(n_left == 0 && (isnan(height) || height >= -1e9));
   twz_points_free(points);
@@ -927,7 +927,7 @@ static void calls_that_are_wrong_say_so(memory *m) {
   double place[2] = {0, 0}, height;
   twz_points_request asked = TWZ_POINTS_REQUEST;
   twz_points *points;
-  size_t n_left;
+  size_t n_left = 1;
   CHECK(twz_points_new(file, &asked, &points, &error) == TWZ_OK); /* no points */
   CHECK(twz_points_decode(points, NULL, &n_left, &error) == TWZ_OK && n_left == 0);
   twz_points_free(points);
