@@ -16,7 +16,6 @@ TWZ_API uint32_t twz_python_features(void);
 TWZ_API twz_locks *twz_python_locks_new(void);
 TWZ_API void twz_python_locks_free(twz_locks *locks);
 TWZ_API const twz_allocator *twz_python_allocator(void);
-TWZ_API void twz_python_limit_cache(twz_file *file, uint64_t n_bytes);
 TWZ_API twz_status twz_python_tables_new(int32_t k_max, int32_t cut, const int64_t *stencils, const int64_t *weights,
                                          const uint32_t *freqs, const uint32_t *starts, encode_tables **made, twz_error *error);
 TWZ_API void twz_python_tables_free(encode_tables *tables);
@@ -79,13 +78,6 @@ void twz_python_locks_free(twz_locks *locks) {
   end(locks->context);
   free(locks->context);
   free(locks);
-}
-
-/* Keep fewer or more decoded units from now on than twz_options.cache_bytes. */
-void twz_python_limit_cache(twz_file *file, uint64_t n_bytes) {
-  file_lock(file);
-  file->cache_bytes = n_bytes;
-  file_unlock(file);
 }
 
 /*

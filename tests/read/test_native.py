@@ -32,6 +32,7 @@ from terrainwave.errors import (
 )
 from terrainwave.file import TerrainFile
 from terrainwave.read import native
+from terrainwave.read.decoder import TreeDecoder
 
 MANIFEST = json.loads((GOLDEN / "v2" / "manifest.json").read_text(encoding="utf-8"))
 FILES = sorted(MANIFEST["files"])
@@ -170,6 +171,72 @@ def test_payloads_take_as_many_requests(with_library, tmp_path):
                 terrain.read(window)
         n_requests.append(source.n_requests)
     assert n_requests[1] <= n_requests[0] + 1
+
+
+def points_of(terrain, n, seed):
+    """Return points inside a raster, on its samples, at its edges and outside."""
+    rng = np.random.default_rng(seed)
+    n_rows, n_cols = terrain.shape
+    rows, cols = rng.uniform(-1, n_rows, n), rng.uniform(-1, n_cols, n)
+    rows[::5], cols[::7] = np.rint(rows[::5]), np.rint(cols[::7])
+    rows[3::20], cols[4::20] = n_rows - 1, n_cols - 1
+    rows[5], cols[6] = np.nan, np.inf
+    return rows, cols
+
+
+@pytest.mark.native
+@pytest.mark.full
+@pytest.mark.parametrize("method", ["rapid", "predictive", "cdf97", "cdf53", "store"])
+@pytest.mark.parametrize("dtype", [np.int16, np.float32])
+def test_heights_at_points_are_equal_to_the_last_bit(method, dtype, with_library, monkeypatch):
+    rings = {"border_rings": 3} if method == "cdf97" else {}
+    heights = HEIGHTS.astype(dtype) / dtype(1 if dtype is np.int16 else 7)
+    heights[HEIGHTS == NODATA] = NODATA
+    data = twz_bytes(heights, max_error=1, nodata=NODATA, method=method, block=32, **rings)
+    one, other = pair(data, cache_bytes=0)
+    with one, other:
+        rows, cols = points_of(one, 3000, 7)
+        for level in range(one.n_levels):
+            for voids in ("any", "exact"):
+                shift = 2.0 ** (one.n_levels - 1 - level)
+                asked = {"level": level, "voids": voids}
+                expected = one.heights_at(rows / shift, cols / shift, **asked)
+                found = other.heights_at(rows / shift, cols / shift, **asked)
+                assert found.tobytes() == expected.tobytes()
+                assert 0 < np.isnan(expected).sum() < expected.size
+
+
+@pytest.mark.native
+@pytest.mark.full
+def test_points_decode_and_fetch_each_unit_once(with_library, tmp_path, monkeypatch):
+    class Counting(FileSource):
+        n_bytes = 0
+
+        def read(self, offset, length):
+            self.n_bytes += length
+            return super().read(offset, length)
+
+        def read_spans(self, spans):
+            self.n_bytes += sum(length for _, length in spans)
+            return super().read_spans(spans)
+
+    path = tmp_path / "a.twz"
+    path.write_bytes(twz_bytes(HEIGHTS, max_error=0, nodata=NODATA, method="rapid", block=32))
+    decoded = []
+    unit = TreeDecoder.unit
+    monkeypatch.setattr(
+        TreeDecoder, "unit", lambda *arguments: decoded.append(arguments[1]) or unit(*arguments)
+    )
+    for is_native in (False, True):
+        source = Counting(path)
+        with terrainwave.open(source, native=is_native, cache_bytes=0) as terrain:
+            terrain.heights_at(*points_of(terrain, 5000, 8))
+        if is_native:
+            # Both readers open the file by its first 16 KiB.
+            assert source.n_bytes <= path.stat().st_size + (2 << 14)
+        else:
+            finest = [key for key in decoded if key.level == terrain.n_levels - 2]
+            assert len(finest) == len(set(finest)) > 10
 
 
 # ---- Damage ----
