@@ -1,25 +1,19 @@
 /*
- * What Python needs beside terrainwave.h: the numbers it compares before it trusts the library, locks for
+ * What Python needs beside terrainwave.h: the digest it compares before it trusts the library, locks for
  * each file, and memory that goes from file to file.
  */
 #include <stdlib.h>
 
 #include "internal.h"
 
-/* Raised whenever what src/terrainwave/read/native.py calls changes its meaning or layout. */
-enum { PYTHON_ABI = 3 };
-
-TWZ_API int twz_python_abi(void);
-TWZ_API uint32_t twz_python_features(void);
+TWZ_API const char *twz_python_sources(void);
 TWZ_API twz_locks *twz_python_locks_new(void);
 TWZ_API void twz_python_locks_free(twz_locks *locks);
 TWZ_API const twz_allocator *twz_python_allocator(void);
 TWZ_API void twz_python_limit_cache(twz_file *file, uint64_t n_bytes);
 
-int twz_python_abi(void) { return PYTHON_ABI; }
-
-/* The feature bits of headers that this library reads. */
-uint32_t twz_python_features(void) { return KNOWN_FEATURES; }
+/* The digest of the sources that this library is built of (src/terrainwave/coding/native_sources.py). */
+const char *twz_python_sources(void) { return TWZ_SOURCES; }
 
 #if defined(_WIN32)
 #define WIN32_LEAN_AND_MEAN

@@ -1,29 +1,28 @@
 """Does the native library read what terrainwave reads itself, and is it used where it fits alone?
 
-Those marked `native` build it first, as the wheel terrainwave-native has it.
+Those marked `native` use the library beside the package, and build it first where that is not done.
 """
 
 import json
 import os
 import pickle
 import re
-import shutil
 import subprocess
 import sys
 import threading
 import warnings
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 import pytest
 from conformance import library as reader
 from golden_files import GOLDEN
+from native_site import ROOT, found_at
 from strategies import terrain_like
 from twz import twz_bytes
 
 import terrainwave
+from terrainwave.coding import native_library, native_sources
 from terrainwave.container.sources.byte_source import FileSource
 from terrainwave.errors import (
     CorruptStreamError,
@@ -34,55 +33,12 @@ from terrainwave.errors import (
 from terrainwave.file import TerrainFile
 from terrainwave.read import native
 
-ROOT = Path(__file__).parents[2]
-PROJECT = ROOT / "native" / "python"
 MANIFEST = json.loads((GOLDEN / "v2" / "manifest.json").read_text(encoding="utf-8"))
 FILES = sorted(MANIFEST["files"])
 NODATA = -32768
 HEIGHTS = terrain_like(300, 260, seed=5)
 HEIGHTS[40:90, 100:130] = NODATA
 HEIGHTS[200, 7] = NODATA
-
-
-@contextmanager
-def found_at(folder):
-    """Let terrainwave find the package in a folder, as if it were installed; None: nowhere."""
-    native.installed.cache_clear()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(native.SWITCH, "1")
-        patch.delitem(sys.modules, native.PACKAGE, raising=False)
-        if folder is None:
-            patch.setitem(sys.modules, native.PACKAGE, None)
-        else:
-            patch.syspath_prepend(folder)
-        yield
-        sys.modules.pop(native.PACKAGE, None)
-    native.installed.cache_clear()
-
-
-@pytest.fixture(scope="session")
-def site(tmp_path_factory):
-    """Return a folder with the package terrainwave_native in it."""
-    import fcntl
-
-    sys.path.append(str(PROJECT))
-    import hatch_build
-
-    build = ROOT / "build" / "native" / "wheel"
-    build.mkdir(parents=True, exist_ok=True)
-    with open(build / "lock", "w", encoding="utf-8") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # one of several workers builds
-        library = hatch_build.build_library(build)
-    folder = tmp_path_factory.mktemp("site")
-    package = shutil.copytree(PROJECT / "src" / native.PACKAGE, folder / native.PACKAGE)
-    shutil.copy(library, package / f"libterrainwave{library.suffix}")
-    return folder
-
-
-@pytest.fixture
-def with_library(site):
-    with found_at(site):
-        yield
 
 
 @pytest.fixture
@@ -259,7 +215,7 @@ def test_damage_is_told_and_masked_the_same(method, with_library):
 @pytest.mark.full
 def test_a_refusal_of_a_sound_file_is_told(with_library, monkeypatch):
     def refuse(self, level, region, *, is_own):
-        raise native.NativeError(native._Error(native._CORRUPT, b"bits of straw"))
+        raise native.NativeError(native_library.Failure(native_library.CORRUPT, b"bits of straw"))
 
     data = twz_bytes(HEIGHTS, max_error=0, nodata=NODATA, method="store", block=32)
     monkeypatch.setattr(native.NativeFile, "read", refuse)
@@ -323,7 +279,7 @@ def test_children_of_a_fork_read_on(with_library, alone):
 
 @pytest.mark.native
 @pytest.mark.full
-def test_a_first_read_imports_no_compiler(site):
+def test_a_first_read_imports_no_compiler(library):
     code = (
         "import sys, terrainwave\n"
         "with terrainwave.open(sys.argv[1]) as terrain:\n"
@@ -336,8 +292,7 @@ def test_a_first_read_imports_no_compiler(site):
     for switch, imported in {"0": "llvmlite numba", "1": ""}.items():
         run = subprocess.run(
             [sys.executable, "-c", code, GOLDEN / "v2" / "rapid-int16-lossless.twz"],
-            env={**os.environ, "PYTHONPATH": f"{ROOT / 'src'}{os.pathsep}{site}",
-                 native.SWITCH: switch},
+            env={**os.environ, "PYTHONPATH": str(ROOT / "src"), native_library.SWITCH: switch},
             capture_output=True, text=True, check=True,
         )  # fmt: skip
         assert run.stdout.strip() == imported
@@ -370,15 +325,17 @@ def test_an_argument_and_the_environment_turn_it_off(with_library, monkeypatch, 
     assert is_used()
     assert is_used(native=True)
     assert not is_used(native=False)
-    monkeypatch.setenv(native.SWITCH, "0")
+    monkeypatch.setenv(native_library.SWITCH, "0")
     assert not is_used()
-    monkeypatch.setenv(native.SWITCH, "1")
+    monkeypatch.setenv(native_library.SWITCH, "1")
     assert is_used()
 
 
 def warned_once():
-    """Read two files; return the warning that came, and what was read."""
-    data = twz_bytes(HEIGHTS, max_error=0, nodata=NODATA, method="store", block=32)
+    """Read two files, which are made without the library; return the warning that came."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(native_library.SWITCH, "0")
+        data = twz_bytes(HEIGHTS, max_error=0, nodata=NODATA, method="store", block=32)
     (first, notes), (second, none) = (outcome(terrainwave.open(data).read) for _ in range(2))
     assert first == second
     assert first[0][2] == HEIGHTS.tobytes()
@@ -388,55 +345,36 @@ def warned_once():
 
 
 @pytest.mark.native
-@pytest.mark.full
-def test_another_interface_or_older_format_is_refused_with_one_note(with_library, monkeypatch):
-    built = native.ABI
-    monkeypatch.setattr(native, "ABI", built + 1)
-    assert f"interface of version {built}, expected version {built + 1}" in warned_once()
-    monkeypatch.undo()
-    native.installed.cache_clear()
-    monkeypatch.setattr(native, "KNOWN_FEATURES", native.KNOWN_FEATURES | 1 << 20)
-    assert "does not know features 0x100000 of the format" in warned_once()
-
-
-def fake_package(folder, library):
-    """Write a package terrainwave_native whose library has these bytes; None: it names no file."""
-    package = folder / native.PACKAGE
-    package.mkdir()
-    (package / "lib.so").write_bytes(library)
-    (package / "__init__.py").write_text(
-        "from pathlib import Path\nLIBRARY = Path(__file__).with_name('lib.so')\n"
-    )
+def test_a_library_of_other_sources_is_told_once_and_not_used(with_library, monkeypatch):
+    built = native_sources.digest_of(ROOT)
+    monkeypatch.setattr(native_sources, "digest_of", lambda root: "0123456789abcdef")
+    note = warned_once()
+    assert f"(found digest {built}, expected 0123456789abcdef)" in note
+    assert note.endswith(f"to build it again: pip install --editable {ROOT}")
 
 
 def test_what_cannot_be_loaded_is_told_once_and_not_used(tmp_path):
-    fake_package(tmp_path, b"no library")
-    with found_at(tmp_path):
-        assert re.search(r"cannot be loaded \(.*\): terrainwave decodes by itself", warned_once())
+    (tmp_path / "lib.so").write_bytes(b"no library")
+    with found_at(tmp_path / "lib.so"):
+        note = warned_once()
+    assert re.search(r"lib\.so cannot be loaded \(.*\); to replace it: pip install ", note)
 
 
 @pytest.mark.native
 @pytest.mark.full
 def test_another_library_is_told_once_and_not_used(tmp_path):
-    source = tmp_path / "other.c"
+    source, made = tmp_path / "other.c", tmp_path / "other.so"
     source.write_text("int other(void) { return 1; }\n")
-    made = tmp_path / "other.so"
     subprocess.run(["cc", "-shared", "-fPIC", "-o", made, source], check=True)
-    fake_package(tmp_path, made.read_bytes())
-    with found_at(tmp_path):
-        assert "twz_python_abi" in warned_once()
+    with found_at(made):
+        assert "twz_python_sources" in warned_once()
 
 
-def test_without_the_package_nothing_is_said(tmp_path):
+def test_without_a_library_nothing_is_said(tmp_path):
     data = twz_bytes(HEIGHTS, max_error=0, nodata=NODATA, method="store", block=32)
-    with found_at(None), terrainwave.open(data) as terrain:
+    with found_at(tmp_path / "none.so"), terrainwave.open(data) as terrain:
         assert native.installed() is None
         assert np.array_equal(terrain.read(), HEIGHTS)
-
-
-def test_interfaces_of_versions_agree():
-    shim = (PROJECT / "shim.c").read_text()
-    assert int(re.search(r"PYTHON_ABI = (\d+)", shim)[1]) == native.ABI
 
 
 def test_is_native_says_whether_the_library_reads(monkeypatch, tmp_path):
@@ -445,7 +383,7 @@ def test_is_native_says_whether_the_library_reads(monkeypatch, tmp_path):
     for library in (None, object()):
         monkeypatch.setattr(native, "installed", lambda library=library: library)
         for switch, asked in (("1", True), ("1", False), ("0", True)):
-            monkeypatch.setenv(native.SWITCH, switch)
+            monkeypatch.setenv(native_library.SWITCH, switch)
             with terrainwave.open(tmp_path / "a.twz", native=asked) as terrain:
                 found[library is not None, switch, asked] = terrain.is_native
     assert {key for key, is_native in found.items() if is_native} == {(True, "1", True)}

@@ -1,17 +1,15 @@
-"""Windows decoded by the native library, where the package terrainwave-native is installed.
+"""Windows decoded by the native library, where the package has one.
 
 It decodes the same heights as `read.decoder` does, without kernels that have to be compiled. What
 it cannot read, and what is damaged, is left to that one: it says what is wrong, in its own words.
 """
 
 import ctypes
-import importlib
 import logging
 import os
 import threading
-import warnings
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import cache
 from typing import Any
@@ -19,22 +17,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.container.header import KNOWN_FEATURES, Header
+from terrainwave.coding.native_library import NativeError, NativeLibrary, is_wanted, loaded
+from terrainwave.container.header import Header
 from terrainwave.container.reader import Container
 from terrainwave.container.sources.ranges import ByteRange
-from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.forks import renew_after_fork
 from terrainwave.grid.quadtree import Region
 
-_log = logging.getLogger(__name__)
+__all__ = ["Library", "NativeError", "NativeFile", "installed", "is_wanted"]
 
-PACKAGE = "terrainwave_native"
-SWITCH = "TERRAINWAVE_NATIVE"  # 0 in the environment: not used
-ABI = 3  # PYTHON_ABI of native/python/shim.c
+_log = logging.getLogger(__name__)
 
 _N_POINTERS = 5  # of twz_allocator, and of twz_locks
 
-_OK, _CORRUPT, _UNSUPPORTED = 0, 1, 2
 _MAX_BYTES = 4 << 30
 # Samples of the parts whose payloads are fetched in one call, and of those that are decoded in one:
 # few, so that memory serves again and again; but more where many threads are to have work.
@@ -46,14 +41,6 @@ _KEPT_OF_LARGE = 48 << 20
 _AT_A_TIME = 64
 # Ranges that are asked for in one call.
 _MOST_RANGES = 256
-
-
-class _Error(ctypes.Structure):
-    _fields_ = [
-        ("status", ctypes.c_int),
-        ("text", ctypes.c_char * 240),
-        ("reserved", ctypes.c_uint64 * 2),
-    ]
 
 
 class _Options(ctypes.Structure):
@@ -80,18 +67,10 @@ class _Box(ctypes.Structure):
     _fields_ = [(name, ctypes.c_uint32) for name in ("row", "col", "n_rows", "n_cols")]
 
 
-class NativeError(Exception):
-    """The library has returned an error."""
-
-    def __init__(self, error: _Error) -> None:
-        super().__init__(error.text.decode("utf-8", "replace"))
-        self.is_damage = error.status == _CORRUPT
-
-
 _POINTER, _SIZE, _STRIDE = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_ssize_t
 _HANDLE = ctypes.POINTER(ctypes.c_void_p)
 _N = ctypes.POINTER(ctypes.c_size_t)
-_RANGES, _BOX, _FAILURE = map(ctypes.POINTER, (_Range, _Box, _Error))
+_RANGES, _BOX = map(ctypes.POINTER, (_Range, _Box))
 # Of functions that return a status, all but the last argument, which is the error.
 _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "twz_file_new": (ctypes.POINTER(_Options), ctypes.c_uint64, _HANDLE),
@@ -109,53 +88,19 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
 
 
 class Library:
-    """The functions of a shared library; those that can fail raise.
+    """The functions of the library that read; those that can fail raise."""
 
-    Raises
-    ------
-    OSError
-        If it cannot be loaded.
-    AttributeError
-        If a function is missing.
-    """
-
-    def __init__(self, path: str) -> None:
-        self._library = ctypes.CDLL(path)  # lets other threads run during each call
-        self.abi: int = self._plain("twz_python_abi", ctypes.c_int)()
-        self.features: int = self._plain("twz_python_features", ctypes.c_uint32)()
-        if self.abi != ABI:
-            return
-        self._functions = {
-            name: self._plain(name, ctypes.c_int, *arguments, _FAILURE)
-            for name, arguments in _SIGNATURES.items()
-        }
-        self.free_window = self._plain("twz_window_free", None, _POINTER)
-        self.free_file = self._plain("twz_file_free", None, _POINTER)
-        self.free_pool = self._plain("twz_pool_free", None, _POINTER)
-        self.workers_of = self._plain("twz_pool_workers", _POINTER, _POINTER)
-        self.new_locks = self._plain("twz_python_locks_new", _POINTER)
-        self.limit_cache = self._plain("twz_python_limit_cache", None, _POINTER, ctypes.c_uint64)
-        self.allocator = self._plain("twz_python_allocator", _POINTER)()
-        self.free_locks = self._plain("twz_python_locks_free", None, _POINTER)
-
-    def _plain(self, name: str, result: Any, *arguments: Any) -> Callable[..., Any]:
-        """Return a function of the library."""
-        function = self._library[name]
-        function.restype, function.argtypes = result, arguments
-        return function
-
-    def call(self, name: str, *arguments: Any) -> None:
-        """Call a function of `_SIGNATURES`; raise what it says is wrong."""
-        error = _Error()
-        if self._functions[name](*arguments, ctypes.byref(error)) != _OK:
-            raise NativeError(error)
-
-    def make(self, name: str, *arguments: Any) -> int:
-        """Call a function that makes something, and return its address."""
-        made = ctypes.c_void_p()
-        self.call(name, *arguments, ctypes.byref(made))
-        assert made.value is not None
-        return made.value
+    def __init__(self, native: NativeLibrary) -> None:
+        self.call, self.make = native.call, native.make
+        native.declare(_SIGNATURES)
+        self.free_window = native.plain("twz_window_free", None, _POINTER)
+        self.free_file = native.plain("twz_file_free", None, _POINTER)
+        self.free_pool = native.plain("twz_pool_free", None, _POINTER)
+        self.workers_of = native.plain("twz_pool_workers", _POINTER, _POINTER)
+        self.new_locks = native.plain("twz_python_locks_new", _POINTER)
+        self.limit_cache = native.plain("twz_python_limit_cache", None, _POINTER, ctypes.c_uint64)
+        self.allocator = native.plain("twz_python_allocator", _POINTER)()
+        self.free_locks = native.plain("twz_python_locks_free", None, _POINTER)
 
     def needed(self, name: str, handle: int) -> list[tuple[ByteRange, bool]]:
         """Return which bytes a file or a window needs next, and which of them are index pages."""
@@ -168,54 +113,12 @@ class Library:
 
 @cache
 def installed() -> Library | None:
-    """Return the library of the package terrainwave-native; None without one that fits.
-
-    One that does not fit is named in one warning.
-    """
-    try:
-        path = str(importlib.import_module(PACKAGE).LIBRARY)
-    except ImportError:
+    """Return the package's library; None without one that fits."""
+    native = loaded()
+    if native is None:
         return None
-    try:
-        library = Library(path)
-    except (OSError, AttributeError) as error:
-        _tell(f"the library of terrainwave-native cannot be loaded ({error})")
-        return None
-    if library.abi != ABI:
-        _tell(
-            f"terrainwave-native has an interface of version {library.abi}, expected version {ABI}"
-        )
-        return None
-    unknown = KNOWN_FEATURES & ~library.features
-    if unknown:
-        _tell(f"terrainwave-native does not know features {unknown:#x} of the format")
-        return None
-    _log.info("the native library reads heights: %s", path)
-    return library
-
-
-def _tell(found: str) -> None:
-    warnings.warn(
-        f"{found}: terrainwave decodes by itself, at the same heights. Install the terrainwave"
-        " and terrainwave-native of one release, or set TERRAINWAVE_NATIVE=0: pip install -U"
-        ' "terrainwave[native]"',
-        TerrainwaveWarning,
-        stacklevel=3,
-    )
-
-
-def is_wanted() -> bool:
-    """Say whether the environment lets the library be used.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the variable is neither 0 nor 1.
-    """
-    word = os.environ.get(SWITCH) or "1"
-    if word not in ("0", "1"):
-        raise InvalidArgumentError(f"found {SWITCH}={word}, expected 0 or 1")
-    return word == "1"
+    _log.info("the native library reads heights: %s", native.path)
+    return Library(native)
 
 
 class _Handles:
