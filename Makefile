@@ -151,10 +151,12 @@ coverage: $(VENV)/.installed-dev
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report
 
-# Outside CI. Exits with 1 if a caption says less than is measured, or an interruption finds a fault.
+# Outside CI. Exits with 1 if a file in C has other bytes, a caption says less than is measured, or an interruption finds a fault.
 long: $(VENV)/.installed-bench $(VENV)/.installed-dev system
 	@test -n "$(DATA)" || { echo "make long DATA=a-directory-with-GeoTIFFs" >&2; exit 2; }
 	@$(MAKE) --no-print-directory native-gdals
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check ./native/python
+	TERRAINWAVE_NATIVE=1 $(BIN)/python -m benchmarks.both_encoders
 	$(BIN)/python -m benchmarks.captions "$(DATA)" --size $(SIZE)
 	$(BIN)/python -m faults.run --only signals --signals 223
 

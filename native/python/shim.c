@@ -4,6 +4,8 @@
  */
 #include <stdlib.h>
 
+#include "encode.h"
+#include "encode_pyramid.h"
 #include "internal.h"
 
 TWZ_API const char *twz_python_sources(void);
@@ -11,6 +13,21 @@ TWZ_API twz_locks *twz_python_locks_new(void);
 TWZ_API void twz_python_locks_free(twz_locks *locks);
 TWZ_API const twz_allocator *twz_python_allocator(void);
 TWZ_API void twz_python_limit_cache(twz_file *file, uint64_t n_bytes);
+TWZ_API twz_status twz_python_tables_new(int32_t k_max, int32_t cut, const int64_t *stencils, const int64_t *weights,
+                                         const uint32_t *freqs, const uint32_t *starts, encode_tables **made, twz_error *error);
+TWZ_API void twz_python_tables_free(encode_tables *tables);
+TWZ_API twz_status twz_python_encoder_new(twz_encoder **made, twz_error *error);
+TWZ_API void twz_python_encoder_free(twz_encoder *encoder);
+TWZ_API twz_status twz_python_encode(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error);
+TWZ_API twz_status twz_python_encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error);
+TWZ_API uint64_t twz_python_mask_words(const uint8_t *models, const uint8_t *values, uint64_t n, const uint32_t *freqs, uint32_t n_states,
+                                       uint32_t *states, uint8_t *words);
+TWZ_API void twz_python_quantise(int type, const void *raw, const uint8_t *valid, size_t n, int is_whole, int64_t numerator,
+                                 int64_t denominator, int64_t base, int32_t *quanta);
+TWZ_API void twz_python_push(const int32_t *fine, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col, int64_t *lines,
+                             int32_t to_rows, int32_t to_cols, int32_t *values, uint8_t *known);
+TWZ_API void twz_python_pull(const int32_t *coarse, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col,
+                             int32_t to_rows, int32_t to_cols, const uint8_t *known, int32_t *values);
 
 /* The digest of the sources that this library is built of (src/terrainwave/coding/native_sources.py). */
 const char *twz_python_sources(void) { return TWZ_SOURCES; }
@@ -135,4 +152,45 @@ static void release(void *context, void *memory) {
 const twz_allocator *twz_python_allocator(void) {
   static const twz_allocator allocator = {.allocate = allocate, .release = release};
   return &allocator;
+}
+
+/* The encoder (encode.h). */
+twz_status twz_python_tables_new(int32_t k_max, int32_t cut, const int64_t *stencils, const int64_t *weights, const uint32_t *freqs,
+                                 const uint32_t *starts, encode_tables **made, twz_error *error) {
+  static const twz_allocator plain; /* most of it is never touched: malloc maps no pages for that */
+  return encode_tables_new(&plain, k_max, cut, stencils, weights, freqs, starts, made, error);
+}
+
+void twz_python_tables_free(encode_tables *tables) { encode_tables_free(tables); }
+
+twz_status twz_python_encoder_new(twz_encoder **made, twz_error *error) {
+  return encoder_new(twz_python_allocator(), TWZ_KERNELS_AUTO, made, error);
+}
+
+void twz_python_encoder_free(twz_encoder *encoder) { encoder_free(encoder); }
+
+twz_status twz_python_encode(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error) {
+  return encode_rapid(encoder, tables, job, error);
+}
+
+twz_status twz_python_encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error) { return encode_mask(encoder, job, error); }
+
+uint64_t twz_python_mask_words(const uint8_t *models, const uint8_t *values, uint64_t n, const uint32_t *freqs, uint32_t n_states,
+                               uint32_t *states, uint8_t *words) {
+  return encode_mask_bits(models, values, n, freqs, n_states, states, words);
+}
+
+void twz_python_quantise(int type, const void *raw, const uint8_t *valid, size_t n, int is_whole, int64_t numerator,
+                         int64_t denominator, int64_t base, int32_t *quanta) {
+  quantise_heights(type, raw, valid, n, is_whole, numerator, denominator, base, quanta);
+}
+
+void twz_python_push(const int32_t *fine, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col, int64_t *lines,
+                     int32_t to_rows, int32_t to_cols, int32_t *values, uint8_t *known) {
+  push_heights(fine, n_rows, n_cols, first_row, first_col, lines, to_rows, to_cols, values, known);
+}
+
+void twz_python_pull(const int32_t *coarse, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col, int32_t to_rows,
+                     int32_t to_cols, const uint8_t *known, int32_t *values) {
+  pull_heights(coarse, n_rows, n_cols, first_row, first_col, to_rows, to_cols, known, values);
 }

@@ -2,7 +2,11 @@
 #ifndef TWZ_KERNELS_H
 #define TWZ_KERNELS_H
 
+#ifdef TWZ_ENCODER
+#include "encode.h"
+#else
 #include "rapid.h"
+#endif
 
 typedef struct row_kernels {
   twz_kernels kind;
@@ -11,6 +15,9 @@ typedef struct row_kernels {
   void (*write_products)(int dtype, void *out, const int32_t *quanta, size_t n, double base, double num, double den);
   void (*widen)(int32_t *to, const int16_t *from, size_t n, int32_t origin);
   void (*add_shorts)(uint16_t *to, const int16_t *from, size_t n, uint32_t base);
+#ifdef TWZ_ENCODER
+  rapid_encoder encode_lattice;
+#endif
 } row_kernels;
 
 extern const row_kernels kernels_baseline;

@@ -1,7 +1,13 @@
 #define ISA(name) name##_baseline
 #include "rapid_unit.h"
 #include "heights_rows.h"
+#ifdef TWZ_ENCODER
+#include "encode_rows.h"
+#define ENCODER , ISA(encode_lattice)
+#else
+#define ENCODER
+#endif
 
 const row_kernels kernels_baseline = {
     TWZ_KERNELS_BASELINE, ISA(decode_rapid),
-    ISA(write_sums), ISA(write_products), ISA(widen), ISA(add_shorts)};
+    ISA(write_sums), ISA(write_products), ISA(widen), ISA(add_shorts) ENCODER};

@@ -1,5 +1,5 @@
 /* Which samples are valid, and which are the raster's own (FORMAT §5.1, §5.2). */
-#include "internal.h"
+#include "encode_mask.h"
 #include "tables.h"
 
 /*
@@ -15,6 +15,9 @@ enum { CORNER = 48, FILL = 49, GROUPS = 50, N_MODELS = 62, N_GROUP_SETS = 7 };
 enum { SLOT_BITS = 12, N_SLOTS = 1 << SLOT_BITS, STATE_START = 1 << 16, MOST_STATES = 4 };
 
 typedef struct bits {
+  mask_job *job; /* of an encoder: it notes what a decoder reads, of samples that it knows. NULL: a decoder's */
+  const uint8_t *truth;
+  ptrdiff_t own_step; /* of a lattice's samples in the region */
   const uint8_t *words; /* some more than there are may be read: PAYLOAD_SLACK */
   size_t n_words, at;
   uint32_t states[MOST_STATES], n_read, mask; /* mask: one less than there are states */
@@ -42,6 +45,7 @@ typedef struct lattice {
   int32_t rows[N_PLANES], cols[N_PLANES];
   size_t pitch, size;
   uint8_t *planes, *groups, *kinds, *opened, *cells;
+  uint8_t *truth; /* of an encoder: own samples, in the places of a plane's */
   list *list;
 } lattice;
 
@@ -94,8 +98,23 @@ static ALWAYS_INLINE void read_by_states(bits *b, const uint8_t *RESTRICT models
   b->n_read += (uint32_t)n;
 }
 
+/* Append what is coded. */
+static void note_bits(mask_job *job, const uint8_t *models, const uint8_t *values, int32_t n) {
+  if ((uint64_t)n > job->capacity - job->n_bits) {
+    job->is_full = 1;
+    return;
+  }
+  memcpy(job->models + job->n_bits, models, (size_t)n);
+  memcpy(job->bits + job->n_bits, values, (size_t)n);
+  job->n_bits += (uint64_t)n;
+}
+
 static void read_bits(bits *b, const uint8_t *models, uint8_t *to, int32_t n) {
-  if (b->mask) read_by_states(b, models, to, n, MOST_STATES); else read_by_states(b, models, to, n, 1);
+  if (b->job) {
+    note_bits(b->job, models, to, n);
+  } else {
+    if (b->mask) read_by_states(b, models, to, n, MOST_STATES); else read_by_states(b, models, to, n, 1);
+  }
 }
 
 static twz_status end_bits(const bits *b, twz_error *error) {
@@ -195,7 +214,9 @@ static ALWAYS_INLINE int kind_of(const uint8_t *contexts, uint8_t *is_mixed) {
   return 1;
 }
 
-static void read_list(list *s, bits *b) {
+static void read_list(const lattice *l, bits *b) {
+  list *s = l->list;
+  for (int32_t k = 0; b->job && k < s->n; k++) s->bits[k] = l->truth[s->places[k] - l->planes];
   read_bits(b, s->models, s->bits, s->n);
   for (int32_t k = 0; k < s->n; k++) *s->places[k] = s->bits[k];
   s->n = 0;
@@ -220,17 +241,34 @@ static void list_group(list *s, uint8_t *contexts, int is_open, int base) {
   s->n = (int32_t)n;
 }
 
+/* Put own samples of a row of a plane where its contexts are; behind them contexts say that nothing is coded. */
+static void take_truth(const lattice *l, int plane, int32_t i, const bits *b) {
+  int32_t n = l->cols[plane], row = 2 * i + (plane == HL ? l->p : 1 - l->p), col = plane == LH ? l->q : 1 - l->q;
+  const uint8_t *from = b->truth + row * b->own_step * b->job->n_cols + col * b->own_step;
+  uint8_t *to = l->truth + (plane_row(l, plane, i) - l->planes);
+  for (int32_t j = 0; j < n; j++) to[j] = from[2 * j * b->own_step];
+}
+
+/* Is a sample of a group unlike its four neighbours, which agree? */
+static uint8_t is_unlike(const uint8_t *contexts, const uint8_t *truth) {
+  int found = 0;
+  for (int k = 0; k < GROUP; k++) found |= ((contexts[k] == NONE) & truth[k]) | ((contexts[k] == ALL) & (truth[k] ^ 1));
+  return (uint8_t)found;
+}
+
 static void decode_plane(const lattice *l, int plane, bits *b) {
   int32_t n_rows = l->rows[plane], n_cols = l->cols[plane], n_groups = (n_cols + GROUP - 1) / GROUP, n_kinds = 0;
   for (int32_t i = 0; i < n_rows; i++) {
     uint8_t *row = plane_row(l, plane, i);
     row_contexts(l, plane, i, row);
     memset(row + n_cols, IMPLIED, (size_t)(n_groups * GROUP - n_cols));
+    if (b && b->job) take_truth(l, plane, i, b);
     for (int32_t k = 0; b && k < n_groups; k++) {
       uint8_t is_mixed;
       int kind = kind_of(row + k * GROUP, &is_mixed);
       l->groups[i * n_groups + k] = (uint8_t)(is_mixed | (kind >= 0) << 1);
       l->kinds[n_kinds] = (uint8_t)(GROUPS + 4 * (plane - 1) + kind);
+      if (b->job) l->opened[n_kinds] = is_unlike(row + k * GROUP, l->truth + (row - l->planes) + k * GROUP);
       n_kinds += kind >= 0;
     }
   }
@@ -250,9 +288,9 @@ static void decode_plane(const lattice *l, int plane, bits *b) {
     for (int32_t j = 0; j < n_cols; j++) {
       row[j] = (uint8_t)((row[j] >= least && row[j] <= ALL) | (row[j] >= IMPLIED) << 4);
     }
-    if (l->list->n >= N_AT_ONCE) read_list(l->list, b);
+    if (l->list->n >= N_AT_ONCE) read_list(l, b);
   }
-  if (b) read_list(l->list, b);
+  if (b) read_list(l, b);
   if (plane == HH) frame(l);
 }
 
@@ -291,6 +329,7 @@ static void decode_root(lattice *l, bits *b, uint8_t *coarser) {
   int shift = 0;
   uint8_t corner = CORNER;
   coarser[0] = 1;
+  if (b && b->job) coarser[0] = b->truth[0];
   if (b) read_bits(b, &corner, coarser, 1);
   while ((n_rows - 1) >> shift || (n_cols - 1) >> shift) shift++;
   above a = {coarser, NULL, 1, 1, 1, 0, 0, 0};
@@ -298,6 +337,7 @@ static void decode_root(lattice *l, bits *b, uint8_t *coarser) {
   while (shift-- > 0) {
     l->n_rows = ((n_rows - 1) >> shift) + 1;
     l->n_cols = ((n_cols - 1) >> shift) + 1;
+    if (b) b->own_step = (ptrdiff_t)1 << shift;
     decode_lattice(l, &a, b);
     above below = {coarser, NULL, (size_t)l->n_cols, l->n_rows, l->n_cols, 0, 0, 0};
     a = below;
@@ -333,6 +373,7 @@ static void decode_fills(const lattice *l, bits *b) {
     if (!n) continue;
     memset(s->models, FILL, (size_t)n);
     s->n = n;
+    for (int32_t k = 0; b && b->job && k < n; k++) s->bits[k] = b->job->mask[s->places[k] - l->cells];
     if (b) read_bits(b, s->models, s->bits, s->n);
     for (int32_t k = 0; k < s->n; k++) *s->places[k] |= (uint8_t)(b && !s->bits[k] ? 0 : VALID);
     s->n = 0;
@@ -366,6 +407,26 @@ static int has_zero(const parent *p, const uint8_t *bytes) {
   return 0;
 }
 
+/* Memory of a lattice of n_rows and n_cols; `coarser` that of a root block's coarser ones. */
+static twz_status take_memory(lattice *l, int is_root, int has_truth, uint8_t **coarser, scratch *s, twz_error *error) {
+  size_t n_cells = (size_t)l->n_rows * (size_t)l->n_cols, most_rows = (size_t)l->n_rows / 2 + 1, most_cols = (size_t)l->n_cols / 2 + 1;
+  size_t n_groups = most_rows * (most_cols / GROUP + 1), n_coarser = is_root ? most_rows * most_cols : 0;
+  l->pitch = LEFT + (most_cols / GROUP + 1) * GROUP;
+  l->size = (most_rows + 2) * l->pitch;
+  size_t n_truth = has_truth ? N_PLANES * l->size : 0;
+  size_t n_bytes = N_PLANES * l->size + n_truth + 3 * (n_groups + 1) + n_cells + n_coarser + 1 + sizeof(list);
+  TRY(scratch_reserve(s, n_bytes + 8 * SCRATCH_ALIGN, error));
+  l->planes = scratch_take(s, N_PLANES * l->size);
+  l->truth = scratch_take(s, n_truth);
+  l->groups = scratch_take(s, n_groups);
+  l->kinds = scratch_take(s, n_groups + 1);
+  l->opened = scratch_take(s, n_groups + 1);
+  l->cells = scratch_take(s, n_cells);
+  l->list = scratch_take(s, sizeof(list));
+  *coarser = scratch_take(s, n_coarser + 1);
+  return TWZ_OK;
+}
+
 twz_status decode_validity(const twz_file *f, layer *out, const parent *p, int is_finest, const reader *section,
                            int *has_valid, scratch *s, twz_error *error) {
   *has_valid = 1;
@@ -378,18 +439,9 @@ twz_status decode_validity(const twz_file *f, layer *out, const parent *p, int i
   l.n_cols = out->cols.n;
   l.p = (int)(out->rows.first & 1);
   l.q = (int)(out->cols.first & 1);
-  size_t n_cells = (size_t)l.n_rows * (size_t)l.n_cols, most_rows = (size_t)l.n_rows / 2 + 1, most_cols = (size_t)l.n_cols / 2 + 1;
-  size_t n_groups = most_rows * (most_cols / GROUP + 1), n_coarser = p->layer ? 0 : most_rows * most_cols;
-  l.pitch = LEFT + (most_cols / GROUP + 1) * GROUP;
-  l.size = (most_rows + 2) * l.pitch;
-  size_t n_bytes = N_PLANES * l.size + 3 * (n_groups + 1) + n_cells + n_coarser + 1 + sizeof(list);
-  TRY(scratch_reserve(s, n_bytes + 7 * SCRATCH_ALIGN, error));
-  l.planes = scratch_take(s, N_PLANES * l.size);
-  l.groups = scratch_take(s, n_groups);
-  l.kinds = scratch_take(s, n_groups + 1);
-  l.opened = scratch_take(s, n_groups + 1);
-  l.cells = scratch_take(s, n_cells);
-  l.list = scratch_take(s, sizeof(list));
+  uint8_t *coarser;
+  size_t n_cells = (size_t)l.n_rows * (size_t)l.n_cols;
+  TRY(take_memory(&l, !p->layer, 0, &coarser, s, error));
   bits memory, *b = section->bytes ? &memory : NULL;
   if (b) TRY(start_bits(b, section, error));
   if (p->layer) {
@@ -400,7 +452,7 @@ twz_status decode_validity(const twz_file *f, layer *out, const parent *p, int i
     a.col = (int32_t)((int64_t)(((uint64_t)out->cols.first + 1) / 2) - p->first_col);
     decode_lattice(&l, &a, b);
   } else {
-    decode_root(&l, b, scratch_take(s, n_coarser + 1));
+    decode_root(&l, b, coarser);
   }
   int has_own;
   if (!is_finest) {
@@ -409,4 +461,53 @@ twz_status decode_validity(const twz_file *f, layer *out, const parent *p, int i
   }
   if (b) TRY(end_bits(b, error));
   return keep(f, l.cells, n_cells, is_finest ? OWN : VALID, &out->valid, has_valid, error);
+}
+
+twz_status encode_validity(mask_job *job, scratch *s, twz_error *error) {
+  lattice l;
+  bits b;
+  uint8_t *coarser;
+  int is_sound = job->n_rows >= 1 && job->n_cols >= 1 && job->n_rows <= MOST - 4 && job->n_cols <= MOST - 4;
+  if (job->size != sizeof *job || !is_sound) {
+    return twz_fail(error, TWZ_BAD_ARGUMENT, "a mask of %d rows and %d columns, by a job of %llu bytes", job->n_rows, job->n_cols,
+                    (unsigned long long)job->size);
+  }
+  memset(&l, 0, sizeof l);
+  memset(&b, 0, sizeof b);
+  l.n_rows = job->n_rows;
+  l.n_cols = job->n_cols;
+  l.p = job->p;
+  l.q = job->q;
+  b.job = job;
+  b.truth = job->own;
+  b.own_step = 1;
+  bits *noted = job->own ? &b : NULL;
+  TRY(take_memory(&l, !job->has_above, job->own != NULL, &coarser, s, error));
+  if (job->has_above) {
+    above a = {job->own_above, job->valid_above, (size_t)job->above_cols, job->above_rows, job->above_cols, job->above_row, job->above_col, 0};
+    decode_lattice(&l, &a, noted);
+  } else {
+    decode_root(&l, noted, coarser);
+  }
+  if (!job->is_finest) decode_fills(&l, noted);
+  memcpy(job->cells, l.cells, (size_t)l.n_rows * (size_t)l.n_cols);
+  if (job->is_full) return twz_fail(error, TWZ_BAD_ARGUMENT, "room for %llu bits, too few", (unsigned long long)job->capacity);
+  return TWZ_OK;
+}
+
+uint64_t encode_mask_bits(const uint8_t *models, const uint8_t *values, uint64_t n, const uint32_t *freqs, uint32_t n_states,
+                          uint32_t *states, uint8_t *words) {
+  uint64_t at = n;
+  for (uint64_t i = n; i > 0; i--) {
+    uint32_t freq = freqs[models[i - 1]], own = values[i - 1] ? freq : N_SLOTS - freq, before = values[i - 1] ? 0 : freq;
+    uint32_t *x = states + ((i - 1) & (n_states - 1));
+    if (*x >= (uint64_t)own << (32 - SLOT_BITS)) {
+      at--;
+      words[2 * at] = (uint8_t)*x;
+      words[2 * at + 1] = (uint8_t)(*x >> 8);
+      *x >>= 16;
+    }
+    *x = (*x / own << SLOT_BITS) + *x % own + before;
+  }
+  return at;
 }

@@ -59,6 +59,7 @@ typedef struct rapid_unit {
   int32_t low, high;           /* of the unit's heights */
   int32_t most_detail;
   int is_narrow, shift, n_states, n_bands;
+  int is_encoded;              /* predictions are not settled: an encoder does (encode.h) */
   rapid_stream bands[MOST_BANDS];
 
   int32_t n_rows, n_cols;

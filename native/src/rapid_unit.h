@@ -48,13 +48,13 @@ static int32_t ISA(mirrored)(int32_t i, int32_t n) {
 
 #define LOAD_SAMPLES(from)                                                                             \
   for (int32_t j = 0; j < n; j++) {                                                                    \
-    int32_t height = min_i32(max_i32((from)[j] - less, low), high) >> shift;                           \
+    int32_t height = (min_i32(max_i32((from)[j], low), high) - less) >> shift;                         \
     to[j] = (int16_t)min_i32(max_i32(height, -LIMIT), LIMIT);                                          \
   }
 
 static void ISA(load_row)(const ISA(work) * w, int32_t i) {
   const rapid_unit *u = w->u;
-  int32_t n = w->a_cols, low = u->low - u->origin, high = u->high - u->origin, less = u->origin - u->parent_origin;
+  int32_t n = w->a_cols, low = u->low - u->parent_origin, high = u->high - u->parent_origin, less = u->origin - u->parent_origin;
   int shift = u->shift;
   ptrdiff_t source = min_i32(ISA(mirrored)(2 * i, u->n_rows) / 2, w->a_rows - 1) * u->parent_stride;
   int16_t *RESTRICT to = ISA(row_of_a)(w, i);
@@ -516,13 +516,16 @@ static void ISA(forget)(const ISA(work) * w, int plane, int32_t row) {
   memset(ISA(row_in)(w, w->near[plane], row, HELD_ROWS) - ROOM, 0, (size_t)w->stride * sizeof(int16_t));
 }
 
-static int ISA(read_strip)(const ISA(work) * w, int plane, int32_t strip, rapid_stream *z) {
+/* The rows of a plane that a strip has. */
+static void ISA(rows_of_strip)(const ISA(work) * w, int plane, int32_t strip, int32_t *first, int32_t *last) {
+  *first = max_i32(STRIP * strip - (plane == LH), 0);
+  *last = min_i32(STRIP * strip - (plane == LH) + STRIP, w->rows[plane]);
+}
+
+/* Fill the classes of a strip's pairs and samples; what its list holds is hidden or has one. */
+static void ISA(class_strip)(const ISA(work) * w, int plane, int32_t first, int32_t last) {
   const rapid_unit *u = w->u;
-  int32_t first = max_i32(STRIP * strip - (plane == LH), 0), last = min_i32(STRIP * strip - (plane == LH) + STRIP, w->rows[plane]);
   int32_t n = w->cols[plane], n_pairs = (n + 1) / 2;
-  int has;
-  if (plane != LH && last == w->rows[plane]) ISA(forget)(w, plane, last); /* outside nothing is near */
-  if (first >= last || n == 0) return 1;
   for (int32_t row = first; row < last; row++) {
     const int16_t *above = ISA(row_in)(w, w->near[HH], row - 1, HELD_ROWS), *hh = ISA(row_in)(w, w->near[HH], row, HELD_ROWS);
     const int16_t *hl = ISA(row_in)(w, w->near[HL], row, HELD_ROWS), *below = ISA(row_in)(w, w->near[HL], row + 1, HELD_ROWS);
@@ -535,6 +538,15 @@ static int ISA(read_strip)(const ISA(work) * w, int plane, int32_t strip, rapid_
     if (valid) valid += (2 * row + (plane != HL)) * u->valid_stride + (plane != LH) * u->valid_step;
     ISA(hide)(valid, 2 * u->valid_step, n, pairs, singles);
   }
+}
+
+static int ISA(read_strip)(const ISA(work) * w, int plane, int32_t strip, rapid_stream *z) {
+  int32_t first, last, n = w->cols[plane], n_pairs = (n + 1) / 2;
+  int has;
+  ISA(rows_of_strip)(w, plane, strip, &first, &last);
+  if (plane != LH && last == w->rows[plane]) ISA(forget)(w, plane, last); /* outside nothing is near */
+  if (first >= last || n == 0) return 1;
+  ISA(class_strip)(w, plane, first, last);
   if (!ISA(read_list)(w, z, n_pairs * (last - first), &has)) return 0;
   for (int32_t row = first; row < last; row++) ISA(place_row)(w, plane, row, (ptrdiff_t)(row - first) * 2 * n_pairs, has);
   return 1;
@@ -547,11 +559,11 @@ typedef struct ISA(tap) {
   int16_t first, second;
 } ISA(tap);
 
-/* Predict a row of a plane; of a narrow unit, settle its heights, too. */
+/* Predict a row of a plane; of a narrow unit that is decoded, settle its heights, too. */
 static ALWAYS_INLINE void ISA(predict)(const ISA(work) * w, int plane, int32_t row, const ISA(tap) * taps, const int n_taps,
                                        const int16_t *p0, const int16_t *p1, const int16_t *p2, const int16_t *p3) {
   const rapid_unit *u = w->u;
-  const int is_fine = u->step <= 3, is_narrow = u->is_narrow;
+  const int is_fine = u->step <= 3, is_narrow = u->is_narrow && !u->is_encoded;
   const int16_t *details = ISA(row_in)(w, w->details[plane], row, HELD_ROWS);
   int16_t *own = ISA(row_in)(w, w->planes[plane], row, HELD_ROWS);
   /* No detail beyond `most` says more than it: all heights are within LIMIT. */
@@ -630,8 +642,8 @@ static int32_t ISA(parent_at)(const rapid_unit *u, ptrdiff_t at) {
   return (u->short_parent ? u->short_parent[at] : u->parent[at]) + u->parent_origin;
 }
 
-/* The height of an odd place of a line that units share, from the parent's samples on it: n, so far apart. */
-static int32_t ISA(height_on_line)(const rapid_unit *u, ptrdiff_t first, ptrdiff_t step, int32_t n, int32_t k, int64_t detail) {
+/* Predict an odd place of a line that units share, from the parent's samples on it: n, so far apart. */
+static int64_t ISA(predict_on_line)(const rapid_unit *u, ptrdiff_t first, ptrdiff_t step, int32_t n, int32_t k, int *is_turned) {
   int64_t x[4];
   for (int32_t i = 0; i < 4; i++) {
     int32_t at = k - 1 + i;
@@ -639,7 +651,13 @@ static int32_t ISA(height_on_line)(const rapid_unit *u, ptrdiff_t first, ptrdiff
   }
   int64_t least = min_i64(min_i64(x[0], x[1]), min_i64(x[2], x[3])), most = max_i64(max_i64(x[0], x[1]), max_i64(x[2], x[3]));
   int64_t quarters = clamp_i64(shift_right(9 * (x[1] + x[2]) - x[0] - x[3], 2), 4 * least, 4 * most), whole = shift_right(quarters + 2, 2);
-  int is_turned = u->step <= 3 ? 4 * whole > quarters : quarters > 2 * (x[1] + x[2]);
+  *is_turned = u->step <= 3 ? 4 * whole > quarters : quarters > 2 * (x[1] + x[2]);
+  return whole;
+}
+
+static int32_t ISA(height_on_line)(const rapid_unit *u, ptrdiff_t first, ptrdiff_t step, int32_t n, int32_t k, int64_t detail) {
+  int is_turned;
+  int64_t whole = ISA(predict_on_line)(u, first, step, n, k, &is_turned);
   return (int32_t)clamp_i64(whole + (is_turned ? -detail : detail) * u->step, u->low, u->high);
 }
 

@@ -22,10 +22,12 @@ from terrainwave.codec.memory import new_heights
 from terrainwave.codec.refiner import ALL_VALID, Mask, Validity, as_array
 from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.jit import kernel, kernel_part
+from terrainwave.coding.native_library import also_in_c
 from terrainwave.coding.status import Status, raise_for_status
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.quadtree import Region
 
+_IN_C = "terrainwave.codec.in_c"
 # Planes of a lattice: the parent's samples; odd rows and columns; odd columns; odd rows.
 _A, _HH, _HL, _LH = 0, 1, 2, 3
 # Of a sample: whether it is own, and whether voids of the parent imply that it is void. A context
@@ -76,7 +78,7 @@ class Above(NamedTuple):
     validity: Validity
 
 
-class _Log(NamedTuple):
+class CodedBits(NamedTuple):
     """Models and bits of a section in order, and the places of the samples being coded."""
 
     models: NDArray[np.uint8]
@@ -114,6 +116,7 @@ class _Lattice(NamedTuple):
 
 # What a kernel does with bits: reads them, notes those of a mask, or takes all to be 1.
 _READS, _NOTES, _SKIPS = 0, 1, 2
+_NOTHING = np.zeros((1, 1), dtype=np.bool_)
 _NO_CODER = _Coder(*(np.zeros(n, kind) for n, kind in ((1, "u4"), (1, "u2"), (1, "u4"), (2, "i8"))))
 
 
@@ -148,7 +151,7 @@ def encode_validity(
     ):
         return b""
     log = _new_log(region)
-    _, n = _code(_NOTES, own, mask, region, above, is_finest, log, _NO_CODER)
+    _, n = code_known(own, mask, region, above, is_finest, log)
     return _packed(log.models[:n], log.bits[:n])
 
 
@@ -164,11 +167,11 @@ def decode_validity(
     """
     if not section and (above is None or above.validity.own_mask is None):
         return ALL_VALID
-    nothing = np.zeros((1, 1), dtype=np.bool_)
-    coder = _unpacked(section) if section else _NO_CODER
-    task = _READS if section else _SKIPS
-    cells, _ = _code(task, nothing, nothing, region, above, is_finest, _new_log(region), coder)
-    if section:
+    if not section:
+        cells, _ = code_known(None, _NOTHING, region, above, is_finest, _new_log(region))
+    else:
+        coder, log = _unpacked(section), _new_log(region)
+        cells, _ = _code(_READS, _NOTHING, _NOTHING, region, above, is_finest, log, coder)
         n_read, is_short = coder.places.tolist()
         n_words = coder.words.shape[0] - _AHEAD
         if is_short or n_read > n_words:
@@ -181,10 +184,24 @@ def decode_validity(
     return Validity.of((cells >> 1 & 1).view(np.bool_), own)
 
 
-def _new_log(region: Region) -> _Log:
+@also_in_c(_IN_C)
+def code_known(
+    own: Mask | None, mask: Mask, region: Region, above: Above | None, is_finest: bool,
+    log: CodedBits,
+) -> tuple[NDArray[np.uint8], int]:  # fmt: skip
+    """Note the bits of a mask; of None, what follows from `above` alone.
+
+    Return its samples, own + 2 · valid, and how many bits there are.
+    """
+    if own is None:
+        return _code(_SKIPS, _NOTHING, mask, region, above, is_finest, log, _NO_CODER)
+    return _code(_NOTES, own, mask, region, above, is_finest, log, _NO_CODER)
+
+
+def _new_log(region: Region) -> CodedBits:
     """Return room for all that a unit may code: each sample and its group's bit, and fills."""
     n = region.n_rows * region.n_cols + GROUP
-    return _Log(_memory(3 * n), _memory(3 * n), new_heights((1, n)).ravel().view(np.uint32))
+    return CodedBits(_memory(3 * n), _memory(3 * n), new_heights((1, n)).ravel().view(np.uint32))
 
 
 def _memory(n: int) -> NDArray[np.uint8]:
@@ -194,7 +211,7 @@ def _memory(n: int) -> NDArray[np.uint8]:
 
 def _code(
     task: int, own: Mask, mask: Mask, region: Region, above: Above | None, is_finest: bool,
-    log: _Log, coder: _Coder,
+    log: CodedBits, coder: _Coder,
 ) -> tuple[NDArray[np.uint8], int]:  # fmt: skip
     """Code a unit's validity; return it, own + 2 · valid, and how many bits were coded.
 
@@ -223,7 +240,7 @@ def _code(
 
 
 def _code_lattice(
-    task: int, own: Mask, region: Region, above: Above, n: int, log: _Log, coder: _Coder
+    task: int, own: Mask, region: Region, above: Above, n: int, log: CodedBits, coder: _Coder
 ) -> tuple[NDArray[np.uint8], int]:
     """Code own samples between those above; return these and implied voids, and how many bits."""
     n_rows, n_cols = region.n_rows // 2 + 1, region.n_cols // 2 + 1
@@ -623,7 +640,7 @@ def _packed(models: NDArray[np.uint8], bits: NDArray[np.uint8]) -> bytes:
         sets, n_states = sets | _HAS_STATES, _N_STATES
     words = np.empty(models.size, dtype=np.uint16)
     states = np.full(n_states, _STATE_START, dtype=np.uint32)
-    at = _write(models, bits, freqs, words, states)
+    at = write_bits(models, bits, freqs, words, states)
     head = bytes([sets]) + coded + states.astype("<u4").tobytes()
     return head + words[at:].astype("<u2").tobytes()
 
@@ -639,8 +656,9 @@ def _costs(
     return of_one @ ones + of_zero @ zeros
 
 
+@also_in_c(_IN_C)
 @kernel
-def _write(models, bits, freqs, words, states):
+def write_bits(models, bits, freqs, words, states):
     """Code bits, the last one first; return where in `words` the first word is."""
     at, mask = words.shape[0], states.shape[0] - 1
     for i in range(models.shape[0] - 1, -1, -1):

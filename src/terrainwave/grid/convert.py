@@ -3,12 +3,16 @@
 import numpy as np
 
 from terrainwave.coding.jit import kernel
+from terrainwave.coding.native_library import also_in_c
+
+_IN_C = "terrainwave.grid.convert_in_c"
 
 # Marks a void in the input of `push`.
 UNKNOWN = -(1 << 31)
 _ONE = np.uint64(1)
 
 
+@also_in_c(_IN_C)
 @kernel
 def quantize_integers(raw, valid, numerator, base, quanta):
     """Divide multiples of `numerator`; 2-D arrays."""
@@ -20,6 +24,7 @@ def quantize_integers(raw, valid, numerator, base, quanta):
                 quanta[row, col] = 0
 
 
+@also_in_c(_IN_C)
 @kernel
 def quantize_floats(raw, valid, numerator, denominator, base, quanta):
     """Round to the grid, ties to even; 2-D arrays."""
@@ -57,6 +62,7 @@ def dequantize_floats(quanta, numerator, denominator, base, out):
             out[row, col] = np.float64(product) / np.float64(denominator)
 
 
+@also_in_c(_IN_C)
 @kernel
 def push(fine, first_row, first_col, lines, values, known):
     """Average the known samples of a level around each sample of the level above.
@@ -94,6 +100,7 @@ def push(fine, first_row, first_col, lines, values, known):
                 values[i, j], known[i, j] = 0, False
 
 
+@also_in_c(_IN_C)
 @kernel
 def pull(coarse, first_row, first_col, known, values):
     """Fill samples that are not `known` with the rounded mean of those around, a level above.

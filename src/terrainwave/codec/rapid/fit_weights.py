@@ -33,7 +33,7 @@ from terrainwave.codec.rapid.layout import (
 )
 from terrainwave.codec.rapid.symbols import N_CLASSES
 from terrainwave.codec.rapid.tables import WEIGHT_UNIT_BITS, Tables, weights_of
-from terrainwave.codec.rapid.unit import UnitCoder
+from terrainwave.codec.rapid.unit import LEAST_SIDE, UnitCoder
 
 Whole = NDArray[np.int64]
 Reals = NDArray[np.float64]
@@ -41,7 +41,6 @@ Reals = NDArray[np.float64]
 # Of range, bend and what is near, each alone as what is expected (`tables.weights_of`).
 _EACH_ALONE = np.eye(5, dtype=np.int32)[1:4]
 _AT_A_TIME = 1 << 10
-_LEAST_SIDE = 10
 # Samples of a class and plane that weights are fitted to, and how many are too few.
 _MOST_SAMPLES, _MIN_SAMPLES = 1 << 13, 128
 # Scaled to whole numbers of so many bits, products of this many samples have sums below 2**53.
@@ -85,8 +84,8 @@ class Observer(UnitCoder):
     def _see(self, which: int, lattice: Lattice, work: Workspace, valid: NDArray[np.uint8]) -> None:
         for plane in PLANES:
             n_rows, n_cols = plane_shape(plane, (lattice.n_rows, lattice.n_cols))
-            if min(n_rows, n_cols) < _LEAST_SIDE:
-                continue  # much work for few samples
+            if min(n_rows, n_cols) < LEAST_SIDE:
+                continue
             # An odd end is a pair with a sample like it, which is not coded.
             features = np.empty((3, n_rows, n_cols + (n_cols & 1)), dtype=np.int32)
             look(plane, (work.ranges, work.bends, work.near), _EACH_ALONE, features[:, :, :n_cols])
@@ -97,7 +96,14 @@ class Observer(UnitCoder):
                 is_coded[:, :n_cols] = valid[int(plane != HL) :: 2, int(plane != LH) :: 2]
             details = work.details[plane - HH, : is_coded.size].copy()
             flat = features.reshape(3, -1), details, is_coded.ravel()
-            self.samples.append(Seen(which, plane, lattice.shift, *flat))
+            self.keep(which, plane, lattice.shift, *flat)
+
+    def keep(
+        self, which: int, plane: int, shift: int, features: NDArray[np.int32],
+        details: NDArray[np.int32], is_coded: NDArray[np.bool_],
+    ) -> None:  # fmt: skip
+        """Keep the samples of a plane of a lattice; see `Seen`."""
+        self.samples.append(Seen(which, plane, shift, features, details, is_coded))
 
 
 # Weights ----------------------------------------------------------------------------------------

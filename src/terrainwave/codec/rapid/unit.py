@@ -1,6 +1,6 @@
 """Units of heights as payloads: details, then heights (docs/format-rapid.md)."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -54,8 +54,10 @@ from terrainwave.codec.refiner import (
     Rows,
 )
 from terrainwave.codec.varint import decode_varint, encode_varint
+from terrainwave.coding.native_library import also_in_c
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 
+_IN_C = "terrainwave.codec.rapid.unit_in_c"
 _NARROW, _STATES, _BANDS, _HAS_ORIGIN, _DEFINED = 1, 1, 3, 32, 63
 _N_STATES = (1, 8, MOST_STATES)
 # A payload of fewer words has fewer states: each takes two bytes.
@@ -66,8 +68,11 @@ _MOST_DETAIL = 2**31 - 1
 _ORIGIN_BITS = 10
 # A payload has a part that can be read alone, for windows, for so many bytes.
 _BYTES_OF_BAND, _MOST_BANDS = 1 << 15, 4
+_Whole = NDArray[np.int32]
 _EVERY = 3  # one detail in so many counts for the estimate of their bits
 _SPARE_RAW = 2
+# Planes of fewer rows or columns are not kept: much work for few samples.
+LEAST_SIDE = 10
 # Symbols of what is not of the samples: odd ends of rows.
 _ROOM = 1 << 13
 _NONE_KNOWN = (False, False, False, False)
@@ -171,6 +176,7 @@ class UnitCoder:
         """Return the tables that units of a step are coded by."""
         return self._tables
 
+    @also_in_c(_IN_C)
     def encode(
         self,
         spec: GroupSpec,
@@ -193,6 +199,7 @@ class UnitCoder:
             payload = self._pack(unit, logged, is_alone=n_bands == 1)
         return payload, out, None
 
+    @also_in_c(_IN_C)
     def count(
         self,
         spec: GroupSpec,
@@ -326,6 +333,9 @@ class UnitCoder:
             self._code_details(unit, which, lattice, aim.valid, needed.strips)
             self._see(which, lattice, work, aim.valid)
         return lattice
+
+    # Takes the samples of planes that have been encoded (`fit_weights`). None: nobody wants them.
+    keep: Callable[[int, int, int, _Whole, _Whole, NDArray[np.bool_]], None] | None = None
 
     def _see(self, which: int, lattice: Lattice, work: Workspace, valid: NDArray[np.uint8]) -> None:
         """Look at a lattice of a class of levels that has been encoded (`fit_weights`)."""

@@ -1,0 +1,21 @@
+/* Quanta of raw heights, and fills of voids on coarse levels, as src/terrainwave/grid/convert.py makes them; see encode.h. */
+#ifndef TWZ_ENCODE_PYRAMID_H
+#define TWZ_ENCODE_PYRAMID_H
+
+#include "internal.h"
+
+/* Types of raw heights: numpy's kind and size. */
+enum { RAW_I1, RAW_U1, RAW_I2, RAW_U2, RAW_I4, RAW_U4, RAW_I8, RAW_F4, RAW_F8 };
+#define UNKNOWN_HEIGHT INT32_MIN
+
+/* Quanta of n raw heights, 0 where not valid: rounded to the grid, ties to even, but for integers on their own grid. */
+void quantise_heights(int type, const void *raw, const uint8_t *valid, size_t n, int is_whole, int64_t numerator, int64_t denominator,
+                      int64_t base, int32_t *quanta);
+/* Average what is known of a level around samples of the level above. `lines`: two rows as wide as `fine`. */
+void push_heights(const int32_t *fine, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col, int64_t *lines,
+                  int32_t to_rows, int32_t to_cols, int32_t *values, uint8_t *known);
+/* Give samples that are not known the mean of those around them on the level above. */
+void pull_heights(const int32_t *coarse, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col, int32_t to_rows,
+                  int32_t to_cols, const uint8_t *known, int32_t *values);
+
+#endif

@@ -1,0 +1,184 @@
+"""Units encoded by the native library, as `unit.UnitCoder` does it with kernels of numba."""
+
+import ctypes
+import threading
+from collections import OrderedDict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.codec.in_c import ENCODERS, INT, POINTER, Owned, call
+from terrainwave.codec.memory import flat, new_heights
+from terrainwave.codec.rapid.layout import HH, HL, LH, plane_shape
+from terrainwave.codec.rapid.tables import Tables
+from terrainwave.codec.rapid.unit import LEAST_SIDE, UnitCoder
+from terrainwave.codec.refiner import NO_CORRECTIONS, Corrections, GroupSpec, Heights, Labels, Mask
+from terrainwave.forks import renew_after_fork
+
+_MOST_TABLES = 8  # Python's have 2 MB each
+_N_SEEN = 5
+_PLANES = HH, HL, LH
+
+
+class _Job(ctypes.Structure):
+    """A unit that is encoded (encode_job of native/src/encode.h)."""
+
+    _fields_ = [
+        ("size", ctypes.c_size_t),
+        *((name, INT) for name in ("level", "step", "z_min", "z_max", "n_rows", "n_cols")),
+        ("shared", INT * 4),
+        ("parent_rows", INT),
+        ("parent_cols", INT),
+        ("parent_stride", ctypes.c_int64),
+        *(
+            (name, POINTER)
+            for name in (
+                "parent", "target", "valid", "kept", "added", "out", "counts", "seen", "payload",
+            )
+        ),
+        ("n_payload", ctypes.c_uint64),
+        ("shift", INT),
+    ]  # fmt: skip
+
+
+class _KnownTables:
+    """Tables as the library has them, by those of Python that they were made of."""
+
+    def __init__(self) -> None:
+        self.renew()
+        renew_after_fork(self)
+
+    def renew(self) -> None:
+        """Begin anew after a fork, which may have left the lock held."""
+        self._lock = threading.Lock()
+        self._known: OrderedDict[int, tuple[Tables, Owned]] = OrderedDict()
+
+    def of(self, tables: Tables) -> Owned:
+        """Return the library's tables; Python's stay with them, so that no others get their id."""
+        with self._lock:
+            if id(tables) not in self._known:
+                self._known[id(tables)] = tables, _new_tables(tables)
+            self._known.move_to_end(id(tables))
+            while len(self._known) > _MOST_TABLES:
+                self._known.popitem(last=False)
+            return self._known[id(tables)][1]
+
+
+def _new_tables(tables: Tables) -> Owned:
+    arrays: list[NDArray[Any]] = [
+        np.ascontiguousarray(tables.stencils, dtype=np.int64),
+        np.ascontiguousarray(tables.weights, dtype=np.int64),
+        np.ascontiguousarray(tables.frequencies.freqs, dtype=np.uint32),
+        np.ascontiguousarray(tables.frequencies.starts, dtype=np.uint32),
+    ]
+    return Owned(
+        "twz_python_tables_new", "twz_python_tables_free", tables.k_max, tables.frequencies.cut,
+        *(array.ctypes.data for array in arrays),
+    )  # fmt: skip
+
+
+_TABLES = _KnownTables()
+
+
+def encode(
+    coder: UnitCoder,
+    spec: GroupSpec,
+    parent: Heights | None,
+    target: Heights,
+    mask: Mask | None,
+    corrections: Corrections = NO_CORRECTIONS,
+) -> tuple[bytes, Heights, Labels | None]:
+    """Do as `UnitCoder.encode`."""
+    job, arrays = _new_job(spec, parent, target, mask, corrections)
+    with ENCODERS.lent() as encoder:
+        _run(encoder, coder, job)
+        payload = ctypes.string_at(job.payload, job.n_payload)
+    return payload, arrays[0], None
+
+
+def count(
+    coder: UnitCoder,
+    spec: GroupSpec,
+    parent: Heights | None,
+    target: Heights,
+    mask: Mask | None,
+    counts: NDArray[np.int64],
+) -> Heights:
+    """Do as `UnitCoder.count`."""
+    job, arrays = _new_job(spec, parent, target, mask, NO_CORRECTIONS)
+    assert counts.flags.c_contiguous
+    job.counts = counts.ctypes.data
+    keep, shapes = coder.keep, _lattices(spec, parent)
+    if keep is not None:
+        sizes = [_N_SEEN * n_rows * n_cols for _, shape in shapes for *_, n_rows, n_cols in shape]
+        seen = np.empty(sum(sizes), dtype=np.int32)
+        job.seen = seen.ctypes.data
+    with ENCODERS.lent() as encoder:
+        _run(encoder, coder, job)
+    if keep is not None:
+        at = 0
+        for level, planes in shapes:
+            which = coder.tables(spec.step).level_class(level)
+            for plane, n_rows, n_cols in planes:
+                end = at + _N_SEEN * n_rows * n_cols
+                own = seen[at:end].reshape(_N_SEEN, -1)
+                keep(which, plane, job.shift, own[:3], own[3], own[4].astype(np.bool_))
+                at = end
+    return arrays[0]
+
+
+def _lattices(
+    spec: GroupSpec, parent: Heights | None
+) -> list[tuple[int, list[tuple[int, int, int]]]]:
+    """Return the level of each lattice of a unit, and its planes that are kept: rows, and columns.
+
+    Columns of an odd number have one more, which makes a pair of the last one.
+    """
+    n_rows, n_cols = spec.region.shape
+    strides = [1]
+    if parent is None:
+        strides = []
+        while 1 << len(strides) < max(n_rows, n_cols) - 1:
+            strides.insert(0, 1 << len(strides))
+    found = []
+    for stride in strides:
+        shape = (n_rows - 1) // stride + 1, (n_cols - 1) // stride + 1
+        planes = [(plane, *plane_shape(plane, shape)) for plane in _PLANES]
+        own = [(plane, n, m + (m & 1)) for plane, n, m in planes if min(n, m) >= LEAST_SIDE]
+        found.append((spec.level - (stride.bit_length() - 1), own))
+    return found
+
+
+def _new_job(
+    spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask | None,
+    corrections: Corrections,
+) -> tuple[_Job, list[NDArray[Any]]]:  # fmt: skip
+    """Return a unit as the library takes it, and the arrays it refers to; the first has heights."""
+    out = new_heights(spec.region.shape)
+    target = np.ascontiguousarray(target, dtype=np.int32)
+    arrays: list[NDArray[Any]] = [out, target]
+    job = _Job(
+        size=ctypes.sizeof(_Job), level=spec.level, step=spec.step, z_min=spec.z_min,
+        z_max=spec.z_max, n_rows=out.shape[0], n_cols=out.shape[1], shared=tuple(spec.shared),
+        target=target.ctypes.data, out=out.ctypes.data,
+    )  # fmt: skip
+    if parent is not None:
+        source, job.parent_stride = flat(parent)
+        job.parent, (job.parent_rows, job.parent_cols) = source.ctypes.data, parent.shape
+        arrays.append(source)
+    if mask is not None:
+        valid = np.ascontiguousarray(mask)
+        job.valid = valid.ctypes.data
+        arrays.append(valid)
+    if corrections.added.size:
+        kept = np.ascontiguousarray(corrections.kept, dtype=np.int32)
+        assert corrections.added.flags.c_contiguous
+        job.kept, job.added = kept.ctypes.data, corrections.added.ctypes.data
+        arrays += [kept, corrections.added]
+    return job, arrays
+
+
+def _run(encoder: Owned, coder: UnitCoder, job: _Job) -> None:
+    tables = _TABLES.of(coder.tables(job.step))
+    call("twz_python_encode", encoder.address, tables.address, ctypes.byref(job))

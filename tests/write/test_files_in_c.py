@@ -1,0 +1,68 @@
+"""Do files that the native library encodes have the bytes of those that numba's kernels make?
+
+`benchmarks.both_encoders` draws the rasters; `make long` compares 500, up to 3000 x 2000.
+"""
+
+import sys
+
+import numpy as np
+import pytest
+from golden_files import GOLDEN
+
+import terrainwave
+from benchmarks.both_encoders import Drawn, compare, compressed, drawn_raster
+from terrainwave.codec.rapid import unit_in_c
+from terrainwave.coding import native_library
+
+sys.path.append(str(GOLDEN.parents[1] / "tools"))
+import make_golden
+
+pytestmark = [pytest.mark.native, pytest.mark.full]
+MOST = 600, 500
+
+
+@pytest.mark.parametrize("part", range(8))
+def test_random_rasters_make_the_same_files(part, with_library):
+    rows = [compare(number, MOST) for number in range(part, 96, 8)]
+    assert [row for row in rows if not row.is_same] == []
+    assert [row.outcome for row in rows if row.outcome] == []
+
+
+def test_the_library_has_encoded(with_library, monkeypatch):
+    """Else files would be the same for another reason."""
+    used = []
+    for name in ("encode", "count"):
+        own = getattr(unit_in_c, name)
+        monkeypatch.setattr(unit_in_c, name, lambda *given, own=own: used.append(1) or own(*given))
+    drawn = drawn_raster(0, MOST)
+    compressed(drawn, in_c=False, verify=False)
+    assert not used
+    compressed(drawn, in_c=True, verify=False)
+    assert used
+
+
+@pytest.mark.parametrize("part", range(4))
+def test_golden_files_are_made_the_same(part, with_library, monkeypatch, tmp_path):
+    """All that are compressed from a raster: of each method, patched ones among them."""
+    for name in sorted(make_golden.CASES)[part::4]:
+        made = []
+        for switch in ("0", "1"):
+            monkeypatch.setenv(native_library.SWITCH, switch)
+            path = tmp_path / f"{name}-{switch}.twz"
+            make_golden.write_case(path, *make_golden.CASES[name])
+            made.append(path.read_bytes())
+        assert made[0] == made[1], name
+
+
+def test_heights_that_are_not_finite_make_the_same_files(with_library):
+    rng = np.random.default_rng(7)
+    heights = rng.normal(size=(90, 70)).astype(np.float32)
+    heights[::7, ::5] = np.nan
+    heights[::11] = -np.inf
+    heights[3] = np.finfo(np.float32).smallest_subnormal
+    drawn = Drawn(heights, {"max_error": 0.01, "nodata": -np.inf})
+    data = compressed(drawn, in_c=True, verify=True)
+    assert data == compressed(drawn, in_c=False, verify=False)
+    assert isinstance(data, bytes)
+    with terrainwave.open(data) as terrain:
+        assert np.abs(terrain.read()[3, 1:4]).max() <= 0.01
