@@ -55,7 +55,7 @@ $(VENV)/.created: tools/make_venv.sh
 	@sh tools/make_venv.sh "$(PYTHON)" "$(VENV)"
 	@touch $@
 
-# What the native library beside the package is built of (src/terrainwave/coding/native_sources.py).
+# What the native library beside the package is built of (src/terrainwave/native_sources.py).
 LIBRARY := $(wildcard native/CMakeLists.txt native/include/* native/python/*.* native/src/* src/terrainwave/annexes/*.*)
 # Packages are installed again where pyproject.toml has changed; else the library is built again.
 install = $(BIN)/python -m pip install --quiet --disable-pip-version-check \

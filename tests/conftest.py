@@ -129,7 +129,7 @@ def pytest_collection_modifyitems(config, items):
         "gl": bool(_why_no_gl()),
         "qgis": _lacks_qgis(),
         "gdal": _lacks_gdal(),
-        "native": _lacks_compilers(),
+        "native": _lacks_compilers() and not is_built(),
     }
     marks = [mark for mark, is_missing in missing.items() if is_missing]
     # `make test` installs no compiler: there the library is as pip has built it, or missing.

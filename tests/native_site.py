@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from terrainwave.coding import native_library, native_sources
+from terrainwave import native_sources
+from terrainwave.coding import native_library
 from terrainwave.read import native
 
 ROOT = Path(__file__).parents[1]

@@ -15,8 +15,7 @@ import pytest
 from native_site import PROJECT, ROOT
 from packaging.tags import sys_tags
 
-from terrainwave import __version__
-from terrainwave.coding import native_sources
+from terrainwave import __version__, native_sources
 
 NAME = f"terrainwave-{__version__}"
 HOOK = runpy.run_path(str(PROJECT / "hatch_build.py"))

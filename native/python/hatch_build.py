@@ -20,7 +20,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-sources = runpy.run_path(str(ROOT / "src" / "terrainwave" / "coding" / "native_sources.py"))
+sources = runpy.run_path(str(ROOT / "src" / "terrainwave" / "native_sources.py"))
 
 SWITCH = "TERRAINWAVE_BUILD"
 MODES = ("auto", "require", "none")
@@ -100,7 +100,7 @@ def build_library(directory):
 
 
 def _first_error(told):
-    """Return the first error that a program has printed, and the two lines after it, as one line."""
+    """Return the first error that a program has printed and the two lines after it."""
     lines = [line.strip() for line in told.splitlines() if line.strip()]
     at = (i for i, line in enumerate(lines) if re.search("error", line, re.IGNORECASE))
     first = next(at, len(lines) - 1)

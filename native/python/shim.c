@@ -29,7 +29,7 @@ TWZ_API void twz_python_push(const int32_t *fine, int32_t n_rows, int32_t n_cols
 TWZ_API void twz_python_pull(const int32_t *coarse, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col,
                              int32_t to_rows, int32_t to_cols, const uint8_t *known, int32_t *values);
 
-/* The digest of the sources that this library is built of (src/terrainwave/coding/native_sources.py). */
+/* The digest of the sources that this library is built of (src/terrainwave/native_sources.py). */
 const char *twz_python_sources(void) { return TWZ_SOURCES; }
 
 #if defined(_WIN32)

@@ -22,7 +22,8 @@ from strategies import terrain_like
 from twz import twz_bytes
 
 import terrainwave
-from terrainwave.coding import native_library, native_sources
+from terrainwave import native_sources
+from terrainwave.coding import native_library
 from terrainwave.container.sources.byte_source import FileSource
 from terrainwave.errors import (
     CorruptStreamError,

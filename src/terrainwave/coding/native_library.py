@@ -12,7 +12,7 @@ from collections.abc import Callable
 from functools import cache, wraps
 from typing import Any, TypeVar, cast
 
-from terrainwave.coding import native_sources
+from terrainwave import native_sources
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 
 SWITCH = "TERRAINWAVE_NATIVE"  # 0 in the environment: not used

@@ -11,7 +11,7 @@ import json
 import sys
 from pathlib import Path
 
-FOLDER = Path(__file__).parents[1]
+FOLDER = Path(__file__).parent
 NAME = {"win32": "terrainwave.dll", "darwin": "libterrainwave.dylib"}.get(
     sys.platform, "libterrainwave.so"
 )
