@@ -1,5 +1,5 @@
 /*
- * What Python needs beside terrainwave.h: the numbers it compares before it trusts the library, locks for
+ * What Python needs beside terrainwave.h: the digest it compares before it trusts the library, locks for
  * each file, and memory that goes from file to file.
  */
 #include <stdlib.h>
@@ -8,11 +8,7 @@
 #include "encode_pyramid.h"
 #include "internal.h"
 
-/* Raised whenever what Python calls (src/terrainwave/coding/native_library.py) changes its meaning or layout. */
-enum { PYTHON_ABI = 4 };
-
-TWZ_API int twz_python_abi(void);
-TWZ_API uint32_t twz_python_features(void);
+TWZ_API const char *twz_python_sources(void);
 TWZ_API twz_locks *twz_python_locks_new(void);
 TWZ_API void twz_python_locks_free(twz_locks *locks);
 TWZ_API const twz_allocator *twz_python_allocator(void);
@@ -32,10 +28,8 @@ TWZ_API void twz_python_push(const int32_t *fine, int32_t n_rows, int32_t n_cols
 TWZ_API void twz_python_pull(const int32_t *coarse, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col,
                              int32_t to_rows, int32_t to_cols, const uint8_t *known, int32_t *values);
 
-int twz_python_abi(void) { return PYTHON_ABI; }
-
-/* The feature bits of headers that this library reads. */
-uint32_t twz_python_features(void) { return KNOWN_FEATURES; }
+/* The digest of the sources that this library is built of (src/terrainwave/native_sources.py). */
+const char *twz_python_sources(void) { return TWZ_SOURCES; }
 
 #if defined(_WIN32)
 #define WIN32_LEAN_AND_MEAN

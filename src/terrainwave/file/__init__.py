@@ -59,8 +59,8 @@ class TerrainFile(DescribedFile):
     threads : int, optional
         Threads that decode; the number of processors by default.
     native : bool
-        Read heights with the native library if the package terrainwave-native is installed. The
-        heights are the same. ``TERRAINWAVE_NATIVE=0`` in the environment turns it off everywhere.
+        Read heights with the native library if the package has one. The heights are the same.
+        ``TERRAINWAVE_NATIVE=0`` in the environment turns it off everywhere.
     on_error : str
         Default behaviour of reads on damage: ``"raise"``, or ``"mask"``, which leaves damaged
         blocks void and lists them in `lost`. A file that ends too early opens only with ``"mask"``,

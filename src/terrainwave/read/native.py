@@ -1,4 +1,4 @@
-"""Windows decoded by the native library, where the package terrainwave-native is installed.
+"""Windows decoded by the native library, where the package has one.
 
 It decodes the same heights as `read.decoder` does, without kernels that have to be compiled. What
 it cannot read, and what is damaged, is left to that one: it says what is wrong, in its own words.
@@ -17,14 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.coding.native_library import (
-    NativeError,
-    NativeLibrary,
-    is_wanted,
-    loaded,
-    warn_unused,
-)
-from terrainwave.container.header import KNOWN_FEATURES, Header
+from terrainwave.coding.native_library import NativeError, NativeLibrary, is_wanted, loaded
+from terrainwave.container.header import Header
 from terrainwave.container.reader import Container
 from terrainwave.container.sources.ranges import ByteRange
 from terrainwave.forks import renew_after_fork
@@ -111,18 +105,11 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
 
 
 class Library:
-    """The functions of the library that read; those that can fail raise.
-
-    Raises
-    ------
-    AttributeError
-        If a function is missing.
-    """
+    """The functions of the library that read; those that can fail raise."""
 
     def __init__(self, native: NativeLibrary) -> None:
-        self.path, self.call, self.make = native.path, native.call, native.make
+        self.call, self.make = native.call, native.make
         native.declare(_SIGNATURES)
-        self.features: int = native.plain("twz_python_features", ctypes.c_uint32)()
         self.free_window = native.plain("twz_window_free", None, _POINTER)
         self.free_points = native.plain("twz_points_free", None, _POINTER)
         self.free_file = native.plain("twz_file_free", None, _POINTER)
@@ -144,24 +131,12 @@ class Library:
 
 @cache
 def installed() -> Library | None:
-    """Return the library of the package terrainwave-native; None without one that fits.
-
-    One that does not fit is named in one warning.
-    """
+    """Return the package's library; None without one that fits."""
     native = loaded()
     if native is None:
         return None
-    try:
-        library = Library(native)
-    except AttributeError as error:
-        warn_unused(f"the library of terrainwave-native cannot be used ({error})")
-        return None
-    unknown = KNOWN_FEATURES & ~library.features
-    if unknown:
-        warn_unused(f"terrainwave-native does not know features {unknown:#x} of the format")
-        return None
-    _log.info("the native library reads heights: %s", library.path)
-    return library
+    _log.info("the native library reads heights: %s", native.path)
+    return Library(native)
 
 
 class _Handles:
