@@ -155,7 +155,6 @@ coverage: $(VENV)/.installed-dev
 long: $(VENV)/.installed-bench $(VENV)/.installed-dev system
 	@test -n "$(DATA)" || { echo "make long DATA=a-directory-with-GeoTIFFs" >&2; exit 2; }
 	@$(MAKE) --no-print-directory native-gdals
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check ./native/python
 	TERRAINWAVE_NATIVE=1 $(BIN)/python -m benchmarks.both_encoders
 	$(BIN)/python -m benchmarks.captions "$(DATA)" --size $(SIZE)
 	$(BIN)/python -m faults.run --only signals --signals 223
