@@ -419,7 +419,7 @@ static double raw_of(const twz_info *info, const uint8_t *heights, size_t i) {
 static double height_by_samples(const twz_info *info, const twz_level *size, const raster *r, const uint8_t *counts, double row, double col,
                                 twz_interpolation interpolation) {
   if (interpolation == TWZ_NEAREST) {
-    double top = floor(row + 0.5), left = floor(col + 0.5);
+    double top = row + 0.5, left = col + 0.5;
     if (!(top >= 0 && top < size->n_rows && left >= 0 && left < size->n_cols)) return NAN;
     size_t at = (size_t)top * size->n_cols + (size_t)left;
     return counts[at] ? raw_of(info, r->heights, at) : (double)NAN;
