@@ -155,6 +155,7 @@ coverage: $(VENV)/.installed-dev
 long: $(VENV)/.installed-bench $(VENV)/.installed-dev system
 	@test -n "$(DATA)" || { echo "make long DATA=a-directory-with-GeoTIFFs" >&2; exit 2; }
 	@$(MAKE) --no-print-directory native-gdals
+	@$(MAKE) --no-print-directory native-fuzz RUNS=10000000
 	TERRAINWAVE_NATIVE=1 $(BIN)/python -m benchmarks.both_encoders
 	$(BIN)/python -m benchmarks.captions "$(DATA)" --size $(SIZE)
 	$(BIN)/python -m faults.run --only signals --signals 223
@@ -248,7 +249,7 @@ build/native/fuzz/seeds/files.txt: native/fuzz/seeds.py native/fuzz/forced.py | 
 
 native-fuzz: system-native build/native/fuzz/seeds/files.txt
 	@$(call built_natively,fuzz,clang,-DTWZ_SANITIZE=ON -DTWZ_FUZZ=ON)
-	@SECONDS_EACH=$$(($(SECONDS) / 2)) sh native/fuzz/run.sh build/native/fuzz
+	@$(if $(RUNS),RUNS=$(RUNS),SECONDS_EACH=$$(($(SECONDS) / 2))) sh native/fuzz/run.sh build/native/fuzz
 
 docs: $(VENV)/.installed-dev
 	$(BIN)/mkdocs build --strict
