@@ -58,7 +58,7 @@ OF_FILES = {
 BOTH_WAYS = {"test_terrain.py", "test_guarantee.py", "test_verify.py"}
 # The longest of all. Then workers begin at different ends of what compiles, or both would compile
 # the same: codecs, meshes.
-FIRST = ("test_warmup.py", "test_terrain.py", "tri")
+FIRST = ("test_warmup.py", "test_containers.py", "test_compilers.py", "test_terrain.py", "tri")
 
 
 def pytest_configure(config):
