@@ -45,7 +45,8 @@ WITHOUT_KERNELS = {
     "test_architecture.py", "test_compiler.py", "test_compilers.py", "test_dispatchers.py",
     "test_docs.py", "test_examples.py", "test_extras.py", "test_logging.py",
     "test_faults.py", "test_format_example.py", "test_javascript_kernels.py", "test_window.py",
-    "test_archive.py", "test_kernel_cache.py", "test_polynomials.py",
+    "test_archive.py", "test_kernel_cache.py", "test_polynomials.py", "test_install_lines.py",
+    "test_workflows.py", "test_release.py",
 }  # fmt: skip
 # Tests of whole files, marked `files` and `large`: what their kernels compute has tests of its own.
 # The others with kernels run with bounds checked, and as plain Python unless they are `large`.
