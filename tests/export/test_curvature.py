@@ -17,7 +17,7 @@ from strategies import terrain_like, write_geotiff
 import terrainwave
 from terrainwave.cli import main
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.export import curvature
+from terrainwave.export import curvature, mesh_files
 from terrainwave.export.curvature import divided
 from terrainwave.export.frames import globe_way, to_frame
 from terrainwave.export.mesh_files import mesh_for_file
@@ -364,3 +364,16 @@ def test_only_meshes_with_a_share_for_the_curvature_are_divided():
     assert divided(mesh, globe_way(mesh)) is mesh
     asked = replace(mesh, attributes={"curvature": CurvatureShare(100.0)})
     assert divided(asked, globe_way(mesh)).n_triangles > 1
+
+
+def test_no_error_below_the_one_that_was_refused_is_named(monkeypatch):
+    """Smaller errors may be taken again, where closer meshes are flatter."""
+
+    def fitted(_make, _rounding_of, error, *_):
+        if error == 1:
+            raise mesh_files._TooSmall(1.5)
+        return None, True
+
+    monkeypatch.setattr(mesh_files, "_fitted", fitted)
+    with pytest.raises(InvalidArgumentError, match=r"found max_error 1, expected at least 1\.5 "):
+        mesh_for_file(lambda _: None, "a.ply", 1, 0)

@@ -69,7 +69,7 @@ def call(name: str, *arguments: Any) -> None:
 
 
 class Owned:
-    """What the library has allocated, freed with this object.
+    """Memory that the library has allocated, freed with this object.
 
     Raises
     ------

@@ -294,7 +294,7 @@ def mesh_for_file(
     ------
     InvalidArgumentError
         If the curvature of the globe exceeds the error. The message names one that a mesh keeps to,
-        as has been tried; half of it is too small.
+        as has been tried; half of it is too small, or no more than was asked for.
     InvalidHeightsError
         If the mesh has no position in the frame.
     """
@@ -311,8 +311,10 @@ def mesh_for_file(
         smallest = found.expected
     # What is named is tried. Closer meshes may be steeper, and take more than others.
     is_taken = False
-    while max_error < smallest < np.inf:
+    while smallest < np.inf:
         tried = smallest / 2 if is_taken else smallest
+        if tried <= max_error:
+            break
         try:
             try_error(tried)
         except _TooSmall as found:

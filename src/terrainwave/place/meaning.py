@@ -187,7 +187,7 @@ def settled_kind(
 
 
 def are_radii(crs_text: str | None, metres: Iterable[tuple[float, float]]) -> bool | None:
-    """Return whether all numbers are near the radius of the CRS's body; None if there are none.
+    """Return whether all numbers are near the radius of the CRS's body; None without any.
 
     Parameters
     ----------

@@ -173,7 +173,7 @@ class _Handles:
 
     @contextmanager
     def lent_workers(self) -> Iterator[int | None]:
-        """Lend the threads; None if there are none, or another call has them."""
+        """Lend the threads; None without threads, or while another call has them."""
         if self.workers is None or not self.pool_lock.acquire(blocking=False):
             yield None
             return

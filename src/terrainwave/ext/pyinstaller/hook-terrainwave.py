@@ -1,4 +1,4 @@
-"""What PyInstaller does not find: modules imported by name, data files, the native library."""
+"""List for PyInstaller of modules imported by name, data files and the native library."""
 
 from PyInstaller.utils.hooks import (
     collect_data_files,
